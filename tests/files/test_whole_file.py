@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from yieldmon.errors import InputError
-from yieldmon.files.whole_file import scratch_for
+from yieldmon.files.whole_file import begin, scratch_for
 
 
 @pytest.mark.parametrize("durable", [False, True])
@@ -108,3 +108,39 @@ def test_an_error_names_the_path_that_was_asked_for(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError) as caught, scratch_for(path):
         pass  # Nothing was written, so there is nothing to put in place.
     assert caught.value.filename == str(path)
+
+
+@pytest.mark.parametrize("link", [False, True], ids=["file", "through a link"])
+def test_what_another_program_made_meanwhile_is_not_replaced(tmp_path: Path, link: bool) -> None:
+    path = tmp_path / "table.csv"
+    named = path
+    if link:
+        named = tmp_path / "name.csv"
+        named.symlink_to(path)
+    begin([named])
+    path.with_name("table-2.csv").write_text("of an earlier day")
+    writing = scratch_for(named)
+    writing.__enter__().write_text("ours")
+    path.write_text("theirs")
+    with pytest.raises(InputError, match=r"another program made it meanwhile; what was to be written is table-3\.csv"):
+        writing.__exit__(None, None, None)
+    assert {p.name: p.read_text() for p in tmp_path.iterdir() if not p.is_symlink()} == {
+        "table.csv": "theirs",
+        "table-2.csv": "of an earlier day",
+        "table-3.csv": "ours",
+    }
+
+
+def test_what_was_there_when_the_command_began_and_its_own_file_are_replaced(tmp_path: Path) -> None:
+    old, new, later = (tmp_path / name for name in ("old.csv", "new.csv", "later.csv"))
+    old.write_text("old")
+    begin([old, new])
+    for path in (old, new, new):
+        with scratch_for(path) as scratch:
+            scratch.write_text("ours")
+    begin([])
+    with scratch_for(later) as scratch:
+        scratch.write_text("ours")
+        later.write_text("of whoever was first")
+    assert [path.read_text() for path in (old, new, later)] == ["ours"] * 3
+    assert len(os.listdir(tmp_path)) == 3

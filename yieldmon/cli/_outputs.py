@@ -22,6 +22,8 @@ def check(args: argparse.Namespace) -> None:
     names: tuple[str, ...] = getattr(args, "output_arguments", ())
     inputs = {whole_file.real_path(path) for key, value in vars(args).items() if key not in names for path in _files(value)}
     written: dict[Path, str] = {}
+    values = [getattr(args, name) for name in names]
+    whole_file.begin(value for value in values if isinstance(value, str | Path) and str(value) != "-")
     for name in names:
         value = getattr(args, name)
         if isinstance(value, str | Path) and str(value) != "-":

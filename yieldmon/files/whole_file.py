@@ -7,8 +7,9 @@ import os
 import shutil
 import stat
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from itertools import count
 from pathlib import Path
 
 from yieldmon.errors import InputError
@@ -19,6 +20,16 @@ _STEM = 100
 """Characters of the name that its folder has as well: names have an end."""
 _NO_ROOM = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 """What only writing can meet, and a write's error does not name its file."""
+
+
+_not_there: set[Path] = set()
+"""Outputs of this command under whose name there was nothing when it began."""
+
+
+def begin(outputs: Iterable[str | Path]) -> None:
+    """Notes which outputs of a command are not there yet: what another program makes under their names is not replaced then."""
+    _not_there.clear()
+    _not_there.update(path for path in map(real_path, outputs) if not os.path.lexists(path))
 
 
 def real_path(path: str | Path) -> Path:
@@ -58,7 +69,7 @@ def scratch_for(path: str | Path, *, durable: bool = False, mode: int | None = N
 
     A link is followed. What is there and is no file (a pipe, /dev/stdout) is written to as it is. durable: on the medium
     before it takes the name. mode: of the file; None: that of the file it replaces, or of a plain new one. Raises InputError as
-    `check_place`; an OSError names `path`.
+    `check_place`, and where another program made the file meanwhile (see `begin`); an OSError names `path`.
     """
     check_place(path)
     in_place = Path(path).exists() and not Path(path).is_file()
@@ -75,6 +86,7 @@ def scratch_for(path: str | Path, *, durable: bool = False, mode: int | None = N
                 scratch.chmod(stat.S_IMODE(target.stat().st_mode))
             if durable:
                 sync(scratch)
+            _refuse_another_programs(scratch, target, path)
             scratch.replace(target)
     except OSError as error:
         # A file opened through its Path is named by that.
@@ -84,6 +96,19 @@ def scratch_for(path: str | Path, *, durable: bool = False, mode: int | None = N
     finally:
         if folder is not None:
             shutil.rmtree(folder, ignore_errors=True)
+
+
+def _refuse_another_programs(scratch: Path, target: Path, path: str | Path) -> None:
+    """Keeps what was written under a name of its own, and raises InputError, where the name was free and is taken now."""
+    if target not in _not_there:
+        return
+    _not_there.discard(target)
+    if not os.path.lexists(target):
+        return
+    numbers = (target.with_name(f"{target.stem[:_STEM]}-{number}{target.suffix}") for number in count(2))
+    aside = next(name for name in numbers if not os.path.lexists(name))
+    scratch.replace(aside)
+    raise InputError(str(path), f"another program made it meanwhile; what was to be written is {aside.name}", "one at a time")
 
 
 def _private_folder(target: Path, path: str | Path) -> Path:
