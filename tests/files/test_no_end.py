@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import gzip
+import io
 import os
 import socket
+import time
+import zipfile
 from pathlib import Path
 
+import can
 import pytest
 
 from yieldmon import bounded
@@ -192,3 +196,29 @@ def test_task_data_are_read_up_to_a_limit(tmp_path):
     os.truncate(path, (1 << 30) + 1)
     with pytest.raises(InputError, match="larger than 1073741824 bytes"):
         sources.read(path, ReadOptions())
+
+
+def test_a_workbook_that_unpacks_without_end_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(delimited, "LARGEST_BYTES", 1_000_000)
+    book = io.BytesIO()
+    with zipfile.ZipFile(book, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name in ("xl/workbook.xml", "xl/worksheets/sheet1.xml"):
+            archive.writestr(name, bytes(600_000))
+    (tmp_path / "t.xlsx").write_bytes(book.getvalue())
+    with pytest.raises(InputError, match=r"t\.xlsx: unpacks to 1 MB; expected at most 1 MB$"):
+        table.load(tmp_path / "t.xlsx")
+
+
+def test_an_object_of_a_blf_that_says_gigabytes_is_not_read(tmp_path):
+    path = tmp_path / "x.blf"
+    with can.Logger(path) as logger:
+        logger.on_message_received(can.Message(timestamp=1.7e9, arbitration_id=0x123, data=b"\x01"))
+    whole = path.read_bytes()
+    begin = whole.index(b"LOBJ")
+    path.write_bytes(whole + whole[begin : begin + 8] + (0xFFFF_0000).to_bytes(4, "little") + whole[begin + 12 :])
+    os.truncate(path, 5_000_000_000)
+    notes = LogNotes(on_damage=lambda damage: None)
+    begun_s = time.process_time()
+    assert [frame.arbitration_id for frame in read_log(path, notes)] == [0x123]
+    assert time.process_time() - begun_s < 1.0
+    assert [damage.problem for damage in notes.damages] == ["an object of 4294901760 bytes; reading stopped"]

@@ -19,6 +19,7 @@ from can.io.blf import (
 _SIGNATURE = b"LOBJ"
 #: Vector writes containers of 128 kB.
 _LARGEST_CONTAINER_BYTES = 16 * 1024 * 1024
+_LARGEST_OBJECT_BYTES = 2 * _LARGEST_CONTAINER_BYTES
 #: Of an object within a container, with the second part of its header.
 _SMALLEST_OBJECT_BYTES = OBJ_HEADER_BASE_STRUCT.size + OBJ_HEADER_V1_STRUCT.size
 #: An object begins within so many bytes after the one before.
@@ -41,6 +42,8 @@ def first_flaw(path: Path) -> tuple[int, str] | None:
             signature, _, _, size, kind = OBJ_HEADER_BASE_STRUCT.unpack(base)
             if signature != _SIGNATURE or size < len(base):
                 return start, "no object begins here"
+            if size > _LARGEST_OBJECT_BYTES:
+                return start, f"an object of {size} bytes"
             body = stream.read(size - len(base))
             if len(body) < size - len(base):
                 return start, f"the file ends within an object of {size} bytes"

@@ -12,6 +12,7 @@ import hashlib
 import io
 import re
 import warnings
+import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -149,7 +150,12 @@ def _workbook(raw: bytes, where: str) -> list[tuple[int, list[str]]]:
         # Of styles and links, which say nothing about the cells.
         warnings.simplefilter("ignore")
         try:
+            unpacked = sum(part.file_size for part in zipfile.ZipFile(io.BytesIO(raw)).infolist())
+            if unpacked > LARGEST_BYTES:
+                raise InputError(where, f"unpacks to {unpacked / 1e6:.0f} MB", f"at most {LARGEST_BYTES / 1e6:.0f} MB")
             book = openpyxl.load_workbook(io.BytesIO(raw), read_only=True, data_only=True)
+        except InputError:
+            raise
         except Exception as error:
             raise InputError(where, "is a zip archive and no Excel workbook", expected) from error
         try:
