@@ -9,7 +9,8 @@ import time
 from collections.abc import Iterator
 from contextlib import suppress
 from itertools import count
-from typing import TextIO
+from pathlib import Path
+from typing import BinaryIO, TextIO
 
 from yieldmon.errors import InputError, reading
 
@@ -29,14 +30,34 @@ _KINDS = {
 }
 
 
-def require_file(path: object, expected: str) -> None:
+def require_file(path: object, expected: str, *, or_pipe: bool = False) -> None:
     """For what is read several times, or at any length: neither can be done with a device, a pipe or a socket.
 
-    Raises InputError for these, and OSError for a path that leads nowhere; a folder is left to the one who opens it.
+    Raises InputError for these (or_pipe: but for a pipe), and OSError for a path that leads nowhere; a folder is left to the one
+    who opens it.
     """
     kind = _KINDS.get(stat.S_IFMT(os.stat(str(path)).st_mode), "a folder")
-    if kind not in ("a file", "a folder"):
-        raise InputError(str(path), f"is {kind}", f"{expected} that is a file")
+    if kind not in ("a file", "a folder") and not (or_pipe and kind == "a pipe"):
+        raise InputError(str(path), f"is {kind}", f"{expected} that is a file{' or a pipe' if or_pipe else ''}")
+
+
+def is_pipe(path: Path) -> bool:
+    """Whether a path leads to a pipe, of which an opening and a closing may end the writer."""
+    return stat.S_ISFIFO(os.stat(path).st_mode)
+
+
+def opened(path: Path) -> BinaryIO:
+    """A file, or a pipe that has begun to give something. Raises OSError, and InputError for a pipe that gives nothing."""
+    if not is_pipe(path):
+        return path.open("rb")
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    waiting = select.poll()
+    waiting.register(descriptor, select.POLLIN)
+    if not waiting.poll(1000.0 * PATIENCE_S):
+        os.close(descriptor)
+        raise InputError(str(path), f"is a pipe that gives nothing within {PATIENCE_S:.0f} s", "a file, or a pipe with a writer")
+    os.set_blocking(descriptor, True)
+    return os.fdopen(descriptor, "rb")
 
 
 def why_no_file(path: object) -> str:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import array
+import fcntl
 import gzip
 import io
 import os
 import socket
+import termios
+import threading
 import time
 import zipfile
 from pathlib import Path
@@ -86,12 +90,48 @@ def endless(request, tmp_path):
 
 
 @pytest.mark.parametrize("suffix", [*SUFFIXES, ".log.gz", ".blf.gz"])
-def test_a_log_is_a_file(suffix, endless):
+def test_a_log_is_a_file_or_a_pipe_that_gives_something(suffix, endless, monkeypatch):
+    monkeypatch.setattr(bounded, "PATIENCE_S", 0.01)
     path, kind = endless(f"x{suffix}")
-    said = f"x{suffix}: is a {kind}; expected a CAN log that is a file$"
-    for read in (require_log, load_frames, lambda log: list(read_log(log))):
+    text = suffix.removesuffix(".gz") in logs.TEXT_SUFFIXES
+    said = f"x{suffix}: is a {kind}; expected a CAN log that is a file{' or a pipe' if text else ''}$"
+    if text and kind == "pipe":
+        said = f"x{suffix}: is a pipe that gives nothing within 0 s; expected a file, or a pipe with a writer$"
+        require_log(path)
+    else:
+        with pytest.raises(InputError, match=said):
+            require_log(path)
+    for read in (load_frames, lambda log: list(read_log(log))):
         with pytest.raises(InputError, match=said):
             read(path)
+
+
+@pytest.mark.parametrize("suffix", [".log", ".log.gz"])
+def test_a_text_log_comes_through_a_pipe(suffix, tmp_path):
+    path = tmp_path / f"x{suffix}"
+    os.mkfifo(path)
+    content = b"(1.0) can0 123#0102\n" * 3
+    for read in (load_frames, lambda log: list(read_log(log))):
+        reader = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+        with path.open("wb") as pipe:
+            require_log(path)
+            pipe.write(gzip.compress(content) if suffix.endswith(".gz") else content)
+            pipe.flush()
+            found = []
+            thread = threading.Thread(target=lambda: found.append(read(path)))  # noqa: B023 - ends within the turn
+            thread.start()
+            while not _taken(reader):
+                time.sleep(0.001)
+        thread.join()
+        os.close(reader)
+        assert len(found[0]) == 3
+
+
+def _taken(reader: int) -> bool:
+    """Whether a pipe is empty."""
+    waiting = array.array("i", [0])
+    fcntl.ioctl(reader, termios.FIONREAD, waiting)
+    return waiting[0] == 0
 
 
 _FRAMES = {

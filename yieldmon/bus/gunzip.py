@@ -10,6 +10,8 @@ import zlib
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from yieldmon.bounded import opened
+
 if TYPE_CHECKING:
     from _typeshed import WriteableBuffer
 
@@ -26,7 +28,7 @@ class Gunzip(io.RawIOBase):
         """Raises OSError when the file cannot be opened."""
         super().__init__()
         self.problem: str | None = None
-        self._file = path.open("rb")
+        self._file = opened(path)
         self._member = zlib.decompressobj(_GZIP)
         self._ready = memoryview(b"")
         self._ended = False

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import can
 
-from yieldmon.bounded import require_file
+from yieldmon.bounded import is_pipe, opened, require_file
 from yieldmon.bus import mf4
 from yieldmon.bus.blf_check import first_flaw
 from yieldmon.bus.candump import dropped_frames, parse_line
@@ -169,10 +169,10 @@ def read_log(path: Path | str, notes: LogNotes | None = None) -> Iterator[can.Me
 
 @contextmanager
 def reading_log(path: Path | str) -> Iterator[None]:
-    """Raises InputError for a log that the system does not let be read, and for a device or a pipe: some formats are read from
-    several places, and neither says when it ends."""
+    """Raises InputError for a log that the system does not let be read, for a device, and for a pipe in the place of a binary
+    log, which is read from several places."""
     with reading(path, "a readable CAN log"):
-        require_file(path, "a CAN log")
+        require_file(path, "a CAN log", or_pipe=log_format(Path(path))[0] in TEXT_SUFFIXES)
         yield
 
 
@@ -187,7 +187,8 @@ def require_log(path: Path | str) -> None:
     """Raises InputError unless there is a file with the name of a known format that can be opened."""
     log_format(Path(path))
     with reading_log(path):
-        Path(path).open("rb").close()
+        if not is_pipe(Path(path)):
+            Path(path).open("rb").close()
 
 
 def require_package(path: Path | str) -> None:
@@ -211,7 +212,7 @@ def log_format(path: Path) -> tuple[str, bool]:
 
 def open_bytes(path: Path, compressed: bool) -> io.BufferedReader:
     """The log's bytes, decompressed; early_end_of() says at their end whether they are all."""
-    return io.BufferedReader(Gunzip(path)) if compressed else path.open("rb")
+    return io.BufferedReader(Gunzip(path)) if compressed else cast("io.BufferedReader", opened(path))
 
 
 def early_end_of(stream: io.BufferedReader) -> str | None:
