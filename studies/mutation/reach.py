@@ -11,7 +11,7 @@ import os
 import subprocess
 import sys
 from collections import defaultdict
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TypedDict
 
@@ -85,7 +85,7 @@ def carry(map_file: Path, root: Path) -> list[str]:
     by_test: dict[str, dict[str, set[int]]] = defaultdict(lambda: defaultdict(set))
     lost = []
     for path in modules(PACKAGES, root):
-        lines = data.contexts_by_lineno(measured[path]) if path in measured else {}
+        lines: Mapping[int, Iterable[str]] = data.contexts_by_lineno(measured[path]) if path in measured else {}
         if about["modules"].get(path) not in (None, _digest(root / path)):
             before = _text_of(root, path, about["modules"][path])
             if before is None:
@@ -116,7 +116,7 @@ def _text_of(root: Path, path: str, digest: str) -> str | None:
     return None
 
 
-def _moved(lines: dict[int, list[str]], before: str, now: str) -> dict[int, set[str]]:
+def _moved(lines: Mapping[int, Iterable[str]], before: str, now: str) -> dict[int, set[str]]:
     matching = difflib.SequenceMatcher(None, before.splitlines(), now.splitlines(), autojunk=False)
     found: dict[int, set[str]] = {}
     for what, old, old_end, new, new_end in matching.get_opcodes():

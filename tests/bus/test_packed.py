@@ -21,7 +21,7 @@ from yieldmon.bus.codec import Codec
 from yieldmon.bus.loading import iter_blocks, load_frames
 from yieldmon.bus.logs import LogNotes, read_log
 from yieldmon.bus.packed import pack
-from yieldmon.bus.packed_columns import DIFFERENCE, PLAIN, PREDICTION, decode, encode
+from yieldmon.bus.packed_columns import DIFFERENCE, PLAIN, PREDICTION, decode, encode, place_fields
 from yieldmon.cli.main import main
 from yieldmon.errors import InputError
 
@@ -70,6 +70,19 @@ def test_sampled_signals_of_every_kind_come_back(bits: int) -> None:
         coded = encode(column, bits, sampled=True)
         for compiled in (False, True):
             assert (decode(coded, column.size, bits, compiled=compiled) == column).all()
+
+
+@pytest.mark.parametrize("starts", [(0,), (7,), (0, 13), (3, 16, 29, 42), (51, 38, 25, 12)])
+def test_fields_are_put_where_they_belong(starts: tuple[int, ...]) -> None:
+    """Against whole numbers of Python, bit by bit."""
+    numbers = random.Random(5)
+    values = [[numbers.getrandbits(13) for _ in starts] for _ in range(50)]
+    column = np.array([value for frame in values for value in frame], np.uint64)
+    expected = [sum(value << start for value, start in zip(frame, starts, strict=True)) for frame in values]
+    for compiled in (False, True):
+        payload = np.zeros(len(values), np.uint64)
+        place_fields(payload, column, starts, compiled=compiled)
+        assert payload.tolist() == expected
 
 
 frames = st.builds(
