@@ -221,7 +221,7 @@ def test_a_bus_log_in_a_database_is_no_store(capsys, tmp_path) -> None:
     ("content", "said"),
     [
         (b"frames, they say " * 99, "file is not a database; reading stopped; no frame in the whole file"),
-        (b"", "has no plain table 'messages'; reading stopped; no frame in the whole file"),
+        (b"", "frame 1: no table 'messages' as python-can's SqliteWriter makes it; reading stopped; no frame in the whole file"),
         (b"SQLite format 3\0" + bytes(4080), "file is not a database; expected a daemon's store"),
     ],
     ids=["text", "empty", "begins as a database does"],
