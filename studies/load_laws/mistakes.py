@@ -1,6 +1,6 @@
 """One wrong ticket, or two exchanged ones, among the weighed loads of machines of other laws.
 
-    python -m studies.load_laws.mistakes --first 2201 --machines 1
+    python -m studies.load_laws.mistakes --first 9301 --machines 1
 
 Each machine of `machines.py` is calibrated by its first two, three and four loads with a mistake in the first one's ticket, and
 judged on ten further loads. Misleading is a calibration that is accepted without a word about a ticket and puts a further load
@@ -43,6 +43,9 @@ MISTAKES: Mapping[str, Mistake] = {
     "pounds for kilograms": _first(lambda kg: kg / _KG_PER_LB),
     "kilograms for pounds": _first(lambda kg: kg * _KG_PER_LB),
     "short tons for tonnes": _first(lambda kg: kg * 1000.0 / (2000.0 * _KG_PER_LB)),
+    "10 % too heavy": _first(lambda kg: 1.1 * kg),
+    "20 % too light": _first(lambda kg: 0.8 * kg),
+    "40 % too heavy": _first(lambda kg: 1.4 * kg),
     "tare of 3 t": _first(lambda kg: kg + 3000.0),
     "two exchanged": _exchanged,
 }
@@ -59,7 +62,7 @@ def outcome(name: str, seed: int, count: int, mistake: Mistake) -> str:
         return "refused"
     if found.outliers:
         return "named"
-    asked = ("a ticket may be wrong", "weigh one more to check", "scatter by more", "unit of their column")
+    asked = ("a ticket may be wrong", "scatter by more", "unit of their column", "is the tare right")
     if any(words in sentence for words in asked for sentence in found.sentences):
         return "asked"
     error, std_dev = np.abs(judged(found.parameter_set, drawn)).T

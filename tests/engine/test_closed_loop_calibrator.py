@@ -14,6 +14,7 @@ from yieldmon.engine.anchors import AnchorSource, ReferenceMass
 from yieldmon.engine.budget import MassBudget
 from yieldmon.engine.calibrator_settings import CalibratorSettings
 from yieldmon.engine.closed_loop_calibrator import ClosedLoopCalibrator
+from yieldmon.engine.curve_states import in_names
 from yieldmon.engine.learning import Learning
 from yieldmon.engine.load_forces import LoadForceSums
 from yieldmon.engine.loads import LoadSummary
@@ -689,9 +690,9 @@ def test_a_ticket_of_another_crop_taken_back_leaves_the_present_one() -> None:
     assert [mass.load_number for mass in learning.waiting] == [2]
 
 
-def curve_ticket(known: OpenLoop, number: int, flow: float) -> tuple[WindowRecord, ReferenceMass]:
+def curve_ticket(known: OpenLoop, number: int, flow: float, at_ten_n: float = 62.0) -> tuple[WindowRecord, ReferenceMass]:
     """Of a machine whose force is 62 N (flow / 10)^1.2, as these parameters measure it."""
-    force = 62.0 * (flow / 10.0) ** 1.2
+    force = at_ten_n * (flow / 10.0) ** 1.2
     measured = 500.0 * float(known.invert(np.float64(force), MACHINE.home_plate_angle_rad, SPEED))
     start = 1000.0 * number
     sums, angle = LoadForceSums(), MACHINE.home_plate_angle_rad
@@ -711,8 +712,17 @@ def curve_ticket(known: OpenLoop, number: int, flow: float) -> tuple[WindowRecor
     return dataclasses.replace(records(flow)[0], time_s=start + 600.0), load
 
 
-@pytest.mark.parametrize("restart", [False, True])
-def test_a_curve_that_tickets_fitted_is_updated_after_another_crop_and_a_restart(restart: bool) -> None:
+def restarted(calibrator: ClosedLoopCalibrator, known: ParameterSet) -> ClosedLoopCalibrator:
+    """Another one that goes on from its state, as a store keeps that."""
+    kept = EngineState.from_dict(json.loads(json.dumps(EngineState(calibrator=calibrator.snapshot(3600.0, 1e5)).as_dict())))
+    assert kept.calibrator is not None
+    fresh = ClosedLoopCalibrator(MODEL, CalibratorSettings(closed_loop=ClosedLoopSettings()))
+    fresh.restore(kept.calibrator, known, 1e5)
+    return fresh
+
+
+@pytest.mark.parametrize("restart", ["", "after the other crop", "during the other crop"])
+def test_a_curve_that_tickets_fitted_is_updated_after_another_crop_and_a_restart(restart: str) -> None:
     def calibrated(away: bool) -> ParameterSet:
         calibrator = ClosedLoopCalibrator(MODEL, CalibratorSettings(closed_loop=ClosedLoopSettings()))
         known = OpenLoop(MODEL, PRIOR)
@@ -720,16 +730,16 @@ def test_a_curve_that_tickets_fitted_is_updated_after_another_crop_and_a_restart
         for number, flow in enumerate((5.0, 10.0, 17.0, 8.0), 1):
             if number == 4 and away:
                 calibrator.change_grain("wheat", "barley", [], OpenLoop(MODEL, NARROW))
-                calibrator.weigh(*curve_weighed(calibrator, OpenLoop(MODEL, NARROW)))
+                barley = calibrator.weigh(*curve_weighed(calibrator, OpenLoop(MODEL, NARROW))).estimator
+                assert barley is not None
+                if restart == "during the other crop":
+                    calibrator = restarted(calibrator, barley.parameters)
                 # As the service does: the set that was kept, under a new version.
                 kept = dataclasses.replace(known.parameters, version=known.parameters.version + 2)
                 known = OpenLoop(MODEL.with_effects(kept.effects), kept)
                 calibrator.change_grain("barley", "wheat", anchors, known)
-                if restart:
-                    state = calibrator.snapshot(3600.0, 1e5)
-                    assert state is not None
-                    calibrator = ClosedLoopCalibrator(MODEL, CalibratorSettings(closed_loop=ClosedLoopSettings()))
-                    calibrator.restore(state, kept, 1e5)
+                if restart == "after the other crop":
+                    calibrator = restarted(calibrator, kept)
                     calibrator.remember(anchors, known)
             record, load = curve_ticket(known, number, flow)
             anchors = (*anchors, load)
@@ -743,6 +753,44 @@ def test_a_curve_that_tickets_fitted_is_updated_after_another_crop_and_a_restart
     assert came_back.effects == stayed.effects
     for name, value in stayed.values.items():
         assert came_back.values[name] == pytest.approx(value, abs=1e-6 * max(1.0, abs(value)))
+
+
+def test_a_load_is_held_against_those_of_its_crop_after_a_restart_during_another_one() -> None:
+    calibrator = ClosedLoopCalibrator(MODEL, CalibratorSettings(closed_loop=ClosedLoopSettings()))
+    known, anchors = OpenLoop(MODEL, PRIOR), ()
+    for number, flow in enumerate((10.0, 11.0, 10.5), 1):
+        record, load = curve_ticket(known, number, flow)
+        anchors = (*anchors, load)
+        known = calibrator.weigh(record, anchors, known).estimator or known
+    calibrator.change_grain("wheat", "barley", [], OpenLoop(MODEL, NARROW))
+    again = restarted(restarted(calibrator, NARROW), NARROW)
+    again.change_grain("barley", "wheat", anchors, known)
+    record, load = curve_ticket(known, 4, 10.4)
+    wrong = dataclasses.replace(load, reference_kg=1.2 * load.reference_kg)
+    assert "load 4 contradicts the 3 weighed before it by +2" in again.weigh(record, (*anchors, wrong), known).reason
+
+
+def test_a_ticket_that_turns_the_gain_into_another_form_has_a_step_in_the_new_names() -> None:
+    """A gain above 2 is no restitution: k2 carries it, and the time before is measured again all the same."""
+    calibrator = ClosedLoopCalibrator(MODEL, CalibratorSettings(closed_loop=ClosedLoopSettings()))
+    known, anchors, steps = OpenLoop(MODEL, PRIOR), (), []
+    for number, flow in enumerate((5.0, 10.0, 17.0), 1):
+        record, load = curve_ticket(known, number, flow, at_ten_n=150.0)
+        anchors = (*anchors, load)
+        outcome = calibrator.weigh(record, anchors, known)
+        assert outcome.estimator is not None
+        known = outcome.estimator
+        steps.append(outcome.step)
+    assert "k2" in known.parameters.values
+    assert all(step is not None and len(step.state) >= len(step.names) > 0 for step in steps)
+    for step in steps:
+        found = in_names(step, known.parameters.covariance_names)
+        assert found is not None
+        k2 = known.parameters.covariance_names.index("k2")
+        assert 1.0 < found.advance.before[k2] < 4.0
+        assert found.advance.covariance_after.shape == (len(found.state),) * 2
+    assert in_names(dataclasses.replace(steps[0], names=()), known.parameters.covariance_names) is None
+    assert in_names(steps[-1], ("density", "jet_shielding.rate")) is None
 
 
 def curve_weighed(calibrator: ClosedLoopCalibrator, known: OpenLoop) -> tuple[WindowRecord, tuple[ReferenceMass, ...], OpenLoop]:

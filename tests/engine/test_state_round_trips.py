@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from yieldmon.engine.budget import MassBudget
 from yieldmon.engine.disagreement import DisagreementState, SweepPattern
-from yieldmon.engine.records import CalibratorState
+from yieldmon.engine.records import CalibratorState, GrainState, PriorState
 from yieldmon.engine.scale_alarm import ScaleAlarmState, ScaleCheck
 from yieldmon.engine.state import EngineState, TicketState, ZeroUndo
 from yieldmon.engine.totals import Totals
@@ -54,11 +54,16 @@ def calibrators(draw: st.DrawFn) -> CalibratorState:
     rates = draw(st.lists(NUMBERS, max_size=3))
     columns = draw(st.integers(0, 4))
     row = st.lists(NUMBERS, min_size=columns, max_size=columns).map(tuple)
+    names = draw(st.lists(NAMES, max_size=2, unique=True))
+    square = tuple(tuple(draw(NUMBERS) for _ in names) for _ in names)
+    prior = PriorState(draw(COUNTS), tuple((name, draw(NUMBERS)) for name in names), tuple(names), square)
+    both = (prior, prior) if draw(st.booleans()) else (None, None)
+    grain = GrainState(draw(NAMES), tuple(draw(st.lists(NAMES, max_size=2))), draw(NAMES), *both)
     return CalibratorState(
         waited_s=draw(MASSES), harvested_kg=draw(MASSES), moisture_pct=draw(st.none() | NUMBERS),
         drifting=tuple(f"p{number}" for number in range(len(rates))), rates=tuple(rates),
         covariance=tuple(draw(row) for _ in rates), at_s=draw(st.none() | NUMBERS),
-        weighed=tuple(draw(st.lists(NAMES, max_size=3))), doubted=draw(NAMES),
+        weighed=tuple(draw(st.lists(NAMES, max_size=3))), doubted=draw(NAMES), grains=(grain,) if draw(st.booleans()) else (),
     )  # fmt: skip
 
 

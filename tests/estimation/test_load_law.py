@@ -50,6 +50,15 @@ def test_a_curve_of_its_own_is_reported_and_keeps_sweeps_from_updating():
     assert not another_curve(SHIPPED)
 
 
+@pytest.mark.parametrize("power", [0.95, 1.0, 1.1])
+def test_two_loads_are_enough_where_the_force_goes_with_the_flow(power, monkeypatch):
+    monkeypatch.setitem(SHARE, "about proportional", lambda flow: flow**power)
+    found = calibrate_loads(MODEL, SHIPPED, [load("about proportional", flow, 8) for flow in (6.0, 13.0)])
+    errors = [departure(MODEL, found.parameter_set, load("about proportional", flow, 9)) for flow in (4.5, 9.0, 16.0, 19.0)]
+    assert max(abs(error) for error, _ in errors) < 0.06
+    assert max(abs(error) / std_dev for error, std_dev in errors) < 3.0
+
+
 @pytest.mark.parametrize("law", SHARE)
 def test_two_loads_carry_the_error_of_the_curve_at_other_flows(law):
     found = calibrate_loads(MODEL, SHIPPED, [load(law, flow, 3) for flow in (9.0, 12.0)])

@@ -14,8 +14,10 @@ import pytest
 
 from tests.service.bench import START_S, running, wait_for
 from yieldmon.cli import main as cli
+from yieldmon.engine.curve_states import aligned
 from yieldmon.engine.records import CalibrationStep
 from yieldmon.estimation.drift_rates import DriftRates
+from yieldmon.estimation.load_pattern import NAMES
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.steady_drift import advance, begin
 from yieldmon.files import parameter_file
@@ -139,6 +141,35 @@ def test_an_update_that_contradicts_the_drift_says_nothing_of_the_days_before(de
     assert posting.begins(line, 78.0 * HOUR_S) == max(from_s, 6.0 * HOUR_S)
     # The day itself is measured again whatever its lesson says.
     assert posting.begins(line, 40.0 * HOUR_S) == min(max(from_s, -32.0 * HOUR_S), 16.0 * HOUR_S)
+
+
+def test_the_time_before_a_gain_that_is_no_restitution_any_more_is_measured_again_too() -> None:
+    """Two tickets: the first moves the restitution, the second turns the gain into k2 and brings weights of the curve."""
+    begun = replace(known(), covariance_names=("density", "restitution"), covariance=np.diag([30.0**2, 0.2**2]))
+    _, first = advance(begin(begun, {}), DriftRates({"density": 0.005}, {}, {}), 2.0, 0.0)
+    names, state = ("density", "k2", *NAMES), (900.0, 2.3, 0.2, 0.1, 0.0)
+    values = {name: value for name, value in known().values.items() if name != "restitution"}
+    learnt = ParameterSet(
+        values | {"k1": 0.0} | dict(zip(names, state, strict=True)), names, np.diag([4.0, 1e-4, 1e-4, 1e-4, 1e-4]), version=3
+    )
+    middle = replace(begun, values=begun.values | {"density": 860.0, "restitution": 0.9}, version=2)
+    drifting, second = advance(begin(middle, {}), DriftRates({"density": 0.005}, {}, {}), 2.0, 0.0)
+    _, second = aligned(drifting, second, learnt)
+    steps = [
+        CalibrationStep(1, 0.0, 2.0 * HOUR_S, first, (860.0, 0.9), names=("density", "restitution")),
+        CalibrationStep(2, 2.0 * HOUR_S, 4.0 * HOUR_S, second, state, names=names),
+    ]
+    stored = [Step(version, step.end_s, step_document(step)) for version, step in zip((2, 3), steps, strict=True)]
+    line = posting.timeline(stored, learnt)
+    assert line.versions == {1, 2, 3}
+    gains = [line.at(hours * HOUR_S).values["k2"] for hours in (0.0, 2.0, 4.0)]
+    assert gains == pytest.approx([2.3, 2.3, 2.3], abs=0.05)
+    sets = {1: begun, 2: middle, 3: learnt}
+    found = posting.factors(loads_of([*rows(1, 100.0), *rows(2, 9000.0, version=2)], sets), line, MACHINE)
+    assert sorted(found) == [1, 2]
+    assert 0.4 < found[1] < found[2] < 1.0, "the more gain, the less grain makes the force"
+    unnamed = [replace(step, document={**step.document, "names": []}) for step in stored]
+    assert posting.timeline(unnamed, learnt).versions == {2, 3}, "a store from before the names were kept"
 
 
 def test_loads_of_other_parameters_stay_as_they_were_measured() -> None:

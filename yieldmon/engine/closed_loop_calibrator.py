@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from math import isfinite
+from math import isclose, isfinite
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from yieldmon.engine.records import (
     CalibrationStep,
     CalibratorState,
     FlowEstimator,
+    GrainState,
     PriorState,
     WindowRecord,
 )
@@ -52,6 +53,8 @@ _LESSON_SDS = 3.0
 """Deviations of a difference beyond which a lesson contradicts and teaches nothing."""
 _FOLLOWED_KG = 20_000.0
 """Of grain, after which a steady drift that has been learnt moves the parameters without a lesson."""
+_ROUNDING = 1e-9
+"""Relative, of parameters that were stored."""
 _LEAST_LOAD_ERROR = 1e-4
 """Of a weighed load's measured mass."""
 
@@ -88,8 +91,10 @@ class ClosedLoopCalibrator:
         self._checked: frozenset[ReferenceMass] = frozenset()
         self._of_grain: dict[str, Weighings] = {}
         """Weighings of the crops before, by name."""
-        self._origin_of_grain: dict[str, tuple[ParameterSet, ParameterSet]] = {}
+        self._origin_of_grain: dict[str, tuple[PriorState, PriorState]] = {}
         """Of the crops before, by name: parameters as they came from outside, and those that weighed loads made of them."""
+        self._grains_before: dict[str, GrainState] = {}
+        """Crops of a run before that have not been harvested since, by name."""
         self._bias: tuple[CommonBias, ParameterSet] | None = None
         """Of kernel noise, with the parameters that its covariance is with; None where it has taught none of these."""
         self.last: Outcome | None = None
@@ -317,7 +322,7 @@ class ClosedLoopCalibrator:
         follows = self._drifting.state.shape == step.after.shape and known.covariance_names == prior.covariance_names
         state = tuple(map(float, self._drifting.state))
         widening = outcome.prior_widening if outcome.updated else 1.0
-        led = CalibrationStep(used.version, begun_s, moment[0], step, state, widening, sweep_alone)
+        led = CalibrationStep(used.version, begun_s, moment[0], step, state, widening, sweep_alone, known.covariance_names)
         moved = self._map is not None
         step_taken = led if follows else None
         return CalibrationOutcome(OpenLoop(self._model, known), reason, outcome.updated, step=step_taken, moved_by_moisture=moved)
@@ -345,13 +350,18 @@ class ClosedLoopCalibrator:
         """See records.SelfCalibrator."""
         known = self._updated or self._restored
         if self._origin is not None and known is not None:
-            self._origin_of_grain[before] = self._origin, known
+            self._origin_of_grain[before] = _as_prior_state(self._origin), _as_prior_state(known)
         self._origin, self._restored, self._updated = None, None, None
-        origin, left = self._origin_of_grain.pop(now, (None, None))
-        if estimator is not None and left is not None and _says_as(estimator.parameters, left):
-            self._origin, self._restored = origin, estimator.parameters
+        kept = self._grains_before.pop(now, None)
+        origin, left = self._origin_of_grain.pop(now, (None, None) if kept is None else (kept.origin, kept.left))
         self._of_grain[before] = self._weighings
         self._weighings = self._of_grain.pop(now, Weighings(self._load_settings))
+        if estimator is not None:
+            back = self._in_use(estimator)
+            if origin is not None and left is not None and _says_as(back, left):
+                self._origin, self._restored = _as_set(origin, back), back
+            if kept is not None:
+                self._weigh_again(kept.weighed, kept.doubted, used, back)
         self._used = self._checked = frozenset(used)
         self._given = None
 
@@ -377,6 +387,7 @@ class ClosedLoopCalibrator:
             doubted=self._weighings.doubted_name,
             bias=self._kept_bias(),
             origin=self._kept_origin(),
+            grains=self._kept_grains(),
         )
 
     def _kept_bias(self) -> tuple[float, ...]:
@@ -389,16 +400,24 @@ class ClosedLoopCalibrator:
         origin, known = self._origin, self._updated or self._restored
         if origin is None or known is None or LOAD_PATTERN in origin.effects or LOAD_PATTERN not in known.effects:
             return None
-        return PriorState(known.version, tuple(origin.values.items()), origin.covariance_names, _as_tuples(origin.covariance))
+        return replace(_as_prior_state(origin), version=known.version)
+
+    def _kept_grains(self) -> tuple[GrainState, ...]:
+        found = dict(self._grains_before)
+        for crop, weighings in self._of_grain.items():
+            names = tuple(load.name for load in weighings.counted)
+            origin, left = self._origin_of_grain.get(crop, (None, None))
+            if not names and not weighings.doubted_name and origin is None:
+                continue
+            found[crop] = GrainState(crop, names, weighings.doubted_name, origin, left)
+        return tuple(found.values())
 
     def restore(self, state: CalibratorState, parameters: ParameterSet, total_kg: float) -> None:
         """See records.SelfCalibrator."""
         if state.origin is not None and state.origin.version == parameters.version:
-            before = state.origin
-            names, covariance = before.covariance_names, np.reshape(before.covariance, (len(before.covariance_names),) * 2)
-            self._restored = parameters
-            self._origin = replace(parameters, values=dict(before.values), covariance_names=names, covariance=covariance)
+            self._restored, self._origin = parameters, _as_set(state.origin, parameters)
         self._before = state
+        self._grains_before = {grain.crop: grain for grain in state.grains}
         self._waited_s, self._at_kg = state.waited_s, total_kg - state.harvested_kg
         self._moisture_pct = float("nan") if state.moisture_pct is None else state.moisture_pct
         fresh = begin(parameters, self._settings.steady_per_kilotonne)
@@ -418,14 +437,16 @@ class ClosedLoopCalibrator:
         state, used = self._before, self._in_use(estimator)
         if state is None:
             return
+        self._weigh_again(state.weighed, state.doubted, masses, used)
+
+    def _weigh_again(self, names: Sequence[str], doubted: str, masses: Sequence[ReferenceMass], used: ParameterSet) -> None:
+        """Go on with the loads of these names, that a run before counted, and the one that it doubted."""
         # Of two tickets for one load the newer counts.
         known = {name_of(anchor): anchor for anchor in masses}
         found = {
-            name: weighed(anchor, self._mass_anchor(anchor, used))
-            for name, anchor in known.items()
-            if name in (*state.weighed, state.doubted)
+            name: weighed(anchor, self._mass_anchor(anchor, used)) for name, anchor in known.items() if name in (*names, doubted)
         }
-        self._weighings.restore([found[name] for name in state.weighed if name in found], found.get(state.doubted))
+        self._weighings.restore([found[name] for name in names if name in found], found.get(doubted))
 
     def _prior(
         self, used: ParameterSet, moisture_pct: float, now_s: float, total_kg: float
@@ -480,10 +501,23 @@ class ClosedLoopCalibrator:
         return mass_anchor(anchor, self._model, spans, self._settings.anchor_error)
 
 
-def _says_as(known: ParameterSet, other: ParameterSet) -> bool:
-    """Whether two sets are the same, whatever their versions and provenance."""
-    same = known.effects == other.effects and known.values == other.values
-    return same and known.covariance_names == other.covariance_names and np.array_equal(known.covariance, other.covariance)
+def _as_prior_state(known: ParameterSet) -> PriorState:
+    return PriorState(known.version, tuple(known.values.items()), known.covariance_names, _as_tuples(known.covariance))
+
+
+def _as_set(state: PriorState, like: ParameterSet) -> ParameterSet:
+    """The set of a state, with version and provenance of another one."""
+    covariance = np.reshape(state.covariance, (len(state.covariance_names),) * 2)
+    return replace(like, values=dict(state.values), covariance_names=state.covariance_names, covariance=covariance)
+
+
+def _says_as(known: ParameterSet, state: PriorState) -> bool:
+    """Whether a set is that of a state, whatever its version and provenance."""
+    values = dict(state.values)
+    if known.values.keys() != values.keys() or known.covariance_names != state.covariance_names:
+        return False
+    same = all(isclose(value, values[name], rel_tol=_ROUNDING) for name, value in known.values.items())
+    return same and np.allclose(known.covariance, state.covariance, rtol=_ROUNDING, atol=0.0)
 
 
 def _as_tuples(rows: Array) -> tuple[tuple[float, ...], ...]:

@@ -17,7 +17,7 @@ from yieldmon.estimation.closed_loop_outcome import Outcome, ScaleReport
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
 from yieldmon.estimation.density_and_gain import in_form_of, widened
 from yieldmon.estimation.load_inputs import LoadSettings, WeighedLoad
-from yieldmon.estimation.load_outcome import LIKELY_ANOTHER, LoadCalibration
+from yieldmon.estimation.load_outcome import LIKELY_ANOTHER, LoadCalibration, curve_sentence, wrong_ticket_sentence
 from yieldmon.estimation.load_pattern import EFFECT as LOAD_PATTERN
 from yieldmon.estimation.loads import calibrate_loads, departure
 from yieldmon.estimation.parameters import ParameterSet
@@ -84,8 +84,9 @@ class LoadUpdate:
         )
         if found.refused:
             reason = " ".join(found.sentences)
-        elif _is_another(found):
-            reason = f"{reason}; {found.sentences[1]}"
+        else:
+            curve = curve_sentence(found) if _is_another(found) else ""
+            reason = "; ".join(filter(None, (reason, curve, wrong_ticket_sentence(found))))
         scale = ScaleReport(found.scale_sd, found.scale_sd, float(np.log(found.scale)), True, ())
         known, wide = found.parameter_set, widened(prior, self.load_settings)
         names = (*(n for n in prior.covariance_names if n in known.covariance_names),)

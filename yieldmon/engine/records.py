@@ -257,7 +257,8 @@ class CalibrationStep:
 
     from_version: parameters in use between them. begin_s, end_s: bus time. advance: states (parameters, then their rates) and
     covariances at both ends, before the second update; state: what that made of them. widening: what it multiplied the covariance
-    before it by. sweep_alone: whether a sweep has taught it, without a weighed mass or a known density.
+    before it by. sweep_alone: whether a sweep has taught it, without a weighed mass or a known density. names: of the parameters
+    in the states; empty where they are not known.
     """
 
     from_version: int
@@ -267,6 +268,7 @@ class CalibrationStep:
     state: tuple[float, ...]
     widening: float = 1.0
     sweep_alone: bool = False
+    names: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -299,6 +301,21 @@ class PriorState:
 
 
 @dataclass(frozen=True, slots=True)
+class GrainState:
+    """What weighed loads have taught of a crop that is not harvested now, for its return.
+
+    crop: its name. weighed, doubted: as in `CalibratorState`. origin: its parameters as they came from outside; left: those that
+    weighed loads made of them; None for both where they have made none.
+    """
+
+    crop: str
+    weighed: tuple[str, ...]
+    doubted: str = ""
+    origin: PriorState | None = None
+    left: PriorState | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class CalibratorState:
     """What self-calibration knows beside the parameters.
 
@@ -307,7 +324,7 @@ class CalibratorState:
     have a variance, and with each other. at_s: bus time of the last update, None where it is not known. weighed: names of the
     loads that a new one is held against; doubted: of the one that contradicts them, "" for none. bias: of kernel noise (value,
     variance, largest variance, then its covariance with parameters and rates), empty where it has taught nothing. origin: the
-    parameters before weighed loads taught a curve of their own, None where they have not.
+    parameters before weighed loads taught a curve of their own, None where they have not. grains: the crops before.
     """
 
     waited_s: float
@@ -321,6 +338,7 @@ class CalibratorState:
     doubted: str = ""
     bias: tuple[float, ...] = ()
     origin: PriorState | None = None
+    grains: tuple[GrainState, ...] = ()
 
 
 class SelfCalibrator(Protocol):

@@ -9,7 +9,7 @@ from typing import Any
 
 from yieldmon.engine.budget import MassBudget, MoistureState
 from yieldmon.engine.disagreement import DisagreementState, SweepPattern
-from yieldmon.engine.records import CalibratorState, PriorState
+from yieldmon.engine.records import CalibratorState, GrainState, PriorState
 from yieldmon.engine.scale_alarm import ScaleAlarmState, ScaleCheck
 from yieldmon.engine.totals import Totals
 from yieldmon.engine.zero import ZeroState
@@ -133,13 +133,24 @@ def _scale_alarm(data: Mapping[str, Any]) -> ScaleAlarmState:
 
 def _calibrator(data: Mapping[str, Any]) -> CalibratorState:
     lists = {name: tuple(data.get(name, ())) for name in ("drifting", "rates", "weighed", "bias")}
-    origin = data.get("origin")
-    parts = {"covariance": _rows(data["covariance"]), "origin": None if origin is None else _prior(origin)}
+    grains = tuple(_grain(grain) for grain in data.get("grains", ()))
+    parts = {"covariance": _rows(data["covariance"]), "origin": _prior_or_none(data.get("origin")), "grains": grains}
     state = CalibratorState(**{**data, **lists, **parts})
     count = len(state.drifting)
     if len(state.rates) != count or len(state.covariance) != count or len({len(row) for row in state.covariance}) > 1:
         raise ValueError(f"engine state: rates {state.rates} do not fit the parameters {state.drifting}")
     return state
+
+
+def _grain(data: Mapping[str, Any]) -> GrainState:
+    origin, left = (_prior_or_none(data.get(name)) for name in ("origin", "left"))
+    if (origin is None) != (left is None):
+        raise ValueError(f"engine state: of {data['crop']} it has parameters before weighed loads or after them, not both")
+    return GrainState(str(data["crop"]), tuple(data["weighed"]), str(data.get("doubted", "")), origin, left)
+
+
+def _prior_or_none(data: Mapping[str, Any] | None) -> PriorState | None:
+    return None if data is None else _prior(data)
 
 
 def _prior(data: Mapping[str, Any]) -> PriorState:

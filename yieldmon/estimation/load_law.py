@@ -2,9 +2,10 @@
 the model and how much its loads may scatter.
 
 The model's curve of force over flow is that of one geometry. Another sensor's is met by the weights of the effect
-`load_pattern`, whose prior is either none (the model's own curve) or one of two sizes; beside the stated scatter of scale and
-windows loads may scatter by more, such as where the machine drifts between them; and tickets may be wrong (`ticket_slips`). Each
-combination counts by its evidence.
+`load_pattern`, whose prior is none (the model's own curve), one about the force that goes with a power of the flow near 1, as a
+plate gives it that takes the momentum of all grain, or one of two sizes about the model's curve; beside the stated scatter of
+scale and windows loads may scatter by more, such as where the machine drifts between them; and tickets may be wrong
+(`ticket_slips`). Each combination counts by its evidence.
 
 Sources: Hoeting, Madigan, Raftery and Volinsky, "Bayesian model averaging: a tutorial", Statistical Science 14 (1999); Kennedy
 and O'Hagan, J. R. Stat. Soc. B 63 (2001), for the model's error as a quantity with a prior.
@@ -19,6 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yieldmon.physics.effects import get_effect
+from yieldmon.physics.effects.load_pattern import reference_load_kg
+from yieldmon.physics.model import Conditions
 from yieldmon.physics.numerics import Array
 
 from .density_and_gain import DENSITY, moved
@@ -28,18 +31,23 @@ from .parameters import ParameterSet
 from .ticket_slips import Slip, slips
 
 _WEIGHT_SD = np.array([parameter.prior_sd for parameter in get_effect(EFFECT).parameters])
-_SIZES = ((0.0, 0.6), (1.0, 0.25), (2.0, 0.15))
-"""Of the weights' prior over `_WEIGHT_SD`, and how likely each is before any load."""
-_SCATTERS = ((0.0, 0.9), (0.01, 0.08), (0.03, 0.02))
+_OWN, _POWER, _FREE = 0.6, 0.25, ((1.0, 0.1), (2.0, 0.05))
+"""How likely are, before any load, the model's own curve, a power of the flow, and weights of a size over `_WEIGHT_SD`. These,
+`_POWER_SD` and `_SCATTERS` are those of studies/load_laws."""
+_POWER_SD = np.array([0.15, 0.1, _WEIGHT_SD[2]])
+"""Of the weights about those with which the force is proportional to the flow."""
+_LOADS = np.linspace(0.3, 2.0, 12)
+"""Over the pattern's reference, on which those are found."""
+_SCATTERS = ((0.0, 0.5), (0.01, 0.4), (0.03, 0.1))
 """Of a load's mass beside what is stated, relative, and how likely each is."""
 _REST = 0.004
 """Of a load's mass, relative, where the curve is another: what the pattern's weights leave."""
-_RIGHT = 0.5
-"""Probability that the tickets are right above which values and standard deviations are those that hold if they are."""
 _ITERATIONS = 25
 _SETTLED = 1e-4
 _MOST_STEP = 1.0
 _GAIN_STEP, _GAIN_STEPS = 0.1, 25
+_LEAST_LOADS = 6
+"""Of a paddle at which the force is known, to find the weights of a curve."""
 
 
 @dataclass(frozen=True)
@@ -51,6 +59,7 @@ class LawAverage:
     law: probability that the force follows another curve than the model's.
     scatter: relative standard deviation of loads beside what is stated, rms over what it may be.
     strain: standard deviations of the widest prior to the step.
+    All of them count wrong tickets by their probability.
     wrong: probability that a ticket is wrong. slips: of the active loads, each with its probability.
     """
 
@@ -64,6 +73,16 @@ class LawAverage:
     strain: float
     wrong: float
     slips: tuple[tuple[Slip, float], ...]
+
+
+@dataclass(frozen=True)
+class _Curve:
+    """A prior of the step: its mean and covariance, whether the curve is another than the model's, and how likely it is."""
+
+    mean: Array
+    covariance: Array
+    another: bool
+    likely: float
 
 
 @dataclass(frozen=True)
@@ -102,9 +121,9 @@ def average(problem: LoadProblem, active: NDArray[np.bool_], near: Array | None 
     error, slope = _slopes(problem, step)
     if not np.all(np.isfinite(error)):
         return None
-    wrong = slips(problem.weighed[active])
+    wrong, curves = slips(problem.weighed[active]), _curves(problem)
     for _ in range(_ITERATIONS):
-        wanted = _mixture(problem, active, step, error, slope, wrong).step
+        wanted = _mixture(problem, active, step, error, slope, wrong, curves).step
         change = np.clip(wanted - step, -_MOST_STEP, _MOST_STEP)
         for _ in range(8):
             after, after_slope = _slopes(problem, step + change)
@@ -116,20 +135,58 @@ def average(problem: LoadProblem, active: NDArray[np.bool_], near: Array | None 
         step, error, slope = step + change, after, after_slope
         if float(np.max(np.abs(change))) < _SETTLED:
             break
-    found = _mixture(problem, active, step, error, slope, wrong)
+    found = _mixture(problem, active, step, error, slope, wrong, curves)
     held = problem.held_slopes(placed(problem.start, step))
     whole = _with_held(problem, active, slope, held, found.covariance, found.scatter)
-    strain = float(np.sqrt(step @ np.linalg.solve(_prior(problem, _SIZES[-1][0]), step)))
+    strain = float(np.sqrt(step @ np.linalg.solve(_prior(problem, _FREE[-1][0] * _WEIGHT_SD), step)))
     each = tuple(zip(wrong, found.of_slip[1:].tolist(), strict=True))
     right = float(found.of_slip[0])
     return LawAverage(step, whole, error, slope, held, found.law, found.scatter, strain, 1.0 - right, each)
 
 
-def _prior(problem: LoadProblem, size: float) -> Array:
-    """Covariance of the step."""
-    prior = np.diag(np.concatenate((np.zeros(2), size * _WEIGHT_SD)) ** 2)
+def _prior(problem: LoadProblem, weight_sd: Array) -> Array:
+    """Covariance of the step, with these standard deviations of the pattern's weights."""
+    prior = np.diag(np.concatenate((np.zeros(2), weight_sd)) ** 2)
     prior[:2, :2] = problem.prior[-2:, -2:]
     return prior
+
+
+def _curves(problem: LoadProblem) -> tuple[_Curve, ...]:
+    """What the curve of the force may be, before any load."""
+    about = np.zeros(2 + len(NAMES))
+    own = _Curve(about, _prior(problem, np.zeros(len(NAMES))), another=False, likely=_OWN)
+    free = [_Curve(about, _prior(problem, size * _WEIGHT_SD), another=True, likely=likely) for size, likely in _FREE]
+    proportional = _proportional(problem)
+    if proportional is None:
+        return own, *free
+    return own, _Curve(np.concatenate((about[:2], proportional)), _prior(problem, _POWER_SD), another=True, likely=_POWER), *free
+
+
+def _proportional(problem: LoadProblem) -> Array | None:
+    """The change of the pattern's weights (exponent, bend, speed) with which the force is proportional to the flow at the home
+    angle and nominal speed, by least squares; None where a paddle cannot carry enough."""
+    machine, start = problem.model.machine, problem.start
+    loads_kg = _LOADS * reference_load_kg(machine)
+    moisture = None if problem.moisture is None else np.full(loads_kg.shape, np.mean(problem.moisture))
+    at = Conditions(
+        np.full(loads_kg.shape, machine.home_plate_angle_rad),
+        np.full(loads_kg.shape, machine.nominal_elevator_speed_rad_s),
+        paddle_mass_kg=loads_kg,
+        moisture_pct=moisture,
+    )
+
+    def ln_force(**weights: float) -> Array:
+        values = dict(start.values) | {f"{EFFECT}.{name}": start.values[f"{EFFECT}.{name}"] + v for name, v in weights.items()}
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.asarray(np.log(np.real(problem.model.force(at, values, overfull="nan"))))
+
+    here = ln_force()
+    columns = np.column_stack((np.ones(loads_kg.size), ln_force(exponent=1.0) - here, ln_force(bend=1.0) - here))
+    known = np.isfinite(columns).all(axis=1) & np.isfinite(here)
+    if known.sum() < _LEAST_LOADS:
+        return None
+    found = np.linalg.lstsq(columns[known], (np.log(loads_kg) - here)[known], rcond=None)[0]
+    return np.array([found[1], found[2], 0.0])
 
 
 def _begin(problem: LoadProblem) -> Array | None:
@@ -153,7 +210,13 @@ def _slopes(problem: LoadProblem, step: Array) -> tuple[Array, Array]:
 
 
 def _mixture(
-    problem: LoadProblem, active: NDArray[np.bool_], step: Array, error: Array, slope: Array, wrong: Sequence[Slip]
+    problem: LoadProblem,
+    active: NDArray[np.bool_],
+    step: Array,
+    error: Array,
+    slope: Array,
+    wrong: Sequence[Slip],
+    curves: Sequence[_Curve],
 ) -> _Mixture:
     """Mean and covariance of the step over all combinations in the model that is linear about `step`."""
     h, target = slope[active], slope[active] @ step - error[active]
@@ -162,23 +225,22 @@ def _mixture(
     variances, of_variance = np.unique(np.array([slip.variance for slip in every]), axis=0, return_inverse=True)
     shifted = target[:, None] - np.array([slip.shift for slip in every]).T
     steps, covariances, logs, laws, scatters, places = [], [], [], [], [], []
-    for size, likely in _SIZES:
-        prior = _prior(problem, size)
-        by_prior = h @ prior
+    for curve in curves:
+        by_prior, expected = h @ curve.covariance, (h @ curve.mean)[:, None]
         for scatter, probable in _SCATTERS:
-            rest = _REST if size > 0.0 else 0.0
+            rest = _REST if curve.another else 0.0
             noise = problem.sd[active] ** 2 + scatter**2 + rest**2
             for i, variance in enumerate(variances):
                 here = np.flatnonzero(of_variance.ravel() == i)
                 spread = by_prior @ h.T + np.diag(noise + variance)
                 gain = np.linalg.solve(spread, by_prior).T
-                targets = shifted[:, here]
+                targets = shifted[:, here] - expected
                 _, log_det = np.linalg.slogdet(spread)
                 misfit = np.sum(targets * np.linalg.solve(spread, targets), axis=0)
-                steps.append((gain @ targets).T)
-                covariances += [prior - gain @ by_prior] * here.size
-                logs.append(np.log(likely * probable) + np.log([every[k].prior for k in here]) - 0.5 * (misfit + log_det))
-                laws += [size > 0.0] * here.size
+                steps.append(curve.mean + (gain @ targets).T)
+                covariances += [curve.covariance - gain @ by_prior] * here.size
+                logs.append(np.log(curve.likely * probable) + np.log([every[k].prior for k in here]) - 0.5 * (misfit + log_det))
+                laws += [curve.another] * here.size
                 scatters += [float(np.hypot(scatter, rest))] * here.size
                 places.append(here)
     log = np.concatenate(logs)
@@ -186,8 +248,6 @@ def _mixture(
     weight /= weight.sum()
     slip = np.concatenate(places)
     of_slip = np.bincount(slip, weight, minlength=len(every)).astype(float)
-    if of_slip[0] > _RIGHT:
-        weight = np.where(slip == 0, weight, 0.0) / of_slip[0]
     each = np.concatenate(steps)
     mean = weight @ each
     away = each - mean

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from math import log
 
 from .load_constant import Constant
 from .parameters import ParameterSet
 
-_A_LOT = 0.3
-"""Relative change of the scale that is pointed out."""
+_A_LOT = 0.5
+"""Change of ln scale that is pointed out: another unit's is 0.8 or more, and a machine before its first load is good to 0.3."""
 _ENOUGH_LOADS = 3
 """That can be checked against each other at different flows."""
 LIKELY_ANOTHER = 0.8
 """Probability of another curve from which it is said to be one."""
-_SCATTERS = 0.01
+_LIKELY_WRONG = 0.25
+"""Probability of a wrong ticket from which it is said to be one."""
+_SCATTERS = 0.02
 """Relative standard deviation of loads beside what is stated that is pointed out."""
 
 
@@ -111,7 +114,7 @@ def sentences(found: LoadCalibration, sweeps: int) -> list[str]:
         if load.outlier
     ]
     if found.wrong_ticket is not None:
-        out += _wrong_ticket(found.wrong_ticket, len(found.loads), found.refused)
+        out.append(wrong_ticket_sentence(found))
     elif found.refused:
         out += _refused(found)
     if found.refused:
@@ -160,13 +163,19 @@ def _cause(found: LoadCalibration, name: str) -> str:
     return "another truck's grain, a wrong number or a part of the load that was not measured?"
 
 
-def _wrong_ticket(wrong: WrongTicket, count: int, refused: bool) -> list[str]:
+def wrong_ticket_sentence(found: LoadCalibration) -> str:
+    """Which ticket is wrong, or may be; "" where none is likely to be."""
+    wrong, count, refused = found.wrong_ticket, len(found.loads), found.refused
+    if wrong is None:
+        return ""
     chance = "the force would change with the flow as on no plate"
     if wrong.probability is not None:
         chance = f"probability {100.0 * min(wrong.probability, 0.99):.0f} %"
-    begin = f"refused: a ticket is wrong ({chance})" if refused else f"a ticket may be wrong ({chance})"
+    sure = refused and (wrong.probability is None or wrong.probability > _LIKELY_WRONG)
+    begin = f"{'refused: ' if refused else ''}a ticket {'is' if sure else 'may be'} wrong ({chance})"
     if wrong.exchanged:
-        return [f"{begin}: those of {' and '.join(map(_load, wrong.loads))} seem to be exchanged; correct them."]
+        left = "seem to be exchanged; correct them" if refused else "may be exchanged; check them"
+        return f"{begin}: those of {' and '.join(map(_load, wrong.loads))} {left}."
     first, *others = map(_load, wrong.loads)
     apart = f"weighs {wrong.ratio:.2f} times ({wrong.apart_kg:+.0f} kg) what"
     if not others:
@@ -177,8 +186,11 @@ def _wrong_ticket(wrong: WrongTicket, count: int, refused: bool) -> list[str]:
         said = f"{first} or {' or '.join(others)}; {first} {apart} the others make of it"
     cause = f", as if {wrong.what}" if wrong.what else ""
     check = "" if wrong.what else " Another truck's grain, the tare, a wrong number, or a part of the load that was not measured?"
-    left = "correct it or leave that load out" if count > 2 else "correct it, or weigh a third load"
-    return [f"{begin}: {said}{cause}.{check} Check the tickets; {left}."]
+    if not refused:
+        left = "if they are right, a further load shows it"
+    else:
+        left = "correct it or leave that load out" if count > 2 else "correct it, or weigh a third load"
+    return f"{begin}: {said}{cause}.{check} Check the tickets; {left}."
 
 
 def _refused(found: LoadCalibration) -> list[str]:
@@ -192,31 +204,32 @@ def _refused(found: LoadCalibration) -> list[str]:
 
 
 def _scale(found: LoadCalibration) -> str:
-    a_lot = abs(found.scale - 1.0) > _A_LOT
+    a_lot = abs(log(found.scale)) > _A_LOT
     question = ", which is a lot: are the tickets in the unit of their column, and of these loads?" if a_lot else "."
     return f"the loads weigh {100.0 * (found.scale - 1.0):+.2f} % against what was measured{question}"
 
 
-def _another_law(found: LoadCalibration, law: AnotherLaw, sweeps: int) -> list[str]:
-    """Where the force may follow another curve over the flow than the model's."""
-    out = []
+def curve_sentence(found: LoadCalibration) -> str:
+    """How likely the force follows another curve than the model's; "" where the model's own is used."""
+    if found.another_law is None or found.refused:
+        return ""
     known = found.parameter_set
     exponent, std_dev = known.values["load_pattern.exponent"], known.standard_deviation("load_pattern.exponent")
-    chance = f"{100.0 * min(law.probability, 0.99):.0f} %"
-    if law.probability > LIKELY_ANOTHER:
-        out.append(
+    chance = f"{100.0 * min(found.another_law.probability, 0.99):.0f} %"
+    if found.another_law.probability > LIKELY_ANOTHER:
+        return (
             f"the force follows another curve over the flow than the model's (probability {chance}): beside it goes a power of "
             f"the flow, {exponent:+.2f} (sd {std_dev:.2f}), learnt with density and impact gain (effect load_pattern)."
         )
-        if 1 < len(found.loads) - len(found.outliers) <= _ENOUGH_LOADS:
-            out.append(
-                "so few loads cannot tell another curve from one ticket that is 10 to 20 % wrong: weigh one more to check."
-            )
-    else:
-        out.append(
-            "these loads do not show whether the force follows the model's curve over the flow (probability of another one "
-            f"{chance}): both count, in the values and in the standard deviation at other flows; weigh loads at other flows."
-        )
+    return (
+        "these loads do not show whether the force follows the model's curve over the flow (probability of another one "
+        f"{chance}): both count, in the values and in the standard deviation at other flows; weigh loads at other flows."
+    )
+
+
+def _another_law(found: LoadCalibration, law: AnotherLaw, sweeps: int) -> list[str]:
+    """Where the force may follow another curve over the flow than the model's."""
+    out = [curve_sentence(found)]
     if found.constant is not None:
         constant = f"a constant of {found.constant.kg:+.0f} kg (sd {found.constant.sd_kg:.0f}) in every weighed mass"
         out.append(f"{constant} would explain the loads as well: is the tare right? Loads of one flow and unlike masses tell.")

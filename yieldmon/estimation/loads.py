@@ -41,9 +41,11 @@ LEAST_LOADS = 3
 _MODELS_OWN = 0.2
 """Probability of another curve up to which the model's own is used."""
 _WRONG, _PERHAPS_WRONG = 0.5, 0.1
-"""Probability of a wrong ticket from which nothing is learnt, and from which it is asked about."""
-_WRONG_OF_TWO = 0.25
-"""The former of two loads, where a third is soon weighed."""
+"""Probability of a wrong ticket from which nothing is learnt, and from which it is asked about (studies/load_laws)."""
+_WRONG_OF_TWO, _PERHAPS_WRONG_OF_FEW = 0.25, 0.07
+"""The former of two loads, where a third is soon weighed, and the latter of up to three, which hardly check each other."""
+_DOUBTED = 0.2
+"""Probability of a wrong ticket beyond which a load that contradicts the model's curve waits for one that agrees with it."""
 _EXPONENTS, _BESIDE = (0.55, 1.6), 0.1
 """Powers of the flow with which a plate's force may grow, and ln mass by which two loads may be further apart."""
 _EXPLAINED_SDS, _LARGE_SDS = 2.0, 6.0
@@ -52,8 +54,6 @@ _NAMED = 0.8
 """Share of that probability that the loads named have together."""
 _MOST_STRAIN, _MOST_LEFT = 5.0, 0.3
 """Standard deviations of density, gain and curve, all together, and ln error of a load, beyond which no machine explains them."""
-_DOUBTFUL = 2.5
-"""Standard deviations by any curve beyond which a load that contradicts the model's own is not accepted at once."""
 _CONTRADICTED = 2.0
 """Standard deviations, rms, by which loads left out are further off than another curve or scatter explains."""
 _LEFT_OUT_WEIGHT = 0.632
@@ -106,6 +106,7 @@ def calibrate_loads(
     whole = average(law, every)
     active = every if _are_exchanged(whole) else inliers(problem, law)
     found = whole if np.all(active) else average(law, active)
+    active, found = _without_wrong(problem, law, active, found)
     if found is None or found.strain > _MOST_STRAIN:
         # In words with the masses where the model's own curve does not explain them either.
         problem.fit(active, 2)
@@ -120,7 +121,8 @@ def calibrate_loads(
         calibration = _calibration(problem, active, sweeps, sweep_settings, learnt)
     else:
         calibration = _by_another_law(problem, law, active, found, learnt)
-    wrong = _wrong_ticket(law, active, found) if found is not None and found.wrong > _PERHAPS_WRONG else None
+    asked = _PERHAPS_WRONG if active.sum() > LEAST_LOADS else _PERHAPS_WRONG_OF_FEW
+    wrong = _wrong_ticket(law, active, found) if found is not None and found.wrong > asked else None
     calibration = replace(calibration, wrong_ticket=wrong, slips=_known_slips(law, active))
     return replace(calibration, sentences=tuple(sentences(calibration, len(sweeps))))
 
@@ -142,17 +144,26 @@ def contradicted(
         return None
     settings = LoadSettings() if settings is None else settings
     problem = LoadProblem(model, prior, widened(prior, settings), [w.condensed() for w in (*before, load)], settings)
-    others = np.arange(len(problem.loads)) < len(before)
     try:
         error = None if EFFECT in prior.effects else problem.last_against_others()
         if error is None and EFFECT not in prior.effects:
             return None
     except ValueError:
         error = None
-    said = against_others(law_problem(problem), others, len(before))
-    if said.away < (settings.outlier_sds if error is None else _DOUBTFUL):
+    law, every = law_problem(problem), np.ones(len(problem.loads), dtype=bool)
+    found = average(law, every)
+    if found is None or not _is_doubted(found, len(before)):
         return None
-    return float(np.expm1(-said.error)) if error is None else error
+    if error is None:
+        error = float(np.expm1(-against_others(law, every & (np.arange(every.size) < len(before)), len(before)).error))
+    return error
+
+
+def _is_doubted(found: LawAverage, k: int) -> bool:
+    """Whether load k's ticket may well be wrong; of two loads none is the likelier one."""
+    if found.error.size < LEAST_LOADS:
+        return found.wrong > _WRONG_OF_TWO
+    return sum(likely for slip, likely in found.slips if k in slip.loads) > _DOUBTED
 
 
 def departure(
@@ -290,6 +301,24 @@ def _by_no_plate(problem: LoadProblem) -> bool:
     by_flow, by_force = (float(np.diff(np.log(v))[0]) for v in (problem.weighed / seconds, force))
     nearest = min(max(by_force * by_flow / max(by_flow**2, 1e-12), _EXPONENTS[0]), _EXPONENTS[1])
     return abs(by_force - nearest * by_flow) > _BESIDE
+
+
+def _without_wrong(
+    problem: LoadProblem, law: LoadProblem, active: NDArray[np.bool_], found: LawAverage | None
+) -> tuple[NDArray[np.bool_], LawAverage | None]:
+    """The active loads without those of which one's ticket is likelier wrong than not, and what they say; at least three, and
+    more than half of all, are left."""
+    while found is not None and active.sum() >= problem.settings.outlier_least and 2 * (active.sum() - 1) > active.size:
+        of_load = np.zeros(int(active.sum()))
+        for slip, likely in found.slips:
+            if len(slip.loads) == 1:
+                of_load[slip.loads[0]] += likely
+        if of_load.max() < _WRONG:
+            break
+        active = active.copy()
+        active[np.flatnonzero(active)[int(np.argmax(of_load))]] = False
+        found = average(law, active)
+    return active, found
 
 
 def _are_exchanged(found: LawAverage | None) -> bool:

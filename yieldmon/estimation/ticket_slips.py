@@ -24,11 +24,12 @@ _UNITS = (
     (1000.0 / _KG_PER_SHORT_TON, "short tons were taken for tonnes"),
 )
 """Ticket over the load's mass, where the ticket is of another unit than its column."""
-_ANY_SD = 0.5
-"""Of ln of a ticket that is wrong in no known way."""
-_ANY, _OF_UNIT, _OF_DIGITS, _OF_PAIR = 0.01, 0.002, 0.001, 0.004
-"""Probability, before any load, that a ticket is wrong in no known way, in a unit, by two digits exchanged; and that two tickets
-are exchanged, each of them shared among those there may be."""
+_ANY = ((0.12, 0.01), (0.6, 0.005))
+"""Standard deviations of ln of a ticket that is wrong in no known way, by some of the load or by much of it, and the probability
+of either before any load."""
+_OF_UNIT, _OF_DIGITS, _OF_PAIR = 0.002, 0.001, 0.004
+"""The same of a unit, of two digits exchanged, and of two tickets exchanged, each shared among those there may be. These and
+`_ANY` are those of studies/load_laws."""
 _LEAST_LN = 0.03
 """Error of a mass below which a slip is no gross one."""
 
@@ -57,7 +58,8 @@ def _each(weighed_kg: Array) -> Iterator[Slip]:
     count, none = weighed_kg.size, np.zeros(weighed_kg.size)
     for k in range(count):
         one = np.eye(count)[k]
-        yield Slip((k,), none, _ANY_SD**2 * one, _ANY, "")
+        for std_dev, likely in _ANY:
+            yield Slip((k,), none, std_dev**2 * one, likely, "")
         for factor, what in _UNITS:
             yield Slip((k,), np.log(factor) * one, none, _OF_UNIT, what)
         exchanged = list(_digits(float(weighed_kg[k])))

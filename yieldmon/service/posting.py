@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
+from yieldmon.engine.curve_states import in_names
 from yieldmon.engine.records import CalibrationStep
 from yieldmon.errors import InputError
 from yieldmon.estimation.drift_lessons import DriftLesson, by_weighed_masses, ending
@@ -72,6 +73,8 @@ def timeline(steps: Sequence[Step], parameters: ParameterSet) -> Timeline:
     while version in by_version:
         # Each once: versions of a store that was tampered with may lead to themselves.
         found = step_from_document(by_version.pop(version).document)
+        if found is not None and found.names:
+            found = in_names(found, parameters.covariance_names)
         if found is None or len(found.state) < len(parameters.covariance_names):
             break
         if chain and len(found.state) != len(chain[-1].state):

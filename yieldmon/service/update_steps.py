@@ -22,6 +22,7 @@ def step_document(step: CalibrationStep) -> dict[str, Any]:
         "state": list(step.state),
         "widening": step.widening,
         "sweep_alone": step.sweep_alone,
+        "names": list(step.names),
         "advance": {name: np.asarray(getattr(step.advance, name)).tolist() for name in _MATRICES},
     }
 
@@ -39,10 +40,11 @@ def step_from_document(document: Mapping[str, Any]) -> CalibrationStep | None:
             state,
             float(document.get("widening", 1.0)),
             bool(document.get("sweep_alone", False)),
+            tuple(map(str, document.get("names", ()))),
         )
     except (KeyError, TypeError, ValueError):
         return None
     size = len(state)
     shapes = [(size,) if parts[name].ndim == 1 else (size, size) for name in _MATRICES]
     sound = all(part.shape == shape and np.all(np.isfinite(part)) for part, shape in zip(parts.values(), shapes, strict=True))
-    return step if sound and 1.0 <= step.widening < np.inf else None
+    return step if sound and len(step.names) <= size and 1.0 <= step.widening < np.inf else None

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from yieldmon.physics.machine import Machine
 from yieldmon.physics.numerics import AnyArray, sqrt
 from yieldmon.physics.stages import Reading, Setting
 
@@ -17,8 +18,18 @@ _LEAST = 0.05
 """Share of that load below which the force follows the load as in the model."""
 
 
+def reference_load_kg(machine: Machine) -> float:
+    """Grain on a paddle at which the pattern is 1, kg."""
+    return float(_reference_kg(machine.paddle_width_m, np.asarray(machine.paddle_length_m)))
+
+
+def _reference_kg(width_m: float, length_m: AnyArray) -> AnyArray:
+    reference: AnyArray = _REFERENCE_KG_M3 * width_m * length_m**2
+    return reference
+
+
 def _reading(reading: Reading, values: Values, setting: Setting) -> Reading:
-    reference_kg = _REFERENCE_KG_M3 * setting.machine.paddle_width_m * setting.paddle_length_m**2
+    reference_kg = _reference_kg(setting.machine.paddle_width_m, setting.paddle_length_m)
     share = reading.impulse.arrival.jet.load.paddle_mass_kg / reference_kg
     log_load: AnyArray = 0.5 * np.log(share * share + _LEAST**2)
     bend = sqrt(1.0 + log_load * log_load) - 1.0
