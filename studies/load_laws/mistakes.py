@@ -73,11 +73,14 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--first", type=int, default=1, help="first seed (default: %(default)s)")
     parser.add_argument("--machines", type=int, default=1, help="of each law (default: %(default)s)")
+    parser.add_argument("--loads", nargs="*", type=int, default=[2, 3, 4], help="numbers of weighed loads (default: 2 3 4)")
+    parser.add_argument("--mistakes", nargs="*", default=list(MISTAKES), choices=MISTAKES, help="these (default: all)")
     args = parser.parse_args()
     kinds = ("refused", "named", "asked", "right", "misleading")
     print(f"| mistake | loads | {' | '.join(kinds)} |\n|---|---|{'---|' * len(kinds)}")
-    for title, mistake in MISTAKES.items():
-        for count in (2, 3, 4):
+    for title in args.mistakes:
+        mistake = MISTAKES[title]
+        for count in args.loads:
             seen = Counter(
                 outcome(name, seed, count, mistake) for name in LAWS for seed in range(args.first, args.first + args.machines)
             )

@@ -99,7 +99,7 @@ def test_a_crops_tickets_move_that_crops_parameters(tmp_path, capsys, load: int,
     (tmp_path / "t.csv").write_text(f"load,weighed_kg\n{load},{5.0 * (6.0 + load)}\n")
     words = ["--tickets", str(tmp_path / "t.csv"), "--out", str(tmp_path / "new.yaml")]
     assert main(["calibrate", "--loads", str(stored(tmp_path)), *words]) == 0
-    assert parameter_file.load(tmp_path / "new.yaml").values["density"] == pytest.approx(density, rel=1e-3)
+    assert parameter_file.load(tmp_path / "new.yaml").values["density"] == pytest.approx(density, rel=0.02)
 
 
 def test_grain_between_two_loads_is_of_neither(tmp_path, capsys) -> None:

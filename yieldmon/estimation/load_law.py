@@ -32,13 +32,13 @@ from .ticket_slips import Slip, slips
 
 _WEIGHT_SD = np.array([parameter.prior_sd for parameter in get_effect(EFFECT).parameters])
 _OWN, _POWER, _FREE = 0.6, 0.25, ((1.0, 0.1), (2.0, 0.05))
-"""How likely are, before any load, the model's own curve, a power of the flow, and weights of a size over `_WEIGHT_SD`. These,
-`_POWER_SD` and `_SCATTERS` are those of studies/load_laws."""
+"""How likely are, before any load, the model's own curve, a power of the flow, and weights of a size over `_WEIGHT_SD`. These
+and `_POWER_SD` are those of studies/load_laws."""
 _POWER_SD = np.array([0.15, 0.1, _WEIGHT_SD[2]])
 """Of the weights about those with which the force is proportional to the flow."""
 _LOADS = np.linspace(0.3, 2.0, 12)
 """Over the pattern's reference, on which those are found."""
-_SCATTERS = ((0.0, 0.5), (0.01, 0.4), (0.03, 0.1))
+_SCATTERS = ((0.0, 0.9), (0.01, 0.08), (0.03, 0.02))
 """Of a load's mass beside what is stated, relative, and how likely each is."""
 _REST = 0.004
 """Of a load's mass, relative, where the curve is another: what the pattern's weights leave."""

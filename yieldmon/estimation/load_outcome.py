@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import log
+from math import isfinite, log
 
 from .load_constant import Constant
 from .parameters import ParameterSet
@@ -16,7 +16,7 @@ LIKELY_ANOTHER = 0.8
 """Probability of another curve from which it is said to be one."""
 _LIKELY_WRONG = 0.25
 """Probability of a wrong ticket from which it is said to be one."""
-_SCATTERS = 0.02
+_SCATTERS = 0.01
 """Relative standard deviation of loads beside what is stated that is pointed out."""
 
 
@@ -204,6 +204,8 @@ def _refused(found: LoadCalibration) -> list[str]:
 
 
 def _scale(found: LoadCalibration) -> str:
+    if not isfinite(found.scale):
+        return "with the parameters before, a load held more force than a full paddle gives: it was not measured whole."
     a_lot = abs(log(found.scale)) > _A_LOT
     question = ", which is a lot: are the tickets in the unit of their column, and of these loads?" if a_lot else "."
     return f"the loads weigh {100.0 * (found.scale - 1.0):+.2f} % against what was measured{question}"

@@ -42,8 +42,8 @@ _MODELS_OWN = 0.2
 """Probability of another curve up to which the model's own is used."""
 _WRONG, _PERHAPS_WRONG = 0.5, 0.1
 """Probability of a wrong ticket from which nothing is learnt, and from which it is asked about (studies/load_laws)."""
-_WRONG_OF_TWO, _PERHAPS_WRONG_OF_FEW = 0.25, 0.07
-"""The former of two loads, where a third is soon weighed, and the latter of up to three, which hardly check each other."""
+_WRONG_OF_TWO = 0.25
+"""The former of two loads, where a third is soon weighed."""
 _DOUBTED = 0.2
 """Probability of a wrong ticket beyond which a load that contradicts the model's curve waits for one that agrees with it."""
 _EXPONENTS, _BESIDE = (0.55, 1.6), 0.1
@@ -121,8 +121,7 @@ def calibrate_loads(
         calibration = _calibration(problem, active, sweeps, sweep_settings, learnt)
     else:
         calibration = _by_another_law(problem, law, active, found, learnt)
-    asked = _PERHAPS_WRONG if active.sum() > LEAST_LOADS else _PERHAPS_WRONG_OF_FEW
-    wrong = _wrong_ticket(law, active, found) if found is not None and found.wrong > asked else None
+    wrong = _wrong_ticket(law, active, found) if found is not None and found.wrong > _PERHAPS_WRONG else None
     calibration = replace(calibration, wrong_ticket=wrong, slips=_known_slips(law, active))
     return replace(calibration, sentences=tuple(sentences(calibration, len(sweeps))))
 
