@@ -93,11 +93,9 @@ def test_a_hangup_before_the_daemon_is_there_reloads_it(tmp_path, monkeypatch):
     read, loads = configuration.load, []
 
     def load(*how: Path) -> configuration.Configuration:
-        if not loads:
-            signal.raise_signal(signal.SIGHUP)
-        else:
-            signal.raise_signal(signal.SIGTERM)
+        # Counted first: the daemon may have ended by the signal before this thread goes on.
         loads.append(read(*how))
+        signal.raise_signal(signal.SIGHUP if len(loads) == 1 else signal.SIGTERM)
         return loads[-1]
 
     monkeypatch.setattr(configuration, "load", load)
