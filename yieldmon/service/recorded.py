@@ -23,12 +23,12 @@ from yieldmon.service.ledger import LoadRecord
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.store import Store
 from yieldmon.service.store_errors import StoreDamagedError, StoreError
+from yieldmon.service.store_file import SQLITE_MAGIC
 
 _log = logging.getLogger(__name__)
 
 STORE_SUFFIXES = (".sqlite", ".sqlite3", ".db")
 SUFFIXES = (*STORE_SUFFIXES, ".csv", ".jsonl", ".parquet")
-_MAGIC = b"SQLite format 3\0"
 
 _HINTS = typing.get_type_hints(SecondRow)
 _OPTIONAL = {name for name, hint in _HINTS.items() if isinstance(hint, types.UnionType)}
@@ -63,7 +63,7 @@ def _is_no_database(path: str | Path) -> bool:
     if not Path(path).is_file():
         return False
     with Path(path).open("rb") as file:
-        return file.read(len(_MAGIC)) != _MAGIC
+        return file.read(len(SQLITE_MAGIC)) != SQLITE_MAGIC
 
 
 def read_seconds(path: Path | str) -> list[SecondRow]:

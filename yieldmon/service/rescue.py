@@ -22,7 +22,7 @@ from yieldmon.service.in_the_way import make_way
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.store import Store
 from yieldmon.service.store_errors import StoreDetachedError, StoreError
-from yieldmon.service.store_file import address, header_problem, is_orphaned, parts, prepared, set_aside
+from yieldmon.service.store_file import SQLITE_MAGIC, address, header_problem, is_orphaned, parts, prepared, set_aside
 from yieldmon.service.store_sql import second_is_sound
 
 #: How long copying one-second records may hold up a start; the newest come first, the others stay in the file set aside.
@@ -230,7 +230,7 @@ def _with_a_sound_header(content: bytes) -> bytes:
     """The file with the fields of the header that are the same in every store, or follow from the file's size
     (https://www.sqlite.org/fileformat2.html, section 1.3)."""
     header = bytearray(content[:_HEADER_BYTES].ljust(_HEADER_BYTES, b"\0"))
-    header[0:24] = b"SQLite format 3\0" + _PAGE_BYTES.to_bytes(2, "big") + bytes((2, 2, 0, 64, 32, 32))
+    header[0:24] = SQLITE_MAGIC + _PAGE_BYTES.to_bytes(2, "big") + bytes((2, 2, 0, 64, 32, 32))
     header[28:40] = (len(content) // _PAGE_BYTES).to_bytes(4, "big") + bytes(8)
     header[44:60] = bytes((0, 0, 0, 4)) + bytes(8) + bytes((0, 0, 0, 1))
     header[64:72] = bytes(4) + schema.APPLICATION_ID.to_bytes(4, "big")

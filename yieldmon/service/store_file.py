@@ -19,6 +19,8 @@ from yieldmon.service.checksums import row_checksum
 from yieldmon.service.folders import where_sqlite_writes
 from yieldmon.service.store_errors import StoreError
 
+#: First bytes of every SQLite database (https://www.sqlite.org/fileformat2.html, section 1.3).
+SQLITE_MAGIC = b"SQLite format 3\0"
 _LARGEST_VALUE_BYTES = 16 * 1024 * 1024
 _LIMIT_LENGTH = 0
 """sqlite3.SQLITE_LIMIT_LENGTH"""
@@ -102,7 +104,7 @@ def header_problem(path: Path) -> str | None:
             header = file.read(100)
     except OSError:
         return None
-    if len(header) < 100 or not header.startswith(b"SQLite format 3\0"):
+    if len(header) < 100 or not header.startswith(SQLITE_MAGIC):
         return None
     if header[18] not in (1, 2) or header[19] not in (1, 2):
         return "its header asks for another version of the file format"
@@ -309,7 +311,7 @@ def refuse_stranger(path: Path, fstab: Path = Path("/etc/fstab")) -> None:
             begin = file.read(64)
     except OSError:
         return
-    a_store_was_here = begin.startswith(b"SQLite format 3\0") or not begin.strip(b"\0") or os.path.lexists(_witness(path))
+    a_store_was_here = begin.startswith(SQLITE_MAGIC) or not begin.strip(b"\0") or os.path.lexists(_witness(path))
     if not a_store_was_here:
         raise InputError(
             str(path), "is not a store; it is left as it is", "a store, or the name of a file that does not exist yet"

@@ -12,18 +12,18 @@ from yieldmon.field.table import DEFAULT_FLOW_S, Array, HarvestTable, Label, Sou
 from yieldmon.frames import EstimateQuality
 from yieldmon.service import recorded
 from yieldmon.service.rows import SecondRow
+from yieldmon.service.store_file import SQLITE_MAGIC
 
 from .options import ReadOptions
 from .positions import plausible
 
 KIND = "yieldmon store"
 ORDER = 20
-_MAGIC = b"SQLite format 3\0"
 
 
 def recognises(path: Path, head: bytes) -> bool:
     """An SQLite file that is no GeoPackage."""
-    return path.is_file() and head.startswith(_MAGIC) and path.suffix.lower() not in (".gpkg",)
+    return path.is_file() and head.startswith(SQLITE_MAGIC) and path.suffix.lower() not in (".gpkg",)
 
 
 def read(path: Path, options: ReadOptions) -> HarvestTable:
