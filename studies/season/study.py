@@ -16,6 +16,7 @@ from scipy.interpolate import RectBivariateSpline
 from studies.facility import facility
 from studies.season.combines import AS_MODELLED, Combine
 from studies.season.season import Season, SeasonSettings
+from yieldmon.engine.closed_loop_calibrator import FOLLOWED_KG
 from yieldmon.engine.settings import SweepSettings
 from yieldmon.estimation.admission import LARGEST_MODEL_ERROR, allowing_for, refusal
 from yieldmon.estimation.angle_pattern import with_pattern
@@ -41,7 +42,6 @@ from yieldmon.service.document import Document
 from yieldmon.units import S_PER_DAY
 
 Array = NDArray[np.float64]
-_FOLLOWED_KG = 20_000.0
 _POSTED_DAYS = posting.SPAN_S / S_PER_DAY
 """Days of harvest that a ticket's posting reaches back over, as the daemon's."""
 
@@ -424,7 +424,7 @@ class Keeper:
     def _follow(self, stop: int) -> None:
         """A drift that has been learnt moves the parameters between lessons, as in the daemon."""
         harvested_kg = float(np.nansum(self.flow[self.grown_to[1] : stop]))
-        if harvested_kg >= _FOLLOWED_KG and np.any(self.drifting.rates):
+        if harvested_kg >= FOLLOWED_KG and np.any(self.drifting.rates):
             came = self._grow(stop)
             self.taught.append(DriftLesson(came, self.drifting.state, self.drifting.joint))
             self._remember(float(self.season.time_s[stop - 1]) / 3600.0)

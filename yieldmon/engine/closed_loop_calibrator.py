@@ -51,7 +51,7 @@ _WORSE = 1.5
 """Of the bias's prior variance, the lasting one of a lesson beyond which it is not of that bias any more."""
 _LESSON_SDS = 3.0
 """Deviations of a difference beyond which a lesson contradicts and teaches nothing."""
-_FOLLOWED_KG = 20_000.0
+FOLLOWED_KG = 20_000.0
 """Of grain, after which a steady drift that has been learnt moves the parameters without a lesson."""
 _ROUNDING = 1e-9
 """Relative, of parameters that were stored."""
@@ -202,7 +202,7 @@ class ClosedLoopCalibrator:
     def follow(self, record: WindowRecord, estimator: FlowEstimator) -> CalibrationOutcome | None:
         """See records.SelfCalibrator."""
         known = self._drifting
-        if known is None or not record.total_kg - self._at_kg >= _FOLLOWED_KG:
+        if known is None or not record.total_kg - self._at_kg >= FOLLOWED_KG:
             return None
         used = self._in_use(estimator)
         if known.parameters is not used or not np.any(known.rates):

@@ -24,6 +24,7 @@ from yieldmon.frames import EstimateQuality
 _NAN = float("nan")
 _KEPT_LOADS = 256
 _LONGEST_SILENCE_S, _LONGEST_WAKING_S = 60.0, 3.0
+"""How long all sensors' nodes may be silent at a load's begin, and one of them after another: assumed, by no study."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,7 +33,7 @@ from .ticket_slips import Slip, slips
 _WEIGHT_SD = np.array([parameter.prior_sd for parameter in get_effect(EFFECT).parameters])
 _OWN, _POWER, _FREE = 0.6, 0.25, ((1.0, 0.1), (2.0, 0.05))
 """How likely are, before any load, the model's own curve, a power of the flow, and weights of a size over `_WEIGHT_SD`. These
-and `_POWER_SD` are those of studies/load_laws."""
+and `_POWER_SD` were chosen on a linear model of loads that is not kept (studies/load_laws)."""
 _POWER_SD = np.array([0.15, 0.1, _WEIGHT_SD[2]])
 """Of the weights about those with which the force is proportional to the flow."""
 _LOADS = np.linspace(0.3, 2.0, 12)
@@ -46,8 +46,8 @@ _ITERATIONS = 25
 _SETTLED = 1e-4
 _MOST_STEP = 1.0
 _GAIN_STEP, _GAIN_STEPS = 0.1, 25
-_LEAST_LOADS = 6
-"""Of a paddle at which the force is known, to find the weights of a curve."""
+_LEAST_POINTS = 6
+"""Loads of a paddle at which the force is known, to find the weights of a curve."""
 
 
 @dataclass(frozen=True)
@@ -183,7 +183,7 @@ def _proportional(problem: LoadProblem) -> Array | None:
     here = ln_force()
     columns = np.column_stack((np.ones(loads_kg.size), ln_force(exponent=1.0) - here, ln_force(bend=1.0) - here))
     known = np.isfinite(columns).all(axis=1) & np.isfinite(here)
-    if known.sum() < _LEAST_LOADS:
+    if known.sum() < _LEAST_POINTS:
         return None
     found = np.linalg.lstsq(columns[known], (np.log(loads_kg) - here)[known], rcond=None)[0]
     return np.array([found[1], found[2], 0.0])

@@ -28,8 +28,8 @@ _ANY = ((0.12, 0.01), (0.6, 0.005))
 """Standard deviations of ln of a ticket that is wrong in no known way, by some of the load or by much of it, and the probability
 of either before any load."""
 _OF_UNIT, _OF_DIGITS, _OF_PAIR = 0.002, 0.001, 0.004
-"""The same of a unit, of two digits exchanged, and of two tickets exchanged, each shared among those there may be. These and
-`_ANY` are those of studies/load_laws."""
+"""The same of a unit, of two digits exchanged, and of two tickets exchanged, each shared among those there may be: assumptions.
+`_ANY` was chosen on a linear model of loads that is not kept (studies/load_laws)."""
 _LEAST_LN = 0.03
 """Error of a mass below which a slip is no gross one."""
 

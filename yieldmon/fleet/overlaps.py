@@ -97,7 +97,7 @@ class _Days:
                 self._read[day] = _by_number(self._query, log["machine"], day)
             numbers = self._read[day][:, 0]
             found = self._read[day][np.searchsorted(numbers, first) : np.searchsorted(numbers, last, side="right"), 1:]
-            self._of_logs[day, first] = _sorted(found, 0)
+            self._of_logs[day, first] = _in_order(found)
         return self._of_logs[day, first]
 
     def forget(self, day: str) -> None:
@@ -110,11 +110,12 @@ class _Days:
 def _by_number(query: Query, machine: str, day: str) -> NDArray[np.float64]:
     """Number, end, duration and mass of a day's seconds, shape (n, 4)."""
     columns = query.columns(_SECONDS.format(query.of_partition("records", machine, day)))
-    return _sorted(np.stack([columns[name].astype(np.float64) for name in _COLUMNS], axis=-1), 0)
+    return _in_order(np.stack([columns[name].astype(np.float64) for name in _COLUMNS], axis=-1))
 
 
-def _sorted(rows: NDArray[np.float64], column: int) -> NDArray[np.float64]:
-    order = rows[:, column]
+def _in_order(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """By the first column."""
+    order = rows[:, 0]
     return rows if np.all(order[1:] >= order[:-1]) else rows[np.argsort(order, kind="stable")]
 
 
