@@ -33,8 +33,20 @@ _KINDS = {
 def require_file(path: object, expected: str, *, or_pipe: bool = False) -> None:
     """For what is read several times, or at any length: neither can be done with a device, a pipe or a socket.
 
-    Raises InputError for these (or_pipe: but for a pipe), and OSError for a path that leads nowhere; a folder is left to the one
-    who opens it.
+    Parameters
+    ----------
+    path : str or Path
+    expected : str
+        What should be there, without "that is a file".
+    or_pipe : bool
+        A pipe will do.
+
+    Raises
+    ------
+    InputError
+        For a device, a socket and, unless it will do, a pipe; a folder is left to the one who opens it.
+    OSError
+        For a path that leads nowhere.
     """
     kind = _KINDS.get(stat.S_IFMT(os.stat(str(path)).st_mode), "a folder")
     if kind not in ("a file", "a folder") and not (or_pipe and kind == "a pipe"):
@@ -47,7 +59,23 @@ def is_pipe(path: Path) -> bool:
 
 
 def opened(path: Path) -> BinaryIO:
-    """A file, or a pipe that has begun to give something. Raises OSError, and InputError for a pipe that gives nothing."""
+    """A file, or a pipe that has begun to give something, open for reading bytes.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    BinaryIO
+
+    Raises
+    ------
+    OSError
+        As the system has it.
+    InputError
+        A pipe gives nothing within `PATIENCE_S`.
+    """
     if not is_pipe(path):
         return path.open("rb")
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
@@ -114,7 +142,24 @@ def content(path: str, most_bytes: int, patience_s: float) -> bytes:
 
 
 def read_whole(path: object, expected: str, most_bytes: int) -> bytes:
-    """A file's content. Raises InputError for one that cannot be read, or is longer: a device or a pipe may have no end."""
+    """A file's content, or a pipe's: a device or a pipe may have no end.
+
+    Parameters
+    ----------
+    path : str or Path
+    expected : str
+        What should be there, for the error.
+    most_bytes : int
+
+    Returns
+    -------
+    bytes
+
+    Raises
+    ------
+    InputError
+        It cannot be read, is longer, or is a pipe that does not end within a minute.
+    """
     with reading(path, expected):
         found = content(str(path), most_bytes + 1, _PIPE_PATIENCE_S)
     if len(found) > most_bytes:
@@ -123,7 +168,25 @@ def read_whole(path: object, expected: str, most_bytes: int) -> bytes:
 
 
 def lines(stream: TextIO, where: str, expected: str) -> Iterator[str]:
-    """The lines of a text stream with their ends. Raises InputError, naming the line, for one longer than LONGEST_LINE."""
+    """The lines of a text stream, with their ends.
+
+    Parameters
+    ----------
+    stream : TextIO
+    where : str
+        The stream's name, for the error.
+    expected : str
+        What should be there, for the error.
+
+    Yields
+    ------
+    str
+
+    Raises
+    ------
+    InputError
+        Names the line that is longer than `LONGEST_LINE`.
+    """
     for number in count(1):
         line = stream.readline(LONGEST_LINE + 1)
         if len(line) > LONGEST_LINE:
@@ -134,7 +197,22 @@ def lines(stream: TextIO, where: str, expected: str) -> Iterator[str]:
 
 
 def split(text: str, where: str, expected: str) -> list[str]:
-    """The lines of a text without their ends. Raises InputError, naming the line, for one longer than LONGEST_LINE."""
+    """The lines of a text, without their ends.
+
+    Parameters
+    ----------
+    text, where, expected : str
+        As in `lines`.
+
+    Returns
+    -------
+    list of str
+
+    Raises
+    ------
+    InputError
+        As `lines`.
+    """
     found = text.splitlines()
     for number, line in enumerate(found, 1):
         if len(line) > LONGEST_LINE:

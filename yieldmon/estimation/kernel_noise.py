@@ -25,6 +25,7 @@ CLEAR_OF_ALIASES = 0.4
 """Share of the sampling rate up to which what the sampler folds back is small beside what is there."""
 _ITERATIONS = 6
 _SHORTEST_CELL_S = 1e-5
+"""A cell without lag counts as one of this time constant where the tilt of another one is compared with it."""
 _TINY = 1e-9
 _PUSHING = -0.4
 """Exponent of the frequency by which the noise of kernels falls at most, for a push lasts (studies/waveform, `kernels`)."""

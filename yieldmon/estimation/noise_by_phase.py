@@ -73,14 +73,23 @@ def noise_by_phase(
     Parameters
     ----------
     left_n : ndarray (n,)
-        Samples less the mean pulses.
-    force_n, phase : ndarray (n,)
-        The samples themselves, and their phase in turns of the pattern.
-    interval_s, low_hz, high_hz : float
+        Samples less the mean pulses, N.
+    force_n : ndarray (n,)
+        The samples themselves, N.
+    phase : ndarray (n,)
+        Their phase, in turns of the pattern.
+    interval_s : float
+        Between two samples, s.
+    low_hz, high_hz : float
+        Ends of the band, Hz; no power where the first is not below the second.
 
     Returns
     -------
     PhaseNoise
+        Of `BINS` bins.
+
+    Source: Campbell, "The study of discontinuous phenomena", Proc. Camb. Phil. Soc. 15 (1909), for noise in proportion to the
+    rate of impacts.
     """
     waves = np.fft.rfft(left_n)
     waves *= _weights(np.fft.rfftfreq(left_n.size, interval_s), low_hz, high_hz)
@@ -91,7 +100,22 @@ def noise_by_phase(
 
 
 def band_power(frequency_hz: Array, density: Array, low_hz: float, high_hz: float) -> float:
-    """Mean square that noise of a two-sided density (k,) at evenly spaced frequencies has in the band."""
+    """Mean square of noise in the band, as `noise_by_phase` weighs it.
+
+    Parameters
+    ----------
+    frequency_hz : ndarray (k,)
+        Evenly spaced, Hz.
+    density : ndarray (k,)
+        Two-sided power density, N^2/Hz.
+    low_hz, high_hz : float
+        Ends of the band, Hz.
+
+    Returns
+    -------
+    float
+        N^2.
+    """
     spacing_hz = float(frequency_hz[1] - frequency_hz[0])
     return 2.0 * spacing_hz * float((_weights(frequency_hz, low_hz, high_hz) ** 2 * density).sum())
 
@@ -110,18 +134,26 @@ def steady_noise(
 
     Parameters
     ----------
-    parts, impulses : sequence
-        Windows, and what a kernel's impulse goes with in each.
+    parts : sequence of PhaseNoise (w,)
+        Windows with grain, one or more.
+    impulses : sequence of float (w,)
+        Force per mass flow in each, N s/kg, with which a kernel's impulse goes.
     quiet_n2 : float
-        `band_power` of the empty machine.
+        `band_power` of the empty machine, N^2.
     pattern_s : float
-        Time of a turn of the pattern.
+        Time of a turn of the pattern, s.
     interval_s, low_hz, high_hz : float
         As in `noise_by_phase`.
 
     Returns
     -------
     SteadyNoise
+        A share of 0 with an infinite deviation where pulses leave no part of the pattern without force.
+
+    Raises
+    ------
+    ValueError
+        Another number of impulses than of windows.
     """
     samples = np.sum([part.samples for part in parts], axis=0)
     power = np.sum([part.power_n2 for part in parts], axis=0)
