@@ -233,6 +233,15 @@ def test_a_gain_that_is_none_of_grain_asks_for_the_unit(make_rows, start, factor
     assert any("in the units that their columns say" in note for note in notes) == reported
 
 
+@pytest.mark.parametrize("turned_deg", [90.0, 180.0])
+def test_plate_angles_from_another_line_are_asked_about_and_no_effect_is_named(make_rows, start, turned_deg: float) -> None:
+    rows = make_rows()
+    turned = with_cells(replace(rows, plate_angle_rad=np.radians(turned_deg) - rows.plate_angle_rad))
+    seen = diagnosis.examine(turned, start, QUICK)
+    assert any(note.startswith(f"with {turned_deg:.0f} deg less each plate angle") for note in seen.notes)
+    assert seen.choice.named == ()
+
+
 def test_a_shuffled_column_is_reported(make_rows, start) -> None:
     """Rows of one condition are no longer of one condition."""
     rows = make_rows()

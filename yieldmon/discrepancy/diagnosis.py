@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,12 +11,13 @@ from scipy import stats
 
 from yieldmon.documents.diagnose import Verdict
 from yieldmon.errors import InputError
-from yieldmon.estimation import model_error
+from yieldmon.estimation import angle_lines, model_error
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.priors import EXCHANGED, at_bound_sentence
 from yieldmon.files.table import Table
 from yieldmon.physics.effects import family_of
 from yieldmon.physics.machine import Machine
+from yieldmon.physics.numerics import Array
 
 from . import diagnosis_notes
 from . import observations as obs
@@ -324,11 +325,13 @@ def examine(
     held_out, outlying_sealed = _open(rows, sealed, chosen.base, chosen.best, noise)
     outlier |= outlying_sealed
     proven_rows = held_out.rows if held_out is not None else 0
+    angles = _angles_asked(training, base, noise, parameters, form, options.keep_effects)
     notes = [
         *diagnosis_notes.of_noise(noise, int(outlier.sum())),
         *diagnosis_notes.of_scatter(noise, rows, int(outlier.sum())),
         *why,
         *diagnosis_notes.of_gain(base),
+        *angles,
         *diagnosis_notes.of_overfull(sealed & ~outlier, proven_rows),
     ]
     if chosen.against:
@@ -338,6 +341,8 @@ def examine(
         proof = prove(chosen.base, chosen.best, held_out.share if held_out is not None else None, rng)
     if proof is not None and chosen.verdict == "effect" and not proof.agrees:
         notes.append(diagnosis_notes.refuted(chosen.named, proof))
+        chosen = withdrawn(chosen, options.policy)
+    if chosen.verdict == "effect" and angles:
         chosen = withdrawn(chosen, options.policy)
     if chosen.verdict == "effect" and noise.how == "assumed":
         notes.append(diagnosis_notes.noise_assumed(chosen))
@@ -392,6 +397,23 @@ def _published(
             value = base.values[p.name]
             notes.append(at_bound_sentence(p.name, "lower" if value < 0.5 * (p.lower + p.upper) else "upper", value))
     return form, frame, base, notes
+
+
+def _angles_asked(
+    training: obs.Rows, base: Fit, noise: Noise, parameters: ParameterSet, form: str, keep_effects: bool
+) -> list[str]:
+    """A question where the published model explains the rows far better with plate angles from another line."""
+
+    def misfit(found: Fit, rows: obs.Rows) -> float:
+        away = found.predict(rows) - rows.value
+        return float(np.sqrt(np.mean(away**2)) / np.max(np.abs(rows.value)))
+
+    def refit(plate_angle_rad: Array) -> float:
+        turned = replace(training, plate_angle_rad=plate_angle_rad)
+        return misfit(_published(turned, noise, parameters, form, "table", keep_effects)[2], turned)
+
+    asked = angle_lines.question(training.plate_angle_rad, misfit(base, training), refit)
+    return [asked] if asked else []
 
 
 def _open(

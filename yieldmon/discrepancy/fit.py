@@ -431,7 +431,7 @@ def _solve_gain(frame: Frame, effects: tuple[str, ...], start: dict[str, float])
     y = frame.cells.mean / frame.sd
     if "restitution" in start:
         unit = real(predictions(frame, effects, start | {"restitution": 0.0})) / frame.sd
-        if not np.all(np.isfinite(unit)):
+        if not (np.all(np.isfinite(unit)) and unit @ unit > 0.0):
             return None
         gain = float(np.clip((unit @ y) / (unit @ unit), 1.0, 2.0))
         return float(np.sum((gain * unit - y) ** 2)), start | {"restitution": gain - 1.0}

@@ -8,6 +8,7 @@ Regression Analysis" (pure error and lack of fit).
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.special import fdtrc
@@ -17,7 +18,7 @@ from yieldmon.physics.grain import GRAIN
 from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array, span
 
-from . import model_error, multistart, profile_likelihood
+from . import angle_lines, model_error, multistart, profile_likelihood
 from .calibration_problem import CalibrationProblem, data_scale, residual_moments
 from .calibration_result import (
     OUTLIER_SDS,
@@ -33,6 +34,9 @@ from .fit_uncertainty import FitUncertainty, fit_uncertainty, wald_intervals
 from .measurements import Measurements
 from .parameters import CalibratedRange, ParameterSet
 from .priors import Bounds, Prior, stretch
+
+_OTHER_STARTS = 3
+"""Searches with plate angles from another line."""
 
 
 def calibrate(
@@ -105,7 +109,16 @@ def calibrate(
     problem = CalibrationProblem(model, data, start, tuple(free), prior=prior, bounds=bounds, robust=robust)
     rng = np.random.default_rng(0) if rng is None else rng
     basins, theta = multistart.minimize(problem, starts, rng, progress)
-    return _examined(problem, theta, basins, starts, response_unit, intervals)
+    found = _examined(problem, theta, basins, starts, response_unit, intervals)
+
+    def misfit(plate_angle_rad: Array) -> float:
+        turned = replace(data, conditions=replace(data.conditions, plate_angle_rad=plate_angle_rad))
+        other = CalibrationProblem(model, turned, start, tuple(free), prior=prior, bounds=bounds, robust=robust)
+        _, best = multistart.minimize(other, _OTHER_STARTS, np.random.default_rng(0), None)
+        return _examined(other, best, (), _OTHER_STARTS, response_unit, False).residuals.rms_over_max_pct / 100.0
+
+    asked = angle_lines.question(data.columns()[0], found.residuals.rms_over_max_pct / 100.0, misfit)
+    return replace(found, sentences=(*found.sentences, asked)) if asked else found
 
 
 def profile_curves(
