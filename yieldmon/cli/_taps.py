@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+from typing import TYPE_CHECKING
 
 from yieldmon.cli import _by_loads
 from yieldmon.documents.calibrate import TapDocument
 from yieldmon.errors import InputError
-from yieldmon.estimation.tap_response import LEAST_TAPS, TapResponse, tap_response
 from yieldmon.files import machine_file, strict_yaml, whole_file
+
+if TYPE_CHECKING:
+    from yieldmon.estimation.tap_response import TapResponse
 
 
 def add_argument(parser: argparse.ArgumentParser) -> None:
@@ -26,7 +29,9 @@ def run(args: argparse.Namespace) -> TapDocument:
             raise InputError(f"--{name.replace('_', '-')}", "is given together with --taps", "logs of taps alone")
     if args.out is not None:
         whole_file.check_place(args.out)
-    from yieldmon.service import tap_samples  # The daemon's own modules, which a table of a test facility does not need.
+    # The daemon's own modules and scipy's statistics, which a table of a test facility does not need.
+    from yieldmon.estimation.tap_response import LEAST_TAPS, tap_response
+    from yieldmon.service import tap_samples
 
     configured = _by_loads.configuration_of(args)
     stretches, source = tap_samples.read(args.taps, configured.signals)
