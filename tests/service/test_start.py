@@ -13,7 +13,7 @@ from yieldmon.bus import log_writing, logs
 
 HEAVY = {
     "asammdf", "can", "cantools", "matplotlib", "numpy", "pandas", "pyarrow", "pydantic", "rich", "scipy", "yaml",
-    "yieldmon.engine.monitor", "yieldmon.estimation.closed_loop", "yieldmon.service.store",
+    "yieldmon.engine.monitor", "yieldmon.engine.records", "yieldmon.estimation.closed_loop", "yieldmon.service.store",
 }  # fmt: skip
 
 
@@ -42,7 +42,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("--help", set()),
         ("status --socket /nonexistent", {"rich"}),
         ("check-config", {"numpy", "pydantic", "yaml"}),
-        ("monitor LOG --once --speed 0", {"can", "cantools", "numpy", "rich"}),
+        ("monitor LOG --once --speed 0", {"can", "cantools", "rich"}),
     ],
     ids=["help", "status", "check-config", "monitor"],
 )

@@ -26,7 +26,8 @@ from yieldmon.service.recovery import recover
 from yieldmon.service.retention import Retention
 from yieldmon.service.store import Store
 from yieldmon.service.store_errors import StoreDamagedError, StoreDetachedError
-from yieldmon.service.store_file import parts, read_only, witness
+from yieldmon.service.store_file import read_only, witness
+from yieldmon.service.store_names import parts
 from yieldmon.service.writer import StoreWriter
 
 PATIENCE_S = 60.0

@@ -16,7 +16,8 @@ from yieldmon.service.identity import NONE, this_computer
 from yieldmon.service.recovery import Recovery, recover
 from yieldmon.service.retention import Retention
 from yieldmon.service.store import Store
-from yieldmon.service.store_file import parts, witness, witnessed, witnessed_store
+from yieldmon.service.store_file import witness, witnessed, witnessed_store
+from yieldmon.service.store_names import parts
 
 ENDS = ("", "-wal", ".last")
 Files = dict[str, bytes]

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from yieldmon.service import schema, store_file
+from yieldmon.service import schema, store_file, store_names
 from yieldmon.service.batch import Batch
 from yieldmon.service.recovery import recover
 from yieldmon.service.retention import DEFAULT_RETENTION
@@ -44,7 +44,7 @@ def begun(path: Path, steps: int, *, journal: bool) -> Path:
         database.execute(f"PRAGMA application_id = {schema.APPLICATION_ID}")
         database.execute(f"PRAGMA user_version = {step + 1}")
     if journal:
-        kept = {part: part.read_bytes() for part in store_file.parts(path)[:2] if part.exists()}
+        kept = {part: part.read_bytes() for part in store_names.parts(path)[:2] if part.exists()}
     database.close()
     if journal:
         for part, content in kept.items():
@@ -77,12 +77,12 @@ def test_one_of_an_older_version_is_remembered_whole(tmp_path, monkeypatch, jour
         database = sqlite3.connect(path, isolation_level=None)
         database.execute("PRAGMA journal_mode = WAL")
         database.execute("UPDATE counter SET value = value + 1")
-        kept = {part: part.read_bytes() for part in store_file.parts(path)[:2]}
+        kept = {part: part.read_bytes() for part in store_names.parts(path)[:2]}
         database.close()
         for part, content in kept.items():
             part.write_bytes(content)
         assert store_file.has_journal(path)
-    for part in store_file.parts(path)[:2]:
+    for part in store_names.parts(path)[:2]:
         if part.exists():
             shutil.copyfile(part, tmp_path / part.name.replace("s.", "other."))
     due = recover(other, DEFAULT_RETENTION, lambda: Store(other)).memory

@@ -14,7 +14,6 @@ from enum import Enum, StrEnum
 from math import isfinite
 from typing import TYPE_CHECKING, NamedTuple
 
-from yieldmon.engine.settings import EngineSettings
 from yieldmon.frames import ScaleStatus
 from yieldmon.physics.machine import RPM
 
@@ -24,6 +23,7 @@ if TYPE_CHECKING:
     from yieldmon.engine.inputs import InputSnapshot
     from yieldmon.engine.measurement import Reading
     from yieldmon.engine.records import CalibrationOutcome
+    from yieldmon.engine.settings import EngineSettings
     from yieldmon.engine.sweep import SweepMachine
     from yieldmon.engine.waveform import WaveformReading
     from yieldmon.engine.windows import Window

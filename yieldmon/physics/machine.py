@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from math import cos, pi
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
-Speed = TypeVar("Speed", float, NDArray[np.float64], NDArray[np.float64] | NDArray[np.complex128])
+Speed = TypeVar("Speed", float, "NDArray[np.float64]", "NDArray[np.float64] | NDArray[np.complex128]")
 """A number or an array."""
 
 SAME_ANGLE_RAD = 0.75 * pi / 180.0

@@ -20,7 +20,7 @@ from yieldmon.errors import reason
 from yieldmon.files.whole_file import sync
 from yieldmon.service.in_the_way import make_way
 from yieldmon.service.ownership import OccupiedError
-from yieldmon.service.store_file import kept, parts
+from yieldmon.service.store_names import kept, parts
 
 _log = logging.getLogger(__name__)
 

@@ -14,7 +14,8 @@ from pathlib import Path
 from time import time
 
 from yieldmon.service.checksums import row_checksum
-from yieldmon.service.store_file import address, has_journal, parts, prepared, unwritten, witnessed_store
+from yieldmon.service.store_file import address, has_journal, prepared, unwritten, witnessed_store
+from yieldmon.service.store_names import parts
 
 MARK = "identity"
 KEY = "store"

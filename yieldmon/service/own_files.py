@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from yieldmon.service.answering import answer_or
-from yieldmon.service.store_file import names_beside
+from yieldmon.service.store_names import names_beside
 
 #: What is said of a key that names no file at all.
 _NAME = "the name of a file"

@@ -11,6 +11,7 @@ from types import TracebackType
 from yieldmon.errors import InputError, reason
 from yieldmon.service.in_the_way import make_way
 from yieldmon.service.store_errors import StoreError
+from yieldmon.service.store_names import lock_path
 
 _log = logging.getLogger(__name__)
 
@@ -27,7 +28,7 @@ class Ownership:
 
     def __init__(self, store: Path) -> None:
         self._store = store
-        self._path = store.with_name(f"{store.name}.lock")
+        self._path = lock_path(store)
         self._lock: int | None = None
 
     def __enter__(self) -> Ownership:

@@ -23,7 +23,7 @@ from yieldmon.service.ledger import LoadRecord
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.store import Store
 from yieldmon.service.store_errors import StoreDamagedError, StoreError
-from yieldmon.service.store_file import SQLITE_MAGIC
+from yieldmon.service.store_names import SQLITE_MAGIC
 
 _log = logging.getLogger(__name__)
 

@@ -23,15 +23,8 @@ from yieldmon.service.rows import SecondRow
 from yieldmon.service.spare_copy import spare_copy
 from yieldmon.service.store import Store
 from yieldmon.service.store_errors import StoreDamagedError, StoreError, StoreUnreadableError
-from yieldmon.service.store_file import (
-    beside,
-    note_beginning,
-    parts,
-    refuse_stranger,
-    set_aside,
-    witnessed,
-    witnessed_store,
-)
+from yieldmon.service.store_file import note_beginning, refuse_stranger, set_aside, witnessed, witnessed_store
+from yieldmon.service.store_names import beside, parts
 
 _log = logging.getLogger(__name__)
 

@@ -22,7 +22,8 @@ from yieldmon.service.in_the_way import make_way
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.store import Store
 from yieldmon.service.store_errors import StoreDetachedError, StoreError
-from yieldmon.service.store_file import SQLITE_MAGIC, address, header_problem, is_orphaned, parts, prepared, set_aside
+from yieldmon.service.store_file import address, header_problem, is_orphaned, prepared, set_aside
+from yieldmon.service.store_names import SQLITE_MAGIC, being_made_path, parts, ready_path, repaired_path
 from yieldmon.service.store_sql import second_is_sound
 
 #: How long copying one-second records may hold up a start; the newest come first, the others stay in the file set aside.
@@ -70,7 +71,7 @@ def rescue(path: Path, label: str, *, without: Sequence[str] = (), seconds_budge
     label: the damaged files are kept as ``<name>.<label>``. without: tables to leave empty. Raises StoreError, or OSError when a
     file cannot be made or renamed.
     """
-    fresh = _fresh(path)
+    fresh = being_made_path(path)
     _remove(fresh)
     rescued = Rescued(path)
     # Opened and closed once: its first page shows what the first page of a store looks like.
@@ -88,7 +89,7 @@ def reattach(store: Store, label: str) -> Path | None:
 
     For files that were removed or replaced while in use. The store is closed. Raises StoreError or OSError.
     """
-    fresh = _fresh(store.path)
+    fresh = being_made_path(store.path)
     fresh.parent.mkdir(parents=True, exist_ok=True)
     _remove(fresh)
     store.copy_to(fresh)
@@ -118,7 +119,7 @@ def finish(path: Path) -> None:
 
 def replacement(path: Path) -> Path | None:
     """The whole store that was to take the place of another one and has not, None where there is none. Raises OSError."""
-    ready = _ready(path)
+    ready = ready_path(path)
     # A link is not of our making: a replacement is a file.
     return ready if ready.is_file() and not ready.is_symlink() else None
 
@@ -130,25 +131,17 @@ def _remove(scratch: Path) -> None:
         part.unlink(missing_ok=True)
 
 
-def _fresh(path: Path) -> Path:
-    return path.with_name(f"{path.name}.being-made")
-
-
-def _ready(path: Path) -> Path:
-    return path.with_name(f"{path.name}.ready")
-
-
 def _replace(path: Path, fresh: Path, label: str) -> Path:
     sync(fresh)
-    make_way([_ready(path)])
-    fresh.rename(_ready(path))
+    make_way([ready_path(path)])
+    fresh.rename(ready_path(path))
     sync(path.parent)
     return _put_in_place(path, label)
 
 
 def _put_in_place(path: Path, label: str) -> Path:
     aside = set_aside(path, label)
-    _ready(path).rename(path)
+    ready_path(path).rename(path)
     sync(path.parent)
     return aside
 
@@ -160,7 +153,7 @@ def _opened(path: Path, model: Path) -> Iterator[sqlite3.Connection | None]:
 
     model: an empty store. Tables of one that was made by this version begin at the same pages.
     """
-    repaired = path.with_name(f"{path.name}.mended")
+    repaired = repaired_path(path)
     try:
         orphaned = is_orphaned(path)
         database = _readable(path) if header_problem(path) is None and not orphaned else None

@@ -14,7 +14,8 @@ from tempfile import TemporaryDirectory
 from time import monotonic
 
 from yieldmon.service.store_errors import StoreError, StoreUnreadableError
-from yieldmon.service.store_file import LARGEST_COPY_BYTES, parts
+from yieldmon.service.store_file import LARGEST_COPY_BYTES
+from yieldmon.service.store_names import parts
 
 #: Where a copy may lie, in this order; None: the system's folder for temporary files.
 _PLACES: tuple[str | None, ...] = (None, "/dev/shm")

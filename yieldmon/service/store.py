@@ -40,12 +40,12 @@ from yieldmon.service.store_file import (
     in_memory,
     is_orphaned,
     looks_like_a_store,
-    parts,
     prepared,
     read_only,
     unwritten,
     witness,
 )
+from yieldmon.service.store_names import parts
 from yieldmon.service.store_sql import statements, write, write_in_part, write_mark
 from yieldmon.service.stored_rows import StoredRows
 
@@ -152,7 +152,7 @@ class Store(StoredRows):
         application, version = self._pragma("application_id"), self._version()
         if application not in (0, schema.APPLICATION_ID) and not looks_like_a_store(self._database):
             raise InputError(str(self.path), "an SQLite file of another program", "a yieldmon store or a new file")
-        if (application, version) == (0, 0) and not self.path.with_name(f"{self.path.name}-wal").exists():
+        if (application, version) == (0, 0) and not parts(self.path)[1].exists():
             tables = self._database.execute("SELECT count(*) FROM sqlite_schema WHERE type = 'table'").fetchone()[0]
             if tables and not looks_like_a_store(self._database):
                 raise InputError(str(self.path), "an SQLite file of another program", "a yieldmon store or a new file")

@@ -1,5 +1,4 @@
-"""The files of a store: what they are called, what can be known of them before they are opened, and opening one that anybody may
-have made."""
+"""What can be known of a store's files before they are opened, and opening one that anybody may have made."""
 
 from __future__ import annotations
 
@@ -18,9 +17,8 @@ from yieldmon.service import schema
 from yieldmon.service.checksums import row_checksum
 from yieldmon.service.folders import where_sqlite_writes
 from yieldmon.service.store_errors import StoreError
+from yieldmon.service.store_names import SQLITE_MAGIC, parts, witness_path
 
-#: First bytes of every SQLite database (https://www.sqlite.org/fileformat2.html, section 1.3).
-SQLITE_MAGIC = b"SQLite format 3\0"
 _LARGEST_VALUE_BYTES = 16 * 1024 * 1024
 _LIMIT_LENGTH = 0
 """sqlite3.SQLITE_LIMIT_LENGTH"""
@@ -48,11 +46,6 @@ def prepared(database: sqlite3.Connection) -> sqlite3.Connection:
     database.text_factory = _tolerant
     database.create_function("row_checksum", -1, row_checksum, deterministic=True)
     return database
-
-
-def parts(path: Path) -> tuple[Path, Path, Path]:
-    """The files of a store: itself, its journal and the journal's index."""
-    return path, path.with_name(f"{path.name}-wal"), path.with_name(f"{path.name}-shm")
 
 
 def has_journal(path: Path) -> bool:
@@ -118,7 +111,7 @@ def witness(path: Path, batch: int, identity: int = 0) -> None:
     a copy, looks like a sound one: this says how far it had come. What cannot be noted is not."""
     line = f"{batch} {row_checksum('witness', batch)} {identity} {row_checksum('witness', batch, identity)}\n".encode()
     with suppress(OSError):
-        descriptor = os.open(_witness(path), os.O_WRONLY | os.O_CREAT | _NOT_WAITING, 0o600)
+        descriptor = os.open(witness_path(path), os.O_WRONLY | os.O_CREAT | _NOT_WAITING, 0o600)
         try:
             os.pwrite(descriptor, line.ljust(_WITNESS_BYTES), 0)
         finally:
@@ -127,7 +120,7 @@ def witness(path: Path, batch: int, identity: int = 0) -> None:
 
 def note_beginning(path: Path) -> None:
     """Note that a store is kept here, before its first commit: whatever becomes of its file, it is ours to repair."""
-    if not os.path.lexists(_witness(path)):
+    if not os.path.lexists(witness_path(path)):
         witness(path, 0)
 
 
@@ -143,7 +136,7 @@ def witnessed_store(path: Path) -> int:
 
 def _noted(path: Path) -> tuple[int, int]:
     try:
-        descriptor = os.open(_witness(path), os.O_RDONLY | _NOT_WAITING)
+        descriptor = os.open(witness_path(path), os.O_RDONLY | _NOT_WAITING)
         try:
             words = os.read(descriptor, _WITNESS_BYTES).split()
         finally:
@@ -155,28 +148,6 @@ def _noted(path: Path) -> tuple[int, int]:
         return 0, 0
     sound = (row_checksum("witness", batch), row_checksum("witness", batch, identity)) == (checksum, both)
     return (batch, identity) if sound else (0, 0)
-
-
-def _witness(path: Path) -> Path:
-    return path.with_name(f"{path.name}.last")
-
-
-def beside(path: Path) -> tuple[Path, ...]:
-    """The files that are made beside a store while it is in use."""
-    return (*parts(path)[1:], _witness(path))
-
-
-def names_beside(path: Path) -> tuple[Path, ...]:
-    """Every name beside a store's that the service or SQLite gives to a file, but for those set aside, which have a time."""
-    made = (path, *(path.with_name(f"{path.name}.{scratch}") for scratch in ("being-made", "mended")))
-    of_sqlite = [file.with_name(f"{file.name}-{suffix}") for file in made for suffix in ("wal", "shm", "journal")]
-    ours = [path.with_name(f"{path.name}.{suffix}") for suffix in ("lock", "last", "ready")]
-    return (*made[1:], *of_sqlite, *ours)
-
-
-def kept(path: Path) -> tuple[Path, ...]:
-    """The files of a store that cannot be made from others."""
-    return (*parts(path)[:2], _witness(path))
 
 
 def looks_like_a_store(database: sqlite3.Connection, version: int | None = None) -> bool:
@@ -200,7 +171,7 @@ def read_only(path: Path) -> sqlite3.Connection:
         raise InputError(str(path), why_no_file(path), "a daemon's store")
     path = where_sqlite_writes(path)
     # Reading beside a writer needs the writer's journal index; without a journal the file alone is the whole store.
-    journal = path.with_name(f"{path.name}-wal").exists()
+    journal = parts(path)[1].exists()
     try:
         database, application, version, strange = _opened(path, "mode=ro" if journal else "immutable=1")
     except InputError as error:
@@ -311,7 +282,7 @@ def refuse_stranger(path: Path, fstab: Path = Path("/etc/fstab")) -> None:
             begin = file.read(64)
     except OSError:
         return
-    a_store_was_here = begin.startswith(SQLITE_MAGIC) or not begin.strip(b"\0") or os.path.lexists(_witness(path))
+    a_store_was_here = begin.startswith(SQLITE_MAGIC) or not begin.strip(b"\0") or os.path.lexists(witness_path(path))
     if not a_store_was_here:
         raise InputError(
             str(path), "is not a store; it is left as it is", "a store, or the name of a file that does not exist yet"

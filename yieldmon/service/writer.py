@@ -17,7 +17,8 @@ from yieldmon.service.in_the_way import make_way
 from yieldmon.service.rescue import finish, repair
 from yieldmon.service.store import Store
 from yieldmon.service.store_errors import BatchRefusedError, StoreDamagedError, StoreDetachedError, StoreError
-from yieldmon.service.store_file import beside, set_aside
+from yieldmon.service.store_file import set_aside
+from yieldmon.service.store_names import beside
 
 _log = logging.getLogger(__name__)
 

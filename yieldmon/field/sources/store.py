@@ -12,7 +12,7 @@ from yieldmon.field.table import DEFAULT_FLOW_S, Array, HarvestTable, Label, Sou
 from yieldmon.frames import EstimateQuality
 from yieldmon.service import recorded
 from yieldmon.service.rows import SecondRow
-from yieldmon.service.store_file import SQLITE_MAGIC
+from yieldmon.service.store_names import SQLITE_MAGIC
 
 from .options import ReadOptions
 from .positions import plausible
