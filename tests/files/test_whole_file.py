@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from yieldmon.errors import InputError
-from yieldmon.files.whole_file import begin, scratch_for
+from yieldmon.files.whole_file import noting_free_names, scratch_for
 
 
 @pytest.mark.parametrize("durable", [False, True])
@@ -117,13 +117,13 @@ def test_what_another_program_made_meanwhile_is_not_replaced(tmp_path: Path, lin
     if link:
         named = tmp_path / "name.csv"
         named.symlink_to(path)
-    begin([named])
     path.with_name("table-2.csv").write_text("of an earlier day")
-    writing = scratch_for(named)
-    writing.__enter__().write_text("ours")
-    path.write_text("theirs")
-    with pytest.raises(InputError, match=r"another program made it meanwhile; what was to be written is table-3\.csv"):
-        writing.__exit__(None, None, None)
+    with noting_free_names([named]):
+        writing = scratch_for(named)
+        writing.__enter__().write_text("ours")
+        path.write_text("theirs")
+        with pytest.raises(InputError, match=r"another program made it meanwhile; what was to be written is table-3\.csv"):
+            writing.__exit__(None, None, None)
     assert {p.name: p.read_text() for p in tmp_path.iterdir() if not p.is_symlink()} == {
         "table.csv": "theirs",
         "table-2.csv": "of an earlier day",
@@ -134,11 +134,10 @@ def test_what_another_program_made_meanwhile_is_not_replaced(tmp_path: Path, lin
 def test_what_was_there_when_the_command_began_and_its_own_file_are_replaced(tmp_path: Path) -> None:
     old, new, later = (tmp_path / name for name in ("old.csv", "new.csv", "later.csv"))
     old.write_text("old")
-    begin([old, new])
-    for path in (old, new, new):
-        with scratch_for(path) as scratch:
-            scratch.write_text("ours")
-    begin([])
+    with noting_free_names([old, new, later]):
+        for path in (old, new, new):
+            with scratch_for(path) as scratch:
+                scratch.write_text("ours")
     with scratch_for(later) as scratch:
         scratch.write_text("ours")
         later.write_text("of whoever was first")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from yieldmon.errors import InputError, this_user
@@ -17,13 +18,23 @@ def add_force(parser: argparse.ArgumentParser, *names: str) -> None:
     parser.set_defaults(output_arguments=names)
 
 
+@contextmanager
+def checked(args: argparse.Namespace) -> Iterator[None]:
+    """Around the work: raises InputError for an output that is an input, exists, has no folder, or may not be written.
+
+    What another program makes under an output's name during the work is not replaced.
+    """
+    values = [getattr(args, name) for name in getattr(args, "output_arguments", ())]
+    with whole_file.noting_free_names(value for value in values if isinstance(value, str | Path) and str(value) != "-"):
+        check(args)
+        yield
+
+
 def check(args: argparse.Namespace) -> None:
-    """Before the work: raises InputError for an output that is an input, exists, has no folder, or may not be written."""
+    """Raises InputError for an output that is an input, exists, has no folder, or may not be written."""
     names: tuple[str, ...] = getattr(args, "output_arguments", ())
     inputs = {whole_file.real_path(path) for key, value in vars(args).items() if key not in names for path in _files(value)}
     written: dict[Path, str] = {}
-    values = [getattr(args, name) for name in names]
-    whole_file.begin(value for value in values if isinstance(value, str | Path) and str(value) != "-")
     for name in names:
         value = getattr(args, name)
         if isinstance(value, str | Path) and str(value) != "-":

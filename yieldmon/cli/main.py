@@ -165,8 +165,8 @@ def _run(argv: Sequence[str]) -> int:
         argcomplete.autocomplete(parser)
     args = parser.parse_args(argv)
     assert module is not None, "the parser accepts no verb but the chosen one"
-    _outputs.check(args)
-    return int(module.run(args))
+    with _outputs.checked(args):
+        return int(module.run(args))
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -55,8 +55,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def run(args: argparse.Namespace) -> int:
     """Exit code 0 when there was a frame to look at."""
     above_0("--seconds", args.seconds)
-    if args.write is not None:
-        _outputs.check(args)
     # Of two files with one name each is called by its path.
     names = Counter(Path(name).name for name in dict.fromkeys(args.dbc))
     paths = {Path(name).name if names[Path(name).name] == 1 else name: str(Path(name).absolute()) for name in args.dbc}

@@ -15,13 +15,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from yieldmon.physics.effects import get_effect
+from yieldmon.physics.effects import angle_pattern
 
 from .model_error import FLOOR
 from .parameters import ParameterSet
 
-EFFECT = "angle_pattern"
-NAMES = tuple(f"{EFFECT}.{parameter.name}" for parameter in get_effect(EFFECT).parameters)
+EFFECT = angle_pattern.EFFECT.name
+NAMES = tuple(f"{EFFECT}.{parameter.name}" for parameter in angle_pattern.EFFECT.parameters)
 _CALIBRATED = 2.0
 """The pattern beyond the calibrated angles, over the model's error within them."""
 

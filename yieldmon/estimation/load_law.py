@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from yieldmon.physics.effects import get_effect
+from yieldmon.physics.effects import load_pattern
 from yieldmon.physics.effects.load_pattern import reference_load_kg
 from yieldmon.physics.model import Conditions
 from yieldmon.physics.numerics import Array
@@ -30,7 +30,7 @@ from .load_pattern import EFFECT, NAMES, with_weights
 from .parameters import ParameterSet
 from .ticket_slips import Slip, slips
 
-_WEIGHT_SD = np.array([parameter.prior_sd for parameter in get_effect(EFFECT).parameters])
+_WEIGHT_SD = np.array([parameter.prior_sd for parameter in load_pattern.EFFECT.parameters])
 _OWN, _POWER, _FREE = 0.6, 0.25, ((1.0, 0.1), (2.0, 0.05))
 """How likely are, before any load, the model's own curve, a power of the flow, and weights of a size over `_WEIGHT_SD`. These
 and `_POWER_SD` were chosen on a linear model of loads that is not kept (studies/load_laws)."""

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from yieldmon.physics.effects import get_effect
+from yieldmon.physics.effects import load_pattern
 from yieldmon.physics.model import ForwardModel
 
 from .parameters import ParameterSet
 
-EFFECT = "load_pattern"
-NAMES = tuple(f"{EFFECT}.{parameter.name}" for parameter in get_effect(EFFECT).parameters)
+EFFECT = load_pattern.EFFECT.name
+NAMES = tuple(f"{EFFECT}.{parameter.name}" for parameter in load_pattern.EFFECT.parameters)
 
 _SURE = 2.5
 """Standard deviations from nought beyond which a weight is no chance."""

@@ -9,6 +9,7 @@ import stat
 import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from itertools import count
 from pathlib import Path
 
@@ -22,14 +23,19 @@ _NO_ROOM = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 """What only writing can meet, and a write's error does not name its file."""
 
 
-_not_there: set[Path] = set()
-"""Outputs of this command under whose name there was nothing when it began."""
+_free_names: ContextVar[frozenset[Path]] = ContextVar("free_names", default=frozenset())
+"""Outputs of the command under way under whose name there was nothing when it began."""
 
 
-def begin(outputs: Iterable[str | Path]) -> None:
-    """Notes which outputs of a command are not there yet: what another program makes under their names is not replaced then."""
-    _not_there.clear()
-    _not_there.update(path for path in map(real_path, outputs) if not os.path.lexists(path))
+@contextmanager
+def noting_free_names(outputs: Iterable[str | Path]) -> Iterator[None]:
+    """Notes which outputs of a command are not there yet: until the end, what another program makes under their names is not
+    replaced."""
+    before = _free_names.set(frozenset(path for path in map(real_path, outputs) if not os.path.lexists(path)))
+    try:
+        yield
+    finally:
+        _free_names.reset(before)
 
 
 def real_path(path: str | Path) -> Path:
@@ -69,7 +75,7 @@ def scratch_for(path: str | Path, *, durable: bool = False, mode: int | None = N
 
     A link is followed. What is there and is no file (a pipe, /dev/stdout) is written to as it is. durable: on the medium
     before it takes the name. mode: of the file; None: that of the file it replaces, or of a plain new one. Raises InputError as
-    `check_place`, and where another program made the file meanwhile (see `begin`); an OSError names `path`.
+    `check_place`, and where another program made the file meanwhile (see `noting_free_names`); an OSError names `path`.
     """
     check_place(path)
     in_place = Path(path).exists() and not Path(path).is_file()
@@ -100,9 +106,9 @@ def scratch_for(path: str | Path, *, durable: bool = False, mode: int | None = N
 
 def _refuse_another_programs(scratch: Path, target: Path, path: str | Path) -> None:
     """Keeps what was written under a name of its own, and raises InputError, where the name was free and is taken now."""
-    if target not in _not_there:
+    if target not in _free_names.get():
         return
-    _not_there.discard(target)
+    _free_names.set(_free_names.get() - {target})
     if not os.path.lexists(target):
         return
     numbers = (target.with_name(f"{target.stem[:_STEM]}-{number}{target.suffix}") for number in count(2))

@@ -25,18 +25,24 @@ GROUP = "yieldmon.effects"
 
 
 @lru_cache(maxsize=1)
+def _modules() -> tuple[str, ...]:
+    return tuple(module.name for module in pkgutil.iter_modules(__path__))
+
+
+@lru_cache(maxsize=128)
+def _of_module(name: str) -> Effect | None:
+    effect = getattr(importlib.import_module(f"{__name__}.{name}"), "EFFECT", None) if name in _modules() else None
+    return effect if isinstance(effect, Effect) else None
+
+
+@lru_cache(maxsize=1)
 def _own() -> dict[str, Effect]:
-    found: dict[str, Effect] = {}
-    for module in pkgutil.iter_modules(__path__):
-        effect = getattr(importlib.import_module(f"{__name__}.{module.name}"), "EFFECT", None)
-        if isinstance(effect, Effect):
-            found[effect.name] = effect
-    return found
+    return {effect.name: effect for module in _modules() if (effect := _of_module(module)) is not None}
 
 
 @lru_cache(maxsize=1)
 def _other_laws() -> dict[str, Effect]:
-    modules = (importlib.import_module(f"{__name__}.{module.name}") for module in pkgutil.iter_modules(__path__))
+    modules = (importlib.import_module(f"{__name__}.{name}") for name in _modules())
     return {law.name: law for module in modules for law in getattr(module, "LAWS", ())}
 
 
@@ -90,6 +96,10 @@ def family_of(name: str) -> str:
 
 def get_effect(name: str) -> Effect:
     """The effect of that name, or a law's. Raises ValueError naming the effects that exist."""
+    # An effect's module has its name: one is imported instead of all.
+    own = _of_module(name)
+    if own is not None and own.name == name:
+        return own
     if name in _own():
         return _own()[name]
     if name in _other_laws():
