@@ -500,6 +500,20 @@ def test_three_tickets_know_the_scale_and_a_fourth_that_contradicts_them_waits()
     assert "contradicts" not in reasons[4]
 
 
+def test_increments_of_the_same_size_on_a_coarse_scale_count_each() -> None:
+    """A fourth that contradicts three earlier ones waits, though all of them read the same number of kg."""
+    calibrator, known = ClosedLoopCalibrator(MODEL, CalibratorSettings(closed_loop=ClosedLoopSettings())), OpenLoop(MODEL, NARROW)
+    anchors: tuple[ReferenceMass, ...] = ()
+    for k, seconds in enumerate((500.0, 501.0, 499.0, 420.0)):
+        start = 1.76e9 + 1000.0 * k
+        one = dataclasses.replace(ticket(known, 12.0, start, start + seconds), source=AnchorSource.TANK_SCALE)
+        anchors = (*anchors, dataclasses.replace(one, reference_kg=6000.0, std_dev_kg=20.0))
+        outcome = calibrator.weigh(dataclasses.replace(records(12.0)[0], time_s=start + 600.0), anchors, known)
+        known = outcome.estimator if isinstance(outcome.estimator, OpenLoop) else known
+    assert "6000 kg of 2025-10-09 09:" in outcome.reason
+    assert "contradicts the 3 weighed before it" in outcome.reason
+
+
 def test_two_that_agree_are_another_grain() -> None:
     reasons, scale = weighings([1.3, 1.3, 1.3, 1.0, 1.0])
     assert "contradicts" in reasons[3]

@@ -19,7 +19,7 @@ from yieldmon.estimation.density_and_gain import in_form_of, widened
 from yieldmon.estimation.load_inputs import LoadSettings, WeighedLoad
 from yieldmon.estimation.load_outcome import LIKELY_ANOTHER, LoadCalibration, curve_sentence, wrong_ticket_sentence
 from yieldmon.estimation.load_pattern import EFFECT as LOAD_PATTERN
-from yieldmon.estimation.loads import calibrate_loads, departure
+from yieldmon.estimation.loads import calibrate_loads, departure, departures, errors_of
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.steady_drift import DriftingParameters
 from yieldmon.physics.model import ForwardModel
@@ -114,11 +114,18 @@ class LoadUpdate:
 
     def _leaves(self, earlier: Sequence[WeighedLoad], before: ParameterSet, now: ParameterSet) -> bool:
         """Whether `now` measures a load otherwise than `before` by more than what `before` is uncertain by, drift included."""
-        for load in earlier:
-            (was, std_dev), (error, _) = (departure(self.model, known, load, self.load_settings) for known in (before, now))
-            if not abs(error - was) < self.load_settings.outlier_sds * std_dev:
+        for alike in _alike(earlier):
+            was, std_dev = departures(self.model, before, alike, self.load_settings)
+            error = errors_of(self.model, now, alike, self.load_settings)
+            if not np.all(np.abs(error - was) < self.load_settings.outlier_sds * std_dev):
                 return True
         return False
+
+
+def _alike(loads: Sequence[WeighedLoad]) -> list[list[WeighedLoad]]:
+    """Those with moisture and those without."""
+    groups = ([load for load in loads if (load.moisture_pct is None) is without] for without in (False, True))
+    return [group for group in groups if group]
 
 
 def _is_another(found: LoadCalibration) -> bool:

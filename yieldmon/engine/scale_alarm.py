@@ -58,8 +58,10 @@ class ScaleCheck:
 
 
 def name_of(mass: ReferenceMass) -> str:
-    """The load by its number, other weighings by their source and size."""
-    return f"load {mass.load_number}" if mass.load_number else f"the {mass.source}'s {mass.reference_kg:.0f} kg"
+    """The load by its number, other weighings by source, size and time: a coarse scale shows the same increment again."""
+    if mass.load_number:
+        return f"load {mass.load_number}"
+    return f"the {mass.source}'s {mass.reference_kg:.0f} kg of {_moment(mass.end_s)}"
 
 
 def as_stated(mass: ReferenceMass) -> ScaleCheck | None:

@@ -258,13 +258,22 @@ class LoadProblem:
 
     def spread(self, known: ParameterSet, active: NDArray[np.bool_]) -> tuple[float, float]:
         """Relative standard deviations of a further load and of these loads' common level, from a set's own covariance."""
-        flow, by_flow = self.flow(known)
-        steps = [1e-2 * known.standard_deviation(name) for name in known.covariance_names]
-        each = [shifted(known, name, step) for name, step in zip(known.covariance_names, steps, strict=True)]
-        rows = np.nan_to_num(self.slopes(each, flow, by_flow, steps))[active]
+        rows = self._own_slopes(known)[active]
         spread = np.einsum("ki,ij,kj->k", rows, known.covariance, rows)
         mean = rows.mean(axis=0)
         return float(np.sqrt(spread.mean() + np.mean(self.own[active] ** 2))), float(np.sqrt(mean @ known.covariance @ mean))
+
+    def spreads(self, known: ParameterSet) -> Array:
+        """(n,) the first of `spread`, of each load."""
+        rows = self._own_slopes(known)
+        return np.asarray(np.sqrt(np.einsum("ki,ij,kj->k", rows, known.covariance, rows) + self.own**2))
+
+    def _own_slopes(self, known: ParameterSet) -> Array:
+        """(n, k): change of ln mass with each parameter of a set's covariance; 0 where a load has no flow."""
+        flow, by_flow = self.flow(known)
+        steps = [1e-2 * known.standard_deviation(name) for name in known.covariance_names]
+        each = [shifted(known, name, step) for name, step in zip(known.covariance_names, steps, strict=True)]
+        return np.asarray(np.nan_to_num(self.slopes(each, flow, by_flow, steps)))
 
 
 def _in_rows(known: Sequence[ParameterSet]) -> dict[str, Array]:

@@ -172,10 +172,34 @@ def departure(
 
     Both are nan where the load holds more force than a full paddle gives.
     """
+    errors, std_devs = departures(model, known, [load], settings)
+    return float(errors[0]), float(std_devs[0])
+
+
+def departures(
+    model: ForwardModel, known: ParameterSet, loads: Sequence[WeighedLoad], settings: LoadSettings | None = None
+) -> tuple[Array, Array]:
+    """`departure` of several loads, which all know their moisture or none does: (n,) errors and their standard deviations."""
+    problem = _measured(model, known, loads, settings)
+    return np.expm1(_ln_errors(problem)), np.hypot(problem.spreads(known), problem.sd)
+
+
+def errors_of(
+    model: ForwardModel, known: ParameterSet, loads: Sequence[WeighedLoad], settings: LoadSettings | None = None
+) -> Array:
+    """The errors of `departures` alone."""
+    return np.expm1(_ln_errors(_measured(model, known, loads, settings)))
+
+
+def _measured(
+    model: ForwardModel, known: ParameterSet, loads: Sequence[WeighedLoad], settings: LoadSettings | None
+) -> LoadProblem:
     settings = LoadSettings() if settings is None else settings
-    problem = LoadProblem(model, known, known, [load.condensed()], settings)
-    error = float(np.log(problem.mass(known)[0] / load.weighed_kg))
-    return float(np.expm1(error)), float(np.hypot(problem.spread(known, np.ones(1, dtype=bool))[1], problem.sd[0]))
+    return LoadProblem(model, known, known, [load.condensed() for load in loads], settings)
+
+
+def _ln_errors(problem: LoadProblem) -> Array:
+    return np.asarray(np.log(problem.mass(problem.start) / problem.weighed))
 
 
 def _calibration(
