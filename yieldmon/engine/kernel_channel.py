@@ -174,7 +174,7 @@ class KernelChannel:
             return
         mean, own = like
         left = residual_of_pulses(force_n, trace.phase, mean, self._machine.paddle_spacings_m)
-        crest = float(np.mean(mean.mean_n**2) / np.mean(mean.mean_n) ** 2)
+        crest = mean.mean_n.size * float(mean.mean_n @ mean.mean_n) / float(mean.mean_n.sum()) ** 2
         shown = kernel_noise.in_pulses(kernel_noise.density(left, trace.interval_s, segment=SEGMENT), crest)
         shown = replace(shown, density=shown.density / (1.0 + own))
         by_phase = self._by_phase(left / (1.0 + own) ** 0.5, force_n, trace) if self._until_by_phase == 0 else None

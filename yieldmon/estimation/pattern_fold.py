@@ -142,57 +142,68 @@ def residual_of_pulses(samples_n: Array, phase: Array, folded: FoldedPattern, sp
     spacings_m : sequence
         Of the paddles in the pattern.
     """
-    mean_n = folded.mean_n
+    mean_n, step = folded.mean_n, float(phase[-1] - phase[0]) / max(phase.size - 1, 1)
     # Over a sample's time: a sample is a mean over it, and bins that are finer only add their own noise.
-    apart = max(1, round(0.5 * mean_n.size * float(np.median(np.diff(phase)))))
+    apart = max(1, round(0.5 * mean_n.size * step))
     around = np.concatenate((mean_n[-apart:], mean_n, mean_n[:apart]))
     steepness = 0.5 * mean_n.size / apart * (around[2 * apart :] - around[: -2 * apart])
-    mean, slope = _between((mean_n, steepness), phase)
-    left = samples_n - mean
-    edges = np.cumsum(spacings_m) / np.sum(spacings_m)
+    rows = np.empty((4, phase.size))
+    mean, slope, wider, left = rows
+    rows[:2] = _between((mean_n, steepness), phase)
+    np.subtract(samples_n, mean, out=left)
+    places = np.cumsum(spacings_m)
+    edges = places / places[-1]
     from_valley = phase - _valley(mean_n, edges)
     turn = np.floor(from_valley)
     within = from_valley - turn
     paddle = np.searchsorted(edges[:-1], within, side="right")
-    pulse = (turn * edges.size).astype(np.intp) + paddle
-    pulse -= pulse.min()
     height = np.abs(mean)
     middle = np.bincount(paddle, height * within) / np.maximum(np.bincount(paddle, height), _TINY)
-    changes = np.array([mean, slope, (within - middle[paddle]) * slope])
-
-    def sums(values: Array) -> Array:
-        return np.asarray(np.bincount(pulse, weights=values), dtype=np.float64)
-
-    changes /= np.maximum(np.sqrt([sums(change * change) for change in changes]), _TINY)[:, pulse]
-    normal = np.empty((int(pulse.max()) + 1, len(changes), len(changes)))
-    for row, column in _HALF_OF_NORMAL:
-        normal[:, row, column] = normal[:, column, row] = sums(changes[row] * changes[column])
-    of_left = np.array([sums(change * left) for change in changes]).T
-    known = (np.bincount(pulse) >= _LEAST_OF_A_PULSE) & (np.linalg.det(normal) > _LEAST_DETERMINANT)
-    sizes = np.linalg.solve(np.where(known[:, None, None], normal, np.eye(len(changes))), (known[:, None] * of_left)[..., None])
-    return np.asarray(left - (changes * sizes[pulse, :, 0].T).sum(axis=0))
+    np.multiply(within - middle[paddle], slope, out=wider)
+    pulse = turn * edges.size + paddle
+    ends = np.concatenate((_ZERO, (pulse[1:] != pulse[:-1]).nonzero()[0] + 1, (phase.size,)))
+    starts, counts = ends[:-1], ends[1:] - ends[:-1]
+    sizes = _sizes_of_changes(np.add.reduceat(rows[_FIRST] * rows[_SECOND], starts, axis=1))
+    sizes[:, counts < _LEAST_OF_A_PULSE] = 0.0
+    return np.asarray(left - np.einsum("ij,ij->j", rows[:3], np.repeat(sizes, counts, axis=1)))
 
 
-_HALF_OF_NORMAL = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
-_TINY = 1e-300
+def _sizes_of_changes(products: Array) -> Array:
+    """Least squares (3, p) of three changes in what is left of p pulses; 0 where they are not separated.
+
+    products: (9, p), sums over a pulse's samples of the products of `_FIRST` and `_SECOND`.
+    """
+    scale = np.maximum(np.sqrt(products[:3]), _TINY)
+    first, second, third = scale
+    a, b, c = products[3] / (first * second), products[4] / (first * third), products[5] / (second * third)
+    u, v, w = products[6:] / scale
+    # Changes scaled to one make a matrix with ones on its diagonal; its inverse is symmetric.
+    aa, bb, cc, of_ab, of_ac, of_bc = 1.0 - c * c, 1.0 - b * b, 1.0 - a * a, b * c - a, a * c - b, a * b - c
+    determinant = aa + a * of_ab + b * of_ac
+    known = determinant > _LEAST_DETERMINANT
+    solved = np.array([aa * u + of_ab * v + of_ac * w, of_ab * u + bb * v + of_bc * w, of_ac * u + of_bc * v + cc * w])
+    return np.where(known, solved / (np.where(known, determinant, 1.0) * scale), 0.0)
+
+
+_FIRST, _SECOND = np.array([(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2), (0, 3), (1, 3), (2, 3)]).T
+"""Rows whose products the least squares want: of mean, slope, slope times phase (0 to 2), and what is left (3)."""
+_ZERO = np.zeros(1, dtype=np.intp)
+_TINY = 1e-150
 _LEAST_DETERMINANT = 1e-6
 """Of the three changes' normal equations, each change scaled to one, below which a pulse's own are not separated."""
 _LEAST_OF_A_PULSE = 12
 """Samples of a pulse that determine its size and time; of one cut off by the window's ends fewer may be left."""
 
 
-def _between(patterns_n: Sequence[Array], phase: Array) -> list[Array]:
-    """Patterns (b,) at phases, straight between the bins' middles."""
+def _between(patterns_n: Sequence[Array], phase: Array) -> Array:
+    """Patterns (p, b) at phases (n,), straight between the bins' middles."""
     bins = patterns_n[0].size
     place = (phase - np.floor(phase)) * bins + 0.5
-    before = np.floor(place)
-    part, before = place - before, before.astype(np.intp)
-    found = []
-    for pattern_n in patterns_n:
-        around = np.concatenate((pattern_n[-1:], pattern_n, pattern_n[:1]))
-        low = around[before]
-        found.append(low + part * (around[before + 1] - low))
-    return found
+    before = place.astype(np.intp)
+    part = place - before
+    around = np.array([np.concatenate((pattern_n[-1:], pattern_n, pattern_n[:1])) for pattern_n in patterns_n])
+    low = around.take(before, axis=1)
+    return np.asarray(low + part * (around.take(before + 1, axis=1) - low))
 
 
 def _valley(mean_n: Array, edges: Array) -> float:

@@ -167,7 +167,9 @@ class PulseModel:
 
     def mean_fill(self, volume_flow_m3_s: float, elevator_speed_rad_s: float) -> float:
         """Load over a full paddle, mean of the paddles."""
-        return float(self.fill(np.asarray(volume_flow_m3_s), elevator_speed_rad_s).mean())
+        mean_gap_m = self.machine.pattern_length_m / self._gaps.size
+        mass = volume_flow_m3_s * self.parameters["density"] * mean_gap_m / self.machine.paddle_speed_m_s(elevator_speed_rad_s)
+        return float(mass / self.full_paddle_kg)
 
     def frequencies_rad_s(self, elevator_speed_rad_s: ArrayLike) -> Array:
         """Of the harmonics, (..., k) for speeds (...)."""
