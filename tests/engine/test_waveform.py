@@ -482,3 +482,15 @@ def test_the_bias_outlives_a_restart_with_the_parameters_that_it_updated() -> No
         assert bool(changes) is changes_expected
         # Where it is not known what of the parameters is the bias's, nothing that kernels say is taken as new.
         assert ("teaches again after a weighed load" in (after.outcome.reason if after.outcome else "")) is not changes_expected
+
+
+def test_channels_that_lie_apart_widen_what_is_stated() -> None:
+    """By kernels a third of the flow by the mean force; neither excludes the other at these deviations."""
+    doubted = replace(PARAMETERS, covariance=np.diag([0.02**2, 66.0**2, 0.2**2]))
+    stated = []
+    for weight_g in (350.0, 250.0):
+        records, _ = heard(doubted, combine=True, kernel_bias_sd=0.15, stretch_sd=1.0, thousand_kernel_weight_g=weight_g)
+        last = records[-1]
+        assert FaultCode.WAVEFORM_CONTRADICTS not in last.faults
+        stated.append(last.std_dev_kg_s / last.mass_flow_kg_s)
+    assert stated[1] > 1.3 * stated[0]

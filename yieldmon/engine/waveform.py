@@ -22,7 +22,7 @@ from yieldmon.engine.settings import WaveformSettings
 from yieldmon.engine.windows import Trace
 from yieldmon.estimation import kernel_noise
 from yieldmon.estimation.arrival_law import ArrivalLaw
-from yieldmon.estimation.channel_combination import combine, relative_covariance
+from yieldmon.estimation.channel_combination import combine, relative_covariance, together_sd
 from yieldmon.estimation.kernel_noise import KernelImpulse, KernelVerdict
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.pattern_fold import PatternWave, fold_all, harmonics_of_all
@@ -286,6 +286,7 @@ class Waveform:
             return None
         lasting = _lasting(mean_flow)
         flow, sd, corrected = rate, lasting, False
+        apart, hit = 0.0, 1.0
         shapes = [scale for scale in self._of_shapes if self._holds(scale, now_s, estimator)]
         if shapes and not self._shape_contradicts:
             mean = sum(scale.log_over_mean_force for scale in shapes) / len(shapes)
@@ -293,14 +294,19 @@ class Waveform:
             exponent, parameters = _exponent(mean_flow), estimator.parameters
             both = combine(rate, lasting, rate * exp(mean), shape_sd, exponent=exponent, parameters=parameters)
             flow, sd, corrected = both.mass_flow_kg_s, both.relative_sd, True
+            apart, hit = both.z, 1.0 - both.weight
         kernels = self._held_kernels(now_s, estimator)
         # What teaches the parameters is in the mean force's flow already.
         if kernels is not None and not self._settings.teach and not self._kernels_contradict(kernels, mean_flow):
             over, over_sd = kernels.log_over_mean_force, kernels.lasting_sd
             weight = sd**2 / (sd**2 + over_sd**2)
-            flow *= (rate * exp(over) / flow) ** weight
+            further = over - log(flow / rate)
+            flow *= exp(weight * further)
+            apart, hit = max(abs(apart), abs(further) / hypot(sd, over_sd)), weight + (1.0 - weight) * hit
             sd, corrected = sd * over_sd / hypot(sd, over_sd), True
-        return (flow, flow * hypot(sd, _noise(mean_flow))) if corrected else None
+        if not corrected:
+            return None
+        return flow, flow * hypot(together_sd(sd, z=apart, hit=hit), _noise(mean_flow))
 
     def channels(self, now_s: float, estimator: FlowEstimator) -> OtherChannels:
         """What shape and kernels are worth to the published flow now; nothing of what contradicts the mean force."""

@@ -7,9 +7,12 @@ direction (flow, density, 1 + e) -> (a, a, 1/a), which mean forces leave open.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import exp, isfinite, log, sqrt
+from math import exp, hypot, isfinite, log, sqrt
 
 from .parameters import ParameterSet
+
+MISSED_SD = 0.05
+"""Relative standard deviation of what mean force and kernel noise lose alike, of grain that begins to miss the plate."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,3 +73,26 @@ def combine(
     difference = log(shape_flow_kg_s / mean_flow_kg_s)
     variance = (1.0 - weight) ** 2 * first + weight**2 * second + 2.0 * weight * (1.0 - weight) * both
     return Combined(mean_flow_kg_s * exp(weight * difference), sqrt(variance), difference / sqrt(spread), weight)
+
+
+def together_sd(relative_sd: float, *, z: float, hit: float) -> float:
+    """Standard deviation of a mean of channels whose own deviations may be too small, or that lose alike.
+
+    Parameters
+    ----------
+    relative_sd : float
+        Of the mean, by the channels' own deviations as if all were independent.
+    z : float
+        Largest difference of two channels over its standard deviation; beyond one it counts as a factor.
+    hit : float
+        Share of the mean that comes from channels that feel only the grain that hits the plate (mean force, kernel noise).
+
+    Returns
+    -------
+    float
+        Relative.
+
+    Source: Birge, Phys. Rev. 40 (1932) 207, for results that lie further apart than their deviations say; `MISSED_SD` is an
+    assumption (docs/internals/waveform.md).
+    """
+    return hypot(relative_sd * max(1.0, abs(z)), hit * MISSED_SD)
