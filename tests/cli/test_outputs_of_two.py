@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from yieldmon.cli import pack
 from yieldmon.cli.main import main
 from yieldmon.service import recorded
 
@@ -25,3 +26,20 @@ def test_two_commands_with_one_output_lose_nothing(tmp_path, monkeypatch, capsys
     assert "o.csv: another program made it meanwhile; what was to be written is o-2.csv" in capsys.readouterr().err
     assert out.read_text(encoding="utf-8") == "of the first"
     assert (tmp_path / "o-2.csv").stat().st_size > 1000
+
+
+def test_pack_keeps_what_another_program_made_meanwhile(tmp_path, monkeypatch, capsys):
+    log, out = tmp_path / "a.log", tmp_path / "a.parquet"
+    log.write_text("(1.0) can0 18FF10A0#0000000000000000\n", encoding="ascii")
+
+    def slow(*arguments):
+        packed = packing(*arguments)
+        out.write_text("of the first", encoding="utf-8")
+        return packed
+
+    packing = pack.pack
+    monkeypatch.setattr(pack, "pack", slow)
+    assert main(["pack", str(log), "--out", str(out)]) == 2
+    assert "a.parquet: another program made it meanwhile; what was to be written is a-2.parquet" in capsys.readouterr().err
+    assert out.read_text(encoding="utf-8") == "of the first"
+    assert (tmp_path / "a-2.parquet").is_file()

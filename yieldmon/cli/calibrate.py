@@ -45,7 +45,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "calibrate",
         help="fit parameters to a table",
         description=__doc__,
-        epilog="example: yieldmon calibrate facility.csv --out corn.yaml    or from weighed loads: "
+        epilog="examples: yieldmon calibrate facility.csv --out corn.yaml; "
         "yieldmon calibrate --loads yieldmon.sqlite --tickets tickets.csv --out corn.yaml",
     )
     parser.add_argument("data", nargs="?", metavar="DATA.csv", help="plate_angle_deg, a load column and a reading column")
@@ -65,13 +65,19 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--response-scale", type=float, metavar="S", help="units of `response` in one kg m/s, where known")
     parser.add_argument("--plate-angle", type=float, metavar="DEG", help="use the rows at this angle only")
     parser.add_argument("--robust", action="store_true", help="soft-L1 loss: outliers lose weight")
-    parser.add_argument("--stop-gap", action="store_true", help="a smooth model error beside likely grain")
+    parser.add_argument(
+        "--stop-gap",
+        action="store_true",
+        help="add a smooth correction over the table's angles and loads, and keep the grain parameters at usual values",
+    )
     parser.add_argument("--by-moisture", action="store_true", help="a fit for each moisture_pct and a map; --out names a folder")
     _flow_curve.add_argument(parser)
     _pulse_shape.add_argument(parser)
     _taps.add_argument(parser)
     parser.add_argument("--compare", action="store_true", help="compare with the empirical models, by cross-validation")
-    parser.add_argument("--identifiability", action="store_true", help="report what these rows determine, and what would add")
+    parser.add_argument(
+        "--identifiability", action="store_true", help="report what these rows determine, and which rows would determine more"
+    )
     parser.add_argument(
         "--profiles", metavar="F", help="draw how the misfit grows with each parameter (*.png or *.svg; needs the plot extra)"
     )

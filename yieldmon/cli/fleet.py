@@ -1,4 +1,4 @@
-"""Logs of many machines and days into a dataset, and what the dataset says.
+"""Measure the logs of many machines and days into a dataset; report on it, compare it and learn from it.
 
 The dataset is a folder, or lies in an object store (s3://bucket/name), with a partition for each machine and day.
 """
@@ -24,7 +24,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """The verb's arguments."""
     parser = subparsers.add_parser(
         "fleet",
-        help="many logs into a dataset, on a distributed engine",
+        help="measure the logs of many machines on many processors; report on them",
         description=__doc__,
         epilog="example: yieldmon fleet run logs/ --out season",
     )

@@ -21,17 +21,17 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "load",
         help="start or stop a load, or list all loads",
         description=__doc__,
-        epilog="example: yieldmon load start --field north    and later: yieldmon load stop",
+        epilog="examples: yieldmon load start --field north; yieldmon load stop",
     )
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     start = actions.add_parser("start", help="begin a new load")
     start.add_argument("--field", help="field name, for this load and the next ones")
-    start.add_argument("--crop", help="crop, for this load and the next ones; measures with what is known of it")
+    start.add_argument("--crop", help="crop, for this load and the next ones; it is measured with that crop's parameters")
     start.add_argument(
         "--thousand-kernel-weight",
         type=float,
         metavar="G",
-        help="mass of a thousand kernels, g, for this load and the next ones; the scale of flow from kernel noise",
+        help="mass of a thousand kernels, g, for this load and the next ones; the flow from kernel noise is in proportion to it",
     )
     stop = actions.add_parser("stop", help="the load is complete")
     listing = actions.add_parser("list", help="list all loads, as measured and as corrected by tickets")

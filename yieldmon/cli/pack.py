@@ -12,8 +12,8 @@ from yieldmon.bus.codec import Codec
 from yieldmon.bus.loading import iter_blocks
 from yieldmon.bus.logs import PACKED_SUFFIX, LogNotes, require_log
 from yieldmon.bus.packed import pack
+from yieldmon.cli import _outputs
 from yieldmon.cli._json import print_json
-from yieldmon.cli._outputs import require_writable
 from yieldmon.errors import InputError
 from yieldmon.files.whole_file import scratch_for
 from yieldmon.identifiers import CLASSIC_BYTES
@@ -30,8 +30,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     parser.add_argument("logs", nargs="+", metavar="LOG", help="candump or any log of python-can; several are one record")
     parser.add_argument("--out", required=True, metavar="F.parquet", help="file to write")
-    parser.add_argument("--force", action="store_true", help="overwrite the file where it is there")
     parser.add_argument("--json", action="store_true", help="print a summary as one JSON document")
+    _outputs.add_force(parser, "out")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -39,13 +39,8 @@ def run(args: argparse.Namespace) -> int:
     out = Path(args.out)
     if out.suffix.lower() != PACKED_SUFFIX:
         raise InputError("--out", f"is {out}", f"a name that ends in {PACKED_SUFFIX}")
-    if out.exists() and not args.force:
-        raise InputError("--out", f"{out} exists already", "another name, or --force to overwrite it")
-    require_writable(out, "--out")
     for log in args.logs:
         require_log(log)
-        if out.exists() and out.samefile(log):
-            raise InputError("--out", f"{out} is one of the logs", "another name")
     refuse_named_twice(args.logs)
     refuse_copies(args.logs)
     notes = LogNotes()

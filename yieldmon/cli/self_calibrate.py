@@ -44,8 +44,17 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "--model-error", type=float, default=0.0, metavar="SHARE", help="the model's own relative error at each angle; default: 0"
     )
-    parser.add_argument("--flow", choices=("constant", "linear", "process"), default="constant", help="within a sweep")
-    parser.add_argument("--density", metavar="KG_M3:SD", help="measured density, in terms of the parameter")
+    parser.add_argument(
+        "--flow",
+        choices=("constant", "linear", "process"),
+        default="constant",
+        help="how the flow may change within a sweep (default: constant)",
+    )
+    parser.add_argument(
+        "--density",
+        metavar="KG_M3:SD",
+        help="density measured otherwise, as the parameter `density` counts it, and its standard deviation",
+    )
     parser.add_argument("--out", metavar="P.yaml", help="write the updated parameters here (pooled only)")
     parser.add_argument("--json", action="store_true", help="one JSON document")
     _outputs.add_force(parser, "out")

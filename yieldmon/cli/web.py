@@ -22,7 +22,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     add_daemon_arguments(parser)
     parser.add_argument("--store", metavar="F", type=Path, help="the store of the history; default: the daemon's")
     parser.add_argument(
-        "--listen", metavar="ADDRESS:PORT", default="127.0.0.1:8090", help="where (default 127.0.0.1:8090); others need a token"
+        "--listen",
+        metavar="ADDRESS:PORT",
+        default="127.0.0.1:8090",
+        help="address of the page (default: 127.0.0.1:8090, this computer alone); others need --token-file",
     )
     parser.add_argument("--token-file", metavar="F", type=Path, help="file that holds the token")
     parser.add_argument("--read-only", action="store_true", help="no buttons")
