@@ -68,7 +68,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "--stop-gap",
         action="store_true",
-        help="add a smooth correction over the table's angles and loads, and keep the grain parameters at usual values",
+        help="smooth correction by angle and load; grain stays near usual values",
     )
     parser.add_argument("--by-moisture", action="store_true", help="a fit for each moisture_pct and a map; --out names a folder")
     _flow_curve.add_argument(parser)
@@ -76,7 +76,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     _taps.add_argument(parser)
     parser.add_argument("--compare", action="store_true", help="compare with the empirical models, by cross-validation")
     parser.add_argument(
-        "--identifiability", action="store_true", help="report what these rows determine, and which rows would determine more"
+        "--identifiability", action="store_true", help="report what these rows determine, and what rows would add"
     )
     parser.add_argument(
         "--profiles", metavar="F", help="draw how the misfit grows with each parameter (*.png or *.svg; needs the plot extra)"

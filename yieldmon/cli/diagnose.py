@@ -55,9 +55,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         metavar="WHICH",
         help="rows held out of fits: cells, trials, none, or COLUMN=VALUE such as plate_angle_deg=60 (default: cells)",
     )
-    parser.add_argument(
-        "--without", action="append", default=[], metavar="EFFECT", help="leave an effect out of the search; repeatable"
-    )
+    parser.add_argument("--without", action="append", default=[], metavar="EFFECT", help="leave an effect out of the search")
     parser.add_argument(
         "--keep-effects",
         action="store_true",

@@ -1,4 +1,4 @@
-"""Measure the logs of many machines and days into a dataset; report on it, compare it and learn from it.
+"""Measure logs of many machines and days into a dataset; report on and learn from it.
 
 The dataset is a folder, or lies in an object store (s3://bucket/name), with a partition for each machine and day.
 """

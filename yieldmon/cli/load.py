@@ -26,12 +26,12 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     start = actions.add_parser("start", help="begin a new load")
     start.add_argument("--field", help="field name, for this load and the next ones")
-    start.add_argument("--crop", help="crop, for this load and the next ones; it is measured with that crop's parameters")
+    start.add_argument("--crop", help="crop, for this load and the next ones; its parameters are used")
     start.add_argument(
         "--thousand-kernel-weight",
         type=float,
         metavar="G",
-        help="mass of a thousand kernels, g, for this load and the next ones; the flow from kernel noise is in proportion to it",
+        help="mass of a thousand kernels, g, for this load and the next ones; scales the flow from kernel noise",
     )
     stop = actions.add_parser("stop", help="the load is complete")
     listing = actions.add_parser("list", help="list all loads, as measured and as corrected by tickets")

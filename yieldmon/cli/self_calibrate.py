@@ -48,12 +48,12 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--flow",
         choices=("constant", "linear", "process"),
         default="constant",
-        help="how the flow may change within a sweep (default: constant)",
+        help="change of flow within a sweep",
     )
     parser.add_argument(
         "--density",
         metavar="KG_M3:SD",
-        help="density measured otherwise, as the parameter `density` counts it, and its standard deviation",
+        help="another measurement of the parameter `density`",
     )
     parser.add_argument("--out", metavar="P.yaml", help="write the updated parameters here (pooled only)")
     parser.add_argument("--json", action="store_true", help="one JSON document")

@@ -25,7 +25,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--listen",
         metavar="ADDRESS:PORT",
         default="127.0.0.1:8090",
-        help="address of the page (default: 127.0.0.1:8090, this computer alone); others need --token-file",
+        help="address (default: 127.0.0.1:8090); beyond this computer with --token-file",
     )
     parser.add_argument("--token-file", metavar="F", type=Path, help="file that holds the token")
     parser.add_argument("--read-only", action="store_true", help="no buttons")

@@ -34,7 +34,7 @@ def run(words: Words) -> None:
         help="processes here (default: one a core); 0: none but this one",
     )
     parser.add_argument("--scheduler", metavar="ADDRESS", default="", help="Dask scheduler of a cluster, tcp://host:8786")
-    parser.add_argument("--strict", action="store_true", help="measure nothing where one configuration or name is wrong")
+    parser.add_argument("--strict", action="store_true", help="measure nothing if a configuration or name is wrong")
     parser.add_argument("--adaptive", action="store_true", help="as many of the processes as there is work for")
     parser.add_argument("--json", action="store_true", help="print a summary as one JSON document")
 
@@ -71,7 +71,7 @@ def prior(words: Words) -> None:
     parser = words.add_parser(
         "prior",
         help="a crop's parameters for a new machine, from the tickets of the others",
-        description="A crop's parameters for a new machine, with standard deviations that include how machines differ.",
+        description="A crop's parameters for a new machine, with deviations that include how machines differ.",
         epilog="example: yieldmon fleet prior season --crop corn --out corn-fleet.yaml",
     )
     parser.add_argument("dataset", metavar="DATASET", help="what `fleet run` wrote, with tickets of at least 3 machines")
