@@ -15,6 +15,7 @@ from yieldmon.engine.windows import Trace
 from yieldmon.estimation import kernel_noise, noise_by_phase
 from yieldmon.estimation.kernel_noise import Density, KernelImpulse, KernelNoiseSettings
 from yieldmon.estimation.noise_by_phase import PhaseNoise
+from yieldmon.estimation.noise_scatter import excess_scatter
 from yieldmon.estimation.pattern_fold import residual_of_pulses
 from yieldmon.estimation.running_pulses import RunningPulses
 from yieldmon.physics.machine import Machine
@@ -127,16 +128,20 @@ class KernelChannel:
 
     def _apparent_mass(self, interval_s: float) -> KernelImpulse:
         """A kernel's impulse over that of a kilogram, of the windows kept."""
-        weights = [noise.density.averages for noise in self._loaded]
-        per_kg = sum(w * noise.force_n * noise.impulse_per_kg for w, noise in zip(weights, self._loaded, strict=True))
+        densities = [noise.density for noise in self._loaded]
+        weights = [shown.averages for shown in densities]
+        sizes = [noise.force_n * noise.impulse_per_kg for noise in self._loaded]
+        per_kg = sum(w * size for w, size in zip(weights, sizes, strict=True))
+        low_hz, high_hz = self._band_hz(interval_s)
         return kernel_noise.kernel_impulse(
-            kernel_noise.pooled([noise.density for noise in self._loaded]),
+            kernel_noise.pooled(densities),
             self._empty_noise(),
             per_kg / sum(weights),
             cell_response_s=self._machine.sensor.response_s,
             sample_interval_s=interval_s,
             settings=self.noise,
             steady_share=self._steady_share(interval_s),
+            scatter=excess_scatter(densities, self._empty_noise(), sizes, low_hz=low_hz, high_hz=high_hz),
         )
 
     def _steady_share(self, interval_s: float) -> float:

@@ -261,6 +261,7 @@ def kernel_impulse(
     sample_interval_s: float,
     settings: KernelNoiseSettings | None = None,
     steady_share: float = 0.0,
+    scatter: float = 0.0,
 ) -> KernelImpulse:
     """Impulse of one kernel from densities measured while harvesting and while empty.
 
@@ -275,6 +276,8 @@ def kernel_impulse(
     steady_share : float
         What of the noise beyond `quiet` stays between the pulses (`noise_by_phase.steady_noise`) and so is not the kernels'; half
         of it counts as a deviation.
+    scatter : float
+        Relative standard deviation of windows' noise beyond chance (`noise_scatter.excess_scatter`); it counts as a deviation.
 
     Returns
     -------
@@ -312,6 +315,7 @@ def kernel_impulse(
     per_half = _halves(above, gain, weight, variance, s.quiet_error * ground, cell_sd)
     middles_hz, lever = _as_another_cell_tilts(frequency, weight * gain, cell_response_s)
     uneven = max(_unevenness(per_half / impulse), lever * _beyond_kernels(per_half / impulse, middles_hz))
+    uneven = float(np.hypot(uneven, scatter))
     lasting = float(np.hypot(np.hypot(background, cell), uneven))
     total = float(np.hypot(random, lasting))
     if total <= s.largest_sd:
@@ -346,7 +350,9 @@ _CAUSES = {
     KernelVerdict.TOO_RANDOM: "chance",
     KernelVerdict.BACKGROUND: "noise that is not the kernels': of the empty machine, or between the pulses",
     KernelVerdict.SLOW_CELL: "the cell's response, which is not known well enough",
-    KernelVerdict.UNEVEN: "noise that is not even over the band, as that of kernels is (is sensor.response_s right?)",
+    KernelVerdict.UNEVEN: (
+        "noise that is not even over the band, or over time, as that of kernels is (is sensor.response_s right? a paddle bent?)"
+    ),
 }
 
 
