@@ -1,7 +1,8 @@
 """An effect from outside the package: a damp plate takes up a share of every impact.
 
 `pip install .` here makes it known by its entry point: `yieldmon predict --set damp_plate.loss=0.1 ...`,
-and to calibration and diagnosis as well.
+and to calibration and diagnosis as well. yieldmon tries it first: its null values must change nothing, and its hooks
+take arrays of complex numbers too, by which derivatives are taken (no abs, maximum or clip of a parameter).
 """
 
 from collections.abc import Mapping

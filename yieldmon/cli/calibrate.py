@@ -115,8 +115,12 @@ def _of_table(args: argparse.Namespace) -> int:
     machine = model_options.machine(args)
     data, rows = _read(args, machine)
     if args.by_moisture:
+        model_options.check_force(data, rows, machine)
         return _by_moisture(args, machine, data, rows)
+    asked = model_options.check_force(data, rows, machine)
     result = _fit(args, machine, data, rows)
+    if asked:
+        print(f"yieldmon: {asked}", file=sys.stderr)
     written = result.parameter_set
     if args.stop_gap:
         written = _with_stop_gap(machine, rows, result)
@@ -168,7 +172,6 @@ def _read(args: argparse.Namespace, machine: Machine) -> tuple[table.Table, Meas
     rows = model_options.measurements(data, machine, args.response_scale)
     left_out = np.ones(len(data), dtype=bool)
     left_out[np.arange(len(data)) if rows.places is None else rows.places] = False
-    model_options.check_force(data, rows, machine)
     if note := data.unread(left_out):
         print(f"yieldmon: {note}", file=sys.stderr)
     if args.plate_angle is None:

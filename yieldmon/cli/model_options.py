@@ -27,6 +27,8 @@ RESPONSE = "response"
 """response_unit of parameters fitted to a table of `response`; N, and kg m/s per paddle, go together as "N"."""
 
 _FORCE_FACTOR = 5.0
+_ASKED_FACTOR = 2.0
+"""Times by which grains differ at most; t/h is 3.6 times, lb/s 2.2 times, a pound-force 4.4 times the unit of the table."""
 _LEAST_MOMENTUM_KG_M_S = 0.05
 """Below it an offset of the reading outweighs the grain."""
 
@@ -214,23 +216,30 @@ def at_plate_angle(rows: Measurements, angle_deg: float, data: Table) -> Measure
     return rows.select(chosen)
 
 
-def check_force(data: Table, rows: Measurements, machine: Machine) -> None:
-    """Raises InputError for readings in N or kg m/s that no grain can give, typically because of their unit.
+def check_force(data: Table, rows: Measurements, machine: Machine) -> str:
+    """A question about readings in N or kg m/s that hardly any grain can give, "" for others; raises InputError for those that
+    none can, typically because of their unit.
 
     Held against the shipped parameters: grains differ by a factor of two or less, a newton and a kilogram-force by ten.
     """
     if data.reading == RESPONSE:
-        return
+        return ""
+    unit = {"force_n": "newtons", "momentum_kg_m_s": "kg m/s for each paddle"}[data.reading]
     known = parameter_file.load(shipped(parameter_file.DEFAULT))
     predicted = ForwardModel(machine, known.effects).paddle_momentum(rows.conditions, known.values, overfull="nan").real
     load = rows.columns()[2]
     usable = np.isfinite(predicted) & (load > 0.0) & (np.abs(predicted) > _LEAST_MOMENTUM_KG_M_S)
     if not np.any(usable):
-        return
+        return ""
     ratio = float(np.median(rows.momentum[usable] / predicted[usable]))
     if 1.0 / _FORCE_FACTOR <= ratio <= _FORCE_FACTOR:
-        return
-    unit = {"force_n": "newtons", "momentum_kg_m_s": "kg m/s for each paddle"}[data.reading]
+        if 1.0 / _ASKED_FACTOR <= ratio <= _ASKED_FACTOR:
+            return ""
+        load_unit = "kg for each paddle" if data.load == "paddle_mass_kg" else "kg/s, not t/h or lb/s"
+        return (
+            f"{data.path}: {data.reading} is {ratio:.2g} times that of grain on this machine: "
+            f"is {data.load} in {load_unit}, and {data.reading} in {unit}?"
+        )
     hint = "; these look like kilograms-force (1 kgf is 9.807 N)" if 0.05 <= ratio <= 0.2 and data.reading == "force_n" else ""
     raise InputError(f"{data.path}: {data.reading}", f"is {ratio:.2g} times that of grain on this machine", unit + hint)
 

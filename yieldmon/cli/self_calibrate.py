@@ -69,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
         whole_file.check_place(args.out)
     if not 0.0 <= args.model_error < 1.0:
         raise InputError("--model-error", f"is {args.model_error:g}", "a share from 0 to 1")
-    data = table.load(args.data, need_load=False)
+    data = table.load(args.data, need_load=False, used=args.group_by)
     machine = data.at_one_position(machine)
     model_options.check_unit(prior, data)
     for note in data.notes:

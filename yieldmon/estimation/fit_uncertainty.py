@@ -117,6 +117,8 @@ def _learnt_error(problem: CalibrationProblem, error: Array, slopes: Array) -> f
     angle, _, load, _ = problem.data.columns()[:, first]
     mean = np.bincount(problem.cell, error) / count
     predicted = np.bincount(problem.cell, error + problem.data.momentum) / count
+    if not np.any(predicted):
+        return 0.0  # No grain reaches the plate: there is nothing that an error could be relative to.
     if problem.given_sigma:
         noise = np.bincount(problem.cell, problem.row_sd**-2.0) ** -0.5
     else:

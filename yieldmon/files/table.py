@@ -206,7 +206,7 @@ class Table:
         return values
 
 
-def load(path: str | Path, *, need_load: bool = True) -> Table:
+def load(path: str | Path, *, need_load: bool = True, used: str | None = None) -> Table:
     r"""Read a measurement table: delimited text or an Excel workbook.
 
     Parameters
@@ -214,6 +214,8 @@ def load(path: str | Path, *, need_load: bool = True) -> Table:
     path : path
     need_load : bool
         Whether a mass flow or paddle mass column is required.
+    used : str, optional
+        A column of any name that the caller reads: no note says that it is ignored.
 
     Returns
     -------
@@ -251,7 +253,8 @@ def load(path: str | Path, *, need_load: bool = True) -> Table:
             columns[role] = _numbers(source, name)
         else:
             texts[name] = source.column(name)
-            unknown.append(name)
+            if name != used:
+                unknown.append(name)
     if unknown:
         shown = ", ".join(map(repr, unknown[:_SHOWN_COLUMNS])) + (", ..." if len(unknown) > _SHOWN_COLUMNS else "")
         one = len(unknown) == 1
@@ -281,14 +284,22 @@ def load(path: str | Path, *, need_load: bool = True) -> Table:
 
 def _roles(header: list[str], where: str, need_load: bool) -> tuple[str | None, str]:
     if "plate_angle_deg" not in header:
-        raise InputError(f"{where}: header", "has no plate_angle_deg", "that column")
+        raise InputError(f"{where}: header", "has no plate_angle_deg", f"that column{_instead(header)}")
     loads = [name for name in LOADS if name in header]
     readings = [name for name in READINGS if name in header]
     if need_load and not loads:
-        raise InputError(f"{where}: header", "has no load column", f"one of {', '.join(LOADS)}")
+        raise InputError(f"{where}: header", "has no load column", f"one of {', '.join(LOADS)}{_instead(header)}")
     if len(readings) != 1 and readings != list(READINGS[:2]):
-        raise InputError(f"{where}: header", f"has {readings or 'no reading'}", f"exactly one of {', '.join(READINGS)}")
+        instead = "" if readings else _instead(header)
+        raise InputError(f"{where}: header", f"has {readings or 'no reading'}", f"exactly one of {', '.join(READINGS)}{instead}")
     return (loads[0] if loads else None), readings[0]
+
+
+def _instead(header: list[str]) -> str:
+    """What a header has that the columns of a measurement table could be meant by."""
+    others = [repr(name) for name in header if name not in _LIMITS and name not in READINGS]
+    more = ", ..." if len(others) > _SHOWN_COLUMNS else ""
+    return f" (it has {', '.join(others[:_SHOWN_COLUMNS])}{more})" if others else ""
 
 
 def _numbers(source: delimited.TextTable, name: str) -> Array:

@@ -48,17 +48,20 @@ def _other_laws() -> dict[str, Effect]:
 
 @lru_cache(maxsize=1)
 def _of_others() -> dict[str, Effect]:
+    from yieldmon.physics import effect_check  # the throw that it tries effects in imports this package
+
     found: dict[str, Effect] = {}
     for entry in entry_points(group=GROUP):
         where = f"effect plug-in {entry.name} ({entry.value})"
         try:
             effect = entry.load()
-        except (ImportError, AttributeError) as error:
+        except Exception as error:  # whatever the code of another package raises
             raise InputError(where, f"cannot be loaded: {error}", "an Effect, such as package.module:EFFECT") from error
         if not isinstance(effect, Effect):
             raise InputError(where, f"is a {type(effect).__name__}", "an Effect")
         if effect.name in _own() or effect.name in found:
             raise InputError(where, f"{effect.name} exists already", "a name of its own")
+        effect_check.check(effect, where)
         found[effect.name] = effect
     return found
 
@@ -74,7 +77,7 @@ def registry() -> MappingProxyType[str, Effect]:
     Raises
     ------
     InputError
-        For a plug-in that is no effect, or whose name is taken.
+        For a plug-in that is no effect, whose name is taken, or that could not be fitted.
 
     Examples
     --------

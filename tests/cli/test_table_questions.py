@@ -1,0 +1,63 @@
+"""Tables of a facility in other units, from other lines, with columns of other names: asked about, nothing of numpy's said."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from yieldmon import api
+from yieldmon.cli.main import main
+
+LOADS_KG_S, ANGLES_DEG = (4.0, 9.0, 14.0), (45.0, 55.0, 65.0, 75.0, 85.0)
+GRAIN = {"friction": 0.32, "restitution": 0.45, "density": 1050.0, "shape_ratio": 2.0}
+AT = api.Conditions(np.radians(ANGLES_DEG)[:, None], 400.0 * api.RPM, mass_flow_kg_s=np.array(LOADS_KG_S))
+FORCES_N = api.ForwardModel(api.Machine()).force(AT, GRAIN)
+
+
+def table(folder: Path, *, load: float = 1.0, force: float = 1.0, turned_deg: float | None = None, name: str = "force_n") -> Path:
+    """Fifteen cells read twice; loads and forces times a factor, angles from another line."""
+    lines = [f"plate_angle_deg,mass_flow_kg_s,{name},run"]
+    for angle, forces in zip(ANGLES_DEG, FORCES_N, strict=True):
+        written = angle if turned_deg is None else turned_deg - angle
+        for flow, newtons in zip(LOADS_KG_S, forces, strict=True):
+            lines += [f"{written:g},{load * flow:g},{force * (newtons + 0.1 * trial):.3f},{flow:g}" for trial in (0, 1)]
+    path = folder / "facility.csv"
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("factors", "said"),
+    [
+        ({}, ""),
+        ({"load": 3.6}, "is mass_flow_kg_s in kg/s, not t/h or lb/s, and force_n in newtons?"),
+        ({"force": 1.0 / 4.448}, "is mass_flow_kg_s in kg/s, not t/h or lb/s, and force_n in newtons?"),
+        ({"force": 2.5}, "is mass_flow_kg_s in kg/s, not t/h or lb/s, and force_n in newtons?"),
+    ],
+    ids=["right", "t/h", "lbf", "too large"],
+)
+def test_units(factors: dict[str, float], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["calibrate", str(table(tmp_path, **factors)), "--starts", "2"]) == 0
+    asked = [line for line in capsys.readouterr().err.splitlines() if "times that of grain" in line]
+    assert (asked[0][-len(said) :] if asked else "") == said
+
+
+@pytest.mark.filterwarnings("error")
+def test_another_line_from_which_no_grain_would_land(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Counter-clockwise angles from 100 deg: counted from the vertical they lie below the horizontal, where nothing lands."""
+    assert main(["calibrate", str(table(tmp_path, turned_deg=180.0)), "--starts", "2"]) == 0
+    assert "with 180 deg less each plate angle the model would miss by" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("given", [True, False])
+def test_a_column_that_groups_is_not_said_to_be_ignored(given: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    options = ["--group-by", "run"] if given else []
+    assert main(["self-calibrate", str(table(tmp_path)), *options]) == 0
+    assert ("'run' is not known" in capsys.readouterr().err) is not given
+
+
+def test_columns_of_other_names_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["calibrate", str(table(tmp_path, name="Force [N]"))]) == 2
+    assert capsys.readouterr().err.endswith("(it has 'force [n]', 'run')\n")
