@@ -43,7 +43,7 @@ CASES = {
     ),
     "counts without a scale": (
         "impact_voltage: {dbc: counts.dbc, message: Bridge, signal: Counts, rate_hz: 100, unit: counts}",
-        "impact_voltage.scale", "missing", "millivolts per count",
+        "impact_voltage.scale", "is missing, or 1; expected", "with unit counts (where it is 1: unit mV)",
     ),
     "a bridge's ratio without a scale": (
         "impact_voltage: {dbc: counts.dbc, message: Bridge, signal: Counts, rate_hz: 100, unit: mV/V}",

@@ -239,7 +239,7 @@ def _unit_factor(binding: Binding, unit_of_dbc: str) -> float:
     if unit == "":
         raise binding.refuse("unit", "is missing, and the DBC names none", f"one of {accepted(wanted)}")
     if unit in _NEEDS_SCALE and binding.scale == 1.0:
-        raise binding.refuse("scale", "is missing", f"{_NEEDS_SCALE[unit]}, with unit {unit}")
+        raise binding.refuse("scale", "is missing, or 1", f"{_NEEDS_SCALE[unit]}, with unit {unit} (where it is 1: unit mV)")
     found = factor(wanted, unit)
     if found is None and binding.unit is None and wanted == "":
         return 1.0
