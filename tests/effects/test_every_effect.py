@@ -17,6 +17,7 @@ REQUIRED = {
     "gravity", "air_drag", "stream_spread", "miss_capture", "plate_overshoot", "plate_friction", "jet_shielding",
     "speed_dependent_restitution", "secondary_impact", "resting_grain", "zero_offset", "plate_angle_offset", "lever_arm",
     "cell_nonlinearity", "plate_buildup", "moisture_dependence", "unpushed_layers", "stream_rise", "top_edge",
+    "speed_dependent_friction",
 }  # fmt: skip
 MACHINE = Machine()
 GRAIN = {"friction": 0.3, "density": 1200.0, "shape_ratio": 2.0}

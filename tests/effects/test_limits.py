@@ -72,6 +72,13 @@ def test_shape_is_untouched_at_nominal_speed_and_scaled_elsewhere() -> None:
     np.testing.assert_allclose(read("speed_dependent_shape", at=faster, exponent=0.5), flatter, rtol=1e-10)
 
 
+def test_friction_is_untouched_at_nominal_speed_and_scaled_elsewhere() -> None:
+    np.testing.assert_allclose(read("speed_dependent_friction", exponent=1.5), BASE, rtol=1e-12)
+    faster = replace(AT, elevator_speed_rad_s=1.2 * SPEED)
+    rougher = read(at=faster, grain={"friction": GRAIN["friction"] * 1.2**0.5})
+    np.testing.assert_allclose(read("speed_dependent_friction", at=faster, exponent=0.5), rougher, rtol=1e-10)
+
+
 def test_radial_speed_without_friction_follows_energy() -> None:
     """rho'' = rho from rho' = s rho_0: (rho'^2 - rho^2) is kept, so at the tip u^2 = 1 - rho_0^2 (1 - s^2)."""
     model = ForwardModel(MACHINE, ("residual_radial_speed",))

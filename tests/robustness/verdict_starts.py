@@ -3,9 +3,9 @@
 python -m tests.robustness verdict-starts [--starts N] [--cases N] [--only dem,bench,hidden] [--out F.jsonl] [--minutes M]
 
 Each table (both published ones, and hidden cases of studies/hidden_effects) is diagnosed from the shipped parameters, from the
-output of `calibrate` on the same rows, and from N sets drawn within the physical prior of grain (shape ratio as shipped). A line
-for each run goes to --out; a run that exists already is not made again. Exit code 1 where a table has two verdicts, other
-names, or lacks of fit further apart than 2 %.
+output of `calibrate` on the same rows, and from N sets drawn within the physical prior of grain (shape ratio as shipped). A
+line for each run, with seed and commit, goes to --out; a run that exists already is not made again. Exit code 1 where a table
+has two verdicts, other names, or lacks of fit further apart than 2 %.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from studies.hidden_effects import cases
+from studies.hidden_effects import cases, study
 from yieldmon.discrepancy import diagnosis, observations
 from yieldmon.estimation.calibration import calibrate, default_start
 from yieldmon.estimation.measurements import Measurements
@@ -113,7 +113,8 @@ def main(arguments: list[str]) -> int:
         for start, known in starts(name, rows, args.starts):
             if (name, start) in records or time.monotonic() - begin > 60.0 * args.minutes:
                 continue
-            record = {"table": name, "start": start, "parameters": dict(known.values), **diagnosed(rows, known)}
+            origin = {"table": name, "start": start, "seed": SEED, "commit": study.commit()}
+            record = {**origin, "parameters": dict(known.values), **diagnosed(rows, known)}
             records[name, start] = record
             with args.out.open("a") as stream:
                 stream.write(json.dumps(record) + "\n")

@@ -1,0 +1,26 @@
+"""Friction of grain on the paddle that changes with elevator speed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from yieldmon.physics.stages import Setting
+
+from .effect import Effect, EffectParameter, Values
+
+
+def _setting(setting: Setting, values: Values) -> Setting:
+    ratio = setting.elevator_speed_rad_s / setting.machine.nominal_elevator_speed_rad_s
+    return replace(setting, friction=setting.friction * ratio ** values["exponent"])
+
+
+EFFECT = Effect(
+    name="speed_dependent_friction",
+    stage="release",
+    of_grain=True,
+    summary="Grain slides along the paddle with more or less friction as the elevator turns faster.",
+    signature="the angle profile turns with speed, alike at every load; nothing at the nominal speed",
+    source="friction of [8.10], held constant by the published model, as a power of speed, with which grain's sliding goes",
+    parameters=(EffectParameter("exponent", "", 0.0, -2.0, 2.0, 0.5, "d(log friction) / d(log speed)", 0.7),),
+    setting=_setting,
+)
