@@ -11,11 +11,13 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from studies.hidden_effects import generator
+from tests.discrepancy.conftest import GRAIN
 from yieldmon.cli.diagnose import print_text
 from yieldmon.discrepancy import adoption, detectability, diagnosis, experiment, gap, report
 from yieldmon.discrepancy.candidates import Signature
 from yieldmon.discrepancy.diagnosis_document import to_document
-from yieldmon.discrepancy.fit import LAW_SD, Fit, Parameter
+from yieldmon.discrepancy.fit import LAW_SD, Fit, Parameter, fit
 from yieldmon.discrepancy.noise import Noise
 from yieldmon.discrepancy.observations import with_cells
 from yieldmon.discrepancy.policy import Policy
@@ -68,6 +70,26 @@ def test_a_hidden_effect_is_named_and_the_gap_closes(make_rows, start, offset_se
     assert len(first.equivalent) <= 3
     assert first.confidence > 0.5
     assert seen.held_out.closed_pct > 50.0
+
+
+def test_friction_that_rises_with_speed_is_distinguished_from_other_effects_of_speed(make_rows, start) -> None:
+    """By a law that is not the library's: linear in speed, worked out by the generator at each speed."""
+
+    def alter(force, angle, speed, flow):
+        out, moisture = np.empty(force.shape), np.full(force.shape, 15.0)
+        for one in np.unique(speed):
+            at = speed == one
+            grain = replace(GRAIN, friction=GRAIN.friction * (1.0 + 1.5 * (one / 41.9 - 1.0)))
+            out[at] = generator.force(angle[at], speed[at], flow[at], moisture[at], grain, {})
+        return out
+
+    base = diagnosis.examine(make_rows(alter=alter), start, replace(QUICK, policy=Policy(most_effects=0))).choice.base
+    names = ("speed_dependent_friction", "speed_dependent_shape", "speed_dependent_restitution", "air_drag", "chain_slip")
+    fits = {name: fit(base.frame, (name,), base.values) for name in names}
+    best = fits.pop("speed_dependent_friction")
+    assert best.values["speed_dependent_friction.exponent"] == pytest.approx(1.5, abs=0.4)
+    assert best.chi2 < 1.4 * best.dof < base.chi2
+    assert all(other.chi2 > best.chi2 + 10.0 for other in fits.values())
 
 
 def test_weight_in_proportion_to_the_flow_is_resting_grain_alone(make_rows, start) -> None:
@@ -265,6 +287,26 @@ def test_many_effects_that_explain_alike_are_counted_in_the_summary(make_rows, s
     tied = 1 + len(found.choice.steps[0].equivalent)
     assert f"{tied} effects explain these rows alike, so none is named" in report.summary(found)
     assert "of 100 cases" not in report.summary(found)
+
+
+@pytest.mark.parametrize(("count", "said"), [(4, "bravo, charlie, delta, echo"), (5, "one of 5 others")])
+def test_a_further_effect_that_too_many_explain_alike_is_called_no_cause(offset_found, capsys, count: int, said: str) -> None:
+    first = offset_found.choice.steps[0]
+    tied = ("bravo", "charlie", "delta", "echo", "foxtrot")[:count]
+    further = replace(first, added="alfa", equivalent=tied, confidence=0.14)
+    found = replace(offset_found, choice=replace(offset_found.choice, steps=(first, further)))
+    assert report.summary(found).count("Cause (") == 1
+    cause = "Cause, one of 5 that these rows cannot tell apart (0.14 together): alfa, bravo, charlie, delta, echo."
+    more = "More is missing, which 6 effects explain alike, alfa among them (0.14 together)."
+    assert (cause if count == 4 else more) in report.summary(found)
+    print_text(found)
+    assert f"alfa (confidence 0.14; not distinguishable from {said})" in capsys.readouterr().out
+
+
+def test_a_name_keeps_its_capital_in_the_summary(offset_found) -> None:
+    (step,) = offset_found.choice.steps
+    found = replace(offset_found, choice=replace(offset_found.choice, steps=(replace(step, added="plate_friction"),)))
+    assert "grain drags along the plate as it strikes: Coulomb friction" in report.summary(found)
 
 
 SHARED = "repetitions share an error"
@@ -532,6 +574,10 @@ def test_held_out_rows_within_their_scatter_decide_nothing(offset_found, capsys)
     found = offset_found
     assert re.search(r"rows kept aside F = [0-9.]+ \([0-9.]+ to [0-9.]+\) before and", report.summary(found))
     held = replace(found.held_out, closed_pct=diagnosis.share_closed_pct(before=1.0, after=0.9, floor=1.1))
+    assert "no smaller" not in report.summary(found)
+    worse = replace(found.held_out, closed_pct=-12.0)
+    assert "before and" in (said := report.summary(replace(found, held_out=worse)))
+    assert "where the root mean square is no smaller (" in said
     found = replace(found, held_out=held)
     assert to_document(found)["gap"]["closed_pct"] is None
     print_text(found)

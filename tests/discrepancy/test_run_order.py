@@ -9,10 +9,12 @@ import pytest
 
 from tests.discrepancy.test_alternatives import LAST_RULES, published
 from yieldmon.discrepancy import observations
+from yieldmon.discrepancy.diagnosis_notes import of_run_order
 from yieldmon.discrepancy.fit import fit
+from yieldmon.discrepancy.gap import lack_of_fit
 from yieldmon.discrepancy.observations import Rows, with_cells
-from yieldmon.discrepancy.run_order import BETWEEN, DRIFT, of_order, speeds_in_turn
-from yieldmon.discrepancy.selection import Search, Step
+from yieldmon.discrepancy.run_order import BETWEEN, DRIFT, blocked_by, of_order, speeds_in_turn
+from yieldmon.discrepancy.selection import Choice, Search, Step
 from yieldmon.files import table
 from yieldmon.physics.machine import Machine
 
@@ -84,6 +86,52 @@ def test_drag_in_rows_that_were_measured_in_turn_stands(make_rows, start) -> Non
     rows = make_rows({"air_drag": 0.3})
     assert "air_drag" in against(ordered(rows, PLACE), start, "air_drag-by_time")
     assert against(ordered(rows, RANDOM, timed=True), start, "air_drag-by_time") == ""
+
+
+@pytest.mark.parametrize(
+    ("keys", "timed", "how"),
+    [
+        (("load", "plate_angle_rad"), False, "load by load"),
+        (("plate_angle_rad", "load"), False, "plate angle by plate angle"),
+        (("elevator_speed_rad_s", "load", "plate_angle_rad"), False, ""),
+        (("load", "plate_angle_rad"), True, ""),
+    ],
+    ids=["load by load", "angle by angle", "speed by speed", "times stated"],
+)
+def test_rows_that_lie_by_load_or_angle_are_recognised(make_rows, keys, timed, how) -> None:
+    rows = sorted_by(make_rows(), *keys, timed=timed)
+    assert blocked_by(rows) == how
+    assert blocked_by(replace(rows, order=None, timed=False)) == ""
+    assert blocked_by(replace(rows, order=RANDOM, timed=False)) == ""
+
+
+def sorted_by(rows: Rows, *keys: str, timed: bool = False) -> Rows:
+    """The rows, measured in the order of these columns, the first one changing least often."""
+    place = np.empty(len(rows))
+    place[np.lexsort([getattr(rows, key) for key in reversed(keys)])] = np.arange(len(rows))
+    return ordered(rows, place, timed=timed)
+
+
+@pytest.mark.parametrize(
+    ("keys", "warm_up", "offset_n", "said"),
+    [
+        (("load", "plate_angle_rad"), 0.08, 0.0, True),
+        (("load", "plate_angle_rad"), 0.0, 6.0, False),
+        (("elevator_speed_rad_s", "plate_angle_rad"), 0.08, 0.0, False),
+    ],
+    ids=["a gain that warms up while the load rises", "a zero offset in such rows", "the same drift in rows speed by speed"],
+)
+def test_a_name_that_a_drift_over_sorted_rows_explains_is_noted(make_rows, start, keys, warm_up, offset_n, said) -> None:
+    rows = sorted_by(make_rows({"zero_offset": offset_n} if offset_n else {}), *keys)
+    assert rows.order is not None
+    rows = replace(rows, value=rows.value * (1.0 + warm_up * np.exp(-rows.order / 40.0)))
+    base, noise = published(rows, start)
+    best = fit(base.frame, ("zero_offset",), base.values)
+    gap = lack_of_fit(best, noise)
+    steps = (Step("zero_offset", (), (), 1.0, "zero_offset"),)
+    notes = of_run_order(Choice("effect", base, best, gap, gap, steps, (), 0.0), LAST_RULES)
+    assert ["a drift over the run explains them as well as zero_offset" in note for note in notes] == [True] * said
+    assert of_run_order(Choice("unknown", base, best, gap, gap, steps, (), 0.0), LAST_RULES) == []
 
 
 def test_a_table_states_its_order(tmp_path) -> None:

@@ -354,6 +354,7 @@ def examine(
         notes.append(diagnosis_notes.not_trusted(chosen))
         chosen = withdrawn(chosen, options.policy)
     notes += diagnosis_notes.of_own_law(chosen, noise, options.policy)
+    notes += diagnosis_notes.of_run_order(chosen, options.policy)
     notes += [*diagnosis_notes.of_one_cell(chosen, noise), *diagnosis_notes.of_repetitions(chosen, noise)]
     if chosen.verdict != "effect" and held_out is not None:
         held_out, _ = _open(rows, sealed, chosen.base, chosen.base, noise)

@@ -6,13 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from .fit import Fit
+from .fit import Fit, fit
 from .gap import LackOfFit, fills, lack_of_fit_but_one, lack_without_pattern
 from .noise import Noise
 from .observations import Rows
 from .policy import DEFAULT, Policy
 from .proof import Proof
-from .selection import Choice, left_by_own_law, rows_searched
+from .run_order import blocked_by, drift
+from .selection import Choice, left_by_own_law, merit, misfit, rows_searched
 
 _SURE = 1e-3
 """p value from which conditions scatter more than repetitions."""
@@ -144,6 +145,31 @@ def of_repetitions(choice: Choice, noise: Noise) -> list[str]:
     return [
         f"conditions scatter more than repetitions do, without a pattern (F = {found.f:.2f}, p = {found.p_value:.1g}): "
         "repetitions share an error (one weighing, one zero), or the noise is stated too small; no effect explains that"
+    ]
+
+
+def of_run_order(choice: Choice, policy: Policy) -> list[str]:
+    """Named effects that a drift over the run explains as well, where rows lie load by load, or angle by angle.
+
+    A note and no reason against a name: tables are commonly sorted so after measuring in turn.
+    """
+    found = choice.best
+    rows = found.frame.cells.rows
+    how = blocked_by(rows) if choice.verdict == "effect" else ""
+    if not how:
+        return []
+    scale = misfit([found])
+    most = merit(found, scale, policy) + policy.tie
+    out = []
+    for step in choice.steps:
+        without = fit(found.frame, tuple(law for law in found.effects if law != step.law), found.values)
+        if without is not None and drift(without, scale, policy.per_parameter).merit <= most:
+            out.append(step.added)
+    if not out:
+        return []
+    return [
+        f"the table has its rows {how}: if they were measured in that order, a drift over the run explains them as well as "
+        f"{' or '.join(out)}; measure in turn, or state `time_s`"
     ]
 
 

@@ -22,6 +22,7 @@ from .diagnosis import Diagnosis, HeldOut, Measure
 from .experiment import Plan
 from .fit import Fit
 from .gap import Region
+from .policy import DEFAULT
 from .selection import Step, rows_searched
 
 Intervals = tuple[tuple[float, float], tuple[float, float]]
@@ -86,8 +87,11 @@ def summary(diagnosis: Diagnosis) -> str:
         f"{' '.join(_cause(s) for s in _named(diagnosis))}{_doubt(diagnosis)} "
         f"With this the error is {diagnosis.after.rms_over_max_pct:.1f} %"
     )
-    if diagnosis.held_out is not None:
-        text += f"; {unseen(diagnosis.held_out)}"
+    held = diagnosis.held_out
+    if held is not None:
+        text += f"; {unseen(held)}"
+        if held.closed_pct is not None and held.closed_pct <= 0.0:
+            text += f", where the root mean square is no smaller ({held.before.rms:.4g} before, {held.after.rms:.4g} after)"
     return text + "."
 
 
@@ -119,7 +123,13 @@ def _not_named(diagnosis: Diagnosis) -> str:
 
 
 def _with_ties(step: Step) -> str:
-    return f"{step.added} (or {', '.join(step.equivalent)})" if step.equivalent else step.added
+    return f"{step.added} (or {tied_names(step)})" if step.equivalent else step.added
+
+
+def tied_names(step: Step) -> str:
+    """Effects tied with a name; of more than a class holds, how many there are: `--json` lists them."""
+    count = len(step.equivalent)
+    return ", ".join(step.equivalent) if count < DEFAULT.largest_class else f"one of {count} others"
 
 
 def _named(diagnosis: Diagnosis) -> tuple[Step, ...]:
@@ -128,10 +138,13 @@ def _named(diagnosis: Diagnosis) -> tuple[Step, ...]:
 
 def _cause(step: Step) -> str:
     """One named effect in a sentence; one of several where these data do not distinguish them."""
-    if not step.equivalent:
-        return f"Cause ({step.confidence:.2f}): {registry()[step.added].summary.rstrip('.').lower()}."
-    names = ", ".join((step.added, *step.equivalent))
     count = 1 + len(step.equivalent)
+    if count == 1:
+        summary = registry()[step.added].summary.rstrip(".")
+        return f"Cause ({step.confidence:.2f}): {summary[0].lower()}{summary[1:]}."
+    if count > DEFAULT.largest_class:
+        return f"More is missing, which {count} effects explain alike, {step.added} among them ({step.confidence:.2f} together)."
+    names = ", ".join((step.added, *step.equivalent))
     return f"Cause, one of {count} that these rows cannot tell apart ({step.confidence:.2f} together): {names}."
 
 

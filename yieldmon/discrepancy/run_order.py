@@ -1,21 +1,24 @@
 """Whether a drift over a run, or an error between runs of different speeds, explains rows as well as an effect does.
 
 Speeds that are run one after the other are confounded with time: a gain or zero that changes meanwhile is an effect of speed to
-such rows. (On designs whose run order guards against a drift: Box, Hunter and Hunter, Statistics for Experimenters, chapter 4.)
+such rows. So it is with loads and plate angles, but tables are commonly sorted by these, so that their order says less. (On
+designs whose run order guards against a drift: Box, Hunter and Hunter, Statistics for Experimenters, chapter 4.)
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from yieldmon.estimation.clusters import cluster
+from yieldmon.physics.machine import SAME_ANGLE_RAD
 from yieldmon.physics.numerics import Array
 
 from .fit import Fit
-from .observations import SAME_SPEED, Cells, Rows
+from .observations import SAME_LOAD, SAME_SPEED, Cells, Rows
 
 BETWEEN = "an error between the runs of different elevator speeds"
 DRIFT = "a steady drift over the run"
@@ -33,8 +36,39 @@ def speeds_in_turn(rows: Rows) -> bool:
     """Whether an elevator speed was returned to, so that it is not one with time; True for one speed, or an unknown order."""
     if rows.order is None:
         return True
-    number = cluster(np.log(rows.elevator_speed_rad_s), SAME_SPEED)[np.argsort(rows.order, kind="stable")]
-    return int(np.count_nonzero(np.diff(number))) != int(number.max()) or int(number.max()) == 0
+    return _in_turn(cluster(np.log(rows.elevator_speed_rad_s), SAME_SPEED), rows.order)
+
+
+def is_asked(rows: Rows) -> bool:
+    """Whether the order of rows can speak against a name: times are stated, or speeds were run one after the other."""
+    return rows.order is not None and (rows.timed or not speeds_in_turn(rows))
+
+
+def blocked_by(rows: Rows) -> str:
+    """Which of load and plate angle the rows lie by, three values or more, none returned to, in the words of a note; "" for none.
+
+    "" too where the order is not known or `time_s` states it.
+    """
+    if rows.order is None or rows.timed:
+        return ""
+    loads = np.log(np.maximum(rows.load, 1e-9))
+    for what, values, width in (("load", loads, SAME_LOAD), ("plate angle", rows.plate_angle_rad, SAME_ANGLE_RAD)):
+        number = cluster(values, width)
+        if number.max(initial=0) >= 2 and not _in_turn(number, rows.order):
+            return f"{what} by {what}"
+    return ""
+
+
+def _in_turn(number: NDArray[np.int64], order: Array) -> bool:
+    """Whether one of several values was returned to; True for a single one."""
+    changes = int(np.count_nonzero(np.diff(number[np.argsort(order, kind="stable")])))
+    return changes != int(number.max()) or changes == 0
+
+
+def drift(without: Fit, scale: float, per_parameter: float) -> OfOrder:
+    """The best drift over the rows' order, steady or with one bend, beside a model; the order must be known."""
+    shapes = [(DRIFT, _over_run(without.frame.cells, degree)) for degree in (1, 2)]
+    return _best(without, shapes, scale, per_parameter)
 
 
 def of_order(without: Fit, scale: float, per_parameter: float) -> OfOrder | None:
@@ -44,12 +78,16 @@ def of_order(without: Fit, scale: float, per_parameter: float) -> OfOrder | None
     of such speeds. None where the rows can show neither.
     """
     cells = without.frame.cells
-    blocks = not speeds_in_turn(cells.rows)
-    if cells.rows.order is None or not (blocks or cells.rows.timed):
+    if not is_asked(cells.rows):
         return None
     shapes = [(DRIFT, _over_run(cells, 1)), (DRIFT, _over_run(cells, 2))]
-    if blocks:
+    if not speeds_in_turn(cells.rows):
         shapes.append((BETWEEN, _of_speeds(cells)))
+    return _best(without, shapes, scale, per_parameter)
+
+
+def _best(without: Fit, shapes: Sequence[tuple[str, Array]], scale: float, per_parameter: float) -> OfOrder:
+    """The likeliest of gain, zero or both, each over every one of the shapes."""
     zero, gain = 1.0 / without.frame.sd, without.level
     found = [
         OfOrder(what, without.beside(np.concatenate([unit[:, None] * shape for unit in units], axis=1), scale, per_parameter))

@@ -36,7 +36,7 @@ from .gap import LackOfFit, lack_of_fit, lack_of_fit_but_one
 from .noise import Noise
 from .pairs import screen
 from .policy import DEFAULT, Policy
-from .run_order import of_order
+from .run_order import is_asked, of_order
 
 
 @dataclass(frozen=True)
@@ -231,6 +231,8 @@ class Search:
 
     def _of_order(self, current: Fit) -> str:
         """Why the order in which the rows were measured may be at work in the place of an effect; "" where it may not."""
+        if not is_asked(current.frame.cells.rows):
+            return ""
         scale = misfit([current])
         most = merit(current, scale, self.policy) + self.policy.tie
         for effect in current.effects:
