@@ -56,6 +56,7 @@ class DaemonKeeper(Keeper):
                 loop,
                 drift=settings.wandering,
                 steady_per_kilotonne=settings.steady_per_kilotonne,
+                steady_drift_memory_kt=settings.steady_drift_memory_kt,
                 anchor_error=TICKET_ERROR,
             ),
         )

@@ -71,10 +71,11 @@ class StudySettings:
     """Standard deviations of what is not known beforehand, and the sweep's schedule.
 
     wandering: the parameters' random walks. steady_per_kilotonne: of their steady rates, which begin at 0 and are learnt; empty:
-    no rates. map_sd: of the moisture map's slopes, 1/%. learned_information, kept_ratio: as in ClosedLoopSettings; scraps may add
-    up here. pattern_sd: of the model's error away from home that sweeps separate from the grain; 0: none. anchor_error: of a
-    weighed load, relative, beside the scale's. refuse_corners: as the daemon, no sweep where a parameter lies at an end of its
-    physical range, and no lesson that would put it there.
+    no rates. steady_drift_memory_kt: harvested mass over which a rate falls to 1/e; inf: none. map_sd: of the moisture map's
+    slopes, 1/%. learned_information, kept_ratio: as in ClosedLoopSettings; scraps may add up here. pattern_sd: of the model's
+    error away from home that sweeps separate from the grain; 0: none. anchor_error: of a weighed load, relative, beside the
+    scale's. refuse_corners: as the daemon, no sweep where a parameter lies at an end of its physical range, and no lesson that
+    would put it there.
     """
 
     sweep_interval_s: float = 600.0
@@ -92,6 +93,7 @@ class StudySettings:
     steady_per_kilotonne: Mapping[str, float] = field(
         default_factory=lambda: {"friction": 0.2, "restitution": 0.025, "density": 0.05}
     )
+    steady_drift_memory_kt: float = float("inf")
     learned_information: float = 1e-6
     kept_ratio: float = 1.0 - 1e-6
     day_s: float = 10.0 * 3600.0
@@ -122,6 +124,7 @@ class StudySettings:
             min_flow_kg_s=sweep.min_flow_kg_s,
             wandering=learning.drift,
             steady_per_kilotonne=learning.steady_per_kilotonne,
+            steady_drift_memory_kt=learning.steady_drift_memory_kt,
             learned_information=loop.learned_information,
             kept_ratio=loop.kept_ratio,
             model_error=loop.model_error,
@@ -418,7 +421,8 @@ class Keeper:
             self.drifting = learn(self.drifting, lesson.parameter_set, widening=widening)
             self.parameters = self.drifting.parameters
             self.updates += 1
-        self.taught.append(DriftLesson(came, self.drifting.state, self.drifting.joint, widening, sweep_alone))
+        now = self.drifting
+        self.taught.append(DriftLesson(came, now.state, now.joint, widening, sweep_alone, len(now.names)))
         self._remember(hour)
 
     def _follow(self, stop: int) -> None:
@@ -435,7 +439,10 @@ class Keeper:
         hour = float(self.season.time_s[stop - 1]) / 3600.0
         harvested_kg = float(np.nansum(self.flow[window_before:stop]))
         self.step_h.append(hour_before)
-        self.drifting, came = advance(self.drifting, self.settings.wandering, hour - hour_before, harvested_kg)
+        self.drifting, came = advance(
+            self.drifting, self.settings.wandering, hour - hour_before, harvested_kg,
+            per_kilotonne=self.settings.steady_per_kilotonne, memory_kt=self.settings.steady_drift_memory_kt,
+        )  # fmt: skip
         self.parameters = self.drifting.parameters
         self.grown_to = (hour, stop)
         return came

@@ -363,8 +363,27 @@ def test_no_drift_is_followed_before_one_is_known() -> None:
     assert calibrator.follow(far, OpenLoop(MODEL, EXACT_PRIOR)) is None, "parameters from outside"
 
 
+def test_a_drift_that_no_lesson_confirms_ends() -> None:
+    """Followed in steps over 40 kt, friction has moved by what its rate of then makes of the memory."""
+    calibrator = ClosedLoopCalibrator(MODEL, dataclasses.replace(STEADY, steady_drift_memory_kt=0.5))
+    estimator = taught(calibrator, range(20), OpenLoop(MODEL, EXACT_PRIOR))
+    state, before = calibrator.snapshot(0.0, 0.0), estimator.parameters.values["friction"]
+    assert state is not None
+    for hour in range(20, 1000, 20):
+        outcome = calibrator.follow(_second(float(hour)), estimator)
+        if outcome is None:
+            break
+        assert isinstance(outcome.estimator, OpenLoop)
+        estimator = outcome.estimator
+    assert 100 < hour < 980
+    assert estimator.parameters.values["friction"] == pytest.approx(before * np.exp(0.5 * state.rates[0]), rel=0.02)
+    left = calibrator.snapshot(0.0, 0.0)
+    assert left is not None
+    assert abs(left.rates[0]) < 1e-3 * abs(state.rates[0])
+
+
 def test_no_drift_is_followed_to_an_end_of_the_physical_range() -> None:
-    calibrator = ClosedLoopCalibrator(MODEL, STEADY)
+    calibrator = ClosedLoopCalibrator(MODEL, dataclasses.replace(STEADY, steady_drift_memory_kt=1e6))
     estimator = taught(calibrator, range(20), OpenLoop(MODEL, EXACT_PRIOR))
     state = calibrator.snapshot(0.0, 0.0)
     assert state is not None

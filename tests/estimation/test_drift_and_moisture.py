@@ -40,6 +40,14 @@ def test_growth_in_steps_is_growth_at_once_and_ends_at_the_limit() -> None:
     assert grow(KNOWN, rates, 1e6, 0.0).standard_deviation("friction") == pytest.approx(0.1 * 0.2)
 
 
+def test_a_night_without_harvest_widens_less_than_two_hours_of_harvest() -> None:
+    """By the defaults: 14 h of standing against 2 h at 40 t/h. What drifts is grain and machine, as they are used."""
+    night, harvest = grow(KNOWN, DriftRates(), 14.0, 0.0), grow(KNOWN, DriftRates(), 2.0, 80e3)
+    for name in NAMES:
+        i = NAMES.index(name)
+        assert night.covariance[i, i] - KNOWN.covariance[i, i] < harvest.covariance[i, i] - KNOWN.covariance[i, i]
+
+
 def test_restitutions_rate_counts_for_the_impact_gain() -> None:
     later = grow(KNOWN, DriftRates({"restitution": 0.01}, {}, {}), 1.0, 0.0)
     assert later.covariance[1, 1] == pytest.approx(0.02**2 + (1.6 * 0.01) ** 2)

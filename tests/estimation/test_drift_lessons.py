@@ -22,7 +22,14 @@ SWEEP, TICKET = np.array([5.0, 0.0, -1e-3]), np.array([0.7, -0.6, 9e-4])
 """What each reads: a sweep friction and fill, a weighed load their part in the flow."""
 
 
-def history(kinds: Sequence[str], readings: Sequence[float], widening: float = 1.0) -> list[DriftLesson]:
+def wider(covariance: Array, widening: float, rates: int) -> Array:
+    """With the parameters' block, all but the last `rates` states, multiplied."""
+    found, count = covariance.copy(), len(covariance) - rates
+    found[:count, :count] *= widening
+    return found
+
+
+def history(kinds: Sequence[str], readings: Sequence[float], widening: float = 1.0, rates: int = 0) -> list[DriftLesson]:
     """Textbook Kalman updates by readings of one direction each, with a deviation of 0.01; a ticket of a widened prior."""
     lessons, state, covariance = [], START, COVARIANCE
     for kind, reading in zip(kinds, readings, strict=True):
@@ -30,12 +37,13 @@ def history(kinds: Sequence[str], readings: Sequence[float], widening: float = 1
         advance = Advance(state, covariance, MOVE, after, wide)
         factor = widening if kind == "ticket" else 1.0
         row = TICKET if kind == "ticket" else SWEEP
-        tie = factor * wide @ row
+        prior = wider(wide, factor, rates)
+        tie = prior @ row
         gain = tie / (row @ tie + 1e-4)
         state = after + gain * (reading - row @ after)
-        covariance = factor * wide - np.outer(gain, tie)
+        covariance = prior - np.outer(gain, tie)
         covariance = 0.5 * (covariance + covariance.T)
-        lessons.append(DriftLesson(advance, state, covariance, factor, kind == "sweep"))
+        lessons.append(DriftLesson(advance, state, covariance, factor, kind == "sweep", rates))
     return lessons
 
 
@@ -50,20 +58,21 @@ def through(lessons: Sequence[DriftLesson]) -> Array:
 KINDS = ("sweep", "ticket", "sweep", "sweep", "ticket", "sweep")
 
 
+@pytest.mark.parametrize("rates", [0, 1])
 @pytest.mark.parametrize("widening", [1.0, 4.0])
 @pytest.mark.parametrize("sweeps_say", [0.0, 3.0])
-def test_sweeps_leave_no_trace_whatever_they_said(sweeps_say: float, widening: float) -> None:
+def test_sweeps_leave_no_trace_whatever_they_said(sweeps_say: float, widening: float, rates: int) -> None:
     """Against the same time in which no sweep was made at all."""
     tickets = [0.85, 0.9]
     said = iter(tickets)
     readings = [next(said) if kind == "ticket" else sweeps_say for kind in KINDS]
-    found = by_weighed_masses(history(KINDS, readings, widening))
+    found = by_weighed_masses(history(KINDS, readings, widening, rates))
     covariance, state, expected = COVARIANCE, START, []
     said = iter(tickets)
     for kind in KINDS:
         state, covariance = MOVE @ state, MOVE @ covariance @ MOVE.T + WALK
         if kind == "ticket":
-            covariance = widening * covariance
+            covariance = wider(covariance, widening, rates)
             gain = covariance @ TICKET / (TICKET @ covariance @ TICKET + 1e-4)
             state = state + gain * (next(said) - TICKET @ state)
             covariance = covariance - np.outer(gain, TICKET @ covariance)

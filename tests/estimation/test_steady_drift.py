@@ -132,8 +132,74 @@ def test_a_widened_update_counts_with_the_width_it_was_given() -> None:
     known, _ = advance(begin(KNOWN, {"friction": 0.3}), STILL, 1.0, 1e6)
     wide = replace(known.parameters, covariance=4.0 * known.parameters.covariance)
     posterior = measured(wide, "friction", 0.3, 0.001)
-    plain = learn(replace(known, parameters=wide, joint=4.0 * known.joint), posterior)
-    assert learn(known, posterior, widening=4.0).joint == pytest.approx(plain.joint)
+    joint = known.joint.copy()
+    joint[:3, :3] *= 4.0
+    plain = learn(replace(known, parameters=wide, joint=joint), posterior)
+    found = learn(known, posterior, widening=4.0)
+    assert found.joint == pytest.approx(plain.joint)
+    assert found.rates == pytest.approx(plain.rates)
+
+
+def test_a_jump_changes_a_rate_less_than_drift_of_its_size() -> None:
+    """A reading five deviations off, once as drift that goes on and once as parameters less certain than they were taken for."""
+    known, _ = advance(begin(KNOWN, {"friction": 0.3}), STILL, 1.0, 1e6)
+    off = known.parameters.values["friction"] + 5.0 * known.parameters.standard_deviation("friction")
+    drift = learn(known, measured(known.parameters, "friction", off, 0.001))
+    wide = replace(known.parameters, covariance=16.0 * known.parameters.covariance)
+    jump = learn(known, measured(wide, "friction", off, 0.001), widening=16.0)
+    assert jump.parameters.values["friction"] == pytest.approx(off, rel=0.01)
+    assert 0.0 < jump.rates[0] < 0.1 * drift.rates[0]
+    assert jump.joint[3, 3] > 0.9 * known.joint[3, 3]
+
+
+LIKELY = {"friction": 0.2, "restitution": 0.03}
+
+
+@pytest.mark.parametrize("memory_kt", [0.03, 2.0, 500.0])
+@pytest.mark.parametrize("parts", [2, 7])
+def test_forgetting_in_steps_is_forgetting_at_once(memory_kt: float, parts: int) -> None:
+    """Rates of 0, so that no value moves and the steps' scales are the same."""
+    known = begin(KNOWN, LIKELY)
+    at_once, through = advance(known, STILL, 1.0, 0.7e6, per_kilotonne=LIKELY, memory_kt=memory_kt)
+    steps = known
+    for _ in range(parts):
+        steps, _ = advance(steps, STILL, 1.0 / parts, 0.7e6 / parts, per_kilotonne=LIKELY, memory_kt=memory_kt)
+    assert steps.joint == pytest.approx(at_once.joint, rel=1e-6, abs=1e-12)
+    assert through.transition[0, 3] == pytest.approx(0.2 * memory_kt * -np.expm1(-0.7 / memory_kt))
+
+
+@pytest.mark.parametrize("grain_kg", [0.0, 1.0, 2e4, 1e6, 1e9])
+def test_a_forgotten_rate_is_as_unsure_as_one_never_learnt(grain_kg: float) -> None:
+    known = replace(begin(KNOWN, LIKELY), rates=np.array([0.1, -0.02]))
+    narrow = known.joint.copy()
+    narrow[3:, 3:] *= 0.01
+    later, _ = advance(replace(known, joint=narrow), STILL, 0.0, grain_kg, per_kilotonne=LIKELY, memory_kt=2.0)
+    left = np.exp(-grain_kg / 2e6)
+    assert later.rates == pytest.approx(left * known.rates)
+    expected = np.array([0.2, 0.03]) ** 2 * (1.0 - 0.99 * left**2)
+    assert np.diag(later.joint)[3:] == pytest.approx(expected)
+    fresh, _ = advance(known, STILL, 0.0, grain_kg, per_kilotonne=LIKELY, memory_kt=2.0)
+    assert np.diag(fresh.joint)[3:] == pytest.approx(np.array([0.2, 0.03]) ** 2)
+
+
+def test_a_rate_that_turns_is_followed_where_rates_are_forgotten() -> None:
+    """Friction rises for 5 kt and falls for as long: the error at the end, with rates kept for ever and with a memory of 2 kt."""
+    errors = []
+    for memory_kt in (np.inf, 2.0):
+        known, live, truth = begin(KNOWN, LIKELY), [], []
+        for i in range(1, 101):
+            known, _ = advance(known, STILL, 1.0, 1e5, per_kilotonne=LIKELY, memory_kt=memory_kt)
+            truth.append(0.2 * (1.0 + 0.01 * min(i, 100 - i)))
+            live.append(known.parameters.values["friction"])
+            known = learn(known, measured(known.parameters, "friction", truth[-1], 0.005))
+        errors.append(float(np.mean(np.abs(np.subtract(live, truth))[60:])))
+    assert errors[1] < 0.6 * errors[0]
+
+
+@pytest.mark.parametrize("memory_kt", [0.0, -1.0, float("nan")])
+def test_a_memory_of_nothing_is_refused(memory_kt: float) -> None:
+    with pytest.raises(ValueError, match="expected more than 0"):
+        advance(begin(KNOWN, LIKELY), STILL, 1.0, 1.0, memory_kt=memory_kt)
 
 
 @settings(max_examples=30, deadline=None)
@@ -141,7 +207,8 @@ def test_a_widened_update_counts_with_the_width_it_was_given() -> None:
 def test_covariance_stays_a_covariance(lessons: list[tuple[str, float, float]]) -> None:
     known = begin(KNOWN, {"friction": 0.2, "restitution": 0.03, "density": 0.05})
     for name, factor, grain_kg in lessons:
-        known, _ = advance(known, DriftRates(), 1.0, grain_kg)
+        likely = {"friction": 0.2, "restitution": 0.03, "density": 0.05}
+        known, _ = advance(known, DriftRates(), 1.0, grain_kg, per_kilotonne=likely, memory_kt=2.0)
         prior = known.parameters
         known = learn(known, measured(prior, name, prior.values[name] * factor, prior.standard_deviation(name)))
         scale = np.sqrt(np.diag(known.joint))

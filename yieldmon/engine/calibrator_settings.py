@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
-from yieldmon.estimation.drift_rates import DriftRates, steady_defaults
+from yieldmon.estimation.drift_rates import STEADY_MEMORY_KT, DriftRates, steady_defaults
 
 if TYPE_CHECKING:
     from yieldmon.estimation.moisture import MoistureMap
@@ -19,6 +19,7 @@ class CalibratorSettings:
 
     anchor_error: relative error of a weighed load that is not the scale's (flow spread, model), added in quadrature.
     drift, steady_per_kilotonne: how parameters wander, and the standard deviations of their steady rates (`steady_drift`).
+    steady_drift_memory_kt: harvested mass over which a steady rate falls to 1/e, kt.
     moisture_map: moves the prior when the moisture changes; None: moisture is not used.
     pattern_sd: relative standard deviation of the model's error away from the home angle that sweeps separate from the grain
     (`estimation.angle_pattern`); 0: none is looked for.
@@ -30,6 +31,7 @@ class CalibratorSettings:
     )
     drift: DriftRates = field(default_factory=DriftRates)
     steady_per_kilotonne: Mapping[str, float] = field(default_factory=steady_defaults)
+    steady_drift_memory_kt: float = STEADY_MEMORY_KT
     anchor_error: float = 0.005
     pattern_sd: float = 0.0
     density_ratio: float | None = None

@@ -53,6 +53,8 @@ _LESSON_SDS = 3.0
 """Deviations of a difference beyond which a lesson contradicts and teaches nothing."""
 FOLLOWED_KG = 20_000.0
 """Of grain, after which a steady drift that has been learnt moves the parameters without a lesson."""
+_LEAST_FOLLOWED = 1e-5
+"""Relative change of a parameter by steady drift below which it waits."""
 _ROUNDING = 1e-9
 """Relative, of parameters that were stored."""
 _LEAST_LOAD_ERROR = 1e-4
@@ -205,7 +207,8 @@ class ClosedLoopCalibrator:
         if known is None or not record.total_kg - self._at_kg >= FOLLOWED_KG:
             return None
         used = self._in_use(estimator)
-        if known.parameters is not used or not np.any(known.rates):
+        grain_kt = (record.total_kg - self._at_kg) / 1e6
+        if known.parameters is not used or not np.any(np.abs(known.rates) * grain_kt > _LEAST_FOLLOWED):
             return None
         drifting, step = self._prior(used, float("nan"), record.time_s, record.total_kg)
         if refusal(drifting.parameters) and not refusal(used):
@@ -468,7 +471,10 @@ class ClosedLoopCalibrator:
         if not isfinite(self._at_kg):
             self._at_kg = total_kg
         hours = max(now_s - self._at_s, 0.0) / 3600.0
-        later, step = advance(known, self._settings.drift, hours, max(total_kg - self._at_kg, 0.0))
+        later, step = advance(
+            known, self._settings.drift, hours, max(total_kg - self._at_kg, 0.0),
+            per_kilotonne=self._settings.steady_per_kilotonne, memory_kt=self._settings.steady_drift_memory_kt,
+        )  # fmt: skip
         before, moved = start.state, known.state
         carry = np.divide(moved, before, out=np.ones_like(moved), where=before != 0.0)
         return later, replace(

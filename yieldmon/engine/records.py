@@ -256,9 +256,9 @@ class CalibrationStep:
     """From one update to the next, as a smoother needs it to correct the time between.
 
     from_version: parameters in use between them. begin_s, end_s: bus time. advance: states (parameters, then their rates) and
-    covariances at both ends, before the second update; state: what that made of them. widening: what it multiplied the covariance
-    before it by. sweep_alone: whether a sweep has taught it, without a weighed mass or a known density. names: of the parameters
-    in the states; empty where they are not known.
+    covariances at both ends, before the second update; state: what that made of them. widening: what it multiplied the
+    parameters' covariance before it by. sweep_alone: whether a sweep has taught it, without a weighed mass or a known density.
+    names: of the parameters in the states; empty where they are not known.
     """
 
     from_version: int

@@ -21,7 +21,7 @@ from yieldmon.physics.numerics import Array
 
 from .open_loop import OpenLoop
 from .parameters import ParameterSet
-from .steady_drift import DriftingParameters
+from .steady_drift import DriftingParameters, widened
 
 _WANDER = 0.03
 """Standard deviation that the bias gains per root kilotonne of grain: it goes with load and restitution."""
@@ -94,7 +94,7 @@ def followed(bias: CommonBias, before: DriftingParameters, after: DriftingParame
     """
     if before.joint.shape != after.joint.shape or before.parameters.covariance_names != after.parameters.covariance_names:
         raise ValueError("the bias of kernel noise cannot follow an update with other states")
-    prior = before.joint * widening
+    prior = widened(before.joint, len(before.parameters.covariance_names), widening)
     size = np.sqrt(np.maximum(np.diag(prior), 1e-300))
     gain = np.linalg.lstsq(prior / np.outer(size, size), bias.cross / size, rcond=1e-12)[0] / size
     lost = float(gain @ (prior - after.joint) @ gain)

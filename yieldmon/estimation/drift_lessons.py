@@ -19,7 +19,7 @@ import numpy as np
 
 from yieldmon.physics.numerics import Array
 
-from .steady_drift import Advance, DriftingParameters
+from .steady_drift import Advance, DriftingParameters, widened
 
 _ROUNDING = 1e-6
 """Share of a variance by which an update may miss its prior."""
@@ -40,9 +40,11 @@ class DriftLesson:
     covariance : ndarray (n, n)
         Its covariance then.
     widening : float
-        Factor on the covariance before the lesson (`Outcome.prior_widening`).
+        Factor on the parameters' covariance before the lesson (`Outcome.prior_widening`).
     sweep_alone : bool
         Whether a sweep alone has taught, without a weighed mass or a known density.
+    rates : int
+        Of the n states, the last ones, which a widening leaves as they are.
     """
 
     advance: Advance
@@ -50,6 +52,11 @@ class DriftLesson:
     covariance: Array
     widening: float = 1.0
     sweep_alone: bool = False
+    rates: int = 0
+
+    def widened(self, covariance: Array) -> Array:
+        """A covariance before the lesson, (n, n), as the lesson took it."""
+        return widened(covariance, len(covariance) - self.rates, self.widening)
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +101,7 @@ def by_weighed_masses(lessons: Sequence[DriftLesson]) -> list[DriftLesson]:
         advance = _continued(lesson.advance, before, covariance_before)
         state, covariance = advance.after, advance.covariance_after
         if not lesson.sweep_alone:
-            covariance = lesson.widening * covariance
+            covariance = lesson.widened(covariance)
             readings = _readings(lesson)
             if readings is None:
                 state, covariance = lesson.state, lesson.covariance
@@ -124,7 +131,7 @@ def _continued(advance: Advance, before: Array, covariance_before: Array) -> Adv
 
 def _readings(lesson: DriftLesson) -> _Readings | None:
     """None where the lesson left something less certain than it was, which no reading does."""
-    prior = lesson.widening * lesson.advance.covariance_after
+    prior = lesson.widened(lesson.advance.covariance_after)
     scale = np.sqrt(np.maximum(np.diag(prior), 1e-300))
     sizes, axes = np.linalg.eigh(prior / np.outer(scale, scale))
     used = sizes > _SINGULAR * sizes[-1]

@@ -12,8 +12,8 @@ from yieldmon.physics.grain import DRIFTING, GRAIN
 class DriftRates:
     """Growth of relative standard deviations, by parameter (1 + restitution stands for restitution); absent: no drift.
 
-    per_root_hour: after one hour; per_root_kilotonne: after 1000 t of grain. limit: relative standard deviation at which growth
-    ends. Raises ValueError for a negative rate.
+    per_root_hour: after one hour, harvested or not; per_root_kilotonne: after 1000 t of grain. limit: relative standard deviation
+    at which growth ends. Raises ValueError for a negative rate.
     """
 
     per_root_hour: Mapping[str, float] = field(default_factory=lambda: _defaults("per_root_hour"))
@@ -29,6 +29,10 @@ class DriftRates:
 
 def _defaults(rate: str) -> dict[str, float]:
     return {name: getattr(GRAIN[name].drift, rate) for name in DRIFTING}
+
+
+STEADY_MEMORY_KT = 2.0
+"""Harvested mass over which a steady rate falls to 1/e of itself, kt: some days of harvest."""
 
 
 def steady_defaults() -> dict[str, float]:

@@ -3,15 +3,19 @@
 Wear and a ripening crop move friction, impact gain and density in one direction for weeks. A random walk alone (`drift.grow`)
 forgets at every step what the steps before had in common; with rates as further states, hundreds of sweeps and a few weighed
 loads add up. States are (parameters, rates); the rates are never measured, they follow by their covariance with the parameters.
+A rate lasts for some harvested mass and not for ever: it returns to 0 and its standard deviation to what is likely, as an
+Ornstein-Uhlenbeck process does, so that another field, crop or year can have another rate.
 
-Sources: Harvey, "Forecasting, structural time series models and the Kalman filter" (1989), local linear trend; Rauch, Tung and
-Striebel, "Maximum likelihood estimates of linear dynamic systems" (1965), for the smoother.
+Sources: Harvey, "Forecasting, structural time series models and the Kalman filter" (1989), local linear trend; Gardner and
+McKenzie, "Forecasting trends in time series" (1985), the damped trend; Rauch, Tung and Striebel, "Maximum likelihood estimates of
+linear dynamic systems" (1965), for the smoother.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import expm1, inf, isinf
 
 import numpy as np
 
@@ -24,6 +28,8 @@ from .identifiability import natural_scale
 from .parameters import ParameterSet
 
 _KILOTONNE_KG = 1e6
+_SHORT = 1e-2
+"""Of a rate's memory, below which a variance comes from its series."""
 
 
 @dataclass(frozen=True)
@@ -88,29 +94,86 @@ def begin(parameters: ParameterSet, per_kilotonne: Mapping[str, float]) -> Drift
 
 
 def advance(
-    known: DriftingParameters, random: DriftRates, hours: float, harvested_kg: float
+    known: DriftingParameters,
+    random: DriftRates,
+    hours: float,
+    harvested_kg: float,
+    *,
+    per_kilotonne: Mapping[str, float] | None = None,
+    memory_kt: float = inf,
 ) -> tuple[DriftingParameters, Advance]:
-    """What is known `hours` and `harvested_kg` later: the rates move the parameters, the random walk widens them.
+    """What is known some time and grain later: the rates move the parameters, the random walk widens them.
 
-    Raises ValueError for negative amounts.
+    Parameters
+    ----------
+    known : DriftingParameters
+    random : DriftRates
+        Random walk of the parameters.
+    hours, harvested_kg : float
+        What has passed, 0 or more.
+    per_kilotonne : mapping of str to float, optional
+        Likely sizes of the rates, as `begin` has them; what a rate forgets, it becomes unsure by.
+    memory_kt : float
+        Harvested mass over which a rate falls to 1/e of itself, kt; inf: it stays for ever.
+
+    Returns
+    -------
+    DriftingParameters, Advance
+
+    Raises
+    ------
+    ValueError
+        For a negative amount, or a memory that is not above 0.
     """
+    if not memory_kt > 0.0:
+        raise ValueError(f"a rate's memory is {memory_kt} kt; expected more than 0")
     grain = harvested_kg / _KILOTONNE_KG
+    left, lasting, variance, tie, own = _forgetting(grain, memory_kt)
     parameters, count = known.parameters, len(known.parameters.covariance_names)
     transition = np.eye(len(known.joint))
-    values = dict(parameters.values)
+    added = np.zeros_like(known.joint)
+    values, rates = dict(parameters.values), known.rates * left
     for i, name in enumerate(known.names):
         row = parameters.covariance_names.index(name)
-        size = natural_scale(name, values[name])
-        transition[row, count + i] = size * grain
-        transition[row, row] += known.rates[i] * grain
-        values[name] += size * known.rates[i] * grain
-    joint = transition @ known.joint @ transition.T
+        size, likely = natural_scale(name, values[name]), (per_kilotonne or {}).get(drift_key(name), 0.0)
+        transition[row, count + i] = size * lasting
+        transition[row, row] += known.rates[i] * lasting
+        transition[count + i, count + i] = left
+        added[row, row] = variance * (size * likely) ** 2
+        added[row, count + i] = added[count + i, row] = tie * size * likely**2
+        added[count + i, count + i] = own * likely**2
+        values[name] += size * known.rates[i] * lasting
+    joint = transition @ known.joint @ transition.T + added
     joint = 0.5 * (joint + joint.T)
     moved = replace(parameters, values=values, covariance=joint[:count, :count])
     grown = grow(moved, random, hours, harvested_kg)
     joint[:count, :count] = grown.covariance
-    later = DriftingParameters(grown, known.names, known.rates, joint)
+    later = DriftingParameters(grown, known.names, rates, joint)
     return later, Advance(known.state, known.joint, transition, later.state, joint)
+
+
+def _forgetting(grain_kt: float, memory_kt: float) -> tuple[float, float, float, float, float]:
+    """Of a rate after some grain: the share of it that is left; the grain over which it has moved its parameter; and, for a
+    likely size of 1, the variance that forgetting gives to the parameter, the covariance with the rate, and the rate's variance.
+    """
+    if isinf(memory_kt) or grain_kt <= 0.0:
+        return 1.0, max(grain_kt, 0.0), 0.0, 0.0, 0.0
+    share = grain_kt / memory_kt
+    gone = -expm1(-share)
+    left = 1.0 - gone
+    # Doob, "The Brownian movement and stochastic equations" (1942): integral of the process and its end.
+    exact = 2.0 * share - 2.0 * gone - gone**2
+    moved = exact if share > _SHORT else share**3 * (2.0 / 3.0 - 0.5 * share + 7.0 / 30.0 * share**2)
+    return left, memory_kt * gone, memory_kt**2 * moved, memory_kt * gone**2, gone * (1.0 + left)
+
+
+def widened(joint: Array, count: int, widening: float) -> Array:
+    """A joint covariance whose first `count` states, the parameters, turn out less certain by a factor on their variances.
+    Rates and their covariances stay: a jump is no drift that goes on.
+    """
+    found = joint.copy()
+    found[:count, :count] *= widening
+    return found
 
 
 def carried(known: DriftingParameters, parameters: ParameterSet) -> DriftingParameters:
@@ -133,14 +196,14 @@ def carried(known: DriftingParameters, parameters: ParameterSet) -> DriftingPara
 def learn(known: DriftingParameters, posterior: ParameterSet, *, widening: float = 1.0) -> DriftingParameters:
     """After an update whose prior was `known.parameters`: the rates follow by their covariance with the parameters.
 
-    widening: what the update multiplied the prior's covariance by (`Outcome.prior_widening`). Raises ValueError when
+    widening: what the update multiplied the parameters' prior covariance by (`Outcome.prior_widening`). Raises ValueError when
     the posterior is of other parameters.
     """
     names = known.parameters.covariance_names
     if posterior.covariance_names != names:
         raise ValueError(f"posterior of {list(posterior.covariance_names)}; expected {list(names)}")
     count = len(names)
-    joint = known.joint * widening
+    joint = widened(known.joint, count, widening)
     prior = joint[:count, :count]
     scale = np.sqrt(np.diag(prior))
     gain = np.linalg.lstsq(prior / np.outer(scale, scale), joint[:count] / scale[:, None], rcond=1e-12)[0].T / scale

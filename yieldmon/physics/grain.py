@@ -24,8 +24,8 @@ EXCHANGE_FORM = ("k1", "k2")
 class Drift:
     """Defaults of a parameter's drift between calibrations, as relative standard deviations.
 
-    per_root_hour: after one hour. per_root_kilotonne: after 1000 t of grain. limit: where the growth ends. steady_per_kilotonne:
-    likely size of a steady rate; 0: none is looked for.
+    per_root_hour: after one hour, harvested or not. per_root_kilotonne: after 1000 t of grain. limit: where the growth ends.
+    steady_per_kilotonne: likely size of a steady rate; 0: none is looked for.
     """
 
     per_root_hour: float
@@ -101,12 +101,12 @@ _ALL = (
     GrainParameter(
         name="friction", symbol="μ", unit="", label="friction",
         limits=(0.0, 5.0), search=(0.0, 1.0), start=(0.0, 1.0), typical=0.3, step=0.2, floor=0.05,
-        drift=Drift(0.01, 0.025, 0.5, 0.1), signal="Friction",
+        drift=Drift(0.002, 0.04, 0.5, 0.15), signal="Friction",
     ),
     GrainParameter(
         name="density", symbol="η", unit="kg/m3", label="bulk density",
         limits=(1.0, 20000.0), search=(750.0, 2000.0), start=(750.0, 2000.0), typical=1100.0, step=500.0, along_scale=1.0,
-        drift=Drift(0.005, 0.01, 0.2, 0.025),
+        drift=Drift(0.001, 0.02, 0.2, 0.04),
     ),
     GrainParameter(
         name="shape_ratio", symbol="h_f", unit="", label="shape ratio",
@@ -115,7 +115,7 @@ _ALL = (
     GrainParameter(
         name="restitution", symbol="e", unit="", label="restitution", form="restitution",
         limits=(0.0, 1.0), search=(0.0, 1.0), start=(0.0, 1.0), typical=0.5, step=0.3, offset=1.0, along_scale=-1.0,
-        drift=Drift(0.002, 0.01, 0.1, 0.0125), signal="ImpactGain",
+        drift=Drift(0.0005, 0.01, 0.1, 0.02), signal="ImpactGain",
     ),
     GrainParameter(
         name="k1", symbol="k1", unit="", label="exchange coefficient", form="exchange",

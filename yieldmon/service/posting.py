@@ -108,7 +108,7 @@ def _lessons(chain: Sequence[CalibrationStep], parameters: ParameterSet, rates: 
     states = [*(step.advance.before for step in chain[1:]), np.array(end.state)]
     covariances = [*(step.advance.covariance_before for step in chain[1:]), learn(known, parameters, widening=end.widening).joint]
     return [
-        DriftLesson(step.advance, state, covariance, step.widening, step.sweep_alone)
+        DriftLesson(step.advance, state, covariance, step.widening, step.sweep_alone, len(rates))
         for step, state, covariance in zip(chain, states, covariances, strict=True)
     ]
 
