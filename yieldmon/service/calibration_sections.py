@@ -129,7 +129,7 @@ class Learning(Section):
     kept_ratio: float = quantity(_K.kept_ratio, 0.5, 1.0, "1", "a parameter that keeps more than this share of deviation stays")
     consistent_p: float = quantity(_K.consistent_p, 0.0, 0.5, "1", "probability of a misfit below which a sweep changes nothing")
     steady_drift_memory_kt: float = quantity(
-        _L.steady_drift_memory_kt, 0.01, 1e6, "kt", "harvested mass over which a steady rate falls to 1/e"
+        _L.steady_drift_memory_kt, 0.01, 1e6, "kt", "harvest after which a steady rate is 1/e"
     )
     pattern_sd: float = quantity(
         _L.pattern_sd, 0.0, 0.2, "1", "relative error of the model away from home that sweeps separate from the grain; 0: none"
@@ -171,7 +171,7 @@ if TYPE_CHECKING:
 else:
     DriftPerRootHour = _by_parameter(
         "DriftPerRootHour",
-        "Growth of what is not known: relative standard deviation after one hour, harvested or not.",
+        "Growth of what is not known: relative standard deviation after an hour, harvested or not.",
         _R.per_root_hour, 1.0,
     )  # fmt: skip
     DriftPerRootKilotonne = _by_parameter(
@@ -181,7 +181,7 @@ else:
     )  # fmt: skip
     SteadyDriftPerKilotonne = _by_parameter(
         "SteadyDriftPerKilotonne",
-        "Steady drift, whose rate is learnt: its likely size before that, relative, per 1000 t of grain; 0: not looked for.",
+        "Steady drift: likely relative size of the rate that is learnt, per 1000 t of grain; 0: none.",
         _L.steady_per_kilotonne, 2.0,
     )  # fmt: skip
     DriftLimit = _by_parameter(
