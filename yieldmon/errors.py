@@ -71,6 +71,16 @@ def remedy(error: OSError) -> str:
     return _REMEDIES.get(error.errno or 0, "")
 
 
+def database_errno(error: BaseException) -> int:
+    """The system's number for what SQLite says of a medium.
+
+    >>> os.strerror(database_errno(ValueError("no error of a database")))
+    'Input/output error'
+    """
+    name = getattr(error, "sqlite_errorname", "")
+    return next((number for begin, number in _DATABASE_ERRORS.items() if name.startswith(begin)), errno.EIO)
+
+
 def this_user() -> str:
     """Whom the system asks for permission, as a person knows it."""
     import pwd
@@ -82,6 +92,12 @@ def this_user() -> str:
         return f"user {user}"
 
 
+_DATABASE_ERRORS = {
+    "SQLITE_FULL": errno.ENOSPC,
+    "SQLITE_READONLY": errno.EROFS,
+    "SQLITE_PERM": errno.EACCES,
+    "SQLITE_CANTOPEN": errno.EACCES,
+}
 _REMEDIES = {
     errno.EROFS: "a place on a medium that takes writing",
     errno.ENOSPC: "room for the file: free some, or name a place on another medium",

@@ -16,6 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.extras import MF4
+from tests.file_limit import files_end_at
 from yieldmon.bus.candump import parse_line
 from yieldmon.bus.loading import iter_blocks
 from yieldmon.bus.log_writing import writing
@@ -434,3 +435,13 @@ def test_any_bytes_give_frames_or_an_input_error(tmp_path_factory, suffix: str, 
     path.write_bytes(content)
     refused = refusal(path, [], LogNotes(on_damage=lambda damage: None))
     assert not refused or refused.startswith(str(path))
+
+
+@pytest.mark.parametrize("frames", [60, 6000])
+def test_a_database_that_outgrows_its_medium_is_reported_with_the_logs_name(tmp_path: Path, frames: int, capfd) -> None:
+    """Also where only the last frames fail, which its writer writes when it is closed."""
+    path = tmp_path / "drive.db"
+    with pytest.raises(OSError, match="not all frames could be written") as caught, files_end_at(8192):
+        write(path, sample_log() * (frames // 60))
+    assert caught.value.filename == str(path)
+    assert "Traceback" not in capfd.readouterr().err

@@ -17,6 +17,7 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 
+from tests.file_limit import files_end_at
 from tests.seconds import measured_second
 from yieldmon.cli import main as cli
 from yieldmon.errors import InputError
@@ -375,3 +376,16 @@ def test_without_pyogrio_one_line(monkeypatch, folder, tmp_path, capsys):
     monkeypatch.setitem(__import__("sys").modules, "pyogrio", None)
     assert cli.main(["export", str(folder / "r.csv"), "--out", str(tmp_path / "x.gpkg"), *WORDS]) == 1
     assert capsys.readouterr().err == "yieldmon: needs pyogrio, which is not installed; pip install 'yieldmon[geo]'\n"
+
+
+def test_a_geopackage_that_outgrows_its_medium_is_one_line(folder, tmp_path, capsys):
+    """GDAL reports it with errors of its own."""
+    out = tmp_path / "out"
+    out.mkdir()
+    with files_end_at(8192):
+        assert cli.main(["export", str(folder / "r.csv"), "--out", str(out / "x.gpkg"), *WORDS]) == 1
+    said = capsys.readouterr().err
+    assert said.startswith(f"yieldmon: {out / 'x.gpkg'}: ")
+    assert said.count("\n") == 1
+    assert "; expected " in said
+    assert list(out.iterdir()) == []

@@ -293,3 +293,9 @@ def test_a_mass_that_is_none_is_refused_without_asking_the_daemon(mass, option, 
     words = ["ticket", "1", "5t", f"--std-dev={mass}"] if option else ["ticket", "1", "--", mass]
     assert main([words[0], "--socket", str(tmp_path / "none.sock"), *words[1:]]) == 2
     assert "expected kilograms above 0" in capsys.readouterr().err
+
+
+def test_true_is_no_total_of_one_kilogram() -> None:
+    monitor = SimpleNamespace(totals=Totals(total_kg=1.2, load_number=7), reset_totals=lambda: pytest.fail("reset"))
+    with pytest.raises(InputError, match="the total is 1 kg"):
+        commands.execute({"command": "totals-reset", "total_kg": True, "who": "anna"}, monitor, journal(), 1.7e9)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import grp
 import json
 import os
 import pwd
+import selectors
 import socket
 import threading
 from collections.abc import Iterator, Mapping
@@ -67,6 +69,8 @@ BAD = [
     (b"[1, 2]\n", "names no command"),
     (b'{"command": 7}\n', "names no command"),
     (b"{}\n", "names no command"),
+    (b'{"command": "status", "command": "zero"}\n', "'command' comes twice"),
+    (b'{"command": "ticket", "note": {"a": 1, "b": 2, "a": 3}}\n', "'a' comes twice"),
 ]
 
 
@@ -232,3 +236,37 @@ def test_beyond_eight_at_once_a_request_is_refused(tmp_path):
     finally:
         gate.set()
         server.stop()
+
+
+def test_half_a_request_is_refused_with_a_line(path):
+    """And not merely cut off: its asker would not know whether anything was done."""
+    with socket.socket(socket.AF_UNIX) as connection:
+        connection.settimeout(60.0)
+        connection.connect(str(path))
+        connection.sendall(b'{"command": "status"')
+        with connection.makefile("rb") as file:
+            answered = json.loads(file.read())
+    assert answered == {"ok": False, "error": "request: no line feed in 5 s; expected one line; nothing was done"}
+
+
+def test_out_of_descriptors_the_reason_is_one_line_and_answers_follow_later(tmp_path, caplog, monkeypatch):
+    lacking = [OSError(errno.EMFILE, "Too many open files")] * 3
+
+    class Selector(selectors.DefaultSelector):
+        def __init__(self) -> None:
+            if lacking:
+                raise lacking.pop()
+            super().__init__()
+
+    monkeypatch.setattr(selectors, "DefaultSelector", Selector)
+    path = tmp_path / "s.sock"
+    server = ControlServer(path, None, answer)
+    server.start()
+    try:
+        wait_for(lambda: answers_again(path), "an answer")
+    finally:
+        server.stop()
+    assert [record.getMessage() for record in caplog.records if record.exc_info is None] == [
+        f"{path}: Too many open files; status and commands are answered once that is over"
+    ]
+    assert not any(record.exc_info for record in caplog.records)

@@ -206,3 +206,28 @@ def test_what_the_encoding_lacks_is_no_error(verb_named_probe, monkeypatch):
     monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(written, encoding="ascii"))
     assert cli.main(["probe-it"]) == 0
     assert written.getvalue() == b"? 1\n"
+
+
+@pytest.mark.parametrize(
+    ("raised", "says"),
+    [
+        ("MemoryError()", "the system gives no more memory; expected "),
+        ("RuntimeError(\"can't start new thread\")", "the system gives no more threads; expected "),
+        ("ImportError('a note\\nlibx.so: failed to map segment from shared object')",
+         "libx.so: failed to map segment from shared object; expected more memory"),
+    ],
+    ids=["memory", "threads", "library"],
+)  # fmt: skip
+def test_what_the_system_does_not_give_is_one_line(verb_named_probe, capsys, raised, says):
+    verb_named_probe(f"raise {raised}")
+    assert cli.main(["probe-it"]) == 1
+    said = capsys.readouterr().err
+    assert said.startswith(f"yieldmon: {says}")
+    assert said.count("\n") == 1
+
+
+@pytest.mark.parametrize("raised", ["RuntimeError('dictionary changed size')", "ImportError('cannot import name x')"])
+def test_any_other_error_of_these_kinds_is_a_defect(verb_named_probe, raised):
+    verb_named_probe(f"raise {raised}")
+    with pytest.raises((RuntimeError, ImportError)):
+        cli.main(["probe-it"])

@@ -101,3 +101,29 @@ def test_the_last_masses_that_a_ticket_may_have(bench: Bench, mass_kg: float) ->
     assert (undone["ticket"], undone["first_load"], undone["last_load"]) == (reported["ticket"], 1, 1)
     with pytest.raises(InputError, match=f"ticket {reported['ticket']}: is undone already"):
         bench.daemon.command({"command": "ticket-undo", "ticket": reported["ticket"]})
+
+
+@pytest.mark.parametrize("command", VERBS.split(", ")[1:])
+@pytest.mark.parametrize("argument", ["std_dev", "Force", ""])
+def test_an_argument_that_a_command_does_not_have_is_refused(bench: Bench, command: str, argument: str) -> None:
+    """A misspelt one (std_dev for std_dev_kg) would count as not given."""
+    before = bench.status["load"], bench.daemon.command({"command": "tickets"})
+    given = {**TICKET, "mass_kg": 10.0} if command == "ticket" else {"command": command}
+    with pytest.raises(InputError) as refused:
+        bench.daemon.command({**given, argument: 1})
+    assert str(refused.value).startswith(f"{command}: takes no {argument!r}; expected ")
+    assert (bench.status["load"], bench.daemon.command({"command": "tickets"})) == before
+
+
+@pytest.mark.parametrize("given", ["yes", 1, 0.0, [], {}])
+def test_a_switch_is_true_or_false(bench: Bench, given: object) -> None:
+    with pytest.raises(InputError) as refused:
+        bench.daemon.command({"command": "zero", "force": given})
+    assert str(refused.value) == f"force: {given!r}; expected true or false"
+
+
+def test_a_number_without_end_is_shown_in_part(bench: Bench) -> None:
+    for request in ({"command": "ticket-undo", "ticket": -(10**400)}, {**TICKET, "mass_kg": 10**400}):
+        with pytest.raises(InputError) as refused:
+            bench.daemon.command(request)
+        assert len(str(refused.value)) < 200

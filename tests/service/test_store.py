@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sqlite3
 from contextlib import closing
 from dataclasses import replace
@@ -307,3 +308,19 @@ def test_loads_and_tickets_of_the_first_version_are_read_as_they_stand() -> None
         ]  # fmt: skip
         assert (ticket.first_load, ticket.last_load, ticket.weighed_mass_kg) == (1, 1, 1200.0)
         assert [round(row["corrected_mass_kg"]) for row in store.corrected_loads()] == [1200, 1090]
+
+
+@pytest.mark.parametrize("opens", [Store, Store.reading], ids=["to write", "to read"])
+def test_a_store_of_another_user_says_who_may_not_use_what(tmp_path, opens):
+    """SQLite's own words, "unable to open database file" or "disk I/O error", name neither."""
+    with Store(tmp_path / "s.sqlite"):
+        pass
+    (tmp_path / "s.sqlite").chmod(0o000)
+    user = os.geteuid()
+    if user == 0:
+        os.seteuid(65534)
+    try:
+        with pytest.raises(StoreError, match=r": Permission denied; expected a file or folder that user \w+ may use"):
+            opens(tmp_path / "s.sqlite")
+    finally:
+        os.seteuid(user)

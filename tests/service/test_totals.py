@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.file_limit import files_end_at
 from tests.service.bench import START_S, running
 from yieldmon.cli.main import main
 from yieldmon.service.control import ControlError, ask
@@ -38,3 +39,17 @@ def test_totals_are_archived_and_reset_and_stay_so(tmp_path: Path, capsys: pytes
         assert bench.status["total"]["mass_kg"] == pytest.approx(left_kg, abs=1.0)
         assert bench.status["load"]["number"] == 2
         assert bench.status["store"]["note"] is None
+
+
+def test_an_archive_that_outgrows_its_medium_is_one_line_about_that(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Nothing is left of it, and nothing is said against the store."""
+    store, folder = tmp_path / "s.sqlite", tmp_path / "usb"
+    with Store(store):
+        folder.mkdir()
+    with files_end_at(8192):
+        assert main(["totals", "archive", "--store", str(store), str(folder / "a.sqlite")]) == 1
+    said = capsys.readouterr().err
+    assert said.startswith(f"yieldmon: {folder / 'a.sqlite'}: ")
+    assert said.count("\n") == 1
+    assert "a daemon's store" not in said
+    assert list(folder.iterdir()) == []

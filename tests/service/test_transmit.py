@@ -236,3 +236,30 @@ def test_a_refused_frame_whose_copy_was_heard_costs_no_other_its_echo(clock) -> 
     transmitter.submit(frame(1), frame(2))
     assert transmitter.stop()
     assert transmitter.is_echo(frame(1))
+
+
+@pytest.mark.parametrize("paused_s", [0.6, 1.5, 30.0])
+@pytest.mark.parametrize("echo_s", [1.0, ASKED_ECHO_S])
+def test_an_echo_that_is_read_late_because_the_process_stood_still_is_ours(bus, clock, paused_s: float, echo_s: float) -> None:
+    """What is sent while nothing is read (SIGSTOP, no processor) comes back all the same, once."""
+    transmitter = Transmitter(bus.send, 10, 60.0, clock, echo_s)
+    transmitter.start()
+    transmitter.look()
+    transmitted(transmitter, frame(1))
+    clock.now_s += paused_s
+    transmitted(transmitter, frame(2))
+    transmitter.look()
+    assert [transmitter.is_echo(frame(number)) for number in (1, 2, 1, 2)] == [True, True, False, False]
+    assert transmitter.stop(PATIENCE_S)
+
+
+@pytest.mark.parametrize("echo_s", [1.0, ASKED_ECHO_S])
+def test_a_copy_that_comes_too_late_while_all_is_read_is_another_nodes(bus, clock, echo_s: float) -> None:
+    transmitter = Transmitter(bus.send, 10, 60.0, clock, echo_s)
+    transmitter.start()
+    transmitted(transmitter, frame(1))
+    for _ in range(int(echo_s / 0.25) + 1):
+        clock.now_s += 0.25
+        transmitter.look()
+    assert not transmitter.is_echo(frame(1))
+    assert transmitter.stop(PATIENCE_S)

@@ -52,6 +52,8 @@ EXTRAS = {
 
 #: Of a module's text, which is looked at without parsing: two dozen verbs take 60 ms to parse.
 _FUNCTION = re.compile(r"^def (\w+)\(", re.M)
+#: A library that the loader finds and cannot load.
+_UNMAPPED = re.compile(r"[^\n]*(?:failed to map segment|cannot allocate memory)[^\n]*", re.I)
 _DOCSTRING = re.compile(r'r?"""\s*([^\n"]+)')
 
 
@@ -127,6 +129,17 @@ def _missing_package(error: ModuleNotFoundError) -> str | None:
     return f"needs {top}, which is not installed"
 
 
+def _no_resources(error: BaseException) -> str | None:
+    """One line for memory, threads or libraries that the system does not give; None for another error."""
+    if isinstance(error, MemoryError):
+        return "the system gives no more memory; expected a larger limit (`ulimit -v`, MemoryMax) or less input"
+    if isinstance(error, RuntimeError) and str(error) == "can't start new thread":
+        return "the system gives no more threads; expected a larger limit (`ulimit -u`, `ulimit -v`, TasksMax, MemoryMax)"
+    if isinstance(error, ImportError) and (found := _UNMAPPED.search(str(error))):
+        return f"{found[0]}; expected more memory (`ulimit -v`, MemoryMax) or a sound installation"
+    return None
+
+
 def _open_standard_streams() -> None:
     """A standard stream that was closed is opened, or the next file would take its place; data written to it stays an error."""
     for number, flags in enumerate((os.O_RDONLY, os.O_RDONLY, os.O_WRONLY)):
@@ -185,10 +198,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     except InputError as error:
         _print_error(error)
         return EXIT_USAGE
-    except ModuleNotFoundError as error:
-        line = _missing_package(error)
+    except (ImportError, MemoryError, RuntimeError) as error:
+        line = _missing_package(error) if isinstance(error, ModuleNotFoundError) else _no_resources(error)
         if line is None:
             raise
+        _let_go_of_output()
         _print_error(line)
         return EXIT_FAILED
     except KeyboardInterrupt:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import errno
+import os
 from pathlib import Path
 
 from yieldmon.cli._daemon import add_daemon_arguments, ask_daemon
-from yieldmon.errors import InputError
+from yieldmon.errors import InputError, database_errno
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -36,12 +38,21 @@ def run(args: argparse.Namespace) -> int:
         return 0
     from yieldmon.files.whole_file import scratch_for
     from yieldmon.service.recorded import opened
+    from yieldmon.service.store_errors import StoreDamagedError, StoreError
 
     out = Path(args.out)
     if out.exists():
         raise InputError(args.out, "exists already", "a new file")
     store = args.store if args.store is not None else ask_daemon(args, {"command": "status"})["store"]["file"]
     with scratch_for(out, durable=True) as scratch, opened(Path(store)) as source:
-        source.copy_to(scratch)
+        try:
+            source.copy_to(scratch)
+        except StoreDamagedError:
+            raise
+        except StoreError as error:
+            # Of the new file; the store itself was read when it was opened.
+            number = database_errno(error.__cause__ or error)
+            what = os.strerror(number) if number != errno.EIO else str(error)
+            raise OSError(number, what, args.out) from error
     print(f"{out}: a copy of {store}")
     return 0

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from yieldmon.files.whole_file import scratch_for
+from yieldmon.files.whole_file import library_failures, scratch_for
 
 from .geojson import properties
 from .points import YieldPoint
@@ -17,7 +17,8 @@ LAYER = "yield"
 
 
 def write(path: Path, points: Sequence[YieldPoint]) -> None:
-    """One layer of points in EPSG:4326. Needs pyogrio."""
+    """One layer of points in EPSG:4326. Needs pyogrio. Raises OSError."""
+    import pyogrio.errors
     import pyogrio.raw
 
     rows = [properties(point) for point in points]
@@ -25,7 +26,8 @@ def write(path: Path, points: Sequence[YieldPoint]) -> None:
     columns = [_column([row[name] for row in rows]) for name in names]
     # Well-known binary: little-endian, type 1 (point), x, y.
     places = [struct.pack("<BIdd", 1, 1, point.longitude_deg, point.latitude_deg) for point in points]
-    with scratch_for(path) as scratch:
+    kinds = pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError
+    with scratch_for(path) as scratch, library_failures(scratch, *kinds):
         pyogrio.raw.write(
             str(scratch),
             geometry=np.array(places, dtype=object),

@@ -13,7 +13,7 @@ from contextvars import ContextVar
 from itertools import count
 from pathlib import Path
 
-from yieldmon.errors import InputError
+from yieldmon.errors import InputError, brief
 
 READABLE = 0o644
 """The mode of a file that the service reads as a user of its own, whatever the umask of whoever writes it."""
@@ -21,6 +21,8 @@ _STEM = 100
 """Characters of the name that its folder has as well: names have an end."""
 _NO_ROOM = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 """What only writing can meet, and a write's error does not name its file."""
+_SMALL_BYTES = 1_000_000
+"""A medium with less room than this is full: a library may have given back what it could not complete."""
 
 
 _free_names: ContextVar[frozenset[Path]] = ContextVar("free_names", default=frozenset())
@@ -102,6 +104,22 @@ def scratch_for(path: str | Path, *, durable: bool = False, mode: int | None = N
     finally:
         if folder is not None:
             shutil.rmtree(folder, ignore_errors=True)
+
+
+@contextmanager
+def library_failures(path: str | Path, *kinds: type[Exception]) -> Iterator[None]:
+    """What a library reports with errors of its own while it writes a file, as an OSError that names the file.
+
+    Such an error does not give the system's number: where the medium has less than `_SMALL_BYTES` left it is ENOSPC.
+    """
+    try:
+        yield
+    except kinds as error:
+        full = shutil.disk_usage(Path(path).parent).free < _SMALL_BYTES
+        number = errno.ENOSPC if full else errno.EIO
+        broken = f"could not be written ({brief(error)}); expected a medium with room that takes writing"
+        what = os.strerror(number) if full else broken
+        raise OSError(number, what, str(path)) from error
 
 
 def _refuse_another_programs(scratch: Path, target: Path, path: str | Path) -> None:

@@ -117,6 +117,7 @@ class BusNode:
         # Read before the queue: what came by then is in there.
         empty_until_s = self.receiver.empty_until_s
         items = self.receiver.get_many(_BATCH_FRAMES, _CLAIMING_WAIT_S if self._link.claiming else _WAIT_S)
+        self.transmitter.look()
         return items, empty_until_s if not items else _NEVER
 
     def take_event(self, event: BusEvent) -> None:

@@ -46,10 +46,13 @@ def execute(
     request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float, stored: Sequence[StoredLoad] = ()
 ) -> Answer:
     """Carries out one request. stored: loads that a ticket names, as the store has them. Raises InputError when it cannot be."""
-    command = _COMMANDS.get(request["command"])
+    name = request["command"]
+    command = _COMMANDS.get(name)
     if command is None:
-        raise InputError("command", repr(request["command"]), f"one of status, {', '.join(_COMMANDS)}")
-    return command(_Order(Request(request), monitor, journal, now_s, stored))
+        raise InputError("command", repr(name), f"one of status, {', '.join(_COMMANDS)}")
+    checked = Request(request)
+    checked.only(name, _ARGUMENTS.get(name, ()))
+    return command(_Order(checked, monitor, journal, now_s, stored))
 
 
 def ticketed_loads(request: Mapping[str, Any]) -> range:
@@ -116,7 +119,8 @@ def set_crop(monitor: Monitor, journal: Journal) -> None:
 def _totals_reset(order: _Order) -> Answer:
     monitor, journal = order.monitor, order.journal
     before_kg = monitor.totals.total_kg
-    if order.request.values.get("total_kg") != round(before_kg):
+    given = order.request.values.get("total_kg")
+    if isinstance(given, bool) or given != round(before_kg):
         raise InputError("totals reset", f"the total is {before_kg:.0f} kg", "that figure, so that nothing is reset by mistake")
     journal.actions.add(ledger.TOTALS_RESET, order.request.who, {"total_kg": before_kg}, order.now_s)
     journal.happened(monitor.reset_totals())
@@ -297,3 +301,13 @@ _COMMANDS: Mapping[str, Callable[[_Order], Answer]] = {
     "sweep-start": _sweep_start,
     "sweep-abort": _sweep_abort,
 }
+
+_ARGUMENTS: Mapping[str, tuple[str, ...]] = {
+    "load-start": ("field", "crop", "thousand_kernel_weight_g"),
+    "totals-reset": ("total_kg",),
+    "ticket": ("first_load", "last_load", "mass_kg", "std_dev_kg", "note"),
+    "ticket-undo": ("ticket",),
+    "calibration-undo": ("version",),
+    "zero": ("force",),
+}
+"""Of the commands that have some."""

@@ -23,7 +23,7 @@ from pathlib import Path
 from time import monotonic, sleep
 from typing import Any
 
-from yieldmon.errors import InputError, reason
+from yieldmon.errors import InputError, brief, reason
 from yieldmon.service.ownership import OccupiedError
 
 _log = logging.getLogger(__name__)
@@ -43,7 +43,11 @@ _LOOK_EVERY_S = 2.0
 _WRONG_PATH = frozenset({errno.ENAMETOOLONG, errno.ENOTDIR, errno.EISDIR, errno.ELOOP, errno.EINVAL})
 #: Connections whose requests are awaited, and requests that are answered, at the same time.
 _CONNECTIONS, _ANSWERS_AT_ONCE = 32, 8
+#: Of a request that is refused.
+_EXPECTED = '{"command": NAME} with its arguments, and a line feed'
 _BUSY = f'{{"ok": false, "error": "{_ANSWERS_AT_ONCE} requests are being answered; nothing was done, ask again"}}\n'.encode()
+_CUT = f'{{"ok": false, "error": "request: no line feed in {_PATIENCE_S:g} s; expected one line; nothing was done"}}\n'.encode()
+_NO_THREAD = b'{"ok": false, "error": "the system gives the daemon no thread to answer on; nothing was done, ask again"}\n'
 #: From so many connections on the thread rests between two looks at them.
 _CROWDED, _CROWDED_PAUSE_S = 8, 0.02
 _PIECE_BYTES = 65_536
@@ -225,12 +229,22 @@ class _Server:
                 try:
                     self.listening = self.listening or _listen(self._path, self._group)
                     self._serve(self.listening)
+                except OSError as error:
+                    # Of the system, such as no descriptor left; where in the code says nothing about it.
+                    self._begin_again(f"{self._path}: {reason(error)}; status and commands are answered once that is over")
                 except Exception:  # noqa: BLE001 - without this thread no status is answered
                     _log.exception("control")
-                    self._shut()
-                    sleep(_POLL_S)
+                    self._begin_again("")
         finally:
             self._shut()
+
+    def _begin_again(self, trouble: str) -> None:
+        """After a while; says why, once."""
+        if trouble and trouble != self._trouble:
+            _log.error("%s", trouble)
+        self._trouble = trouble
+        self._shut()
+        sleep(_POLL_S)
 
     def _shut(self) -> None:
         """The socket; the file that stood for it is taken away by the one that comes after it, or at the stop."""
@@ -261,6 +275,8 @@ class _Server:
                         self._looks_at_s = now_s + _LOOK_EVERY_S
                         listening = self.listening = self._listen_again(selector, listening)
                     for asking in [a for a in self._asking.values() if a.until_s <= now_s]:
+                        if asking.request:
+                            _refuse(asking.connection, _CUT)
                         self._drop(selector, asking)
                     if len(self._asking) >= _CROWDED:
                         # Peers that come and speak without end get this many looks and not the processor.
@@ -316,9 +332,7 @@ class _Server:
             return
         if not asking.request or not self._answering.acquire(blocking=False):
             if asking.request:
-                # What the socket has no room for is not waited for.
-                with suppress(OSError):
-                    asking.connection.send(_BUSY)
+                _refuse(asking.connection, _BUSY)
             self._drop(selector, asking)
             return
         selector.unregister(asking.connection)
@@ -328,6 +342,7 @@ class _Server:
         except RuntimeError as error:
             _log.warning("control: %s", error)
             self._answering.release()
+            _refuse(asking.connection, _NO_THREAD)
             asking.connection.close()
 
     def _drop(self, selector: selectors.BaseSelector, asking: _Asking) -> None:
@@ -349,18 +364,41 @@ class _Server:
             self._answering.release()
 
     def _answer_to(self, line: bytes, who: str) -> Answer:
-        if len(line) > MAX_REQUEST_BYTES:
-            return {"ok": False, "error": "the request is not one line of JSON"}
         try:
-            request = json.loads(line)
-        except (ValueError, RecursionError):
-            return {"ok": False, "error": "the request is not one line of JSON"}
-        if not isinstance(request, dict) or not isinstance(request.get("command"), str):
-            return {"ok": False, "error": "the request names no command"}
-        try:
-            return {"ok": True, **self._answer({**request, "who": who})}
+            return {"ok": True, **self._answer({**_request(line), "who": who})}
         except (InputError, ControlError) as error:
             return {"ok": False, "error": str(error)}
+
+
+def _refuse(connection: socket.socket, answer: bytes) -> None:
+    """What the socket has no room for is not waited for."""
+    with suppress(OSError):
+        connection.send(answer)
+
+
+def _request(line: bytes) -> dict[str, Any]:
+    """What one line asks. Raises InputError."""
+    try:
+        request = json.loads(line, object_pairs_hook=_once_each) if len(line) <= MAX_REQUEST_BYTES else None
+    except InputError:
+        raise
+    except (ValueError, RecursionError):
+        request = None
+    if request is None:
+        raise InputError("request", "is not one line of JSON", f"{_EXPECTED}, of at most {MAX_REQUEST_BYTES} bytes")
+    if not isinstance(request, dict) or not isinstance(request.get("command"), str):
+        raise InputError("request", "names no command", _EXPECTED)
+    return request
+
+
+def _once_each(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """A JSON object; of a key that comes twice nobody knows which value is meant. Raises InputError."""
+    values = dict(pairs)
+    if len(values) < len(pairs):
+        names = [name for name, _ in pairs]
+        double = next(name for name in values if names.count(name) > 1)
+        raise InputError("request", f"{brief(double)!r} comes twice", "each key once")
+    return values
 
 
 def _user(connection: socket.socket) -> str:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from yieldmon.errors import InputError
+from yieldmon.errors import InputError, brief
 
 _MAX_NAME = 80
 _SHOWN = 100
@@ -28,8 +28,17 @@ class Request:
         return self.values.get(key) is not None
 
     def flag(self, key: str) -> bool:
-        """Whether the value is true."""
-        return self.values.get(key) is True
+        """Whether the value is true; no value is false."""
+        value = self.values.get(key)
+        if value is not None and not isinstance(value, bool):
+            raise InputError(key, brief(repr(value), _SHOWN), "true or false")
+        return value is True
+
+    def only(self, command: str, keys: Collection[str]) -> None:
+        """Raises InputError for an argument that the command does not have: a misspelt one would count as not given."""
+        strange = next((key for key in self.values if key not in keys and key not in ("command", "who")), None)
+        if strange is not None:
+            raise InputError(command, f"takes no {brief(strange, _SHOWN)!r}", ", ".join(keys) or "no argument")
 
     def name(self, key: str) -> str | None:
         """A printable text on one line, None where there is none."""
@@ -37,14 +46,14 @@ class Request:
         if value is None:
             return None
         if not isinstance(value, str) or len(value) > _MAX_NAME or not value.isprintable():
-            raise InputError(key, repr(value)[:_SHOWN], f"a name of at most {_MAX_NAME} printable characters")
+            raise InputError(key, brief(repr(value), _SHOWN), f"a name of at most {_MAX_NAME} printable characters")
         return value
 
     def number_of(self, key: str, what: str) -> int:
         """The number by which a load, a ticket or a version goes."""
         value = self.values.get(key)
         if not isinstance(value, int) or isinstance(value, bool) or value < 0:
-            raise InputError(key, repr(value)[:_SHOWN], f"the number of a {what}")
+            raise InputError(key, brief(repr(value), _SHOWN), f"the number of a {what}")
         return value
 
     def mass_or_none(self, key: str, low: float, high: float, unit: str) -> float | None:
@@ -55,5 +64,5 @@ class Request:
         """A mass from low to high, which must be there."""
         value = self.values.get(key)
         if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
-            raise InputError(key, repr(value)[:_SHOWN], f"a mass from {low:g} to {high:g} {unit}")
+            raise InputError(key, brief(repr(value), _SHOWN), f"a mass from {low:g} to {high:g} {unit}")
         return float(value)

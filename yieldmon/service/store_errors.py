@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from yieldmon.errors import InputError
+from yieldmon.errors import InputError, remedy
 
 
 class StoreError(Exception):
@@ -59,10 +61,27 @@ def failures_of(path: Path) -> Iterator[None]:
         if isinstance(error, sqlite3.IntegrityError):
             raise BatchRefusedError(f"{path}: {error}") from error
         damaged = getattr(error, "sqlite_errorname", "").startswith(_DAMAGE)
-        raise (StoreDamagedError if damaged else StoreError)(f"{path}: {error}") from error
+        why = "" if damaged else _forbidden(path, error)
+        raise (StoreDamagedError if damaged else StoreError)(f"{path}: {error}{why}") from error
     except (MemoryError, UnicodeDecodeError, sqlite3.Error) as error:
         # SQLite's own message about a damaged schema may be no text.
         raise StoreDamagedError(f"{path}: {error or 'a value too large to read'}") from error
+
+
+def _forbidden(path: Path, error: Exception) -> str:
+    """What the system does not let this user do with a store, which SQLite calls "unable to open" or "disk I/O error"; empty
+    where it is something else. Follows SQLite's words."""
+    name = getattr(error, "sqlite_errorname", "")
+    if not name.startswith(("SQLITE_CANTOPEN", "SQLITE_IOERR", "SQLITE_READONLY")):
+        return ""
+    # What cannot be read for another reason is not read better by whoever may write it.
+    needed = os.R_OK if name.startswith("SQLITE_IOERR") else os.R_OK | os.W_OK
+    for part in (path.parent, path, path.with_name(f"{path.name}-wal"), path.with_name(f"{path.name}-journal")):
+        also = os.X_OK if part == path.parent else 0
+        if os.path.lexists(part) and not os.access(part, needed | also, effective_ids=True):
+            refusal = OSError(errno.EACCES, os.strerror(errno.EACCES))
+            return f" ({part}: {refusal.strerror}; expected {remedy(refusal)})"
+    return ""
 
 
 @contextmanager

@@ -21,6 +21,8 @@ ECHO_S = 1.0
 ASKED_ECHO_S = 10.0
 #: So many frames sent, and none come back in time, indicate an interface that shows a node no frame of its own.
 _ENOUGH_WITHOUT_ECHO = 20
+#: Received frames are looked at much more often than this, unless the process gets no processor or is stopped.
+_PAUSE_S = 0.5
 _FAILURE_HOLD_S = 2.0
 #: How long a stop waits for the frame that is being sent.
 _STOP_S = 1.0
@@ -69,6 +71,7 @@ class Transmitter:
         self._echoes: deque[tuple[float, int, bytes]] = deque()
         self._learns = echo_s < ASKED_ECHO_S
         self._without_echo = 0
+        self._looked_s = clock()
         self._changed = threading.Condition()
         self._stopping = False
         self._busy_since_s: float | None = None
@@ -109,8 +112,17 @@ class Transmitter:
         since_s = self._busy_since_s
         return 0.0 if since_s is None else self._clock() - since_s
 
+    def look(self) -> None:
+        """Received frames are being looked at now. After a pause they are so much late, and so are the echoes among them."""
+        with self._changed:
+            now_s = self._clock()
+            paused_s, self._looked_s = now_s - self._looked_s, now_s
+            if paused_s > _PAUSE_S:
+                self._echoes = deque((sent_s + paused_s, number, data) for sent_s, number, data in self._echoes)
+            self._forget_echoes()
+
     def is_echo(self, message: can.Message) -> bool:
-        """Whether a received frame is one of those sent within the last second. Each counts as an echo once: some
+        """Whether a received frame is one of those sent within the last second (`echo_s`), pauses apart. Each counts once: some
         interfaces show a node its own frames, and another node's copies come on top. Of an interface that has shown none of the
         first ones each copy is another node's."""
         seen = (message.arbitration_id, bytes(message.data))
@@ -154,7 +166,6 @@ class Transmitter:
                 self._count(late=1)
                 continue
             with self._changed:
-                self._forget_echoes()
                 echo = self._clock(), message.arbitration_id, bytes(message.data)
                 self._echoes.append(echo)
             try:

@@ -15,6 +15,7 @@ from yieldmon.field.harvest import HarvestMap
 from yieldmon.field.plane import Sites
 from yieldmon.field.table import Array
 from yieldmon.field.tracks import Index
+from yieldmon.files.whole_file import library_failures
 
 CHUNK = 100_000
 Shapes = NDArray[np.object_]
@@ -23,10 +24,12 @@ Shapes = NDArray[np.object_]
 def write_layer(
     path: Path, layer: str, driver: str, kind: str, shapes: Shapes, columns: Mapping[str, NDArray[Any]], *, append: bool
 ) -> None:
-    """Add features to a layer; `append` false makes it."""
+    """Add features to a layer; `append` false makes it. Raises OSError."""
+    import pyogrio.errors
     import pyogrio.raw
 
-    with warnings.catch_warnings():
+    failures = library_failures(path, pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError)
+    with failures, warnings.catch_warnings():
         # A shapefile cuts long names and wide numbers; the names given are short and the numbers are rounded.
         warnings.simplefilter("ignore", RuntimeWarning)
         pyogrio.raw.write(
