@@ -13,6 +13,7 @@ from tests.robustness.fuzz_harvests import base_files, fuzz
 from yieldmon.cli import main as cli
 from yieldmon.errors import InputError
 from yieldmon.field import sources
+from yieldmon.field.sources import timelog
 from yieldmon.field.sources.options import ReadOptions
 
 
@@ -163,3 +164,15 @@ def test_what_gdal_says_of_a_damaged_table_is_one_note(tmp_path: Path, capfd: py
     (source,) = sources.read(tmp_path / "t.zip", ReadOptions()).sources
     assert any("parsed incompletely" in note and "more of its warnings" in note for note in source.notes)
     assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize(
+    ("value", "read"), [("-2147483648", True), ("4294967295", True), ("4294967296", False), ("9" * 400, False)]
+)
+def test_a_value_of_process_data_has_32_bits(value: str, read: bool) -> None:
+    text = f'<TIM A=""><DLV A="0054" B="{value}" C="DET-1"/></TIM>'.encode()
+    if read:
+        assert timelog.header(text, "TLG00001.XML").constants == {(0x54, "DET-1"): float(value)}
+        return
+    with pytest.raises(InputError, match=r"^TLG00001.XML: DLV 0: has no identifier or a value that is not a number"):
+        timelog.header(text, "TLG00001.XML")

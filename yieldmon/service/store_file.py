@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import sqlite3
@@ -12,7 +13,7 @@ from tempfile import TemporaryDirectory
 from urllib.parse import quote
 
 from yieldmon.bounded import why_no_file
-from yieldmon.errors import InputError
+from yieldmon.errors import InputError, reason, remedy
 from yieldmon.service import schema
 from yieldmon.service.checksums import row_checksum
 from yieldmon.service.folders import where_sqlite_writes
@@ -199,6 +200,9 @@ def _opened(path: Path, how: str) -> tuple[sqlite3.Connection, int, int, list[tu
     try:
         database = sqlite3.connect(address(path, how), uri=True, isolation_level=None)
     except sqlite3.OperationalError as error:
+        if not os.access(path, os.R_OK, effective_ids=True):
+            refusal = OSError(errno.EACCES, os.strerror(errno.EACCES))
+            raise InputError(str(path), reason(refusal), remedy(refusal)) from error
         raise InputError(str(path), str(error), "a daemon's store that may be read") from error
     try:
         prepared(database)

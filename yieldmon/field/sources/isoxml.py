@@ -251,7 +251,7 @@ def _device(root: ET.Element) -> _Device:
     constants = {}
     for element in root.iter("DPT"):
         try:
-            constants[int(element.get("B", ""), 16)] = float(int(element.get("C", "")))
+            constants[int(element.get("B", ""), 16)] = timelog.process_value(element.get("C", ""))
         except ValueError:
             continue
     sections = frozenset(element.get("A", "") for element in root.iter("DET") if element.get("C") == _SECTION)

@@ -64,6 +64,14 @@ def xml_root(data: bytes, where: str) -> ET.Element:
         raise InputError(where, f"is not well-formed XML: {error}", "ISO 11783-10 XML") from error
 
 
+def process_value(text: str) -> float:
+    """A value of process data, which has 32 bits. Raises ValueError."""
+    value = int(text)
+    if not -(2**31) <= value < 2**32:
+        raise ValueError("more than 32 bits")
+    return float(value)
+
+
 def header(data: bytes, where: str) -> Header:
     """The header file of a log. Raises InputError."""
     root = xml_root(data, where)
@@ -80,7 +88,7 @@ def header(data: bytes, where: str) -> Header:
             key = (int(element.get("A", ""), 16), element.get("C", ""))
             preset = element.get("B", "")
             if preset:
-                constants[key] = float(int(preset))
+                constants[key] = process_value(preset)
         except ValueError:
             raise InputError(
                 f"{where}: DLV {number}", "has no identifier or a value that is not a number", "A hexadecimal"
