@@ -183,6 +183,19 @@ def test_loads_of_other_parameters_stay_as_they_were_measured() -> None:
     assert found[1] != 1.0
 
 
+def test_parameters_that_a_change_of_crop_kept_as_another_version_count_as_one() -> None:
+    """Version 1 measured; wheat's parameters of version 4 lie between; the ticket updated version 5, a copy of 1."""
+    learnt, named = known(6, 840.0), {"crop": "corn"}
+    sets = {
+        1: known(), 3: replace(known(3), provenance=named), 4: known(4, 760.0), 5: replace(known(5), provenance=named), 6: learnt,
+        7: replace(known(7), provenance={"crop": "barley"}),
+    }  # fmt: skip
+    step = lesson(4.0, 0.0, learnt)
+    line = posting.timeline([replace(step, version=6, document={**step.document, "from_version": 5})], learnt, sets)
+    assert line.versions == {1, 3, 5, 6}
+    assert line.at(0.0).values["density"] == pytest.approx(840.0)
+
+
 def test_an_update_that_does_not_follow_on_the_one_before_speaks_for_its_own_time_only() -> None:
     learnt = known(5, 840.0)
     line = posting.timeline([lesson(4.0, 0.0, known(2, 820.0))], learnt)

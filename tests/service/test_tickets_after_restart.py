@@ -14,6 +14,7 @@ from yieldmon.cli import main as cli
 from yieldmon.files import parameter_file
 from yieldmon.service.action_log import ActionLog
 from yieldmon.service.batch import Ticket
+from yieldmon.service.ledger import PARAMETERS
 from yieldmon.service.store import Store
 
 LOADS = ((5, 40.0), (4, 80.0), (5, 110.0), (4, 60.0))
@@ -114,7 +115,19 @@ def test_tickets_that_wait_for_another_crop_update_it_after_restarts(tmp_path, c
         bench.play(3, 0.0)
         bench.played()
         wait_for(lambda: bench.status["parameters"]["version"] == corn + 1, "what the ticket teaches of corn")
-    assert season.lessons()[-1][0] == "ticket"
+
+        def again() -> dict[int, float]:
+            """Once a second the daemon looks what has been measured again."""
+            bench.play(1, 0.0)
+            bench.played()
+            rows = ask(season.folder, capsys, "load", "list")["loads"]
+            return {row["number"]: row["posted_mass_kg"] for row in rows if row["posted_mass_kg"] is not None}
+
+        wait_for(lambda: set(again()) >= {2, 3, 4, 5}, "the loads of corn, measured before wheat was harvested")
+        assert again()[3] == pytest.approx(1.1 * season.masses[3], rel=0.01)
+        undone = ask(season.folder, capsys, "ticket", "undo", "1")
+        assert undone["undone"] == corn + 1
+    assert "ticket" in [origin for origin, _, _ in season.lessons()]
 
 
 def test_a_ticket_that_updates_after_a_restart_is_undone_with_its_update(tmp_path, capsys) -> None:
@@ -137,13 +150,52 @@ def test_loads_are_measured_again_though_the_daemon_was_killed_meanwhile() -> No
     log = ActionLog([], [], 0.0)
     log.ticket(tickets[0], is_reference=True)
     assert log.unfinished == (1,)
-    assert log.take_waiting() == (1,)
+    assert log.take_waiting(2) == ((1,), 2)
     assert log.unfinished == (1,), "while they are measured"
     after = ActionLog(tickets, tuple(log), 0.0, log.unfinished)
     assert after.waiting == [1]
     log.posted((1,), 2, {})
     assert log.unfinished == ()
     assert ActionLog([], [], 0.0, (1,)).waiting == [], "a ticket that the store lost"
+
+
+def log_of(count: int) -> ActionLog:
+    """With so many tickets of the crop in use, which wait."""
+    log = ActionLog([], [], 0.0)
+    for number in range(1, count + 1):
+        log.ticket(Ticket(1.0, number, number, 100.0, 90.0, ""), is_reference=True)
+    return log
+
+
+def test_tickets_of_a_crop_that_is_left_before_they_update_wait_for_its_return() -> None:
+    log = log_of(1)
+    log.change_crop("wheat", "corn")
+    assert (log.waiting, log.unfinished, log.unfinished_of_crop) == ([], (), {"wheat": (1,)})
+    log.ticket(Ticket(2.0, 2, 2, 100.0, 90.0, ""), is_reference=True)
+    assert log.take_waiting(5) == ((2,), 5)
+    log.posted((2,), 5, {})
+    tickets = [Ticket(1.0, number, number, 100.0, 90.0, "") for number in (1, 2)]
+    after = ActionLog(tickets, tuple(log), 0.0, log.unfinished, log.unfinished_of_crop)
+    after.change_crop("corn", "wheat")
+    assert (after.waiting, after.unfinished_of_crop) == ([1], {})
+    assert ActionLog(tickets[:1], (), 0.0, (), {"wheat": (1, 2)}).unfinished_of_crop == {"wheat": (1,)}, "the store lost one"
+    log.undo_ticket(1, "", 3.0)
+    assert log.unfinished_of_crop == {}
+
+
+def test_loads_are_measured_again_with_the_crop_that_their_ticket_updated_though_another_is_in_use() -> None:
+    """Two tickets of wheat; the crop changes while its loads are still to be measured again, and corn has a ticket at once."""
+    log = log_of(2)
+    log.add(PARAMETERS, "", {"version": 2, "from_version": 1, "origin": "ticket", "tickets": [1, 2]})
+    for version in (3, 4):
+        log.add(PARAMETERS, "", {"version": version, "from_version": version - 1, "origin": "crop", "tickets": []})
+    log.change_crop("wheat", "corn")
+    log.ticket(Ticket(2.0, 3, 3, 100.0, 90.0, ""), is_reference=True)
+    log.add(PARAMETERS, "", {"version": 5, "from_version": 4, "origin": "ticket", "tickets": [3]})
+    assert log.take_waiting(5) == ((1, 2), 2)
+    log.posted((1, 2), 2, {})
+    assert log.take_waiting(5) == ((3,), 5)
+    assert log.waiting == []
 
 
 def test_a_store_made_anew_by_the_last_write_has_the_tickets_too(tmp_path, capsys, monkeypatch) -> None:

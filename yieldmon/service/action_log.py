@@ -14,13 +14,21 @@ class ActionLog:
     """All tickets and actions, and those that no batch has brought to the store yet."""
 
     def __init__(
-        self, tickets: Sequence[Ticket], actions: Sequence[Action], now_s: float, unfinished: Sequence[int] = ()
+        self,
+        tickets: Sequence[Ticket],
+        actions: Sequence[Action],
+        now_s: float,
+        unfinished: Sequence[int] = (),
+        of_crop: Mapping[str, Sequence[int]] | None = None,
     ) -> None:
-        """tickets, actions: as the store has them. now_s: Unix time. unfinished: as the run before had it."""
+        """tickets, actions: as the store has them. now_s: Unix time. unfinished, of_crop: as the run before had them."""
         self.now_s = now_s
         """Unix time of an action of which nothing else is said."""
-        self.waiting: list[int] = [number for number in unfinished if 1 <= number <= len(tickets)]
+        known = range(1, len(tickets) + 1)
+        self.waiting: list[int] = [number for number in unfinished if number in known]
         """Numbers of the tickets that are to update the parameters, or did and whose loads are not measured again yet."""
+        self._of_crop = {crop: [number for number in kept if number in known] for crop, kept in (of_crop or {}).items()}
+        """Numbers of those that are to update the parameters of another crop than the present one, by its name."""
         self._taken: tuple[int, ...] = ()
         self._tickets = list(tickets)
         self._actions = list(actions)
@@ -57,21 +65,52 @@ class ActionLog:
             done = "is undone already" if 1 <= number <= len(self._tickets) else "no such ticket"
             raise InputError(f"ticket {number}", done, known)
         self.add(ledgers.TICKET_UNDO, who, {"ticket": number}, now_s)
-        if number in self.waiting:
-            self.waiting.remove(number)
+        for kept in (self.waiting, *self._of_crop.values()):
+            if number in kept:
+                kept.remove(number)
         updates = [version for version, action in self.updates.items() if number in action.document.get("tickets", ())]
         undone = self.undone_versions
         return standing[number], next((version for version in updates if version not in undone), None)
 
-    def take_waiting(self) -> tuple[int, ...]:
-        """The tickets that wait; each is returned once."""
-        self._taken, self.waiting = tuple(self.waiting), []
-        return self._taken
+    def change_crop(self, before: str, now: str) -> None:
+        """Another crop from now on: tickets that have not updated the parameters wait for the return of theirs."""
+        learnt = self._learnt
+        self._of_crop[before] = [number for number in self.waiting if number not in learnt]
+        self.waiting = [number for number in self.waiting if number in learnt] + self._of_crop.pop(now, [])
+
+    def take_waiting(self, in_use: int) -> tuple[tuple[int, ...], int]:
+        """Tickets that wait, each once, and the version of the parameters with which loads are measured again after them.
+
+        in_use: the present version. Where a change of crop came since the tickets updated the parameters, it is the last version
+        that they led to; tickets of another version are left for the next time.
+        """
+        changed = max((version for version, a in self.updates.items() if a.document.get("origin") == ledgers.CROP), default=0)
+        learnt = {number: version for number, version in self._learnt.items() if version < changed}
+        version = learnt.get(self.waiting[0], in_use)
+        self._taken = tuple(number for number in self.waiting if learnt.get(number, in_use) == version)
+        self.waiting = [number for number in self.waiting if number not in self._taken]
+        return self._taken, version
+
+    @property
+    def _learnt(self) -> Mapping[int, int]:
+        """The newest version that each ticket has led to, by the ticket's number."""
+        undone = self.undone_versions
+        return {
+            int(number): version
+            for version, action in sorted(self.updates.items())
+            if version not in undone
+            for number in action.document.get("tickets", ())
+        }
 
     @property
     def unfinished(self) -> tuple[int, ...]:
         """Numbers of the tickets that wait or whose loads are being measured again, which a restart has to go on with."""
         return (*self._taken, *self.waiting)
+
+    @property
+    def unfinished_of_crop(self) -> Mapping[str, Sequence[int]]:
+        """Numbers of the tickets that wait for the return of another crop, by its name."""
+        return {crop: tuple(kept) for crop, kept in self._of_crop.items() if kept}
 
     def posted(self, tickets: Sequence[int], version: int, factors: Mapping[int, float]) -> None:
         """Loads were measured again with the parameters of this version, after these tickets. factors: by load number; none where

@@ -92,6 +92,7 @@ def _load_start(order: _Order) -> Answer:
     chosen = journal.parameters.change_crop(crop, in_use, journal.crop, request.who) if crop and in_use.curve is None else None
     if chosen is not None:
         monitor.change_crop(estimator_of(monitor.machine, chosen), calibration_age_s(chosen, order.now_s), before, crop or "")
+        journal.actions.change_crop(before, crop or "")
     journal.name_load(field, crop)
     journal.happened(monitor.start_load())
     set_crop(monitor, journal)

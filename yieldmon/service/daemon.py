@@ -468,9 +468,9 @@ class Daemon:
                 self._commit()
         if self._journal.actions.waiting and not self._monitor.masses_wait and not self._poster.busy:
             totals, now_s = self._monitor.totals, self._monitor.bus_time_s
-            version = self._monitor.estimator.parameters.version
+            tickets, version = self._journal.actions.take_waiting(self._monitor.estimator.parameters.version)
             open_load = totals.load_number if totals.load_open else None
-            self._poster.start(self._monitor.machine, self._journal.actions.take_waiting(), version, open_load, now_s)
+            self._poster.start(self._monitor.machine, tickets, version, open_load, now_s)
 
     def _do_reload(self) -> None:
         self._reloads.take(self._use)

@@ -33,7 +33,9 @@ class Journal:
 
     def __init__(self, memory: Memory, configured: ParameterSet, field: str = "", crop: str = "", *, now_s: float) -> None:
         """memory: what the store holds. configured: the parameters as their file has them. now_s: Unix time."""
-        self.actions = ActionLog(memory.tickets, memory.actions, now_s, memory.unfinished_tickets)
+        self.actions = ActionLog(
+            memory.tickets, memory.actions, now_s, memory.unfinished_tickets, memory.unfinished_tickets_of_crop
+        )
         self.parameters = ParameterHistory(memory, configured, self.actions)
         self.loads = LoadBook(memory.loads)
         self.field = memory.field or field
@@ -149,6 +151,7 @@ class Journal:
             "kernel_weight_g": self.kernel_weight_g,
             "faults": sorted(self._faults),
             "unfinished_tickets": list(self.actions.unfinished),
+            "unfinished_tickets_of_crop": {crop: list(kept) for crop, kept in self.actions.unfinished_of_crop.items()},
         }
 
     def _fault(self, code: str, active: bool, detail: str) -> None:

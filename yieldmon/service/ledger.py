@@ -11,6 +11,8 @@ if TYPE_CHECKING:
 
 TICKET, TICKET_UNDO, ZERO, ZERO_UNDO = "ticket", "ticket-undo", "zero", "zero-undo"
 PARAMETERS, PARAMETERS_UNDO, POSTING, TOTALS_RESET = "parameters", "parameters-undo", "posting", "totals-reset"
+CROP = "crop"
+"""Origin of parameters that a change of crop brought."""
 
 
 @dataclass(frozen=True)

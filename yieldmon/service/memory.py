@@ -54,6 +54,8 @@ class Memory:
     actions: tuple[Action, ...] = ()
     unfinished_tickets: tuple[int, ...] = ()
     """Numbers of those that are still to update the parameters, or whose loads are still to be measured again."""
+    unfinished_tickets_of_crop: Mapping[str, tuple[int, ...]] = field_of(default_factory=dict)
+    """Those that are to update the parameters of a crop that is not harvested now, by its name."""
     since_zero: tuple[KeptSecond, ...] = ()
     """Seconds since the operator's last zero calibration, where that can be undone."""
     ticketed: tuple[StoredLoad, ...] = ()
@@ -89,6 +91,9 @@ def recall(store: Store) -> Memory:
             versions={v.version: parameter_file.from_document(v.document, str(store.path)) for v in versions[-KEPT_VERSIONS:]},
             actions=actions,
             unfinished_tickets=tuple(map(int, document.get("unfinished_tickets", ()))),
+            unfinished_tickets_of_crop={
+                str(crop): tuple(map(int, kept)) for crop, kept in dict(document.get("unfinished_tickets_of_crop", {})).items()
+            },
             since_zero=_since_zero(store, actions, engine.totals.first_load) if engine.zero_undo is not None else (),
             ticketed=_ticketed(store, engine),
         )

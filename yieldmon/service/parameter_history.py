@@ -17,8 +17,6 @@ from yieldmon.service.batch import ParameterVersion, Step
 from yieldmon.service.memory import KEPT_VERSIONS, Memory
 from yieldmon.service.update_steps import step_document
 
-_CROP = "crop"
-"""Origin of versions that a change of crop made."""
 _SHIPPED_CROP = "corn"
 """Of the shipped parameter file."""
 
@@ -60,9 +58,9 @@ class ParameterHistory:
             return None
         kept = replace(in_use, version=self.version + 1, provenance={**in_use.provenance, "crop": before})
         self._of_crop[before] = kept
-        self.use(kept, _CROP, who, f"what is known of {before} is kept")
+        self.use(kept, ledgers.CROP, who, f"what is known of {before} is kept")
         chosen = replace(known, version=self.version + 1)
-        self.use(chosen, _CROP, who, f"what is known of {crop}")
+        self.use(chosen, ledgers.CROP, who, f"what is known of {crop}")
         return chosen
 
     def unlike(self, configured: ParameterSet) -> ParameterSet | None:
@@ -85,7 +83,7 @@ class ParameterHistory:
         before = int(changes[version].document.get("from_version", 0))
         if version in self._actions.undone_versions:
             raise InputError(f"version {version}", "is undone already", "one that stands")
-        if changes[version].document.get("origin") == _CROP:
+        if changes[version].document.get("origin") == ledgers.CROP:
             raise InputError(f"version {version}", "is a change of crop", "a calibration, or `yieldmon load start --crop NAME`")
         if before not in self._versions:
             raise InputError(f"version {version}", "the parameters before it are not known", "a later version")
@@ -98,7 +96,7 @@ class ParameterHistory:
         kept = self._of_crop[crop] = replace(earlier, provenance={**earlier.provenance, "crop": crop})
         self.use(kept, "undo", who, f"version {version} of {crop} undone: as version {before}")
         chosen = replace(in_use, version=self.version + 1, provenance={**in_use.provenance, "crop": now})
-        self.use(chosen, _CROP, who, f"what is known of {now}")
+        self.use(chosen, ledgers.CROP, who, f"what is known of {now}")
         return chosen, crop
 
     def _crop_at(self, version: int) -> str:

@@ -65,12 +65,20 @@ class Timeline:
         return replace(self.parameters, values={**self.parameters.values, **here})
 
 
-def timeline(steps: Sequence[Step], parameters: ParameterSet) -> Timeline:
-    """From the steps that led to these parameters without a break, the last one's version being theirs; others are left out."""
+def timeline(steps: Sequence[Step], parameters: ParameterSet, sets: Mapping[int, ParameterSet] | None = None) -> Timeline:
+    """From the steps that led to these parameters without a break, the last one's version being theirs; others are left out.
+
+    sets: parameters by version, of which those that say the same count as one: a change of crop keeps parameters as a further
+    version.
+    """
     chain: list[CalibrationStep] = []
-    version = parameters.version
     by_version = {step.version: step for step in steps}
-    while version in by_version:
+    equal = _copies(parameters.version, sets or {})
+    versions = set(equal)
+    while True:
+        version = max(equal & by_version.keys(), default=None)
+        if version is None:
+            break
         # Each once: versions of a store that was tampered with may lead to themselves.
         found = step_from_document(by_version.pop(version).document)
         if found is not None and found.names:
@@ -80,10 +88,11 @@ def timeline(steps: Sequence[Step], parameters: ParameterSet) -> Timeline:
         if chain and len(found.state) != len(chain[-1].state):
             break
         chain.append(found)
-        version = found.from_version
+        equal = _copies(found.from_version, sets or {})
+        versions |= equal
     names = parameters.covariance_names
     if not chain:
-        return Timeline(parameters, (), np.zeros(1), np.zeros((1, 0)), frozenset({parameters.version}))
+        return Timeline(parameters, (), np.zeros(1), np.zeros((1, 0)), frozenset(versions))
     chain.reverse()
     state = np.array(chain[-1].state)
     rates = tuple(names[: len(state) - len(names)])  # Only their number counts here.
@@ -92,9 +101,20 @@ def timeline(steps: Sequence[Step], parameters: ParameterSet) -> Timeline:
     known = smoothed([lesson.advance for lesson in lessons], ending(last, lessons[-1]))
     times = np.array([*(step.begin_s for step in chain), chain[-1].end_s])
     values = np.array([[point[name] for name in names] for point in known])
-    versions = frozenset({parameters.version, *(step.from_version for step in chain)})
     broken = [step.begin_s for step, lesson in zip(chain, lessons, strict=True) if _contradicts(lesson.advance, lesson.state)]
-    return Timeline(parameters, names, np.maximum.accumulate(times), values, versions, max(broken, default=-np.inf))
+    return Timeline(parameters, names, np.maximum.accumulate(times), values, frozenset(versions), max(broken, default=-np.inf))
+
+
+def _copies(version: int, sets: Mapping[int, ParameterSet]) -> set[int]:
+    """The versions that say what this one says, of the same crop."""
+    known = sets.get(version)
+    return {version} if known is None else {version, *(other for other, found in sets.items() if _is_copy(found, known))}
+
+
+def _is_copy(found: ParameterSet, known: ParameterSet) -> bool:
+    crops = {parameters.provenance["crop"] for parameters in (found, known) if "crop" in parameters.provenance}
+    same = found.values == known.values and found.covariance_names == known.covariance_names and len(crops) < 2
+    return same and np.array_equal(found.covariance, known.covariance)
 
 
 def _lessons(chain: Sequence[CalibrationStep], parameters: ParameterSet, rates: tuple[str, ...]) -> list[DriftLesson]:
@@ -155,7 +175,7 @@ def of_store(path: Path, machine: Machine, version: int, open_load: int | None, 
         sets = parameter_sets(store)
         if version not in sets:
             raise InputError(str(path), f"has no parameters of version {version}", "a store that is being written")
-        known, loads = timeline(store.steps(), sets[version]), store.loads()
+        known, loads = timeline(store.steps(), sets[version], sets), store.loads()
         for rows in _newest_loads(store, begins(known, now_s), open_load):
             out |= factors(loads_of(of_loads(rows, loads), sets), known, machine)
     return out
