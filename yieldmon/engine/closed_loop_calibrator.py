@@ -38,6 +38,7 @@ from yieldmon.estimation.closed_loop_outcome import Outcome, ScaleReport
 from yieldmon.estimation.common_bias import CommonBias, KernelLesson
 from yieldmon.estimation.load_inputs import LoadSettings
 from yieldmon.estimation.load_pattern import EFFECT as LOAD_PATTERN
+from yieldmon.estimation.loads import known_slip
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.steady_drift import Advance, DriftingParameters, advance, begin, carried, learn
@@ -274,9 +275,11 @@ class ClosedLoopCalibrator:
             if error is None:
                 accepted.append(mass)
             else:
+                settings, counted = self._load_settings, self._weighings.counted
+                what = known_slip(self._model, prior, counted, weighed(reference, mass), settings)
                 doubt = (
-                    f"{name_of(reference)} contradicts the {len(self._weighings.counted)} weighed before it by "
-                    f"{100.0 * error:+.1f} % and counts for nothing until another agrees with it"
+                    f"{name_of(reference)} contradicts the {len(counted)} weighed before it by {100.0 * error:+.1f} %"
+                    f"{f', as if {what},' if what else ''} and counts for nothing until another agrees with it"
                 )
         return accepted, doubt
 

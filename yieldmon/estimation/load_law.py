@@ -42,6 +42,8 @@ _SCATTERS = ((0.0, 0.9), (0.01, 0.08), (0.03, 0.02))
 """Of a load's mass beside what is stated, relative, and how likely each is."""
 _REST = 0.004
 """Of a load's mass, relative, where the curve is another: what the pattern's weights leave."""
+_ALL_OFF = 2.0
+"""Weighed over measured mass of every load beyond which they are off by a factor, and not by a tare."""
 _ITERATIONS = 25
 _SETTLED = 1e-4
 _MOST_STEP = 1.0
@@ -58,9 +60,11 @@ class LawAverage:
     error, by_step, by_held: (n,) ln of measured over weighed mass there, and its slopes.
     law: probability that the force follows another curve than the model's.
     scatter: relative standard deviation of loads beside what is stated, rms over what it may be.
+    scatters: probability that loads scatter by more than is stated.
     strain: standard deviations of the widest prior to the step.
     All of them count wrong tickets by their probability.
     wrong: probability that a ticket is wrong. slips: of the active loads, each with its probability.
+    along: of each of these, the expected place on its common direction, in its standard deviations.
     """
 
     step: Array
@@ -70,9 +74,11 @@ class LawAverage:
     by_held: Array
     law: float
     scatter: float
+    scatters: float
     strain: float
     wrong: float
     slips: tuple[tuple[Slip, float], ...]
+    along: tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -87,13 +93,16 @@ class _Curve:
 
 @dataclass(frozen=True)
 class _Mixture:
-    """Over all combinations, in the model that is linear about a step; of_slip: (h,) probabilities, no wrong ticket first."""
+    """Over all combinations, in the model that is linear about a step; of_slip: (h,) probabilities, no wrong ticket first; along:
+    (h,) expected place on a slip's common direction, in its standard deviations."""
 
     step: Array
     covariance: Array
     law: float
     scatter: float
+    scatters: float
     of_slip: Array
+    along: Array
 
 
 def placed(start: ParameterSet, step: Array) -> ParameterSet:
@@ -121,7 +130,10 @@ def average(problem: LoadProblem, active: NDArray[np.bool_], near: Array | None 
     error, slope = _slopes(problem, step)
     if not np.all(np.isfinite(error)):
         return None
-    wrong, curves = slips(problem.weighed[active]), _curves(problem)
+    names = [load.name for load, ok in zip(problem.loads, active, strict=True) if ok]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        factor = np.min((problem.weighed / problem.mass(problem.given))[active])
+    wrong, curves = slips(problem.weighed[active], names, all_off=bool(factor > _ALL_OFF)), _curves(problem)
     for _ in range(_ITERATIONS):
         wanted = _mixture(problem, active, step, error, slope, wrong, curves).step
         change = np.clip(wanted - step, -_MOST_STEP, _MOST_STEP)
@@ -141,7 +153,8 @@ def average(problem: LoadProblem, active: NDArray[np.bool_], near: Array | None 
     strain = float(np.sqrt(step @ np.linalg.solve(_prior(problem, _FREE[-1][0] * _WEIGHT_SD), step)))
     each = tuple(zip(wrong, found.of_slip[1:].tolist(), strict=True))
     right = float(found.of_slip[0])
-    return LawAverage(step, whole, error, slope, held, found.law, found.scatter, strain, 1.0 - right, each)
+    along = tuple(found.along[1:].tolist())
+    return LawAverage(step, whole, error, slope, held, found.law, found.scatter, found.scatters, strain, 1.0 - right, each, along)
 
 
 def _prior(problem: LoadProblem, weight_sd: Array) -> Array:
@@ -220,39 +233,48 @@ def _mixture(
 ) -> _Mixture:
     """Mean and covariance of the step over all combinations in the model that is linear about `step`."""
     h, target = slope[active], slope[active] @ step - error[active]
-    right = Slip((), np.zeros(target.size), np.zeros(target.size), 1.0 - sum(slip.prior for slip in wrong), "")
+    count, size = target.size, step.size
+    right = Slip((), np.zeros(count), np.zeros(count), 1.0 - sum(slip.prior for slip in wrong), "")
     every = (right, *wrong)
-    variances, of_variance = np.unique(np.array([slip.variance for slip in every]), axis=0, return_inverse=True)
-    shifted = target[:, None] - np.array([slip.shift for slip in every]).T
-    steps, covariances, logs, laws, scatters, places = [], [], [], [], [], []
-    for curve in curves:
-        by_prior, expected = h @ curve.covariance, (h @ curve.mean)[:, None]
-        for scatter, probable in _SCATTERS:
-            rest = _REST if curve.another else 0.0
-            noise = problem.sd[active] ** 2 + scatter**2 + rest**2
-            for i, variance in enumerate(variances):
-                here = np.flatnonzero(of_variance.ravel() == i)
-                spread = by_prior @ h.T + np.diag(noise + variance)
-                gain = np.linalg.solve(spread, by_prior).T
-                targets = shifted[:, here] - expected
-                _, log_det = np.linalg.slogdet(spread)
-                misfit = np.sum(targets * np.linalg.solve(spread, targets), axis=0)
-                steps.append(curve.mean + (gain @ targets).T)
-                covariances += [curve.covariance - gain @ by_prior] * here.size
-                logs.append(np.log(curve.likely * probable) + np.log([every[k].prior for k in here]) - 0.5 * (misfit + log_det))
-                laws += [curve.another] * here.size
-                scatters += [float(np.hypot(scatter, rest))] * here.size
-                places.append(here)
-    log = np.concatenate(logs)
-    weight = np.exp(log - log.max())
+    # Slips of one covariance share a matrix: (g, n, n), and which is whose, (s,).
+    covariances, of_covariance = np.unique(np.array([slip.covariance for slip in every]), axis=0, return_inverse=True)
+    of_covariance = of_covariance.ravel()
+    shifted = target - np.array([slip.shift for slip in every])
+    priors = np.log([slip.prior for slip in every])
+    combinations = [(curve, scatter, probable) for curve in curves for scatter, probable in _SCATTERS]
+    logs, steps = np.empty((len(combinations), len(every))), np.empty((len(combinations), len(every), size))
+    after = np.empty((len(combinations), len(covariances), size, size))
+    tare = np.zeros((len(combinations), len(every)))
+    scatters = np.array([np.hypot(scatter, _REST if curve.another else 0.0) for curve, scatter, _ in combinations])
+    for c, (curve, _, probable) in enumerate(combinations):
+        by_prior = curve.covariance @ h.T
+        noise = problem.sd[active] ** 2 + scatters[c] ** 2
+        spread = h @ by_prior + np.diag(noise) + covariances
+        inverse, (_, log_det) = np.linalg.inv(spread), np.linalg.slogdet(spread)
+        gain = by_prior @ inverse
+        away = shifted - h @ curve.mean
+        weighted = np.einsum("sij,sj->si", inverse[of_covariance], away)
+        steps[c] = curve.mean + np.einsum("sij,sj->si", gain[of_covariance], away)
+        after[c] = curve.covariance - gain @ by_prior.T
+        misfit = np.sum(away * weighted, axis=1)
+        logs[c] = np.log(curve.likely * probable) + priors - 0.5 * (misfit + log_det[of_covariance])
+        tare[c] = [float(slip.along @ row) if slip.along.size else 0.0 for slip, row in zip(every, weighted, strict=True)]
+    weight = np.exp(logs - logs.max())
     weight /= weight.sum()
-    slip = np.concatenate(places)
-    of_slip = np.bincount(slip, weight, minlength=len(every)).astype(float)
-    each = np.concatenate(steps)
-    mean = weight @ each
-    away = each - mean
-    covariance = np.einsum("k,kij->ij", weight, np.array(covariances)) + np.einsum("k,ki,kj->ij", weight, away, away)
-    return _Mixture(mean, covariance, float(weight @ np.array(laws)), float(np.sqrt(weight @ np.array(scatters) ** 2)), of_slip)
+    of_combination, of_slip = weight.sum(axis=1), weight.sum(axis=0)
+    mean = np.einsum("cs,csi->i", weight, steps)
+    apart = steps - mean
+    of_group = np.stack([np.bincount(of_covariance, row, minlength=len(covariances)) for row in weight])
+    covariance = np.einsum("cg,cgij->ij", of_group, after) + np.einsum("cs,csi,csj->ij", weight, apart, apart)
+    return _Mixture(
+        step=mean,
+        covariance=covariance,
+        law=float(sum(w for w, (curve, _, _) in zip(of_combination, combinations, strict=True) if curve.another)),
+        scatter=float(np.sqrt(of_combination @ scatters**2)),
+        scatters=float(sum(w for w, (_, scatter, _) in zip(of_combination, combinations, strict=True) if scatter > 0.0)),
+        of_slip=of_slip,
+        along=np.sum(weight * tare, axis=0) / np.maximum(of_slip, 1e-300),
+    )
 
 
 def _with_held(

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from math import isfinite, log
 
-from .load_constant import Constant
 from .parameters import ParameterSet
+from .ticket_slips import SlipKind, title
 
 _A_LOT = 0.5
 """Change of ln scale that is pointed out: another unit's is 0.8 or more, and a machine before its first load is good to 0.3."""
@@ -16,8 +16,8 @@ LIKELY_ANOTHER = 0.8
 """Probability of another curve from which it is said to be one."""
 _LIKELY_WRONG = 0.25
 """Probability of a wrong ticket from which it is said to be one."""
-_SCATTERS = 0.01
-"""Relative standard deviation of loads beside what is stated that is pointed out."""
+_SCATTERS, _LIKELY_SCATTERS = 0.01, 0.5
+"""Relative standard deviation of loads beside what is stated that is pointed out, and how likely they have to scatter by more."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,25 +46,26 @@ class Contradiction:
 
 @dataclass(frozen=True, slots=True)
 class AnotherLaw:
-    """The force may follow another curve over the flow than the model's: how likely that is by the loads, and the relative
-    standard deviation of loads beside what is stated."""
+    """The force may follow another curve over the flow than the model's: how likely that is by the loads; the relative standard
+    deviation of loads beside what is stated, and how likely they scatter by more at all."""
 
     probability: float
     scatter: float
+    scatters: float
 
 
 @dataclass(frozen=True, slots=True)
 class WrongTicket:
-    """A ticket that contradicts the others, or two that are exchanged.
+    """A ticket that contradicts the others, two that are exchanged, or a tare in all of them.
 
     probability: that a ticket is wrong; None where the force changes between two loads as on no plate. loads: names of those it
-    may be of, the likeliest first; both of two exchanged ones. exchanged: whether the tickets of two loads are. ratio, apart_kg:
-    of the first's ticket to what the other loads make of it. what: the known slip that explains it, "" for none.
+    may be of, the likeliest first; both of two exchanged ones, all with a tare. ratio, apart_kg: of the first's ticket to what
+    the other loads make of it; with a tare 1 and the tare. what: the known slip that explains it, "" for none.
     """
 
     probability: float | None
     loads: tuple[str, ...]
-    exchanged: bool
+    kind: SlipKind
     ratio: float
     apart_kg: float
     what: str
@@ -91,7 +92,6 @@ class LoadCalibration:
     rms_left_out: float
     refused: bool
     sweeps_used: int
-    constant: Constant | None = None
     contradiction: Contradiction | None = None
     another_law: AnotherLaw | None = None
     wrong_ticket: WrongTicket | None = None
@@ -108,7 +108,7 @@ class LoadCalibration:
 def sentences(found: LoadCalibration, sweeps: int) -> list[str]:
     """One for each thing to know. sweeps: those that were offered."""
     out = [
-        f"{_load(load.name)} contradicts the others by {100.0 / (1.0 + load.left_out_error) - 100.0:+.1f} % and counts for "
+        f"{title(load.name)} contradicts the others by {100.0 / (1.0 + load.left_out_error) - 100.0:+.1f} % and counts for "
         f"nothing: {_cause(found, load.name)}"
         for load in found.loads
         if load.outlier
@@ -128,12 +128,6 @@ def _by_model(found: LoadCalibration, sweeps: int) -> list[str]:
     out = []
     if found.load_dependence:
         out.append("they also determine how the error changes with the flow: density and impact gain moved apart.")
-        if found.constant is not None:
-            constant = f"a constant of {found.constant.kg:+.0f} kg (sd {found.constant.sd_kg:.0f}) in every weighed mass"
-            out.append(
-                f"density and gain are far from the crop's; {constant} would explain the loads as well: is the tare right? "
-                "Loads of one flow and unlike masses tell."
-            )
     else:
         out.append("they do not determine how the error changes with the flow: held; weigh a load at another flow.")
     if found.sweeps_used:
@@ -148,11 +142,6 @@ def _by_model(found: LoadCalibration, sweeps: int) -> list[str]:
         out += _contradiction(found.contradiction, bool(found.outliers))
     out.append(f"a next load like these is expected within {100.0 * found.next_load_sd:.2f} % (one standard deviation).")
     return out
-
-
-def _load(name: str) -> str:
-    """A load as a sentence has it; a daemon's are named so already."""
-    return name if name.startswith("load ") else f"load {name}"
 
 
 def _cause(found: LoadCalibration, name: str) -> str:
@@ -173,10 +162,15 @@ def wrong_ticket_sentence(found: LoadCalibration) -> str:
         chance = f"probability {100.0 * min(wrong.probability, 0.99):.0f} %"
     sure = refused and (wrong.probability is None or wrong.probability > _LIKELY_WRONG)
     begin = f"{'refused: ' if refused else ''}a ticket {'is' if sure else 'may be'} wrong ({chance})"
-    if wrong.exchanged:
+    if wrong.kind is SlipKind.TARE:
+        what = "the tare was not taken off" if wrong.apart_kg > 0.0 else "the tare was taken off twice"
+        plural = begin.replace("a ticket is", "the tickets are").replace("a ticket may", "the tickets may")
+        left = "correct them" if refused else "if they are right, further loads of one flow and unlike masses show it"
+        return f"{plural}: each holds about {wrong.apart_kg:+.0f} kg beside the grain, as if {what}. Check the tickets; {left}."
+    if wrong.kind is SlipKind.EXCHANGED:
         left = "seem to be exchanged; correct them" if refused else "may be exchanged; check them"
-        return f"{begin}: those of {' and '.join(map(_load, wrong.loads))} {left}."
-    first, *others = map(_load, wrong.loads)
+        return f"{begin}: those of {' and '.join(map(title, wrong.loads))} {left}."
+    first, *others = map(title, wrong.loads)
     apart = f"weighs {wrong.ratio:.2f} times ({wrong.apart_kg:+.0f} kg) what"
     if not others:
         said = f"{first} {apart} the others make of it"
@@ -232,10 +226,7 @@ def curve_sentence(found: LoadCalibration) -> str:
 def _another_law(found: LoadCalibration, law: AnotherLaw, sweeps: int) -> list[str]:
     """Where the force may follow another curve over the flow than the model's."""
     out = [curve_sentence(found)]
-    if found.constant is not None:
-        constant = f"a constant of {found.constant.kg:+.0f} kg (sd {found.constant.sd_kg:.0f}) in every weighed mass"
-        out.append(f"{constant} would explain the loads as well: is the tare right? Loads of one flow and unlike masses tell.")
-    if law.scatter > _SCATTERS:
+    if law.scatter > _SCATTERS and law.scatters > _LIKELY_SCATTERS:
         out.append(
             f"the loads scatter by more than their tickets' deviations, about {100.0 * law.scatter:.1f} %: a ticket is wrong, or "
             "the machine or the grain changes from load to load."

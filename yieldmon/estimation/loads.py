@@ -27,27 +27,27 @@ from .closed_loop_inputs import MassAnchor, Sweep
 from .closed_loop_settings import ClosedLoopSettings
 from .density_and_gain import DENSITY, gain_names, moved, widened
 from .flow_curve_fit import fit_loads
-from .load_constant import constant_in_weighed
 from .load_fit import LoadFit, LoadProblem
 from .load_inputs import LoadSettings, WeighedLoad
 from .load_law import LawAverage, against_others, average, carrying, inliers, law_problem, left_out, placed
 from .load_outcome import AnotherLaw, Contradiction, LoadCalibration, LoadResult, WrongTicket, sentences
 from .load_pattern import EFFECT
 from .parameters import ParameterSet
-from .ticket_slips import slips
+from .ticket_slips import SlipKind, slips, tare_kg
 
 LEAST_LOADS = 3
 """Fewer weighed loads say nothing against a further one."""
 _MODELS_OWN = 0.2
 """Probability of another curve up to which the model's own is used."""
-_WRONG, _PERHAPS_WRONG = 0.5, 0.1
+_WRONG, _PERHAPS_WRONG = 0.5, 0.2
 """Probability of a wrong ticket from which nothing is learnt, and from which it is asked about (studies/load_laws)."""
-_WRONG_OF_TWO = 0.25
-"""The former of two loads, where a third is soon weighed."""
+_WRONG_OF_TWO, _PERHAPS_WRONG_OF_TWO = 0.25, 0.1
+"""The same of two loads, where a third is soon weighed."""
 _DOUBTED = 0.2
 """Probability of a wrong ticket beyond which a load that contradicts the model's curve waits for one that agrees with it."""
-_EXPONENTS, _BESIDE = (0.55, 1.6), 0.1
-"""Powers of the flow with which a plate's force may grow, and ln mass by which two loads may be further apart."""
+_EXPONENTS, _EXPONENTS_OF_TWO, _BESIDE = (0.5, 1.6), (0.55, 1.6), 0.1
+"""Powers of the flow with which a plate's force may grow between two of several loads, or where there are but two, and ln mass by
+which two loads may be further apart."""
 _EXPLAINED_SDS, _LARGE_SDS = 2.0, 6.0
 """Standard deviations up to which a known slip explains a load that the others contradict, and from which it is far off."""
 _NAMED = 0.8
@@ -104,14 +104,15 @@ def calibrate_loads(
     law = law_problem(problem)
     every = np.ones(len(loads), dtype=bool)
     whole = average(law, every)
-    active = every if _are_exchanged(whole) else inliers(problem, law)
+    active = every if _of_several(whole) else inliers(problem, law)
     found = whole if np.all(active) else average(law, active)
     active, found = _without_wrong(problem, law, active, found)
     if found is None or found.strain > _MOST_STRAIN:
         # In words with the masses where the model's own curve does not explain them either.
         problem.fit(active, 2)
-    likely = _WRONG if active.sum() >= LEAST_LOADS else _WRONG_OF_TWO
-    if found is not None and (found.wrong > likely or _by_no_plate(problem)):
+    likely, perhaps = (_WRONG, _PERHAPS_WRONG) if active.sum() >= LEAST_LOADS else (_WRONG_OF_TWO, _PERHAPS_WRONG_OF_TWO)
+    no_plate = _by_no_plate(problem, active)
+    if found is not None and (found.wrong > likely or (no_plate and active.sum() < LEAST_LOADS)):
         return _with_wrong_ticket(problem, law, active, found, len(sweeps))
     if found is not None and np.max(np.abs(found.error[active])) > _MOST_LEFT:
         problem.fit(active, 2)
@@ -121,7 +122,7 @@ def calibrate_loads(
         calibration = _calibration(problem, active, sweeps, sweep_settings, learnt)
     else:
         calibration = _by_another_law(problem, law, active, found, learnt)
-    wrong = _wrong_ticket(law, active, found) if found is not None and found.wrong > _PERHAPS_WRONG else None
+    wrong = _wrong_ticket(law, active, found) if found is not None and (no_plate or found.wrong > perhaps) else None
     calibration = replace(calibration, wrong_ticket=wrong, slips=_known_slips(law, active))
     return replace(calibration, sentences=tuple(sentences(calibration, len(sweeps))))
 
@@ -162,7 +163,20 @@ def _is_doubted(found: LawAverage, k: int) -> bool:
     """Whether load k's ticket may well be wrong; of two loads none is the likelier one."""
     if found.error.size < LEAST_LOADS:
         return found.wrong > _WRONG_OF_TWO
-    return sum(likely for slip, likely in found.slips if k in slip.loads) > _DOUBTED
+    return sum(likely for slip, likely in found.slips if k in slip.loads and slip.kind is not SlipKind.TARE) > _DOUBTED
+
+
+def known_slip(
+    model: ForwardModel,
+    prior: ParameterSet,
+    before: Sequence[WeighedLoad],
+    load: WeighedLoad,
+    settings: LoadSettings | None = None,
+) -> str:
+    """What explains the ticket of a load that those before it contradict, such as another unit; "" where nothing known does."""
+    settings = LoadSettings() if settings is None else settings
+    problem = LoadProblem(model, prior, widened(prior, settings), [w.condensed() for w in (*before, load)], settings)
+    return _known_slip(law_problem(problem), np.arange(len(problem.loads)) < len(before), len(before))
 
 
 def departure(
@@ -241,7 +255,6 @@ def _calibration(
         rms_left_out=rms_after,
         refused=refused,
         sweeps_used=0 if together is None else len(sweeps),
-        constant=constant_in_weighed(problem, active, fit) if directions == 2 and together is None else None,
         contradiction=_contradiction(problem, errors) if (against or not active.all()) and together is None else None,
     )
     return calibration
@@ -281,10 +294,6 @@ def _by_another_law(
     refused = bool(active.sum() > 1 and expected > rms_before and _rms(away[judges]) > _CONTRADICTED)
     chosen = problem.given if refused else _as_law_set(law, found)
     after = before if refused else after
-    try:
-        constant = constant_in_weighed(problem, active, problem.fit(active, 2))
-    except ValueError:  # The model's own curve has no flow for these forces.
-        constant = None
     information = problem.information(LoadFit(found.step[:2], found.error, found.by_step[:, :2]), active)
     mean = np.column_stack((found.by_held, found.by_step))[active].mean(axis=0)
     results = _results(problem, before, after, errors, active)
@@ -302,8 +311,7 @@ def _by_another_law(
         rms_left_out=rms_after,
         refused=refused,
         sweeps_used=0,
-        constant=constant,
-        another_law=AnotherLaw(found.law, found.scatter),
+        another_law=AnotherLaw(found.law, found.scatter, found.scatters),
     )
     return calibration
 
@@ -315,15 +323,17 @@ def _next_sd(problem: LoadProblem, active: NDArray[np.bool_], found: LawAverage)
     return float(np.sqrt(np.mean(spread) + np.mean(problem.own[active] ** 2) + found.scatter**2))
 
 
-def _by_no_plate(problem: LoadProblem) -> bool:
-    """Whether between two loads the force changes with the flow as on no plate."""
-    if len(problem.loads) != LEAST_LOADS - 1:
+def _by_no_plate(problem: LoadProblem, active: NDArray[np.bool_]) -> bool:
+    """Whether between two of the active loads the force changes with the flow as on no plate."""
+    count = int(active.sum())
+    if count < LEAST_LOADS - 1:
         return False
+    low, high = _EXPONENTS if count >= LEAST_LOADS else _EXPONENTS_OF_TWO
     seconds = np.bincount(problem.of_load, problem.duration)
     force = np.bincount(problem.of_load, problem.duration * problem.force / problem.speed) / seconds
-    by_flow, by_force = (float(np.diff(np.log(v))[0]) for v in (problem.weighed / seconds, force))
-    nearest = min(max(by_force * by_flow / max(by_flow**2, 1e-12), _EXPONENTS[0]), _EXPONENTS[1])
-    return abs(by_force - nearest * by_flow) > _BESIDE
+    by_flow, by_force = (np.subtract.outer(v, v) for v in (np.log(problem.weighed / seconds)[active], np.log(force)[active]))
+    nearest = np.sign(by_flow) * np.clip(by_force * np.sign(by_flow), low * np.abs(by_flow), high * np.abs(by_flow))
+    return bool(np.any(np.abs(by_force - nearest) > _BESIDE))
 
 
 def _without_wrong(
@@ -334,7 +344,7 @@ def _without_wrong(
     while found is not None and active.sum() >= problem.settings.outlier_least and 2 * (active.sum() - 1) > active.size:
         of_load = np.zeros(int(active.sum()))
         for slip, likely in found.slips:
-            if len(slip.loads) == 1:
+            if slip.kind is SlipKind.ONE:
                 of_load[slip.loads[0]] += likely
         if of_load.max() < _WRONG:
             break
@@ -344,46 +354,59 @@ def _without_wrong(
     return active, found
 
 
-def _are_exchanged(found: LawAverage | None) -> bool:
-    """Whether two tickets are, by all loads together."""
-    return found is not None and sum(likely for slip, likely in found.slips if len(slip.loads) == 2) > _WRONG
+def _of_several(found: LawAverage | None) -> bool:
+    """Whether two tickets are exchanged or a tare is in all of them, by all loads together."""
+    return found is not None and sum(likely for slip, likely in found.slips if slip.kind is not SlipKind.ONE) > _WRONG
 
 
 def _known_slips(law: LoadProblem, active: NDArray[np.bool_]) -> tuple[tuple[str, str], ...]:
     """Names of the loads left out whose ticket a known slip explains, and that slip."""
-    out = []
-    for k in np.flatnonzero(~active).tolist():
-        said = against_others(law, active, k)
-        known = [slip for slip in slips(law.weighed) if slip.loads == (k,) and slip.what]
-        away = [abs(said.error + slip.shift[k]) / said.std_dev for slip in known]
-        best = int(np.argmin(away))
-        if away[best] < _EXPLAINED_SDS and abs(said.error) > _LARGE_SDS * said.std_dev:
-            out.append((law.loads[k].name, known[best].what))
-    return tuple(out)
+    each = ((law.loads[k].name, _known_slip(law, active, k)) for k in np.flatnonzero(~active).tolist())
+    return tuple((name, what) for name, what in each if what)
+
+
+def _known_slip(law: LoadProblem, others: NDArray[np.bool_], k: int) -> str:
+    """The known slip that explains a load's ticket by the others; "" where none does."""
+    said = against_others(law, others, k)
+    known = [slip for slip in slips(law.weighed, [load.name for load in law.loads]) if slip.loads == (k,) and slip.what]
+    away = [abs(said.error + slip.shift[k]) / said.std_dev for slip in known]
+    best = int(np.argmin(away))
+    return known[best].what if away[best] < _EXPLAINED_SDS and abs(said.error) > _LARGE_SDS * said.std_dev else ""
 
 
 def _wrong_ticket(law: LoadProblem, active: NDArray[np.bool_], found: LawAverage) -> WrongTicket:
     """Which ticket is likely to be wrong, and how."""
     where = np.flatnonzero(active).tolist()
-    by_loads: dict[tuple[int, ...], float] = {}
+    by_loads: dict[tuple[SlipKind, tuple[int, ...]], float] = {}
     for slip, likely in found.slips:
-        by_loads[slip.loads] = by_loads.get(slip.loads, 0.0) + likely
-    first = max(by_loads, key=lambda loads: by_loads[loads])
-    exchanged = len(first) == 2
-    likely, what = max((likely, slip.what) for slip, likely in found.slips if slip.loads == first)
-    what = what if likely > _WRONG * by_loads[first] else ""
-    of_load = {k: sum(likely for loads, likely in by_loads.items() if k in loads) for k in range(len(where))}
+        by_loads[slip.kind, slip.loads] = by_loads.get((slip.kind, slip.loads), 0.0) + likely
+    kind, first = max(by_loads, key=lambda key: by_loads[key])
+    alike = [(likely, slip, along) for (slip, likely), along in zip(found.slips, found.along, strict=True) if slip.kind is kind]
+    if kind is SlipKind.TARE:
+        weighed_kg = law.weighed[active]
+        lightest = int(np.argmin(weighed_kg))
+        ln = [slip.shift[lightest] + along * slip.along[lightest] for _, slip, along in alike]
+        mean = float(np.average(ln, weights=[likely for likely, _, _ in alike]))
+        names = tuple(law.loads[k].name for k in where)
+        return WrongTicket(found.wrong, names, kind, 1.0, tare_kg(weighed_kg, mean), "")
+    likely, what = max((likely, slip.what) for likely, slip, _ in alike if slip.loads == first)
+    what = what if likely > _WRONG * by_loads[kind, first] else ""
+    of_load = {
+        k: sum(likely for (of, loads), likely in by_loads.items() if k in loads and of is not SlipKind.TARE)
+        for k in range(len(where))
+    }
+    exchanged = kind is SlipKind.EXCHANGED
     suspects = list(first) if exchanged else sorted(of_load, key=lambda k: (k != first[0], -of_load[k]))
     count = 1 if len(where) > LEAST_LOADS - 1 else len(where)
-    while not exchanged and sum(of_load[k] for k in suspects[:count]) < _NAMED * found.wrong:
+    while not exchanged and count < len(where) and sum(of_load[k] for k in suspects[:count]) < _NAMED * found.wrong:
         count += 1
     named = tuple(law.loads[where[k]].name for k in (suspects if exchanged else suspects[:count]))
     k = where[first[0]]
     said = against_others(law, active & (np.arange(active.size) != k), k)
     ratio = float(np.exp(-said.error))
-    weighed_kg = float(law.weighed[k])
-    probability = found.wrong if not _by_no_plate(law) else None
-    return WrongTicket(probability, named, exchanged, ratio, weighed_kg * (1.0 - 1.0 / ratio), what)
+    weighed = float(law.weighed[k])
+    probability = found.wrong if not _by_no_plate(law, active) else None
+    return WrongTicket(probability, named, kind, ratio, weighed * (1.0 - 1.0 / ratio), what)
 
 
 def _with_wrong_ticket(

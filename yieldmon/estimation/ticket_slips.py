@@ -1,45 +1,64 @@
 """Ways in which tickets can be wrong, each as a hypothesis about the loads' masses.
 
 A wrong ticket is either a known slip, which shifts the logarithm of a mass by a known amount (pounds for kilograms, two digits or
-two tickets exchanged), or any error, which leaves the load saying nothing.
+two tickets exchanged, another load on the same ticket), a tare that is in all tickets alike, or any error, which leaves the load
+saying nothing.
 
 Source: Box and Tiao, "A Bayesian approach to some outlier problems", Biometrika 55 (1968) 119.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from enum import Enum
 from itertools import combinations
 
 import numpy as np
 
 from yieldmon.physics.numerics import Array
-from yieldmon.units import KG_PER_LB
+from yieldmon.units import KG_PER_LB, KG_PER_T, LB_PER_SHORT_TON
 
-_KG_PER_SHORT_TON = 2000.0 * KG_PER_LB
+_KG_PER_SHORT_TON = LB_PER_SHORT_TON * KG_PER_LB
 _UNITS = (
     (1.0 / KG_PER_LB, "pounds were taken for kilograms"),
     (KG_PER_LB, "kilograms were taken for pounds"),
-    (1000.0 / _KG_PER_SHORT_TON, "short tons were taken for tonnes"),
+    (KG_PER_T / _KG_PER_SHORT_TON, "short tons were taken for tonnes"),
+    (_KG_PER_SHORT_TON / KG_PER_T, "tonnes were taken for short tons"),
 )
 """Ticket over the load's mass, where the ticket is of another unit than its column."""
 _ANY = ((0.12, 0.01), (0.6, 0.005))
 """Standard deviations of ln of a ticket that is wrong in no known way, by some of the load or by much of it, and the probability
 of either before any load."""
-_OF_UNIT, _OF_DIGITS, _OF_PAIR = 0.002, 0.001, 0.004
-"""The same of a unit, of two digits exchanged, and of two tickets exchanged, each shared among those there may be: assumptions.
-`_ANY` was chosen on a linear model of loads that is not kept (studies/load_laws)."""
+_OF_UNIT, _OF_DIGITS, _OF_NEIGHBOUR, _OF_PAIR, _OF_TARE = 0.002, 0.001, 0.001, 0.004, 0.01
+"""The same of a unit, of two digits exchanged, of the load before or after on one ticket, of two tickets exchanged, and of a tare
+in all of them, each shared among those there may be: assumptions. `_ANY` was chosen on a linear model of loads that is not kept
+(studies/load_laws)."""
+_LEAST_OF_TARE = 3
+"""Loads below which a tare in all tickets is as good as any other difference between them."""
+_UNLIKE = 1.3
+"""Heaviest over lightest ticket below which a tare in all of them is one factor in all masses."""
 _LEAST_LN = 0.03
 """Error of a mass below which a slip is no gross one."""
+_TARES_LN, _TARE_SD = (-0.75, -0.45, -0.15, 0.15, 0.45, 0.75, 1.05), 0.15
+"""What a tare makes of ln of the lightest ticket, and its standard deviation about each; below 0, taken off twice."""
+
+
+class SlipKind(Enum):
+    """What is wrong: the ticket of one load, those of two that are exchanged, or a tare in all of them."""
+
+    ONE = "one"
+    EXCHANGED = "exchanged"
+    TARE = "tare"
 
 
 @dataclass(frozen=True)
 class Slip:
     """One way for the tickets to be wrong.
 
-    loads: whose tickets. shift: (n,) ln of ticket over the load's mass by it. variance: (n,) of ln beside what is stated. prior:
-    its probability before the loads. what: what happened, in words, "" for an error of no known kind.
+    loads: whose tickets. shift: (n,) ln of ticket over the load's mass by it. variance: (n,) of ln beside what is stated, of each
+    by itself. prior: its probability before the loads. what: what happened, in words, "" for an error of no known kind. along:
+    (n,) one standard deviation of ln common to the loads, () where there is none.
     """
 
     loads: tuple[int, ...]
@@ -47,14 +66,36 @@ class Slip:
     variance: Array
     prior: float
     what: str
+    kind: SlipKind = SlipKind.ONE
+    along: Array = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def covariance(self) -> Array:
+        """(n, n) of ln of tickets over masses."""
+        own = np.diag(self.variance)
+        return own + np.outer(self.along, self.along) if self.along.size else own
 
 
-def slips(weighed_kg: Array) -> tuple[Slip, ...]:
-    """All for loads of these tickets, (n,); none for a single load, which is accepted."""
-    return tuple(_each(weighed_kg)) if weighed_kg.size > 1 else ()
+def slips(weighed_kg: Array, names: Sequence[str], *, all_off: bool = False) -> tuple[Slip, ...]:
+    """All for loads of these tickets and names in their order, (n,); none for a single load, which is accepted. all_off: all
+    masses are off by a factor that is no tare's."""
+    if weighed_kg.size < 2:
+        return ()
+    unlike = weighed_kg.size >= _LEAST_OF_TARE and np.max(weighed_kg) > _UNLIKE * np.min(weighed_kg) and not all_off
+    return (*_of_one(weighed_kg, names), *_exchanged(weighed_kg), *(_tares(weighed_kg) if unlike else ()))
 
 
-def _each(weighed_kg: Array) -> Iterator[Slip]:
+def title(name: str) -> str:
+    """A load as a sentence has it; a daemon's are named so already."""
+    return name if name.startswith("load ") else f"load {name}"
+
+
+def tare_kg(weighed_kg: Array, lightest_ln: float) -> float:
+    """The mass beside the grain in every ticket, where it makes so much of ln of the lightest one."""
+    return float(np.min(weighed_kg) * -np.expm1(-lightest_ln))
+
+
+def _of_one(weighed_kg: Array, names: Sequence[str]) -> Iterator[Slip]:
     count, none = weighed_kg.size, np.zeros(weighed_kg.size)
     for k in range(count):
         one = np.eye(count)[k]
@@ -62,17 +103,34 @@ def _each(weighed_kg: Array) -> Iterator[Slip]:
             yield Slip((k,), none, std_dev**2 * one, likely, "")
         for factor, what in _UNITS:
             yield Slip((k,), np.log(factor) * one, none, _OF_UNIT, what)
-        exchanged = list(_digits(float(weighed_kg[k])))
-        for other_kg in exchanged:
+        meant = list(_digits(float(weighed_kg[k])))
+        for other_kg in meant:
             ln = float(np.log(weighed_kg[k] / other_kg))
-            yield Slip((k,), ln * one, none, _OF_DIGITS / len(exchanged), f"two digits of {other_kg:.0f} kg were exchanged")
+            yield Slip((k,), ln * one, none, _OF_DIGITS / len(meant), f"two digits of {other_kg:.0f} kg were exchanged")
+        for j in (k - 1, k + 1):
+            if 0 <= j < count and weighed_kg[k] > weighed_kg[j]:
+                ln = float(-np.log1p(-weighed_kg[j] / weighed_kg[k]))
+                yield Slip((k,), ln * one, none, 0.5 * _OF_NEIGHBOUR, f"{title(names[j])} is on its ticket too")
+
+
+def _exchanged(weighed_kg: Array) -> Iterator[Slip]:
+    count, none = weighed_kg.size, np.zeros(weighed_kg.size)
     pairs = list(combinations(range(count), 2))
     for i, j in pairs:
         ln = float(np.log(weighed_kg[i] / weighed_kg[j]))
         if abs(ln) > _LEAST_LN:
-            yield Slip(
-                (i, j), ln * (np.eye(count)[i] - np.eye(count)[j]), none, _OF_PAIR / len(pairs), "two tickets were exchanged"
-            )
+            shift = ln * (np.eye(count)[i] - np.eye(count)[j])
+            yield Slip((i, j), shift, none, _OF_PAIR / len(pairs), "two tickets were exchanged", SlipKind.EXCHANGED)
+
+
+def _tares(weighed_kg: Array) -> Iterator[Slip]:
+    every, none = tuple(range(weighed_kg.size)), np.zeros(weighed_kg.size)
+    for ln in _TARES_LN:
+        grain_kg = weighed_kg - tare_kg(weighed_kg, ln)
+        # d(shift) / d(ln of the lightest), which is 1 for the lightest itself.
+        along = _TARE_SD * float(np.min(weighed_kg)) * float(np.exp(-ln)) / grain_kg
+        shift = np.log(weighed_kg / grain_kg)
+        yield Slip(every, shift, none, _OF_TARE / len(_TARES_LN), "", SlipKind.TARE, along)
 
 
 def _digits(weighed_kg: float) -> Iterator[float]:
