@@ -43,6 +43,8 @@ _WRONG, _PERHAPS_WRONG = 0.5, 0.2
 """Probability of a wrong ticket from which nothing is learnt, and from which it is asked about (studies/load_laws)."""
 _WRONG_OF_TWO, _PERHAPS_WRONG_OF_TWO = 0.25, 0.1
 """The same of two loads, where a third is soon weighed."""
+_WRONG_OF_MANY = 0.8
+"""The former of four loads or more, of which the one that is likely to be wrong is left out already."""
 _DOUBTED = 0.2
 """Probability of a wrong ticket beyond which a load that contradicts the model's curve waits for one that agrees with it."""
 _EXPONENTS, _EXPONENTS_OF_TWO, _BESIDE = (0.5, 1.6), (0.55, 1.6), 0.1
@@ -111,6 +113,7 @@ def calibrate_loads(
         # In words with the masses where the model's own curve does not explain them either.
         problem.fit(active, 2)
     likely, perhaps = (_WRONG, _PERHAPS_WRONG) if active.sum() >= LEAST_LOADS else (_WRONG_OF_TWO, _PERHAPS_WRONG_OF_TWO)
+    likely = _WRONG_OF_MANY if active.sum() > LEAST_LOADS else likely
     no_plate = _by_no_plate(problem, active)
     if found is not None and (found.wrong > likely or (no_plate and active.sum() < LEAST_LOADS)):
         return _with_wrong_ticket(problem, law, active, found, len(sweeps))
