@@ -47,6 +47,7 @@ MISTAKES: Mapping[str, Mistake] = {
     "20 % too light": _first(lambda kg: 0.8 * kg),
     "40 % too heavy": _first(lambda kg: 1.4 * kg),
     "tare of 3 t": _first(lambda kg: kg + 3000.0),
+    "tare of 3 t in all": lambda loads: [_weighing(load, load.weighed_kg + 3000.0) for load in loads],
     "two exchanged": _exchanged,
 }
 
@@ -62,7 +63,7 @@ def outcome(name: str, seed: int, count: int, mistake: Mistake) -> str:
         return "refused"
     if found.outliers:
         return "named"
-    asked = ("a ticket may be wrong", "scatter by more", "unit of their column", "is the tare right")
+    asked = ("may be wrong", "scatter by more", "unit of their column")
     if any(words in sentence for words in asked for sentence in found.sentences):
         return "asked"
     error, std_dev = np.abs(judged(found.parameter_set, drawn)).T

@@ -11,7 +11,7 @@ from shipped_grain import MACHINE, MODEL, SHIPPED
 
 from yieldmon.estimation.load_inputs import WeighedLoad
 from yieldmon.estimation.load_outcome import LoadCalibration
-from yieldmon.estimation.loads import calibrate_loads, contradicted
+from yieldmon.estimation.loads import calibrate_loads, contradicted, known_slip
 
 FLOWS, MASSES_KG = (11.0, 5.5, 17.5, 8.0), (6200.0, 3400.0, 8100.0, 4300.0)
 LAWS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
@@ -67,6 +67,40 @@ def test_pounds_among_three_or_four_are_reported_to_be_pounds(law: str) -> None:
         found = calibrate_loads(MODEL, SHIPPED, [weighing(right[0], right[0].weighed_kg / 0.45359237), *right[1:]])
         assert "as if pounds were taken for kilograms" in said(found)
         assert found.refused is (count == 3)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_pounds_on_the_fastest_of_three_are_no_sensor_that_saturates_unasked(law: str) -> None:
+    *slower, fastest = loads(law, 3, 9)
+    found = calibrate_loads(MODEL, SHIPPED, [*slower, weighing(fastest, fastest.weighed_kg / 0.45359237)])
+    assert found.wrong_ticket is not None
+    assert found.wrong_ticket.loads[0] == "c"
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("tare_kg", [1500.0, 2500.0])
+def test_a_tare_in_all_of_four_tickets_is_refused_and_named(law: str, tare_kg: float) -> None:
+    found = calibrate_loads(MODEL, SHIPPED, [weighing(one, one.weighed_kg + tare_kg) for one in loads(law, 4, 10)])
+    assert found.refused
+    assert found.wrong_ticket is not None
+    assert found.wrong_ticket.loads == ("a", "b", "c", "d")
+    assert found.wrong_ticket.apart_kg == pytest.approx(tare_kg, rel=0.3)
+    assert "as if the tare was not taken off" in said(found)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_another_load_on_the_same_ticket_is_named(law: str) -> None:
+    first, second, *others = loads(law, 4, 11)
+    found = calibrate_loads(MODEL, SHIPPED, [weighing(first, first.weighed_kg + second.weighed_kg), second, *others])
+    assert found.outliers == ("a",)
+    assert "as if load b is on its ticket too; correct the ticket" in said(found)
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize(("factor", "what"), [(1.0 / 0.45359237, "pounds were taken for kilograms"), (1.27, "")])
+def test_what_explains_a_fourth_ticket_that_others_contradict(law: str, factor: float, what: str) -> None:
+    *before, fourth = loads(law, 4, 12)
+    assert known_slip(MODEL, SHIPPED, before, weighing(fourth, factor * fourth.weighed_kg)) == what
 
 
 @pytest.mark.parametrize("law", LAWS)

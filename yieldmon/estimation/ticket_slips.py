@@ -26,7 +26,7 @@ _UNITS = (
     (KG_PER_T / _KG_PER_SHORT_TON, "short tons were taken for tonnes"),
     (_KG_PER_SHORT_TON / KG_PER_T, "tonnes were taken for short tons"),
 )
-"""Ticket over the load's mass, where the ticket is of another unit than its column."""
+"""Ticket over the load's mass, where the ticket is of another unit than its column; the last only among several loads."""
 _ANY = ((0.12, 0.01), (0.6, 0.005))
 """Standard deviations of ln of a ticket that is wrong in no known way, by some of the load or by much of it, and the probability
 of either before any load."""
@@ -34,8 +34,8 @@ _OF_UNIT, _OF_DIGITS, _OF_NEIGHBOUR, _OF_PAIR, _OF_TARE = 0.002, 0.001, 0.001, 0
 """The same of a unit, of two digits exchanged, of the load before or after on one ticket, of two tickets exchanged, and of a tare
 in all of them, each shared among those there may be: assumptions. `_ANY` was chosen on a linear model of loads that is not kept
 (studies/load_laws)."""
-_LEAST_OF_TARE = 3
-"""Loads below which a tare in all tickets is as good as any other difference between them."""
+_LEAST_OF_SEVERAL = 3
+"""Loads below which a tare in all tickets, another load on one or tonnes for short tons is as good as any other difference."""
 _UNLIKE = 1.3
 """Heaviest over lightest ticket below which a tare in all of them is one factor in all masses."""
 _LEAST_LN = 0.03
@@ -81,7 +81,7 @@ def slips(weighed_kg: Array, names: Sequence[str], *, all_off: bool = False) -> 
     masses are off by a factor that is no tare's."""
     if weighed_kg.size < 2:
         return ()
-    unlike = weighed_kg.size >= _LEAST_OF_TARE and np.max(weighed_kg) > _UNLIKE * np.min(weighed_kg) and not all_off
+    unlike = weighed_kg.size >= _LEAST_OF_SEVERAL and np.max(weighed_kg) > _UNLIKE * np.min(weighed_kg) and not all_off
     return (*_of_one(weighed_kg, names), *_exchanged(weighed_kg), *(_tares(weighed_kg) if unlike else ()))
 
 
@@ -101,13 +101,13 @@ def _of_one(weighed_kg: Array, names: Sequence[str]) -> Iterator[Slip]:
         one = np.eye(count)[k]
         for std_dev, likely in _ANY:
             yield Slip((k,), none, std_dev**2 * one, likely, "")
-        for factor, what in _UNITS:
+        for factor, what in _UNITS if count >= _LEAST_OF_SEVERAL else _UNITS[:-1]:
             yield Slip((k,), np.log(factor) * one, none, _OF_UNIT, what)
         meant = list(_digits(float(weighed_kg[k])))
         for other_kg in meant:
             ln = float(np.log(weighed_kg[k] / other_kg))
             yield Slip((k,), ln * one, none, _OF_DIGITS / len(meant), f"two digits of {other_kg:.0f} kg were exchanged")
-        for j in (k - 1, k + 1):
+        for j in (k - 1, k + 1) if count >= _LEAST_OF_SEVERAL else ():
             if 0 <= j < count and weighed_kg[k] > weighed_kg[j]:
                 ln = float(-np.log1p(-weighed_kg[j] / weighed_kg[k]))
                 yield Slip((k,), ln * one, none, 0.5 * _OF_NEIGHBOUR, f"{title(names[j])} is on its ticket too")
