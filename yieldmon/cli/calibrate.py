@@ -45,7 +45,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "calibrate",
         help="fit parameters to a table",
         description=__doc__,
-        epilog="examples: yieldmon calibrate facility.csv --out corn.yaml; "
+        epilog="example: yieldmon calibrate facility.csv --out corn.yaml; "
         "yieldmon calibrate --loads yieldmon.sqlite --tickets tickets.csv --out corn.yaml",
     )
     parser.add_argument("data", nargs="?", metavar="DATA.csv", help="plate_angle_deg, a load column and a reading column")

@@ -23,7 +23,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="list calibrations and zeros, or take one back",
         description=f"{__doc__} undo takes back a calibration and all that followed on it; a zero goes back with "
         "`yieldmon zero --undo`.",
-        epilog="examples: yieldmon calibrations list; yieldmon calibrations undo 14",
+        epilog="example: yieldmon calibrations list; yieldmon calibrations undo 14",
     )
     actions = parser.add_subparsers(dest="action", metavar="list|undo", required=True)
     listing = actions.add_parser("list", help=f"the newest {_SHOWN}; with --json all")

@@ -21,7 +21,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "load",
         help="start or stop a load, or list all loads",
         description=__doc__,
-        epilog="examples: yieldmon load start --field north; yieldmon load stop",
+        epilog="example: yieldmon load start --field north; yieldmon load stop",
     )
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     start = actions.add_parser("start", help="begin a new load")

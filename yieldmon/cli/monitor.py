@@ -51,7 +51,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         description="Show a bus, or a log at its own speed. Keys: q quit, space pause, s sort, / filter, j and k choose a row, "
         "r record to a log, u units, c the cab's view and back. There l, t, z and w ask the daemon for a load, ticket, zero "
         "or sweep, each after a question.",
-        epilog="examples: yieldmon monitor -i socketcan -c can0; yieldmon monitor drive.log --once --json",
+        epilog="example: yieldmon monitor -i socketcan -c can0; yieldmon monitor drive.log --once --json",
     )
     parser.add_argument("log", nargs="?", metavar="LOG", help="show this log instead of a bus")
     parser.add_argument("--speed", type=float, default=1.0, metavar="X", help="of a log: times as fast; 0: at once (default: 1)")

@@ -35,7 +35,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="set a machine up, step by step",
         description=f"{__doc__} Asks in the terminal, with drawings of what to measure; Ctrl-C keeps what is answered, and the "
         "same command goes on from there. Each number is checked against the others.",
-        epilog="examples: yieldmon setup --out /etc/yieldmon; yieldmon setup --answers answers.yaml --out new",
+        epilog="example: yieldmon setup --out /etc/yieldmon; yieldmon setup --answers answers.yaml --out new",
     )
     parser.add_argument("--out", metavar="DIR", required=True, help="folder for the files; made if it is not there")
     parser.add_argument("--answers", metavar="F", help="YAML file of answers; with all of them nothing is asked")

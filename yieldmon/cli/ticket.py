@@ -26,7 +26,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "ticket",
         help="correct past loads by a weighed mass",
         description=__doc__,
-        epilog="examples: yieldmon ticket 3-5 27.4t; yieldmon ticket list; yieldmon ticket undo 2",
+        epilog="example: yieldmon ticket 3-5 27.4t; yieldmon ticket list; yieldmon ticket undo 2",
     )
     parser.add_argument("loads", metavar="LOAD|list|undo", help="number of the load, or FIRST-LAST for several on one ticket")
     parser.add_argument("mass", metavar="MASS|N", nargs="*", help="weighed mass: 9120, 9120kg, 9.12t or 20106lb; undo: a ticket")
