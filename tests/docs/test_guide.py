@@ -163,6 +163,10 @@ def test_it_reaches_a_daemon(command: Command, daemon: tuple[Path, Bench], capsy
         words.append("--force")  # there is grain
     if command.verb == "monitor":
         words.append("--once")
+    if command.verb == "ticket":
+        with contextlib.suppress(SystemExit):
+            main(["load", "stop", "--socket", str(folder / "yieldmon.sock")])  # an open load takes none
+        capsys.readouterr()
     place = 2 if words[0] in ("load", "sweep") else 1
     assert main([*words[:place], "--socket", str(folder / "yieldmon.sock"), *words[place:]]) == 0, capsys.readouterr().err
 
