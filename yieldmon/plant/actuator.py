@@ -7,10 +7,11 @@ from math import degrees, exp
 from typing import Annotated
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from yieldmon.frames import ActuatorState, CommandMode, Frame, Unusable
 from yieldmon.physics.machine import Machine
+from yieldmon.strict_model import StrictModel
 
 
 class ActuatorFault(StrEnum):
@@ -32,10 +33,8 @@ class ActuatorFault(StrEnum):
     """Somebody else holds the plate."""
 
 
-class ActuatorSettings(BaseModel):
+class ActuatorSettings(StrictModel):
     """Motion of the plate; angles in deg."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
     rate_deg_s: Annotated[float, Field(gt=0, le=90)] = 10.0
     lag_s: Annotated[float, Field(ge=0.01, le=5)] = 0.15

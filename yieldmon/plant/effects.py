@@ -7,27 +7,25 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
+
+from yieldmon.strict_model import StrictModel
 
 
-class _Effect(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
-
-
-class Gravity(_Effect):
+class Gravity(StrictModel):
     """Weight of the grain on the paddle and in flight."""
 
     acceleration_m_s2: Annotated[float, Field(gt=0, le=20)] = 9.81
 
 
-class AirDrag(_Effect):
+class AirDrag(StrictModel):
     """Deceleration g (v / terminal speed)^exponent against the velocity; the exponent is below 2 in a loose stream."""
 
     terminal_speed_m_s: Annotated[float, Field(ge=3, le=60)] = 11.0
     exponent: Annotated[float, Field(ge=1, le=2)] = 1.8
 
 
-class JetShielding(_Effect):
+class JetShielding(StrictModel):
     """Grain strikes grain: restitution falls with the stream's thickness T as 1 / (1 + (T / thickness)^2).
 
     T is the depth of stream (m, at bulk density) that passes the plate at a parcel's place in the pulse.
@@ -36,38 +34,38 @@ class JetShielding(_Effect):
     thickness_m: Annotated[float, Field(gt=0, le=1)] = 0.02
 
 
-class PlateFriction(_Effect):
+class PlateFriction(StrictModel):
     """Tangential impulse on the plate: Coulomb, up to the share of tangential speed that brings a sphere to rolling."""
 
     friction: Annotated[float, Field(ge=0, le=1)] = 0.2
     rolling_share: Annotated[float, Field(gt=0, le=1)] = 2.0 / 7.0
 
 
-class ResidualRadialSpeed(_Effect):
+class ResidualRadialSpeed(StrictModel):
     """Grain already moves outward when its paddle points up; share of the tip speed at the tip, growing with radius."""
 
     share_of_tip_speed: Annotated[float, Field(ge=0, le=1)] = 0.1
 
 
-class ReleaseAngle(_Effect):
+class ReleaseAngle(StrictModel):
     """The housing lets the grain go when the paddle stands this far past (+) or before (-) vertical."""
 
     angle_deg: Annotated[float, Field(ge=-30, le=30)] = 5.0
 
 
-class StreamSpread(_Effect):
+class StreamSpread(StrictModel):
     """Half width of the fan into which the layers of the heap leave the tip, outermost layer downward."""
 
     half_width_deg: Annotated[float, Field(ge=0, le=30)] = 5.0
 
 
-class SpeedDependentShape(_Effect):
+class SpeedDependentShape(StrictModel):
     """Relative change of the shape ratio per relative change of elevator speed from nominal."""
 
     exponent: Annotated[float, Field(ge=-3, le=3)] = -0.5
 
 
-class MissCapture(_Effect):
+class MissCapture(StrictModel):
     """Share of the grain that passes below the plate's low edge and is led back onto it by the housing."""
 
     captured_share: Annotated[float, Field(ge=0, le=1)] = 0.5
@@ -75,75 +73,75 @@ class MissCapture(_Effect):
     """Share of the grain above the plate's top edge that the housing's roof leads onto the plate."""
 
 
-class SpeedDependentRestitution(_Effect):
+class SpeedDependentRestitution(StrictModel):
     """Restitution falls as (normal speed / reference speed)^-exponent; 1/4 for plastic contact."""
 
     reference_speed_m_s: Annotated[float, Field(gt=0, le=20)] = 6.0
     exponent: Annotated[float, Field(ge=0, le=1)] = 0.25
 
 
-class SecondaryImpact(_Effect):
+class SecondaryImpact(StrictModel):
     """Share of the rebounding grain that strikes the plate once more with the speed it left with."""
 
     share: Annotated[float, Field(ge=0, le=1)] = 0.2
 
 
-class RestingGrain(_Effect):
+class RestingGrain(StrictModel):
     """Time that grain lies on the plate before it slides off; its weight presses on the plate meanwhile."""
 
     time_s: Annotated[float, Field(ge=0, le=2)] = 0.1
 
 
-class PaddleLeakage(_Effect):
+class PaddleLeakage(StrictModel):
     """Share of a load that drops past the plate straight to the tank: grows with fill, falls with elevator speed."""
 
     share_at_full: Annotated[float, Field(ge=0, le=0.9)] = 0.2
     fill_exponent: Annotated[float, Field(ge=0, le=4)] = 1.0
 
 
-class ChainSlip(_Effect):
+class ChainSlip(StrictModel):
     """Share by which paddles run slower than the speed frame says."""
 
     share: Annotated[float, Field(ge=-0.2, le=0.5)] = 0.03
 
 
-class PaddleWear(_Effect):
+class PaddleWear(StrictModel):
     """Length lost at the tip."""
 
     length_mm: Annotated[float, Field(ge=0, le=60)] = 5.0
 
 
-class ZeroOffset(_Effect):
+class ZeroOffset(StrictModel):
     """Constant force that appears with grain only, so that no zeroing while empty takes it away."""
 
     force_n: Annotated[float, Field(ge=-100, le=100)] = 2.0
 
 
-class PlateAngleOffset(_Effect):
+class PlateAngleOffset(StrictModel):
     """True plate angle minus the angle in the feedback frame."""
 
     angle_deg: Annotated[float, Field(ge=-8, le=8)] = 2.0
 
 
-class LeverArm(_Effect):
+class LeverArm(StrictModel):
     """The cell weighs an impact by its place: 1 + slope (distance from the plate's middle / plate length), down +."""
 
     slope: Annotated[float, Field(ge=-2, le=2)] = 0.3
 
 
-class CellNonlinearity(_Effect):
+class CellNonlinearity(StrictModel):
     """Force shown = F (1 - share F / full-scale force)."""
 
     share: Annotated[float, Field(ge=-0.5, le=0.5)] = 0.1
 
 
-class PlateBuildup(_Effect):
+class PlateBuildup(StrictModel):
     """Mass stuck to the plate: its weight presses on the plate as far as the plate lies flat."""
 
     mass_kg: Annotated[float, Field(ge=0, le=5)] = 0.3
 
 
-class MoistureDependence(_Effect):
+class MoistureDependence(StrictModel):
     """Relative change of each property per point of moisture away from the grain's own."""
 
     friction_per_pct: Annotated[float, Field(ge=-0.2, le=0.2)] = 0.03
@@ -157,10 +155,8 @@ def _switched(value: Any) -> Any:
     return None if value is False or value == "off" else value
 
 
-class Effects(BaseModel):
+class Effects(StrictModel):
     """Effects in force; None is off. In YAML: ``air_drag: {terminal_speed_m_s: 9}``, ``air_drag: on``, ``gravity: off``."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
 
     gravity: Gravity | None = Gravity()
     air_drag: AirDrag | None = None

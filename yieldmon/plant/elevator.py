@@ -6,18 +6,17 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 from scipy.signal import lfilter
 
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.numerics import Array
 from yieldmon.plant.profiles import SAMPLE_INTERVAL_S, Harvest, correlated_noise
+from yieldmon.strict_model import StrictModel
 
 
-class ElevatorSettings(BaseModel):
+class ElevatorSettings(StrictModel):
     """Speed of the upper sprocket, rpm, and how steady it is."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
     speed_rpm: Annotated[float, Field(ge=250, le=599)] = 400.0
     droop_pct_at_25_kg_s: Annotated[float, Field(ge=0, le=20)] = 3.0

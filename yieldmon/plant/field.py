@@ -6,15 +6,15 @@ from dataclasses import dataclass
 from math import cos, radians
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
+
+from yieldmon.strict_model import StrictModel
 
 _M_PER_DEG_LATITUDE = 111_195.0
 
 
-class FieldSettings(BaseModel):
+class FieldSettings(StrictModel):
     """Where the field lies and how it is driven."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
     latitude_deg: Annotated[float, Field(ge=-80, le=80)] = 40.0621
     longitude_deg: Annotated[float, Field(ge=-180, le=180)] = -88.1957

@@ -10,10 +10,11 @@ from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 from scipy.signal import lfilter
 
 from yieldmon.physics.numerics import Array
+from yieldmon.strict_model import StrictModel
 
 FlowKgS = Annotated[float, Field(ge=0, le=30)]
 DurationS = Annotated[float, Field(gt=0, le=1e6)]
@@ -24,11 +25,7 @@ _SMALLEST_FLOW_KG_S = 0.02
 """The tail of a smoothed stop ends here: the last kernels are not worth a paddle's computation."""
 
 
-class _Piece(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
-
-
-class Steady(_Piece):
+class Steady(StrictModel):
     """Constant flow."""
 
     kind: Literal["steady"]
@@ -36,7 +33,7 @@ class Steady(_Piece):
     flow_kg_s: FlowKgS
 
 
-class Ramp(_Piece):
+class Ramp(StrictModel):
     """Linear from one flow to another."""
 
     kind: Literal["ramp"]
@@ -45,7 +42,7 @@ class Ramp(_Piece):
     to_kg_s: FlowKgS
 
 
-class Step(_Piece):
+class Step(StrictModel):
     """Flows of equal duration, one after the other."""
 
     kind: Literal["step"]
@@ -53,7 +50,7 @@ class Step(_Piece):
     flows_kg_s: Annotated[list[FlowKgS], Field(min_length=1)]
 
 
-class Oscillating(_Piece):
+class Oscillating(StrictModel):
     """A sine about a mean, cut off at zero."""
 
     kind: Literal["oscillating"]
@@ -63,7 +60,7 @@ class Oscillating(_Piece):
     period_s: Annotated[float, Field(ge=0.5, le=3600)]
 
 
-class StopAndGo(_Piece):
+class StopAndGo(StrictModel):
     """A harvest day: passes at a yield that changes along the field, headlands, and stops to unload.
 
     Pass lengths and yields scatter; every `unload_every` passes the machine stops to unload, at the end of `duration_s` it stops.
@@ -79,7 +76,7 @@ class StopAndGo(_Piece):
     unload_s: Annotated[float, Field(ge=5, le=1800)] = 90.0
 
 
-class Off(_Piece):
+class Off(StrictModel):
     """No grain and the elevator stopped."""
 
     kind: Literal["off"]
@@ -89,10 +86,8 @@ class Off(_Piece):
 Piece = Annotated[Steady | Ramp | Step | Oscillating | StopAndGo | Off, Field(discriminator="kind")]
 
 
-class FlowProfile(BaseModel):
+class FlowProfile(StrictModel):
     """Pieces of flow in order; after the last one they begin again. `variation_pct` is a slow random factor on all of them."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
     pieces: Annotated[list[Piece], Field(min_length=1)]
     variation_pct: Annotated[float, Field(ge=0, le=50)] = 2.0

@@ -8,7 +8,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from yieldmon.errors import InputError
 from yieldmon.files import strict_yaml
@@ -20,16 +20,13 @@ from yieldmon.plant.grain import Grain
 from yieldmon.plant.profiles import FlowProfile, Steady
 from yieldmon.plant.sensor import SensorFault, SensorSettings
 from yieldmon.plant.tank import TankSettings
+from yieldmon.strict_model import StrictModel
 
 _BY_NAME = Field(strict=False)
 """Strict would want a member, which no file can hold."""
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
-
-
-class Crop(_Section):
+class Crop(StrictModel):
     """The grain, with its moisture running from start to end of the scenario."""
 
     friction: Annotated[float, Field(ge=0, le=1)] = 0.2
@@ -59,7 +56,7 @@ class Channel(StrEnum):
     TANK_SCALE = "tank_scale"
 
 
-class Kernels(_Section):
+class Kernels(StrictModel):
     """Grain that strikes kernel by kernel instead of as a smooth stream."""
 
     thousand_kernel_weight_g: Annotated[float, Field(gt=1, le=2000)] = 350.0
@@ -73,7 +70,7 @@ class Kernels(_Section):
     """Time for which a kernel pushes, as half a sine."""
 
 
-class _Timed(_Section):
+class _Timed(StrictModel):
     start_s: Annotated[float, Field(ge=0)]
     end_s: Annotated[float, Field(gt=0)]
 
@@ -107,15 +104,15 @@ class TimedSilence(_Timed):
     error: bool = False
 
 
-class Faults(_Section):
+class Faults(StrictModel):
     """What goes wrong and when."""
 
-    actuator: list[TimedActuatorFault] = []
-    sensor: list[TimedSensorFault] = []
-    messages: list[TimedSilence] = []
+    actuator: list[TimedActuatorFault] = Field(default_factory=list)
+    sensor: list[TimedSensorFault] = Field(default_factory=list)
+    messages: list[TimedSilence] = Field(default_factory=list)
 
 
-class Frames(_Section):
+class Frames(StrictModel):
     """Optional frames."""
 
     grain_condition: bool = True
@@ -125,7 +122,7 @@ class Frames(_Section):
     """GrainKernels with the thousand-kernel weight; needs `kernels`."""
 
 
-class Scenario(_Section):
+class Scenario(StrictModel):
     """What the virtual combine harvests and what goes wrong; examples in config/scenarios.
 
     Parameters

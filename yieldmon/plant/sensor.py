@@ -6,12 +6,13 @@ from enum import StrEnum
 from typing import Annotated
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 from scipy.signal import lfilter
 
 from yieldmon.frames import SAMPLE_INTERVAL_S, SensorStatus
 from yieldmon.physics.machine import LONGEST_RESPONSE_S, ImpactSensor
 from yieldmon.physics.numerics import Array
+from yieldmon.strict_model import StrictModel
 
 
 class SensorFault(StrEnum):
@@ -27,10 +28,8 @@ class SensorFault(StrEnum):
     """No frames."""
 
 
-class SensorSettings(BaseModel):
+class SensorSettings(StrictModel):
     """Zero, noise and response of the cell. Voltages in mV, forces in N."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
     zero_mv: Annotated[float, Field(ge=0, le=2000)] = 500.0
     drift_mv_per_sqrt_h: Annotated[float, Field(ge=0, le=100)] = 1.0

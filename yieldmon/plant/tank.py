@@ -6,15 +6,14 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from yieldmon.frames import ScaleStatus
+from yieldmon.strict_model import StrictModel
 
 
-class TankSettings(BaseModel):
+class TankSettings(StrictModel):
     """Size, unloading and scale of the tank. With `scale: off` there are no TankScale frames."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
     capacity_kg: Annotated[float, Field(gt=100, le=30000)] = 9000.0
     unload_from_kg: Annotated[float, Field(gt=0, le=30000)] = 4000.0

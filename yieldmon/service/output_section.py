@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from yieldmon.errors import InputError
 from yieldmon.physics.machine import Machine
@@ -16,14 +16,13 @@ from yieldmon.service.signal_section import database_path, database_reader
 from yieldmon.signals.mapping import SignalMap
 from yieldmon.signals.output_mapping import MAX_PERIOD_MS, MIN_PERIOD_MS, OWN, OutputBinding, OutputMap, build
 from yieldmon.signals.published import PUBLISHED
+from yieldmon.strict_model import StrictModel
 
 _PERIOD = f"{MIN_PERIOD_MS:g} to {MAX_PERIOD_MS:g} ms; null: with each new value"
 
 
-class OutputEntry(BaseModel):
+class OutputEntry(StrictModel):
     """One quantity's keys. What is sent: value in `unit` * scale + offset, as the DBC's physical value."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
     dbc: str = Field(description="a DBC file, relative to the configuration")
     message: str = Field(description="name of a message in the DBC")

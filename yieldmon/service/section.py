@@ -7,7 +7,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
+
+from yieldmon.strict_model import StrictModel
 
 
 def quantity(default: Any, low: float, high: float, unit: str, meaning: str) -> Any:
@@ -25,7 +27,5 @@ def choice(default: Any, meaning: str) -> Any:
     return Field(default, description=meaning)
 
 
-class Section(BaseModel):
+class Section(StrictModel):
     """Common rules: no unknown keys, no silent conversion, no infinities."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)

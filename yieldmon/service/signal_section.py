@@ -8,7 +8,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from yieldmon.bus.databases import MessageBits, load_messages
 from yieldmon.engine.sources import QUANTITIES
@@ -19,6 +19,7 @@ from yieldmon.resources import shipped
 from yieldmon.service.entry_check import HIGHEST_ADDRESS, address, checked, limits, whole
 from yieldmon.signals.binding import IMPACT, MAX_RATE_HZ, MIN_RATE_HZ, Binding, Source, check_quantity
 from yieldmon.signals.mapping import SignalMap, build, default_map
+from yieldmon.strict_model import StrictModel
 
 _SHORTEST_NAME = 1 << 32
 """Any smaller number was meant to be an address: a NAME whose upper half is 0 has no function and no industry."""
@@ -29,10 +30,8 @@ _NEEDED = {"elevator_speed": "a signal or a constant", "plate_angle": "a signal,
 SHIPPED_DATABASES = frozenset({"j1939.dbc", "yieldmon.dbc"})
 
 
-class NodeName(BaseModel):
+class NodeName(StrictModel):
     """Fields of a J1939 NAME; those that are given must be equal."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
 
     identity_number: int | None = Field(None, ge=0, le=(1 << 21) - 1)
     manufacturer_code: int | None = Field(None, ge=0, le=2047)
@@ -44,10 +43,8 @@ class NodeName(BaseModel):
     industry_group: int | None = Field(None, ge=0, le=7)
 
 
-class SignalEntry(BaseModel):
+class SignalEntry(StrictModel):
     """One quantity's keys. Values become: physical value of the DBC * scale * ratio + offset, in `unit`."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
     dbc: str | None = Field(None, description="DBC file, relative to the configuration; null: the shipped one")
     message: str | None = Field(None, description="name of the message in the DBC")
