@@ -12,13 +12,12 @@ import numpy as np
 
 from yieldmon.errors import InputError
 
-from .effects.effect import Effect
+from .effects.effect import PLACES, Effect
 from .machine import RPM, Machine
 from .numerics import COMPLEX_STEP, AnyArray, Array, real
+from .stages import STAGES
 from .throw import Throw, ThrowModel
 
-_STAGES = ("fill", "settle", "release", "flight", "impact", "sensor", "crop")
-_HOOKS = ("setting", "load", "jet", "arrival", "impulse", "reading")
 _GRAIN = {"friction": 0.3, "density": 1200.0, "shape_ratio": 2.0, "restitution": 0.6}
 _ANGLES_RAD, _MASSES_KG = (np.ravel(a) for a in np.meshgrid(np.radians([58.0, 74.0, 88.0]), [0.3, 1.2]))
 _SPEEDS_RAD_S = np.resize([330.0 * RPM, 470.0 * RPM], _ANGLES_RAD.shape)
@@ -72,12 +71,12 @@ def _check_description(effect: Effect, where: str) -> None:
     parameters = effect.parameters
     if not effect.name.isidentifier():
         raise InputError(where, f"has the name {effect.name!r}", "letters, digits and underscores")
-    if effect.stage not in _STAGES:
-        raise InputError(where, f"has the stage {effect.stage!r}", f"one of {', '.join(_STAGES)}")
+    if effect.stage not in PLACES:
+        raise InputError(where, f"has the stage {effect.stage!r}", f"one of {', '.join(PLACES)}")
     if not parameters or len({p.name for p in parameters}) < len(parameters):
         raise InputError(where, "has no parameters, or two of one name", "at least one, each with a name of its own")
-    if all(getattr(effect, hook) is None for hook in _HOOKS):
-        raise InputError(where, "changes nothing", f"one of the hooks {', '.join(_HOOKS)}")
+    if all(getattr(effect, hook) is None for hook in STAGES):
+        raise InputError(where, "changes nothing", f"one of the hooks {', '.join(STAGES)}")
     for p in parameters:
         if not p.name.isidentifier():
             raise InputError(where, f"has a parameter {p.name!r}", "letters, digits and underscores")

@@ -47,6 +47,11 @@ class Setting:
     """Radial speed at release over (elevator speed x radius of the grain); None in the published model: at rest."""
 
     @property
+    def speed_ratio(self) -> AnyArray:
+        """Elevator speed over the machine's nominal one."""
+        return self.elevator_speed_rad_s / self.machine.nominal_elevator_speed_rad_s
+
+    @property
     def perturbed(self) -> bool:
         """Whether a quantity carries a complex perturbation."""
         return bool(self._perturbed())

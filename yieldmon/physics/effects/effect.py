@@ -8,6 +8,9 @@ from dataclasses import dataclass
 from yieldmon.physics.numerics import AnyArray
 from yieldmon.physics.stages import Arrival, Impulse, Jet, Load, Reading, Setting
 
+PLACES = ("fill", "settle", "release", "flight", "impact", "sensor", "crop")
+"""Where in the machine an effect may act, in the order in which grain comes there; last, the crop itself."""
+
 Values = Mapping[str, AnyArray]
 """An effect's own parameters by short name, each with a trailing node axis."""
 
@@ -54,7 +57,7 @@ class Effect:
     name : str
         Of a law that is not the effect's first: the effect's name, a hyphen and the law's.
     stage : str
-        Where in the machine it acts: fill, settle, release, flight, impact, sensor, crop.
+        Where in the machine it acts: one of `PLACES`.
     summary, signature, source : str
         What it is, how it shows in a table, and where it is described.
     parameters : tuple of EffectParameter

@@ -33,7 +33,7 @@ def _reading(reading: Reading, values: Values, setting: Setting) -> Reading:
     share = reading.impulse.arrival.jet.load.paddle_mass_kg / reference_kg
     log_load: AnyArray = 0.5 * np.log(share * share + _LEAST**2)
     bend = sqrt(1.0 + log_load * log_load) - 1.0
-    log_speed = np.log(setting.elevator_speed_rad_s / setting.machine.nominal_elevator_speed_rad_s)
+    log_speed = np.log(setting.speed_ratio)
     pattern: AnyArray = values["exponent"] * log_load + values["bend"] * bend + values["speed"] * log_speed
     return replace(reading, momentum_kg_m_s=reading.momentum_kg_m_s * np.exp(pattern))
 

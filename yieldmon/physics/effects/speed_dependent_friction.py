@@ -10,8 +10,7 @@ from .effect import Effect, EffectParameter, Values
 
 
 def _setting(setting: Setting, values: Values) -> Setting:
-    ratio = setting.elevator_speed_rad_s / setting.machine.nominal_elevator_speed_rad_s
-    return replace(setting, friction=setting.friction * ratio ** values["exponent"])
+    return replace(setting, friction=setting.friction * setting.speed_ratio ** values["exponent"])
 
 
 EFFECT = Effect(
