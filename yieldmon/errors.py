@@ -7,6 +7,8 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+NO_ROOM = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
+"""What only writing can meet, and a write's error does not name its file."""
 _LONGEST_PART = 500
 """Characters of a problem that are shown; a value may be a whole file."""
 _LONGEST_PLACE = 1000

@@ -13,11 +13,9 @@ from pathlib import Path
 import can
 
 from yieldmon.bus import mf4
-from yieldmon.errors import database_errno
+from yieldmon.errors import NO_ROOM, database_errno
 
 _POLL_S = 0.01
-_NO_ROOM = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
-"""A write's error does not name its file."""
 
 
 @contextmanager
@@ -38,7 +36,7 @@ def writing(path: Path | str) -> Iterator[can.Listener]:
         with can.Logger(path) as logger:
             yield logger
     except OSError as error:
-        if error.filename is None and error.errno in _NO_ROOM:
+        if error.filename is None and error.errno in NO_ROOM:
             error.filename = str(path)
         raise
 

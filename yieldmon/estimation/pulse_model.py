@@ -157,19 +157,21 @@ class PulseModel:
         values: dict[str, object] = dict(self.parameters)
         values["friction"], values["shape_ratio"] = friction, ratio
         throw = self.model.throw(points[:, 4:5], speed_rad_s, values)  # type: ignore[arg-type]
-        mass = flow * self.parameters["density"] * self._gaps / self.machine.paddle_speed_m_s(speed_rad_s)
-        return arrivals(throw, mass, edge_release=self.settings.edge_release)
+        return arrivals(throw, self._mass_kg(flow, self._gaps, speed_rad_s), edge_release=self.settings.edge_release)
 
     def fill(self, flow: Array, elevator_speed_rad_s: ArrayLike) -> Array:
         """Loads over a full paddle; flow and speed broadcast against the paddles."""
-        mass = flow * self.parameters["density"] * self._gaps / self.machine.paddle_speed_m_s(np.asarray(elevator_speed_rad_s))
-        return np.asarray(mass / self.full_paddle_kg)
+        return np.asarray(self._mass_kg(flow, self._gaps, np.asarray(elevator_speed_rad_s)) / self.full_paddle_kg)
 
     def mean_fill(self, volume_flow_m3_s: float, elevator_speed_rad_s: float) -> float:
         """Load over a full paddle, mean of the paddles."""
         mean_gap_m = self.machine.pattern_length_m / self._gaps.size
-        mass = volume_flow_m3_s * self.parameters["density"] * mean_gap_m / self.machine.paddle_speed_m_s(elevator_speed_rad_s)
-        return float(mass / self.full_paddle_kg)
+        return float(self._mass_kg(volume_flow_m3_s, mean_gap_m, elevator_speed_rad_s) / self.full_paddle_kg)
+
+    def _mass_kg(self, volume_flow_m3_s: ArrayLike, gap_m: ArrayLike, elevator_speed_rad_s: ArrayLike) -> Array:
+        """On paddles that follow others by these gaps; all broadcast."""
+        speed_m_s = self.machine.paddle_speed_m_s(np.asarray(elevator_speed_rad_s))
+        return np.asarray(np.asarray(volume_flow_m3_s) * self.parameters["density"] * gap_m / speed_m_s)
 
     def frequencies_rad_s(self, elevator_speed_rad_s: ArrayLike) -> Array:
         """Of the harmonics, (..., k) for speeds (...)."""

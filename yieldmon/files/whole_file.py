@@ -13,14 +13,12 @@ from contextvars import ContextVar
 from itertools import count
 from pathlib import Path
 
-from yieldmon.errors import InputError, brief
+from yieldmon.errors import NO_ROOM, InputError, brief
 
 READABLE = 0o644
 """The mode of a file that the service reads as a user of its own, whatever the umask of whoever writes it."""
 _STEM = 100
 """Characters of the name that its folder has as well: names have an end."""
-_NO_ROOM = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
-"""What only writing can meet, and a write's error does not name its file."""
 _SMALL_BYTES = 1_000_000
 """A medium with less room than this is full: a library may have given back what it could not complete."""
 
@@ -98,7 +96,7 @@ def scratch_for(path: str | Path, *, durable: bool = False, mode: int | None = N
             scratch.replace(target)
     except OSError as error:
         # A file opened through its Path is named by that.
-        if str(error.filename) == str(scratch) or (error.filename is None and error.errno in _NO_ROOM):
+        if str(error.filename) == str(scratch) or (error.filename is None and error.errno in NO_ROOM):
             error.filename = str(path)
         raise
     finally:
