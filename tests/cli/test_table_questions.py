@@ -44,6 +44,15 @@ def test_units(factors: dict[str, float], said: str, tmp_path: Path, capsys: pyt
     assert (asked[0][-len(said) :] if asked else "") == said
 
 
+def test_units_of_a_table_by_moisture_are_asked_about(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = table(tmp_path, load=3.6)
+    header, *rows = path.read_text(encoding="utf-8").splitlines()
+    more = [f"{row},{moisture}" for moisture in (14, 18) for row in rows]
+    path.write_text("\n".join((f"{header},moisture_pct", *more)) + "\n", encoding="utf-8")
+    assert main(["calibrate", str(path), "--starts", "2", "--by-moisture"]) == 0
+    assert "times that of grain on this machine: is mass_flow_kg_s in kg/s" in capsys.readouterr().err
+
+
 @pytest.mark.filterwarnings("error")
 def test_another_line_from_which_no_grain_would_land(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Counter-clockwise angles from 100 deg: counted from the vertical they lie below the horizontal, where nothing lands."""

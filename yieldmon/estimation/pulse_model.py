@@ -168,10 +168,10 @@ class PulseModel:
         mean_gap_m = self.machine.pattern_length_m / self._gaps.size
         return float(self._mass_kg(volume_flow_m3_s, mean_gap_m, elevator_speed_rad_s) / self.full_paddle_kg)
 
-    def _mass_kg(self, volume_flow_m3_s: ArrayLike, gap_m: ArrayLike, elevator_speed_rad_s: ArrayLike) -> Array:
+    def _mass_kg(self, volume_flow_m3_s: Array | float, gap_m: Array | float, elevator_speed_rad_s: ArrayLike) -> Array:
         """On paddles that follow others by these gaps; all broadcast."""
         speed_m_s = self.machine.paddle_speed_m_s(np.asarray(elevator_speed_rad_s))
-        return np.asarray(np.asarray(volume_flow_m3_s) * self.parameters["density"] * gap_m / speed_m_s)
+        return np.asarray(volume_flow_m3_s * self.parameters["density"] * gap_m / speed_m_s)
 
     def frequencies_rad_s(self, elevator_speed_rad_s: ArrayLike) -> Array:
         """Of the harmonics, (..., k) for speeds (...)."""
