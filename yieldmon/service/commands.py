@@ -47,11 +47,11 @@ def execute(
 ) -> Answer:
     """Carries out one request. stored: loads that a ticket names, as the store has them. Raises InputError when it cannot be."""
     name = request["command"]
-    command = _COMMANDS.get(name)
-    if command is None:
+    if name not in _COMMANDS:
         raise InputError("command", repr(name), f"one of status, {', '.join(_COMMANDS)}")
+    command, arguments = _COMMANDS[name]
     checked = Request(request)
-    checked.only(name, _ARGUMENTS.get(name, ()))
+    checked.only(name, arguments)
     return command(_Order(checked, monitor, journal, now_s, stored))
 
 
@@ -287,28 +287,19 @@ def _sweep_abort(order: _Order) -> Answer:
     return {"sweep": "ended"}
 
 
-_COMMANDS: Mapping[str, Callable[[_Order], Answer]] = {
-    "load-start": _load_start,
-    "load-stop": _load_stop,
-    "totals-reset": _totals_reset,
-    "loads": _loads,
-    "ticket": _ticket,
-    "tickets": _tickets,
-    "ticket-undo": _ticket_undo,
-    "calibrations": _calibrations,
-    "calibration-undo": _calibration_undo,
-    "zero": _zero,
-    "zero-undo": _zero_undo,
-    "sweep-start": _sweep_start,
-    "sweep-abort": _sweep_abort,
+_COMMANDS: Mapping[str, tuple[Callable[[_Order], Answer], tuple[str, ...]]] = {
+    "load-start": (_load_start, ("field", "crop", "thousand_kernel_weight_g")),
+    "load-stop": (_load_stop, ()),
+    "totals-reset": (_totals_reset, ("total_kg",)),
+    "loads": (_loads, ()),
+    "ticket": (_ticket, ("first_load", "last_load", "mass_kg", "std_dev_kg", "note")),
+    "tickets": (_tickets, ()),
+    "ticket-undo": (_ticket_undo, ("ticket",)),
+    "calibrations": (_calibrations, ()),
+    "calibration-undo": (_calibration_undo, ("version",)),
+    "zero": (_zero, ("force",)),
+    "zero-undo": (_zero_undo, ()),
+    "sweep-start": (_sweep_start, ()),
+    "sweep-abort": (_sweep_abort, ()),
 }
-
-_ARGUMENTS: Mapping[str, tuple[str, ...]] = {
-    "load-start": ("field", "crop", "thousand_kernel_weight_g"),
-    "totals-reset": ("total_kg",),
-    "ticket": ("first_load", "last_load", "mass_kg", "std_dev_kg", "note"),
-    "ticket-undo": ("ticket",),
-    "calibration-undo": ("version",),
-    "zero": ("force",),
-}
-"""Of the commands that have some."""
+"""What carries out each, and the arguments that it takes."""
