@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from yieldmon.errors import InputError, remedy
+from yieldmon.service.store_names import parts, rollback_path
 
 
 class StoreError(Exception):
@@ -76,7 +77,7 @@ def _forbidden(path: Path, error: Exception) -> str:
         return ""
     # What cannot be read for another reason is not read better by whoever may write it.
     needed = os.R_OK if name.startswith("SQLITE_IOERR") else os.R_OK | os.W_OK
-    for part in (path.parent, path, path.with_name(f"{path.name}-wal"), path.with_name(f"{path.name}-journal")):
+    for part in (path.parent, *parts(path)[:2], rollback_path(path)):
         also = os.X_OK if part == path.parent else 0
         if os.path.lexists(part) and not os.access(part, needed | also, effective_ids=True):
             refusal = OSError(errno.EACCES, os.strerror(errno.EACCES))

@@ -13,6 +13,11 @@ def parts(path: Path) -> tuple[Path, Path, Path]:
     return path, path.with_name(f"{path.name}-wal"), path.with_name(f"{path.name}-shm")
 
 
+def rollback_path(path: Path) -> Path:
+    """SQLite's own journal of a store that is in no write-ahead mode yet."""
+    return path.with_name(f"{path.name}-journal")
+
+
 def witness_path(path: Path) -> Path:
     """The note of the last batch that was committed."""
     return path.with_name(f"{path.name}.last")
@@ -46,7 +51,7 @@ def beside(path: Path) -> tuple[Path, ...]:
 def names_beside(path: Path) -> tuple[Path, ...]:
     """Every name beside a store's that the service or SQLite gives to a file, but for those set aside, which have a time."""
     made = (being_made_path(path), repaired_path(path))
-    of_sqlite = [file.with_name(f"{file.name}-{suffix}") for file in (path, *made) for suffix in ("wal", "shm", "journal")]
+    of_sqlite = [part for file in (path, *made) for part in (*parts(file)[1:], rollback_path(file))]
     return (*made, *of_sqlite, lock_path(path), witness_path(path), ready_path(path))
 
 
