@@ -17,10 +17,10 @@ _LINES: tuple[tuple[str, Callable[[Array], Array]], ...] = (
     ("90 deg less", lambda angle: 0.5 * pi - angle),
     ("180 deg less", lambda angle: pi - angle),
 )
-LEAST_MISFIT = 0.05
+_LEAST_MISFIT = 0.05
 """Rms residual over the largest reading from which it is asked: within it the model explains the table."""
 _CLOSER = 3.0
-"""Times by which the residual has to fall."""
+"""Times by which the residual has to fall. Both limits are assumptions (docs/internals/calibration.md)."""
 _LEAST_ANGLES = 3
 
 
@@ -46,7 +46,7 @@ def question(plate_angle_rad: Array, misfit: float, refit: Callable[[Array], flo
     >>> question(np.radians([10.0, 30.0, 50.0]), 0.4, lambda angle: 0.03 if angle[0] > 1.0 else 0.5)[:61]
     'with 90 deg less each plate angle the model would miss by 3 %'
     """
-    if misfit < LEAST_MISFIT or np.unique(np.round(plate_angle_rad, 6)).size < _LEAST_ANGLES:
+    if misfit < _LEAST_MISFIT or np.unique(np.round(plate_angle_rad, 6)).size < _LEAST_ANGLES:
         return ""
     found = []
     for name, turned in _LINES:
