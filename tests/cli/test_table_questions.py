@@ -44,6 +44,28 @@ def test_units(factors: dict[str, float], said: str, tmp_path: Path, capsys: pyt
     assert (asked[0][-len(said) :] if asked else "") == said
 
 
+@pytest.mark.parametrize(
+    ("force", "code", "said"),
+    [
+        (1.0 / 9.80665, 2, "times that of grain on this machine; expected newtons; these look like kilograms-force"),
+        (1e3, 2, "times that of grain on this machine; expected newtons"),
+        (1.0 / 4.448, 0, "and force_n in newtons?"),
+        (1.0, 0, ""),
+    ],
+    ids=["kgf", "mN", "lbf", "right"],
+)
+def test_diagnose_looks_at_the_units_as_calibrate_does(
+    force: float, code: int, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A gain that fits any unit fits these rows as well: nothing else would be said of them than that nothing is missing."""
+    assert main(["diagnose", str(table(tmp_path, force=force))]) == code
+    captured = capsys.readouterr()
+    asked = [line for line in captured.err.splitlines() if "times that of grain" in line]
+    assert said in "".join(asked)
+    assert bool(asked) is bool(said)
+    assert (captured.out == "") is (code == 2)
+
+
 def test_units_of_a_table_by_moisture_are_asked_about(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = table(tmp_path, load=3.6)
     header, *rows = path.read_text(encoding="utf-8").splitlines()

@@ -62,15 +62,14 @@ def _of_table(args: argparse.Namespace) -> tuple[CurveFit, dict[str, str]]:
     if data.reading == model_options.RESPONSE and args.response_scale is None:
         raise InputError(data.path, "holds a response", "forces, momenta, or --response-scale: a curve gives flow from newtons")
     rows = model_options.measurements(data, machine, args.response_scale)
-    asked = model_options.check_force(data, rows, machine)
+    asked = model_options.check_force(data, machine)
     if args.plate_angle is not None:
         rows = model_options.at_plate_angle(rows, args.plate_angle, data)
     try:
         found = fit_table(machine, rows, args.estimator)
     except ValueError as error:
         raise InputError(data.path, str(error)) from error
-    if asked:
-        print(f"yieldmon: {asked}", file=sys.stderr)
+    model_options.ask(asked)
     return found, _provenance.of_table(data) | {"method": "table of known loads"}
 
 

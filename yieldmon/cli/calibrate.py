@@ -114,13 +114,13 @@ def _of_table(args: argparse.Namespace) -> int:
     _check_options(args)
     machine = model_options.machine(args)
     data, rows = _read(args, machine)
-    asked = model_options.check_force(data, rows, machine)
+    asked = model_options.check_force(data, machine)
     if args.by_moisture:
         done = _by_moisture(args, machine, data, rows)
-        _ask(asked)
+        model_options.ask(asked)
         return done
     result = _fit(args, machine, data, rows)
-    _ask(asked)
+    model_options.ask(asked)
     written = result.parameter_set
     if args.stop_gap:
         written = _with_stop_gap(machine, rows, result)
@@ -143,12 +143,6 @@ def _of_table(args: argparse.Namespace) -> int:
         document["written"] = args.out
     print_document(document, text, as_json=args.json, indent=1)
     return 0
-
-
-def _ask(question: str) -> None:
-    """Once the table could be used: a refusal is one line."""
-    if question:
-        print(f"yieldmon: {question}", file=sys.stderr)
 
 
 def _check_options(args: argparse.Namespace) -> None:

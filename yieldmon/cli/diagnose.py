@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from yieldmon.cli import _outputs
+from yieldmon.cli import _outputs, model_options
 from yieldmon.cli._json import print_json
 from yieldmon.discrepancy import adoption, diagnosis, planning, report
 from yieldmon.discrepancy.diagnosis_document import to_document
@@ -84,6 +84,7 @@ def run(args: argparse.Namespace) -> int:
     _check_adopt(args, source)
     data, parameters = source.data, source.parameters
     machine = data.at_one_position(machine)
+    asked = "" if recorded.is_store(args.data) else model_options.check_force(data, machine)
     options = replace(
         diagnosis.Options(),
         form=args.form,
@@ -96,6 +97,7 @@ def run(args: argparse.Namespace) -> int:
         found = diagnosis.diagnose(data, machine, parameters, options, progress)
     for note in data.notes:
         print(note, file=sys.stderr)
+    model_options.ask(asked)
     if args.json:
         print_json(to_document(found))
     else:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, replace
 from math import isfinite
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from yieldmon.errors import InputError
 from yieldmon.estimation.measurements import Measurements
@@ -202,10 +204,21 @@ def measurements(data: Table, machine: Machine, response_scale: float | None = N
     known = np.isfinite(sigma[usable])
     if np.any(known) and not np.all(known & (sigma[usable] > 0.0)):
         raise InputError(data.path, "column sigma has gaps or zeros", "a number above 0 in each row, or no such column")
+    at = np.flatnonzero(usable)
+    return Measurements(_at(data, machine, at), values[at], sigma[at] if np.all(known) else None, at)
+
+
+def _at(data: Table, machine: Machine, rows: NDArray[np.intp]) -> Conditions:
+    """Of some rows."""
     conditions = data.conditions(machine)
     given = {field.name: getattr(conditions, field.name) for field in fields(conditions)}
-    chosen = {name: np.asarray(column)[usable] for name, column in given.items() if column is not None}
-    return Measurements(Conditions(**chosen), values[usable], sigma[usable] if np.all(known) else None, np.flatnonzero(usable))
+    return Conditions(**{name: np.asarray(column)[rows] for name, column in given.items() if column is not None})
+
+
+def ask(question: str) -> None:
+    """Of a table, once it could be used: a refusal is one line."""
+    if question:
+        print(f"yieldmon: {question}", file=sys.stderr)
 
 
 def at_plate_angle(rows: Measurements, angle_deg: float, data: Table) -> Measurements:
@@ -216,7 +229,7 @@ def at_plate_angle(rows: Measurements, angle_deg: float, data: Table) -> Measure
     return rows.select(chosen)
 
 
-def check_force(data: Table, rows: Measurements, machine: Machine) -> str:
+def check_force(data: Table, machine: Machine) -> str:
     """A question about readings in N or kg m/s that hardly any grain can give, "" for others; raises InputError for those that
     none can, typically because of their unit.
 
@@ -226,12 +239,13 @@ def check_force(data: Table, rows: Measurements, machine: Machine) -> str:
         return ""
     unit = {"force_n": "newtons", "momentum_kg_m_s": "kg m/s for each paddle"}[data.reading]
     known = parameter_file.load(shipped(parameter_file.DEFAULT))
-    predicted = ForwardModel(machine, known.effects).paddle_momentum(rows.conditions, known.values, overfull="nan").real
-    load = rows.columns()[2]
-    usable = np.isfinite(predicted) & (load > 0.0) & (np.abs(predicted) > _LEAST_MOMENTUM_KG_M_S)
+    values, load = momentum(data, machine)[0], data.columns[data.load] if data.load is not None else np.full(len(data), np.nan)
+    at = np.flatnonzero(np.isfinite(values) & (load > 0.0))
+    predicted = ForwardModel(machine, known.effects).paddle_momentum(_at(data, machine, at), known.values, overfull="nan").real
+    usable = np.isfinite(predicted) & (np.abs(predicted) > _LEAST_MOMENTUM_KG_M_S)
     if not np.any(usable):
         return ""
-    ratio = float(np.median(rows.momentum[usable] / predicted[usable]))
+    ratio = float(np.median(values[at][usable] / predicted[usable]))
     if 1.0 / _FORCE_FACTOR <= ratio <= _FORCE_FACTOR:
         if 1.0 / _ASKED_FACTOR <= ratio <= _ASKED_FACTOR:
             return ""
