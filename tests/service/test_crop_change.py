@@ -116,7 +116,8 @@ def test_a_calibration_undone_under_its_own_crop_gives_the_parameters_before_it(
     assert (answer["undone"], answer["version"], answer["crop"]) == (learnt.version, learnt.version + 1, "")
     assert monitor.estimator.parameters.values == before.values
     (reported,) = [action for action in journal.batch(monitor, 1.7e9, {}).actions if action.kind == PARAMETERS_UNDO]
-    assert (reported.who, reported.document, reported.time_s) == ("anna", {"version": learnt.version}, 1.7e9)
+    expected = {"version": learnt.version, "versions": [learnt.version]}
+    assert (reported.who, reported.document, reported.time_s) == ("anna", expected, 1.7e9)
     with pytest.raises(InputError, match="is undone already"):
         commands.execute(request, monitor, journal, 1.7e9)
 

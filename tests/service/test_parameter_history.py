@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from tests.service.test_posting import known
@@ -72,6 +74,33 @@ def test_an_undo_brings_back_what_was_before_under_a_new_number() -> None:
     reported = [(action.kind, action.who, action.time_s, action.document.get("reason")) for action in run.log][2:]
     assert reported == [("parameters-undo", "anna", 9.0, None), ("parameters", "anna", 5.0, "version 2 undone: as version 1")]
     assert [row.document["origin"] for row in list(run.log)[3:]] == ["undo"]
+
+
+def test_what_followed_on_an_undone_version_is_undone_with_it() -> None:
+    """Or undoing that too would bring back the version that was undone first."""
+    run = Run()
+    run.learns(1, 800.0, "file")
+    run.learns(2, 850.0)
+    found, _ = run.undo(2, run.learns(3, 860.0))
+    assert found.values["density"] == 800.0
+    with pytest.raises(InputError, match="version 3: is undone already"):
+        run.undo(3, found)
+    states = {row["version"]: row["state"] for row in run.history.table()}
+    assert states == {1: "", 2: "undone", 3: "undone", 4: "in use"}
+
+
+def test_what_another_crop_learnt_since_is_not_undone() -> None:
+    run = Run(crop="corn")
+    run.learns(1, 800.0, "file")
+    corn = run.learns(2, 850.0)
+    wheat = run.history.change_crop("wheat", corn, "corn")
+    assert wheat is not None
+    learnt = replace(wheat, version=5)
+    run.history.use(learnt, "ticket", "", "", [5])
+    run.crop = "wheat"
+    run.undo(2, learnt)
+    assert {row["version"]: row["state"] for row in run.history.table() if row["state"] == "undone"} == {2: "undone"}
+    assert run.undo(5, run.history.change_crop("wheat", learnt, "wheat") or learnt)[0].values == wheat.values
 
 
 def changed_crop(run: Run) -> ParameterSet:

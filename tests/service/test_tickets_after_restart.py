@@ -11,6 +11,7 @@ import pytest
 
 from tests.service.bench import START_S, running, wait_for
 from yieldmon.cli import main as cli
+from yieldmon.cli._records import back
 from yieldmon.files import parameter_file
 from yieldmon.service.action_log import ActionLog
 from yieldmon.service.batch import Ticket
@@ -181,6 +182,22 @@ def test_tickets_of_a_crop_that_is_left_before_they_update_wait_for_its_return()
     assert ActionLog(tickets[:1], (), 0.0, (), {"wheat": (1, 2)}).unfinished_of_crop == {"wheat": (1,)}, "the store lost one"
     log.undo_ticket(1, "", 3.0)
     assert log.unfinished_of_crop == {}
+
+
+def test_an_undo_names_the_standing_ticket_whose_teaching_goes_with_it() -> None:
+    """A ticket entered three times, one of them taken back."""
+    log = ActionLog([], [], 0.0)
+    for number, load in ((1, 4), (2, 4), (3, 7), (4, 4)):
+        log.ticket(Ticket(1.0, load, load, 100.0, 90.0, ""), is_reference=True)
+        log.add(PARAMETERS, "", {"version": 1 + number, "from_version": number, "origin": "ticket", "tickets": [number]})
+    assert log.undo_ticket(1, "", 2.0)[1] == 2
+    assert log.standing_of({2, 3, 4, 5}) == (3, 4)
+    assert log.standing_of({2}) == ()
+    answer = {"undone": 2, "until": 5, "version": 6, "crop": "", "standing_tickets": [3, 4]}
+    assert back(answer) == (
+        "calibration 2 to 5 undone, what was in use before is version 6; what ticket 3, 4 taught is undone with it: enter such a "
+        "mass again if it is right"
+    )
 
 
 def test_loads_are_measured_again_with_the_crop_that_their_ticket_updated_though_another_is_in_use() -> None:

@@ -24,10 +24,12 @@ def undone(time_s: float | None, who: str | None) -> str:
 
 def back(answer: Mapping[str, Any]) -> str:
     """What an undo of a calibration did."""
+    tickets = ", ".join(map(str, answer.get("standing_tickets", ())))
+    left = f"; what ticket {tickets} taught is undone with it: enter such a mass again if it is right" if tickets else ""
     if answer.get("crop"):
-        return f"calibration {answer['undone']} undone for {answer['crop']}; the parameters in use now stay"
+        return f"calibration {answer['undone']} undone for {answer['crop']}; the parameters in use now stay{left}"
     undone_ = str(answer["undone"]) if answer["undone"] == answer["until"] else f"{answer['undone']} to {answer['until']}"
-    return f"calibration {undone_} undone, what was in use before is version {answer['version']}"
+    return f"calibration {undone_} undone, what was in use before is version {answer['version']}{left}"
 
 
 def show(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 from yieldmon.errors import InputError
@@ -130,8 +130,17 @@ class ActionLog:
 
     @property
     def undone_versions(self) -> set[int]:
-        """Versions that were taken back."""
-        return {int(a.document["version"]) for a in self._actions if a.kind == ledgers.PARAMETERS_UNDO}
+        """As `ledger.undone_versions`."""
+        return ledgers.undone_versions(self._actions)
+
+    def standing_of(self, versions: Collection[int]) -> tuple[int, ...]:
+        """Numbers of the tickets that led to these versions and stand; of several for the same loads the newest."""
+        updates = [update for version, update in self.updates.items() if version in versions]
+        led = {int(number) for update in updates for number in update.document.get("tickets", ())}
+        newest = {
+            (ticket.first_load, ticket.last_load): number for number, ticket in self.ledger.tickets.items() if number in led
+        }
+        return tuple(sorted(newest.values()))
 
     @property
     def calibrated_version(self) -> int:

@@ -205,9 +205,14 @@ def _back_before(version: int, order: _Order) -> dict[str, Any]:
             f"version {version}", "the flow comes from estimator_file, which learns nothing", "another estimator_file"
         )
     journal, in_use = order.journal, monitor.estimator.parameters
+    before = journal.actions.undone_versions
     chosen, crop = journal.parameters.undo(version, in_use, journal.crop, order.request.who, order.now_s)
+    left = journal.actions.standing_of(journal.actions.undone_versions - before)
     monitor.set_estimator(estimator_of(monitor.machine, chosen), calibration_age_s(chosen, order.now_s))
-    return {"undone": version, "until": last, "version": chosen.version, "effects": list(chosen.effects), "crop": crop}
+    return {
+        "undone": version, "until": last, "version": chosen.version, "effects": list(chosen.effects), "crop": crop,
+        "standing_tickets": list(left),
+    }  # fmt: skip
 
 
 def _why_no_reference(monitor: Monitor, journal: Journal, covered: list[Load], stored: Sequence[StoredLoad]) -> str:

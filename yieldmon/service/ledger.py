@@ -112,10 +112,20 @@ def ticket_rows(tickets: Sequence[Ticket], actions: Iterable[Action]) -> list[di
     ]  # fmt: skip
 
 
+def undone_versions(actions: Iterable[Action]) -> set[int]:
+    """Versions of the parameters that were taken back, with those that followed on them."""
+    return {
+        int(version)
+        for action in actions
+        if action.kind == PARAMETERS_UNDO
+        for version in action.document.get("versions", (action.document["version"],))
+    }
+
+
 def calibration_rows(actions: Iterable[Action], in_use: int) -> list[dict[str, Any]]:
     """Each change of parameters and each operator's zero, with who and when, and whether it stands."""
     known = list(actions)
-    undone = {int(a.document["version"]) for a in known if a.kind == PARAMETERS_UNDO}
+    undone = undone_versions(known)
     undone_zeros = {int(a.document["action"]) for a in known if a.kind == ZERO_UNDO}
     # With one goes what was taken before it from the same second on.
     back = {a.document.get("second") for a in known if a.kind == ZERO and a.number in undone_zeros}

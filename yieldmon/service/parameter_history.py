@@ -87,10 +87,17 @@ class ParameterHistory:
             raise InputError(f"version {version}", "is a change of crop", "a calibration, or `yieldmon load start --crop NAME`")
         if before not in self._versions:
             raise InputError(f"version {version}", "the parameters before it are not known", "a later version")
-        self._actions.add(ledgers.PARAMETERS_UNDO, who, {"version": version}, now_s)
         now, crop = self.crop_of(in_use, named), self._crop_at(version)
+        of_now = not crop or not now or crop == now
+        followed = [
+            later
+            for later in sorted(changes)
+            if later >= version and (later == version or changes[later].document.get("origin") != ledgers.CROP)
+            and (not crop or self._crop_at(later) in ((crop, "") if of_now else (crop,)))
+        ]  # fmt: skip
+        self._actions.add(ledgers.PARAMETERS_UNDO, who, {"version": version, "versions": followed}, now_s)
         earlier = replace(self._versions[before], version=self.version + 1)
-        if not crop or not now or crop == now:
+        if of_now:
             self.use(earlier, "undo", who, f"version {version} undone: as version {before}")
             return earlier, ""
         kept = self._of_crop[crop] = replace(earlier, provenance={**earlier.provenance, "crop": crop})
