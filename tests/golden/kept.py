@@ -44,10 +44,11 @@ def machine() -> str:
 
 
 def _maker() -> str:
-    """Of the processor, as Linux names it."""
+    """Of the processor, and its family, by which OpenBLAS sizes the blocks that it adds up, as Linux names them."""
     listed = Path("/proc/cpuinfo")
-    lines = listed.read_text().splitlines() if listed.exists() else []
-    return next((line.partition(":")[2].strip() for line in lines if line.startswith("vendor_id")), platform.processor())
+    facts = dict(line.split("\t", 1) for line in listed.read_text().splitlines() if "\t" in line) if listed.exists() else {}
+    maker, family = (facts.get(name, "").partition(":")[2].strip() for name in ("vendor_id", "cpu family"))
+    return f"{maker} family {family}" if family else maker or platform.processor()
 
 
 def load(name: str) -> str:
