@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from yieldmon.cli import _provenance
+from yieldmon.cli import _named_files, _provenance
 from yieldmon.documents.calibrate import CalibratedParameter, LoadCalibrationDocument
 from yieldmon.errors import InputError
 from yieldmon.estimation.load_inputs import WeighedLoad
@@ -18,7 +18,7 @@ from yieldmon.estimation.load_outcome import LoadCalibration
 from yieldmon.estimation.load_pattern import EFFECT
 from yieldmon.estimation.loads import calibrate_loads
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.files import machine_file, parameter_file, ticket_file, whole_file
+from yieldmon.files import parameter_file, ticket_file, whole_file
 from yieldmon.physics.model import ForwardModel
 from yieldmon.resources import shipped
 
@@ -114,9 +114,9 @@ def configuration_of(args: argparse.Namespace) -> Configuration:
 
     loaded = configuration.load(args.config if args.config is not None else shipped("config/yieldmon.yaml"))
     if args.machine is not None:
-        loaded = dataclasses.replace(loaded, machine=machine_file.load(args.machine))
+        loaded = dataclasses.replace(loaded, machine=_named_files.machine(args.machine))
     if args.prior is not None:
-        loaded = dataclasses.replace(loaded, parameters=parameter_file.load(args.prior))
+        loaded = dataclasses.replace(loaded, parameters=_named_files.parameters(args.prior, "--prior"))
     return loaded
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from yieldmon.cli import _by_loads, _flow_curve, _outputs, _provenance, _pulse_shape, _taps, model_options
+from yieldmon.cli import _by_loads, _flow_curve, _named_files, _outputs, _provenance, _pulse_shape, _taps, model_options
 from yieldmon.cli._json import print_document, print_json
 from yieldmon.documents.calibrate import CalibrationDocument, ComparedModel
 from yieldmon.errors import InputError
@@ -50,7 +50,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     parser.add_argument("data", nargs="?", metavar="DATA.csv", help="plate_angle_deg, a load column and a reading column")
     parser.add_argument("--out", metavar="P.yaml", help="write the parameters here")
-    parser.add_argument("--machine", metavar="F", help="machine file (YAML); default: the 8-tooth machine")
+    parser.add_argument("--machine", metavar="F", help="file or shipped name; default: sprocket-8")
     parser.add_argument("--starts", type=int, default=20, metavar="N", help="random starts; default: 20")
     parser.add_argument("--free", metavar="A,B", help="parameters to fit; default: grain, impact and all of the effects'")
     parser.add_argument("--fix", action="append", default=[], metavar="NAME=VALUE", help="hold a parameter at a value")
@@ -281,7 +281,7 @@ def _with_copies_named(result: Calibration, data: table.Table, rows: Measurement
 def _fit_form(
     args: argparse.Namespace, machine: Machine, data: table.Table, rows: Measurements, asked: str | None
 ) -> Calibration:
-    known = parameter_file.load(args.prior) if args.prior is not None else None
+    known = _named_files.parameters(args.prior, "--prior") if args.prior is not None else None
     # Without a word about effects the prior's belong to the model: left out, its other parameters would stand for them.
     effects = [name.strip() for name in args.effects.split(",") if name.strip()]
     if not effects and known is not None:
@@ -359,7 +359,8 @@ def _with_provenance(
     if args.response_scale is not None:
         facts["response_scale"] = repr(args.response_scale)
     if parent is not None:
-        facts["parent"] = f"{Path(args.prior).name} sha256 {digests.of_file(args.prior)}"
+        prior = _named_files.parameters_path(args.prior, "--prior")
+        facts["parent"] = f"{prior.name} sha256 {digests.of_file(prior)}"
         facts["parent_version"] = str(parent.version)
     return replace(fitted, provenance=facts, version=1 if parent is None else parent.version + 1)
 
@@ -415,7 +416,7 @@ def _profiles(args: argparse.Namespace, result: Calibration, machine: Machine, r
     from yieldmon.plots import canvas, profiles
 
     out = Path(args.profiles)
-    known = parameter_file.load(args.prior) if args.prior is not None else None
+    known = _named_files.parameters(args.prior, "--prior") if args.prior is not None else None
     curves = profile_curves(
         ForwardModel(machine, result.parameter_set.effects),
         rows,

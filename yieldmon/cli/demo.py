@@ -14,7 +14,7 @@ from yieldmon.bus.codec import Codec
 from yieldmon.cli import _outputs
 from yieldmon.cli._json import print_json
 from yieldmon.cli._limits import within
-from yieldmon.cli.simulate import scenario_path
+from yieldmon.cli._named_files import scenario_path
 from yieldmon.errors import InputError
 from yieldmon.files import whole_file
 from yieldmon.physics.machine import RPM

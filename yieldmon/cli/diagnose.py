@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from yieldmon.cli import _outputs, model_options
+from yieldmon.cli import _named_files, _outputs, model_options
 from yieldmon.cli._json import print_json
 from yieldmon.discrepancy import adoption, diagnosis, planning, report
 from yieldmon.discrepancy.diagnosis_document import to_document
@@ -19,7 +19,7 @@ from yieldmon.discrepancy.selection import Step
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.stop_gap import without_stop_gap
-from yieldmon.files import machine_file, parameter_file, table, whole_file
+from yieldmon.files import parameter_file, table, whole_file
 from yieldmon.files.table import Table
 from yieldmon.files.whole_file import check_place, real_path
 from yieldmon.physics.effects import registry
@@ -42,7 +42,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "--params", metavar="P.yaml", help="parameters of the model (default: shipped corn; for a store, those it was given last)"
     )
-    parser.add_argument("--machine", metavar="M.yaml", help="machine geometry (default: the shipped 8-tooth machine)")
+    parser.add_argument("--machine", metavar="M.yaml", help="file or shipped name; default: sprocket-8")
     parser.add_argument(
         "--form",
         choices=("auto", "restitution", "exchange"),
@@ -79,7 +79,7 @@ def run(args: argparse.Namespace) -> int:
         print(f"{args.rollback}: version {version} again", file=sys.stderr)
         return 0
     _check(args)
-    machine = machine_file.load(args.machine)
+    machine = _named_files.machine(args.machine)
     source = _from_store(args, machine) if recorded.is_store(args.data) else _from_csv(args)
     _check_adopt(args, source)
     data, parameters = source.data, source.parameters
@@ -179,7 +179,7 @@ def _from_csv(args: argparse.Namespace) -> _Source:
     for option, value in (("--sweeps", args.sweeps), ("--table", args.table)):
         if value is not None:
             raise InputError(option, f"{args.data} is not a store", f"a name that ends in {', '.join(recorded.STORE_SUFFIXES)}")
-    path = Path(args.params) if args.params is not None else shipped(parameter_file.DEFAULT)
+    path = _named_files.parameters_path(args.params) if args.params is not None else shipped(parameter_file.DEFAULT)
     return _Source(table.load(args.data), without_stop_gap(parameter_file.load(path)), path, keep_effects=args.keep_effects)
 
 
@@ -187,7 +187,7 @@ def _from_store(args: argparse.Namespace, machine: Machine) -> _Source:
     """A daemon's model has effects that its parameters speak of; they are not looked for again."""
     if args.sweeps is not None and args.sweeps < 1:
         raise InputError("--sweeps", f"is {args.sweeps}", "at least 1")
-    path = Path(args.params) if args.params is not None else None
+    path = _named_files.parameters_path(args.params) if args.params is not None else None
     parameters = parameter_file.load(path) if path is not None else sweep_table.given_parameters(args.data)
     parameters = without_stop_gap(parameters)
     found = sweep_table.read(args.data, machine, parameters, args.sweeps)

@@ -12,10 +12,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from yieldmon.cli import _named_files
 from yieldmon.errors import InputError
 from yieldmon.estimation.measurements import Measurements
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.files import machine_file, parameter_file
+from yieldmon.files import parameter_file
 from yieldmon.files.parameter_file import GRAIN_LIMITS
 from yieldmon.files.table import LEAST_SPEED_RPM, Table
 from yieldmon.physics.effects import effect_parameter, get_effect
@@ -37,8 +38,8 @@ _LEAST_MOMENTUM_KG_M_S = 0.05
 
 def add_model_arguments(parser: argparse.ArgumentParser, default: str = parameter_file.DEFAULT) -> None:
     """--machine, --params and --set. default: the shipped parameter file that counts where --params is not given."""
-    parser.add_argument("--machine", metavar="F", help="machine file (YAML); default: the 8-tooth machine")
-    parser.add_argument("--params", metavar="F", help=f"parameter file (YAML); default: the shipped {Path(default).name}")
+    parser.add_argument("--machine", metavar="F", help="file or shipped name; default: sprocket-8")
+    parser.add_argument("--params", metavar="F", help=f"file or shipped name; default: {Path(default).stem}")
     parser.set_defaults(shipped_params=default)
     add_set_argument(parser)
 
@@ -56,12 +57,13 @@ def add_set_argument(parser: argparse.ArgumentParser) -> None:
 
 def machine(args: argparse.Namespace) -> Machine:
     """The machine that the arguments name."""
-    return machine_file.load(args.machine)
+    return _named_files.machine(args.machine)
 
 
 def parameters(args: argparse.Namespace) -> ParameterSet:
     """The parameters that the arguments name, with --set applied."""
-    return with_values(parameter_file.load(args.params or shipped(args.shipped_params)), assignments(args.set, "--set"))
+    path = _named_files.parameters_path(args.params) if args.params else shipped(args.shipped_params)
+    return with_values(parameter_file.load(path), assignments(args.set, "--set"))
 
 
 def assignments(texts: Iterable[str], option: str) -> dict[str, float]:

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from yieldmon import bounded
-from yieldmon.cli import _outputs, model_options
+from yieldmon.cli import _named_files, _outputs, model_options
 from yieldmon.cli._units import add_units
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.files import machine_file, parameter_file, strict_yaml, table, whole_file
+from yieldmon.files import parameter_file, strict_yaml, table, whole_file
 from yieldmon.files.delimited import LARGEST_BYTES
 from yieldmon.files.units import units_of
 from yieldmon.physics.machine import RPM
@@ -77,12 +77,12 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     model_options.add_model_arguments(missed)
 
     study = _picture(kinds, "sensitivity", _sensitivity, "force against each grain parameter, one varied at a time")
-    study.add_argument("--machine", metavar="F", help="machine file (YAML); default: the 8-tooth machine")
+    study.add_argument("--machine", metavar="F", help="file or shipped name; default: sprocket-8")
     study.add_argument("--plate-angle", type=float, default=70.0, metavar="DEG", help="default: 70")
 
     theirs = _picture(kinds, "published", _published, "published momentum table and closed loop, with ours")
     theirs.add_argument("tables", metavar="TABLES.yaml", help="the published figures (tests/data/published_tables.yaml)")
-    theirs.add_argument("--machine", metavar="F", help="machine file (YAML); default: the 8-tooth machine")
+    theirs.add_argument("--machine", metavar="F", help="file or shipped name; default: sprocket-8")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -258,12 +258,12 @@ def _sensitivity(args: argparse.Namespace) -> Figure:
     model_options.check_each(
         np.array([0.0 < args.plate_angle < 180.0]), np.array([args.plate_angle]), "--plate-angle", "0 to 180 deg, both excluded"
     )
-    return sensitivity.draw(machine_file.load(args.machine), radians(args.plate_angle))
+    return sensitivity.draw(_named_files.machine(args.machine), radians(args.plate_angle))
 
 
 def _published(args: argparse.Namespace) -> Figure:
     document = strict_yaml.load(args.tables)
     try:
-        return published.draw(document, machine_file.load(args.machine))
+        return published.draw(document, _named_files.machine(args.machine))
     except (KeyError, TypeError) as error:
         raise InputError(args.tables, f"lacks {error}", "the published tables") from error

@@ -11,8 +11,11 @@ import numpy as np
 from yieldmon.cli import model_options
 from yieldmon.cli._json import print_json
 from yieldmon.errors import InputError
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.files.calibrated_range import calibrated_document
 from yieldmon.physics.machine import RPM
 from yieldmon.physics.model import Conditions, ForwardModel
+from yieldmon.physics.numerics import Array
 
 COLUMNS = ("mass_flow_kg_s", "plate_angle_deg", "elevator_speed_rpm", "paddle_mass_kg", "paddle_momentum_kg_m_s", "force_n")
 
@@ -72,6 +75,7 @@ def run(args: argparse.Namespace) -> int:
         columns, values = (*COLUMNS, "moisture_pct"), [*values, np.full(flow.shape, args.moisture)]
     if moved is not None:
         columns, values = (*columns, "plate_position_m"), [*values, moved]
+    _say_outside(known, flow, angle, speed, args.moisture)
     table = np.stack(values, axis=-1).tolist()
     if args.json:
         rows = [dict(zip(columns, row, strict=True)) for row in table]
@@ -81,3 +85,13 @@ def run(args: argparse.Namespace) -> int:
         writer.writerow(columns)
         writer.writerows([f"{value:.10g}" for value in row] for row in table)
     return 0
+
+
+def _say_outside(known: ParameterSet, flow: Array, angle_deg: Array, speed_rpm: Array, moisture_pct: float | None) -> None:
+    """Which of the rows the parameters were not calibrated for, on standard error."""
+    moisture = None if moisture_pct is None else np.full(flow.shape, moisture_pct)
+    outside = known.calibrated.outside(flow, np.radians(angle_deg), speed_rpm * RPM, moisture)
+    if np.any(outside):
+        limits = calibrated_document(known.calibrated).items()
+        ranges = ", ".join(f"{name} {low:.4g} to {high:.4g}" for name, (low, high) in limits)
+        print(f"yieldmon: {np.sum(outside)} of {flow.size} rows lie outside the calibrated range: {ranges}", file=sys.stderr)

@@ -14,12 +14,11 @@ from functools import partial
 from pathlib import Path
 
 from yieldmon.bus.logs import SUFFIXES, require_package
-from yieldmon.cli import _flow_curve, _outputs
+from yieldmon.cli import _flow_curve, _named_files, _outputs
 from yieldmon.cli._json import print_json
 from yieldmon.cli._units import add_units
 from yieldmon.documents.process import ProcessSummary, ReprocessSummary
 from yieldmon.errors import InputError
-from yieldmon.files import parameter_file
 from yieldmon.files.units import units_of
 from yieldmon.files.whole_file import real_path
 from yieldmon.repeats import repeated
@@ -53,7 +52,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "logs", nargs="+", metavar="LOG", help="candump or any log of python-can; several are one record; or a daemon's store"
     )
-    parser.add_argument("--params", metavar="F", help="parameter file; default: the configuration's; of a store its newest")
+    parser.add_argument("--params", metavar="F", help="file or shipped name; default: the configuration's; of a store its newest")
     parser.add_argument("--config", metavar="F", help="configuration (YAML); default: the shipped one")
     _flow_curve.add_file(parser)
     parser.add_argument(
@@ -104,7 +103,7 @@ def _configured(config: str | Path, params: str | None, estimator: str | None) -
     """The configuration with what --params and --estimator put in its place."""
     loaded = configuration.load(config)
     if params is not None:
-        loaded = replace(loaded, parameters=parameter_file.load(params))
+        loaded = replace(loaded, parameters=_named_files.parameters(params))
     if estimator is not None:
         loaded = configuration.with_estimator(loaded, estimator)
     return loaded

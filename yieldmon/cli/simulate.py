@@ -9,7 +9,6 @@ import threading
 import time
 from collections import Counter
 from contextlib import ExitStack
-from pathlib import Path
 
 import can
 
@@ -18,16 +17,14 @@ from yieldmon.bus.codec import Codec, FrameError
 from yieldmon.bus.log_writing import writing
 from yieldmon.bus.opening import add_bus_arguments, open_bus_from
 from yieldmon.bus.waiting import receive
-from yieldmon.cli import _outputs
+from yieldmon.cli import _named_files, _outputs
 from yieldmon.cli._json import print_json
 from yieldmon.cli._limits import within
 from yieldmon.errors import InputError
-from yieldmon.files import machine_file, whole_file
-from yieldmon.physics.machine import Machine
+from yieldmon.files import whole_file
 from yieldmon.plant import scenario as scenarios
 from yieldmon.plant.combine import BLOCK_S, VirtualCombine
 from yieldmon.plant.truth_file import write_csv
-from yieldmon.resources import shipped
 
 NOT_SENT = "not sent"
 """Beside the message names in the summary's counts: frames that the bus did not take."""
@@ -44,7 +41,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         epilog="example: yieldmon simulate --scenario demo --log demo.log --truth demo-truth.csv",
     )
     parser.add_argument("--scenario", default="demo", metavar="F", help="scenario file, or a shipped one's name (default: demo)")
-    parser.add_argument("--machine", metavar="F", help="machine file or shipped name; default: the scenario's")
+    parser.add_argument("--machine", metavar="F", help="file or shipped name; default: the scenario's")
     parser.add_argument("--log", metavar="F", help="write a log as fast as it goes (.log .asc .blf .trc .csv .db .mf4)")
     parser.add_argument("--truth", metavar="F", help="write the truth, one row a second, as CSV")
     parser.add_argument("--duration", type=float, metavar="S", help="stop after S seconds; default: the scenario's")
@@ -57,7 +54,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     """Exit code 0; InputError for what cannot be used."""
-    scenario = scenarios.load(scenario_path(args.scenario))
+    scenario = scenarios.load(_named_files.scenario_path(args.scenario))
     if args.duration is not None:
         scenario = scenario.model_copy(update={"duration_s": _duration(args.duration)})
     if args.seed < 0:
@@ -65,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
     within("--start-time", args.start_time, 0.0, LATEST_S, "s")
     if args.truth is not None:
         whole_file.check_place(args.truth)
-    machine = _machine(args.machine if args.machine is not None else scenario.machine)
+    machine = _named_files.machine(args.machine if args.machine is not None else scenario.machine)
     combine = VirtualCombine(scenario, machine, args.seed)
     codec = Codec()
     if args.log is not None and getattr(args, "interface", None) is not None:
@@ -85,26 +82,6 @@ def run(args: argparse.Namespace) -> int:
             write_csv(args.truth, combine.truth)
     _report(combine, counts, args)
     return 0
-
-
-def scenario_path(name: str) -> Path:
-    path = Path(name)
-    if path.exists() or path.suffix:
-        return path
-    try:
-        return shipped(f"config/scenarios/{name}.yaml")
-    except FileNotFoundError:
-        raise InputError("--scenario", f"{name!r} is neither a file nor shipped", "a scenario file") from None
-
-
-def _machine(name: str) -> Machine:
-    path = Path(name)
-    if not path.exists() and not path.suffix:
-        try:
-            path = shipped(f"config/machines/{name}.yaml")
-        except FileNotFoundError:
-            raise InputError("machine", f"{name!r} is neither a file nor shipped", "a machine file") from None
-    return machine_file.load(path)
 
 
 def _duration(seconds: float) -> float:

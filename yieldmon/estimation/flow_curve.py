@@ -12,7 +12,7 @@ from types import MappingProxyType
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from yieldmon.physics.machine import SAME_ANGLE_RAD
 from yieldmon.physics.numerics import Array
@@ -213,7 +213,7 @@ class CurveEstimator:
         between = (angle > self._curve.law.angles_rad[0]) & (angle < self._curve.law.angles_rad[-1])
         away = np.where(between | (away <= SAME_ANGLE_RAD), 0.0, away)
         sd = np.hypot(noise_sd, np.hypot(self._own_std_dev(flow), ANGLE_STD_DEV_PER_RAD * away * flow))
-        outside = self._outside(flow, away, speed, moist)
+        outside = (away > 0.0) | self._curve.calibrated.outside(flow, None, speed, moist)
         return with_status(flow, sd, noise_sd, outside=outside, empty=force <= 0.0, usable=usable)
 
     def _flow(self, force: Array, angle: Array, speed: Array) -> Array:
@@ -227,19 +227,6 @@ class CurveEstimator:
         high = limits[1] if limits is not None else float(np.max(flow, initial=0.0, where=np.isfinite(flow)))
         scale = flow + OFFSET_SHARE * high
         return np.asarray(self._curve.relative_std_dev * scale * np.maximum(flow, high) / max(high, 1e-9))
-
-    def _outside(self, flow: Array, away: Array, speed: Array, moisture: Array) -> NDArray[np.bool_]:
-        outside = away > 0.0
-        calibrated = self._curve.calibrated
-        for value, limits in (
-            (flow, calibrated.mass_flow_kg_s),
-            (speed, calibrated.elevator_speed_rad_s),
-            (moisture, calibrated.moisture_pct),
-        ):
-            if limits is not None:
-                slack = 1e-9 * max(abs(limits[0]), abs(limits[1]))
-                outside = outside | (value < limits[0] - slack) | (value > limits[1] + slack)
-        return np.asarray(outside)
 
 
 def with_curve(parameters: ParameterSet, curve: FlowCurve) -> ParameterSet:

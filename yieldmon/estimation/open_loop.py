@@ -10,7 +10,6 @@ from functools import lru_cache, partial
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from yieldmon.physics.machine import SAME_ANGLE_RAD
 from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import AnyArray, Array, chebyshev_points
 from yieldmon.physics.throw import Throw
@@ -312,7 +311,7 @@ class OpenLoop:
         spread = np.hypot(spread, self.parameters.model_error * np.abs(force))
         with np.errstate(divide="ignore", invalid="ignore"):
             sd, noise_sd = spread / np.abs(gain), noise / np.abs(gain)
-        outside = self._outside(flow, angle, speed, moist)
+        outside = self.parameters.calibrated.outside(flow, angle, speed, moist)
         return with_status(flow, sd, noise_sd, outside=outside, empty=flow <= 0.0, usable=usable)
 
     def _inverted(
@@ -361,21 +360,6 @@ class OpenLoop:
             for j in range(jacobian.shape[-1]):
                 variance = variance + jacobian[..., i] * jacobian[..., j] * self.parameters.covariance[i, j]
         return np.sqrt(np.maximum(variance, 0.0))
-
-    def _outside(self, flow: Array, angle: Array, speed: Array, moisture: Array) -> NDArray[np.bool_]:
-        outside = np.zeros(flow.shape, dtype=bool)
-        calibrated = self.parameters.calibrated
-        for value, limits, same in (
-            (flow, calibrated.mass_flow_kg_s, 0.0),
-            # A sweep's outermost angle is reached to the actuator's accuracy only.
-            (angle, calibrated.plate_angle_rad, SAME_ANGLE_RAD),
-            (speed, calibrated.elevator_speed_rad_s, 0.0),
-            (moisture, calibrated.moisture_pct, 0.0),
-        ):
-            if limits is not None:
-                slack = same + 1e-9 * max(abs(limits[0]), abs(limits[1]))
-                outside |= (value < limits[0] - slack) | (value > limits[1] + slack)
-        return outside
 
 
 @lru_cache(maxsize=4)

@@ -9,9 +9,11 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from yieldmon.physics.effects import get_effect
 from yieldmon.physics.grain import REQUIRED
+from yieldmon.physics.machine import SAME_ANGLE_RAD
 from yieldmon.physics.numerics import Array
 
 if TYPE_CHECKING:
@@ -26,6 +28,37 @@ class CalibratedRange:
     plate_angle_rad: tuple[float, float] | None = None
     elevator_speed_rad_s: tuple[float, float] | None = None
     moisture_pct: tuple[float, float] | None = None
+
+    def outside(
+        self,
+        mass_flow_kg_s: Array,
+        plate_angle_rad: Array | None = None,
+        elevator_speed_rad_s: Array | None = None,
+        moisture_pct: Array | None = None,
+    ) -> NDArray[np.bool_]:
+        """Where conditions lie outside the range; False for what is nan, not given, or whose range is not known.
+
+        Parameters
+        ----------
+        mass_flow_kg_s, plate_angle_rad, elevator_speed_rad_s, moisture_pct : ndarray
+            Of one shape. An angle may lie as far outside as two angles may that count as the same, since an actuator reaches the
+            outermost angle to its accuracy only.
+
+        Returns
+        -------
+        ndarray of bool
+        """
+        outside = np.zeros(np.shape(mass_flow_kg_s), dtype=bool)
+        for value, limits, same in (
+            (mass_flow_kg_s, self.mass_flow_kg_s, 0.0),
+            (plate_angle_rad, self.plate_angle_rad, SAME_ANGLE_RAD),
+            (elevator_speed_rad_s, self.elevator_speed_rad_s, 0.0),
+            (moisture_pct, self.moisture_pct, 0.0),
+        ):
+            if value is not None and limits is not None:
+                slack = same + 1e-9 * max(abs(limits[0]), abs(limits[1]))
+                outside |= (value < limits[0] - slack) | (value > limits[1] + slack)
+        return outside
 
 
 @dataclass(frozen=True)

@@ -14,9 +14,9 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+from yieldmon.cli import _named_files
 from yieldmon.cli._json import print_json
 from yieldmon.errors import InputError
-from yieldmon.files import parameter_file
 from yieldmon.files.plain_text import plain
 from yieldmon.fleet import manifest, scheduling
 from yieldmon.fleet.copies import with_copies
@@ -135,7 +135,7 @@ def _configurations(partitions: Sequence[Partition], args: argparse.Namespace) -
 
     Raises InputError where that, or --params, cannot be used.
     """
-    parameters = parameter_file.load(args.params) if args.params is not None else None
+    parameters = _named_files.parameters(args.params) if args.params is not None else None
     default = args.config if args.config is not None else str(shipped("config/yieldmon.yaml"))
 
     def configured(path: str) -> _Configured:
