@@ -9,6 +9,8 @@ EXTENDED_FLAG = 0x80000000
 
 CLASSIC_BYTES = 8
 """Of data in a classic frame, at most."""
+FD_BYTES = 64
+"""Of data in a CAN FD frame, at most."""
 
 #: What distinguishes a J1939 message: all but the priority.
 IDENTITY_MASK = 0x03FFFFFF

@@ -61,7 +61,8 @@ _READERS = (
     + """
 import itertools, logging, pathlib, sys
 logging.disable(logging.CRITICAL)
-from yieldmon.bus.logs import LogNotes, read_log
+from yieldmon.bus.log_notes import LogNotes
+from yieldmon.bus.logs import read_log
 from yieldmon.errors import InputError
 heads = {
     ".log": "(1436509052.249713)  can0  123   [8]  01 02 03 04 05 06 07 08",

@@ -19,8 +19,9 @@ from tests.extras import MF4
 from tests.file_limit import files_end_at
 from yieldmon.bus.candump import parse_line
 from yieldmon.bus.loading import iter_blocks
+from yieldmon.bus.log_notes import LogNotes
 from yieldmon.bus.log_writing import writing
-from yieldmon.bus.logs import LogNotes, read_log
+from yieldmon.bus.logs import read_log
 from yieldmon.errors import InputError
 
 FORMATS = [

@@ -19,9 +19,10 @@ import pytest
 
 from yieldmon import bounded
 from yieldmon.bounded import read_whole
-from yieldmon.bus import databases, dbc_file, logs
+from yieldmon.bus import databases, dbc_file, text_logs
 from yieldmon.bus.loading import iter_blocks, load_frames
-from yieldmon.bus.logs import SUFFIXES, LogNotes, read_log, require_log
+from yieldmon.bus.log_notes import LogNotes
+from yieldmon.bus.logs import SUFFIXES, read_log, require_log
 from yieldmon.cli.main import main
 from yieldmon.errors import InputError
 from yieldmon.field import loads, sources
@@ -55,7 +56,7 @@ def test_a_file_of_exactly_the_limit_is_read(tmp_path):
 
 def test_limits_are_far_above_what_files_have():
     assert (dbc_file.LARGEST_BYTES, delimited.LARGEST_BYTES) == (64_000_000, 256_000_000)
-    assert (bounded.LONGEST_LINE, logs.LONGEST_SKIPPED_BYTES) == (16_777_216, 268_435_456)
+    assert (bounded.LONGEST_LINE, text_logs.LONGEST_SKIPPED_BYTES) == (16_777_216, 268_435_456)
 
 
 def test_a_table_comes_through_a_pipe(tmp_path):
@@ -93,7 +94,7 @@ def endless(request, tmp_path):
 def test_a_log_is_a_file_or_a_pipe_that_gives_something(suffix, endless, monkeypatch):
     monkeypatch.setattr(bounded, "PATIENCE_S", 0.01)
     path, kind = endless(f"x{suffix}")
-    text = suffix.removesuffix(".gz") in logs.TEXT_SUFFIXES
+    text = suffix.removesuffix(".gz") in text_logs.TEXT_SUFFIXES
     said = f"x{suffix}: is a {kind}; expected a CAN log that is a file{' or a pipe' if text else ''}$"
     if text and kind == "pipe":
         said = f"x{suffix}: is a pipe that gives nothing within 0 s; expected a file, or a pipe with a writer$"
@@ -160,7 +161,7 @@ def _log_with(tmp_path: Path, suffix: str, long: int, packed: bool) -> tuple[Pat
 @pytest.mark.parametrize("packed", [False, True], ids=["plain", "gz"])
 @pytest.mark.parametrize("suffix", _FRAMES)
 def test_a_line_without_an_end_ends_the_reading(suffix, packed, tmp_path, monkeypatch):
-    monkeypatch.setattr(logs, "LONGEST_SKIPPED_BYTES", 40_000)
+    monkeypatch.setattr(text_logs, "LONGEST_SKIPPED_BYTES", 40_000)
     path, line = _log_with(tmp_path, suffix, 200_000, packed)
     notes = LogNotes()
     frames = list(read_log(path, notes))
@@ -174,7 +175,7 @@ def test_a_line_without_an_end_ends_the_reading(suffix, packed, tmp_path, monkey
 
 @pytest.mark.parametrize("suffix", _FRAMES)
 def test_a_long_line_that_ends_costs_itself_alone(suffix, tmp_path, monkeypatch):
-    monkeypatch.setattr(logs, "LONGEST_SKIPPED_BYTES", 40_000)
+    monkeypatch.setattr(text_logs, "LONGEST_SKIPPED_BYTES", 40_000)
     path, line = _log_with(tmp_path, suffix, 30_000, packed=False)
     notes = LogNotes()
     assert len(list(read_log(path, notes))) == 2

@@ -46,7 +46,8 @@ from tests.robustness.undoing import Broken, Simulation, Trouble, live, mend, re
 from tests.seconds import measured_second
 from tests.service.test_installation import FakePip
 from yieldmon.bus import bulk, candump, logs
-from yieldmon.bus.logs import LogNotes, read_log
+from yieldmon.bus.log_notes import LogNotes
+from yieldmon.bus.logs import read_log
 from yieldmon.bus.opening import open_bus
 from yieldmon.cli import main as command
 from yieldmon.discrepancy import adoption

@@ -19,7 +19,7 @@ from yieldmon.bus.candump import ERROR_FLAG, REMOTE_FLAG, channel_name, flagged_
 from yieldmon.bus.codec import Codec
 from yieldmon.bus.layout import MessageLayout, SignalLayout
 from yieldmon.frames import Frame, Unusable
-from yieldmon.identifiers import EXTENDED_FLAG, LARGEST_EXTENDED_ID
+from yieldmon.identifiers import CLASSIC_BYTES, EXTENDED_FLAG, LARGEST_EXTENDED_ID
 
 #: SignalColumn.status
 USABLE = 0
@@ -27,7 +27,6 @@ NOT_AVAILABLE = 1
 ERROR = 2
 
 _UNUSABLE = {NOT_AVAILABLE: Unusable.NOT_AVAILABLE, ERROR: Unusable.ERROR}
-_PAYLOAD_BYTES = 8
 _TABLED_BITS = 13
 """Signals of up to so many bits are looked up: their tables fit into the CPU's cache."""
 
@@ -147,7 +146,7 @@ def block_of(messages: Iterable[can.Message]) -> FrameBlock:
             message.timestamp,
             flagged_id(message),
             message.dlc if message.is_remote_frame else len(message.data),
-            int.from_bytes(message.data[:_PAYLOAD_BYTES], "little"),
+            int.from_bytes(message.data[:CLASSIC_BYTES], "little"),
             channels.setdefault(channel_name(message), len(channels)),
         )
         for message in messages
@@ -160,7 +159,7 @@ def block_of(messages: Iterable[can.Message]) -> FrameBlock:
         np.array(payload, np.uint64),
         np.array(channel, np.int32),
         tuple(channels),
-        {row: bytes(message.data) for row, message in enumerate(messages) if len(message.data) > _PAYLOAD_BYTES},
+        {row: bytes(message.data) for row, message in enumerate(messages) if len(message.data) > CLASSIC_BYTES},
     )
 
 
@@ -187,7 +186,7 @@ def messages_of(block: FrameBlock) -> Iterator[can.Message]:
             is_error_frame=error,
             is_fd=row in block.long,
             dlc=length,
-            data=None if remote else block.long.get(row, payload.to_bytes(_PAYLOAD_BYTES, "little")[:length]),
+            data=None if remote else block.long.get(row, payload.to_bytes(CLASSIC_BYTES, "little")[:length]),
             channel=block.channels[channel] or None,
         )
 

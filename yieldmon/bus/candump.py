@@ -19,7 +19,7 @@ import re
 
 import can
 
-from yieldmon.identifiers import EXTENDED_FLAG, LARGEST_EXTENDED_ID, LARGEST_STANDARD_ID
+from yieldmon.identifiers import CLASSIC_BYTES, EXTENDED_FLAG, FD_BYTES, LARGEST_EXTENDED_ID, LARGEST_STANDARD_ID
 
 REMOTE_FLAG = 0x40000000
 ERROR_FLAG = 0x20000000
@@ -36,8 +36,7 @@ _SCREEN_LINE = re.compile(
 )
 _DROPPED = re.compile(r"DROPCOUNT: dropped (\d+) ")
 
-_CLASSIC_LENGTH = 8
-_FD_LENGTHS = frozenset((*range(9), 12, 16, 20, 24, 32, 48, 64))
+_FD_LENGTHS = frozenset((*range(9), 12, 16, 20, 24, 32, 48, FD_BYTES))
 
 
 def dropped_frames(line: str) -> int | None:
@@ -74,7 +73,7 @@ def _log_message(match: re.Match[str]) -> can.Message | None:
     is_fd = match["flags"] is not None
     flags = int(match["flags"], 16) if is_fd else 0
     data = bytes.fromhex(((match["fd"] if is_fd else match["data"]) or "").replace(".", ""))
-    if len(data) not in _FD_LENGTHS if is_fd else len(data) > _CLASSIC_LENGTH:
+    if len(data) not in _FD_LENGTHS if is_fd else len(data) > CLASSIC_BYTES:
         return None
     is_remote = match["remote"] is not None
     length = int(match["remote"] or 0) if is_remote else len(data)
@@ -87,7 +86,7 @@ def _screen_message(match: re.Match[str]) -> can.Message | None:
     is_remote = match["remote"] is not None
     if length not in _FD_LENGTHS or (not is_remote and len(data) != length):
         return None
-    return _message(match, data, length, is_remote=is_remote, is_fd=len(data) > _CLASSIC_LENGTH)
+    return _message(match, data, length, is_remote=is_remote, is_fd=len(data) > CLASSIC_BYTES)
 
 
 def _message(

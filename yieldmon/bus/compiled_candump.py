@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yieldmon.bus.compiled import compiled
-from yieldmon.identifiers import EXTENDED_FLAG, LARGEST_EXTENDED_ID, LARGEST_STANDARD_ID
-
-Bytes = NDArray[np.uint8]
+from yieldmon.bus.fast_candump import HEX, LARGEST_EXACT, MICROS_PER_S, Bytes
+from yieldmon.identifiers import CLASSIC_BYTES, EXTENDED_FLAG, LARGEST_EXTENDED_ID, LARGEST_STANDARD_ID
 
 #: Longest channel name that the compiled pass compares (Linux allows 15 bytes); longer ones go the other way.
 LONGEST_CHANNEL = 31
@@ -21,8 +20,6 @@ _OPEN, _CLOSE, _BLANK, _POINT, _HASH, _ZERO, _NINE, _RETURN, _R, _T = b"() .#09\
 _LOWER = 0x20
 _MAX_SECONDS_DIGITS = 10
 _MICRO_DIGITS = 6
-_LARGEST_EXACT = 2**53
-_MICROS_PER_S = 1e6
 
 
 def channel_table(channels: list[str]) -> tuple[Bytes, NDArray[np.int64]]:
@@ -31,7 +28,7 @@ def channel_table(channels: list[str]) -> tuple[Bytes, NDArray[np.int64]]:
     Parameters
     ----------
     channels : list of str
-        Names, at most as many as an int16 can index.
+        Names.
 
     Returns
     -------
@@ -53,7 +50,7 @@ def parse_common(
     starts: NDArray[np.intp],
     ends: NDArray[np.intp],
     channels: list[str],
-    into: tuple[NDArray[np.float64], NDArray[np.uint32], NDArray[np.uint8], NDArray[np.uint64], NDArray[np.int16]],
+    into: tuple[NDArray[np.float64], NDArray[np.uint32], NDArray[np.uint8], NDArray[np.uint64], NDArray[np.int32]],
 ) -> NDArray[np.bool_]:
     """Parse the lines of the common shape (classic data frames, microseconds, a channel among `channels`).
 
@@ -78,11 +75,6 @@ def parse_common(
     return done
 
 
-_HEX = np.full(256, 0xFF, np.uint8)
-for _digits in (b"0123456789abcdef", b"0123456789ABCDEF"):
-    _HEX[np.frombuffer(_digits, np.uint8)] = np.arange(16)
-
-
 @compiled
 def _time(buffer, at, end):  # type: ignore[no-untyped-def]
     """Reads "(seconds.micros) "; returns microseconds and the place after it, -1 where there is no such text."""
@@ -102,7 +94,7 @@ def _time(buffer, at, end):  # type: ignore[no-untyped-def]
             return np.int64(0), -1
         micros = micros * 10 + (buffer[at] - _ZERO)
     at = point + 1 + _MICRO_DIGITS
-    if micros >= _LARGEST_EXACT or buffer[at] != _CLOSE or buffer[at + 1] != _BLANK:
+    if micros >= LARGEST_EXACT or buffer[at] != _CLOSE or buffer[at + 1] != _BLANK:
         return np.int64(0), -1
     return micros, at + 2
 
@@ -129,8 +121,8 @@ def _identifier(buffer, at, end):  # type: ignore[no-untyped-def]
     """Reads an identifier and '#'; returns it with its flag and the place after it, -1 where there is none."""
     first = at
     can_id = np.uint32(0)
-    while at < end and at - first <= 8 and _HEX[buffer[at]] < 16:
-        can_id = np.uint32(can_id << np.uint32(4)) | np.uint32(_HEX[buffer[at]])
+    while at < end and at - first <= 8 and HEX[buffer[at]] < 16:
+        can_id = np.uint32(can_id << np.uint32(4)) | np.uint32(HEX[buffer[at]])
         at += 1
     if at >= end or buffer[at] != _HASH:
         return can_id, -1
@@ -146,8 +138,8 @@ def _data(buffer, at, end):  # type: ignore[no-untyped-def]
     """Reads up to 8 bytes and " R" or " T"; returns their number, -1 where something else follows, and the bytes."""
     length = 0
     payload = np.uint64(0)
-    while at + 1 < end and length < 8:
-        high, low = _HEX[buffer[at]], _HEX[buffer[at + 1]]
+    while at + 1 < end and length < CLASSIC_BYTES:
+        high, low = HEX[buffer[at]], HEX[buffer[at + 1]]
         if high > 15 or low > 15:
             break
         payload |= np.uint64(np.uint64(high) << np.uint64(4) | np.uint64(low)) << np.uint64(8 * length)
@@ -179,7 +171,7 @@ def _pass(buffer, starts, ends, names, name_lengths, time_s, can_ids, lengths, p
         length, payload = _data(buffer, at, end)
         if length < 0:
             continue
-        time_s[row] = micros / _MICROS_PER_S
+        time_s[row] = micros / MICROS_PER_S
         can_ids[row] = can_id
         lengths[row] = length
         payloads[row] = payload

@@ -6,11 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yieldmon.bus.compiled import compiled
+from yieldmon.bus.packed_columns import ORDER
 
 _LANES = 16
 """Stretches worked out side by side: vector instructions of all widths are filled, and their samples stay in the cache."""
-_ORDER = 8
-"""Samples that predict the next; known to the compiler, so that the sum over them is no loop."""
 
 
 def from_differences(planes: NDArray[np.uint8], bits: int) -> NDArray[np.uint64]:
@@ -120,11 +119,11 @@ def _predicted(planes, coefficients, stretch, bits, scale):  # type: ignore[no-u
             _gather(planes, at, folded, lanes)
             for lane in range(lanes):
                 samples[row, lane] = float(np.int64(_unfolded(folded[lane]) & mask))
-            if row >= _ORDER:
+            if row >= ORDER:
                 for lane in range(lanes):
                     weighted = 0.0
-                    for k in range(_ORDER):
-                        weighted += coefficients[k] * samples[row - _ORDER + k, lane]
+                    for k in range(ORDER):
+                        weighted += coefficients[k] * samples[row - ORDER + k, lane]
                     samples[row, lane] += np.floor((weighted + scale / 2) * per_scale)
             elif row:
                 for lane in range(lanes):

@@ -32,22 +32,25 @@ _COMMON = re.compile(
 #: few.
 _SHAPES_TRIED = 8
 
-_INVALID = 0xFF
+INVALID = 0xFF
+"""In HEX: no hexadecimal digit."""
 
 #: Loading the compiled pass takes about a second: smaller chunks are done before.
 _COMPILED_FROM_BYTES = 2 * 1024 * 1024
 
 
 def _hex_values() -> Bytes:
-    values = np.full(256, _INVALID, np.uint8)
+    values = np.full(256, INVALID, np.uint8)
     for digits in (b"0123456789abcdef", b"0123456789ABCDEF"):
         values[np.frombuffer(digits, np.uint8)] = np.arange(16)
     return values
 
 
-_HEX = _hex_values()
-_MICROS_PER_S = 1e6
-_LARGEST_EXACT = float(2**53)
+HEX = _hex_values()
+"""Value of each byte as a hexadecimal digit."""
+MICROS_PER_S = 1e6
+LARGEST_EXACT = 2**53
+"""Whole numbers below it are doubles."""
 
 
 @dataclass(frozen=True)
@@ -240,14 +243,14 @@ def _fill(parsed: ParsedLines, rows: NDArray[np.intp], columns: Bytes, shape: _S
     time_s, fits = _times(columns, shape)
     for place, byte in zip(shape.fixed, shape.fixed_bytes, strict=True):
         fits &= columns[place] == byte
-    nibbles = _HEX[columns[shape.can_id]]
+    nibbles = HEX[columns[shape.can_id]]
     can_id = np.zeros(len(rows), np.uint32)
     for nibble in nibbles:
         can_id = can_id << np.uint32(4) | nibble
-    data = _HEX[columns[shape.data]]
+    data = HEX[columns[shape.data]]
     fits &= can_id <= (LARGEST_EXTENDED_ID if shape.is_extended else LARGEST_STANDARD_ID)
-    fits &= nibbles.max(axis=0) < _INVALID
-    fits &= data.max(axis=0, initial=0) < _INVALID
+    fits &= nibbles.max(axis=0) < INVALID
+    fits &= data.max(axis=0, initial=0) < INVALID
     length = len(data) // 2
     payload = np.zeros((len(rows), 8), np.uint8)
     payload[:, :length] = (data[0::2] << 4 | data[1::2]).T
@@ -268,7 +271,7 @@ def _times(columns: Bytes, shape: _Shape) -> tuple[NDArray[np.float64], NDArray[
         # A quotient of two exact numbers is the double nearest to the decimal number, as float() finds it.
         powers = np.power(10.0, np.arange(len(digits) - 1, -1, -1))
         micros = np.asarray(powers @ digits.astype(np.float64), np.float64)
-        return micros / _MICROS_PER_S, np.asarray(fits & (micros < _LARGEST_EXACT))
+        return micros / MICROS_PER_S, np.asarray(fits & (micros < LARGEST_EXACT))
     text = columns[shape.seconds.start : shape.fraction.stop].T.copy()
     text[~fits] = ord("0")
     return text.view(f"S{text.shape[1]}")[:, 0].astype(np.float64), fits
@@ -278,7 +281,7 @@ def _fill_slowly(parsed: ParsedLines, row: int, message: can.Message, channels: 
     parsed.time_s[row] = message.timestamp
     parsed.can_id[row] = flagged_id(message)
     parsed.length[row] = message.dlc if message.is_remote_frame else len(message.data)
-    parsed.payload[row] = int.from_bytes(message.data[:8], "little")
+    parsed.payload[row] = int.from_bytes(message.data[:CLASSIC_BYTES], "little")
     parsed.channel[row] = _channel_index(channel_name(message), channels)
     if len(message.data) > CLASSIC_BYTES:
         parsed.long[row] = bytes(message.data)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import io
 import zlib
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from yieldmon.bounded import opened
 
@@ -72,3 +72,13 @@ class Gunzip(io.RawIOBase):
         self._ended = True
         if problem is not None:
             self.problem = f"{problem} (compressed byte {self._file.tell()})"
+
+
+def open_bytes(path: Path, compressed: bool) -> io.BufferedReader:
+    """The log's bytes, decompressed; early_end_of() says at their end whether they are all."""
+    return io.BufferedReader(Gunzip(path)) if compressed else cast("io.BufferedReader", opened(path))
+
+
+def early_end_of(stream: io.BufferedReader) -> str | None:
+    """Why a stream of open_bytes() ended before its time, None where it did not."""
+    return stream.raw.problem if isinstance(stream.raw, Gunzip) else None

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from yieldmon.bus import dbc_file
 from yieldmon.errors import InputError
-from yieldmon.identifiers import GROUP_MASK, IDENTITY_MASK
+from yieldmon.identifiers import CLASSIC_BYTES, GROUP_MASK, IDENTITY_MASK
 from yieldmon.resources import shipped
 
 if TYPE_CHECKING:
@@ -119,8 +119,8 @@ def _message_layout(message: DbcMessage, path: str) -> MessageLayout:
     where = f"{path}: {message.name}"
     if not message.is_extended_frame:
         raise InputError(where, "11-bit identifier", "a 29-bit identifier")
-    if not 1 <= message.length <= 8:
-        raise InputError(where, f"{message.length} bytes long", "1 to 8 bytes")
+    if not 1 <= message.length <= CLASSIC_BYTES:
+        raise InputError(where, f"{message.length} bytes long", f"1 to {CLASSIC_BYTES} bytes")
     attributes = message.dbc.attributes if message.dbc is not None else {}
     any_source = "AnySourceAddress" in attributes and attributes["AnySourceAddress"].value in (1, "yes")
     return MessageLayout(

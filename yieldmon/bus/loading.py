@@ -13,23 +13,11 @@ import numpy as np
 from yieldmon.bus.bulk import FrameBlock, block_of, concatenate
 from yieldmon.bus.candump import ERROR_FLAG
 from yieldmon.bus.fast_candump import ParsedLines, parse_lines
-from yieldmon.bus.logs import (
-    LONGEST_LINE_BYTES,
-    PACKED_SUFFIX,
-    LogNotes,
-    candump_frame,
-    early_end_of,
-    endless,
-    line_problem,
-    log_format,
-    open_bytes,
-    read_log,
-    reading_log,
-    refuse_unreadable,
-    require_log,
-    without_byte_order_mark,
-)
-from yieldmon.bus.packed import Wanted, dropped_by_recorder, read_blocks
+from yieldmon.bus.gunzip import early_end_of, open_bytes
+from yieldmon.bus.log_notes import LogNotes, refuse_unreadable
+from yieldmon.bus.logs import PACKED_SUFFIX, log_format, read_log, reading_log, require_log
+from yieldmon.bus.packed_reading import Wanted, dropped_by_recorder, read_blocks
+from yieldmon.bus.text_logs import LONGEST_LINE_BYTES, candump_frame, endless, line_problem, without_byte_order_mark
 
 _CHUNK_BYTES = 4 * 1024 * 1024
 _MESSAGES_PER_BLOCK = 100_000

@@ -7,22 +7,24 @@ import sys
 from importlib.machinery import PathFinder
 from importlib.util import find_spec
 
-_held: list[str] = []
-"""What is being held back."""
+_NAME = "asammdf"
 
 
 def defer() -> None:
     """Hold asammdf back from the coming import of python-can; nothing where either has been imported already."""
-    if not {"can", "asammdf"} & sys.modules.keys():
-        sys.modules["asammdf"] = None  # type: ignore[assignment]  # the import system's mark for "not to be found"
-        _held.append("asammdf")
+    if not {"can", _NAME} & sys.modules.keys():
+        sys.modules[_NAME] = None  # type: ignore[assignment]  # the import system's mark for "not to be found"
+
+
+def _is_held() -> bool:
+    return _NAME in sys.modules and sys.modules[_NAME] is None
 
 
 def require() -> None:
     """Raises ModuleNotFoundError where asammdf is not installed; imports nothing."""
-    found = PathFinder.find_spec("asammdf") if _held else find_spec("asammdf")
+    found = PathFinder.find_spec(_NAME) if _is_held() else find_spec(_NAME)
     if found is None:
-        raise ModuleNotFoundError("No module named 'asammdf'", name="asammdf")
+        raise ModuleNotFoundError(f"No module named {_NAME!r}", name=_NAME)
 
 
 def provide() -> None:
@@ -33,9 +35,9 @@ def provide() -> None:
     ModuleNotFoundError
         Where asammdf is not installed.
     """
-    if _held:
-        del sys.modules[_held.pop()]
-        importlib.import_module("asammdf")
+    if _is_held():
+        del sys.modules[_NAME]
+        importlib.import_module(_NAME)
         # Its classes keep the module's names, so those that python-can has handed out work as well.
         importlib.reload(importlib.import_module("can.io.mf4"))
-    importlib.import_module("asammdf")
+    importlib.import_module(_NAME)

@@ -22,7 +22,8 @@ PLAIN = "plain"
 DIFFERENCE = "difference"
 PREDICTION = "prediction"
 
-_ORDER = 8
+ORDER = 8
+"""Samples that predict the next; known to a compiler, so that the sum over them is no loop."""
 #: Samples in a row that are predicted from each other. All stretches are decoded side by side: each step of the prediction is
 #: one operation over them.
 _STRETCH = 1024
@@ -186,15 +187,15 @@ def _matrix(values: NDArray[np.int64]) -> NDArray[np.int64]:
 
 def _predicted(values: Column, bits: int) -> Coded:
     samples = _matrix(values.view(np.int64))
-    past = np.lib.stride_tricks.sliding_window_view(samples.astype(np.float64), _ORDER, axis=0)[:-1]
-    flat = past.reshape(-1, _ORDER)
-    target = samples[_ORDER:].ravel().astype(np.float64)
+    past = np.lib.stride_tricks.sliding_window_view(samples.astype(np.float64), ORDER, axis=0)[:-1]
+    flat = past.reshape(-1, ORDER)
+    target = samples[ORDER:].ravel().astype(np.float64)
     weights = np.linalg.lstsq(flat.T @ flat, flat.T @ target, rcond=None)[0]
     coefficients = np.rint(np.clip(weights, -8.0, 8.0) * _COEFFICIENT_SCALE)
     residuals = samples.copy()
     # A stretch begins with a sample as it is, then each is predicted from the one before until there are enough of them.
-    residuals[1:_ORDER] -= samples[: _ORDER - 1]
-    residuals[_ORDER:] -= _rounded(past @ coefficients).astype(np.int64)
+    residuals[1:ORDER] -= samples[: ORDER - 1]
+    residuals[ORDER:] -= _rounded(past @ coefficients).astype(np.int64)
     folded = _folded(np.ascontiguousarray(residuals).view(np.uint64).ravel(), bits)
     return _planes(PREDICTION, folded, coefficients.astype(_HEADER).tobytes())
 
@@ -224,7 +225,7 @@ def _from_differences(coded: Coded, count: int, bits: int, *, compiled: bool) ->
 
 
 def _from_predicted(coded: Coded, count: int, bits: int, *, compiled: bool) -> Column:
-    start = _ORDER * _HEADER.itemsize
+    start = ORDER * _HEADER.itemsize
     coefficients = np.frombuffer(coded.data[:start], _HEADER).astype(np.float64)
     stretches = _stretches(count)
     module = _compiled_module() if compiled else None
@@ -237,6 +238,6 @@ def _from_predicted(coded: Coded, count: int, bits: int, *, compiled: bool) -> C
     modulus = float(1 << bits)
     for row in range(1, _STRETCH):
         value = samples[row]
-        value += samples[row - 1] if row < _ORDER else _rounded(coefficients @ samples[row - _ORDER : row])
+        value += samples[row - 1] if row < ORDER else _rounded(coefficients @ samples[row - ORDER : row])
         value -= modulus * np.floor(value / modulus)
     return samples.T.reshape(-1)[:count].astype(np.uint64)

@@ -14,8 +14,9 @@ from rich.console import Console, RenderableType
 from rich.live import Live
 
 from yieldmon.bus.codec import Codec
+from yieldmon.bus.log_notes import LogNotes
 from yieldmon.bus.log_writing import writing
-from yieldmon.bus.logs import LogNotes, read_log, require_log
+from yieldmon.bus.logs import read_log, require_log
 from yieldmon.bus.opening import add_bus_arguments, open_bus_from
 from yieldmon.bus.replay import Schedule
 from yieldmon.bus.waiting import receive

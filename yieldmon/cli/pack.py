@@ -10,8 +10,9 @@ from pathlib import Path
 from yieldmon.bus.bulk import FrameBlock
 from yieldmon.bus.codec import Codec
 from yieldmon.bus.loading import iter_blocks
-from yieldmon.bus.logs import PACKED_SUFFIX, LogNotes, require_log
-from yieldmon.bus.packed import pack
+from yieldmon.bus.log_notes import LogNotes
+from yieldmon.bus.logs import PACKED_SUFFIX, require_log
+from yieldmon.bus.packed_writing import pack
 from yieldmon.cli import _outputs
 from yieldmon.cli._json import print_json
 from yieldmon.errors import InputError

@@ -17,7 +17,8 @@ from yieldmon.bus.bulk import FrameBlock, block_of
 from yieldmon.bus.candump import ERROR_FLAG, REMOTE_FLAG
 from yieldmon.bus.databases import load_messages
 from yieldmon.bus.loading import iter_blocks
-from yieldmon.bus.logs import LogNotes, require_log
+from yieldmon.bus.log_notes import LogNotes
+from yieldmon.bus.logs import require_log
 from yieldmon.bus.opening import add_bus_arguments, open_bus_from
 from yieldmon.bus.waiting import receive
 from yieldmon.cli import _outputs

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from yieldmon.bus.loading import iter_blocks
-from yieldmon.bus.logs import LogNotes
+from yieldmon.bus.log_notes import LogNotes
 from yieldmon.documents.process import ProcessSummary
 from yieldmon.engine.health import FaultEvent
 from yieldmon.engine.learning import ParametersChanged

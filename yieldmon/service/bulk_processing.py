@@ -24,8 +24,8 @@ from yieldmon.bus.bulk import USABLE, FrameBlock, SignalColumn, concatenate, dec
 from yieldmon.bus.candump import ERROR_FLAG, REMOTE_FLAG
 from yieldmon.bus.codec import Codec
 from yieldmon.bus.loading import iter_blocks
-from yieldmon.bus.logs import LogNotes
-from yieldmon.bus.packed import Wanted
+from yieldmon.bus.log_notes import LogNotes
+from yieldmon.bus.packed_reading import Wanted
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.results import Result
 from yieldmon.engine.runs import FrameRun, SampleRun, SignalRun, in_millivolts, sample_columns

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from yieldmon.bus.codec import Codec, FrameError
-from yieldmon.bus.logs import LogNotes, read_log
+from yieldmon.bus.log_notes import LogNotes
+from yieldmon.bus.logs import read_log
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.results import Result, records_in
 from yieldmon.errors import InputError

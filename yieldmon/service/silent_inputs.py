@@ -8,7 +8,7 @@ import numpy as np
 
 from yieldmon.bus.candump import ERROR_FLAG, REMOTE_FLAG
 from yieldmon.bus.loading import iter_blocks
-from yieldmon.bus.logs import LogNotes
+from yieldmon.bus.log_notes import LogNotes
 from yieldmon.identifiers import ADDRESS_CLAIM, EXTENDED_FLAG, GROUP_MASK, LARGEST_EXTENDED_ID, LARGEST_STANDARD_ID, group_of
 from yieldmon.network.addresses import AddressTable
 from yieldmon.network.name import Name, NameMatch

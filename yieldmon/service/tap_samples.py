@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from yieldmon.bus.codec import Codec, FrameError
-from yieldmon.bus.logs import LogNotes, read_log
+from yieldmon.bus.log_notes import LogNotes
+from yieldmon.bus.logs import read_log
 from yieldmon.engine.sources import SampleSource
 from yieldmon.errors import InputError
 from yieldmon.frames import Frame, SensorStatus, number

@@ -1,0 +1,177 @@
+"""Text logs line by line: candump by its own parser, the others by python-can; damaged lines are reported and skipped."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, cast
+
+import can
+
+from yieldmon.bus.candump import dropped_frames, parse_line
+from yieldmon.bus.frame_check import impossible
+from yieldmon.bus.gunzip import early_end_of, open_bytes
+from yieldmon.bus.log_notes import LogNotes
+from yieldmon.errors import InputError
+
+#: By their ending; candump's is the first.
+TEXT_SUFFIXES = (".log", ".asc", ".csv", ".trc")
+
+#: Longest line that is looked at. The longest line of any text format, a CAN FD frame in .asc, has under 400
+#: characters.
+LONGEST_LINE_BYTES = 4096
+#: Of a longer line the rest is passed over, up to so much, behind which nothing more is looked for.
+LONGEST_SKIPPED_BYTES = 256 * 1024 * 1024
+#: Control characters that stand in no text log: all but tab, line feed and carriage return.
+_CONTROL_BYTE = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]")
+
+#: What stands for a header when a reader goes on behind a damaged line: the line it may skip without loss.
+_RESUME_LINE = {".asc": "internal events logged", ".csv": "header", ".trc": ";"}
+_UNPACKED = re.compile(r"values to unpack \(expected (\d+)")
+"""How Python says that a line has more or fewer fields than its reader takes."""
+
+
+def read_text(path: Path, suffix: str, compressed: bool, notes: LogNotes) -> Iterator[can.Message]:
+    """The frames of a text log; `notes` takes in what is wrong with it. Raises InputError for UTF-16, OSError."""
+    with open_bytes(path, compressed) as stream:
+        lines = _Lines(stream, path, notes)
+        yield from _read_candump(lines, notes) if suffix == ".log" else _read_with_python_can(lines, suffix)
+
+
+class _Lines:
+    """Line by line what a text reader of python-can may see; damaged bytes never reach it.
+
+    Stands in for an open text file: iterable, with close(). `number` is the line handed out last, from 1.
+    """
+
+    def __init__(self, stream: io.BufferedReader, path: Path, notes: LogNotes) -> None:
+        self.number = 0
+        self.resume_with: str | None = None
+        self._stream = stream
+        self._path = path
+        self._notes = notes
+
+    def __iter__(self) -> _Lines:
+        return self
+
+    def __next__(self) -> str:
+        if self.resume_with is not None:
+            line, self.resume_with = self.resume_with, None
+            return line
+        while True:
+            raw = self._read_line()
+            self.number += 1
+            if self.number == 1:
+                raw = without_byte_order_mark(raw, self._path)
+            problem = line_problem(raw)
+            given_up = self._skip_rest_of_long_line(raw)
+            if given_up is not None:
+                self.damage(given_up)
+                raise StopIteration
+            if problem is None:
+                return raw.decode("utf-8", errors="replace").rstrip("\r\n")
+            self.damage(problem)
+
+    def close(self) -> None:
+        """The stream belongs to whoever opened it."""
+
+    def damage(self, problem: str) -> None:
+        """Reports the line handed out last."""
+        self._notes.damage(f"{self._path}:{self.number}", problem)
+
+    def _read_line(self) -> bytes:
+        raw = self._stream.readline(LONGEST_LINE_BYTES + 2)
+        if not raw.endswith(b"\n") and len(raw) <= LONGEST_LINE_BYTES:
+            early_end = early_end_of(self._stream)
+            if early_end is not None:
+                # The line is cut; what is left of it may look like a frame.
+                self.number += 1
+                self.damage(early_end)
+                raise StopIteration
+        if not raw:
+            raise StopIteration
+        return raw
+
+    def _skip_rest_of_long_line(self, raw: bytes) -> str | None:
+        """Why it is given up, None where the line came to its end."""
+        length = len(raw)
+        if length > LONGEST_LINE_BYTES:
+            while raw and not raw.endswith(b"\n"):
+                given_up = endless(length)
+                if given_up is not None:
+                    return given_up
+                try:
+                    raw = self._read_line()
+                except StopIteration:
+                    break
+                length += len(raw)
+        return None
+
+
+def without_byte_order_mark(start: bytes, path: Path) -> bytes:
+    """The start of a text file without the mark that some editors put before UTF-8. Raises InputError for UTF-16."""
+    if start.startswith((b"\xff\xfe", b"\xfe\xff")):
+        raise InputError(str(path), "UTF-16 text", "UTF-8 or ASCII")
+    return start.removeprefix(b"\xef\xbb\xbf")
+
+
+def endless(line_bytes: int) -> str | None:
+    """Why a line of which so much has come is given up, and the file with it; None while its end may be waited for."""
+    if line_bytes <= LONGEST_SKIPPED_BYTES:
+        return None
+    return f"a line longer than {LONGEST_SKIPPED_BYTES / 1e6:.0f} MB; reading stopped"
+
+
+def line_problem(raw: bytes) -> str | None:
+    """Why a line, with or without its end, is not worth parsing in any text format; None when it is."""
+    if len(raw.rstrip(b"\r\n")) > LONGEST_LINE_BYTES:
+        return f"line longer than {LONGEST_LINE_BYTES} bytes"
+    control = _CONTROL_BYTE.search(raw)
+    return f"binary junk (byte 0x{control[0][0]:02X})" if control is not None else None
+
+
+def candump_frame(line: str, notes: LogNotes, damage: Callable[[str], None]) -> can.Message | None:
+    """The frame of a candump line; None for a blank line, a drop count (noted) and a damaged line (reported to
+    `damage`)."""
+    text = line.strip()
+    message = parse_line(text)
+    if message is None:
+        dropped = dropped_frames(text)
+        if dropped is not None:
+            notes.dropped_by_recorder += dropped
+        elif text:
+            damage(f"{text[:60]!r} is not a candump line")
+    return message
+
+
+def _read_candump(lines: _Lines, notes: LogNotes) -> Iterator[can.Message]:
+    for line in lines:
+        message = candump_frame(line, notes, lines.damage)
+        if message is not None:
+            yield message
+
+
+def _read_with_python_can(lines: _Lines, suffix: str) -> Iterator[can.Message]:
+    reader: can.io.generic.MessageReader = cast("Any", can.io.player.MESSAGE_READERS[suffix])(lines)
+    reported = -1
+    while True:
+        try:
+            for message in reader:
+                problem = impossible(message)
+                if problem is None:
+                    yield message
+                else:
+                    lines.damage(problem)
+            return
+        except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError) as error:
+            if lines.number == reported:
+                # No line has come since: it is the end of the file that the reader cannot do with.
+                return
+            reported = lines.number
+            counted = _UNPACKED.search(str(error))
+            lines.damage(
+                f"is not {counted[1]} fields, as a line of a {suffix} log is" if counted else f"not as {suffix} has it: {error}"
+            )
+            lines.resume_with = _RESUME_LINE[suffix]
