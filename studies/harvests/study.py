@@ -31,7 +31,7 @@ def flow_delay(table: HarvestTable, seed: int = 1) -> Delay:
 def shifted(table: HarvestTable, shift_s: int) -> HarvestTable:
     """Flow later by a time, each row taking the flow of the row measured so long before; unknown where there is none."""
     steps = tracks(table)
-    found = steps.nearest(steps.time_s - shift_s, steps.stream, 0.6 * max(steps.interval, 1.0))[steps.step_of_row]
+    found = steps.nearest(steps.time_s - shift_s, steps.stream, 0.6 * max(steps.usual_interval_s, 1.0))[steps.step_of_row]
     if len(steps) == len(table):
         row_of_step = np.empty(len(table), np.intp)
         row_of_step[steps.step_of_row] = np.arange(len(table))

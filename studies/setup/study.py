@@ -29,6 +29,7 @@ from yieldmon.plant.grain import Grain
 from yieldmon.plant.profiles import correlated_noise
 from yieldmon.plant.pulse_table import SEASON, Condition, PulseTable
 from yieldmon.plant.scenario import Scenario
+from yieldmon.units import N_PER_KGF
 
 Array = NDArray[np.float64]
 
@@ -106,7 +107,7 @@ def answers(truth: Combine, rng: np.random.Generator) -> dict[str, Any]:
 
     weights = [0.0, 5.0, 10.0]
     gain = machine.sensor.gain_n_per_mv
-    readings = [500.0 + derive.STANDARD_GRAVITY * kg / gain + 0.5 * rng.standard_normal() for kg in weights]
+    readings = [500.0 + N_PER_KGF * kg / gain + 0.5 * rng.standard_normal() for kg in weights]
     reported = [45.0, 85.0]
     return {
         "machine_name": "hidden",

@@ -2,43 +2,36 @@
 
 from __future__ import annotations
 
-import os
 import sqlite3
-import time
 from collections.abc import Iterator
 from pathlib import Path
-from urllib.parse import quote
 
 import can
+
+from yieldmon.bounded_sqlite import address, bound
 
 SUFFIX = ".db"
 _COLUMNS = "ts, arbitration_id, extended, remote, error, dlc, data"
 _LARGEST_VALUE_BYTES = 4096
-_LIMIT_LENGTH = 0
-"""sqlite3.SQLITE_LIMIT_LENGTH"""
 #: Processor time for all reading together, s: a part, and so much for each megabyte of the file.
 _READING_S, _READING_S_PER_MB = 5.0, 5.0
-_STEPS_BETWEEN_LOOKS = 100_000
 
 
 class SqliteLog:
     """Iterable of the frames; `stop` closes the file. Raises sqlite3.Error or ValueError for one that is no such log."""
 
     def __init__(self, path: str) -> None:
-        address = f"file:{quote(os.fsencode(Path(path).absolute()))}?mode=ro&immutable=1"
-        self._database = sqlite3.connect(address, uri=True, isolation_level=None)
+        where = address(Path(path), "mode=ro&immutable=1")
+        self._database = sqlite3.connect(where, uri=True, isolation_level=None)
         try:
-            self._database.execute("PRAGMA trusted_schema = OFF")
-            self._database.execute("PRAGMA cell_size_check = ON")
-            self._database.setlimit(_LIMIT_LENGTH, _LARGEST_VALUE_BYTES)
+            most_cpu_s = _READING_S + _READING_S_PER_MB * Path(path).stat().st_size / 1e6
+            bound(self._database, largest_value_bytes=_LARGEST_VALUE_BYTES, most_cpu_s=most_cpu_s)
             found = self._database.execute("SELECT type, sql FROM sqlite_schema WHERE name = 'messages'").fetchone()
             if found is None or found[0] != "table" or "GENERATED" in str(found[1]).upper() or "VIRTUAL" in str(found[1]).upper():
                 raise ValueError("no table 'messages' as python-can's SqliteWriter makes it")
         except BaseException:
             self._database.close()
             raise
-        end_s = time.thread_time() + _READING_S + _READING_S_PER_MB * Path(path).stat().st_size / 1e6
-        self._database.set_progress_handler(lambda: time.thread_time() > end_s, _STEPS_BETWEEN_LOOKS)
 
     def __iter__(self) -> Iterator[can.Message]:
         for ts, identifier, extended, remote, error, dlc, data in self._database.execute(f"SELECT {_COLUMNS} FROM messages"):

@@ -13,6 +13,8 @@ import numpy as np
 from yieldmon.cli import _named_files, _provenance
 from yieldmon.documents.calibrate import CalibratedParameter, LoadCalibrationDocument
 from yieldmon.errors import InputError
+from yieldmon.estimation.calibration_result import CONFIDENCE
+from yieldmon.estimation.gaussian import REACH_95
 from yieldmon.estimation.load_inputs import WeighedLoad
 from yieldmon.estimation.load_outcome import LoadCalibration
 from yieldmon.estimation.load_pattern import EFFECT
@@ -26,8 +28,6 @@ if TYPE_CHECKING:
     from yieldmon.service.configuration import Configuration
     from yieldmon.service.weighed_loads import MeasuredLoad
 
-CONFIDENCE = 0.95
-_REACH = 1.96
 _TABLE_ONLY = (
     "robust",
     "by_moisture",
@@ -141,7 +141,7 @@ def report(found: LoadCalibration, args: argparse.Namespace) -> LoadCalibrationD
             "value": value,
             "standard_error": sd,
             "std_dev": sd,
-            "interval": [value - _REACH * sd, value + _REACH * sd],
+            "interval": [value - REACH_95 * sd, value + REACH_95 * sd],
             "confidence": CONFIDENCE,
             "at_bound": None,
             "open_below": False,

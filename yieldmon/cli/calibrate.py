@@ -29,10 +29,10 @@ from yieldmon.physics.effects import get_effect
 from yieldmon.physics.grain import fitted
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import EXCHANGE_FORM, RESTITUTION_FORM, ForwardModel
+from yieldmon.physics.stages import GRAVITY_M_S2
 from yieldmon.repeats import repeated
 
 PROGRESS_AFTER_S = 2.0
-STANDARD_GRAVITY_M_S2 = 9.81
 MAP_NAME = "moisture-map.yaml"
 """Of `--by-moisture`, in the folder of its parameter files."""
 _CONSTANTS = ("gravity.acceleration_m_s2",)
@@ -310,7 +310,7 @@ def _fit_form(
     held = {n for n in model.effect_parameters if n in _CONSTANTS or (not args.effects and n in given)}
     free = [n for n in (*fitted(impact), *model.effect_parameters) if n not in fixed and n not in held]
     if "gravity.acceleration_m_s2" in held and "gravity.acceleration_m_s2" not in given | set(fixed):
-        start["gravity.acceleration_m_s2"] = STANDARD_GRAVITY_M_S2
+        start["gravity.acceleration_m_s2"] = GRAVITY_M_S2
     if args.free is not None:
         free = [name.strip() for name in args.free.split(",") if name.strip()]
         if twice := repeated(free):

@@ -12,6 +12,7 @@ from scipy import stats
 from yieldmon.documents.diagnose import Verdict
 from yieldmon.errors import InputError
 from yieldmon.estimation import angle_lines, model_error
+from yieldmon.estimation.gaussian import REACH_95
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.priors import EXCHANGED, at_bound_sentence
 from yieldmon.files.table import Table
@@ -450,7 +451,9 @@ def _open(
     found = share(whitened[0], whitened[1], error)
     interval = None
     if found.power > 0.0 and square[0] > 1.0:
-        ends = [(2.0 * (found.value + s * found.sd) - 1.0) * found.power / (count * (square[0] - 1.0)) for s in (-1.96, 1.96)]
+        ends = [
+            (2.0 * (found.value + s * found.sd) - 1.0) * found.power / (count * (square[0] - 1.0)) for s in (-REACH_95, REACH_95)
+        ]
         interval = (100.0 * ends[0], 100.0 * ends[1])
     intervals = (mean_square_interval(square[0], count), mean_square_interval(square[1], count))
     closed = share_closed_pct(rms[0], rms[1], floor)

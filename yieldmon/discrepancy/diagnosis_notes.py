@@ -6,6 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from yieldmon.estimation.gaussian import REACH_95
+
 from .fit import Fit, fit
 from .gap import LackOfFit, fills, lack_of_fit_but_one, lack_without_pattern
 from .noise import Noise
@@ -28,7 +30,7 @@ _MANY = 0.05
 def refuted(names: tuple[str, ...], proof: Proof) -> str:
     """Why the sealed rows speak against the effects that were found."""
     where = f"; {', '.join(proof.worse)} worse than before" if proof.worse else ""
-    low, high = (100.0 * (proof.crossed.value + s * proof.crossed.sd) for s in (-1.96, 1.96))
+    low, high = (100.0 * (proof.crossed.value + s * proof.crossed.sd) for s in (-REACH_95, REACH_95))
     return (
         f"{' + '.join(names)} is not named: unseen rows lie {low:.0f} to {high:.0f} % of the way to it, where more than 50 % "
         f"is needed{where}"

@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from yieldmon.estimation import model_error
-from yieldmon.estimation.clusters import cluster
+from yieldmon.estimation.clusters import SAME_LOAD, cluster
 from yieldmon.physics.machine import SAME_ANGLE_RAD
 from yieldmon.physics.numerics import Array, span
 
 from .candidates import errors
 from .fit import Fit
 from .noise import Noise
-from .observations import SAME_LOAD, SAME_SPEED, Rows
+from .observations import SAME_SPEED, Rows
 
 DRAWS = 2000
 _LEAST_DOF = 5

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from yieldmon.estimation.clusters import cluster
+from yieldmon.estimation.clusters import cluster, meant_conditions
 from yieldmon.estimation.home_flow import AwayVisits
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.machine import SAME_ANGLE_RAD, Machine
@@ -22,9 +22,6 @@ from yieldmon.physics.numerics import Array, real
 from .fit import FINAL_NODES, Following, Frame, base_frame
 from .observations import Rows, cells
 
-_SPEED_STEP = np.log(1.02)
-_FLOW_STEP = np.log(1.1)
-_MOISTURE_STEP_PCT = 2.0
 _ERROR = 0.01
 """Relative sd of a cell about which nothing is said."""
 
@@ -88,12 +85,9 @@ def lay(
     )
     moisture = np.concatenate([np.full(len(s.force_n), s.moisture_pct) for s in every])
     number = cluster(angle, SAME_ANGLE_RAD)
-    nominal = machine.nominal_elevator_speed_rad_s
     near = (
         (np.bincount(number, angle) / np.bincount(number))[number],
-        nominal * np.exp(np.round(np.log(speed / nominal) / _SPEED_STEP) * _SPEED_STEP),
-        np.exp(np.round(np.log(flow) / _FLOW_STEP) * _FLOW_STEP),
-        np.round(moisture / _MOISTURE_STEP_PCT) * _MOISTURE_STEP_PCT,
+        *meant_conditions(speed, machine.nominal_elevator_speed_rad_s, flow, moisture),
     )
     keys = np.stack([near[0], near[1], near[2], np.nan_to_num(near[3], nan=-1.0)], axis=-1)
     _, first, cell = np.unique(np.round(keys, 9), axis=0, return_index=True, return_inverse=True)

@@ -12,6 +12,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from yieldmon.estimation.gaussian import SD_PER_MAD
 from yieldmon.estimation.scatter_law import fit_variances, scatter_law, usual_deviation
 from yieldmon.physics.numerics import Array
 
@@ -142,7 +143,7 @@ def _from_smooth_surface(rows: Rows) -> tuple[Noise, NDArray[np.bool_]]:
         pooled = float(np.mean(variance))
         a2, b2 = fit_variances(variance, np.full(variance.shape, spread), rows.value[keep] ** 2, pooled)
         noise = Noise(float(np.sqrt(a2)), float(np.sqrt(b2)), float(dof), "smooth")
-        robust = 1.4826 * float(np.median(np.abs(residual[keep]) / noise.sd(rows.value[keep]))) / np.sqrt(spread)
+        robust = SD_PER_MAD * float(np.median(np.abs(residual[keep]) / noise.sd(rows.value[keep]))) / np.sqrt(spread)
         good = np.abs(residual) <= _OUTLIER_SD * max(min(robust, 1.0), 0.3) * noise.sd(rows.value)
         if np.array_equal(good, keep):
             break

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yieldmon.errors import InputError
-from yieldmon.estimation.clusters import cluster
+from yieldmon.estimation.clusters import SAME_LOAD, cluster
 from yieldmon.estimation.measurements import copied_rows
 from yieldmon.files.table import Table
 from yieldmon.physics.machine import RPM, SAME_ANGLE_RAD, Machine
@@ -17,7 +17,6 @@ from yieldmon.physics.model import Conditions
 from yieldmon.physics.numerics import Array
 
 #: Two rows repeat one condition when they differ by less than this.
-SAME_LOAD = 0.03
 SAME_SPEED = 0.01
 SAME_MOISTURE_PCT = 0.5
 

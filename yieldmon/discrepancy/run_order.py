@@ -13,12 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from yieldmon.estimation.clusters import cluster
+from yieldmon.estimation.clusters import SAME_LOAD, cluster
 from yieldmon.physics.machine import SAME_ANGLE_RAD
 from yieldmon.physics.numerics import Array
 
 from .fit import Fit
-from .observations import SAME_LOAD, SAME_SPEED, Cells, Rows
+from .observations import SAME_SPEED, Cells, Rows
 
 BETWEEN = "an error between the runs of different elevator speeds"
 DRIFT = "a steady drift over the run"

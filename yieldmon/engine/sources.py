@@ -13,8 +13,8 @@ from typing import Any
 from yieldmon import frames as bus
 from yieldmon.frames import SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME, ActuatorState, ScaleStatus
 from yieldmon.physics.machine import RPM
+from yieldmon.units import M_S_PER_KMH
 
-_KMH = 1.0 / 3.6
 _MAX_PLAUSIBLE_RPM = 3000.0
 _MAX_PLAUSIBLE_ANGLE_DEG = 180.0
 _MAX_PLAUSIBLE_KG_S = 200.0
@@ -79,7 +79,7 @@ QUANTITIES: Mapping[str, Quantity] = {
         Quantity("work_state", "", _is_flag, "vehicle_timeout_s", "1 threshing and header drives engaged"),
         Quantity("unloading", "", _is_flag, "vehicle_timeout_s", "1 while the grain tank is being emptied"),
         Quantity("course", "deg", _within(0.0, 360.0), "vehicle_timeout_s", "over ground, clockwise from north"),
-        Quantity("ground_speed", "km/h", lambda value: value >= 0.0, "vehicle_timeout_s", "over ground", _KMH),
+        Quantity("ground_speed", "km/h", lambda value: value >= 0.0, "vehicle_timeout_s", "over ground", M_S_PER_KMH),
         Quantity("latitude", "deg", lambda value: abs(value) <= 90.0, "vehicle_timeout_s", "positive north, WGS 84"),
         Quantity("longitude", "deg", lambda value: abs(value) <= 180.0, "vehicle_timeout_s", "positive east, WGS 84"),
         Quantity("position_group", "", _is_number, "vehicle_timeout_s", "parameter group of the standard source in use"),

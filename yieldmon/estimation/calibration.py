@@ -31,6 +31,7 @@ from .calibration_result import (
     sentences,
 )
 from .fit_uncertainty import FitUncertainty, fit_uncertainty, wald_intervals
+from .gaussian import SD_PER_MAD
 from .measurements import Measurements
 from .parameters import CalibratedRange, ParameterSet
 from .priors import Bounds, Prior, stretch
@@ -247,7 +248,7 @@ def _quality(problem: CalibrationProblem, error: Array, cell_slopes: Array, vari
     rows, width = error.size, len(problem.names)
     rms = float(np.sqrt(np.mean(error**2)))
     largest = float(np.max(np.abs(problem.data.momentum)))
-    robust_sd = 1.4826 * float(np.median(np.abs(error / problem.row_sd)))
+    robust_sd = SD_PER_MAD * float(np.median(np.abs(error / problem.row_sd)))
     far = np.abs(error / problem.row_sd) > OUTLIER_SDS * robust_sd
     outliers = np.flatnonzero(far) if robust_sd > 0.0 else np.zeros(0, dtype=np.intp)
     f_value = p_value = float("nan")

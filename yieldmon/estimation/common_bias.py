@@ -19,6 +19,7 @@ import numpy as np
 from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array
 
+from .drift_rates import KG_PER_KT
 from .open_loop import OpenLoop
 from .parameters import ParameterSet
 from .steady_drift import DriftingParameters, widened
@@ -29,7 +30,6 @@ _LESSON_SD = 0.01
 """Relative standard deviation of one lesson beside its noise: of the load that it was heard at."""
 _STEP = 1e-3
 _LARGEST_STEP = 0.3
-_KILOTONNE_KG = 1e6
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ def begin(lasting_sd: float, states: int) -> CommonBias:
 
 def carried(bias: CommonBias, transition: Array, harvested_kg: float) -> CommonBias:
     """After a time over which the states went by `transition`, as of `steady_drift.Advance`."""
-    wandered = _WANDER**2 * max(harvested_kg, 0.0) / _KILOTONNE_KG
+    wandered = _WANDER**2 * max(harvested_kg, 0.0) / KG_PER_KT
     room = max(bias.largest - bias.variance, 0.0)
     return replace(bias, cross=transition @ bias.cross, variance=bias.variance + min(wandered, room))
 

@@ -11,11 +11,9 @@ import numpy as np
 
 from yieldmon.physics.grain import drift_key
 
-from .drift_rates import DriftRates
+from .drift_rates import KG_PER_KT, DriftRates
 from .identifiability import natural_scale
 from .parameters import ParameterSet
-
-_WEAR_UNIT_KG = 1e6
 
 
 def grow(parameters: ParameterSet, rates: DriftRates, hours: float, harvested_kg: float) -> ParameterSet:
@@ -32,7 +30,7 @@ def grow(parameters: ParameterSet, rates: DriftRates, hours: float, harvested_kg
         size = natural_scale(name, parameters.values[name]) ** 2
         growth = size * (
             rates.per_root_hour.get(key, 0.0) ** 2 * hours
-            + rates.per_root_kilotonne.get(key, 0.0) ** 2 * harvested_kg / _WEAR_UNIT_KG
+            + rates.per_root_kilotonne.get(key, 0.0) ** 2 * harvested_kg / KG_PER_KT
         )
         room = size * rates.limit.get(key, np.inf) ** 2 - parameters.covariance[i, i]
         added[i] = min(growth, max(room, 0.0))

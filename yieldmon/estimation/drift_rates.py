@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 
 from yieldmon.physics.grain import DRIFTING, GRAIN
 
+KG_PER_KT = 1e6
+
 
 @dataclass(frozen=True)
 class DriftRates:

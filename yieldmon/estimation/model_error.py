@@ -17,14 +17,13 @@ from numpy.typing import NDArray
 from yieldmon.physics.machine import SAME_ANGLE_RAD
 from yieldmon.physics.numerics import Array
 
-from .clusters import cluster
+from .clusters import SAME_LOAD, cluster
 
 FLOOR = 0.002
 """Relative standard deviation of the model's error where it is right: two codes of the same physics differ by this much."""
 _DEGREES = (3, 3, 2)
 _LEAST_LEVEL = 0.05
 """Readings below this share of the largest have the error of that share."""
-_SAME_LOAD = 0.03
 
 
 def level(predicted: Array) -> Array:
@@ -110,7 +109,7 @@ def learnt(residual: Array, tangent: Array, relative_sd: Array, groups: Sequence
 
 def groups_of(plate_angle_rad: Array, load: Array) -> list[NDArray[np.int64]]:
     """Angles and loads as groups to leave out."""
-    return [cluster(plate_angle_rad, SAME_ANGLE_RAD), cluster(np.log(np.maximum(load, 1e-9)), _SAME_LOAD)]
+    return [cluster(plate_angle_rad, SAME_ANGLE_RAD), cluster(np.log(np.maximum(load, 1e-9)), SAME_LOAD)]
 
 
 def widened(covariance: Array, jacobian: Array, error: Array) -> Array:

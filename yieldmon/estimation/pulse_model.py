@@ -24,7 +24,7 @@ COMMON_NAMES = (*SHAPE_NAMES, "log_cell", "shift_s", "log_gain")
 
 FLOW, STRETCH, TAIL, CELL, SHIFT, GAIN = 0, 3, 4, 5, 6, 7
 """Places of parameters among these names."""
-_SHAPES = len(SHAPE_NAMES)
+SHAPE_COUNT = len(SHAPE_NAMES)
 _STEP = 1e-4
 
 
@@ -114,7 +114,7 @@ class PulseModel:
         self._places = np.cumsum(self._gaps)
         size = self.machine.paddle_width_m * self.machine.paddle_length_m**2
         self.full_paddle_kg = 0.5 * self.parameters["shape_ratio"] * self.parameters["density"] * size
-        self._free_shapes: list[int] = np.flatnonzero(self.prior_sd(1.0)[:_SHAPES] > 0.0).tolist()
+        self._free_shapes: list[int] = np.flatnonzero(self.prior_sd(1.0)[:SHAPE_COUNT] > 0.0).tolist()
         self.own_scatter = np.array([name.startswith("scatter_") for name in self.names])
         self._expansions = ArrivalExpansions(self._arrivals)
 
@@ -214,7 +214,7 @@ class PulseModel:
         fill = self.fill(np.exp(theta[:, FLOW])[:, None], speeds_rad_s[:, None])
         where = law.conditions(angles_rad[:, None], speeds_rad_s[:, None], self.parameters["friction"])
         log_stretch, by_fill = law_and_slope(law.stretch, fill, where)
-        by_stretch = np.zeros((_SHAPES, size, paddles))
+        by_stretch = np.zeros((SHAPE_COUNT, size, paddles))
         by_stretch[FLOW], by_stretch[STRETCH] = by_fill, 1.0
         flat = [v.reshape(len(v), size * paddles, -1) for v in (expanded.impulse_n_s, expanded.middle_s, expanded.half_width_s)]
         waves = spectrum_and_slopes(
@@ -222,8 +222,8 @@ class PulseModel:
             np.repeat(omega[:, 0], paddles),
             omega.shape[1],
             np.exp(theta[:, STRETCH, None] + log_stretch).ravel(),
-            by_stretch.reshape(_SHAPES, -1),
-        ).reshape(1 + _SHAPES, size, paddles, -1)
+            by_stretch.reshape(SHAPE_COUNT, -1),
+        ).reshape(1 + SHAPE_COUNT, size, paddles, -1)
         each = omega[:, None, :]
         if self.settings.indexed:
             delay_s, by_fill = law_and_slope(law.delay, fill, where)
@@ -241,7 +241,7 @@ class PulseModel:
     def _by_differences(self, theta: Array, elevator_speed_rad_s: float, plate_angle_rad: float) -> AnyArray:
         """The same for one point (5,), by central differences of the stages themselves, in one batch."""
         free = self._free_shapes
-        batch = np.repeat(theta[None, :_SHAPES], 1 + 2 * len(free), axis=0)
+        batch = np.repeat(theta[None, :SHAPE_COUNT], 1 + 2 * len(free), axis=0)
         for row, i in enumerate(free):
             batch[1 + 2 * row, i] += _STEP
             batch[2 + 2 * row, i] -= _STEP
@@ -265,7 +265,7 @@ class PulseModel:
 
     def waves(self, theta: Array, elevator_speed_rad_s: float, plate_angle_rad: float) -> AnyArray:
         """Harmonics (k,) of the pattern, N."""
-        shapes = self.shapes(theta[None, :_SHAPES], elevator_speed_rad_s, plate_angle_rad)
+        shapes = self.shapes(theta[None, :SHAPE_COUNT], elevator_speed_rad_s, plate_angle_rad)
         return np.asarray(self.joined(shapes, theta[None], np.array([elevator_speed_rad_s]))[1][0].sum(axis=0))
 
     def linearised(self, theta: Array, speeds_rad_s: Array, angles_rad: Array) -> Linear:
@@ -283,7 +283,7 @@ class PulseModel:
             Not finite at parameters so far off that they have no wave.
         """
         with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-            return self.behind_cell(self.thrown(theta[:, :_SHAPES], speeds_rad_s, angles_rad), theta, speeds_rad_s)
+            return self.behind_cell(self.thrown(theta[:, :SHAPE_COUNT], speeds_rad_s, angles_rad), theta, speeds_rad_s)
 
     def behind_cell(self, thrown: AnyArray, theta: Array, speeds_rad_s: Array) -> Linear:
         plain, scattered = self.joined(thrown, theta, speeds_rad_s)

@@ -16,7 +16,7 @@ from yieldmon.physics.numerics import AnyArray, Array
 
 from .pattern_fold import PatternWave
 from .pulse_fit import PulseEstimate, WaveBatch, fitted, no_estimate
-from .pulse_model import FLOW, GAIN, SHAPE_NAMES, SHIFT, PulseModel
+from .pulse_model import FLOW, GAIN, SHAPE_COUNT, SHIFT, PulseModel
 
 _SCAN = np.geomspace(0.06, 0.9, 16)
 """Fills (load over a full paddle) at which a start is looked for."""
@@ -24,7 +24,6 @@ _SHIFTS = 256
 _SIDE_BY_SIDE = 64
 """Windows fitted at once: enough to share the cost of array operations, few enough for the cache."""
 _INDEX_REACH_S = 0.015
-_SHAPES = len(SHAPE_NAMES)
 
 
 def estimate(
@@ -80,7 +79,7 @@ def estimate_near(
         shown, flows = WaveBatch.of(waves[part]), np.asarray(volume_flows_m3_s[part], dtype=float)
         theta = np.tile(pulses.start(1.0), (flows.size, 1))
         theta[:, FLOW] = np.log(flows)
-        thrown = pulses.thrown(theta[:, :_SHAPES], shown.speeds_rad_s, shown.angles_rad)
+        thrown = pulses.thrown(theta[:, :SHAPE_COUNT], shown.speeds_rad_s, shown.angles_rad)
         theta[:, SHIFT], theta[:, GAIN] = _aligned(pulses, shown, pulses.behind_cell(thrown, theta, shown.speeds_rad_s).waves)
         begun = pulses.behind_cell(thrown, theta, shown.speeds_rad_s)
         found += fitted(pulses, shown, theta, _own_centres(pulses, theta), iterations, begun)
@@ -118,7 +117,7 @@ def look_for_start(pulses: PulseModel, wave: PatternWave) -> Array:
     speed, angle = wave.elevator_speed_rad_s, wave.plate_angle_rad
     p, machine = pulses.parameters, pulses.machine
     flows = _SCAN * pulses.full_paddle_kg / p["density"] * machine.paddle_speed_m_s(speed) / machine.paddle_spacing_m
-    batch = np.repeat(pulses.start(1.0)[None, :_SHAPES], flows.size, axis=0)
+    batch = np.repeat(pulses.start(1.0)[None, :SHAPE_COUNT], flows.size, axis=0)
     batch[:, 0] = np.log(flows)
     waves = pulses.joined(pulses.shapes(batch, speed, angle), pulses.start(1.0)[None], np.array([speed]))[0].sum(axis=1)
     known = np.all(np.isfinite(waves), axis=1)

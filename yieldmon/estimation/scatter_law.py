@@ -6,6 +6,8 @@ import numpy as np
 
 from yieldmon.physics.numerics import Array
 
+from .gaussian import SD_PER_MAD
+
 _MOST_OUTLIERS = 0.1
 """Share of the rows."""
 _LEAST_CONSTANT = 0.01
@@ -50,7 +52,7 @@ def usual_deviation(relative: Array) -> float:
     Of readings in steps coarser than their noise most repetitions agree in every digit; there the usual
     difference of those that do not, a step, stands for it: where a tenth of the rows differ these are no outliers.
     """
-    usual = 1.4826 * float(np.median(relative))
+    usual = SD_PER_MAD * float(np.median(relative))
     differ = relative[relative > 0.0]
     if usual == 0.0 and differ.size > _MOST_OUTLIERS * relative.size:
         return float(np.median(differ))

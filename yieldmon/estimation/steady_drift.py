@@ -23,11 +23,10 @@ from yieldmon.physics.grain import drift_key
 from yieldmon.physics.numerics import Array
 
 from .drift import grow
-from .drift_rates import DriftRates
+from .drift_rates import KG_PER_KT, DriftRates
 from .identifiability import natural_scale
 from .parameters import ParameterSet
 
-_KILOTONNE_KG = 1e6
 _SHORT = 1e-2
 """Of a rate's memory, below which a variance comes from its series."""
 
@@ -127,7 +126,7 @@ def advance(
     """
     if not memory_kt > 0.0:
         raise ValueError(f"a rate's memory is {memory_kt} kt; expected more than 0")
-    grain = harvested_kg / _KILOTONNE_KG
+    grain = harvested_kg / KG_PER_KT
     left, lasting, variance, tie, own = _forgetting(grain, memory_kt)
     parameters, count = known.parameters, len(known.parameters.covariance_names)
     transition = np.eye(len(known.joint))

@@ -20,6 +20,8 @@ from scipy.stats import t as student
 from yieldmon.physics.machine import LONGEST_RESPONSE_S
 from yieldmon.physics.numerics import Array
 
+from .gaussian import SD_PER_MAD
+
 LEAST_TAPS = 5
 _CLEAR = 20.0
 """Height of a tap over the noise."""
@@ -30,7 +32,6 @@ _RINGING = 0.1
 _OUTLIER_SDS, _LEAST_SPREAD = 4.0, 0.01
 _CONTACT_SD_S = 4.6e-4
 """Standard deviation of the instants of a force that lasts for 2 ms, which a tap's contact hardly outlasts."""
-_SD_OF_MAD = 1.4826
 _LEFT_OUT = ("beyond the sensor's range", "too close to another", "unlike the others")
 
 
@@ -92,7 +93,7 @@ def tap_response(stretches: Sequence[Array], interval_s: float, *, full_scale_mv
         raise ValueError(f"{len(taps)} taps that count{_said(left_out)}")
     fits = [_fitted(tap, interval_s) for tap in taps]
     logs, misfits = np.array([fit[0] for fit in fits]), np.array([fit[1] for fit in fits])
-    spread = _SD_OF_MAD * np.median(np.abs(logs - np.median(logs)))
+    spread = SD_PER_MAD * np.median(np.abs(logs - np.median(logs)))
     counted = np.abs(logs - np.median(logs)) <= _OUTLIER_SDS * max(spread, _LEAST_SPREAD)
     left_out["unlike the others"] += int((~counted).sum())
     each, misfit = np.exp(logs[counted]), float(np.median(misfits))
@@ -120,7 +121,7 @@ def _taps(samples: Array, interval_s: float, full_scale_mv: float, left_out: dic
         return []
     rest = float(np.median(samples))
     away = samples - rest
-    noise = _SD_OF_MAD * float(np.median(np.abs(away)))
+    noise = SD_PER_MAD * float(np.median(np.abs(away)))
     above = np.flatnonzero(np.abs(away) > _CLEAR * max(noise, 1e-9 + 1e-6 * float(np.ptp(samples))))
     if not above.size:
         return []

@@ -18,6 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from yieldmon.estimation.gaussian import SD_PER_MAD
+
 from .placed import Placed
 from .plane import APART_M, astray
 from .swath import Swaths
@@ -366,7 +368,7 @@ def local_outliers(x_m: Array, y_m: Array, amount: Array, among: Flags) -> Flags
         half = _LOCAL_NEIGHBOURS // 2
         middle[first : first + _CHUNK] = np.partition(values[near[:, 1:]], half, axis=1)[:, half]
     off = amount[rows] - middle
-    spread = 1.4826 * float(np.median(np.abs(off - np.median(off))))
+    spread = SD_PER_MAD * float(np.median(np.abs(off - np.median(off))))
     if spread > 0:
         out[rows] = np.abs(off) > _LOCAL_SD * spread
     return out

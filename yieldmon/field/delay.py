@@ -11,6 +11,7 @@ approaches", Transactions of the ASAE 45 (2002); Efron and Tibshirani, "An intro
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 
@@ -39,6 +40,16 @@ _EMPTY_SHARE = 0.1
 no agreement of yields."""
 
 
+class Decision(StrEnum):
+    """Where a delay comes from."""
+
+    ESTIMATED = "estimated"
+    CANNOT_TELL = "cannot tell"
+    """The data do not decide; the default is kept."""
+    DECLARED = "declared"
+    """Given by a person."""
+
+
 @dataclass(frozen=True)
 class Curve:
     """Correlation of opposing pairs, a value a shift."""
@@ -56,9 +67,9 @@ class Delay:
     value_s : float
         What is used.
     low_s, high_s : float or None
-        95 % interval, None unless `decision` is "estimated".
-    decision : str
-        "estimated", "cannot tell" (the default is kept) or "declared" (given by the user).
+        95 % interval, None unless it is estimated.
+    decision : Decision
+        Where the value comes from.
     declared_s : float or None
         What the machine itself declares.
     why : str
@@ -74,7 +85,7 @@ class Delay:
     value_s: float
     low_s: float | None
     high_s: float | None
-    decision: str
+    decision: Decision
     declared_s: float | None
     why: str
     curve: Curve
@@ -123,12 +134,12 @@ def estimate_delay(
     nan = float("nan")
 
     def refused(why: str, curve: Curve = empty, no_shift: float = nan, at_default: float = nan) -> Delay:
-        return Delay(default_s, None, None, "cannot tell", declared_s, why, curve, no_shift, at_default, nan, len(pairs))
+        return Delay(default_s, None, None, Decision.CANNOT_TELL, declared_s, why, curve, no_shift, at_default, nan, len(pairs))
 
     if len(pairs) < MIN_PAIRS or pairs.blocks < MIN_BLOCKS:
         return refused(f"{len(pairs)} pairs of opposing passes in {pairs.blocks} blocks; {MIN_PAIRS} in {MIN_BLOCKS} are needed")
-    if steps.interval > MAX_INTERVAL_S or _ticks(steps) > MAX_TICKS:
-        return refused(f"points are {steps.interval:.1f} s apart, or their clock steps back and forth")
+    if steps.usual_interval_s > MAX_INTERVAL_S or _ticks(steps) > MAX_TICKS:
+        return refused(f"points are {steps.usual_interval_s:.1f} s apart, or their clock steps back and forth")
     sums = block_sums(steps, pairs, quantity)
     everything = correlation_of(sums.sum(axis=1))
     if not np.isfinite(everything).any():
@@ -143,12 +154,12 @@ def estimate_delay(
         return refused(why, curve, no_shift, at_default)
     peaks = np.array([_peak(one, about=peak) for one in drawn])
     low, high = (float(value) for value in np.percentile(peaks, [2.5, 97.5]))
-    floor = max(FLOOR_S, 0.5 * steps.interval)
+    floor = max(FLOOR_S, 0.5 * steps.usual_interval_s)
     return Delay(
         peak,
         min(low, peak - floor),
         max(high, peak + floor),
-        "estimated",
+        Decision.ESTIMATED,
         declared_s,
         "one clear peak",
         curve,
@@ -167,7 +178,7 @@ def given_delay(value_s: float, declared_s: float | None, estimated: Delay) -> D
         value_s,
         None,
         None,
-        "declared",
+        Decision.DECLARED,
         declared_s,
         "given on the command line",
         at,

@@ -7,14 +7,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from yieldmon.estimation.gaussian import REACH_95
 from yieldmon.units import KG_PER_LB, M2_PER_ACRE, Units, UnitSystem
 
 from .cleaning import Cleaned, Context, clean, mass_by_reason
-from .delay import Delay
+from .delay import Decision, Delay
 from .loads import LoadResult, Ticket, correct
 from .machines import Machine, machines_of, placed_by_machine
 from .pairs import Pairs, opposing_pairs
-from .placed import Placed
+from .placed import Placed, measured_mass_kg
 from .swath import HeaderPlace, Swaths, swaths
 from .table import Array, HarvestTable
 from .tracks import Tracks, tracks
@@ -29,7 +30,9 @@ _SAME_DELAY_S = 0.5
 
 @dataclass(frozen=True)
 class MapOptions:
-    """Parameters
+    """What a person says about a map.
+
+    Parameters
     ----------
     flow_delay_s, moisture_delay_s : float or None
         Given instead of estimated.
@@ -172,7 +175,7 @@ def make_map(table: HarvestTable, options: MapOptions, progress: Callable[[str],
     at = Context(table, steps, placed, ground)
     cleaned = clean(at, options.without)
     with np.errstate(invalid="ignore", divide="ignore"):
-        raw = np.where(ground.gross_m2 > 0, np.nan_to_num(table["flow_kg_s"] * table["interval_s"]) / ground.gross_m2, np.nan)
+        raw = np.where(ground.gross_m2 > 0, measured_mass_kg(table) / ground.gross_m2, np.nan)
     name = _crop_name(table)
     facts = crop(name)
     totals = _totals(
@@ -205,7 +208,7 @@ def _machines(table: HarvestTable, steps: Tracks, pairs: Pairs, options: MapOpti
 def _one_delay(machines: Sequence[Machine]) -> bool:
     """Whether one delay is known, of all machines."""
     values = [machine.flow.value_s for machine in machines]
-    return all(machine.flow.decision != "cannot tell" for machine in machines) and np.ptp(values) < _SAME_DELAY_S
+    return all(machine.flow.decision is not Decision.CANNOT_TELL for machine in machines) and np.ptp(values) < _SAME_DELAY_S
 
 
 def _notes(table: HarvestTable, machines: Sequence[Machine], transport_left: bool) -> tuple[str, ...]:
@@ -213,7 +216,7 @@ def _notes(table: HarvestTable, machines: Sequence[Machine], transport_left: boo
         f"{machine.name + ': ' if machine.name else ''}the flow delay cannot be estimated from these data ({machine.flow.why}); "
         f"{machine.flow.value_s:g} s is used"
         for machine in machines
-        if machine.flow.decision == "cannot tell"
+        if machine.flow.decision is Decision.CANNOT_TELL
     ]
     if transport_left and len(machines) > 1:
         out.append("the transport is not looked at: the machines' delays differ or are not known")
@@ -270,7 +273,7 @@ def _totals(
     kept = cleaned.kept
     mass = np.nan_to_num(placed.mass_kg)
     kept_kg, kept_m2 = float(mass[kept].sum()), float(ground.area_m2[kept].sum())
-    measured = float(np.nan_to_num(table["flow_kg_s"] * table["interval_s"]).sum())
+    measured = float(measured_mass_kg(table).sum())
     corrected = float(placed.measured_kg.sum())
     low, high = _yield_interval(steps.pass_number[steps.step_of_row][kept], mass[kept], ground.area_m2[kept], generator)
     sd = _mass_sd(loads) if weighed else None
@@ -278,8 +281,8 @@ def _totals(
         None if None in machine else float(sum(one for one in machine if one is not None)),
         measured,
         corrected,
-        None if sd is None else corrected - 1.96 * sd,
-        None if sd is None else corrected + 1.96 * sd,
+        None if sd is None else corrected - REACH_95 * sd,
+        None if sd is None else corrected + REACH_95 * sd,
         dict(mass_by_reason(cleaned, placed)),
         float(ground.area_m2.sum()),
         kept_m2,

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .delay import Delay, estimate_delay, given_delay
+from .delay import Decision, Delay, estimate_delay, given_delay
 from .pairs import Pairs, opposing_pairs
 from .placed import Placed, measured_mass_kg, place
 from .table import Array, HarvestTable, Source
@@ -137,13 +137,13 @@ def _delays(
     if given_s is not None:
         return [given_delay(given_s, known[1], one) for one, known in zip(own, known_s, strict=True)]
     for members in _same_machine(parts):
-        unsure = [k for k in members if own[k].decision == "cannot tell"]
+        unsure = [k for k in members if own[k].decision is Decision.CANNOT_TELL]
         if len(members) < 2 or not unsure or not _agree([own[k] for k in members if k not in unsure]):
             continue
         rows = np.sort(np.concatenate([parts[k].rows for k in members]))
         together = steps.of_rows(rows)
         pooled = estimated(together, _within(together, opposing_pairs(together)), *known_s[unsure[0]])
-        if pooled.decision == "estimated":
+        if pooled.decision is Decision.ESTIMATED:
             for k in unsure:
                 own[k] = replace(pooled, declared_s=known_s[k][1], why=f"one clear peak in {len(members)} files together")
     return own

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .table import Array, HarvestTable
-from .tracks import Flags, Index, Tracks
+from .tracks import FAR_S, Flags, Index, Tracks
 
 _TOLERANCE_INTERVALS = 0.75
 _EVEN_INTERVALS = 0.25
@@ -20,7 +20,9 @@ _EVEN_INTERVALS = 0.25
 
 @dataclass(frozen=True)
 class Placed:
-    """Parameters
+    """Mass and moisture of the grain at the place where it was cut.
+
+    Parameters
     ----------
     measured_kg : array, shape (n,)
         Mass that each row measured; 0 where flow is not known.
@@ -136,16 +138,16 @@ class _Shares:
 def _shares(table: HarvestTable, steps: Tracks, target: Index, delay_s: float) -> _Shares:
     """Where the grain of rows was cut that come unevenly, or whose place is a row that does."""
     interval_s = np.nan_to_num(table["interval_s"])
-    if abs(delay_s) < 0.5 * steps.interval or not len(table):
+    if abs(delay_s) < 0.5 * steps.usual_interval_s or not len(table):
         return _Shares(np.zeros(0, np.intp), np.zeros(0, np.intp), np.zeros(0))
-    even = np.abs(interval_s - steps.interval) <= _EVEN_INTERVALS * steps.interval
+    even = np.abs(interval_s - steps.usual_interval_s) <= _EVEN_INTERVALS * steps.usual_interval_s
     has_clock = 2 * np.count_nonzero(even) > len(table)
     whole = has_clock & even & (target >= 0) & even[np.maximum(target, 0)]
     row = np.flatnonzero(~whole & (interval_s > 0))
     # As far as rows move that are moved whole.
-    shift_s = round(delay_s / steps.interval) * steps.interval if has_clock else delay_s
+    shift_s = round(delay_s / steps.usual_interval_s) * steps.usual_interval_s if has_clock else delay_s
     base_s = float(steps.time_s.min())
-    span_s = float(steps.time_s.max()) - base_s + 2.0 * abs(shift_s) + 10_000.0
+    span_s = float(steps.time_s.max()) - base_s + 2.0 * abs(shift_s) + FAR_S
     end = steps.stream * span_s + (steps.time_s - base_s)
     begin = np.maximum(end - steps.interval_s, np.r_[-np.inf, end[:-1]])
     step = steps.step_of_row[row]
@@ -165,8 +167,8 @@ def _targets(table: HarvestTable, steps: Tracks, delay_s: float) -> Index:
     """The row where the grain of each row was cut, -1 for none."""
     count = len(table)
     step = steps.step_of_row
-    tolerance = _TOLERANCE_INTERVALS * max(steps.interval, 1e-6)
-    if abs(delay_s) < 0.5 * steps.interval:
+    tolerance = _TOLERANCE_INTERVALS * max(steps.usual_interval_s, 1e-6)
+    if abs(delay_s) < 0.5 * steps.usual_interval_s:
         return np.arange(count)
     # Steps do not merge: to the same nearest number of intervals as all others of an even clock.
     found = steps.nearest(steps.time_s - delay_s, steps.stream, tolerance)[step]

@@ -11,7 +11,7 @@ Source: Snyder, "Map projections: a working manual", US Geological Survey 1987, 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import cos, radians, sin, sqrt
+from math import radians, sin, sqrt
 from typing import Any
 
 import numpy as np
@@ -205,7 +205,6 @@ def _parallel_radius_m(latitude: Array) -> Array:
 
 
 def _meridian_radius_m(latitude: float) -> float:
-    assert cos(latitude) >= 0.0
     return SEMI_MAJOR_M * (1.0 - ECCENTRICITY_2) / sqrt(1.0 - ECCENTRICITY_2 * sin(latitude) ** 2) ** 3
 
 

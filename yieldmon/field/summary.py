@@ -8,7 +8,7 @@ from typing import Any
 from yieldmon.units import M2_PER_HA
 
 from .cleaning import KEPT
-from .delay import Delay
+from .delay import Decision, Delay
 from .harvest import KG_M2_TO_T_HA, HarvestMap
 from .transport import Transport
 
@@ -96,9 +96,9 @@ def transport_line(transport: Transport) -> str:
 def delay_line(delay: Delay, name: str) -> str:
     """One line for people."""
     declared = "" if delay.declared_s is None else f"; the machine declares {delay.declared_s:g} s"
-    if delay.decision == "estimated":
+    if delay.decision is Decision.ESTIMATED:
         return f"{name} delay {delay.value_s:.1f} s ({delay.low_s:.1f} to {delay.high_s:.1f}){declared}"
-    if delay.decision == "declared":
+    if delay.decision is Decision.DECLARED:
         return f"{name} delay {delay.value_s:.1f} s, as given{declared}"
     return f"{name} delay: cannot tell ({delay.why}); {delay.value_s:.1f} s is used{declared}"
 

@@ -32,7 +32,9 @@ class HeaderPlace:
 
 @dataclass(frozen=True)
 class Swaths:
-    """Parameters
+    """The ground of each row of a table.
+
+    Parameters
     ----------
     corners_m : array, shape (n, 4, 2)
         Back left, back right, front right, front left; NaN where nothing was cut.

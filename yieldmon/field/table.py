@@ -38,6 +38,7 @@ DEFAULT_FLOW_S = 12.0
 FORAGE_FLOW_S = 2.0
 """Delay of a forage harvester of which no more is known: its moisture, measured behind the chopper, lags by 1.9 s (0.4 to 2.9) in
 the task data of studies/harvests, and its flow is measured at the feed rolls, before that."""
+#: Text columns.
 LABELS = ("field", "load", "crop", "machine", "product")
 
 
@@ -188,10 +189,12 @@ def build(
     ------
     InputError
         Where a column that every table needs is missing or never known.
+    ValueError
+        For a column that no table has.
     """
     count = len(next(iter(columns.values())))
-    unknown = set(columns) - set(COLUMNS)
-    assert not unknown, f"columns that the table does not have: {unknown}"
+    if unknown := sorted(set(columns) - set(COLUMNS)):
+        raise ValueError(f"columns {', '.join(unknown)}; expected some of {', '.join(COLUMNS)}")
     for name in REQUIRED:
         if name not in columns or (count and not np.isfinite(columns[name]).any()):
             raise InputError(source.path, f"has no {name} in any row", f"{name}: {COLUMNS[name]}")

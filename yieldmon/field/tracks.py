@@ -20,8 +20,10 @@ Flags = NDArray[Any]
 MIN_SPEED_M_S = 0.3
 """Below it a yield is not defined and a heading is noise."""
 _HEADING_SPAN = 2
-_GAP_INTERVALS = 3.0
-_FAR_S = 10_000.0
+GAP_INTERVALS = 3.0
+"""So many usual intervals without a step are a gap."""
+FAR_S = 10_000.0
+"""Between times that are to be far apart: those of two streams on one axis, and those that are not known."""
 
 
 @dataclass(frozen=True)
@@ -30,6 +32,10 @@ class Tracks:
 
     Parameters
     ----------
+    plane : Sites
+        On which x_m and y_m are.
+    step_of_row : array of int, shape (n,)
+        Of each of the table's rows, and row_x_m, row_y_m its place, shape (n,).
     stream : array of int, shape (k,)
         One machine of one source; time is continuous within a stream only.
     time_s, x_m, y_m, speed_m_s, width_m, flow_kg_s, moisture_pct, interval_s : array, shape (k,)
@@ -42,8 +48,8 @@ class Tracks:
         Number of the stretch without a gap in time.
     pass_number : array of int, shape (k,)
         Number of the stretch with the header down, -1 with it up.
-    interval : float
-        Median time between steps, s.
+    usual_interval_s : float
+        Median time between steps.
     """
 
     plane: Sites
@@ -63,7 +69,7 @@ class Tracks:
     down: Flags
     run: Index
     pass_number: Index
-    interval: float
+    usual_interval_s: float
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -97,7 +103,7 @@ class Tracks:
             step_of_row=number[step],
             row_x_m=self.row_x_m[rows],
             row_y_m=self.row_y_m[rows],
-            interval=_interval(arrays["time_s"], arrays["stream"]),
+            usual_interval_s=_interval(arrays["time_s"], arrays["stream"]),
             **arrays,
         )
 
@@ -105,7 +111,7 @@ class Tracks:
         """The step of a stream next to each time, -1 where none is within the tolerance."""
         if not len(self):
             return np.zeros(len(time_s), np.intp)
-        span = float(self.time_s.max() - self.time_s.min()) + 10_000.0
+        span = float(self.time_s.max() - self.time_s.min()) + FAR_S
         keys = self.stream * span + (self.time_s - self.time_s.min())
         wanted = stream * span + (time_s - self.time_s.min())
         right = np.clip(np.searchsorted(keys, wanted), 1, max(len(keys) - 1, 1)) if len(keys) > 1 else np.ones(len(wanted), int)
@@ -122,7 +128,7 @@ class Tracks:
         if not len(self):
             return np.full(len(time_s), -1, np.intp)
         begun_s = float(self.time_s.min())
-        span = float(self.time_s.max()) - begun_s + float(np.ptp(time_s) if len(time_s) else 0.0) + 10_000.0
+        span = float(self.time_s.max()) - begun_s + float(np.ptp(time_s) if len(time_s) else 0.0) + FAR_S
         keys = self.stream * span + (self.time_s - begun_s)
         wanted = stream * span + (time_s - begun_s)
         found = np.minimum(np.searchsorted(keys, wanted), len(self) - 1)
@@ -157,7 +163,7 @@ def tracks(table: HarvestTable) -> Tracks:
     gap = np.diff(step_time)
     usual_s = _usual_s(step_time, step_stream)
     step_x, step_y = mean(x), mean(y)
-    breaks = (np.diff(step_stream) != 0) | (gap > _GAP_INTERVALS * np.maximum(usual_s[1:], 1e-3)) | ~np.isfinite(gap)
+    breaks = (np.diff(step_stream) != 0) | (gap > GAP_INTERVALS * np.maximum(usual_s[1:], 1e-3)) | ~np.isfinite(gap)
     run = np.cumsum(np.r_[False, breaks])[:count]
     distance = mean(table["distance_m"])
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -187,7 +193,7 @@ def tracks(table: HarvestTable) -> Tracks:
         down=down,
         run=run,
         pass_number=pass_number,
-        interval=_interval(step_time, step_stream),
+        usual_interval_s=_interval(step_time, step_stream),
     )
 
 
@@ -212,7 +218,7 @@ def _spread_unknown(time_s: Array) -> Array:
     if known.all():
         return time_s
     last = float(time_s[known].max()) if known.any() else 0.0
-    return np.where(known, time_s, last + _FAR_S * (1.0 + np.cumsum(~known)))
+    return np.where(known, time_s, last + FAR_S * (1.0 + np.cumsum(~known)))
 
 
 class _Pick:

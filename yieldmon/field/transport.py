@@ -78,7 +78,7 @@ def filtered(steps: Tracks, one: Filter, *, control: bool = False) -> Array:
             continue
         length = 2 ** int(np.ceil(np.log2(end - start + 2 * _PAD)))
         padded = np.pad(flow, (_PAD, length - (end - start) - _PAD), mode="edge")
-        response = np.fft.irfft(np.fft.rfft(padded) * _gain(length, steps.interval, one, control), length)[
+        response = np.fft.irfft(np.fft.rfft(padded) * _gain(length, steps.usual_interval_s, one, control), length)[
             _PAD : _PAD + end - start
         ]
         response = np.maximum(response, 0.0)

@@ -15,7 +15,17 @@ from types import MappingProxyType
 
 from yieldmon.errors import InputError
 from yieldmon.files.crops import crops, shipped_name
-from yieldmon.units import KG_PER_LB, M2_PER_ACRE, M2_PER_HA, M_PER_FT, M_PER_IN, M_PER_MI, M_S_PER_KMH, M_S_PER_MPH
+from yieldmon.units import (
+    KG_PER_LB,
+    LB_PER_SHORT_TON,
+    M2_PER_ACRE,
+    M2_PER_HA,
+    M_PER_FT,
+    M_PER_IN,
+    M_PER_MI,
+    M_S_PER_KMH,
+    M_S_PER_MPH,
+)
 
 
 @dataclass(frozen=True)
@@ -72,7 +82,8 @@ def crop(name: str) -> Crop | None:
     return known_crops().get(_ALIASES.get(plain, _NAMES.get(shipped_name(plain) or "", plain)))
 
 
-_MASS = {"kg": 1.0, "g": 1e-3, "t": 1e3, "lb": KG_PER_LB, "lbs": KG_PER_LB, "mg": 1e-6, "ton": 2000 * KG_PER_LB, "tonne": 1e3}
+_SHORT_TON_KG = LB_PER_SHORT_TON * KG_PER_LB
+_MASS = {"kg": 1.0, "g": 1e-3, "t": 1e3, "lb": KG_PER_LB, "lbs": KG_PER_LB, "mg": 1e-6, "ton": _SHORT_TON_KG, "tonne": 1e3}
 _LENGTH = {"m": 1.0, "cm": 0.01, "mm": 1e-3, "ft": M_PER_FT, "in": M_PER_IN, "km": 1e3, "mi": M_PER_MI, "inch": M_PER_IN}
 _TIME = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "min": 60.0, "h": 3600.0, "hr": 3600.0}
 _AREA = {"m2": 1.0, "ha": M2_PER_HA, "ac": M2_PER_ACRE, "acre": M2_PER_ACRE}

@@ -11,6 +11,7 @@ import numpy as np
 
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.physics.stages import GRAVITY_M_S2
 from yieldmon.resources import shipped
 from yieldmon.units import KG_PER_LB
 
@@ -78,7 +79,7 @@ class Crop:
                 "density": density,
                 "shape_ratio": 2.0,
                 "restitution": self.restitution,
-                "gravity.acceleration_m_s2": 9.81,
+                "gravity.acceleration_m_s2": GRAVITY_M_S2,
             },
             ("friction", "density", "restitution"),
             np.diag([self.friction_sd**2, (_DENSITY_SD * density) ** 2, self.restitution_sd**2]),

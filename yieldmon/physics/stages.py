@@ -15,6 +15,8 @@ import numpy as np
 from .machine import Machine
 from .numerics import AnyArray, distinct, perturbed
 
+GRAVITY_M_S2 = 9.81
+"""Where gravity counts and nothing says how strong it is."""
 STAGES = ("setting", "load", "jet", "arrival", "impulse", "reading")
 
 

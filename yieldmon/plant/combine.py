@@ -17,6 +17,7 @@ from yieldmon.physics.numerics import Array
 from yieldmon.plant import elevator, kernels, profiles, sensor
 from yieldmon.plant.actuator import ActuatorFault, PlateActuator
 from yieldmon.plant.field import Track
+from yieldmon.plant.flight import GRAVITY_M_S2
 from yieldmon.plant.pulse_table import QUANTILES, Condition, Detail, PulseTable
 from yieldmon.plant.scenario import Channel, Scenario
 from yieldmon.plant.sensor import ImpactCell, SensorFault
@@ -313,7 +314,7 @@ class VirtualCombine:
         effects, force = self.scenario.effects, 0.0
         if effects.plate_buildup is not None:
             angle = np.deg2rad(angle_deg)
-            force += effects.plate_buildup.mass_kg * 9.81 * float(np.cos(angle) * np.sin(angle))
+            force += effects.plate_buildup.mass_kg * GRAVITY_M_S2 * float(np.cos(angle) * np.sin(angle))
         if effects.zero_offset is not None and self._at(self._harvest.flow_kg_s, time_s) > 0.0:
             force += effects.zero_offset.force_n
         return force

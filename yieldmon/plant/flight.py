@@ -10,6 +10,7 @@ from yieldmon.physics.machine import Machine
 from yieldmon.physics.numerics import Array
 from yieldmon.plant.effects import AirDrag
 
+GRAVITY_M_S2 = 9.81
 _DRAG_LEGS = (12, 4, 2)
 """Steps towards the plate, then towards it from there, and again: drag makes every leg end short of it."""
 
@@ -81,7 +82,7 @@ def _fly_with_drag(
 
     def acceleration(vx: Array, vy: Array) -> tuple[Array, Array]:
         speed = np.hypot(vx, vy)
-        rate = 9.81 * (speed / drag.terminal_speed_m_s) ** drag.exponent / speed
+        rate = GRAVITY_M_S2 * (speed / drag.terminal_speed_m_s) ** drag.exponent / speed
         return -rate * vx, gravity_m_s2 - rate * vy
 
     for steps in _DRAG_LEGS:

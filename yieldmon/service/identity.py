@@ -13,8 +13,9 @@ from contextlib import closing
 from pathlib import Path
 from time import time
 
+from yieldmon.bounded_sqlite import address
 from yieldmon.service.checksums import row_checksum
-from yieldmon.service.store_file import address, has_journal, prepared, unwritten, witnessed_store
+from yieldmon.service.store_file import has_journal, prepared, unwritten, witnessed_store
 from yieldmon.service.store_names import parts
 
 MARK = "identity"

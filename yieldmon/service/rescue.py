@@ -14,6 +14,7 @@ from pathlib import Path
 from time import monotonic, time
 from typing import Any
 
+from yieldmon.bounded_sqlite import address
 from yieldmon.engine.records import COLUMNS
 from yieldmon.files.whole_file import sync
 from yieldmon.service import schema
@@ -22,7 +23,7 @@ from yieldmon.service.in_the_way import make_way
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.store import Store
 from yieldmon.service.store_errors import StoreDetachedError, StoreError
-from yieldmon.service.store_file import address, header_problem, is_orphaned, prepared, set_aside
+from yieldmon.service.store_file import header_problem, is_orphaned, prepared, set_aside
 from yieldmon.service.store_names import SQLITE_MAGIC, being_made_path, parts, ready_path, repaired_path
 from yieldmon.service.store_sql import second_is_sound
 

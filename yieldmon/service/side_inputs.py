@@ -34,8 +34,8 @@ from yieldmon.network.process_data import PROCESS_DATA, Command
 from yieldmon.network.process_data import read as read_process_data
 from yieldmon.network.reassembly import Reassembler
 from yieldmon.service.side_columns import merged, placed, taken, taken_column
+from yieldmon.units import KMH_PER_M_S
 
-_KMH = 3.6
 _FLOW_DDI = 87
 _KG_PER_MG = 1e-6
 _ADDRESSED_MASK = FORMAT_MASK | SOURCE_MASK
@@ -232,7 +232,7 @@ class SideInputs:
         for signal, column in found.items():
             at = np.searchsorted(rows, column.rows)
             time_s[at] = column.time_s
-            signals[signal] = placed(column.values * _KMH if signal == _SPEED else column.values, at, rows.size)
+            signals[signal] = placed(column.values * KMH_PER_M_S if signal == _SPEED else column.values, at, rows.size)
             if signal in _GROUP_SIGNALS:
                 signals[_GROUP_SIGNALS[signal]] = placed(np.full(at.size, float(group)), at, rows.size)
         return MessageColumns(name, rows, time_s, signals)
@@ -318,7 +318,7 @@ def _navigation_frames(readings: Iterable[Reading], time_s: float) -> list[Frame
     if Quantity.COURSE in found:
         moving["CompassBearing"] = found[Quantity.COURSE].value
     if Quantity.SPEED in found:
-        moving["NavigationSpeed"] = found[Quantity.SPEED].value * _KMH
+        moving["NavigationSpeed"] = found[Quantity.SPEED].value * KMH_PER_M_S
         moving["SpeedGroup"] = float(found[Quantity.SPEED].group)
     if moving:
         frames.append(Frame(time_s, VEHICLE_DIRECTION_SPEED, moving))

@@ -6,13 +6,12 @@ import errno
 import os
 import shutil
 import sqlite3
-import time
 from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from urllib.parse import quote
 
 from yieldmon.bounded import why_no_file
+from yieldmon.bounded_sqlite import address, bound
 from yieldmon.errors import InputError, reason, remedy
 from yieldmon.service import schema
 from yieldmon.service.checksums import row_checksum
@@ -21,13 +20,10 @@ from yieldmon.service.store_errors import StoreError
 from yieldmon.service.store_names import SQLITE_MAGIC, parts, witness_path
 
 _LARGEST_VALUE_BYTES = 16 * 1024 * 1024
-_LIMIT_LENGTH = 0
-"""sqlite3.SQLITE_LIMIT_LENGTH"""
 _DEFENSIVE = 1010
 """sqlite3.SQLITE_DBCONFIG_DEFENSIVE, from Python 3.12 on"""
 #: Processor time that reading a store which somebody else made may take, s: a part, and so much for each megabyte of it.
 _READING_S, _READING_S_PER_MB = 10.0, 1.0
-_STEPS_BETWEEN_LOOKS = 100_000
 _WITNESS_BYTES = 64
 _NOT_WAITING = os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOFOLLOW
 """Opening a pipe would wait for its other end."""
@@ -53,11 +49,6 @@ def has_journal(path: Path) -> bool:
     """Whether a store has a journal with something in it."""
     journal = parts(path)[1]
     return journal.exists() and journal.stat().st_size > 0
-
-
-def address(path: Path, how: str) -> str:
-    """A file as SQLite takes it with options; a name may be no UTF-8."""
-    return f"file:{quote(os.fsencode(path.absolute()))}?{how}"
 
 
 def is_orphaned(path: Path) -> bool:
@@ -247,13 +238,10 @@ WHERE name IN ({", ".join(repr(name) for name in schema.KEYS)})
 def _distrust(database: sqlite3.Connection, path: Path) -> None:
     """For a file that anybody may have made: nothing in it runs, no value is larger than any store has, and all reading together
     takes CPU time in proportion to its size at most."""
-    database.execute("PRAGMA trusted_schema = OFF")
-    database.execute("PRAGMA cell_size_check = ON")
-    database.setlimit(_LIMIT_LENGTH, _LARGEST_VALUE_BYTES)
     if hasattr(database, "setconfig"):
         database.setconfig(_DEFENSIVE, True)
-    end_s = time.thread_time() + _READING_S + _READING_S_PER_MB * path.stat().st_size / 1e6
-    database.set_progress_handler(lambda: time.thread_time() > end_s, _STEPS_BETWEEN_LOOKS)
+    most_cpu_s = _READING_S + _READING_S_PER_MB * path.stat().st_size / 1e6
+    bound(database, largest_value_bytes=_LARGEST_VALUE_BYTES, most_cpu_s=most_cpu_s)
 
 
 def set_aside(path: Path, label: str) -> Path:

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yieldmon.errors import InputError
-from yieldmon.estimation.clusters import cluster
+from yieldmon.estimation.clusters import cluster, meant_conditions
 from yieldmon.estimation.home_flow import AwayVisits, covariance, wander_per_s
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
@@ -37,9 +37,6 @@ from yieldmon.service.recorded import opened
 from yieldmon.service.rows import SecondRow
 
 LEAST_ANGLES = 4
-_SPEED_STEP = np.log(1.02)
-_FLOW_STEP = np.log(1.1)
-_MOISTURE_STEP_PCT = 2.0
 _LEAST_DOF = 20
 _LEAST_POWER = 0.2
 """Of force by flow at home: where it is flatter, flow says little."""
@@ -247,10 +244,7 @@ def _standardised(visits: Sequence[_Visit], angle_deg: Array, model: ForwardMode
         for name in ("angle_rad", "speed_rad_s", "flow_kg_s", "force_n", "relative_sd", "moisture_pct")
     )
     nominal = model.machine.nominal_elevator_speed_rad_s
-    near_speed = nominal * np.exp(np.round(np.log(speed / nominal) / _SPEED_STEP) * _SPEED_STEP)
-    near_flow = np.exp(np.round(np.log(flow) / _FLOW_STEP) * _FLOW_STEP)
-    near_moisture = np.round(moisture / _MOISTURE_STEP_PCT) * _MOISTURE_STEP_PCT
-
+    near_speed, near_flow, near_moisture = meant_conditions(speed, nominal, flow, moisture)
     there = model_force_n(model, parameters.values, angle, near_speed, near_flow, moisture)
     here = model_force_n(model, parameters.values, angle, speed, flow, moisture)
     # Beyond the model's full paddle its slope is no help; force goes about as flow and speed.

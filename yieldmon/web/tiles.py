@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-import os
 import sqlite3
-import time
 from contextlib import closing
 from pathlib import Path
-from urllib.parse import quote
 
 from yieldmon.bounded import why_no_file
+from yieldmon.bounded_sqlite import address, bound
 from yieldmon.errors import InputError
 
 _KINDS = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg", b"RIFF": "image/webp"}
 _LARGEST_TILE_BYTES = 4 * 1024 * 1024
 _LARGEST_ZOOM = 22
-_LIMIT_LENGTH = 0
-"""sqlite3.SQLITE_LIMIT_LENGTH"""
 #: Processor time that a look may take, s: `tiles` may be a view, which can be written so that it never ends.
 _LOOK_S, _FIRST_LOOK_S = 1.0, 20.0
-_STEPS_BETWEEN_LOOKS = 100_000
 
 
 class Tiles:
@@ -57,11 +52,8 @@ class Tiles:
         return (found[0], kind) if kind else None
 
     def _opened(self, most_s: float) -> sqlite3.Connection:
-        database = sqlite3.connect(f"file:{quote(os.fsencode(self._path.absolute()))}?mode=ro&immutable=1", uri=True)
-        database.execute("PRAGMA trusted_schema = OFF")
-        database.setlimit(_LIMIT_LENGTH, _LARGEST_TILE_BYTES)
-        end_s = time.thread_time() + most_s
-        database.set_progress_handler(lambda: time.thread_time() > end_s, _STEPS_BETWEEN_LOOKS)
+        database = sqlite3.connect(address(self._path, "mode=ro&immutable=1"), uri=True)
+        bound(database, largest_value_bytes=_LARGEST_TILE_BYTES, most_cpu_s=most_s)
         return database
 
 

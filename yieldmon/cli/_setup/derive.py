@@ -14,8 +14,8 @@ from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files.crops import crop
 from yieldmon.physics.machine import RPM, ImpactSensor, Machine
+from yieldmon.units import N_PER_KGF
 
-STANDARD_GRAVITY = 9.80665
 _READING_SD_MV = 0.5
 _LINEAR_SHARE = 0.01
 _LARGEST_OFFSET_DEG = 10.0
@@ -41,7 +41,7 @@ def cell_gain(masses_kg: Sequence[float], readings_mv: Sequence[float]) -> CellG
         raise InputError(where, f"has {len(readings_mv)} values for {len(masses_kg)} masses", "one for each")
     if len(set(masses_kg)) < 3:
         raise InputError("cell_weights_kg", f"has {len(set(masses_kg))} different masses", "0 and two weights, such as 0, 5, 10")
-    force, mv = STANDARD_GRAVITY * np.array(masses_kg), np.array(readings_mv)
+    force, mv = N_PER_KGF * np.array(masses_kg), np.array(readings_mv)
     slope, zero = np.polyfit(force, mv, 1)
     if slope <= 0.0:
         raise InputError(where, "falls as weight is added", "more mV with more weight; swap the cell's two signal wires")

@@ -19,6 +19,8 @@ from yieldmon.files.plain_text import quotable
 from yieldmon.files.whole_file import scratch_for
 from yieldmon.units import KG_PER_LB, M_PER_FT, M_PER_IN
 
+from . import FILES
+
 CHUNK = 50_000
 DOWN, UP = 33, 32
 
@@ -28,7 +30,7 @@ def write(folder: Path, result: HarvestMap, grid: Grid) -> list[Path]:
     table, steps = result.table, result.steps
     everything = np.flatnonzero(np.isfinite(table["longitude_deg"]) & np.isfinite(table["time_s"]))
     down = steps.down[steps.step_of_row]
-    raw, clean = folder / "agleader_raw.txt", folder / "agleader_clean.txt"
+    raw, clean = (folder / name for name in FILES["agleader"])
     _write(raw, result, everything, flow=table["flow_kg_s"], moisture=table["moisture_pct"], down=down)
     kept = np.flatnonzero(result.cleaned.kept)
     with np.errstate(invalid="ignore", divide="ignore"):

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yieldmon.field.harvest import KG_M2_TO_T_HA, HarvestMap
+from yieldmon.field.table import LABELS
 from yieldmon.field.tracks import Index
 from yieldmon.units import M2_PER_ACRE
 
@@ -46,7 +47,7 @@ def point_columns(result: HarvestMap, rows: Index) -> dict[str, NDArray[Any]]:
     if table.unix_time:
         out["time_utc"] = unix_to_datetime(table["time_s"][rows])
     out["time_s"] = table["time_s"][rows]
-    for name in ("field", "load", "crop", "machine", "product"):
+    for name in LABELS:
         label = table.labels[name]
         if any(label.names):
             out[name] = label.take(rows).text()

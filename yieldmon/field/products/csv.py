@@ -13,6 +13,7 @@ from yieldmon.field.grid import Grid
 from yieldmon.field.harvest import HarvestMap
 from yieldmon.files.whole_file import scratch_for
 
+from . import FILES
 from .columns import point_columns
 
 CHUNK = 50_000
@@ -21,7 +22,7 @@ _DECIMALS = {"longitude_deg": 8, "latitude_deg": 8, "time_s": 3}
 
 def write(folder: Path, result: HarvestMap, grid: Grid) -> list[Path]:
     """`points.csv`."""
-    path = folder / "points.csv"
+    path = folder / FILES["csv"][0]
     with scratch_for(path) as scratch, scratch.open("w", encoding="utf-8", newline="") as stream:
         for first in range(0, max(len(result.table), 1), CHUNK):
             rows = np.arange(first, min(first + CHUNK, len(result.table)))

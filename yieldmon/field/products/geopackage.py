@@ -11,17 +11,16 @@ from yieldmon.field.grid import Grid
 from yieldmon.field.harvest import KG_M2_TO_T_HA, HarvestMap
 from yieldmon.files.whole_file import scratch_for
 
-from . import vectors
+from . import FILES, vectors
 from .columns import point_columns
 
-NAME = "harvest.gpkg"
 _SWATH_COLUMNS = ("point", "mass_kg", "area_m2", "gross_area_m2", "yield_t_ha", "time_utc", "kept")
 """The other columns of a swath are those of its point."""
 
 
 def write(folder: Path, result: HarvestMap, grid: Grid) -> list[Path]:
     """`harvest.gpkg`."""
-    path = folder / NAME
+    path = folder / FILES["geopackage"][0]
     count = len(result.table)
     with scratch_for(path) as scratch:
         for first in range(0, count, vectors.CHUNK):

@@ -15,6 +15,8 @@ from yieldmon.field.grid import Grid, block_means
 from yieldmon.field.harvest import KG_M2_TO_T_HA, HarvestMap
 from yieldmon.files import whole_file
 
+from . import FILES
+
 _SHORT, _LONG, _DOUBLE, _ASCII = 3, 4, 12, 2
 _FORMATS = {_SHORT: "H", _LONG: "I", _DOUBLE: "d"}
 ROWS_PER_STRIP = 64
@@ -24,7 +26,7 @@ def write(folder: Path, result: HarvestMap, grid: Grid) -> list[Path]:
     """`yield.tif`."""
     if not len(grid.row):
         return []
-    path = folder / "yield.tif"
+    path = folder / FILES["geotiff"][0]
     table = result.table
     while not grid.fits():
         # A raster of fields far apart would be too large: coarser blocks.

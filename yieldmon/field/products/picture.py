@@ -17,6 +17,7 @@ from yieldmon.field.table import Array
 from yieldmon.files import whole_file
 from yieldmon.units import M_PER_FT, M_PER_MI, Units, UnitSystem, rounded
 
+from . import FILES
 from .report import colour_scale
 
 WIDTH_PX, HEIGHT_PX, MARGIN_PX, FOOT_PX = 1400, 1000, 24, 70
@@ -59,7 +60,7 @@ _BAR_PX = 240.0
 
 def write(folder: Path, result: HarvestMap, grid: Grid) -> list[Path]:
     """`map.png`."""
-    path = folder / "map.png"
+    path = folder / FILES["picture"][0]
     whole_file.write(path, png(_picture(result)))
     return [path]
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from yieldmon.field.cleaning import KEPT, LOCAL, NO_PLACE, RULES
+from yieldmon.field.delay import Decision
 from yieldmon.field.grid import Grid, block_means
 from yieldmon.field.harvest import KG_M2_TO_T_HA, HarvestMap
 from yieldmon.field.plane import astray
@@ -17,6 +18,8 @@ from yieldmon.field.summary import delay_lines, transport_line
 from yieldmon.field.table import Array
 from yieldmon.files import whole_file
 from yieldmon.units import KG_PER_T, Units, UnitSystem
+
+from . import FILES
 
 TEMPLATE = Path(__file__).with_name("report.html")
 MAX_POINTS = 250_000
@@ -35,7 +38,7 @@ _ABOUT = {rule.name: rule.about for rule in RULES} | {
 
 def write(folder: Path, result: HarvestMap, grid: Grid) -> list[Path]:
     """`report.html`."""
-    path = folder / "report.html"
+    path = folder / FILES["report"][0]
     text = json.dumps(content(result), allow_nan=False, separators=(",", ":"))
     # Names come from files: nothing of them may end the element that holds the data.
     safe = text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
@@ -111,9 +114,9 @@ def _delay_words(result: HarvestMap) -> str:
     flow = result.flow_delay
     if len({machine.flow.value_s for machine in result.machines}) > 1:
         return f"delays of {len(result.machines)} machines or files"
-    if flow.decision == "estimated":
+    if flow.decision is Decision.ESTIMATED:
         return f"delay; {flow.low_s:.1f} to {flow.high_s:.1f}"
-    return "delay, as given" if flow.decision == "declared" else "delay: not determined by the data, default"
+    return "delay, as given" if flow.decision is Decision.DECLARED else "delay: not determined by the data, default"
 
 
 def _plain(text: str) -> str:

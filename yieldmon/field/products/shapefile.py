@@ -12,13 +12,13 @@ from yieldmon.field.grid import Grid
 from yieldmon.field.harvest import HarvestMap
 from yieldmon.files.whole_file import scratch_for
 
-from . import vectors
+from . import FILES, vectors
 from .columns import SHORT_NAMES, point_columns
 
 
 def write(folder: Path, result: HarvestMap, grid: Grid) -> list[Path]:
     """`points_shp.zip`; times as text, for a shapefile knows dates only."""
-    path = folder / "points_shp.zip"
+    path = folder / FILES["shapefile"][0]
     kept = np.flatnonzero(result.cleaned.kept)
     if not len(kept):
         return []

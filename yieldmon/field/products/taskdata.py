@@ -22,6 +22,8 @@ from yieldmon.files import task_data
 from yieldmon.files.whole_file import scratch_for
 from yieldmon.units import S_PER_DAY
 
+from . import FILES
+
 ENTRIES = (
     task_data.Entry(67, "Actual working width", "mm"),
     task_data.Entry(84, "Mass per area yield", "mg/m2"),
@@ -58,7 +60,7 @@ def write(folder: Path, result: HarvestMap, grid: Grid) -> list[Path]:
             f"TASKDATA/{log.name}.xml": task_data.as_file(task_data.log_header(ENTRIES)),
             f"TASKDATA/{log.name}.bin": log.content,
         }
-    path = folder / "taskdata.zip"
+    path = folder / FILES["taskdata"][0]
     with scratch_for(path) as scratch, zipfile.ZipFile(scratch, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         for name, data in content.items():
             archive.writestr(zipfile.ZipInfo(name), data, zipfile.ZIP_DEFLATED)

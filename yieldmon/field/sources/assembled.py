@@ -9,14 +9,15 @@ import numpy as np
 
 from yieldmon.errors import InputError
 from yieldmon.field.plane import Sites
-from yieldmon.field.table import Array, HarvestTable, Label, Skipped, Source, build
+from yieldmon.field.table import LABELS, Array, HarvestTable, Label, Skipped, Source, build
+from yieldmon.field.tracks import GAP_INTERVALS
+from yieldmon.field.units import FACTORS, factor
 from yieldmon.field.units import crop as known_crop
-from yieldmon.field.units import factor
 from yieldmon.units import S_PER_DAY
 
 from . import clocks
 from .delimited import number
-from .naming import Column
+from .naming import QUANTITIES, Column
 from .options import ReadOptions
 from .positions import plausible
 
@@ -36,26 +37,7 @@ _TABLE_NAMES = {
     "pass": "pass_number",
     "section": "section",
 }
-_KINDS = {
-    "longitude": "angle",
-    "latitude": "angle",
-    "flow": "mass_flow",
-    "flow_sd": "mass_flow",
-    "moisture": "percent",
-    "interval": "time",
-    "distance": "length",
-    "width": "length",
-    "heading": "angle",
-    "elevation": "length",
-    "position_sd": "length",
-    "yield": "mass_per_area",
-    "speed": "speed",
-    "header": "none",
-    "pass": "none",
-    "section": "none",
-}
 _TIME_UNITS = ("s", "sec", "ms", "min", "h")
-_GAP_INTERVALS = 3.0
 _LOOKED_AT = 100
 _WORDS = dict.fromkeys(("on", "down", "true", "yes", "working", "in work", "harvesting", "active"), 1.0) | dict.fromkeys(
     ("off", "up", "false", "no", "not working", "raised", "inactive"), 0.0
@@ -95,9 +77,10 @@ def assemble(raw: Raw, where: str, kind: str, options: ReadOptions) -> HarvestTa
     crop = options.crop or _crop_name(raw)
     values: dict[str, Array] = {}
     for quantity, column in raw.columns.items():
-        if quantity in _KINDS and column.name in raw.numbers:
-            unit = column.unit if _KINDS[quantity] not in ("none",) else ""
-            scale = 1.0 if not unit else factor(unit, _KINDS[quantity], f"{where}: {column.name}", crop)
+        of = QUANTITIES[quantity].kind
+        if of in (*FACTORS, "state") and column.name in raw.numbers:
+            has_unit = column.unit and of not in ("none", "state")
+            scale = factor(column.unit, of, f"{where}: {column.name}", crop) if has_unit else 1.0
             values[quantity] = raw.numbers[column.name] * scale
     header = raw.columns.get("header")
     strange: tuple[str, ...] = ()
@@ -116,9 +99,7 @@ def assemble(raw: Raw, where: str, kind: str, options: ReadOptions) -> HarvestTa
     if "header_down" in columns:
         columns["header_down"] = _down(columns["header_down"])
     labels = {
-        name: raw.texts[raw.columns[name].name]
-        for name in ("field", "load", "crop", "machine", "product")
-        if name in raw.columns and raw.columns[name].name in raw.texts
+        name: raw.texts[raw.columns[name].name] for name in LABELS if name in raw.columns and raw.columns[name].name in raw.texts
     }
     if "crop" not in labels and (product := labels.get("product")) is not None and all(map(known_crop, product.names)):
         labels["crop"] = product
@@ -233,7 +214,7 @@ def _derive(values: dict[str, Array], time: Array, section: Array | None, where:
     joined = (before >= 0) & (lane == lane[before])
     step = np.where(joined, time - time[before], np.nan)
     usual = float(np.median(step[step > 0])) if (step > 0).any() else 1.0
-    steady = (step >= 0) & (step <= _GAP_INTERVALS * usual)
+    steady = (step >= 0) & (step <= GAP_INTERVALS * usual)
     if "interval" not in values:
         values["interval"] = np.where(steady, step, usual)
     if "distance" not in values:

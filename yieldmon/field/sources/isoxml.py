@@ -57,11 +57,11 @@ class Folder:
         """Content. Raises InputError where it is missing or cannot be read."""
         real = self.names.get(name.upper())
         if real is None:
-            raise InputError(f"{self.where}: {name}", "is missing", "")
+            raise InputError(f"{self.where}: {name}", "is missing", "all files that TASKDATA.XML names")
         try:
             return self.get(real)
         except ZIP_DAMAGE as error:
-            raise InputError(f"{self.where}: {name}", f"cannot be read: {brief(error)}", "") from error
+            raise InputError(f"{self.where}: {name}", f"cannot be read: {brief(error)}", "a file that can be read") from error
 
 
 def recognises(path: Path, head: bytes) -> bool:
@@ -269,9 +269,9 @@ def _log(folder: Folder, task: _Task, device: _Device, options: ReadOptions) -> 
     count = len(log.time_s)
     where = f"{folder.where}: {task.log}"
     if not count:
-        raise InputError(where, log.problem, "")
+        raise InputError(where, log.problem, "records of a binary time log")
     if not np.isfinite(log.longitude_deg).any():
-        raise InputError(where, "has no positions", "")
+        raise InputError(where, "has no positions", "records with PositionNorth and PositionEast")
     of = _Values(log.values, device)
     interval, way = _steps(log)
     width = of.width_m() if options.width_m is None else np.full(count, options.width_m)
@@ -279,7 +279,7 @@ def _log(folder: Folder, task: _Task, device: _Device, options: ReadOptions) -> 
         raise InputError(where, f"has no working width (DDI {WIDTH}, {DEFAULT_WIDTH} or {MAX_WIDTH})", "--width M")
     flow, notes = of.flow_kg_s(interval, way, width)
     if flow is None:
-        raise InputError(where, f"has no yield (DDI {MASS_PER_TIME} or {MASS_PER_AREA})", "")
+        raise InputError(where, f"has no yield (DDI {MASS_PER_TIME} or {MASS_PER_AREA})", "one of these in the log")
     moisture = of.one(MOISTURE, 1e-4)
     columns, limits = plausible(
         {

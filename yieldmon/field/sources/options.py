@@ -9,7 +9,9 @@ from datetime import date
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """Parameters
+    """What a person says about a source.
+
+    Parameters
     ----------
     columns : mapping of str to (str, str)
         Quantity -> name of the file's column and its unit ("" where the file says it).

@@ -7,11 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from yieldmon.physics.numerics import AnyArray
-from yieldmon.physics.stages import Reading, Setting
+from yieldmon.physics.stages import GRAVITY_M_S2, Reading, Setting
 
 from .effect import Effect, EffectParameter, Values
-
-_GRAVITY_M_S2 = 9.81
 
 
 def _pressing(reading: Reading, values: Values, gravity_m_s2: AnyArray | float) -> AnyArray:
@@ -22,7 +20,7 @@ def _pressing(reading: Reading, values: Values, gravity_m_s2: AnyArray | float) 
 
 
 def _reading(reading: Reading, values: Values, setting: Setting) -> Reading:
-    return replace(reading, momentum_kg_m_s=reading.momentum_kg_m_s + _pressing(reading, values, _GRAVITY_M_S2))
+    return replace(reading, momentum_kg_m_s=reading.momentum_kg_m_s + _pressing(reading, values, GRAVITY_M_S2))
 
 
 def _across(reading: Reading, values: Values, setting: Setting) -> Reading:
@@ -35,14 +33,14 @@ def _across(reading: Reading, values: Values, setting: Setting) -> Reading:
 def _by_slope(reading: Reading, values: Values, setting: Setting) -> Reading:
     if setting.restitution is None:
         return reading
-    across = _pressing(reading, values, _GRAVITY_M_S2) * np.cos(setting.plate_angle_rad)
+    across = _pressing(reading, values, GRAVITY_M_S2) * np.cos(setting.plate_angle_rad)
     return replace(reading, momentum_kg_m_s=reading.momentum_kg_m_s + across)
 
 
 def _whole_flow(reading: Reading, values: Values, setting: Setting) -> Reading:
     if setting.restitution is None:
         return reading
-    weight = reading.impulse.arrival.jet.load.paddle_mass_kg * _GRAVITY_M_S2
+    weight = reading.impulse.arrival.jet.load.paddle_mass_kg * GRAVITY_M_S2
     return replace(reading, momentum_kg_m_s=reading.momentum_kg_m_s + weight * values["time_s"])
 
 
