@@ -4,27 +4,38 @@ from __future__ import annotations
 
 import importlib
 import sys
+from collections.abc import Sequence
+from importlib.abc import MetaPathFinder
 from importlib.machinery import PathFinder
-from importlib.util import find_spec
+from types import ModuleType
+from typing import NoReturn
 
 _NAME = "asammdf"
+
+
+class _Deferred(MetaPathFinder):
+    """Among the import system's finders: asammdf is not to be found for now."""
+
+    def find_spec(self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None) -> None:
+        if fullname == _NAME:
+            _refuse()
+
+
+def _refuse() -> NoReturn:
+    raise ModuleNotFoundError(f"No module named {_NAME!r}", name=_NAME)
 
 
 def defer() -> None:
     """Hold asammdf back from the coming import of python-can; nothing where either has been imported already."""
     if not {"can", _NAME} & sys.modules.keys():
-        sys.modules[_NAME] = None  # type: ignore[assignment]  # the import system's mark for "not to be found"
-
-
-def _is_held() -> bool:
-    return _NAME in sys.modules and sys.modules[_NAME] is None
+        sys.meta_path.insert(0, _Deferred())
 
 
 def require() -> None:
     """Raises ModuleNotFoundError where asammdf is not installed; imports nothing."""
-    found = PathFinder.find_spec(_NAME) if _is_held() else find_spec(_NAME)
-    if found is None:
-        raise ModuleNotFoundError(f"No module named {_NAME!r}", name=_NAME)
+    hidden = _NAME in sys.modules and sys.modules[_NAME] is None
+    if hidden or PathFinder.find_spec(_NAME) is None:
+        _refuse()
 
 
 def provide() -> None:
@@ -35,9 +46,10 @@ def provide() -> None:
     ModuleNotFoundError
         Where asammdf is not installed.
     """
-    if _is_held():
-        del sys.modules[_NAME]
-        importlib.import_module(_NAME)
+    deferred = [finder for finder in sys.meta_path if isinstance(finder, _Deferred)]
+    for finder in deferred:
+        sys.meta_path.remove(finder)
+    importlib.import_module(_NAME)
+    if deferred:
         # Its classes keep the module's names, so those that python-can has handed out work as well.
         importlib.reload(importlib.import_module("can.io.mf4"))
-    importlib.import_module(_NAME)
