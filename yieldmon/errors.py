@@ -9,6 +9,9 @@ from contextlib import contextmanager
 
 NO_ROOM = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 """What only writing can meet, and a write's error does not name its file."""
+OF_THE_MEDIUM = NO_ROOM | {errno.EROFS, errno.EACCES, errno.EPERM}
+"""What a place that is to be written to answers until somebody sees to it."""
+_OF_THE_COMPUTER = NO_ROOM | {errno.EROFS, errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EAGAIN, errno.ESTALE, errno.ETIMEDOUT}
 _LONGEST_PART = 500
 """Characters of a problem that are shown; a value may be a whole file."""
 _LONGEST_PLACE = 1000
@@ -71,6 +74,40 @@ def remedy(error: OSError) -> str:
     if error.errno in (errno.EACCES, errno.EPERM):
         return f"a file or folder that {this_user()} may use (`ls -ld` shows its owner and mode), another one, or sudo"
     return _REMEDIES.get(error.errno or 0, "")
+
+
+def system_text(error: BaseException) -> str:
+    """What the system refuses, in one line: the file where it is known, why, and what would be right.
+
+    >>> system_text(OSError(errno.EROFS, "Read-only file system", "season/_run"))
+    'season/_run: Read-only file system; expected a place on a medium that takes writing'
+    """
+    if not isinstance(error, OSError) or error.errno is None:
+        return " ".join(str(error).split()) or type(error).__name__
+    # A library puts words of its own around those of the system.
+    why = os.strerror(error.errno) if error.errno in NO_ROOM else reason(error)
+    expected = remedy(error)
+    text = f"{error.filename}: {why}" if error.filename else why
+    return " ".join(f"{text}; expected {expected}".split()) if expected else " ".join(text.split())
+
+
+def no_room_to_unpack(path: object, error: OSError) -> InputError:
+    """What is to be said where a file is unpacked into the system's folder for temporary files, which is full."""
+    import tempfile
+
+    error.filename = tempfile.gettempdir()
+    return InputError(str(path), f"no room in {error.filename} to unpack it", "room there, or another folder by TMPDIR")
+
+
+def of_the_computer(error: BaseException) -> OSError | None:
+    """The system's error behind one that speaks of a file, where it says nothing of that file: a full disk where it is unpacked,
+    too many open files, no memory. None for all else."""
+    cause: BaseException | None = error
+    while cause is not None:
+        if isinstance(cause, OSError) and cause.errno in _OF_THE_COMPUTER:
+            return cause
+        cause = cause.__cause__
+    return None
 
 
 def database_errno(error: BaseException) -> int:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import io
+import os
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -19,6 +21,7 @@ from yieldmon.bus.gunzip import early_end_of, open_bytes
 from yieldmon.bus.log_notes import LogNotes
 from yieldmon.bus.mf4_reading import Mf4Log
 from yieldmon.bus.sqlite_log import SqliteLog
+from yieldmon.errors import NO_ROOM, no_room_to_unpack
 
 if TYPE_CHECKING:
     from _typeshed import WriteableBuffer
@@ -53,7 +56,7 @@ def read_binary(path: Path, suffix: str, compressed: bool, notes: LogNotes) -> I
                     notes.damage(f"{path}: frame {count}", problem)
             if flaw is not None:
                 notes.damage(f"{path}: byte {flaw[0]}", f"{flaw[1]}; reading stopped")
-        except OSError:
+        except (OSError, MemoryError):
             raise
         except Exception as error:  # noqa: BLE001 - parsers of binary formats raise anything on damaged bytes
             stream = getattr(reader, "file", None)
@@ -105,23 +108,32 @@ class _Head(io.RawIOBase):
 
 @contextmanager
 def _decompressed(path: Path, suffix: str, notes: LogNotes) -> Iterator[Path]:
-    """A temporary file with the decompressed bytes: SQLite and MF4 readers want a file with a name."""
+    """A temporary file with the decompressed bytes: SQLite and MF4 readers want a file with a name.
+
+    Raises InputError where there is no room for it: that the medium is full is no damage of the log.
+    """
     with tempfile.TemporaryDirectory(prefix="yieldmon-") as folder:
         plain = Path(folder) / f"log{suffix}"
-        with open_bytes(path, compressed=True) as packed, plain.open("wb") as out:
-            early_end = _unpacked(packed, out, shutil.disk_usage(folder).free)
+        try:
+            with open_bytes(path, compressed=True) as packed, plain.open("wb") as out:
+                early_end = _unpacked(packed, out, shutil.disk_usage(folder).free)
+        except OSError as error:
+            if error.errno not in NO_ROOM:
+                raise
+            raise no_room_to_unpack(path, error) from error
         if early_end is not None:
             notes.damage(str(path), early_end)
         yield plain
 
 
 def _unpacked(packed: io.BufferedReader, out: io.BufferedWriter, free_bytes: int) -> str | None:
-    """Copies the decompressed bytes, as many as there is room for; why they are not all, None where they are."""
-    limit = min(LARGEST_UNPACKED_BYTES, free_bytes // 2)
+    """Copies the decompressed bytes; why they are not all, None where they are. Raises OSError when half of the room is used."""
     written = 0
     while piece := packed.read(_UNPACK_STEP_BYTES):
         written += len(piece)
-        if written > limit:
-            return f"unpacks to more than {limit} bytes"
+        if written > LARGEST_UNPACKED_BYTES:
+            return f"unpacks to more than {LARGEST_UNPACKED_BYTES} bytes"
+        if written > free_bytes // 2:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         out.write(piece)
     return early_end_of(packed)

@@ -27,7 +27,7 @@ from yieldmon.bus.packed_format import (
     schema,
 )  # fmt: skip
 from yieldmon.bus.packed_writing import BLOCK_FRAMES
-from yieldmon.errors import InputError, brief, reason
+from yieldmon.errors import InputError, brief, of_the_computer, reason
 from yieldmon.identifiers import CLASSIC_BYTES
 
 if TYPE_CHECKING:
@@ -95,7 +95,11 @@ def read_blocks(
     except FileNotFoundError as error:
         raise InputError(str(path), reason(error), "a readable file of packed frames") from error
     except (pa.ArrowException, OSError, ValueError, LookupError, OverflowError) as error:
-        raise InputError(str(path), f"damaged: {brief(error)}", _EXPECTED) from error
+        raise InputError(str(path), _flaw(error), _EXPECTED) from error
+
+
+def _flaw(error: Exception) -> str:
+    return reason(error) if of_the_computer(error) is not None else f"damaged: {brief(error)}"
 
 
 def dropped_by_recorder(path: Path | str) -> int:
@@ -107,7 +111,7 @@ def dropped_by_recorder(path: Path | str) -> int:
         with parquet.ParquetFile(path) as source:
             count_text = (source.metadata.metadata or {}).get(DROPPED, b"0")
     except (pa.ArrowException, OSError) as error:
-        raise InputError(str(path), f"damaged: {brief(error)}", _EXPECTED) from error
+        raise InputError(str(path), _flaw(error), _EXPECTED) from error
     if not count_text.isdigit() or len(count_text) > _MOST_DIGITS:
         raise InputError(str(path), f"damaged: {count_text[:20]!r} frames lost by the recorder", _EXPECTED)
     return int(count_text)

@@ -103,6 +103,11 @@ class Dataset:
         if self._owner() == token:
             self._remove(_TEMPORARY)
 
+    def require(self, token: str) -> None:
+        """Raises Superseded where the token is not that of the run under way."""
+        if self._owner() != token:
+            raise Superseded
+
     def commit_of(self, name: str) -> Commit | None:
         """The partition of that name, None where it is not there. Raises InputError where its mark is damaged."""
         content = self._read(f"{name}/{MARK}")
@@ -138,6 +143,12 @@ class Dataset:
         """Of fsspec; None for files of this machine."""
         return None if self._local else self._files
 
+    def place_of(self, name: str | None) -> str | None:
+        """A file that could not be written, as a person knows it: the dataset for what is under way. Writing does not always name
+        its file."""
+        under_way = name is None or str(name).startswith(f"{self._root}/{_TEMPORARY}/")
+        return self.address if self._local and under_way else name
+
     @contextmanager
     def workspace(self) -> Iterator[Path]:
         """A folder of this machine to write a partition's files to; it goes at the end."""
@@ -161,8 +172,7 @@ class Dataset:
         paths = sorted(path for path in folder.iterdir() if path.is_file())
         listed = {path.name: {"bytes": path.stat().st_size, "sha256": digests.of_file(path)} for path in paths}
         mark = json.dumps({**content, "files": listed}, indent=1, sort_keys=True).encode() + b"\n"
-        if self._owner() != token:
-            raise Superseded
+        self.require(token)
         if self._local:
             self._rename(name, folder, mark)
         else:
@@ -171,8 +181,7 @@ class Dataset:
 
     def fail(self, name: str, problem: Mapping[str, Any], token: str) -> None:
         """Note that a partition cannot be measured; what an earlier run made of it stays, with the key of that run."""
-        if self._owner() != token:
-            raise Superseded
+        self.require(token)
         self._put(f"{_FAILED}/{name}.json", json.dumps(problem, indent=1, sort_keys=True).encode() + b"\n")
 
     def _rename(self, name: str, folder: Path, mark: bytes) -> None:
@@ -281,8 +290,10 @@ class Dataset:
         try:
             scratch.write_bytes(content)
             scratch.replace(target)
-        except OSError:
-            scratch.unlink(missing_ok=True)
+        except OSError as error:
+            error.filename = str(target)
+            with suppress(OSError):
+                scratch.unlink(missing_ok=True)
             raise
 
     def _remove(self, name: str) -> None:

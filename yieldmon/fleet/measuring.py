@@ -21,7 +21,7 @@ from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.plate import SweepEnded
 from yieldmon.engine.results import Result, WindowResult
 from yieldmon.engine.runs import FrameRun
-from yieldmon.errors import InputError
+from yieldmon.errors import InputError, of_the_computer
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import machine_file, parameter_file, ticket_file
 from yieldmon.files.ticket_file import WeighedTicket
@@ -160,7 +160,7 @@ def measure(
     Raises
     ------
     InputError
-        Nothing of the partition can be used.
+        Nothing of the partition can be used, or this computer cannot read it at present (`errors.of_the_computer`).
     """
     usable, poisoned = list(logs), []
     while True:
@@ -169,7 +169,7 @@ def measure(
             break
         except InputError as error:
             culprit = _culprit(error, usable)
-            if culprit is None or len(usable) == 1:
+            if culprit is None or len(usable) == 1 or of_the_computer(error) is not None:
                 raise
             later = usable[usable.index(culprit) + 1 :]
             faulty = {culprit: error} | {log: problem for log in later if (problem := _problem(log)) is not None}
@@ -243,6 +243,8 @@ def _problem(log: str) -> InputError | None:
         for _ in iter_blocks(log, notes):
             pass
     except InputError as error:
+        if of_the_computer(error) is not None:
+            raise
         return error
     return None
 
@@ -292,6 +294,8 @@ def _ticket_rows(logs: Sequence[dict[str, Any]], path: str, given: Sequence[str]
     try:
         found = ticket_file.load(path)
     except InputError as error:
+        if of_the_computer(error) is not None:
+            raise
         return [], [Poisoned(called[path], by_name(str(error), called))]
     rows_of = {row["name"]: row for row in logs}
     rows, unmatched = [], []

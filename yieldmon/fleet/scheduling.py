@@ -19,7 +19,7 @@ from typing import Any
 
 from yieldmon.errors import InputError
 from yieldmon.fleet.dataset import Superseded
-from yieldmon.fleet.worker import Outcome, Task, failed, there, work
+from yieldmon.fleet.worker import Outcome, Task, failed, left, there, work
 
 _RETRIES = 2
 """Of a task that failed for other reasons than its inputs, a storage that did not answer for instance."""
@@ -196,6 +196,13 @@ def _answer(future: Any, task: Task) -> Outcome:
     try:
         if isinstance(problem, Superseded):
             raise problem
-        return there(task) or failed(task, f"{type(problem).__name__}: {' '.join(str(problem).split())[:300]}")
+        known = there(task)
+        if known is not None:
+            return known
+        if isinstance(problem, MemoryError) or (isinstance(problem, OSError) and problem.errno is not None):
+            return left(task, problem)
+        return failed(task, f"{type(problem).__name__}: {' '.join(str(problem).split())[:300]}")
+    except OSError as error:
+        return left(task, error)
     except Superseded:
         raise InputError(task.dataset, "was taken over by another `fleet run`", "one run at a time") from None

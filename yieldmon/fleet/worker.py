@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
-from yieldmon.errors import InputError
+from yieldmon.errors import OF_THE_MEDIUM, InputError, of_the_computer, system_text
 from yieldmon.files import digests
 from yieldmon.fleet.dataset import Dataset
 from yieldmon.fleet.filesystem import local_copies
@@ -17,7 +17,7 @@ from yieldmon.fleet.measuring import Poisoned, by_name, measure, write_provenanc
 from yieldmon.repeats import repeated
 from yieldmon.service.configuration import Configuration
 
-DONE, SKIPPED, FAILED = "done", "skipped", "failed"
+DONE, SKIPPED, FAILED, LEFT = "done", "skipped", "failed", "left"
 _COPY, _UNREADABLE = "copy", "unreadable"
 
 
@@ -35,8 +35,9 @@ class Task:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a partition. status: DONE, SKIPPED (there already) or FAILED; frames: read for it; damages: what of its logs
-    could not be read or is none of ours, a line each."""
+    """What became of a partition. status: DONE, SKIPPED (there already), FAILED, or LEFT to the next run, which is no fault of its
+    own; frames: read for it; damages: what of its logs could not be read or is none of ours, a line each; why_left: one
+    line."""
 
     name: str
     status: str
@@ -44,18 +45,41 @@ class Outcome:
     seconds: int = 0
     poisoned: tuple[Poisoned, ...] = ()
     damages: tuple[str, ...] = ()
+    why_left: str = ""
 
 
 def work(task: Task) -> Outcome:
     """Measure a partition, unless the dataset has it from the same inputs, parameters and software.
+
+    A place that is full, read-only or not to be used by this user leaves the partition to the next run.
 
     Raises
     ------
     dataset.Superseded
         Another run has taken the dataset over.
     OSError
-        The storage fails.
+        The storage fails in another way, which it may not do again.
     """
+    try:
+        return _worked(task)
+    except OSError as error:
+        if error.errno not in OF_THE_MEDIUM:
+            raise
+        error.filename = Dataset(task.dataset).place_of(error.filename)
+        return left(task, error)
+
+
+def left(task: Task, error: BaseException) -> Outcome:
+    """A partition that the next run is to measure: what failed is the computer, of which nothing is noted in the dataset.
+
+    Raises Superseded.
+    """
+    with suppress(OSError):
+        Dataset(task.dataset).require(task.token)
+    return Outcome(task.partition.name, LEFT, why_left=system_text(error))
+
+
+def _worked(task: Task) -> Outcome:
     dataset = Dataset(task.dataset)
     try:
         if software() != task.software:
@@ -63,6 +87,9 @@ def work(task: Task) -> Outcome:
             raise InputError("worker", f"runs yieldmon {ours}", f"that of the client, {theirs}")
         return _measured(task, dataset)
     except InputError as error:
+        computer = of_the_computer(error)
+        if computer is not None:
+            raise computer from error
         return failed(task, str(error))
 
 
@@ -171,6 +198,8 @@ def _state(log: str) -> str | InputError:
     try:
         return digests.of_file(log)
     except InputError as error:
+        if of_the_computer(error) is not None:
+            raise
         return error
 
 

@@ -25,7 +25,7 @@ from yieldmon.fleet.filesystem import is_remote
 from yieldmon.fleet.identity import parameters_sha256, software
 from yieldmon.fleet.manifest import Partition
 from yieldmon.fleet.measuring import by_name
-from yieldmon.fleet.worker import DONE, FAILED, SKIPPED, Outcome, Task, refused
+from yieldmon.fleet.worker import DONE, FAILED, LEFT, SKIPPED, Outcome, Task, refused
 from yieldmon.resources import shipped
 from yieldmon.service import configuration
 from yieldmon.service.configuration import Configuration
@@ -72,12 +72,14 @@ def run(args: argparse.Namespace) -> int:
         with _interrupted_once(), _progress([task.partition for task in tasks]) as advance:
 
             def take(outcome: Outcome) -> None:
+                if outcome.status == LEFT and not any(before.status == LEFT for before in outcomes):
+                    _say(f"{outcome.name}: {outcome.why_left}; left to the next run, other days are tried")
                 outcomes.append(outcome)
                 advance(outcome)
 
             scheduling.run_all(tasks, scheduling.Cluster(args.scheduler, args.workers, args.adaptive), take, _say)
     except KeyboardInterrupt:
-        there = sum(outcome.status != FAILED for outcome in outcomes)
+        there = sum(outcome.status in (DONE, SKIPPED) for outcome in outcomes)
         _say(f"interrupted; {there} of {len(partitions)} days are in {args.out}, and the next run goes on from there")
         dataset.abandon(token)
         raise
@@ -88,7 +90,7 @@ def run(args: argparse.Namespace) -> int:
         print_json(document)
     else:
         print("\n".join(map(plain, _lines_of(document))), file=sys.stderr)
-    return 1 if document["poisoned"] else 0
+    return 1 if document["poisoned"] or document["left"] else 0
 
 
 def _say(line: str) -> None:
@@ -158,7 +160,7 @@ def _configurations(partitions: Sequence[Partition], args: argparse.Namespace) -
 def _document(
     out: str, outcomes: Sequence[Outcome], partitions: Sequence[Partition], refusals: Sequence[InputError]
 ) -> dict[str, Any]:
-    counts = {status: sum(outcome.status == status for outcome in outcomes) for status in (DONE, SKIPPED, FAILED)}
+    counts = {status: sum(outcome.status == status for outcome in outcomes) for status in (DONE, SKIPPED, FAILED, LEFT)}
     return {
         "dataset": out,
         "partitions": len(outcomes),
@@ -174,6 +176,11 @@ def _document(
                 for item in outcome.poisoned
             ),
         ],
+        "why_left": [
+            {"partition": outcome.name, "problem": outcome.why_left}
+            for outcome in sorted(outcomes, key=lambda outcome: outcome.name)
+            if outcome.status == LEFT
+        ],
         "doubtful": [
             {"partition": outcome.name, "problem": problem}
             for outcome in sorted(outcomes, key=lambda outcome: outcome.name)
@@ -183,18 +190,25 @@ def _document(
 
 
 def _lines_of(document: dict[str, Any]) -> list[str]:
-    poisoned: dict[tuple[str, str], list[str]] = {}
-    for item in document["poisoned"]:
-        poisoned.setdefault((item["partition"].partition("/")[0], item["problem"]), []).append(item["partition"])
-    lines = []
-    for (machine, problem), names in poisoned.items():
-        where = names[0] if len(names) == 1 else f"{machine} ({len(names)} days)"
-        lines.append(f"poisoned: {where}: {problem}" if where else f"poisoned: {problem}")
+    lines = [*_by_machine("poisoned", document["poisoned"]), *_by_machine("left to the next run", document["why_left"])]
     lines += [f"doubtful: {item['partition']}: {item['problem']}" for item in document["doubtful"]]
     lines.append(
-        f"{document['dataset']}: {document['done']} measured, {document['skipped']} there already, {document['failed']} failed; "
-        f"{document['frames']} frames"
+        f"{document['dataset']}: {document['done']} measured, {document['skipped']} there already, {document['failed']} failed"
+        + (f", {document['left']} left to the next run" if document["left"] else "")
+        + f"; {document['frames']} frames"
     )
+    return lines
+
+
+def _by_machine(what: str, items: Sequence[dict[str, Any]]) -> list[str]:
+    """A line for each problem of a machine."""
+    found: dict[tuple[str, str], list[str]] = {}
+    for item in items:
+        found.setdefault((item["partition"].partition("/")[0], item["problem"]), []).append(item["partition"])
+    lines = []
+    for (machine, problem), names in found.items():
+        where = names[0] if len(names) == 1 else f"{machine} ({len(names)} days)"
+        lines.append(f"{what}: {where}: {problem}" if where else f"{what}: {problem}")
     return lines
 
 

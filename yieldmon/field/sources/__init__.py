@@ -14,7 +14,7 @@ from functools import cache
 from pathlib import Path
 from types import ModuleType
 
-from yieldmon.errors import InputError, reason
+from yieldmon.errors import NO_ROOM, InputError, no_room_to_unpack, reason
 from yieldmon.field.table import HarvestTable
 
 from .options import ReadOptions
@@ -53,6 +53,8 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
                 table: HarvestTable = module.read(path, options)
                 return table
     except OSError as error:
+        if error.errno in NO_ROOM:
+            raise no_room_to_unpack(path, error) from error
         raise InputError(str(path), reason(error), "a harvest that can be read") from error
     except MemoryError as error:
         raise InputError(str(path), "needs more memory than there is", "a harvest") from error

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from yieldmon.errors import InputError, brief, reason
+from yieldmon.errors import InputError, brief, of_the_computer, reason
 from yieldmon.field.table import HarvestTable, Skipped, joined
 
 from . import isoxml, vector
@@ -43,6 +43,8 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
             try:
                 tables.append((one.name, _read(one, options)))
             except InputError as error:
+                if of_the_computer(error) is not None:
+                    raise
                 skipped.append(Skipped(brief(one.name), error.problem))
     if not tables:
         reasons = "; ".join(f"{one.part}: {one.why}" for one in skipped[:3]) or "it is empty"
@@ -116,6 +118,8 @@ class _Found:
         try:
             self.look(folder, name, depth + 1)
         except OSError as error:
+            if of_the_computer(error) is not None:
+                raise
             self.skipped.append(Skipped(brief(name), reason(error)))
 
     def _file(self, path: Path, name: str, depth: int) -> None:
@@ -143,6 +147,8 @@ class _Found:
                 for number, info in enumerate(members):
                     self._unpack(archive, info, home, number, name)
         except ZIP_DAMAGE as error:
+            if of_the_computer(error) is not None:
+                raise
             raise InputError(name or str(path), f"is a damaged zip: {brief(error)}", "a zip") from error
         return home
 
@@ -156,6 +162,8 @@ class _Found:
                 place = place.with_name(f"{number} {place.name}"[:_LONGEST_NAME])
             place.write_bytes(data)
         except ZIP_DAMAGE as error:
+            if of_the_computer(error) is not None:
+                raise
             self.skipped.append(Skipped(brief(_joined(name, info.filename)), f"cannot be unpacked: {brief(error)}"))
 
 

@@ -1,0 +1,171 @@
+"""`fleet run` on storage that is full, read-only or closed to this user: no fault of the day, which the next run measures."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import tempfile
+import zipfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.file_limit import files_end_at
+from tests.fleet import logs
+from tests.fleet.test_fleet_run import files, tasks
+from yieldmon import api
+from yieldmon.bus.log_writing import writing
+from yieldmon.cli.main import main
+from yieldmon.errors import InputError
+from yieldmon.field import sources
+from yieldmon.fleet.dataset import Dataset
+from yieldmon.fleet.worker import DONE, LEFT, SKIPPED, Outcome, work
+
+Resize = Callable[[str], None]
+Run = Callable[[], tuple[int, dict[str, Any], str]]
+
+
+@pytest.fixture(scope="module")
+def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return logs.tree(tmp_path_factory.mktemp("fleet") / "tree")
+
+
+@pytest.fixture(scope="module")
+def measured(tree: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("fleet") / "dataset"
+    assert [work(task).status for task in tasks(tree, out)] == [DONE] * 4
+    return out
+
+
+def whole(out: Path) -> dict[str, bytes]:
+    return {name: content for name, content in files(out).items() if name != "_run"}
+
+
+@pytest.fixture
+def small(tmp_path: Path) -> Iterator[tuple[Path, Resize]]:
+    """A medium of 80 KB of its own, and what mounts it anew with other options."""
+    place = tmp_path / "small"
+    place.mkdir()
+    mounted = subprocess.run(("mount", "-t", "tmpfs", "-o", "size=80k", "none", place), capture_output=True, check=False)
+    if mounted.returncode:
+        pytest.skip(f"no file system may be mounted here: {mounted.stderr.decode().strip()}")
+
+    def anew(options: str) -> None:
+        subprocess.run(("mount", "-o", f"remount,{options}", place), check=True)
+
+    try:
+        yield place, anew
+    finally:
+        subprocess.run(("umount", "-l", place), check=True)
+
+
+@pytest.fixture
+def run(tree: Path, capsys: pytest.CaptureFixture[str]) -> Callable[[Path], tuple[int, dict[str, Any], str]]:
+    def once(out: Path) -> tuple[int, dict[str, Any], str]:
+        code = main(["fleet", "run", str(tree), "--out", str(out), "--workers", "0", "--json"])
+        said = capsys.readouterr()
+        return code, json.loads(said.out), said.err
+
+    return once
+
+
+def test_days_that_a_full_disk_has_no_room_for_are_left(
+    small: tuple[Path, Resize], run: Callable[[Path], tuple[int, dict[str, Any], str]], measured: Path
+) -> None:
+    place, anew = small
+    out = place / "out"
+    code, document, said = run(out)
+    assert (code, document["done"], document["left"], document["failed"], document["poisoned"]) == (1, 1, 3, 0, [])
+    assert {item["problem"].partition("; ")[0] for item in document["why_left"]} == {f"{out}: No space left on device"}
+    assert said.count("left to the next run, other days are tried") == 1
+    assert "expected room for the file" in said
+    assert Dataset(str(out)).failures() == []
+    assert {*whole(out).items()} < {*whole(measured).items()}
+    anew("size=10m")
+    code, document, _ = run(out)
+    assert (code, document["done"], document["skipped"], document["left"]) == (0, 3, 1, 0)
+    assert whole(out) == whole(measured)
+
+
+def test_without_json_the_reason_stands_once_for_a_machine(
+    tree: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with files_end_at(4_000):
+        assert main(["fleet", "run", str(tree), "--out", str(tmp_path / "out"), "--workers", "0"]) == 1
+    *_, first, second, last = capsys.readouterr().err.splitlines()
+    for line, machine in ((first, "m0"), (second, "m1")):
+        assert line.startswith(f"left to the next run: machine={machine} (2 days): ")
+        assert line.endswith("File too large; expected a medium and a user that may have a file of this size (`ulimit -f`)")
+    assert last.endswith(": 0 measured, 0 there already, 0 failed, 4 left to the next run; 0 frames")
+
+
+def test_a_read_only_medium_leaves_the_day_and_what_is_there(small: tuple[Path, Resize], tree: Path) -> None:
+    place, anew = small
+    anew("size=10m")
+    first, second, *_ = tasks(tree, place / "out")
+    assert work(first).status == DONE
+    before = files(place / "out")
+    anew("ro")
+    outcomes = [work(first), work(second)]
+    assert [outcome.status for outcome in outcomes] == [LEFT, LEFT]
+    assert all("Read-only file system; expected a place on a medium that takes writing" in each.why_left for each in outcomes)
+    anew("rw")
+    assert files(place / "out") == before
+    assert [work(first).status, work(second).status] == [SKIPPED, DONE]
+
+
+def test_a_folder_that_this_user_may_not_write_leaves_the_day() -> None:
+    place = Path(tempfile.mkdtemp())
+    user, was_root = os.geteuid(), os.geteuid() == 0
+    try:
+        place.chmod(0o755)
+        logs.tree(place / "tree", 1, 1)
+        [task] = tasks(place / "tree", place / "out")
+        (place / "out").chmod(0o555)
+        if was_root:
+            os.seteuid(65534)
+        outcome = work(task)
+    finally:
+        os.seteuid(user)
+        (place / "out").chmod(0o755)
+        shutil.rmtree(place)
+    assert (outcome.status, outcome.poisoned) == (LEFT, ())
+    assert "Permission denied; expected a file or folder that user " in outcome.why_left
+
+
+def packed_log(path: Path) -> Path:
+    """A log that is unpacked into the folder for temporary files to be read."""
+    path.parent.mkdir(parents=True)
+    plain = path.with_suffix("")
+    source = logs.write(path.with_name("plain.log"))
+    with writing(plain) as writer:
+        for message in api.read_log(source):
+            writer.on_message_received(message)
+    source.unlink()
+    subprocess.run(("gzip", "-1", plain), check=True)
+    return path
+
+
+def test_no_room_to_unpack_a_log_is_no_damage_of_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = packed_log(tmp_path / "tree" / "m" / "1" / "a.db.gz")
+    [task] = tasks(tmp_path / "tree", tmp_path / "out")
+    with files_end_at(100_000):
+        outcome: Outcome = work(task)
+        assert main(["process", str(log), "--out", str(tmp_path / "rows.csv"), "--jobs", "1"]) == 2
+    assert (outcome.status, outcome.poisoned) == (LEFT, ())
+    expected = f"{log}: no room in {tempfile.gettempdir()} to unpack it; expected room there, or another folder by TMPDIR"
+    assert capsys.readouterr().err == f"yieldmon: {expected}\n"
+    assert not (tmp_path / "rows.csv").exists()
+    assert work(task).status == DONE
+
+
+def test_no_room_to_unpack_harvests_leaves_none_out(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "a.zip", "w") as archive:
+        for name, count in (("small.csv", 10), ("large.csv", 20_000)):
+            archive.writestr(name, "time_s,latitude_deg,longitude_deg,mass_flow_kg_s\n" + "1,50,10,5\n" * count)
+    with files_end_at(100_000), pytest.raises(InputError, match="no room in .* to unpack it; expected room there"):
+        sources.read(tmp_path / "a.zip", sources.ReadOptions())
