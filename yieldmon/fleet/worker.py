@@ -35,8 +35,8 @@ class Task:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a partition. status: DONE, SKIPPED (there already), FAILED, or LEFT to the next run, which is no fault of its
-    own; frames: read for it; damages: what of its logs could not be read or is none of ours, a line each; why_left: one
+    """What became of a partition. status: DONE, SKIPPED (there already), FAILED, or, by no fault of its own, LEFT to the next
+    run; frames: read for it; damages: what of its logs could not be read or is none of ours, a line each; why_left: one
     line."""
 
     name: str
