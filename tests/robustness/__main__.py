@@ -29,6 +29,7 @@ RUNS = {
     "files-simulation": "hostile logs, records, stores and names, umasks and installs, by seed; mends undone",
     "mends": "every point that an attack once found, with its mend undone: which simulation finds it again",
     "verdict-starts": "diagnose from random start parameters and from calibrate's: one verdict, the same names, the same F",
+    "two-daemons": "two daemons on one bus: address, faults, what the one without an address publishes",
     "web-attack": "the page and the control socket under attack beside a daemon that measures",
     "web-page": "the page in a browser: heap at sixty times the pace, a large map, faults, and what pages cost the daemon",
     "soak": "a day of traffic with faults: neither growth nor drift",

@@ -98,6 +98,30 @@ def test_requests_for_others_are_not(tmp_path: Path) -> None:
         assert [data[5:8].hex() for parts, data in sent(bench) if parts.group in answers] == ["e5fe00"]
 
 
+@pytest.mark.parametrize(
+    ("name", "conflict"),
+    [
+        (Name(identity_number=7, function=135, vehicle_system=17, industry_group=2), "MassFlow from another node"),
+        # Another monitor of one machine has an instance of its own, and other makers use the group for what they like.
+        (Name(identity_number=7, function=135, vehicle_system=17, industry_group=2, function_instance=1), None),
+        (Name(identity_number=7, function=135, vehicle_system=17, industry_group=2, manufacturer_code=89), None),
+        (None, None),
+    ],
+    ids=["a second monitor", "another instance", "another maker", "no claim"],
+)
+def test_a_second_monitor_at_an_address_of_its_own_is_a_conflict(tmp_path: Path, name: Name | None, conflict: str | None) -> None:
+    """It has lost ours, or found it taken: displays show the figures of both."""
+    with running(tmp_path, TEXT) as bench:
+        claimed(bench)
+        if name is not None:
+            say(bench, 0x18EEFF00 | 0xB8, name.data.hex())
+        for _ in range(4):
+            say(bench, 0x14FF1600 | 0xB8, "0100FFFF7DFFFFFF")
+            bench.play(1, 0.0)
+            bench.played()
+        assert bench.faults.get("OutputConflict") == conflict
+
+
 def test_a_lower_name_takes_the_address_and_frames_follow(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -304,7 +304,7 @@ _TABLE = (
         _C.OUTPUT_CONFLICT, 520205, 19, _W, 1, 10,
         "Another node sends frames that only this monitor sends.",
         "Displays may show the other node's figures; the plate may be driven by it.",
-        "Remove the second monitor or give it another address.",
+        "Remove the second monitor.",
         REPORTED,
     ),
     FaultDefinition(

@@ -9,6 +9,7 @@ from time import monotonic
 from typing import Any, cast
 
 import can
+from can.typechecking import CanFilter
 
 from yieldmon.bus.codec import Codec, FrameError
 from yieldmon.bus.opening import open_bus
@@ -18,7 +19,8 @@ from yieldmon.engine.faults import FaultCode
 from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.results import Result, frames_in, records_in
 from yieldmon.engine.totals import Totals
-from yieldmon.frames import Frame
+from yieldmon.frames import OUTPUTS, Frame
+from yieldmon.identifiers import GROUP_MASK, SOURCE_MASK
 from yieldmon.service.bus_time import BusTime
 from yieldmon.service.bus_traffic import BusTraffic, FrameRate
 from yieldmon.service.configuration import Configuration
@@ -71,6 +73,10 @@ class BusNode:
         self._configuration = configuration
         self._inputs = InputFrames(codec, configuration.signals)
         self._link = link_for(configuration)
+        # Other makers use these groups for messages of their own, so only a monitor's NAME makes them ours.
+        self._published = {
+            codec.layouts[name].identity & GROUP_MASK: name for name in OUTPUTS if not codec.layouts[name].any_source
+        }
         self._outputs = MappedOutputs(configuration.outputs, configuration.engine.totals)
         self._clock = clock
         self._address: int | None = None
@@ -92,12 +98,17 @@ class BusNode:
             settings.interface,
             settings.channel,
             settings.bitrate_bit_s,
-            filters=[*self._inputs.filters(), *self._outputs.filters(), *self._link.filters()],
+            filters=[*self._inputs.filters(), *self._outputs.filters(), *self._link.filters(), *self._rival_filters()],
             # A copy that comes back once is our own; without it, another node's first copy would pass for it.
             receive_own=settings.interface == "socketcan",
             receive_buffer_bytes=settings.receive_buffer_bytes,
             **cast("dict[str, Any]", settings.options),
         )
+
+    def _rival_filters(self) -> list[CanFilter]:
+        if not (self._configuration.outputs.shipped and self._configuration.document.network.enabled):
+            return []
+        return [CanFilter(can_id=group, can_mask=GROUP_MASK, extended=True) for group in self._published]
 
     def use(self, configuration: Configuration) -> None:
         """Go on with another configuration's machine, totals and names; the bus and its mapping stay."""
@@ -137,6 +148,8 @@ class BusNode:
             self._malformed += 1
             if self._malformed == 1:
                 _log.warning("%s", error)
+        if not heard and not published:
+            published = self._of_a_rival(message)
         concerned = self._link.concerns(message)
         mapped = self._outputs.name_of(message, self._link.address) if self._outputs.sends else None
         if (concerned or published or mapped) and self.transmitter.is_echo(message):
@@ -151,6 +164,12 @@ class BusNode:
         if mapped:
             self.faults.conflict(mapped, monotonic())
         return heard
+
+    def _of_a_rival(self, message: can.Message) -> Sequence[str]:
+        """The name of a frame that another monitor sends from an address of its own."""
+        identifier = message.arbitration_id
+        name = self._published.get(identifier & GROUP_MASK) if message.is_extended_id and not message.is_error_frame else None
+        return (name,) if name is not None and self._link.is_rival(identifier & SOURCE_MASK) else ()
 
     def silent_until_s(self, empty_until_s: float) -> float | None:
         """Bus time, s, up to which no frame of ours comes any more; None where one may. empty_until_s: of `items`."""

@@ -34,7 +34,7 @@ from yieldmon.network.identifier import (
     Identifier,
     RawFrame,
 )
-from yieldmon.network.name import Name
+from yieldmon.network.name import Name, NameMatch
 from yieldmon.network.node import Node, NodeSettings
 from yieldmon.network.process_data import PROCESS_DATA
 from yieldmon.network.sending import TransportSender
@@ -107,6 +107,9 @@ class Link(Protocol):
     def concerns(self, message: can.Message) -> bool:
         """Whether hear() has a use for a message."""
 
+    def is_rival(self, address: int) -> bool:
+        """Whether another monitor of the same kind, by its NAME, has claimed this address."""
+
     def start(self, now_s: float) -> list[can.Message]:
         """Begin, anew when the bus has come back."""
 
@@ -176,6 +179,10 @@ class FixedLink:
         """See Link."""
         return False
 
+    def is_rival(self, address: int) -> bool:
+        """See Link."""
+        return False
+
     def start(self, now_s: float) -> list[can.Message]:
         """See Link."""
         return []
@@ -233,6 +240,10 @@ class NetworkLink:
 
     def __init__(self, section: Network, machine: Machine, totals: TotalsSettings) -> None:
         name = name_of(section)
+        self._kind = NameMatch(
+            manufacturer_code=name.manufacturer_code, function_instance=name.function_instance, function=name.function,
+            vehicle_system=name.vehicle_system, industry_group=name.industry_group,
+        )  # fmt: skip
         self._preferred = section.preferred_address
         self._totals = totals
         self._node = Node(
@@ -275,6 +286,11 @@ class NetworkLink:
         if identifier >> 16 & 0x3FF not in _HEARD_FORMATS and identifier & SOURCE_MASK != self._address:
             return False
         return message.is_extended_id and not message.is_error_frame and not message.is_remote_frame
+
+    def is_rival(self, address: int) -> bool:
+        """See Link."""
+        name = self._node.addresses.name_of(address)
+        return name is not None and self._kind.matches(name)
 
     def start(self, now_s: float) -> list[can.Message]:
         """See Link."""
