@@ -2,11 +2,11 @@
 
     python -m tests.robustness two-daemons [--seconds S] [--case NAME]
 
-Each case starts two `yieldmon run` processes with stores of their own on python-can's udp_multicast, the second one while the first
-measures nominal traffic in real time. The NAMEs' identity numbers say who must win. For S seconds a third process listens: which
-addresses MassFlow comes from, and when each daemon shows which fault. Exit code 1 where the loser publishes anything from the
-winner's address once its claim was answered, or anything at all where it may take no other address; where OutputConflict or the
-loser's NetworkFault takes longer than --fault-s from the other's first MassFlow or claim; or where the winner misses a window.
+Each case starts two `yieldmon run` processes with stores of their own on python-can's udp_multicast, the second one while the
+first measures nominal traffic in real time. The NAMEs' identity numbers say who must win. For S seconds it is heard which
+addresses MassFlow comes from, and asked when each daemon shows which fault. Exit code 1 where the loser publishes from the
+winner's address, or anything at all where it may take no other one; where OutputConflict or the loser's NetworkFault takes
+longer than --fault-s from the other's first MassFlow or claim; or where the first one, as the winner, misses a window.
 """
 
 from __future__ import annotations
