@@ -180,7 +180,14 @@ def _from_csv(args: argparse.Namespace) -> _Source:
         if value is not None:
             raise InputError(option, f"{args.data} is not a store", f"a name that ends in {', '.join(recorded.STORE_SUFFIXES)}")
     path = _named_files.parameters_path(args.params) if args.params is not None else shipped(parameter_file.DEFAULT)
-    return _Source(table.load(args.data), without_stop_gap(parameter_file.load(path)), path, keep_effects=args.keep_effects)
+    source = _Source(table.load(args.data), without_stop_gap(parameter_file.load(path)), path, keep_effects=args.keep_effects)
+    if args.params is not None and source.parameters.effects and not args.keep_effects:
+        names = ", ".join(source.parameters.effects)
+        print(
+            f"yieldmon: {path.name} has {names}, looked for here as anything else; --keep-effects takes it as known",
+            file=sys.stderr,
+        )
+    return source
 
 
 def _from_store(args: argparse.Namespace, machine: Machine) -> _Source:

@@ -204,7 +204,10 @@ def _examined(
         quality,
         predicted,
         slopes,
-        (*sentences(fitted, uncertainty.correlation, basins, starts, quality), *of_model_error(fitted, known)),
+        (
+            *sentences(fitted, uncertainty.correlation, basins, starts, quality, problem.model.effects),
+            *of_model_error(fitted, known),
+        ),
     )
 
 

@@ -16,6 +16,8 @@ CONFIDENCE = 0.95
 OUTLIER_SDS = 5.0
 """Residual, in robust standard deviations, from which a row is named as an outlier."""
 
+_CERTAIN_P, _LIKELY_P = 0.001, 0.01
+"""Probabilities of a larger lack of fit by noise alone, below which an effect is missing, and may be."""
 _WIDER = 1.5
 """Standard deviation over standard error from which the difference is said."""
 
@@ -128,9 +130,14 @@ class ProfileCurve:
 
 
 def sentences(
-    fitted: Sequence[FittedParameter], correlation: Array, basins: Sequence[Basin], starts: int, quality: Residuals
+    fitted: Sequence[FittedParameter],
+    correlation: Array,
+    basins: Sequence[Basin],
+    starts: int,
+    quality: Residuals,
+    effects: Sequence[str],
 ) -> Iterable[str]:
-    """What a reader should know about a fit, one sentence each."""
+    """What a reader should know about a fit of a model with these effects, one sentence each."""
     for parameter in fitted:
         yield from _determination(parameter)
     for i in range(len(fitted)):
@@ -143,9 +150,16 @@ def sentences(
     if len(basins) > 1 and starts > 1:
         counts = ", ".join(str(b.starts) for b in basins)
         yield f"{len(basins)} distinct minima were found (starts that ended in each: {counts}); the best one is reported."
-    if quality.lack_of_fit_p < 0.001:
+    found = f"lack-of-fit F = {quality.lack_of_fit_f:.3g}"
+    if _CERTAIN_P <= quality.lack_of_fit_p < _LIKELY_P:
+        gravity = "" if "gravity" in effects else " Gravity acts on every machine: --effects gravity."
         yield (
-            f"the model misses by more than the replicates scatter (lack-of-fit F = {quality.lack_of_fit_f:.3g}, p < 0.001): "
+            f"the model may miss something ({found}, p = {quality.lack_of_fit_p:.2g}), and the intervals hold where it does not; "
+            f"see yieldmon diagnose.{gravity}"
+        )
+    if quality.lack_of_fit_p < _CERTAIN_P:
+        yield (
+            f"the model misses by more than the replicates scatter ({found}, p < {_CERTAIN_P:g}): "
             "an effect is missing; see yieldmon diagnose."
         )
     if quality.outlier_rows:
