@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from yieldmon.discrepancy.candidates import signature
+from yieldmon.discrepancy.choice import Choice
 from yieldmon.discrepancy.fit import Fit
-from yieldmon.discrepancy.selection import Choice
 
 
 def by_criterion(choice: Choice, criterion: str) -> str:

@@ -30,9 +30,9 @@ from studies.hidden_effects import cases, study
 from studies.hidden_effects import generator as g
 from yieldmon.discrepancy import confidence, diagnosis
 from yieldmon.discrepancy.alternatives import needed
+from yieldmon.discrepancy.merit import misfit
 from yieldmon.discrepancy.observations import Rows, with_cells
 from yieldmon.discrepancy.policy import Policy
-from yieldmon.discrepancy.selection import misfit
 from yieldmon.estimation import model_error
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.machine import RPM, Machine

@@ -9,11 +9,13 @@ from studies.hidden_effects import generator
 from tests.discrepancy.conftest import GRAIN
 from yieldmon.discrepancy import diagnosis, diagnosis_notes
 from yieldmon.discrepancy.alternatives import chosen_from_all, needed, one_angle_off
+from yieldmon.discrepancy.choice import Choice, Step
 from yieldmon.discrepancy.fit import fit
 from yieldmon.discrepancy.gap import lack_of_fit
+from yieldmon.discrepancy.merit import left_by_own_law, merit, misfit
 from yieldmon.discrepancy.observations import Rows, with_cells
 from yieldmon.discrepancy.policy import Policy
-from yieldmon.discrepancy.selection import Choice, Search, Step, left_by_own_law, merit, misfit
+from yieldmon.discrepancy.selection import Search
 from yieldmon.estimation import model_error
 
 NOTHING = diagnosis.Options(policy=Policy(most_effects=0), hold_out="none")

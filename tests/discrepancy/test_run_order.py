@@ -9,12 +9,13 @@ import pytest
 
 from tests.discrepancy.test_alternatives import LAST_RULES, published
 from yieldmon.discrepancy import observations
+from yieldmon.discrepancy.choice import Choice, Step
 from yieldmon.discrepancy.diagnosis_notes import of_run_order
 from yieldmon.discrepancy.fit import fit
 from yieldmon.discrepancy.gap import lack_of_fit
 from yieldmon.discrepancy.observations import Rows, with_cells
 from yieldmon.discrepancy.run_order import BETWEEN, DRIFT, blocked_by, of_order, speeds_in_turn
-from yieldmon.discrepancy.selection import Choice, Search, Step
+from yieldmon.discrepancy.selection import Search
 from yieldmon.files import table
 from yieldmon.physics.machine import Machine
 

@@ -9,9 +9,10 @@ import pytest
 
 from yieldmon.discrepancy import candidates, diagnosis
 from yieldmon.discrepancy.candidates import Score
+from yieldmon.discrepancy.choice import Candidate, Step
 from yieldmon.discrepancy.fit import Fit, fit
 from yieldmon.discrepancy.policy import Policy
-from yieldmon.discrepancy.selection import Candidate, Search, Step
+from yieldmon.discrepancy.selection import Search
 
 USUAL = Policy()
 NAMED_NOTHING = diagnosis.Options(policy=Policy(most_effects=0), hold_out="none")

@@ -13,9 +13,9 @@ from pathlib import Path
 from yieldmon.cli import _named_files, _outputs, model_options
 from yieldmon.cli._json import print_json
 from yieldmon.discrepancy import adoption, diagnosis, planning, report
+from yieldmon.discrepancy.choice import Step
 from yieldmon.discrepancy.diagnosis_document import to_document
 from yieldmon.discrepancy.fit import Fit
-from yieldmon.discrepancy.selection import Step
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.stop_gap import without_stop_gap

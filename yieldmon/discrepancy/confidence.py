@@ -16,8 +16,8 @@ import numpy as np
 
 from yieldmon.physics.numerics import Array
 
+from .choice import Choice
 from .policy import Policy
-from .selection import Choice
 
 FEATURES = ("stability", "margin", "misfit", "strength", "further", "effects", "against")
 """What the map goes by, see `features`."""

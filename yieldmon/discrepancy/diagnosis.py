@@ -23,6 +23,7 @@ from yieldmon.physics.numerics import Array
 from . import diagnosis_notes
 from . import observations as obs
 from .candidates import library, signature
+from .choice import Choice, withdrawn
 from .confidence import calibrated, doubted, shipped
 from .detectability import minimum_detectable, size_seen
 from .experiment import Plan, plan
@@ -31,7 +32,7 @@ from .gap import LackOfFit, Region, change_with_load, lack_of_fit, noise_floor, 
 from .noise import Noise, estimate
 from .policy import Policy
 from .proof import Proof, Share, mean_square_interval, prove, share
-from .selection import Choice, choose, withdrawn
+from .selection import choose
 from .stopgap import Correction, correction
 
 Progress = Callable[[str, float], None]

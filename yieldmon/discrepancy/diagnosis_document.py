@@ -11,10 +11,10 @@ from yieldmon.documents.diagnose import DiagnosisDocument, Gap, MeasureDocument,
 from yieldmon.physics.effects import family_of, get_effect, registry
 from yieldmon.physics.machine import RPM
 
+from .choice import Step
 from .diagnosis import Diagnosis, Measure
 from .fit import Fit
 from .gap import Region, fills
-from .selection import Step
 from .stopgap import Correction
 
 

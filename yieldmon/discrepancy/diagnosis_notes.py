@@ -8,14 +8,15 @@ from scipy import stats
 
 from yieldmon.estimation.gaussian import REACH_95
 
+from .choice import Choice, rows_searched
 from .fit import Fit, fit
 from .gap import LackOfFit, fills, lack_of_fit_but_one, lack_without_pattern
+from .merit import left_by_own_law, merit, misfit
 from .noise import Noise
 from .observations import Rows
 from .policy import DEFAULT, Policy
 from .proof import Proof
 from .run_order import blocked_by, drift
-from .selection import Choice, left_by_own_law, merit, misfit, rows_searched
 
 _SURE = 1e-3
 """p value from which conditions scatter more than repetitions."""

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .candidates import library
+from .choice import Choice
 from .fit import Frame, fit_base
 from .force_change import Visible
 from .lattice import Lattice
@@ -22,7 +23,7 @@ from .machine_comparison import Comparison, Own
 from .noise import Noise
 from .observations import cells
 from .policy import Policy
-from .selection import Choice, choose
+from .selection import choose
 
 LEAST_MACHINES = 3
 _STATED = 1e6

@@ -18,12 +18,12 @@ from yieldmon.physics.effects import get_effect, registry
 from yieldmon.physics.machine import RPM
 from yieldmon.physics.numerics import Array
 
+from .choice import Step, rows_searched
 from .diagnosis import Diagnosis, HeldOut, Measure
 from .experiment import Plan
 from .fit import Fit
 from .gap import Region
 from .policy import DEFAULT
-from .selection import Step, rows_searched
 
 Intervals = tuple[tuple[float, float], tuple[float, float]]
 """Of the lack of fit before and after."""

@@ -7,16 +7,17 @@ error, so neither a tie nor a gap rests on one way to write it.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from yieldmon.discrepancy.choice import Candidate, Choice, Step, rows_searched
+from yieldmon.discrepancy.merit import by_own_error, by_weight, far_ahead, left_by_own_law, merit, misfit
 from yieldmon.documents.diagnose import Verdict
-from yieldmon.estimation.model_error import off
 from yieldmon.physics.effects import family_of
 from yieldmon.physics.numerics import Array
 
-from .alternatives import FREE_SHAPE, chosen_from_all, needed, of_other_laws, one_angle_off
+from .alternatives import chosen_from_all, needed, one_angle_off
 from .candidates import (
     Score,
     errors,
@@ -32,66 +33,11 @@ from .candidates import (
 )
 from .crossvalidation import grouped_error
 from .fit import Fit, fit
-from .gap import LackOfFit, lack_of_fit, lack_of_fit_but_one
+from .gap import lack_of_fit, lack_of_fit_but_one
 from .noise import Noise
 from .pairs import screen
 from .policy import DEFAULT, Policy
 from .run_order import is_asked, of_order
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """One candidate at one step: its refit, gain in chi-square, global p value; refused where it wins only at a bound."""
-
-    effect: str
-    fit: Fit
-    gain: float
-    p_value: float
-    cross_validated: float
-    refused: str = ""
-
-
-@dataclass(frozen=True)
-class Step:
-    """One effect added: candidates in the order of their merit, and those that the data cannot tell from the first."""
-
-    added: str
-    candidates: tuple[Candidate, ...]
-    equivalent: tuple[str, ...]
-    confidence: float
-    law: str
-    """The law by which it was fitted, as in `Fit.effects`."""
-    stability: float = 1.0
-    """Share of samples, with errors drawn anew, in which the effect, or one tied with it, still wins."""
-    margin: float = float("inf")
-    """-2 log evidence by which the nearest candidate that is not tied is worse; inf where there is none."""
-    name_confidence: float = float("nan")
-    """Probability that the cause is this effect, and not one tied with it."""
-
-
-@dataclass(frozen=True)
-class Choice:
-    """The verdict ("effect", "none", "unknown") with the fits behind it; `partial` holds what helps but does not explain."""
-
-    verdict: Verdict
-    base: Fit
-    best: Fit
-    base_gap: LackOfFit
-    best_gap: LackOfFit
-    steps: tuple[Step, ...]
-    looked_at: tuple[Candidate, ...]
-    """Candidates of the first step."""
-    p_any: float
-    """Global p value of the strongest candidate."""
-    rivals: tuple[Fit, ...] = field(default=())
-    against: str = ""
-    """Why the steps are candidates and no names, where the verdict is "unknown" in spite of them."""
-
-    @property
-    def named(self) -> tuple[str, ...]:
-        """Effects in the order they were added; empty unless the verdict is "effect"."""
-        return tuple(step.added for step in self.steps) if self.verdict == "effect" else ()
-
 
 Progress = Callable[[str, float], None]
 Places = dict[str, tuple[Candidate, ...]]
@@ -483,65 +429,3 @@ class Search:
             scores.append(np.sum(away**2, axis=0) - taken + rival.integrated[1])
         winner = np.argmin(np.stack(scores), axis=0)
         return float(np.mean(np.array([True, *tied])[winner]))
-
-
-def far_ahead(found: Fit, steps: Sequence[Step], policy: Policy) -> bool:
-    """Whether one effect explains the rows, and every rival that is not tied is behind by very strong evidence."""
-    return len(found.effects) == 1 and steps[0].margin >= chosen_from_all(policy.per_parameter)
-
-
-def by_own_error(found: Fit) -> float:
-    """Chi-square that the model's own error makes in the mean."""
-    return float(np.sum(off(found.own_error, found.tangent()) ** 2))
-
-
-def left_by_own_law(found: Fit, steps: Sequence[Step], noise: Noise, excess: float, policy: Policy) -> bool:
-    """Whether one effect, far ahead of all others, leaves a gap by its law as written, a small one that another shape explains.
-
-    What the model's own error makes of the chi-square is no part of the gap.
-    """
-    if not far_ahead(found, steps, policy):
-        return False
-    small = found.chi2 - found.dof - by_own_error(found) <= policy.own_law_share * excess
-    written = lack_of_fit(found, noise, laws=False)
-    return small and written.p_value < policy.gap_p <= lack_of_fit(found, noise, beside=of_other_laws(found, FREE_SHAPE)).p_value
-
-
-def withdrawn(choice: Choice, policy: Policy) -> Choice:
-    """The choice whose named effects unseen rows do not confirm: "unknown" where a gap is left, else "none"."""
-    verdict: Verdict = "unknown" if choice.base_gap.p_value < policy.gap_p else "none"
-    return replace(choice, verdict=verdict)
-
-
-def rows_searched(found: Fit) -> str:
-    """The rows that a fit of the search is judged on: fewer than all, where some are kept aside."""
-    return f"on the {len(found.frame.cells.rows)} rows searched"
-
-
-def misfit(fits: Sequence[Fit]) -> float:
-    """Chi-square per degree of freedom of the best of the fits, laws integrated out, at least 1: the unit of differences."""
-    return max(min((f.integrated[0] / max(f.dof, 1) for f in fits), default=1.0), 1.0)
-
-
-def merit(candidate: Fit, scale: float, policy: Policy) -> float:
-    """-2 log of a fit's evidence: chi-square over `scale` with its errors integrated out, and what its parameters cost.
-
-    That is their number, and their distance in wide prior widths.
-    """
-    chi2, volume = candidate.integrated
-    cost = volume + policy.per_parameter * len(candidate.parameters)
-    for p, v in zip(candidate.parameters, candidate.x, strict=True):
-        if np.isfinite(p.prior_sd):
-            cost += min(((float(v) - p.start) / (5.0 * p.prior_sd)) ** 2, 4.0)
-    return chi2 / scale + cost
-
-
-def by_weight(current: Fit, order: Sequence[str]) -> list[str]:
-    """Effects by the chi-square that leaving each out would cost, greatest first."""
-    if len(order) < 2:
-        return list(order)
-    costs = {}
-    for name in order:
-        reduced = fit(current.frame, tuple(e for e in current.effects if e != name), current.values)
-        costs[name] = reduced.chi2 if reduced is not None else np.inf
-    return sorted(order, key=lambda name: -costs[name])

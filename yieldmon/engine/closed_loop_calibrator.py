@@ -38,11 +38,11 @@ from yieldmon.estimation.closed_loop_outcome import Outcome, ScaleReport
 from yieldmon.estimation.common_bias import CommonBias, KernelLesson
 from yieldmon.estimation.load_inputs import LoadSettings
 from yieldmon.estimation.load_pattern import EFFECT as LOAD_PATTERN
-from yieldmon.estimation.loads import known_slip
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.steady_drift import Advance, DriftingParameters, advance, begin, carried, learn
 from yieldmon.estimation.sweep_worth import OtherChannels, SweepPlan, SweepWorth, sweep_worth, window_times_s
+from yieldmon.estimation.wrong_tickets import known_slip
 from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array
 

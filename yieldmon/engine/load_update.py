@@ -16,10 +16,11 @@ from yieldmon.estimation.closed_loop_inputs import MassAnchor
 from yieldmon.estimation.closed_loop_outcome import Outcome, ScaleReport
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
 from yieldmon.estimation.density_and_gain import in_form_of, widened
+from yieldmon.estimation.load_departures import departure, departures, errors_of
 from yieldmon.estimation.load_inputs import LoadSettings, WeighedLoad
 from yieldmon.estimation.load_outcome import LIKELY_ANOTHER, LoadCalibration, curve_sentence, wrong_ticket_sentence
 from yieldmon.estimation.load_pattern import EFFECT as LOAD_PATTERN
-from yieldmon.estimation.loads import calibrate_loads, departure, departures, errors_of
+from yieldmon.estimation.loads import calibrate_loads
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.steady_drift import DriftingParameters
 from yieldmon.physics.model import ForwardModel

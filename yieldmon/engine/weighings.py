@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Container, Sequence
 
+from yieldmon.estimation.load_departures import departure
 from yieldmon.estimation.load_inputs import LoadSettings, WeighedLoad
-from yieldmon.estimation.loads import LEAST_LOADS, contradicted, departure
 from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.wrong_tickets import LEAST_LOADS, contradicted
 from yieldmon.physics.model import ForwardModel
 
 _KEPT = 6

@@ -13,12 +13,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from yieldmon.discrepancy.choice import Choice
 from yieldmon.discrepancy.fleet import LEAST_MACHINES, examine
 from yieldmon.discrepancy.force_change import Visible
 from yieldmon.discrepancy.lattice import Lattice, lay, reference_force_n, with_force
 from yieldmon.discrepancy.machine_comparison import Own
 from yieldmon.discrepancy.policy import Policy
-from yieldmon.discrepancy.selection import Choice
 from yieldmon.errors import InputError
 from yieldmon.estimation.home_flow import AwayVisits
 from yieldmon.estimation.parameters import ParameterSet

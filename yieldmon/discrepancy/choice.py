@@ -1,0 +1,76 @@
+"""What a search for missing effects found: candidates, steps, verdict."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+from yieldmon.documents.diagnose import Verdict
+
+from .fit import Fit
+from .gap import LackOfFit
+from .policy import Policy
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One candidate at one step: its refit, gain in chi-square, global p value; refused where it wins only at a bound."""
+
+    effect: str
+    fit: Fit
+    gain: float
+    p_value: float
+    cross_validated: float
+    refused: str = ""
+
+
+@dataclass(frozen=True)
+class Step:
+    """One effect added: candidates in the order of their merit, and those that the data cannot tell from the first."""
+
+    added: str
+    candidates: tuple[Candidate, ...]
+    equivalent: tuple[str, ...]
+    confidence: float
+    law: str
+    """The law by which it was fitted, as in `Fit.effects`."""
+    stability: float = 1.0
+    """Share of samples, with errors drawn anew, in which the effect, or one tied with it, still wins."""
+    margin: float = float("inf")
+    """-2 log evidence by which the nearest candidate that is not tied is worse; inf where there is none."""
+    name_confidence: float = float("nan")
+    """Probability that the cause is this effect, and not one tied with it."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The verdict ("effect", "none", "unknown") with the fits behind it; `partial` holds what helps but does not explain."""
+
+    verdict: Verdict
+    base: Fit
+    best: Fit
+    base_gap: LackOfFit
+    best_gap: LackOfFit
+    steps: tuple[Step, ...]
+    looked_at: tuple[Candidate, ...]
+    """Candidates of the first step."""
+    p_any: float
+    """Global p value of the strongest candidate."""
+    rivals: tuple[Fit, ...] = field(default=())
+    against: str = ""
+    """Why the steps are candidates and no names, where the verdict is "unknown" in spite of them."""
+
+    @property
+    def named(self) -> tuple[str, ...]:
+        """Effects in the order they were added; empty unless the verdict is "effect"."""
+        return tuple(step.added for step in self.steps) if self.verdict == "effect" else ()
+
+
+def withdrawn(choice: Choice, policy: Policy) -> Choice:
+    """The choice whose named effects unseen rows do not confirm: "unknown" where a gap is left, else "none"."""
+    verdict: Verdict = "unknown" if choice.base_gap.p_value < policy.gap_p else "none"
+    return replace(choice, verdict=verdict)
+
+
+def rows_searched(found: Fit) -> str:
+    """The rows that a fit of the search is judged on: fewer than all, where some are kept aside."""
+    return f"on the {len(found.frame.cells.rows)} rows searched"

@@ -1,0 +1,67 @@
+"""Which of two fits says more: evidence, what an effect weighs, how far ahead it is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from yieldmon.discrepancy.choice import Step
+from yieldmon.estimation.model_error import off
+
+from .alternatives import FREE_SHAPE, chosen_from_all, of_other_laws
+from .fit import Fit, fit
+from .gap import lack_of_fit
+from .noise import Noise
+from .policy import Policy
+
+
+def far_ahead(found: Fit, steps: Sequence[Step], policy: Policy) -> bool:
+    """Whether one effect explains the rows, and every rival that is not tied is behind by very strong evidence."""
+    return len(found.effects) == 1 and steps[0].margin >= chosen_from_all(policy.per_parameter)
+
+
+def by_own_error(found: Fit) -> float:
+    """Chi-square that the model's own error makes in the mean."""
+    return float(np.sum(off(found.own_error, found.tangent()) ** 2))
+
+
+def left_by_own_law(found: Fit, steps: Sequence[Step], noise: Noise, excess: float, policy: Policy) -> bool:
+    """Whether one effect, far ahead of all others, leaves a gap by its law as written, a small one that another shape explains.
+
+    What the model's own error makes of the chi-square is no part of the gap.
+    """
+    if not far_ahead(found, steps, policy):
+        return False
+    small = found.chi2 - found.dof - by_own_error(found) <= policy.own_law_share * excess
+    written = lack_of_fit(found, noise, laws=False)
+    return small and written.p_value < policy.gap_p <= lack_of_fit(found, noise, beside=of_other_laws(found, FREE_SHAPE)).p_value
+
+
+def misfit(fits: Sequence[Fit]) -> float:
+    """Chi-square per degree of freedom of the best of the fits, laws integrated out, at least 1: the unit of differences."""
+    return max(min((f.integrated[0] / max(f.dof, 1) for f in fits), default=1.0), 1.0)
+
+
+def merit(candidate: Fit, scale: float, policy: Policy) -> float:
+    """-2 log of a fit's evidence: chi-square over `scale` with its errors integrated out, and what its parameters cost.
+
+    That is their number, and their distance in wide prior widths.
+    """
+    chi2, volume = candidate.integrated
+    cost = volume + policy.per_parameter * len(candidate.parameters)
+    for p, v in zip(candidate.parameters, candidate.x, strict=True):
+        if np.isfinite(p.prior_sd):
+            cost += min(((float(v) - p.start) / (5.0 * p.prior_sd)) ** 2, 4.0)
+    return chi2 / scale + cost
+
+
+def by_weight(current: Fit, order: Sequence[str]) -> list[str]:
+    """Effects by the chi-square that leaving each out would cost, greatest first."""
+    if len(order) < 2:
+        return list(order)
+    costs = {}
+    for name in order:
+        reduced = fit(current.frame, tuple(e for e in current.effects if e != name), current.values)
+        costs[name] = reduced.chi2 if reduced is not None else np.inf
+    return sorted(order, key=lambda name: -costs[name])
