@@ -714,8 +714,10 @@ def test_a_ticket_of_another_crop_taken_back_leaves_the_present_one() -> None:
         learn_at(learning, sweep, enter(learning, number))
     learning.change_grain("wheat", "rapeseed")
     learning.use(rapeseed, 0.0)
-    assert learn_at(learning, sweep, at_s := enter(learning, 3)) == 1
-    learning.forget_ticket(frozenset({1}))
+    at_s = enter(learning, 3)
+    assert learn_at(learning, sweep, at_s) == 1
+    summaries = (LoadSummary(2, 2000.0, 2500.0, 6000.0, 0.0, 0.0, complete=True),)
+    learning.teach_again(frozenset({1}), [(2, 6000.0, 5.0)], frozenset(), summaries, at_s, "wheat")
     assert not learning.masses_wait
     assert learn_at(learning, sweep, at_s + 1.0) == 0
     learning.change_grain("rapeseed", "wheat")

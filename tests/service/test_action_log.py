@@ -11,5 +11,5 @@ def test_tickets_that_update_wait_until_they_are_taken_or_taken_back() -> None:
     tickets = [Ticket(float(n), n, n, 100.0 + n, 99.0, "") for n in range(1, 4)]
     assert [log.ticket(ticket, is_reference=ticket.first_load != 2) for ticket in tickets] == [1, 2, 3]
     assert log.waiting == [1, 3]
-    assert log.undo_ticket(3, "somebody", 6.0)[0] == tickets[2]
+    assert log.undo_ticket(3, "somebody", 6.0) == tickets[2]
     assert log.waiting == [1]

@@ -24,12 +24,38 @@ def undone(time_s: float | None, who: str | None) -> str:
 
 def back(answer: Mapping[str, Any]) -> str:
     """What an undo of a calibration did."""
-    tickets = ", ".join(map(str, answer.get("standing_tickets", ())))
-    left = f"; what ticket {tickets} taught is undone with it: enter such a mass again if it is right" if tickets else ""
+    left = _teaching(answer)
     if answer.get("crop"):
         return f"calibration {answer['undone']} undone for {answer['crop']}; the parameters in use now stay{left}"
     undone_ = str(answer["undone"]) if answer["undone"] == answer["until"] else f"{answer['undone']} to {answer['until']}"
     return f"calibration {undone_} undone, what was in use before is version {answer['version']}{left}"
+
+
+def _teaching(answer: Mapping[str, Any]) -> str:
+    """What becomes of what standing tickets and sweeps had taught since."""
+    parts = []
+    if again := answer.get("learnt_again"):
+        parts.append(f"what ticket {_listed(again)} taught is learnt again without it")
+    parts += [f"ticket {row['ticket']} is not learnt again: {row['why']}" for row in answer.get("not_learnt_again", ())]
+    if "not_learnt_again" not in answer and answer.get("standing_tickets"):
+        tickets = _listed(answer["standing_tickets"])
+        parts.append(f"what ticket {tickets} taught is undone with it: enter such a mass again if it is right")
+    if count := answer.get("sweeps_undone"):
+        sweeps = "a sweep" if count == 1 else f"{count} sweeps"
+        parts.append(f"what {sweeps} taught since then is undone with it; the next one teaches anew")
+    return "".join(f"; {part}" for part in parts)
+
+
+def taken_back(answer: Mapping[str, Any]) -> str:
+    """What an undo of a ticket did."""
+    if "undone" in answer:
+        return f"ticket {answer['ticket']} undone; {back(answer)}"
+    stays = f"; what it taught stays: {answer['teaching_stays']}" if "teaching_stays" in answer else ""
+    return f"ticket {answer['ticket']} undone{stays}{_teaching(answer)}"
+
+
+def _listed(numbers: Iterable[int]) -> str:
+    return ", ".join(map(str, numbers))
 
 
 def show(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> None:

@@ -11,7 +11,7 @@ import sys
 
 from yieldmon.cli._daemon import add_daemon_arguments, ask_daemon, mass
 from yieldmon.cli._json import print_json
-from yieldmon.cli._records import back, show, undone, when
+from yieldmon.cli._records import show, taken_back, undone, when
 from yieldmon.cli._units import add_units
 from yieldmon.errors import InputError
 from yieldmon.files.units import units_of
@@ -106,7 +106,7 @@ def _undone(args: argparse.Namespace) -> int:
     if args.json:
         print_json(answer)
         return 0
-    print(f"ticket {answer['ticket']} undone" + (f"; {back(answer)}" if "undone" in answer else ""))
+    print(taken_back(answer))
     return 0
 
 

@@ -18,6 +18,10 @@ _LACKING_SHARE = 0.5
 """Of the mass measured between two readings, what no calibration is wrong by: the rest was unloaded."""
 
 
+Weighing = tuple[int, float, float]
+"""Of a load: its number, its mass and the standard deviation of that, kg."""
+
+
 class AnchorSource(StrEnum):
     """Where a reference mass came from."""
 

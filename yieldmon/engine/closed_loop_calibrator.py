@@ -28,7 +28,7 @@ from yieldmon.engine.records import (
 )
 from yieldmon.engine.scale_alarm import ScaleCheck, name_of
 from yieldmon.engine.sweep_records import density_anchor, median_moisture_pct, sweep_of
-from yieldmon.engine.weighings import Weighings
+from yieldmon.engine.weighings import KEPT_LOADS, Weighings
 from yieldmon.estimation import common_bias
 from yieldmon.estimation.admission import allowing_for, refusal
 from yieldmon.estimation.angle_pattern import EFFECT, with_pattern
@@ -345,12 +345,31 @@ class ClosedLoopCalibrator:
         reason = "the model disagrees with the sweeps; what rests on them is undone"
         return CalibrationOutcome(OpenLoop(self._model.with_effects(self._updated.effects), self._updated), reason)
 
-    def forget(self, load_numbers: frozenset[int], unused: Sequence[ReferenceMass]) -> None:
+    @property
+    def counted(self) -> frozenset[str]:
         """See records.SelfCalibrator."""
-        names = {f"load {number}" for number in (*load_numbers, *(a.load_number for a in unused))}
+        known = (self._weighings, *self._of_grain.values())
+        before = (name for grain in self._grains_before.values() for name in grain.weighed)
+        return frozenset((*(load.name for weighings in known for load in weighings.counted), *before))
+
+    def forget(
+        self, load_numbers: frozenset[int], estimator: FlowEstimator, counted: Sequence[ReferenceMass] | None = None
+    ) -> None:
+        """See records.SelfCalibrator."""
+        names = {f"load {number}" for number in load_numbers}
         for weighings in (self._weighings, *self._of_grain.values()):
             weighings.forget(names)
-        self._used = self._used - frozenset(unused)
+        for crop, grain in self._grains_before.items():
+            left = tuple(name for name in grain.weighed if name not in names)
+            self._grains_before[crop] = replace(grain, weighed=left, doubted="" if grain.doubted in names else grain.doubted)
+        self._used = frozenset(anchor for anchor in self._used if anchor.load_number not in load_numbers)
+        if counted is None:
+            return
+        used = self._in_use(estimator)
+        if self._origin is not None:
+            # Parameters from before an update come from where it came.
+            self._updated, self._restored = None, used
+        self._weigh_again([name_of(anchor) for anchor in counted][-KEPT_LOADS:], "", counted, used)
 
     def change_grain(self, before: str, now: str, used: Sequence[ReferenceMass], estimator: FlowEstimator | None = None) -> None:
         """See records.SelfCalibrator."""
@@ -404,7 +423,7 @@ class ClosedLoopCalibrator:
 
     def _kept_origin(self) -> PriorState | None:
         origin, known = self._origin, self._updated or self._restored
-        if origin is None or known is None or LOAD_PATTERN in origin.effects or LOAD_PATTERN not in known.effects:
+        if origin is None or known is None or origin is known or LOAD_PATTERN in origin.effects:
             return None
         return replace(_as_prior_state(origin), version=known.version)
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from math import isfinite, nan
+from math import isclose, isfinite, nan
 
 import numpy as np
 
-from yieldmon.engine.anchors import AnchorSource, ReferenceMass, TankScale
+from yieldmon.engine.anchors import AnchorSource, ReferenceMass, TankScale, Weighing
 from yieldmon.engine.budget import MassBudget
 from yieldmon.engine.disagreement import Disagreement
 from yieldmon.engine.flow import Flow
@@ -18,7 +18,7 @@ from yieldmon.engine.load_forces import LoadForces, LoadForceSums
 from yieldmon.engine.loads import LoadSummary
 from yieldmon.engine.measurement import Reading
 from yieldmon.engine.records import CalibrationOutcome, CalibrationStep, FlowEstimator, SelfCalibrator, WindowRecord
-from yieldmon.engine.scale_alarm import ScaleAlarm, as_stated
+from yieldmon.engine.scale_alarm import ScaleAlarm, as_stated, name_of
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.since_zero import KeptSecond
 from yieldmon.engine.state import TicketState
@@ -91,24 +91,43 @@ class Learning:
         """Whether a reference mass has come that was not handed to the calibrator yet."""
         return self._masses_new and self.calibrator is not None
 
-    def forget_ticket(self, load_numbers: frozenset[int]) -> None:
-        """A ticket for these loads was taken back; those entered since then teach anew."""
-        for grain, (tickets, _) in self._of_grain.items():
-            first = next((i for i, anchor in enumerate(tickets) if anchor.load_number in load_numbers), None)
-            if first is not None:
-                again = [a for a in tickets[first:] if a.load_number not in load_numbers]
-                self._of_grain[grain] = [*tickets[:first], *again], again
-                if self.calibrator is not None:
-                    self.calibrator.forget(load_numbers, again)
-        gone = [i for i, anchor in enumerate(self._tickets) if anchor.load_number in load_numbers]
-        if not gone:
-            return
-        later = [a for i, a in enumerate(self._tickets) if i > gone[0] and i not in gone]
-        self._waiting = later
-        self._tickets = deque((a for i, a in enumerate(self._tickets) if i not in gone), maxlen=self._tickets.maxlen)
+    @property
+    def counted_loads(self) -> frozenset[int]:
+        """See `Monitor.counted_loads`."""
+        counted = frozenset() if self.calibrator is None else self.calibrator.counted
+        tickets = (*self._tickets, *(anchor for kept, _ in self._of_grain.values() for anchor in kept))
+        return frozenset(anchor.load_number for anchor in tickets if name_of(anchor) in counted)
+
+    def teach_again(
+        self,
+        load_numbers: frozenset[int],
+        again: Sequence[Weighing],
+        learnt: frozenset[int] | None,
+        loads: tuple[LoadSummary, ...],
+        now_s: float,
+        crop: str,
+    ) -> None:
+        """Tickets for these loads were taken back, and with the parameters that they led to what others had taught: these teach
+        again. learnt: loads whose tickets the parameters rest on, None where these are as before. crop: of all, where another one
+        is harvested now, else "".
+
+        Raises ValueError as `ticket`.
+        """
+        anchors = [self._anchor(*weighing, loads, now_s) for weighing in again]
+        gone = load_numbers | {anchor.load_number for anchor in anchors}
+        tickets, waiting = self._of_grain.get(crop, ([], [])) if crop else (list(self._tickets), self._waiting)
+        tickets, waiting = _without(tickets, gone), [*_without(waiting, gone), *anchors]
         if self.calibrator is not None:
-            self.calibrator.forget(load_numbers, later)
-            self._masses_new = bool(later)
+            counted = None
+            if learnt is not None and not crop:
+                counted = [anchor for anchor in tickets if anchor.load_number in learnt and anchor not in waiting]
+            self.calibrator.forget(gone, self.estimator, counted)
+        if crop:
+            self._of_grain[crop] = [*tickets, *anchors], waiting
+            return
+        self._tickets = deque([*tickets, *anchors], maxlen=self._tickets.maxlen)
+        self._waiting = waiting
+        self._masses_new = bool(waiting) or (self._masses_new and bool(self._scale.anchors))
 
     @property
     def last_update(self) -> str:
@@ -230,6 +249,15 @@ class Learning:
         self, load_number: int, mass_kg: float, std_dev_kg: float, loads: tuple[LoadSummary, ...], now_s: float
     ) -> ReferenceMass:
         """A scale ticket for a load; see `Monitor.ticket`."""
+        anchor = self._anchor(load_number, mass_kg, std_dev_kg, loads, now_s)
+        self._tickets.append(anchor)
+        self._waiting.append(anchor)
+        self._masses_new = True
+        return anchor
+
+    def _anchor(
+        self, load_number: int, mass_kg: float, std_dev_kg: float, loads: tuple[LoadSummary, ...], now_s: float
+    ) -> ReferenceMass:
         if not (isfinite(mass_kg) and mass_kg > 0.0):
             raise ValueError(f"ticket for load {load_number}: mass {mass_kg} kg; expected a mass above 0 kg")
         if not (isfinite(std_dev_kg) and std_dev_kg > 0.0):
@@ -241,11 +269,7 @@ class Learning:
         if load is None:
             known = sorted(load.number for load in loads)
             raise ValueError(f"ticket for load {load_number}: no such load; expected one of {known}")
-        anchor = _ticket(load, forces, mass_kg, std_dev_kg, now_s)
-        self._tickets.append(anchor)
-        self._waiting.append(anchor)
-        self._masses_new = True
-        return anchor
+        return _ticket(load, forces, mass_kg, std_dev_kg, now_s)
 
     def know_load(self, load: LoadSummary, seconds: Iterable[KeptSecond]) -> None:
         """A closed load that an earlier run measured, so that a ticket for it updates the parameters."""
@@ -285,7 +309,8 @@ class Learning:
         return tuple(
             TicketState(a.load_number, a.reference_kg, a.std_dev_kg, a in waiting, crop)
             for crop, tickets, waiting in (*((name, *of_one) for name, of_one in self._of_grain.items()), in_use)
-            for a in tickets[-_KEPT_TICKETS:]
+            for place, a in enumerate(tickets)
+            if place >= len(tickets) - _KEPT_TICKETS or a in waiting
         )
 
     def remember_tickets(self, tickets: Sequence[ReferenceMass], waiting: Sequence[ReferenceMass]) -> None:
@@ -379,15 +404,18 @@ class Learning:
         return self._take(replace(outcome, identifiable=known), "kernels")
 
     def _learn_from_masses(self, record: WindowRecord) -> tuple[ParametersChanged, ...]:
-        """Hand reference masses that have come since the last update to the calibrator."""
+        """Hand reference masses that have come since the last update to the calibrator; of several tickets one with each window,
+        in the order of entry, so that they teach what they would have one by one."""
         if not self._masses_new:
             return ()
-        self._masses_new = False
-        self._waiting = []
         if self.calibrator is None:
+            self._masses_new, self._waiting = False, []
             self._compare()
             return ()
-        return self._take(self.calibrator.weigh(record, self.anchors, self.estimator))
+        self._waiting = _after_first_ticket(self._waiting)
+        self._masses_new = bool(self._waiting)
+        anchors = tuple(anchor for anchor in self.anchors if anchor not in self._waiting)
+        return self._take(self.calibrator.weigh(record, anchors, self.estimator))
 
     def _follow_drift(self, record: WindowRecord) -> tuple[ParametersChanged, ...]:
         """Between lessons the parameters go on as the lessons together say that they drift."""
@@ -421,6 +449,20 @@ class Learning:
         if forces is None:
             return nan
         return float(np.average(forces.moisture_pct, weights=forces.duration_s))
+
+
+def _after_first_ticket(waiting: Sequence[ReferenceMass]) -> list[ReferenceMass]:
+    """Those of later tickets: one for several loads shares its mass out over them by what was measured."""
+    for place in range(1, len(waiting)):
+        last, anchor = waiting[place - 1], waiting[place]
+        same = isclose(anchor.reference_kg * last.measured_kg, last.reference_kg * anchor.measured_kg, rel_tol=1e-9)
+        if not (same and anchor.load_number == last.load_number + 1):
+            return list(waiting[place:])
+    return []
+
+
+def _without(anchors: Iterable[ReferenceMass], load_numbers: frozenset[int]) -> list[ReferenceMass]:
+    return [anchor for anchor in anchors if anchor.load_number not in load_numbers]
 
 
 def _ticket(load: LoadSummary, forces: LoadForces | None, mass_kg: float, std_dev_kg: float, now_s: float) -> ReferenceMass:

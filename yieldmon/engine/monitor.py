@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from yieldmon.engine import operator_zero
-from yieldmon.engine.anchors import ReferenceMass
+from yieldmon.engine.anchors import ReferenceMass, Weighing
 from yieldmon.engine.disagreement import Disagreement
 from yieldmon.engine.faults import FaultCode
 from yieldmon.engine.loads import LoadEvents, LoadSummary
@@ -338,15 +338,35 @@ class Monitor:
         if own is not None and known is not None:
             own.go_on_with(known)
 
-    def forget_ticket(self, load_numbers: Sequence[int]) -> None:
-        """A ticket was taken back; those entered since then count anew.
+    def teach_again(
+        self, load_numbers: Sequence[int], again: Sequence[Weighing], learnt: Sequence[int] | None = None, crop: str = ""
+    ) -> None:
+        """Tickets were taken back; where they had taught, the parameters are those from before that, and others teach again.
 
         Parameters
         ----------
         load_numbers : sequence of int
-            The loads that it covered.
+            The loads that the tickets taken back covered.
+        again : sequence of (int, float, float)
+            Load, weighed mass and its standard deviation, kg, of each that is to teach again, in the order of entry: a ticket
+            with each window or sweep that ends.
+        learnt : sequence of int, optional
+            Loads with tickets that the parameters in use rest on; None where these are the same as before.
+        crop : str
+            Of all these, where another crop is harvested now: then they wait for its return.
+
+        Raises
+        ------
+        ValueError
+            As `ticket`.
         """
-        self._parts.learning.forget_ticket(frozenset(load_numbers))
+        taught, known = frozenset(load_numbers), None if learnt is None else frozenset(learnt)
+        self._parts.learning.teach_again(taught, again, known, self.loads, self._parts.bus_now, crop)
+
+    @property
+    def counted_loads(self) -> frozenset[int]:
+        """Loads whose tickets others are held against, of any crop."""
+        return self._parts.learning.counted_loads
 
     @property
     def masses_wait(self) -> bool:

@@ -366,8 +366,15 @@ class SelfCalibrator(Protocol):
         """What a sweep from now on is worth. record: the last window, at home; stops_deg: plate angle of each window of
         the sweep; None: not known."""
 
-    def forget(self, load_numbers: frozenset[int], unused: Sequence[ReferenceMass]) -> None:
-        """The weighings of these loads were wrong; those in `unused` have changed nothing that counts and may be used anew."""
+    @property
+    def counted(self) -> frozenset[str]:
+        """Names of the weighed loads that count, of any crop."""
+
+    def forget(
+        self, load_numbers: frozenset[int], estimator: FlowEstimator, counted: Sequence[ReferenceMass] | None = None
+    ) -> None:
+        """What was weighed of these loads counts no more and may be used anew. counted: reference masses of the present crop
+        that the parameters in use rest on; None: as before, less those."""
 
     def change_grain(self, before: str, now: str, used: Sequence[ReferenceMass], estimator: FlowEstimator | None = None) -> None:
         """Another crop from now on: what was weighed of the one before is kept for its return, and what its parameters were

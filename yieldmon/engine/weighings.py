@@ -10,7 +10,7 @@ from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.wrong_tickets import LEAST_LOADS, contradicted
 from yieldmon.physics.model import ForwardModel
 
-_KEPT = 6
+KEPT_LOADS = 6
 """Loads that count, which a new one is held against."""
 
 
@@ -45,7 +45,7 @@ class Weighings:
         self._counted = tuple(known for known in self._counted if known.name != load.name)
         error = self._contradiction(load, model, prior)
         if error is None:
-            self._counted = (*self._counted[1 - _KEPT :], load)
+            self._counted = (*self._counted[1 - KEPT_LOADS :], load)
             return None
         doubted = self._doubted
         if doubted is not None and contradicted(model, prior, [doubted], load, self._settings, least=1) is None:

@@ -6,6 +6,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 from yieldmon.errors import InputError
+from yieldmon.files.ticket_file import RELATIVE_STD_DEV
 from yieldmon.service import ledger as ledgers
 from yieldmon.service.batch import Action, Ticket
 
@@ -47,30 +48,85 @@ class ActionLog:
         self._new_actions.append(action)
         return action
 
-    def ticket(self, ticket: Ticket, who: str = "", *, is_reference: bool = False) -> int:
-        """A ticket; returns its number. is_reference: it was handed to the calibration."""
+    def ticket(self, ticket: Ticket, who: str = "", std_dev_kg: float | None = None, *, is_reference: bool = False) -> int:
+        """A ticket; returns its number. std_dev_kg: of the weighing. is_reference: it was handed to the calibration."""
         self._tickets.append(ticket)
         self._new_tickets.append(ticket)
         number = len(self._tickets)
-        self.add(ledgers.TICKET, who, {"ticket": number}, ticket.time_s)
+        document = {"ticket": number, "std_dev_kg": std_dev_kg, "reference": is_reference}
+        self.add(ledgers.TICKET, who, document, ticket.time_s)
         if is_reference:
             self.waiting.append(number)
         return number
 
-    def undo_ticket(self, number: int, who: str, now_s: float) -> tuple[Ticket, int | None]:
-        """Take a ticket back; returns it, and the version of the parameters that came of it. Raises InputError."""
+    def entered(self, number: int) -> Ticket:
+        """A ticket, whether or not it stands."""
+        return self._tickets[number - 1]
+
+    def standing_ticket(self, number: int) -> Ticket:
+        """A ticket that stands. Raises InputError where there is none of this number."""
         standing = self.ledger.tickets
         if number not in standing:
             known = ", ".join(map(str, standing)) or "a ticket that was entered; there is none"
             done = "is undone already" if 1 <= number <= len(self._tickets) else "no such ticket"
             raise InputError(f"ticket {number}", done, known)
-        self.add(ledgers.TICKET_UNDO, who, {"ticket": number}, now_s)
-        for kept in (self.waiting, *self._of_crop.values()):
-            if number in kept:
-                kept.remove(number)
-        updates = [version for version, action in self.updates.items() if number in action.document.get("tickets", ())]
+        return standing[number]
+
+    def first_lesson(self, number: int, *, counts: bool) -> int | None:
+        """The first version of the parameters that rests on a ticket; None where none that stands does, or a parameter file has
+        replaced it since. counts: it is among the weighed loads that others are held against, though it led to no version."""
         undone = self.undone_versions
-        return standing[number], next((version for version in updates if version not in undone), None)
+        for version, action in sorted(self.updates.items()):
+            led = action.document.get("tickets", ())
+            if version in undone or version <= self.calibrated_version:
+                continue
+            if number in led or (counts and any(int(other) > number for other in led)):
+                return version
+        return None
+
+    def undo_ticket(self, number: int, who: str, now_s: float) -> Ticket:
+        """Take a ticket back; returns it. Raises InputError."""
+        ticket = self.standing_ticket(number)
+        self.add(ledgers.TICKET_UNDO, who, {"ticket": number}, now_s)
+        self._wait_no_more([number])
+        return ticket
+
+    def wait_again(self, numbers: Sequence[int], crop: str) -> None:
+        """These tickets are to update the parameters anew. crop: of them, where another one is harvested now, else ""."""
+        self._wait_no_more(numbers)
+        (self._of_crop.setdefault(crop, []) if crop else self.waiting).extend(numbers)
+
+    def _wait_no_more(self, numbers: Sequence[int]) -> None:
+        for kept in (self.waiting, *self._of_crop.values()):
+            kept[:] = [number for number in kept if number not in numbers]
+
+    def not_learnt_after(self, number: int) -> tuple[int, ...]:
+        """Numbers of the standing tickets after one, of the parameter file in use, that were handed to the calibration and led to
+        no version that stands."""
+        handed = [a for a in self._actions if a.kind == ledgers.TICKET and a.document.get("reference", False)]
+        file = self.updates.get(self.calibrated_version)
+        since = 0 if file is None else file.number
+        later = (int(a.document["ticket"]) for a in handed if a.number > since)
+        gone, standing = self.undone_versions, self.ledger.tickets
+        standing_updates = [action for version, action in self.updates.items() if version not in gone]
+        learnt = {int(led) for action in standing_updates for led in action.document.get("tickets", ())}
+        return tuple(n for n in later if n > number and n in standing and n not in learnt)
+
+    def newest_of(self, numbers: Collection[int]) -> tuple[int, ...]:
+        """Of standing tickets with these numbers, the newest for the same loads."""
+        newest = {
+            (ticket.first_load, ticket.last_load): number for number, ticket in self.ledger.tickets.items() if number in numbers
+        }
+        return tuple(sorted(newest.values()))
+
+    def std_dev_kg(self, number: int) -> float:
+        """Of a ticket's weighing; where it was not kept the usual one."""
+        for action in self._actions:
+            if action.kind == ledgers.TICKET and action.document["ticket"] == number:
+                found = action.document.get("std_dev_kg")
+                if found is not None:
+                    return float(found)
+        return RELATIVE_STD_DEV * self._tickets[number - 1].weighed_mass_kg
 
     def change_crop(self, before: str, now: str) -> None:
         """Another crop from now on: tickets that have not updated the parameters wait for the return of theirs."""
@@ -136,11 +192,11 @@ class ActionLog:
     def standing_of(self, versions: Collection[int]) -> tuple[int, ...]:
         """Numbers of the tickets that led to these versions and stand; of several for the same loads the newest."""
         updates = [update for version, update in self.updates.items() if version in versions]
-        led = {int(number) for update in updates for number in update.document.get("tickets", ())}
-        newest = {
-            (ticket.first_load, ticket.last_load): number for number, ticket in self.ledger.tickets.items() if number in led
-        }
-        return tuple(sorted(newest.values()))
+        return self.newest_of({int(number) for update in updates for number in update.document.get("tickets", ())})
+
+    def learnt_from(self) -> tuple[int, ...]:
+        """Numbers of the standing tickets that led to versions which stand."""
+        return tuple(sorted(number for number in self._learnt if number in self.ledger.tickets))
 
     @property
     def calibrated_version(self) -> int:

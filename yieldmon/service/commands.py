@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -13,11 +12,12 @@ from yieldmon.errors import InputError
 from yieldmon.estimation.estimators import estimator_of
 from yieldmon.files import ticket_file
 from yieldmon.files.crops import crops, find_crop, shipped_name
-from yieldmon.service import ledger
+from yieldmon.service import ledger, relearning
 from yieldmon.service.assembly import calibration_age_s
 from yieldmon.service.batch import Load, Ticket
 from yieldmon.service.journal import Journal
-from yieldmon.service.reference_loads import StoredLoad, reference
+from yieldmon.service.reference_loads import StoredLoad
+from yieldmon.service.relearning import weighings, why_no_reference
 from yieldmon.service.requests import Request
 
 Answer = Mapping[str, Any]
@@ -29,6 +29,8 @@ _MOST_LOADS = 63
 
 QUERIES = frozenset({"status", "loads", "tickets", "calibrations"})
 """Commands that change nothing."""
+TEACH_AGAIN = frozenset({"ticket-undo"})
+"""Commands after which standing tickets may teach again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,10 +161,11 @@ def _ticket(order: _Order) -> Answer:
     if not measured_kg > 0.0:
         raise InputError(f"ticket for load {first}", "nothing was measured for it", "a load with a measured mass")
     ticket = Ticket(order.now_s, first, last, weighed_kg, measured_kg, request.name("note") or "")
-    why_not = ticket_file.unit_slip(weighed_kg, measured_kg) or _why_no_reference(monitor, journal, covered, order.stored)
+    why_not = ticket_file.unit_slip(weighed_kg, measured_kg) or why_no_reference(monitor, journal, covered, order.stored)
     if not why_not:
-        _add_reference_masses(monitor, covered, ticket, std_dev_kg)
-    number = journal.actions.ticket(ticket, request.who, is_reference=not why_not)
+        for load_number, mass_kg, share_std_dev_kg in weighings(covered, ticket, std_dev_kg):
+            monitor.ticket(load_number, mass_kg, share_std_dev_kg)
+    number = journal.actions.ticket(ticket, request.who, std_dev_kg, is_reference=not why_not)
     return {
         "crop": covered[-1].crop,
         "ticket": number,
@@ -182,10 +185,7 @@ def _tickets(order: _Order) -> Answer:
 
 def _ticket_undo(order: _Order) -> Answer:
     number = order.request.number_of("ticket", "ticket")
-    ticket, version = order.journal.actions.undo_ticket(number, order.request.who, order.now_s)
-    order.monitor.forget_ticket(range(ticket.first_load, ticket.last_load + 1))
-    given_up = _back_before(version, order) if version is not None else {}
-    return {"ticket": number, "first_load": ticket.first_load, "last_load": ticket.last_load, **given_up}
+    return relearning.without_ticket(number, order.monitor, order.journal, order.request.who, order.now_s, order.stored)
 
 
 def _calibrations(order: _Order) -> Answer:
@@ -193,54 +193,9 @@ def _calibrations(order: _Order) -> Answer:
 
 
 def _calibration_undo(order: _Order) -> Answer:
-    return _back_before(order.request.number_of("version", "version"), order)
-
-
-def _back_before(version: int, order: _Order) -> dict[str, Any]:
-    """The parameters before a version again, as a new version; for another crop than the present one, once it is harvested."""
-    monitor = order.monitor
-    last = monitor.estimator.parameters.version
-    if monitor.estimator.parameters.curve is not None:
-        raise InputError(
-            f"version {version}", "the flow comes from estimator_file, which learns nothing", "another estimator_file"
-        )
-    journal, in_use = order.journal, monitor.estimator.parameters
-    before = journal.actions.undone_versions
-    chosen, crop = journal.parameters.undo(version, in_use, journal.crop, order.request.who, order.now_s)
-    left = journal.actions.standing_of(journal.actions.undone_versions - before)
-    monitor.set_estimator(estimator_of(monitor.machine, chosen), calibration_age_s(chosen, order.now_s))
-    return {
-        "undone": version, "until": last, "version": chosen.version, "effects": list(chosen.effects), "crop": crop,
-        "standing_tickets": list(left),
-    }  # fmt: skip
-
-
-def _why_no_reference(monitor: Monitor, journal: Journal, covered: list[Load], stored: Sequence[StoredLoad]) -> str:
-    """Why no part of a ticket is a reference mass for the calibration; "" where it is. The monitor gets to know those of its
-    loads that an earlier run measured."""
-    in_use = journal.crop_in_use(monitor.estimator.parameters)
-    other = next((load.crop for load in covered if load.crop and in_use and load.crop.lower() != in_use.lower()), None)
-    if other is not None:
-        return f"a load of {other}; the parameters in use are those of {in_use}; `yieldmon calibrate --loads` learns from it"
-    whole = {load.number: load.complete for load in monitor.loads}
-    earlier = {load.load.number: load for load in stored if load.load.number not in whole}
-    for number, load in earlier.items():
-        found = reference(load, monitor.machine, monitor.settings.windows.min_coverage)
-        if min(found.versions, default=0) < journal.actions.calibrated_version:
-            return f"load {number} was measured before the parameter file in use"
-        monitor.know_load(found.summary, found.seconds)
-        whole[number] = found.summary.complete
-    if not all(whole.get(load.number, False) for load in covered):
-        return "not every second of it was measured"
-    return ""
-
-
-def _add_reference_masses(monitor: Monitor, covered: list[Load], ticket: Ticket, std_dev_kg: float) -> None:
-    """Hands the ticket to the calibration as a reference mass, shared out over its loads."""
-    for load in covered:
-        share = load.mass_kg / ticket.measured_mass_kg
-        if share > 0.0:
-            monitor.ticket(load.number, share * ticket.weighed_mass_kg, math.sqrt(share) * std_dev_kg)
+    version = order.request.number_of("version", "version")
+    answer = relearning.back_before(version, order.monitor, order.journal, order.request.who, order.now_s)
+    return {**answer, "standing_tickets": list(answer["standing_tickets"])}
 
 
 def _covered(journal: Journal, first: int, last: int) -> list[Load]:

@@ -41,7 +41,7 @@ from yieldmon.service.notify import ServiceManager
 from yieldmon.service.ownership import Ownership
 from yieldmon.service.posting import Poster
 from yieldmon.service.recovery import Recovery, recover
-from yieldmon.service.reference_loads import StoredLoad, of_path
+from yieldmon.service.reference_loads import StoredLoad, of_path, of_standing_tickets
 from yieldmon.service.reload_check import at_next_start, usable_now
 from yieldmon.service.reloading import READING_S, Reloading
 from yieldmon.service.reloads import Reloads
@@ -432,15 +432,16 @@ class Daemon:
         return answer
 
     def _stored(self, request: Mapping[str, Any]) -> Sequence[StoredLoad]:
-        """Loads that a ticket names, read here and not on the engine's thread, which must not wait for a disk."""
-        numbers = commands.ticketed_loads(request)
-        if not numbers:
+        """Loads that a command needs, read here and not on the engine's thread, which must not wait for a disk."""
+        numbers, teaches_again = commands.ticketed_loads(request), request["command"] in commands.TEACH_AGAIN
+        if not numbers and not teaches_again:
             return ()
         if not self._reading.acquire(timeout=TELLING_S):
             # Requests that a hanging disk holds up must not take the place of all others.
             raise ControlError("the disk does not answer; nothing was done")
         try:
-            return of_path(self.configuration.store_path, numbers)
+            path = self.configuration.store_path
+            return of_standing_tickets(path) if teaches_again else of_path(path, numbers)
         except InputError as error:
             _log.warning("loads of an earlier run cannot be read: %s", error)
             return ()

@@ -89,9 +89,11 @@ def ledger(tickets: Sequence[Ticket], actions: Iterable[Action]) -> Ledger:
     """From all tickets and actions, in order."""
     known = list(actions)
     gone = {int(a.document["ticket"]) for a in known if a.kind == TICKET_UNDO}
+    undone = undone_versions(known)
     factors: dict[int, float] = {}
     for action in known:
-        if action.kind == POSTING and not gone.intersection(action.document["tickets"]):
+        stands = action.kind == POSTING and action.document["version"] not in undone
+        if stands and not gone.intersection(action.document["tickets"]):
             factors.update({int(number): float(factor) for number, factor in action.document["factors"].items()})
     return Ledger({n: t for n, t in enumerate(tickets, 1) if n not in gone}, factors)
 

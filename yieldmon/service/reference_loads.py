@@ -60,6 +60,13 @@ def of_path(path: Path, numbers: Collection[int]) -> tuple[StoredLoad, ...]:
         return of_store(store, numbers)
 
 
+def of_standing_tickets(path: Path) -> tuple[StoredLoad, ...]:
+    """The loads of the tickets that stand, of the store at a path, as `of_store`. Raises InputError."""
+    with opened(path) as store:
+        standing = ledger.ledger(store.tickets(), store.actions()).tickets.values()
+        return of_store(store, {number for ticket in standing for number in range(ticket.first_load, ticket.last_load + 1)})
+
+
 def of_store(store: Store, numbers: Collection[int]) -> tuple[StoredLoad, ...]:
     """The closed loads with these numbers, the newest _MOST_LOADS of them at most, of which the store holds seconds."""
     wanted = set(sorted(numbers)[-_MOST_LOADS:])

@@ -163,13 +163,37 @@ SELECT *, mass_kg * factor AS corrected_mass_kg, dry_mass_kg * factor AS correct
         GROUP BY load_factor.key) AS posting ON posting.number = CAST(load.number AS TEXT));
 """
 
+# A posting by parameters that were taken back falls with them.
+_VERSION_12 = """
+DROP VIEW load_corrected;
+CREATE VIEW load_corrected AS      -- the newest ticket that stands counts, else the newest posting, else what was measured
+SELECT *, mass_kg * factor AS corrected_mass_kg, dry_mass_kg * factor AS corrected_dry_mass_kg FROM (
+    SELECT load.number, load.field, load.crop, load.started_s, load.ended_s, load.mass_kg, load.dry_mass_kg,
+           COALESCE(ticket.weighed_mass_kg / ticket.measured_mass_kg, posting.factor, 1.0) AS factor, ticket.id AS ticket_id
+    FROM load
+    LEFT JOIN ticket ON ticket.id = (
+        SELECT max(id) FROM ticket WHERE load.number BETWEEN ticket.first_load AND ticket.last_load AND id NOT IN (
+            SELECT json_extract(document, '$.ticket') FROM action WHERE kind = 'ticket-undo'))
+    LEFT JOIN (
+        SELECT load_factor.key AS number, load_factor.value AS factor, max(action.number)
+        FROM action, json_each(action.document, '$.factors') AS load_factor
+        WHERE action.kind = 'posting' AND NOT EXISTS (
+            SELECT 1 FROM json_each(action.document, '$.tickets') AS of_ticket, action AS undo
+            WHERE undo.kind = 'ticket-undo' AND json_extract(undo.document, '$.ticket') = of_ticket.value)
+        AND NOT EXISTS (
+            SELECT 1 FROM action AS undo LEFT JOIN json_each(undo.document, '$.versions') AS undone
+            WHERE undo.kind = 'parameters-undo'
+            AND json_extract(action.document, '$.version') IN (json_extract(undo.document, '$.version'), undone.value))
+        GROUP BY load_factor.key) AS posting ON posting.number = CAST(load.number AS TEXT));
+"""
+
 #: From this version on rows carry checksums.
 CHECKED_FROM = 4
 
 #: From this version on there are actions and steps.
 ACTIONS_FROM = 8
 
-_SCRIPTS = (_VERSION_1, _VERSION_2, _VERSION_3, _VERSION_4, "", "", _VERSION_7, _VERSION_8)
+_SCRIPTS = (_VERSION_1, _VERSION_2, _VERSION_3, _VERSION_4, "", "", _VERSION_7, _VERSION_8, "", "", "", _VERSION_12)
 _SQL_KINDS = {float: "REAL", int: "INTEGER", str: "TEXT"}
 _WITHOUT = {float: "0.0", int: "0", str: "''"}
 

@@ -1,0 +1,154 @@
+"""A ticket taken back leaves what never having entered it would have, whatever came after it."""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+import sqlite3
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from tests.service.bench import running, wait_for
+from tests.service.test_tickets_after_restart import TRUE, Season, ask
+from yieldmon.cli._records import taken_back
+from yieldmon.files import parameter_file
+from yieldmon.service.store import Store
+
+RIGHT = ((2, TRUE), (3, 1.003 * TRUE), (4, 0.998 * TRUE))
+
+
+def enter(season: Season, bench, tickets) -> None:
+    for number, factor in tickets:
+        bench.play(2, 0.0)
+        bench.played()
+        assert season.ticket(bench, number, factor)["why_no_anchor"] == ""
+
+
+def settle(season: Season, bench) -> None:
+    """Until no ticket waits and loads are measured again: one ticket teaches with each window."""
+
+    def settled() -> bool:
+        bench.play(1, 0.0)
+        bench.played()
+        with Store(season.folder / "yieldmon.sqlite") as store:
+            return not bench.daemon.monitor.masses_wait and not store.state()["unfinished_tickets"]
+
+    wait_for(settled, "tickets that teach and loads that are measured again")
+
+
+def left(season: Season, bench) -> dict:
+    """What is learnt, and the loads' masses, when all has been done."""
+    settle(season, bench)
+    rows = ask(season.folder, season.capsys, "load", "list")["loads"]
+    with contextlib.closing(sqlite3.connect(season.folder / "yieldmon.sqlite")) as database:
+        listed = dict(database.execute("SELECT number, corrected_mass_kg FROM load_corrected"))
+    assert listed == pytest.approx({row["number"]: row["corrected_mass_kg"] for row in rows})
+    return {
+        "values": dict(bench.daemon.monitor.estimator.parameters.values),
+        "again": {row["number"]: row["posted_mass_kg"] for row in rows if row["posted_mass_kg"] is not None},
+        "corrected": {row["number"]: row["corrected_mass_kg"] for row in rows},
+    }
+
+
+def same(found: dict, expected: dict) -> None:
+    for key, value in expected.items():
+        # A restart is a minute of drift.
+        assert found[key] == pytest.approx(value, rel=3e-4, abs=1e-6), key
+
+
+@pytest.fixture
+def never(tmp_path, capsys) -> dict:
+    season = Season(tmp_path / "never", capsys)
+    with running(season.folder) as bench:
+        season.harvest(bench)
+        enter(season, bench, RIGHT)
+        return left(season, bench)
+
+
+WRONG = {
+    "in the middle": ((RIGHT[0], (5, 1.12 * TRUE), *RIGHT[1:]), (2,)),
+    "one before all": (((5, 1.12 * TRUE), *RIGHT), (1,)),
+    "two that agree with each other, the first undone first": (((5, 1.3 * TRUE), (4, 1.31 * TRUE), *RIGHT), (1, 2)),
+    "one that the others contradict": ((*RIGHT, (5, 1.3 * TRUE)), (4,)),
+}
+
+
+@pytest.mark.parametrize("restart", [False, True], ids=["", "after a restart"])
+@pytest.mark.parametrize(("tickets", "undone"), WRONG.values(), ids=list(WRONG))
+def test_an_undo_leaves_what_never_having_entered_the_ticket_does(tickets, undone, restart, never, tmp_path, capsys) -> None:
+    season = Season(tmp_path / "a", capsys)
+    with running(season.folder) as bench:
+        season.harvest(bench)
+        enter(season, bench, tickets)
+        settle(season, bench)
+        if not restart:
+            for number in undone:
+                ask(season.folder, capsys, "ticket", "undo", str(number))
+                settle(season, bench)
+            same(left(season, bench), never)
+            return
+        season.now_s = bench.now_s
+    with running(season.folder, start_s=season.now_s + 60.0) as bench:
+        bench.play(3, 0.0)
+        bench.played()
+        for number in undone:
+            ask(season.folder, capsys, "ticket", "undo", str(number))
+        same(left(season, bench), never)
+
+
+def test_a_second_undo_takes_back_what_was_learnt_again(tmp_path, capsys) -> None:
+    """The parameters that a ticket led to when it taught again are its own: an undo of it reaches them."""
+    season = Season(tmp_path / "a", capsys)
+    with running(season.folder) as bench:
+        season.harvest(bench)
+        before = left(season, bench)
+        enter(season, bench, RIGHT)
+        answer = ask(season.folder, capsys, "ticket", "undo", "1")
+        assert (answer["learnt_again"], answer["not_learnt_again"], answer["sweeps_undone"]) == ([2, 3], [], 0)
+        assert taken_back(answer) == (
+            "ticket 1 undone; calibration 2 to 4 undone, what was in use before is version 5; "
+            "what ticket 2, 3 taught is learnt again without it"
+        )
+        settle(season, bench)
+        ask(season.folder, capsys, "ticket", "undo", "2")
+        settle(season, bench)
+        ask(season.folder, capsys, "ticket", "undo", "3")
+        same(left(season, bench), before)
+
+
+def test_a_kill_between_the_undo_and_the_learning_changes_nothing(never, tmp_path, capsys) -> None:
+    """The store as a kill leaves it right after the answer; the run that goes on from it learns what was left to learn."""
+    season = Season(tmp_path / "a", capsys)
+    killed = tmp_path / "killed"
+    killed.mkdir()
+    with running(season.folder) as bench:
+        season.harvest(bench)
+        enter(season, bench, (RIGHT[0], (5, 1.12 * TRUE), *RIGHT[1:]))
+        settle(season, bench)
+        ask(season.folder, capsys, "ticket", "undo", "2")
+        for file in Path(season.folder).glob("yieldmon.sqlite*"):
+            shutil.copy(file, killed / file.name)
+        season.now_s = bench.now_s
+    season.folder = killed
+    with running(killed, start_s=season.now_s + 60.0) as bench:
+        bench.play(3, 0.0)
+        bench.played()
+        same(left(season, bench), never)
+
+
+def test_a_ticket_from_before_a_new_parameter_file_leaves_that_file(tmp_path, capsys) -> None:
+    season = Season(tmp_path / "a", capsys)
+    with running(season.folder) as bench:
+        season.harvest(bench)
+        enter(season, bench, RIGHT[:1])
+        season.now_s = bench.now_s
+    own = replace(parameter_file.load(), values={**parameter_file.load().values, "density": 900.0})
+    parameter_file.save(own, season.folder / "own.yaml")
+    configured = "bus: {transmit_max_age_s: 60}\nparameter_file: own.yaml\n"
+    with running(season.folder, configured, start_s=season.now_s + 60.0) as bench:
+        bench.play(3, 0.0)
+        bench.played()
+        assert "undone" not in ask(season.folder, capsys, "ticket", "undo", "1")
+        assert left(season, bench)["values"]["density"] == 900.0
