@@ -185,9 +185,10 @@ def test_a_log_says_each_thing_a_few_times_a_minute():
 
 
 def test_a_writer_that_hangs_is_a_fault_and_loses_nothing(tmp_path: Path, monkeypatch):
-    gate, ahead_s, commit, now_s = threading.Event(), [0.0], Store.commit, time.monotonic
+    gate, hanging, ahead_s, commit, now_s = threading.Event(), threading.Event(), [0.0], Store.commit, time.monotonic
 
     def hang(store, batches):
+        hanging.set()
         assert gate.wait(PATIENCE_S)
         commit(store, batches)
 
@@ -200,6 +201,7 @@ def test_a_writer_that_hangs_is_a_fault_and_loses_nothing(tmp_path: Path, monkey
         bench.play(3, 60.0)
         bench.played()
         wait_for(lambda: bench.daemon.writer.health().pending >= 2, "batches that wait")
+        assert hanging.wait(PATIENCE_S), "the commit's time counts from here"
         before_kg, ahead_s[0] = bench.status["total"]["mass_kg"], 11.0
         bench.play(3, 60.0)
         wait_for(lambda: "StoreFailing" in bench.faults, "the fault")
