@@ -25,7 +25,7 @@ import threading
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -227,6 +227,15 @@ class Listener:
     def begin(self) -> None:
         """What comes from now on counts."""
         self._from = len(self._heard)
+
+    def delays_ms(self) -> list[float]:
+        """From each window's end to its frame, of those heard since `begin`; by the counter, so also of more than a second."""
+        heard = self._heard[self._from :]
+        if not heard:
+            return []
+        end_s = math.floor(heard[0][0] - self._grid_offset_s) + self._grid_offset_s
+        passed = accumulate(((b[1] - a[1]) % 256 for a, b in pairwise(heard)), initial=0)
+        return [1000.0 * (time_s - end_s - count) for (time_s, _), count in zip(heard, passed, strict=True)]
 
     def phase(self, name: str, frames_per_s: float, core_share_pct: float) -> Phase:
         """What was heard since `begin`."""
