@@ -352,3 +352,12 @@ def test_what_the_kernel_dropped_on_a_bus_that_was_lost_stays_counted(monkeypatc
         (BusEventKind.FRAMES_DROPPED, 4),
     ]
     assert receiver.counters().kernel_drops == 7
+
+
+@pytest.mark.parametrize("dropped", [1, 2])
+def test_one_frame_that_the_kernel_dropped_is_reported(monkeypatch: pytest.MonkeyPatch, dropped: int) -> None:
+    bus = ScriptedBus()
+    monkeypatch.setattr(receiving, "kernel_drops_of", {bus: dropped}.get)
+    with Receiver(opener(bus)) as receiver:
+        lost = receiver.get(WAIT_S)
+        assert (lost.kind, lost.count) == (BusEventKind.FRAMES_DROPPED, dropped)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import queue
+import socket
 import threading
 import time
 
@@ -77,4 +78,39 @@ def test_sending_on_a_bus_of_another_kind_is_that_bus_own_affair():
     bus = ObedientBus()
     send(bus, can.Message(), 0.25)
     assert bus.waits_s == [0.25]
+    bus.shutdown()
+
+
+class BusWithSocket(ObedientBus):
+    """One whose socket takes nothing any more, or anything."""
+
+    def __init__(self, full: bool) -> None:
+        super().__init__()
+        self.socket, self.other = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self.socket.setblocking(False)
+        while full:
+            try:
+                self.socket.send(bytes(1000))
+            except BlockingIOError:
+                break
+
+    def fileno(self) -> int:
+        return self.socket.fileno()
+
+
+@pytest.mark.parametrize(("full", "timeout_s", "waited_s", "asked_s"), [
+    (True, 0.1, 0.1, 0.0), (False, 5.0, 0.0, 0.0), (True, 0.0, 0.0, 0.0), (True, None, 0.0, -1.0),
+])  # fmt: skip
+def test_sending_waits_for_room_by_itself_and_asks_the_bus_for_no_waiting(
+    monkeypatch: pytest.MonkeyPatch, full: bool, timeout_s: float | None, waited_s: float, asked_s: float
+) -> None:
+    bus = BusWithSocket(full)
+    monkeypatch.setattr("yieldmon.bus.waiting.can_socket", lambda of: of.socket)
+    begun_s = time.monotonic()
+    send(bus, can.Message(), timeout_s)
+    took_s = time.monotonic() - begun_s
+    assert bus.waits_s == [asked_s]
+    assert waited_s <= took_s < waited_s + 4.0
+    bus.socket.close()
+    bus.other.close()
     bus.shutdown()
