@@ -8,6 +8,7 @@
     python -m studies.waveform kernels                    # kernel noise in discrete-element forces
     python -m studies.waveform verdicts                   # what the daemon says of kernel noise, by cell
     python -m studies.waveform hidden                     # effects that the model does not know, through the monitor
+    python -m studies.waveform heaps                      # heaps of another cross-section than calibrated, through the monitor
     python -m studies.waveform cost                       # processor time, on and off
     python -m studies.waveform pictures --out DIR         # pulse.png, fill.png (of fill.json)
     python -m studies.waveform season --seeds 30          # load errors of a season by channel, estimators alone
@@ -107,6 +108,12 @@ def _teaching(args: argparse.Namespace) -> Any:
     return teaching.report(args.seeds, args.seed)
 
 
+def _heaps(args: argparse.Namespace) -> Any:
+    from studies.waveform import heaps
+
+    return heaps.report(args.seed)
+
+
 def _scheduling(args: argparse.Namespace) -> Any:
     from studies.waveform import scheduling
 
@@ -162,7 +169,7 @@ def _pack(args: argparse.Namespace) -> Any:
 _PARTS = {
     "information": _information, "fill": _fill, "attempts": _attempts, "kernels": _kernels, "hidden": _hidden, "cost": _cost,
     "pictures": _pictures, "season": _season, "daemon-season": _daemon_season, "verdicts": _verdicts, "shape": _shape,
-    "pack": _pack, "edges": _edges, "teaching": _teaching, "scheduling": _scheduling, "between": _between,
+    "pack": _pack, "edges": _edges, "teaching": _teaching, "heaps": _heaps, "scheduling": _scheduling, "between": _between,
     "identifiability": _identifiability, "season-causes": _season_causes, "noise-by-force": _noise_by_force,
 }  # fmt: skip
 

@@ -19,10 +19,11 @@ from yieldmon.engine.measurement import Reading
 from yieldmon.engine.quick import changer_of
 from yieldmon.engine.records import FlowEstimator
 from yieldmon.engine.settings import WaveformSettings
+from yieldmon.engine.shape_difference import NO_FIT, ShapeDifference
 from yieldmon.engine.windows import Trace
 from yieldmon.estimation import kernel_noise
 from yieldmon.estimation.arrival_law import ArrivalLaw
-from yieldmon.estimation.channel_combination import combine, relative_covariance, together_sd
+from yieldmon.estimation.channel_combination import combine, heap_slope, relative_covariance, together_sd
 from yieldmon.estimation.kernel_noise import KernelImpulse, KernelVerdict
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.pattern_fold import PatternWave, fold_all, harmonics_of_all
@@ -36,8 +37,6 @@ from yieldmon.physics.model import ForwardModel
 
 _NAN = float("nan")
 _BINS = 64
-_NO_FIT = 1000.0
-"""Misfit that stands for pulses to which no fit settles."""
 _FITS = 1.0
 """Misfit below which a fit counts whose steps have not settled: within the model's own error."""
 _WHOLE = 0.98
@@ -92,7 +91,7 @@ class _Scale:
     """A channel's flow over that by the mean force of one estimator, as it was at a time: it changes slowly.
 
     lasting_sd, random_sd: relative standard deviations of that flow, but for the noise of the mean force; random_sd: of what
-    averages out.
+    averages out. heap: what one standard deviation of the heap's shape moves the mean force's flow and this one by.
     """
 
     log_over_mean_force: float
@@ -100,6 +99,7 @@ class _Scale:
     random_sd: float
     estimator: FlowEstimator
     time_s: float
+    heap: tuple[float, float] = (0.0, 0.0)
 
 
 def _without(verdict: ShapeVerdict, reason: str, kernels: KernelVerdict = KernelVerdict.NOT_LOOKED_AT) -> WaveformReading:
@@ -134,12 +134,12 @@ class Waveform:
         """Waves and fits by their windows' ends, and the estimator that they are of."""
         self._fitted_with: FlowEstimator | None = None
         self._searchable_in = 0
-        self._differences: deque[tuple[float, float]] = deque(maxlen=settings.contradiction_windows)
+        self._difference = ShapeDifference(settings)
         self._stretches: deque[float] = deque(maxlen=settings.contradiction_windows)
         self._biases: deque[float] = deque(maxlen=settings.kernel_windows)
         self._of_shapes: deque[_Scale] = deque(maxlen=settings.contradiction_windows)
-        self._shape_contradicts = False
         self._of_kernels: _Scale | None = None
+        self._heap_slope: tuple[FlowEstimator, tuple[float, ...], float] | None = None
 
     def go_on_with(self, before: Waveform) -> None:
         """Noise that was heard on the same machine by the same settings is heard no second time."""
@@ -250,7 +250,7 @@ class Waveform:
         elif of_mean := self._outside(rate / estimator.parameters.values["density"], reading, estimator):
             seen = _with(seen, shape=ShapeVerdict.OUTSIDE_CALIBRATION, shape_reason=of_mean)
         else:
-            no_fit = self._contradiction(0.0, _NO_FIT)
+            no_fit = self._difference.add(0.0, NO_FIT, reading.window.end_s, estimator)
             seen = _with(seen, shape=ShapeVerdict.NO_PULSES, shape_reason=_NO_PULSES, contradiction=no_fit)
         missing = seen.shape_reason if shape is None else ""
         seen = self._with_kernels(seen, reading, kernels, missing)
@@ -285,16 +285,20 @@ class Waveform:
         if not rate > 0.0:
             return None
         lasting = _lasting(mean_flow)
-        flow, sd, corrected = rate, lasting, False
-        apart, hit = 0.0, 1.0
+        flow, sd = rate, lasting
+        # What lies outside its calibration corrects nothing, but is no less apart.
+        contradicts, hit = self._difference.contradicts, 1.0
+        apart = 0.0 if contradicts else self._difference.deviations(now_s, estimator, _SCALE_HOLDS_S)
+        corrected = apart > 1.0
         shapes = [scale for scale in self._of_shapes if self._holds(scale, now_s, estimator)]
-        if shapes and not self._shape_contradicts:
+        if shapes and not contradicts:
             mean = sum(scale.log_over_mean_force for scale in shapes) / len(shapes)
             shape_sd = hypot(shapes[-1].lasting_sd, sqrt(sum(scale.random_sd**2 for scale in shapes)) / len(shapes))
             exponent, parameters = _exponent(mean_flow), estimator.parameters
-            both = combine(rate, lasting, rate * exp(mean), shape_sd, exponent=exponent, parameters=parameters)
+            heap = shapes[-1].heap
+            both = combine(rate, lasting, rate * exp(mean), shape_sd, exponent=exponent, parameters=parameters, heap=heap)
             flow, sd, corrected = both.mass_flow_kg_s, both.relative_sd, True
-            apart, hit = both.z, 1.0 - both.weight
+            apart, hit = max(apart, abs(both.z)), 1.0 - both.weight
         kernels = self._held_kernels(now_s, estimator)
         # What teaches the parameters is in the mean force's flow already.
         if kernels is not None and not self._settings.teach and not self._kernels_contradict(kernels, mean_flow):
@@ -302,7 +306,7 @@ class Waveform:
             weight = sd**2 / (sd**2 + over_sd**2)
             further = over - log(flow / rate)
             flow *= exp(weight * further)
-            apart, hit = max(abs(apart), abs(further) / hypot(sd, over_sd)), weight + (1.0 - weight) * hit
+            apart, hit = max(apart, abs(further) / hypot(sd, over_sd)), weight + (1.0 - weight) * hit
             sd, corrected = sd * over_sd / hypot(sd, over_sd), True
         if not corrected:
             return None
@@ -336,16 +340,19 @@ class Waveform:
             shape.volume_flow_m3_s * density,
         )
         exponent = _exponent(mean_flow)
-        together = combine(rate, relative_sd, flow, shape.relative_sd, exponent=exponent, parameters=parameters)
+        heap = self._heap(shape, reading, rate, estimator)
+        together = combine(rate, relative_sd, flow, shape.relative_sd, exponent=exponent, parameters=parameters, heap=heap)
         of_mean = self._outside(rate / density, reading, estimator)
         if not of_mean:
             # There the law holds, and a shape that finds itself outside speaks against the mean force all the same.
-            against = self._contradiction(together.z, shape.misfit)
+            wave = self._prepared[reading.window.end_s][0]
+            z = self._difference.farther(together, self._model(estimator), wave, shape, rate / density)
+            against = self._difference.add(z, shape.misfit, reading.window.end_s, estimator)
             seen = _with(seen, contradiction=against, stretch=self._agreeing_stretch(shape, rate / density))
         if outside := of_mean or shape.outside:
             return _with(seen, shape=ShapeVerdict.OUTSIDE_CALIBRATION, shape_reason=outside)
         lasting_sd = sqrt(max(shape.relative_sd**2 - shape.random_sd**2, 0.0))
-        self._of_shapes.append(_Scale(log(flow / rate), lasting_sd, shape.random_sd, estimator, reading.window.end_s))
+        self._of_shapes.append(_Scale(log(flow / rate), lasting_sd, shape.random_sd, estimator, reading.window.end_s, heap))
         return _with(
             seen,
             shape=ShapeVerdict.USED,
@@ -354,6 +361,26 @@ class Waveform:
             shape_kg_s=flow,
             shape_std_dev_kg_s=flow * hypot(shape.relative_sd, sqrt(relative_covariance(parameters)[0])),
         )
+
+    def _heap(self, shape: PulseEstimate, reading: Reading, rate_kg_s: float, estimator: FlowEstimator) -> tuple[float, float]:
+        """What one standard deviation of the heap's shape moves the mean force's flow and the shape's by, relative."""
+        sd, window = self._settings.shape_ratio_sd, reading.window
+        if not sd > 0.0:
+            return 0.0, 0.0
+        moisture = reading.inputs.fresh["moisture"]
+        here = (round(log(rate_kg_s), 1), round(window.plate_angle_rad, 2), round(window.speed_rad_s), _tenth(moisture))
+        if self._heap_slope is None or self._heap_slope[:2] != (estimator, here):
+            slope = heap_slope(
+                self._model(estimator).model,
+                estimator.parameters,
+                mass_flow_kg_s=exp(here[0]),
+                plate_angle_rad=window.plate_angle_rad,
+                elevator_speed_rad_s=window.speed_rad_s,
+                moisture_pct=moisture,
+            )
+            self._heap_slope = estimator, here, slope
+        flow, ratio = (shape.names.index(name) for name in ("log_volume_flow", "log_shape_ratio"))
+        return self._heap_slope[2] * sd, float(shape.covariance[flow, ratio]) / sd
 
     def _outside(self, volume_flow_m3_s: float, reading: Reading, estimator: FlowEstimator) -> str:
         """Why the shape says nothing at a volume flow; empty where it does."""
@@ -418,22 +445,10 @@ class Waveform:
         self._stretches.append(exp(moved) * (1.0 if self._settings.shape_terms else self._settings.stretch))
         return median(self._stretches)
 
-    def _contradiction(self, z: float, misfit: float) -> str:
-        against = self._shape_against(z, misfit)
-        self._shape_contradicts = bool(against)
-        return against
 
-    def _shape_against(self, z: float, misfit: float) -> str:
-        if isfinite(z):
-            self._differences.append((z, min(misfit, _NO_FIT)))
-        if len(self._differences) < self._settings.contradiction_windows:
-            return ""
-        seen, off = (median(column) for column in zip(*self._differences, strict=True))
-        if abs(seen) > self._settings.contradiction_z:
-            return f"pulse shape and mean force differ by {abs(seen):.1f} standard deviations"
-        if off > self._settings.largest_misfit:
-            return f"pulses are not of the model's shape (misfit {off:.0f}); is sensor.response_s of the machine right?"
-        return ""
+def _tenth(moisture_pct: float) -> float:
+    """Rounded; -1 where it is not known, which is equal to itself."""
+    return round(moisture_pct, 1) if isfinite(moisture_pct) else -1.0
 
 
 def _noise(mean_flow: Flow) -> float:

@@ -9,21 +9,29 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import exp, hypot, isfinite, log, sqrt
 
+import numpy as np
+
+from yieldmon.physics.model import Conditions, ForwardModel
+
 from .parameters import ParameterSet
 
 MISSED_SD = 0.05
 """Relative standard deviation of what mean force and kernel noise lose alike, of grain that begins to miss the plate."""
 
+_LEAST_VARIANCE = 1e-6
+_STEP = 0.01
+
 
 @dataclass(frozen=True, slots=True)
 class Combined:
     """mass_flow_kg_s: the mean of least variance; relative_sd: of its logarithm. z: difference over its standard deviation.
-    weight: of the shape's flow."""
+    weight: of the shape's flow. mean_volume_sd: of the logarithm of the mean force's flow over density."""
 
     mass_flow_kg_s: float
     relative_sd: float
     z: float
     weight: float
+    mean_volume_sd: float = float("nan")
 
 
 def relative_covariance(parameters: ParameterSet) -> tuple[float, float]:
@@ -39,7 +47,14 @@ def relative_covariance(parameters: ParameterSet) -> tuple[float, float]:
 
 
 def combine(
-    mean_flow_kg_s: float, mean_sd: float, shape_flow_kg_s: float, shape_sd: float, *, exponent: float, parameters: ParameterSet
+    mean_flow_kg_s: float,
+    mean_sd: float,
+    shape_flow_kg_s: float,
+    shape_sd: float,
+    *,
+    exponent: float,
+    parameters: ParameterSet,
+    heap: tuple[float, float] = (0.0, 0.0),
 ) -> Combined:
     """Combine two flows by their covariance.
 
@@ -53,6 +68,9 @@ def combine(
         d ln(force) / d ln(flow) at this flow: by it the mean force's flow leans on density.
     parameters : ParameterSet
         Its covariance of density and restitution.
+    heap : tuple of 2 float
+        What one standard deviation of the heap's shape moves the logarithms of the two flows by: that of the mean force, which
+        mean_sd does not hold, and that of the shape, which shape_sd holds.
 
     Returns
     -------
@@ -62,17 +80,58 @@ def combine(
     if not (isfinite(shape_flow_kg_s) and isfinite(shape_sd) and shape_flow_kg_s > 0.0 and mean_flow_kg_s > 0.0):
         return Combined(mean_flow_kg_s, mean_sd, float("nan"), 0.0)
     of_density, with_gain = relative_covariance(parameters)
-    first = mean_sd**2
+    first = mean_sd**2 + heap[0] ** 2
     second = shape_sd**2 + of_density
     # ln flow of the mean force moves by -(1 - n) / n for ln density and by -1 / n for ln(1 + e).
-    both = -((1.0 - exponent) * of_density + with_gain) / exponent
+    both = -((1.0 - exponent) * of_density + with_gain) / exponent + heap[0] * heap[1]
     limit = 0.95 * sqrt(first * second)
     both = min(max(both, -limit), limit)
     spread = first + second - 2.0 * both
     weight = min(max((first - both) / spread, 0.0), 1.0)
     difference = log(shape_flow_kg_s / mean_flow_kg_s)
     variance = (1.0 - weight) ** 2 * first + weight**2 * second + 2.0 * weight * (1.0 - weight) * both
-    return Combined(mean_flow_kg_s * exp(weight * difference), sqrt(variance), difference / sqrt(spread), weight)
+    volume_sd = sqrt(max(first + second - shape_sd**2 - 2.0 * (both - heap[0] * heap[1]), _LEAST_VARIANCE))
+    return Combined(mean_flow_kg_s * exp(weight * difference), sqrt(variance), difference / sqrt(spread), weight, volume_sd)
+
+
+def heap_slope(
+    model: ForwardModel,
+    parameters: ParameterSet,
+    *,
+    mass_flow_kg_s: float,
+    plate_angle_rad: float,
+    elevator_speed_rad_s: float,
+    moisture_pct: float,
+) -> float:
+    """d ln(flow by the mean force) / d ln(shape ratio), at one force.
+
+    Parameters
+    ----------
+    model : ForwardModel
+    parameters : ParameterSet
+    mass_flow_kg_s, plate_angle_rad, elevator_speed_rad_s, moisture_pct : float
+
+    Returns
+    -------
+    float
+        0 where the parameters' own covariance has the shape ratio, and where the force says nothing of a load.
+    """
+    values, ratio = parameters.values, parameters.values["shape_ratio"]
+    if "shape_ratio" in parameters.covariance_names and parameters.standard_deviation("shape_ratio") > 0.0:
+        return 0.0
+    load_kg = model.machine.per_paddle(mass_flow_kg_s, elevator_speed_rad_s)
+    at = Conditions(
+        plate_angle_rad,
+        elevator_speed_rad_s,
+        paddle_mass_kg=load_kg * np.exp([_STEP, -_STEP, 0.0, 0.0]),
+        moisture_pct=moisture_pct,
+    )
+    ratios = ratio * np.exp([0.0, 0.0, _STEP, -_STEP])
+    momentum = np.asarray(model.paddle_momentum(at, {**values, "shape_ratio": ratios}, overfull="nan"))
+    if not np.all(momentum > 0.0):
+        return 0.0
+    by_load, by_ratio = np.log(momentum[0] / momentum[1]), np.log(momentum[2] / momentum[3])
+    return float(-by_ratio / by_load) if by_load > 0.0 else 0.0
 
 
 def together_sd(relative_sd: float, *, z: float, hit: float) -> float:

@@ -24,7 +24,7 @@ from .open_loop import OpenLoop
 from .parameters import ParameterSet
 from .steady_drift import DriftingParameters, widened
 
-_WANDER = 0.03
+WANDER = 0.03
 """Standard deviation that the bias gains per root kilotonne of grain: it goes with load and restitution."""
 _LESSON_SD = 0.01
 """Relative standard deviation of one lesson beside its noise: of the load that it was heard at."""
@@ -82,7 +82,7 @@ def begin(lasting_sd: float, states: int) -> CommonBias:
 
 def carried(bias: CommonBias, transition: Array, harvested_kg: float) -> CommonBias:
     """After a time over which the states went by `transition`, as of `steady_drift.Advance`."""
-    wandered = _WANDER**2 * max(harvested_kg, 0.0) / KG_PER_KT
+    wandered = WANDER**2 * max(harvested_kg, 0.0) / KG_PER_KT
     room = max(bias.largest - bias.variance, 0.0)
     return replace(bias, cross=transition @ bias.cross, variance=bias.variance + min(wandered, room))
 

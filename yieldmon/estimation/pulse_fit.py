@@ -100,23 +100,31 @@ class _Priors:
     free: (n,), the parameters that are fitted, f of them; sd: (m, n); precision: (m, f, f).
     """
 
-    def __init__(self, pulses: PulseModel, patterns: Array) -> None:
+    def __init__(self, pulses: PulseModel, patterns: Array, flow_sd: float | None = None) -> None:
+        """flow_sd: of ln volume flow, in place of the settings'."""
         own = pulses.own_scatter
         self.sd = np.tile(pulses.prior_sd(1.0), (len(patterns), 1))
+        if flow_sd is not None:
+            self.sd[:, FLOW] = flow_sd
         self.sd[:, own] = (pulses.settings.scatter / np.sqrt(np.maximum(patterns, 1.0)))[:, None]
         self.free: AnyArray = self.sd[0] > 0.0
         self.own: AnyArray = own[self.free]
-        one = pulses.prior_precision(1.0)[np.ix_(self.free, self.free)]
+        whole = pulses.prior_precision(1.0)
+        if flow_sd is not None:
+            whole[FLOW, FLOW] = flow_sd**-2.0
+        one = whole[np.ix_(self.free, self.free)]
         self.precision = np.tile(one, (len(patterns), 1, 1))
         places = np.flatnonzero(self.own)
         self.precision[:, places, places] = self.sd[:, self.free][:, places] ** -2.0
 
 
 def fitted(
-    pulses: PulseModel, shown: WaveBatch, theta: Array, mean: Array, iterations: int, begun: Linear | None = None
-) -> list[PulseEstimate]:
-    """Gauss-Newton for windows side by side, from theta (m, n); mean: the priors' means (m, n); begun: the model at theta."""
-    priors = _Priors(pulses, shown.patterns)
+    pulses: PulseModel, shown: WaveBatch, theta: Array, mean: Array, iterations: int, begun: Linear | None = None,
+    *, flow_sd: float | None = None,
+) -> list[PulseEstimate]:  # fmt: skip
+    """Gauss-Newton for windows side by side, from theta (m, n); mean: the priors' means (m, n); begun: the model at theta;
+    flow_sd: prior deviation of ln volume flow, in place of the settings'."""
+    priors = _Priors(pulses, shown.patterns, flow_sd)
     free = priors.free
     theta[:, ~free] = mean[:, ~free]
     at = pulses.linearised(theta, shown.speeds_rad_s, shown.angles_rad) if begun is None else begun
@@ -274,6 +282,36 @@ def _results(
             theta.tolist(), covariance, zip(*(column.tolist() for column in columns), strict=True), strict=True
         )
     ]
+
+
+def rise(pulses: PulseModel, shown: WaveBatch, free: Array, held: Array, mean: Array, flow_sd: float) -> float:
+    """What a prior of the flow adds to the least sum of squares, residuals and priors together, of one window.
+
+    Parameters
+    ----------
+    free, held : ndarray (n,)
+        Where that sum is least without the prior of the flow and with it.
+    mean : ndarray (n,)
+        Of the priors.
+    flow_sd : float
+        Of the flow's logarithm.
+
+    Returns
+    -------
+    float
+        0 or more; nan where the model has no wave.
+    """
+    both = np.stack((free, held))
+    one = np.repeat(0, 2)
+    at = pulses.linearised(both, shown.speeds_rad_s[one], shown.angles_rad[one])
+    # One variance for both: that of the fit which comes nearer to the pulses.
+    variance = shown.random + pulses.lasting_variance(at.envelope[:1])
+    priors = _Priors(pulses, shown.patterns, flow_sd)
+    away = (both - mean)[:, priors.free]
+    away[0, priors.free[:FLOW].sum()] = 0.0
+    sums = (np.abs(shown.amplitudes_n - at.waves) ** 2 / variance).sum(axis=1)
+    sums += (away * _times(np.repeat(priors.precision, 2, axis=0), away)).sum(axis=1)
+    return float(np.fmax(sums[1] - sums[0], 0.0)) if np.all(np.isfinite(sums)) else float("nan")
 
 
 def information(

@@ -15,7 +15,7 @@ import numpy as np
 from yieldmon.physics.numerics import AnyArray, Array
 
 from .pattern_fold import PatternWave
-from .pulse_fit import PulseEstimate, WaveBatch, fitted, no_estimate
+from .pulse_fit import PulseEstimate, WaveBatch, fitted, no_estimate, rise
 from .pulse_model import FLOW, GAIN, SHAPE_COUNT, SHIFT, PulseModel
 
 _SCAN = np.geomspace(0.06, 0.9, 16)
@@ -84,6 +84,51 @@ def estimate_near(
         begun = pulses.behind_cell(thrown, theta, shown.speeds_rad_s)
         found += fitted(pulses, shown, theta, _own_centres(pulses, theta), iterations, begun)
     return found
+
+
+def deviations_from(
+    pulses: PulseModel,
+    wave: PatternWave,
+    found: PulseEstimate,
+    volume_flow_m3_s: float,
+    relative_sd: float,
+    *,
+    iterations: int = 15,
+) -> float:
+    """How far pulses are from those of a volume flow that is known otherwise, by a second fit that is held there.
+
+    The difference of two flows over their deviations takes the model as a line; where a heap of another shape puts the fit far
+    away, it is none.
+
+    Parameters
+    ----------
+    pulses : PulseModel
+    wave : PatternWave
+    found : PulseEstimate
+        The fit without that flow.
+    volume_flow_m3_s, relative_sd : float
+        The other flow, and the standard deviation of its logarithm.
+
+    Returns
+    -------
+    float
+        Root of what the sum of squares rises by, in standard deviations; nan where nothing of that flow fits.
+
+    Source: Wilks, Ann. Math. Statist. 9 (1938), on the ratio of likelihoods.
+    """
+    shown, theta = WaveBatch.of([wave]), pulses.start(volume_flow_m3_s)[None]
+    thrown = pulses.thrown(theta[:, :SHAPE_COUNT], shown.speeds_rad_s, shown.angles_rad)
+    theta[:, SHIFT], theta[:, GAIN] = _aligned(pulses, shown, pulses.behind_cell(thrown, theta, shown.speeds_rad_s).waves)
+    free = np.array([found.values[name] for name in pulses.names])
+    mean = _own_centres(pulses, theta)
+    if not np.all(np.isfinite(theta[0, [SHIFT, GAIN]])):
+        return float("nan")
+    held = fitted(pulses, shown, theta, mean, iterations, flow_sd=relative_sd)[0]
+    # The prior of a shift that no index gives is centred on its start, and says nothing.
+    if not pulses.settings.indexed:
+        mean[:, SHIFT] = free[SHIFT]
+    rest = rise(pulses, shown, free, np.array([held.values[name] for name in pulses.names]), mean[0], relative_sd)
+    return float(np.sqrt(rest / max(1.0, found.misfit)))
 
 
 def _aligned(pulses: PulseModel, shown: WaveBatch, waves: AnyArray) -> tuple[Array, Array]:
