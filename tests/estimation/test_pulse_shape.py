@@ -293,3 +293,17 @@ def test_pulses_that_creep_and_differ_leave_only_their_noise(late_turns: float, 
     plain, own = residual(shown, phase, mean), residual_of_pulses(shown, phase, mean, spacings)
     assert np.std(own) == pytest.approx(np.std(noise), rel=0.06)
     assert bool(np.std(plain) > 1.5 * np.std(noise)) is (late_turns > 0.0 or spread > 0.0 or wider > 0.0)
+
+
+def test_a_law_is_the_sum_of_its_terms_and_every_two_of_load_cosine_speed_and_friction_have_one() -> None:
+    """In the range of its loads; so are its slopes, which the fits take."""
+    rng = np.random.default_rng(3)
+    coefficients, fill = tuple(rng.normal(size=arrival_law.TERMS)), 0.2
+    where = tuple(np.array(v) for v in (0.4, 0.2, -0.7))
+    value, slope = arrival_law.law_and_slope(coefficients, np.array(fill), where)
+    assert float(value) == pytest.approx(float(arrival_law.features(fill, where) @ coefficients))
+    further = [float(arrival_law.features(fill * np.exp(step), where) @ coefficients) for step in (1e-5, -1e-5)]
+    assert float(slope) == pytest.approx((further[0] - further[1]) / 2e-5, rel=1e-6)
+    x, c, r, p = np.log(fill), *(float(v) for v in where)
+    found = arrival_law.features(fill, where)
+    assert all(np.isclose(found, both).any() for both in (x * c, x * r, x * p, c * r, c * p, r * p))

@@ -46,8 +46,8 @@ def test_what_is_saved_is_read_back(tmp_path: Path) -> None:
 
 
 WRONG = [
-    ({"log_stretch": []}, "log_stretch: is []; expected a list of 1 to 14 numbers"),
-    ({"log_tail": [1.0] * 15}, "expected a list of 1 to 14 numbers"),
+    ({"log_stretch": []}, "log_stretch: is []; expected a list of 1 to 15 numbers"),
+    ({"log_tail": [1.0] * 16}, "expected a list of 1 to 15 numbers"),
     ({"log_tail": ["a"]}, "log_tail[0]: is 'a'; expected a number"),
     ({"covariance": [0.01, 0.01, 0.02]}, "expected [variance, variance, covariance] of ln stretch and ln tail"),
     ({"covariance": [0.01]}, "expected a list of 3 numbers"),

@@ -15,7 +15,7 @@ _LEAST_FILL = 0.02
 BEYOND_FILL = 1.1
 BEYOND_SPEED = 1.1
 BEYOND_ANGLE_RAD = float(np.deg2rad(5.0))
-TERMS = 14
+TERMS = 15
 """Of an `ArrivalLaw`."""
 
 
@@ -25,7 +25,7 @@ class ArrivalLaw:
 
     ln stretch and ln tail are each a sum of coefficients times, in this order,
 
-        1, x, c, xc, c^2, x^2, xc^2, x^2 c, r, p, xr, xp, cr, cp
+        1, x, c, xc, c^2, x^2, xc^2, x^2 c, r, p, xr, xp, cr, cp, rp
 
     x: ln of load over a full paddle, c: cosine of the plate angle, r and p: ln of elevator speed and of friction over those of
     `reference`. Coefficients not given are 0. Stretch: time over which the stream arrives over that of straight paths, for
@@ -106,14 +106,14 @@ def features(fill: float, conditions: tuple[Array, Array, Array]) -> Array:
     """The terms (TERMS,) of a law at a fill."""
     x = float(np.log(min(max(fill, _LEAST_FILL), 1.0)))
     c, r, p = (float(v) for v in conditions)
-    return np.array([1.0, x, c, x * c, c * c, x * x, x * c * c, x * x * c, r, p, x * r, x * p, c * r, c * p])
+    return np.array([1.0, x, c, x * c, c * c, x * x, x * c * c, x * x * c, r, p, x * r, x * p, c * r, c * p, r * p])
 
 
 def law_and_slope(coefficients: tuple[float, ...], fill: AnyArray, conditions: tuple[Array, Array, Array]) -> tuple[Array, Array]:
     """A law's value at fills, and its derivative by ln fill."""
     k = (*coefficients, *(0.0,) * (TERMS - len(coefficients)))
     c, r, p = conditions
-    one = k[0] + c * (k[2] + k[4] * c) + k[8] * r + k[9] * p + c * (k[12] * r + k[13] * p)
+    one = k[0] + c * (k[2] + k[4] * c) + k[8] * r + k[9] * p + c * (k[12] * r + k[13] * p) + k[14] * r * p
     line = k[1] + c * (k[3] + k[6] * c) + k[10] * r + k[11] * p
     square = k[5] + k[7] * c
     log_fill = np.log(np.minimum(np.maximum(fill, _LEAST_FILL), 1.0))

@@ -28,9 +28,9 @@ _RANGES = {
 _HEAD = f"""# How the grain of dense pulses arrives, and where that is calibrated (docs/internals/waveform.md).
 # calibrated_range: load over a full paddle, plate angle, elevator speed. Beyond it by more than {BEYOND_FILL - 1.0:.0%} of load,
 # {degrees(BEYOND_ANGLE_RAD):g} deg of the plate or {BEYOND_SPEED - 1.0:.0%} of speed, no flow is given by the pulses' shape.
-# log_stretch, log_tail: coefficients of 1, x, c, xc, c^2, x^2, xc^2, x^2 c, r, p, xr, xp, cr, cp in ln stretch and ln tail (s),
-# with x: ln load_share, c: cosine of the plate angle, r and p: ln of speed and friction over the reference's. They hold where
-# the configuration says waveform.shape_terms. covariance: variance, variance and covariance of both about that.
+# log_stretch, log_tail: coefficients of 1, x, c, xc, c^2, x^2, xc^2, x^2 c, r, p, xr, xp, cr, cp, rp in ln stretch and ln tail;
+# 0 where not given. x: ln load_share, c: cosine of the plate angle, r and p: ln of speed and friction over the reference's.
+# They hold where the configuration says waveform.shape_terms. covariance: variance, variance and covariance of both about that.
 """
 _KEYS = ("source", "calibrated_range", "reference", "log_stretch", "log_tail", "covariance")
 
