@@ -39,6 +39,7 @@ PARSED = {
     "calibrations": "tests/service/test_posting.py",
     "ticket list": "tests/service/test_posting.py",
     "ticket undo": "tests/service/test_posting.py",
+    "load correct": "tests/service/test_load_names.py",
     "map": "tests/field",
     "run --config": "tests/service/test_run.py",
     "calibrate --loads": "tests/estimation, by weighed loads",

@@ -11,7 +11,8 @@ from yieldmon.errors import InputError
 
 CONFIGURATION = "bus: {transmit_max_age_s: 60}\nsweep: {enabled: false}\n"
 VERBS = (
-    "status, load-start, load-stop, totals-reset, loads, ticket, tickets, ticket-undo, calibrations, calibration-undo, zero, "
+    "status, load-start, load-stop, load-correct, totals-reset, loads, ticket, tickets, ticket-undo, "
+    "calibrations, calibration-undo, zero, "
     "zero-undo, sweep-start, sweep-abort"
 )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import struct
 from math import hypot
 from pathlib import Path
 
@@ -362,3 +363,42 @@ def test_what_is_reported_covers_what_10_hz_samples_cost(rpm: float, tmp_path: P
         found = measured(frames, 10, mass_kg)
         share = 1.0 + found["mass_error_pct"] / 100.0
         assert 5.0 < hypot(found["scatter_pct"] * share, found["mass_error_pct"]) <= stated
+
+
+ERRORS_ONLY = (
+    "date Sam Sep 30 15:06:13.191 2017\nbase hex  timestamps absolute\n   2.501000 1 ErrorFrame\n   3.501000 1 ErrorFrame\n"
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "says"),
+    [
+        ("errors.asc", ERRORS_ONLY, "no data frame; expected a bus or log with traffic"),
+        ("other.log", "***BUSMASTER Ver 2.4.0***\n***PROTOCOL CAN***\n", "expected a CAN log as its name says: lines of candump"),
+        ("other.csv", "Time Stamp,ID,Extended,Bus,LEN,D1\n166064000,0000021A,false,0,1,FE,\n", "export others as .asc or .trc"),
+    ],
+)
+def test_a_log_without_a_data_frame_is_refused_in_a_line(name, text, says, tmp_path, capsys) -> None:
+    """Error frames only, and other programs' files under an ending that is read (of SavvyCAN's examples: BUSMASTER, GVRET)."""
+    (tmp_path / name).write_text(text)
+    assert main(["signals", str(tmp_path / name)]) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert says in line
+
+
+def test_identifiers_of_29_bits_that_lack_their_mark(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """As some car and sensor makers' files have them; one wrong identifier made the whole file useless."""
+    dbc = (
+        'VERSION ""\nBU_: A\nBO_ 419361024 Cell: 8 A\n SG_ Signal : 0|32@1- (1,0) [0|0] "mV" A\n'
+        'BO_ 291 Short: 8 A\n SG_ Speed : 0|16@1+ (0.125,0) [0|0] "rpm" A\n'
+        'CM_ SG_ 419361024 Signal "bridge";\nSIG_VALTYPE_ 419361024 Signal : 1;\n'
+    )
+    (tmp_path / "maker.dbc").write_text(dbc)
+    value = struct.pack("<f", 12.5).hex()
+    lines = [
+        f"(1700000000.{i:02d}0000) can0 18FEF100#{value}00000000\n(1700000000.{i:02d}5000) can0 123#800C\n" for i in range(50)
+    ]
+    (tmp_path / "a.log").write_text("".join(lines))
+    found = survey(capsys, str(tmp_path / "a.log"), "--dbc", str(tmp_path / "maker.dbc"))
+    cell = next(message for message in found["messages"] if message["name"] == "Cell")
+    assert (cell["id"], cell["signals"]["Signal"]["last"]) == ("0x18FEF100", 12.5)

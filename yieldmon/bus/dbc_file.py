@@ -3,17 +3,35 @@
 from __future__ import annotations
 
 import logging
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from yieldmon.bounded import read_whole
 from yieldmon.errors import InputError
+from yieldmon.identifiers import EXTENDED_FLAG
 
 if TYPE_CHECKING:
     from cantools.database.can import Database, Message
 
 #: Makers' largest files have some ten megabytes.
 LARGEST_BYTES = 64_000_000
+
+_LARGEST_STANDARD, _LARGEST = 0x7FF, 0x1FFFFFFF
+_MESSAGE = re.compile(r"^[ \t]*BO_[ \t]+(\d+)", re.MULTILINE)
+_IDENTIFIER = re.compile(
+    r"^([ \t]*(?:(?:BO_|VAL_|SG_MUL_VAL_|SIG_VALTYPE_|SIG_GROUP_|BO_TX_BU_)"
+    r"|(?:CM_|BA_[ \t]+\"[^\"]*\")[ \t]+(?:BO_|SG_))[ \t]+)(\d+)",
+    re.MULTILINE,
+)
+
+
+def with_extended(text: str) -> str:
+    """A DBC's text with the mark of 29 bits on identifiers that lack it and do not fit in 11, as some makers write them."""
+    lacking = {number for number in _MESSAGE.findall(text) if _LARGEST_STANDARD < int(number) <= _LARGEST}
+    if not lacking:
+        return text
+    return _IDENTIFIER.sub(lambda m: m[1] + (str(int(m[2]) + EXTENDED_FLAG) if m[2] in lacking else m[2]), text)
 
 
 def read(path: Path | str, *, strict: bool = True) -> Database:
@@ -41,7 +59,7 @@ def read(path: Path | str, *, strict: bool = True) -> Database:
     # What it warns of, messages with one name or identifier, is refused in a line here or where it matters.
     logging.getLogger("cantools.database.can.database").setLevel(logging.ERROR)
     try:
-        database = cantools.database.load_string(text, database_format="dbc", strict=strict)
+        database = cantools.database.load_string(with_extended(text), database_format="dbc", strict=strict)
     except DbcError as error:
         raise InputError(where, " ".join(str(error).split()), "a DBC file without contradictions") from error
     except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:

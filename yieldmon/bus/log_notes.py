@@ -14,6 +14,15 @@ from yieldmon.errors import InputError
 _log = logging.getLogger(__name__)
 
 
+_KINDS = {
+    ".log": ": lines of candump; export others as .asc or .trc",
+    ".csv": ": timestamp,arbitration_id,extended,remote,error,dlc,data of python-can; export others as .asc or .trc",
+    ".trc": ": PEAK's; export others as .asc",
+    ".asc": ": Vector's",
+}
+"""By the ending of text formats, what is read; several programs write others under it."""
+
+
 @dataclass(frozen=True)
 class Damage:
     """One place of a log that could not be read. where: ``FILE:LINE``, or ``FILE: byte N`` in a binary file."""
@@ -85,4 +94,5 @@ def refuse_unreadable(notes: LogNotes) -> None:
     """Raises InputError when reading to the end found damage and no frame at all."""
     if notes.damages and not notes.frames:
         first = notes.damages[0]
-        raise InputError(first.where, f"{first.problem}; no frame in the whole file", "a CAN log as its name says")
+        kind = next((what for ending, what in _KINDS.items() if ending in first.where.lower()), "")
+        raise InputError(first.where, f"{first.problem}; no frame in the whole file", f"a CAN log as its name says{kind}")

@@ -9,6 +9,8 @@ from typing import Any
 from rich.console import Console
 from rich.table import Column, Table
 
+from yieldmon.errors import InputError
+
 
 def when(time_s: float | None) -> str:
     """A Unix time as a person reads it, in local time; "-" where it is not known (0: before the bus gave the time)."""
@@ -52,6 +54,35 @@ def taken_back(answer: Mapping[str, Any]) -> str:
         return f"ticket {answer['ticket']} undone; {back(answer)}"
     stays = f"; what it taught stays: {answer['teaching_stays']}" if "teaching_stays" in answer else ""
     return f"ticket {answer['ticket']} undone{stays}{_teaching(answer)}"
+
+
+def load_numbers(text: str) -> tuple[int, int]:
+    """First and last load of what was typed. Raises InputError."""
+    first, dash, last = text.partition("-")
+    if not first.isdecimal() or (dash and not last.isdecimal()):
+        raise InputError("LOAD", repr(text), "a number such as 7, or FIRST-LAST such as 7-9")
+    if dash and int(last) < int(first):
+        raise InputError("LOAD", repr(text), "the first load before the last, such as 7-9")
+    return int(first), int(last) if dash else int(first)
+
+
+def corrected(answer: Mapping[str, Any]) -> str:
+    """What a correction of names did."""
+    first, last = answer["first_load"], answer["last_load"]
+    names = " ".join(name for name in (answer["field"], answer["crop"]) if name)
+    parts = [f"load {first}: {names}" if first == last else f"loads {first} to {last}: {names}"]
+    if again := answer.get("measured_again"):
+        parts.append(f"load {_listed(again)} measured again with the parameters of {answer['crop']}, seconds stay as they are")
+    parts += [f"load {row['load']} is not measured again: {row['why']}" for row in answer.get("not_measured_again", ())]
+    for lesson in answer.get("taken_back", ()):
+        if "undone" in lesson:
+            parts.append(f"what ticket {lesson['ticket']} taught another crop is taken back: {back(lesson)}")
+        elif "teaching_stays" in lesson:
+            parts.append(f"what ticket {lesson['ticket']} taught another crop stays: {lesson['teaching_stays']}")
+    if taught := answer.get("learnt_again"):
+        parts.append(f"ticket {_listed(taught)} teaches {answer['crop']}")
+    parts += [f"ticket {row['ticket']} teaches nothing: {row['why']}" for row in answer.get("not_learnt_again", ())]
+    return "; ".join(parts)
 
 
 def _listed(numbers: Iterable[int]) -> str:

@@ -1,4 +1,4 @@
-"""Start or stop a load, or list all loads, on a running daemon."""
+"""Start or stop a load, list all loads, or correct past ones, on a running daemon."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 from yieldmon.cli._daemon import add_daemon_arguments, ask_daemon
 from yieldmon.cli._json import print_json
-from yieldmon.cli._records import show
+from yieldmon.cli._records import corrected, load_numbers, show
 from yieldmon.cli._units import add_units
 from yieldmon.files.crops import crops
 from yieldmon.files.units import units_of
@@ -19,9 +19,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """The verb's arguments."""
     parser = subparsers.add_parser(
         "load",
-        help="start or stop a load, or list all loads",
+        help="start, stop, list or correct loads",
         description=__doc__,
-        epilog="example: yieldmon load start --field north; yieldmon load stop",
+        epilog="example: yieldmon load start --field north; yieldmon load stop; yieldmon load correct 7-8 --crop wheat",
     )
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     start = actions.add_parser("start", help="begin a new load")
@@ -35,7 +35,11 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     stop = actions.add_parser("stop", help="the load is complete")
     listing = actions.add_parser("list", help="list all loads, as measured and as corrected by tickets")
-    for action in (start, stop, listing):
+    correct = actions.add_parser("correct", help="give complete loads another crop or field")
+    correct.add_argument("loads", metavar="LOAD", help="number, or FIRST-LAST")
+    correct.add_argument("--field", help="field name")
+    correct.add_argument("--crop", help="crop, whose parameters measure them again")
+    for action in (start, stop, listing, correct):
         add_daemon_arguments(action)
         add_units(action, "the daemon's configuration")
         action.add_argument("--json", action="store_true", help="print the answer as one JSON document")
@@ -48,11 +52,17 @@ def run(args: argparse.Namespace) -> int:
         request |= {key: value for key in ("field", "crop") if (value := getattr(args, key)) is not None}
         if args.thousand_kernel_weight is not None:
             request["thousand_kernel_weight_g"] = args.thousand_kernel_weight
+    if args.action == "correct":
+        request["command"] = "load-correct"
+        request["first_load"], request["last_load"] = load_numbers(args.loads)
+        request |= {key: value for key in ("field", "crop") if (value := getattr(args, key)) is not None}
     answer = ask_daemon(args, request)
     if args.json:
         print_json(answer)
     elif args.action == "list":
         show(*_rows(answer["loads"], args.units or answer.get("units", "metric")))
+    elif args.action == "correct":
+        print(corrected(answer))
     elif args.action == "start":
         names = " ".join(name for name in (answer["field"], answer["crop"]) if name)
         print(f"load {answer['load']} started" + (f": {names}" if names else ""))

@@ -11,7 +11,7 @@ import sys
 
 from yieldmon.cli._daemon import add_daemon_arguments, ask_daemon, mass
 from yieldmon.cli._json import print_json
-from yieldmon.cli._records import show, taken_back, undone, when
+from yieldmon.cli._records import load_numbers, show, taken_back, undone, when
 from yieldmon.cli._units import add_units
 from yieldmon.errors import InputError
 from yieldmon.files.units import units_of
@@ -43,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
     args.mass = "".join(args.mass) if args.mass else None
     if args.loads in ("list", "undo"):
         return _listed(args) if args.loads == "list" else _undone(args)
-    first, last = _loads(args.loads)
+    first, last = load_numbers(args.loads)
     if args.mass is None:
         raise InputError("MASS", "is missing", "the weighed mass: 9120, 9120kg or 9.12t")
     request = {"command": "ticket", "first_load": first, "last_load": last, "mass_kg": mass(args.mass), "note": args.note}
@@ -108,12 +108,3 @@ def _undone(args: argparse.Namespace) -> int:
         return 0
     print(taken_back(answer))
     return 0
-
-
-def _loads(text: str) -> tuple[int, int]:
-    first, dash, last = text.partition("-")
-    if not first.isdecimal() or (dash and not last.isdecimal()):
-        raise InputError("LOAD", repr(text), "a number such as 7, or FIRST-LAST such as 7-9")
-    if dash and int(last) < int(first):
-        raise InputError("LOAD", repr(text), "the first load before the last, such as 7-9")
-    return int(first), int(last) if dash else int(first)

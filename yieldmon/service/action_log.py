@@ -88,15 +88,16 @@ class ActionLog:
         """Take a ticket back; returns it. Raises InputError."""
         ticket = self.standing_ticket(number)
         self.add(ledgers.TICKET_UNDO, who, {"ticket": number}, now_s)
-        self._wait_no_more([number])
+        self.wait_no_more([number])
         return ticket
 
     def wait_again(self, numbers: Sequence[int], crop: str) -> None:
         """These tickets are to update the parameters anew. crop: of them, where another one is harvested now, else ""."""
-        self._wait_no_more(numbers)
+        self.wait_no_more(numbers)
         (self._of_crop.setdefault(crop, []) if crop else self.waiting).extend(numbers)
 
-    def _wait_no_more(self, numbers: Sequence[int]) -> None:
+    def wait_no_more(self, numbers: Sequence[int]) -> None:
+        """These tickets are not to update the parameters."""
         for kept in (self.waiting, *self._of_crop.values()):
             kept[:] = [number for number in kept if number not in numbers]
 
@@ -178,6 +179,11 @@ class ActionLog:
             "tickets": list(tickets), "version": version, "factors": {str(n): factor for n, factor in sorted(factors.items())}
         }  # fmt: skip
         self.add(ledgers.POSTING, "", document)
+
+    def posted_by_crop(self, factors: Mapping[int, float], now_s: float) -> None:
+        """Loads that are of another crop than they were measured with were measured again with its parameters."""
+        document = {"tickets": [], "version": 0, "factors": {str(n): factor for n, factor in sorted(factors.items())}}
+        self.add(ledgers.POSTING, "", document, now_s)
 
     @property
     def updates(self) -> Mapping[int, Action]:

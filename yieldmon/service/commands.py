@@ -12,7 +12,7 @@ from yieldmon.errors import InputError
 from yieldmon.estimation.estimators import estimator_of
 from yieldmon.files import ticket_file
 from yieldmon.files.crops import crops, find_crop, shipped_name
-from yieldmon.service import ledger, relearning
+from yieldmon.service import ledger, load_names, relearning
 from yieldmon.service.assembly import calibration_age_s
 from yieldmon.service.batch import Load, Ticket
 from yieldmon.service.journal import Journal
@@ -29,7 +29,7 @@ _MOST_LOADS = 63
 
 QUERIES = frozenset({"status", "loads", "tickets", "calibrations"})
 """Commands that change nothing."""
-TEACH_AGAIN = frozenset({"ticket-undo"})
+TEACH_AGAIN = frozenset({"ticket-undo", "load-correct"})
 """Commands after which standing tickets may teach again."""
 
 
@@ -58,10 +58,10 @@ def execute(
 
 
 def ticketed_loads(request: Mapping[str, Any]) -> range:
-    """Numbers of the loads that a ticket names; none for another request, or one that makes no sense."""
+    """Numbers of the loads that a ticket or a correction names; none for another request, or one that makes no sense."""
     first, last = request.get("first_load"), request.get("last_load")
     last = first if last is None else last
-    if request.get("command") != "ticket" or not isinstance(first, int) or not isinstance(last, int):
+    if request.get("command") not in ("ticket", "load-correct") or not isinstance(first, int) or not isinstance(last, int):
         return range(0)
     return range(first, last + 1) if 0 <= first <= last <= first + _MOST_LOADS else range(0)
 
@@ -139,6 +139,20 @@ def _load_stop(order: _Order) -> Answer:
     return {"load": monitor.totals.load_number, "mass_kg": monitor.totals.load_kg, "crop": crop}
 
 
+def _load_correct(order: _Order) -> Answer:
+    request, monitor, journal = order.request, order.monitor, order.journal
+    first = request.number_of("first_load", "load")
+    last = request.number_of("last_load", "load") if request.given("last_load") else first
+    field, name = request.name("field"), request.name("crop")
+    if field is None and not name:
+        raise InputError("load correct", "names nothing to correct", "a crop or a field")
+    if monitor.totals.load_open and first <= monitor.totals.load_number <= last:
+        number = monitor.totals.load_number
+        raise InputError(f"load {number}", "is still open", "`yieldmon load start` with the right names, then correct this one")
+    wanted = load_names.Correction(_covered(journal, first, last, "load"), field, name and (shipped_name(name) or name.strip()))
+    return load_names.correct(wanted, monitor, journal, request.who, order.now_s, order.stored)
+
+
 def _loads(order: _Order) -> Answer:
     return {"loads": order.journal.load_table()}
 
@@ -198,14 +212,14 @@ def _calibration_undo(order: _Order) -> Answer:
     return {**answer, "standing_tickets": list(answer["standing_tickets"])}
 
 
-def _covered(journal: Journal, first: int, last: int) -> list[Load]:
+def _covered(journal: Journal, first: int, last: int, what: str = "ticket for load") -> list[Load]:
     loads = {load.number: load for load in journal.loads}
     for number in (first, last):
         if number not in loads:
             known = f"{min(loads)} to {max(loads)}" if loads else "a load that was measured"
-            raise InputError(f"ticket for load {number}", "no such load", known)
+            raise InputError(f"{what} {number}", "no such load", known)
     if last < first:
-        raise InputError(f"ticket for loads {first} to {last}", "the last number is below the first")
+        raise InputError(f"{what}s {first} to {last}", "the last number is below the first")
     return [loads[number] for number in sorted(loads) if first <= number <= last]
 
 
@@ -250,6 +264,7 @@ def _sweep_abort(order: _Order) -> Answer:
 _COMMANDS: Mapping[str, tuple[Callable[[_Order], Answer], tuple[str, ...]]] = {
     "load-start": (_load_start, ("field", "crop", "thousand_kernel_weight_g")),
     "load-stop": (_load_stop, ()),
+    "load-correct": (_load_correct, ("first_load", "last_load", "field", "crop")),
     "totals-reset": (_totals_reset, ("total_kg",)),
     "loads": (_loads, ()),
     "ticket": (_ticket, ("first_load", "last_load", "mass_kg", "std_dev_kg", "note")),

@@ -441,7 +441,7 @@ class Daemon:
             raise ControlError("the disk does not answer; nothing was done")
         try:
             path = self.configuration.store_path
-            return of_standing_tickets(path) if teaches_again else of_path(path, numbers)
+            return of_standing_tickets(path, numbers) if teaches_again else of_path(path, numbers)
         except InputError as error:
             _log.warning("loads of an earlier run cannot be read: %s", error)
             return ()

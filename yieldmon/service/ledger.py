@@ -11,6 +11,8 @@ if TYPE_CHECKING:
 
 TICKET, TICKET_UNDO, ZERO, ZERO_UNDO = "ticket", "ticket-undo", "zero", "zero-undo"
 PARAMETERS, PARAMETERS_UNDO, POSTING, TOTALS_RESET = "parameters", "parameters-undo", "posting", "totals-reset"
+LOAD_NAMES = "load-names"
+"""Another field or crop for loads."""
 CROP = "crop"
 """Origin of parameters that a change of crop brought."""
 
@@ -112,6 +114,16 @@ def ticket_rows(tickets: Sequence[Ticket], actions: Iterable[Action]) -> list[di
         }
         for number, ticket in enumerate(tickets, 1)
     ]  # fmt: skip
+
+
+def recropped(actions: Iterable[Action]) -> set[int]:
+    """Numbers of the loads that were given another crop than they began with."""
+    return {
+        int(row["load"])
+        for action in actions
+        if action.kind == LOAD_NAMES and action.document.get("crop") is not None
+        for row in action.document["before"]
+    }
 
 
 def undone_versions(actions: Iterable[Action]) -> set[int]:

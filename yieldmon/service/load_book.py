@@ -61,6 +61,16 @@ class LoadBook:
             area_m2=known.area_m2 if area_known else None,
         )
 
+    def named(self, number: int, field: str | None, crop: str | None) -> None:
+        """Other names for a load; None leaves one as it is."""
+        known = self._loads[number]
+        field, crop = known.field if field is None else field, known.crop if crop is None else crop
+        self._loads[number] = self._new[number] = replace(known, field=field, crop=crop)
+
+    def dried(self, number: int, dry_mass_kg: float | None) -> None:
+        """The dry mass of a load, at another market moisture."""
+        self._loads[number] = self._new[number] = replace(self._loads[number], dry_mass_kg=dry_mass_kg)
+
     def take(self) -> tuple[Load, ...]:
         """Those that no batch has brought yet; they count as brought."""
         new, self._new = tuple(self._new.values()), {}

@@ -51,9 +51,7 @@ class ParameterHistory:
         before = self.crop_of(in_use, named)
         if crop == before or not before:
             return None
-        known = self._of_crop.get(crop)
-        if known is None and crop in crops():
-            known = crops()[crop].parameters()
+        known = self.of(crop, in_use, named)
         if known is None:
             return None
         kept = replace(in_use, version=self.version + 1, provenance={**in_use.provenance, "crop": before})
@@ -62,6 +60,13 @@ class ParameterHistory:
         chosen = replace(known, version=self.version + 1)
         self.use(chosen, ledgers.CROP, who, f"what is known of {crop}")
         return chosen
+
+    def of(self, crop: str, in_use: ParameterSet, named: str) -> ParameterSet | None:
+        """What is known of a crop; None where nothing is. named: the crop that an operator named last."""
+        if crop == self.crop_of(in_use, named):
+            return in_use
+        known = self._of_crop.get(crop)
+        return crops()[crop].parameters() if known is None and crop in crops() else known
 
     def unlike(self, configured: ParameterSet) -> ParameterSet | None:
         """A parameter file read anew: the set to use from now on, None when it is the one that was read last."""

@@ -28,6 +28,7 @@ from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array
 from yieldmon.service.batch import Step
+from yieldmon.service.ledger import recropped
 from yieldmon.service.recorded import opened, parameter_sets
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.store import Store
@@ -141,16 +142,20 @@ def _contradicts(expected: Advance, state: Array) -> bool:
     return bool(moved @ inverse @ moved > _CONTRADICTION)
 
 
-def factors(loads: Sequence[MeasuredLoad], known: Timeline, machine: Machine) -> dict[int, float]:
+def factors(
+    loads: Sequence[MeasuredLoad], known: Timeline, machine: Machine, of_crop: Mapping[int, bool] | None = None
+) -> dict[int, float]:
     """Mass measured again over the mass as measured, by load number.
 
-    Loads with seconds from before the timeline, or of which less than 90 % rests on a known force, are left out.
+    Loads with seconds from before the timeline, or of which less than 90 % rests on a known force, are left out. of_crop: whether
+    a load that was given another crop is of the timeline's; those that are count whatever parameters measured them.
     """
+    renamed = {} if of_crop is None else of_crop
     model = ForwardModel(machine, known.parameters.effects)
     out = {}
     for load in loads:
         versions = {row.parameter_version for row in load.seconds}
-        if not versions <= known.versions or not versions <= set(load.parameters):
+        if not renamed.get(int(load.name), versions <= known.versions) or not versions <= set(load.parameters):
             continue
         parts = [
             force_columns([row for row in load.seconds if row.parameter_version == v], load.parameters[v], machine)
@@ -176,8 +181,10 @@ def of_store(path: Path, machine: Machine, version: int, open_load: int | None, 
         if version not in sets:
             raise InputError(str(path), f"has no parameters of version {version}", "a store that is being written")
         known, loads = timeline(store.steps(), sets[version], sets), store.loads()
+        renamed, crop = recropped(store.actions()), sets[version].provenance.get("crop")
+        of_crop = {load.number: load.crop == crop for load in loads if load.number in renamed}
         for rows in _newest_loads(store, begins(known, now_s), open_load):
-            out |= factors(loads_of(of_loads(rows, loads), sets), known, machine)
+            out |= factors(loads_of(of_loads(rows, loads), sets), known, machine, of_crop)
     return out
 
 

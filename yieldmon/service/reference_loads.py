@@ -60,11 +60,13 @@ def of_path(path: Path, numbers: Collection[int]) -> tuple[StoredLoad, ...]:
         return of_store(store, numbers)
 
 
-def of_standing_tickets(path: Path) -> tuple[StoredLoad, ...]:
-    """The loads of the tickets that stand, of the store at a path, as `of_store`. Raises InputError."""
+def of_standing_tickets(path: Path, named: Collection[int] = ()) -> tuple[StoredLoad, ...]:
+    """The loads of the tickets that stand and those named, of the store at a path, as `of_store`. Raises InputError."""
     with opened(path) as store:
         standing = ledger.ledger(store.tickets(), store.actions()).tickets.values()
-        return of_store(store, {number for ticket in standing for number in range(ticket.first_load, ticket.last_load + 1)})
+        ticketed = {number for ticket in standing for number in range(ticket.first_load, ticket.last_load + 1)}
+        of_named = of_store(store, named)
+        return (*of_named, *of_store(store, ticketed - {load.load.number for load in of_named}))
 
 
 def of_store(store: Store, numbers: Collection[int]) -> tuple[StoredLoad, ...]:

@@ -27,6 +27,27 @@ def without_ticket(
     Where it has taught, the parameters are those from before it, and the standing tickets after it teach again. What sweeps and
     kernel noise taught since then goes. stored: loads of standing tickets, as the store has them. Raises InputError.
     """
+    return _without(number, monitor, journal, who, now_s, stored, stands=())
+
+
+def without_lessons(
+    numbers: Sequence[int], monitor: Monitor, journal: Journal, who: str, now_s: float, stored: Sequence[StoredLoad]
+) -> list[dict[str, Any]]:
+    """The same of tickets that stand, for loads that are of another crop than they have taught."""
+    return [_without(number, monitor, journal, who, now_s, stored, stands=numbers) for number in numbers]
+
+
+def _without(
+    number: int,
+    monitor: Monitor,
+    journal: Journal,
+    who: str,
+    now_s: float,
+    stored: Sequence[StoredLoad],
+    *,
+    stands: Sequence[int],
+) -> dict[str, Any]:
+    """stands: tickets that are not taken back and teach no more."""
     actions = journal.actions
     ticket = actions.standing_ticket(number)
     loads = range(ticket.first_load, ticket.last_load + 1)
@@ -39,13 +60,15 @@ def without_ticket(
         except InputError as error:
             # The mass that it corrected comes back all the same.
             stays, first = str(error), None
-    actions.undo_ticket(number, who, now_s)
+    if number in stands:
+        actions.wait_no_more([number])
+    else:
+        actions.undo_ticket(number, who, now_s)
     undone, crop = actions.undone_versions - undone_before, _crop_of(journal, number)
     later = [n for n in actions.not_learnt_after(number) if _crop_of(journal, n) == crop]
-    numbers = actions.newest_of({*actions.standing_of(undone), *later})
-    now = journal.crop_in_use(monitor.estimator.parameters)
-    other = str(answer["crop"]) if "crop" in answer else crop if crop and now and crop.lower() != now.lower() else ""
-    taught, why_not = _teach_again(numbers, ticket, other, monitor, journal, stored, goes_back=first is not None)
+    numbers = [n for n in actions.newest_of({*actions.standing_of(undone), *later}) if n not in stands]
+    other = str(answer["crop"]) if "crop" in answer else _if_other(crop, monitor, journal)
+    taught, why_not = _teach_again(numbers, loads, other, monitor, journal, stored, goes_back=first is not None)
     if first is None:
         return answer | ({"teaching_stays": stays} if stays else {}) | ({"learnt_again": taught} if taught else {})
     lost = [v for v in undone if actions.updates[v].document.get("origin") in _NOT_WEIGHED]
@@ -53,6 +76,19 @@ def without_ticket(
         "learnt_again": taught, "standing_tickets": sorted(why_not),
         "not_learnt_again": [{"ticket": n, "why": why} for n, why in sorted(why_not.items())], "sweeps_undone": len(lost),
     }  # fmt: skip
+
+
+def teach_crop(
+    numbers: Sequence[int], crop: str, monitor: Monitor, journal: Journal, stored: Sequence[StoredLoad]
+) -> tuple[list[int], Mapping[int, str]]:
+    """Tickets teach a crop that their loads are of: numbers of those that do, and why the others do not."""
+    return _teach_again(numbers, (), _if_other(crop, monitor, journal), monitor, journal, stored, goes_back=False)
+
+
+def _if_other(crop: str, monitor: Monitor, journal: Journal) -> str:
+    """A crop, where another one is harvested now, else ""."""
+    now = journal.crop_in_use(monitor.estimator.parameters)
+    return crop if crop and now and crop.lower() != now.lower() else ""
 
 
 def _crop_of(journal: Journal, number: int) -> str:
@@ -83,7 +119,7 @@ def back_before(version: int, monitor: Monitor, journal: Journal, who: str, now_
 
 def _teach_again(
     numbers: Sequence[int],
-    gone: Ticket,
+    gone: Sequence[int],
     crop: str,
     monitor: Monitor,
     journal: Journal,
@@ -91,8 +127,8 @@ def _teach_again(
     *,
     goes_back: bool,
 ) -> tuple[list[int], Mapping[int, str]]:
-    """Numbers of the tickets that teach again, and why the others of these do not. crop: see `Monitor.teach_again`. goes_back:
-    the parameters are those from before a ticket."""
+    """Numbers of the tickets that teach again, and why the others of these do not. gone: loads whose tickets go. crop: see
+    `Monitor.teach_again`. goes_back: the parameters are those from before a ticket."""
     tickets = journal.actions.ledger.tickets
     taught: list[int] = []
     again: list[Weighing] = []
@@ -110,7 +146,7 @@ def _teach_again(
         load for n in journal.actions.learnt_from() if n not in taught
         for load in range(tickets[n].first_load, tickets[n].last_load + 1)
     ]  # fmt: skip
-    monitor.teach_again(range(gone.first_load, gone.last_load + 1), again, learnt if goes_back else None, crop)
+    monitor.teach_again(gone, again, learnt if goes_back else None, crop)
     journal.actions.wait_again(taught, crop)
     return taught, why_not
 

@@ -172,6 +172,9 @@ class Survey:
         long: Mapping[int, bytes] | None = None,
     ) -> None:
         """Data frames, in order; identifiers with `EXTENDED_FLAG`, payloads and long as in `MapDecoder.decode_block`."""
+        if not time_s.size:
+            # A stretch of error frames, or of lines that are none.
+            return
         self.frames += time_s.size
         is_claim = (identifiers & np.uint32(GROUP_MASK | EXTENDED_FLAG)) == np.uint32(ADDRESS_CLAIM | EXTENDED_FLAG)
         for row in np.flatnonzero(is_claim & (lengths == 8)).tolist():

@@ -1,0 +1,97 @@
+"""Loads begun under a wrong crop: after the correction they count as if they had been begun under the right one."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.service.bench import running
+from tests.service.test_relearning import enter, settle
+from tests.service.test_tickets_after_restart import Season, ask
+from yieldmon.cli import main as cli
+
+LOADS = ((5, 40.0), (4, 80.0), (5, 110.0))
+
+
+def harvest(season: Season, bench, crops) -> None:
+    """A load of each crop, each with its ticket, then the button for wheat. The first is corn in any case."""
+    bench.play(14, 0.0)
+    bench.played()
+    for crop, (seconds, signal_mv) in zip(crops, LOADS, strict=True):
+        ask(season.folder, season.capsys, "load", "start", "--crop", crop)
+        bench.play(seconds, signal_mv)
+        bench.played()
+        ask(season.folder, season.capsys, "load", "stop")
+        rows = ask(season.folder, season.capsys, "load", "list")["loads"]
+        season.masses = {row["number"]: row["mass_kg"] for row in rows}
+        if not season.truth.get(rows[-1]["number"]):
+            season.truth[rows[-1]["number"]] = (1.1 + 0.003 * len(season.truth)) * rows[-1]["mass_kg"]
+        number = rows[-1]["number"]
+        enter(season, bench, [(number, season.truth[number] / season.masses[number])])
+        settle(season, bench)
+    ask(season.folder, season.capsys, "load", "start", "--crop", "wheat")
+    settle(season, bench)
+
+
+def known(season: Season, bench) -> dict:
+    """What is learnt of each crop, and the loads."""
+    settle(season, bench)
+    found = {}
+    for crop in ("corn", "wheat"):
+        ask(season.folder, season.capsys, "load", "start", "--crop", crop)
+        settle(season, bench)
+        found[crop] = dict(bench.daemon.monitor.estimator.parameters.values)
+    rows = ask(season.folder, season.capsys, "load", "list")["loads"]
+    found["loads"] = {row["number"]: row for row in rows}
+    return found
+
+
+def test_a_corrected_crop_is_as_if_it_had_been_chosen(tmp_path, capsys) -> None:
+    right, wrong = Season(tmp_path / "right", capsys), Season(tmp_path / "wrong", capsys)
+    wrong.truth = right.truth = {}
+    with running(wrong.folder) as bench:
+        harvest(wrong, bench, ("corn", "corn", "corn"))
+        assert cli.main(["load", "correct", "3-4", "--crop", "wheat", "--socket", str(wrong.folder / "yieldmon.sock")]) == 0
+        said = capsys.readouterr().out
+        assert said.startswith("loads 3 to 4: wheat; load 3, 4 measured again with the parameters of wheat")
+        assert "what ticket 2 taught another crop is taken back" in said
+        assert said.endswith("ticket 2, 3 teaches wheat\n")
+        found = known(wrong, bench)
+    with running(right.folder) as bench:
+        harvest(right, bench, ("corn", "wheat", "wheat"))
+        expected = known(right, bench)
+    assert found["corn"] == pytest.approx(expected["corn"], rel=1e-3)
+    assert found["wheat"] == pytest.approx(expected["wheat"], rel=1e-3)
+    for number in (2, 3, 4):
+        mine, theirs = found["loads"][number], expected["loads"][number]
+        assert (mine["crop"], mine["corrected_mass_kg"]) == (theirs["crop"], pytest.approx(theirs["corrected_mass_kg"], rel=1e-6))
+        assert mine["posted_mass_kg"] == pytest.approx(theirs["posted_mass_kg"], rel=2e-3)
+        assert mine["corrected_dry_mass_kg"] == pytest.approx(theirs["corrected_dry_mass_kg"], rel=1e-6)
+
+
+def test_what_a_correction_refuses_is_said_in_one_line(tmp_path, capsys) -> None:
+    season = Season(tmp_path / "a", capsys)
+    season.truth = {}
+    with running(season.folder) as bench:
+        harvest(season, bench, ("corn", "corn", "corn"))
+        ask(season.folder, capsys, "ticket", "2-3", "100kg")
+
+        def refusal(*words: str) -> str:
+            with pytest.raises(SystemExit):
+                cli.main(["load", "correct", *words, "--socket", str(season.folder / "yieldmon.sock")])
+            (line,) = capsys.readouterr().err.strip().splitlines()
+            return line
+
+        assert "is still open" in refusal("5", "--crop", "wheat")
+        assert "no such load" in refusal("77", "--crop", "wheat")
+        assert "names nothing to correct" in refusal("2")
+        assert "has 'corn' already" in refusal("2", "--crop", "corn")
+        assert "load 3: is on ticket 4 with other loads; expected all of 2-3, or `yieldmon ticket undo 4` first" in refusal(
+            "3-4", "--crop", "wheat"
+        )
+        rows = ask(season.folder, capsys, "load", "list")["loads"]
+        assert {row["crop"] for row in rows if row["number"] in LOADED} == {"corn"}
+        ask(season.folder, capsys, "load", "correct", "2", "--field", "north")
+        assert ask(season.folder, capsys, "load", "list")["loads"][1]["field"] == "north"
+
+
+LOADED = (2, 3, 4)
