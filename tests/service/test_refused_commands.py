@@ -39,7 +39,8 @@ TICKET = {"command": "ticket", "first_load": 1, "mass_kg": 10.0}
 OPEN = "ticket for load 3: it is still open, so more grain may come; expected `yieldmon load stop` first, or another load"
 REFUSED = [
     ({"command": "dance"}, f"command: 'dance'; expected one of {VERBS}"),
-    ({"command": "sweep-start"}, "sweep: switched off by sweep.enabled in the configuration"),
+    ({"command": "sweep-start"}, "sweep: switched off by sweep.enabled in the configuration; "
+                                  "expected `enabled: true` there, and a reload"),
     ({"command": "zero-undo"}, "zero --undo: there is no zero calibration by an operator that could be undone; expected an undo "
                                "after `yieldmon zero`"),
     ({"command": "load-start", "field": "x" * 81},
@@ -66,7 +67,8 @@ REFUSED = [
     ({**TICKET, "first_load": 0}, "ticket for load 0: no such load; expected 1 to 3"),
     ({**TICKET, "first_load": 4}, "ticket for load 4: no such load; expected 1 to 3"),
     ({**TICKET, "first_load": 2}, "ticket for load 2: nothing was measured for it; expected a load with a measured mass"),
-    ({**TICKET, "first_load": 2, "last_load": 1}, "ticket for loads 2 to 1: the last number is below the first"),
+    ({**TICKET, "first_load": 2, "last_load": 1}, "ticket for loads 2 to 1: the last number is below the first; "
+     "expected the first load first"),
     ({**TICKET, "first_load": 3}, OPEN),
     ({**TICKET, "last_load": 3}, OPEN),
     ({**TICKET, "note": "x" * 81}, f"note: {repr('x' * 81)[:100]}; expected a name of at most 80 printable characters"),

@@ -62,7 +62,7 @@ def test_a_configuration_that_cannot_be_read_in_time_is_refused(tmp_path, monkey
             disk.released.set()
         assert disk.waiting == 3
         late = "refused: reload: the configuration could not be read within 0.05 s; expected a disk that answers"
-        assert notes == [late] * 3 + ["refused: reload: 3 earlier ones still wait for the disk"] * 2
+        assert notes == [late] * 3 + ["refused: reload: 3 earlier ones still wait for the disk; expected a disk that answers"] * 2
         assert f"reload {late.replace(':', ', the old configuration stays in use:', 1)}" in caplog.text
         wait_for(lambda: not any(thread.name == "reload" for thread in threading.enumerate()), "the disk's answers")
     with running(tmp_path) as bench:

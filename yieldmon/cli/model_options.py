@@ -18,7 +18,8 @@ from yieldmon.estimation.measurements import Measurements
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import parameter_file
 from yieldmon.files.parameter_file import GRAIN_LIMITS
-from yieldmon.files.table import LEAST_SPEED_RPM, Table
+from yieldmon.files.speeds import LEAST_SPEED_RPM
+from yieldmon.files.table import Table
 from yieldmon.physics.effects import effect_parameter, get_effect
 from yieldmon.physics.grain import GRAIN
 from yieldmon.physics.machine import Machine

@@ -13,6 +13,7 @@ from yieldmon.physics.machine import RPM
 
 from . import strict_yaml, whole_file
 from .checked import known_format, known_keys, load_mapping, mapping, number, numbers, texts
+from .speeds import LARGEST_SPEED_RPM, LEAST_SPEED_RPM
 
 FORMAT = 1
 _LAWS = {
@@ -92,7 +93,10 @@ def _alpha_beta(document: dict[str, Any], where: str) -> AlphaBeta:
 
 
 def _table(document: dict[str, Any], where: str) -> LookUpTable:
-    speed = number(document.get("elevator_speed_rpm"), f"{where}: elevator_speed_rpm", "rpm", 150.0, 5000.0) * RPM
+    speed = (
+        number(document.get("elevator_speed_rpm"), f"{where}: elevator_speed_rpm", "rpm", LEAST_SPEED_RPM, LARGEST_SPEED_RPM)
+        * RPM
+    )
     entries = document.get("columns")
     if not isinstance(entries, list) or not entries:
         raise InputError(f"{where}: columns", f"is {entries!r}", "a list with a column for each plate angle")

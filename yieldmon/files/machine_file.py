@@ -12,6 +12,7 @@ from yieldmon.physics.machine import LONGEST_RESPONSE_S, RPM, ImpactSensor, Impl
 from yieldmon.resources import shipped
 
 from .checked import known_keys, load_mapping, name, number, numbers
+from .speeds import LARGEST_SPEED_RPM
 
 DEFAULT = "config/machines/sprocket-8.yaml"
 
@@ -73,12 +74,12 @@ def from_document(document: Mapping[str, Any], path: str | Path) -> Machine:
     known_keys(document, f"{path}: ", sorted(known | _OPTIONAL))
     for key in sorted(known):
         if key not in document:
-            raise InputError(f"{path}: {key}", "missing")
+            raise InputError(f"{path}: {key}", "missing", f"a value as in {DEFAULT}")
     values: dict[str, Any] = {key: number(document[key], f"{path}: {key}", "m", *limits) for key, limits in _LENGTHS.items()}
     for key in _ANGLES:
         values[key.replace("_deg", "_rad")] = radians(number(document[key], f"{path}: {key}", "deg", 5.0, 120.0))
     for key in _SPEEDS:
-        values[key.replace("_rpm", "_rad_s")] = number(document[key], f"{path}: {key}", "rpm", 1.0, 5000.0) * RPM
+        values[key.replace("_rpm", "_rad_s")] = number(document[key], f"{path}: {key}", "rpm", 1.0, LARGEST_SPEED_RPM) * RPM
     values["paddle_spacings_m"] = numbers(document["paddle_spacings_m"], f"{path}: paddle_spacings_m", "m", 0.01, 2.0)
     values["plate_travel_m"] = _travel(document.get("plate_travel_m", [0.0, 0.0]), f"{path}: plate_travel_m")
     values["sensor"] = _sensor(document["sensor"], path)

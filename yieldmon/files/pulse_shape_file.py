@@ -16,13 +16,14 @@ from yieldmon.resources import shipped
 
 from . import strict_yaml, whole_file
 from .checked import known_keys, load_mapping, number, numbers, span
+from .speeds import LARGEST_SPEED_RPM
 
 SHIPPED = "config/pulse-shape.yaml"
 
 _RANGES = {
     "load_share": ("fills", "1", 1.0, 1e-3, 2.0),
     "plate_angle_deg": ("plate_angles_rad", "deg", radians(1.0), 0.0, 180.0),
-    "elevator_speed_rpm": ("elevator_speeds_rad_s", "rpm", RPM, 1.0, 5000.0),
+    "elevator_speed_rpm": ("elevator_speeds_rad_s", "rpm", RPM, 1.0, LARGEST_SPEED_RPM),
 }
 """Of the calibrated range: attribute of `ArrivalLaw`, unit, its size in SI, limits."""
 _HEAD = f"""# How the grain of dense pulses arrives, and where that is calibrated (docs/internals/waveform.md).
@@ -42,11 +43,11 @@ def load(path: str | Path | None = None) -> ArrivalLaw:
     known_keys(document, f"{path}: ", _KEYS)
     for key in _KEYS[1:]:
         if key not in document:
-            raise InputError(f"{path}: {key}", "missing")
+            raise InputError(f"{path}: {key}", "missing", f"a value as in {SHIPPED}")
     reference = document["reference"]
     if not isinstance(reference, dict) or set(reference) != {"elevator_speed_rpm", "friction"}:
         raise InputError(f"{path}: reference", f"is {reference!r}", "a mapping with elevator_speed_rpm and friction")
-    speed = number(reference["elevator_speed_rpm"], f"{path}: reference.elevator_speed_rpm", "rpm", 1.0, 5000.0) * RPM
+    speed = number(reference["elevator_speed_rpm"], f"{path}: reference.elevator_speed_rpm", "rpm", 1.0, LARGEST_SPEED_RPM) * RPM
     friction = number(reference["friction"], f"{path}: reference.friction", "", 1e-3, 2.0)
     covariance = _row(document["covariance"], f"{path}: covariance", 3, 3)
     if min(covariance[:2]) < 0.0 or covariance[2] ** 2 > covariance[0] * covariance[1]:

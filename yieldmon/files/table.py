@@ -14,6 +14,7 @@ from yieldmon.physics.model import Conditions
 from yieldmon.physics.numerics import Array
 
 from . import delimited
+from .speeds import LARGEST_SPEED_RPM, LEAST_SPEED_RPM
 
 LOADS = ("mass_flow_kg_s", "paddle_mass_kg")
 READINGS = ("force_n", "momentum_kg_m_s", "response")
@@ -21,15 +22,13 @@ _ALSO = {"paddle_momentum_kg_m_s": "momentum_kg_m_s"}
 """Columns under the names that `predict` gives them."""
 _AGREE = 0.01
 """Relative difference of two columns that say the same."""
-LEAST_SPEED_RPM = 150.0
-"""Of the upper sprocket's shaft: slower, no paddle throws grain; rad/s and the speed of another shaft are below it."""
 _SHOWN_COLUMNS = 5
 """Of those that are not known."""
 _LIMITS = {
     "plate_angle_deg": (0.0, 180.0, "deg"),
     "mass_flow_kg_s": (0.0, 1000.0, "kg/s"),
     "paddle_mass_kg": (0.0, 100.0, "kg"),
-    "elevator_speed_rpm": (0.0, 5000.0, "rpm"),
+    "elevator_speed_rpm": (0.0, LARGEST_SPEED_RPM, "rpm"),
     "moisture_pct": (0.0, 100.0, "%"),
     "plate_position_m": (-2.0, 2.0, "m"),
     "sigma": (0.0, 1e12, "the reading's unit"),

@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from datetime import UTC, datetime
 from enum import StrEnum
+from functools import partial
 from typing import NamedTuple
 
-from yieldmon.units import S_PER_DAY
+from yieldmon.identifiers import CLASSIC_BYTES
+from yieldmon.units import M_S_PER_KMH, S_PER_DAY
 
 from .identifier import Payload
 
@@ -55,50 +57,95 @@ ORDER: Mapping[Quantity, tuple[int, ...]] = {
 #: Longer than this without a message, and the next source is used.
 TIMEOUT_S = 2.0
 
-_KMH = 1 / 3.6
 Values = dict[Quantity, float]
 
 
-def _j1939(raw: int, bits: int, scale: float, offset: float = 0.0) -> float | None:
-    """Physical value, None where the leading byte says not available, error or reserved."""
-    return raw * scale + offset if raw >> (bits - 8) <= 0xFA else None
+class Field(NamedTuple):
+    """A quantity in a message of one frame.
+
+    start, bits: of its raw value in the data as a little-endian number. most: largest raw value that is a measurement.
+    in_radians: raw * scale is in rad and the quantity in deg. where: start, bits and value that another field must have.
+    """
+
+    quantity: Quantity
+    start: int
+    bits: int
+    most: int
+    scale: float
+    offset: float = 0.0
+    signed: bool = False
+    in_radians: bool = False
+    where: tuple[int, int, int] | None = None
+
+
+def _most_j1939(bits: int) -> int:
+    """Higher values of the leading byte say not available, error or reserved."""
+    return (0xFB << bits - 8) - 1
+
+
+def _most_nmea(bits: int, *, signed: bool) -> int:
+    """The three highest values of the type are no measurement."""
+    return ((1 << bits - 1) if signed else (1 << bits)) - 4
+
+
+def _j1939(quantity: Quantity, start: int, bits: int, scale: float, offset: float = 0.0) -> Field:
+    return Field(quantity, start, bits, _most_j1939(bits), scale, offset)
+
+
+def _degrees(quantity: Quantity, start: int) -> Field:
+    return Field(quantity, start, 32, _most_nmea(32, signed=True), 1e-7, signed=True)
+
+
+FIELDS: Mapping[int, tuple[Field, ...]] = {
+    VEHICLE_POSITION: (_j1939(Quantity.LATITUDE, 0, 32, 1e-7, -210.0), _j1939(Quantity.LONGITUDE, 32, 32, 1e-7, -210.0)),
+    DIRECTION_SPEED: (_j1939(Quantity.COURSE, 0, 16, 1 / 128), _j1939(Quantity.SPEED, 16, 16, M_S_PER_KMH / 256)),
+    CRUISE_VEHICLE_SPEED: (_j1939(Quantity.SPEED, 8, 16, M_S_PER_KMH / 256),),
+    WHEEL_SPEED: (_j1939(Quantity.SPEED, 0, 16, 1e-3),),
+    GROUND_SPEED: (_j1939(Quantity.SPEED, 0, 16, 1e-3),),
+    POSITION_RAPID: (_degrees(Quantity.LATITUDE, 0), _degrees(Quantity.LONGITUDE, 32)),
+    COURSE_SPEED_RAPID: (
+        # Of magnetic north there is nothing to be had.
+        Field(Quantity.COURSE, 16, 16, _most_nmea(16, signed=False), 1e-4, in_radians=True, where=(8, 2, 0)),
+        Field(Quantity.SPEED, 32, 16, _most_nmea(16, signed=False), 0.01),
+    ),
+}
+"""What messages of one frame hold, without a time of day."""
+LARGEST_LATITUDE_DEG, LARGEST_LONGITUDE_DEG = 90.0, 180.0
+
+
+def _of_one_frame(fields: Iterable[Field], data: bytes) -> Values:
+    payload = int.from_bytes(data[:CLASSIC_BYTES], "little")
+    values: Values = {}
+    for field in fields:
+        raw = payload >> field.start & ((1 << field.bits) - 1)
+        if field.signed and raw >> field.bits - 1:
+            raw -= 1 << field.bits
+        if raw > field.most or (field.where is not None and not _holds(payload, *field.where)):
+            continue
+        value = raw * field.scale + field.offset
+        values[field.quantity] = math.degrees(value) if field.in_radians else value
+    return _on_the_globe(values)
+
+
+def _holds(payload: int, start: int, bits: int, value: int) -> bool:
+    return payload >> start & ((1 << bits) - 1) == value
+
+
+def _on_the_globe(values: Values) -> Values:
+    """Latitude and longitude both or neither."""
+    latitude, longitude = values.get(Quantity.LATITUDE), values.get(Quantity.LONGITUDE)
+    known = latitude is not None and longitude is not None
+    if known and abs(latitude or 0.0) <= LARGEST_LATITUDE_DEG and abs(longitude or 0.0) <= LARGEST_LONGITUDE_DEG:
+        return values
+    return {name: value for name, value in values.items() if name not in (Quantity.LATITUDE, Quantity.LONGITUDE)}
 
 
 def _nmea(raw: int, bits: int, scale: float, *, signed: bool) -> float | None:
-    """Physical value, None for the three highest values of the type."""
-    highest = (1 << bits - 1) - 1 if signed else (1 << bits) - 1
-    return raw * scale if raw <= highest - 3 else None
+    return raw * scale if raw <= _most_nmea(bits, signed=signed) else None
 
 
 def _known(values: Mapping[Quantity, float | None]) -> Values:
     return {quantity: value for quantity, value in values.items() if value is not None}
-
-
-def _position(latitude: float | None, longitude: float | None) -> Values:
-    """Both or neither, on the globe."""
-    if latitude is None or longitude is None or abs(latitude) > 90.0 or abs(longitude) > 180.0:
-        return {}
-    return {Quantity.LATITUDE: latitude, Quantity.LONGITUDE: longitude}
-
-
-def _vehicle_position(data: bytes) -> Values:
-    latitude, longitude = struct.unpack("<II", data[:8])
-    return _position(_j1939(latitude, 32, 1e-7, -210.0), _j1939(longitude, 32, 1e-7, -210.0))
-
-
-def _direction_speed(data: bytes) -> Values:
-    bearing, speed = struct.unpack("<HH", data[:4])
-    return _known({Quantity.COURSE: _j1939(bearing, 16, 1 / 128), Quantity.SPEED: _j1939(speed, 16, _KMH / 256)})
-
-
-def _cruise_speed(data: bytes) -> Values:
-    (speed,) = struct.unpack("<H", data[1:3])
-    return _known({Quantity.SPEED: _j1939(speed, 16, _KMH / 256)})
-
-
-def _machine_speed(data: bytes) -> Values:
-    (speed,) = struct.unpack("<H", data[:2])
-    return _known({Quantity.SPEED: _j1939(speed, 16, 1e-3)})
 
 
 def _time_date(data: bytes) -> Values:
@@ -112,28 +159,14 @@ def _time_date(data: bytes) -> Values:
     return {Quantity.TIME: moment.timestamp() + second / 4}
 
 
-def _position_rapid(data: bytes) -> Values:
-    latitude, longitude = struct.unpack("<ii", data[:8])
-    return _position(_nmea(latitude, 32, 1e-7, signed=True), _nmea(longitude, 32, 1e-7, signed=True))
-
-
-def _course_speed(data: bytes) -> Values:
-    _sequence, reference, course, speed = struct.unpack("<BBHH", data[:6])
-    true_north = reference & 3 == 0
-    course_rad = _nmea(course, 16, 1e-4, signed=False) if true_north else None
-    return _known(
-        {
-            Quantity.COURSE: math.degrees(course_rad) if course_rad is not None else None,
-            Quantity.SPEED: _nmea(speed, 16, 0.01, signed=False),
-        }
-    )
-
-
 def _gnss_position(data: bytes) -> Values:
     _sequence, days, time, latitude, longitude, altitude = struct.unpack("<BHIqqq", data[:31])
-    values = _position(_nmea(latitude, 64, 1e-16, signed=True), _nmea(longitude, 64, 1e-16, signed=True))
+    place = {
+        Quantity.LATITUDE: _nmea(latitude, 64, 1e-16, signed=True),
+        Quantity.LONGITUDE: _nmea(longitude, 64, 1e-16, signed=True),
+    }
     height_m = _nmea(altitude, 64, 1e-6, signed=True)
-    return values | _date_time(days, time) | _known({Quantity.ALTITUDE: height_m})
+    return _on_the_globe(_known(place)) | _date_time(days, time) | _known({Quantity.ALTITUDE: height_m})
 
 
 def _system_time(data: bytes) -> Values:
@@ -149,17 +182,12 @@ def _date_time(days: int, time: int) -> Values:
 
 
 _READERS: Mapping[int, tuple[int, Callable[[bytes], Values]]] = {
-    VEHICLE_POSITION: (8, _vehicle_position),
-    DIRECTION_SPEED: (8, _direction_speed),
-    CRUISE_VEHICLE_SPEED: (8, _cruise_speed),
+    **{group: (CLASSIC_BYTES, partial(_of_one_frame, fields)) for group, fields in FIELDS.items()},
     TIME_DATE: (8, _time_date),
-    WHEEL_SPEED: (8, _machine_speed),
-    GROUND_SPEED: (8, _machine_speed),
-    POSITION_RAPID: (8, _position_rapid),
-    COURSE_SPEED_RAPID: (8, _course_speed),
     GNSS_POSITION: (31, _gnss_position),
     SYSTEM_TIME: (8, _system_time),
 }
+"""Fewest bytes of a group, and what reads it."""
 GROUPS = frozenset(_READERS)
 """Parameter groups that read() takes."""
 

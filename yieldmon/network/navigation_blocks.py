@@ -5,32 +5,18 @@ Groups of one frame only, and no time of day; a fast packet has to be put togeth
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from math import pi
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from yieldmon.identifiers import CLASSIC_BYTES
 from yieldmon.physics.numerics import Array
 
-from .navigation import (
-    COURSE_SPEED_RAPID,
-    CRUISE_VEHICLE_SPEED,
-    DIRECTION_SPEED,
-    GROUND_SPEED,
-    ORDER,
-    POSITION_RAPID,
-    TIMEOUT_S,
-    VEHICLE_POSITION,
-    WHEEL_SPEED,
-    Navigation,
-    Quantity,
-)
+from .navigation import FIELDS, LARGEST_LATITUDE_DEG, LARGEST_LONGITUDE_DEG, ORDER, TIMEOUT_S, Field, Navigation, Quantity
 
 Raw = NDArray[np.int64]
-_KMH = 1 / 3.6
-_FRAME_BYTES = 8
 
 
 class Column(NamedTuple):
@@ -51,71 +37,27 @@ def _field(payload: NDArray[np.uint64], start: int, bits: int) -> Raw:
     return found
 
 
-def _signed(raw: Raw, bits: int) -> Raw:
-    return np.where(raw >= 1 << bits - 1, raw - (1 << bits), raw)
+def _values(field: Field, payload: NDArray[np.uint64]) -> Array:
+    """Of each frame, nan where it has none."""
+    raw = _field(payload, field.start, field.bits)
+    if field.signed:
+        raw = np.where(raw >> field.bits - 1, raw - (1 << field.bits), raw)
+    there = raw <= field.most
+    if field.where is not None:
+        start, bits, value = field.where
+        there &= _field(payload, start, bits) == value
+    values = np.where(there, raw * field.scale + field.offset, np.nan)
+    return values * (180.0 / pi) if field.in_radians else values
 
 
-def _j1939(raw: Raw, bits: int, scale: float, offset: float = 0.0) -> Array:
-    """Physical values, nan where the leading byte says not available, error or reserved."""
-    return np.where(raw >> (bits - 8) <= 0xFA, raw * scale + offset, np.nan)
-
-
-def _nmea(raw: Raw, highest: int, scale: float) -> Array:
-    """Physical values, nan for the three highest of the type."""
-    return np.where(raw <= highest - 3, raw * scale, np.nan)
-
-
-def _position(latitude: Array, longitude: Array) -> dict[Quantity, Array]:
-    """Both or neither, on the globe."""
+def _on_the_globe(values: dict[Quantity, Array]) -> dict[Quantity, Array]:
+    """Latitude and longitude both or neither."""
+    if Quantity.LATITUDE not in values:
+        return values
+    latitude, longitude = values[Quantity.LATITUDE], values[Quantity.LONGITUDE]
     with np.errstate(invalid="ignore"):
-        usable = (np.abs(latitude) <= 90.0) & (np.abs(longitude) <= 180.0)
-    return {
-        Quantity.LATITUDE: np.where(usable, latitude, np.nan),
-        Quantity.LONGITUDE: np.where(usable, longitude, np.nan),
-    }
-
-
-def _vehicle_position(payload: NDArray[np.uint64]) -> dict[Quantity, Array]:
-    return _position(*(_j1939(_field(payload, start, 32), 32, 1e-7, -210.0) for start in (0, 32)))
-
-
-def _position_rapid(payload: NDArray[np.uint64]) -> dict[Quantity, Array]:
-    return _position(*(_nmea(_signed(_field(payload, start, 32), 32), (1 << 31) - 1, 1e-7) for start in (0, 32)))
-
-
-def _direction_speed(payload: NDArray[np.uint64]) -> dict[Quantity, Array]:
-    return {
-        Quantity.COURSE: _j1939(_field(payload, 0, 16), 16, 1 / 128),
-        Quantity.SPEED: _j1939(_field(payload, 16, 16), 16, _KMH / 256),
-    }
-
-
-def _cruise_speed(payload: NDArray[np.uint64]) -> dict[Quantity, Array]:
-    return {Quantity.SPEED: _j1939(_field(payload, 8, 16), 16, _KMH / 256)}
-
-
-def _machine_speed(payload: NDArray[np.uint64]) -> dict[Quantity, Array]:
-    return {Quantity.SPEED: _j1939(_field(payload, 0, 16), 16, 1e-3)}
-
-
-def _course_speed(payload: NDArray[np.uint64]) -> dict[Quantity, Array]:
-    true_north = _field(payload, 8, 2) == 0
-    course_rad = np.where(true_north, _nmea(_field(payload, 16, 16), 0xFFFF, 1e-4), np.nan)
-    return {
-        Quantity.COURSE: course_rad * (180.0 / pi),
-        Quantity.SPEED: _nmea(_field(payload, 32, 16), 0xFFFF, 0.01),
-    }
-
-
-_READERS: Mapping[int, Callable[[NDArray[np.uint64]], dict[Quantity, Array]]] = {
-    VEHICLE_POSITION: _vehicle_position,
-    DIRECTION_SPEED: _direction_speed,
-    CRUISE_VEHICLE_SPEED: _cruise_speed,
-    WHEEL_SPEED: _machine_speed,
-    GROUND_SPEED: _machine_speed,
-    POSITION_RAPID: _position_rapid,
-    COURSE_SPEED_RAPID: _course_speed,
-}
+        usable = (np.abs(latitude) <= LARGEST_LATITUDE_DEG) & (np.abs(longitude) <= LARGEST_LONGITUDE_DEG)
+    return {name: np.where(usable, column, np.nan) for name, column in values.items()}
 
 
 def read_block(
@@ -140,12 +82,10 @@ def read_block(
     dict of (Quantity, int) to Column
         Without what is not available.
     """
-    reader = _READERS.get(group)
-    if reader is None:
-        return {}
-    whole = length >= _FRAME_BYTES
+    whole = length >= CLASSIC_BYTES
     readings = {}
-    for quantity, values in reader(payload).items():
+    found = {field.quantity: _values(field, payload) for field in FIELDS.get(group, ())}
+    for quantity, values in _on_the_globe(found).items():
         known = whole & ~np.isnan(values)
         readings[quantity, group] = Column(rows[known], time_s[known], values[known])
     return readings

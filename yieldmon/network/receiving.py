@@ -8,10 +8,8 @@ from dataclasses import dataclass, field
 from yieldmon.identifiers import GLOBAL_ADDRESS
 
 from .assembly import MAX_BYTES, Assembly, parts_in
-from .identifier import TRANSPORT_CONNECTION, TRANSPORT_DATA, Identifier, Payload, RawFrame, frame, group_bytes
-
-RTS, CTS, END_OF_MESSAGE, BROADCAST, ABORT = 16, 17, 19, 32, 255
-BUSY, NO_RESOURCES, TIMED_OUT, BAD_SEQUENCE = 1, 2, 3, 7
+from .identifier import TRANSPORT_CONNECTION, TRANSPORT_DATA, Identifier, Payload, RawFrame
+from .transport import ABORT, BAD_SEQUENCE, BROADCAST, BUSY, CTS, END_OF_MESSAGE, NO_RESOURCES, RTS, TIMED_OUT, abort, control
 
 T1_S = 0.75
 """Longest time between two parts."""
@@ -22,7 +20,6 @@ MAX_SESSIONS = 16
 WINDOW_PARTS = 16
 MAX_REPEATS = 2
 _NEVER_S = float("inf")
-_TRANSPORT_PRIORITY = 7
 
 
 @dataclass(slots=True)
@@ -104,7 +101,7 @@ class TransportReceiver:
             session = self._sessions.pop(key)
             self.abandoned += 1
             if session.to_us:
-                out.append(_abort(session.group, TIMED_OUT, source=key[1], destination=key[0]))
+                out.append(abort(session.group, TIMED_OUT, source=key[1], destination=key[0]))
         return out
 
     def _take_control(self, parts: Identifier, data: bytes, now_s: float, our_address: int | None) -> Received:
@@ -139,7 +136,7 @@ class TransportReceiver:
             self.refused += 1
             refusal = BUSY
         if refusal is not None:
-            answer = [_abort(group, refusal, source=parts.destination, destination=parts.source)] if to_us else []
+            answer = [abort(group, refusal, source=parts.destination, destination=parts.source)] if to_us else []
             return Received(answer)
         wait_s = T1_S if parts.destination == GLOBAL_ADDRESS else T2_S
         session = _Session(group, Assembly(size), now_s + wait_s, parts.priority, to_us)
@@ -181,7 +178,7 @@ class TransportReceiver:
         session.repeats += 1
         if session.repeats > MAX_REPEATS:
             del self._sessions[key]
-            return Received([_abort(session.group, BAD_SEQUENCE, source=key[1], destination=key[0])])
+            return Received([abort(session.group, BAD_SEQUENCE, source=key[1], destination=key[0])])
         session.asked_again = True
         return Received([_clear_to_send(key, session)])
 
@@ -191,19 +188,12 @@ class TransportReceiver:
         payload = Payload(now_s, session.group, parts.source, parts.destination, session.priority, assembly.data)
         if not session.to_us:
             return Received([], payload)
-        data = bytes([END_OF_MESSAGE, *assembly.size.to_bytes(2, "little"), assembly.parts, 0xFF]) + group_bytes(session.group)
-        answer = frame(TRANSPORT_CONNECTION, data, key[1], key[0], _TRANSPORT_PRIORITY)
-        return Received([answer], payload)
+        head = bytes([END_OF_MESSAGE, *assembly.size.to_bytes(2, "little"), assembly.parts])
+        return Received([control(session.group, head, source=key[1], destination=key[0])], payload)
 
 
 def _clear_to_send(key: tuple[int, int], session: _Session) -> RawFrame:
     first = session.assembly.first_missing or 1
     count = min(session.limit, session.assembly.parts - first + 1)
     session.window = first + count - 1
-    data = bytes([CTS, count, first, 0xFF, 0xFF]) + group_bytes(session.group)
-    return frame(TRANSPORT_CONNECTION, data, key[1], key[0], _TRANSPORT_PRIORITY)
-
-
-def _abort(group: int, reason: int, *, source: int, destination: int) -> RawFrame:
-    data = bytes([ABORT, reason, 0xFF, 0xFF, 0xFF]) + group_bytes(group)
-    return frame(TRANSPORT_CONNECTION, data, source, destination, _TRANSPORT_PRIORITY)
+    return control(session.group, bytes([CTS, count, first]), source=key[1], destination=key[0])

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from yieldmon.identifiers import GLOBAL_ADDRESS
 
 from .assembly import MAX_BYTES, PART_BYTES, parts_in
-from .identifier import TRANSPORT_CONNECTION, TRANSPORT_DATA, Identifier, RawFrame, frame, group_bytes
-from .receiving import ABORT, BROADCAST, CTS, END_OF_MESSAGE, RTS, TIMED_OUT
+from .identifier import TRANSPORT_CONNECTION, TRANSPORT_DATA, Identifier, RawFrame, frame
+from .transport import ABORT, BROADCAST, CTS, END_OF_MESSAGE, PRIORITY, RTS, TIMED_OUT, abort, control
 
 BROADCAST_GAP_S = 0.05
 """Between two parts of a broadcast; the standard has 50 to 200 ms."""
@@ -20,7 +20,6 @@ T4_S = 1.05
 MAX_WAITING = 16
 #: How often a receiver may ask for parts again in one message.
 MAX_REPEATS = 8
-_PRIORITY = 7
 _NEVER_S = float("inf")
 
 
@@ -103,8 +102,7 @@ class TransportSender:
                 out += self._broadcast_part(message, source, now_s)
             else:
                 self.failed += 1
-                data = bytes([ABORT, TIMED_OUT, 0xFF, 0xFF, 0xFF]) + group_bytes(message.group)
-                out.append(frame(TRANSPORT_CONNECTION, data, source, destination, _PRIORITY))
+                out.append(abort(message.group, TIMED_OUT, source, destination))
                 out += self._next(destination, source, now_s)
         return out
 
@@ -115,8 +113,8 @@ class TransportSender:
         message.due_s = now_s + (BROADCAST_GAP_S if broadcast else T3_S)
         size = len(message.data)
         kind = BROADCAST if broadcast else RTS
-        data = bytes([kind, *size.to_bytes(2, "little"), parts_in(size), 0xFF]) + group_bytes(message.group)
-        return [frame(TRANSPORT_CONNECTION, data, source, destination, _PRIORITY)]
+        head = bytes([kind, *size.to_bytes(2, "little"), parts_in(size)])
+        return [control(message.group, head, source, destination)]
 
     def _next(self, destination: int, source: int, now_s: float) -> list[RawFrame]:
         queue = self._queues[destination]
@@ -164,4 +162,4 @@ class TransportSender:
 def _part(message: _Message, number: int, source: int, destination: int) -> RawFrame:
     at = (number - 1) * PART_BYTES
     part = message.data[at : at + PART_BYTES].ljust(PART_BYTES, b"\xff")
-    return frame(TRANSPORT_DATA, bytes([number]) + part, source, destination, _PRIORITY)
+    return frame(TRANSPORT_DATA, bytes([number]) + part, source, destination, PRIORITY)

@@ -133,7 +133,7 @@ def _totals_reset(order: _Order) -> Answer:
 def _load_stop(order: _Order) -> Answer:
     monitor, journal = order.monitor, order.journal
     if not monitor.totals.load_open:
-        raise InputError("load stop", "no load is open")
+        raise InputError("load stop", "no load is open", "one that `yieldmon load start` began")
     journal.happened(monitor.stop_load())
     crop = journal.crop_in_use(monitor.estimator.parameters)
     return {"load": monitor.totals.load_number, "mass_kg": monitor.totals.load_kg, "crop": crop}
@@ -219,7 +219,7 @@ def _covered(journal: Journal, first: int, last: int, what: str = "ticket for lo
             known = f"{min(loads)} to {max(loads)}" if loads else "a load that was measured"
             raise InputError(f"{what} {number}", "no such load", known)
     if last < first:
-        raise InputError(f"{what}s {first} to {last}", "the last number is below the first")
+        raise InputError(f"{what}s {first} to {last}", "the last number is below the first", "the first load first")
     return [loads[number] for number in sorted(loads) if first <= number <= last]
 
 
@@ -251,7 +251,7 @@ def _sweep_start(order: _Order) -> Answer:
     if not monitor.settings.sweep.enabled:
         if monitor.estimator.parameters.curve is not None:
             raise InputError("sweep", "updates nothing: the flow comes from estimator_file", "the physical model")
-        raise InputError("sweep", "switched off by sweep.enabled in the configuration")
+        raise InputError("sweep", "switched off by sweep.enabled in the configuration", "`enabled: true` there, and a reload")
     monitor.request_sweep()
     return {"sweep": "as soon as the conditions hold"}
 

@@ -49,7 +49,7 @@ class Reloading:
         def body() -> None:
             try:
                 if read is None:
-                    raise InputError("reload", "this run has no configuration file")
+                    raise InputError("reload", "this run has no configuration file", "`yieldmon run --config F`")
                 reading.set_result(read())
             except (InputError, OSError) as error:
                 reading.set_exception(error)
@@ -59,7 +59,8 @@ class Reloading:
 
         self._threads = [thread for thread in self._threads if thread.is_alive()]
         if len(self._threads) >= _HANG_AT_MOST:
-            reading.set_exception(InputError("reload", f"{len(self._threads)} earlier ones still wait for the disk"))
+            problem = f"{len(self._threads)} earlier ones still wait for the disk"
+            reading.set_exception(InputError("reload", problem, "a disk that answers"))
         else:
             thread = threading.Thread(target=body, name="reload", daemon=True)
             try:

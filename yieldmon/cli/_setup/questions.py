@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from yieldmon.files.speeds import LARGEST_SPEED_RPM
+
 SIDE = """\
              plate pivot (x, y from the sprocket's centre)
                       o
@@ -84,9 +86,9 @@ QUESTIONS: tuple[Question, ...] = (
     _number("home_plate_angle_deg", "Plate angle in work", "deg", 5.0, 120.0, 70.0),
     _number("min_plate_angle_deg", "Smallest plate angle", "deg", 5.0, 120.0, 40.0),
     _number("max_plate_angle_deg", "Largest plate angle", "deg", 5.0, 120.0, 90.0),
-    _number("nominal_elevator_speed_rpm", "Sprocket speed in work", "rpm", 1.0, 5000.0, 400.0),
-    _number("min_elevator_speed_rpm", "Smallest sprocket speed with grain", "rpm", 1.0, 5000.0, 250.0),
-    _number("max_elevator_speed_rpm", "Largest sprocket speed", "rpm", 1.0, 5000.0, 599.0),
+    _number("nominal_elevator_speed_rpm", "Sprocket speed in work", "rpm", 1.0, LARGEST_SPEED_RPM, 400.0),
+    _number("min_elevator_speed_rpm", "Smallest sprocket speed with grain", "rpm", 1.0, LARGEST_SPEED_RPM, 250.0),
+    _number("max_elevator_speed_rpm", "Largest sprocket speed", "rpm", 1.0, LARGEST_SPEED_RPM, 599.0),
     _number("largest_flow_kg_s", "Largest mass flow expected", "kg/s", 1.0, 100.0, 25.0),
     _number("cell_full_scale_mv", "Largest voltage of the force cell", "mV", 1.0, 1e5, 4000.0),
     Question("cell_weights_kg", "Masses hung on the plate, first 0", "kg", "numbers", 0.0, 500.0, drawing=WEIGHTS),

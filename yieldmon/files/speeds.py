@@ -1,0 +1,7 @@
+"""Elevator speeds that files may hold, of the upper sprocket's shaft."""
+
+from __future__ import annotations
+
+LEAST_SPEED_RPM = 150.0
+"""Slower, no paddle throws grain; rad/s and the speed of another shaft are below it."""
+LARGEST_SPEED_RPM = 5000.0
