@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 import sys
 from collections.abc import Sequence
-from importlib.abc import MetaPathFinder
 from importlib.machinery import PathFinder
 from types import ModuleType
 from typing import NoReturn
@@ -13,8 +12,8 @@ from typing import NoReturn
 _NAME = "asammdf"
 
 
-class _Deferred(MetaPathFinder):
-    """Among the import system's finders: asammdf is not to be found for now."""
+class _Deferred:
+    """Among the import system's finders: asammdf is not to be found for now. No subclass of theirs: importlib.abc takes 10 ms."""
 
     def find_spec(self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None) -> None:
         if fullname == _NAME:

@@ -44,14 +44,6 @@ _TABLE_ONLY = (
 )
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """--loads and what goes with it."""
-    group = parser.add_argument_group("calibration by weighed loads")
-    group.add_argument("--loads", nargs="+", metavar="SOURCE", help="a daemon's store, or logs of weighed loads, instead of DATA")
-    group.add_argument("--tickets", metavar="FILE", help="table with the columns load and weighed_kg, and if known std_dev_kg")
-    group.add_argument("--config", metavar="F", help="configuration that measured them; default: the shipped one")
-
-
 def run(args: argparse.Namespace) -> LoadCalibrationDocument:
     """The report as plain data. Raises InputError."""
     refuse_others(args, "--loads")

@@ -15,11 +15,6 @@ from yieldmon.files import pulse_shape_file, ticket_file, whole_file
 from yieldmon.physics.machine import RPM
 
 
-def add_argument(parser: argparse.ArgumentParser) -> None:
-    """--pulse-shape of `calibrate`."""
-    parser.add_argument("--pulse-shape", action="store_true", help="fit pulse_shape_file from logs of weighed loads instead")
-
-
 def run(args: argparse.Namespace) -> PulseShapeDocument:
     """Fit and write; the report as plain data. Raises InputError."""
     _by_loads.refuse_others(args, "--pulse-shape")

@@ -15,11 +15,6 @@ if TYPE_CHECKING:
     from yieldmon.estimation.tap_response import TapResponse
 
 
-def add_argument(parser: argparse.ArgumentParser) -> None:
-    """--taps of `calibrate`."""
-    parser.add_argument("--taps", nargs="+", metavar="LOG", help="sensor.response_s of the machine file, from taps on the plate")
-
-
 def run(args: argparse.Namespace) -> TapDocument:
     """Fit and write; the report as plain data. Raises InputError."""
     _by_loads.refuse_others(args, "--taps")

@@ -4,16 +4,10 @@ from __future__ import annotations
 
 import argparse
 
-from yieldmon.cli import (
-    _by_loads,
-    _by_table,
-    _flow_curve,
-    _outputs,
-    _pulse_shape,
-    _taps,
-)
+from yieldmon.cli import _outputs
 from yieldmon.cli._json import print_document
 from yieldmon.errors import InputError
+from yieldmon.estimation.flow_curve import KINDS
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -48,9 +42,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="smooth correction by angle and load; grain stays near usual values",
     )
     parser.add_argument("--by-moisture", action="store_true", help="a fit for each moisture_pct and a map; --out names a folder")
-    _flow_curve.add_argument(parser)
-    _pulse_shape.add_argument(parser)
-    _taps.add_argument(parser)
+    parser.add_argument("--estimator", choices=KINDS, help="fit a curve for estimator_file instead of the model")
+    parser.add_argument("--pulse-shape", action="store_true", help="fit pulse_shape_file from logs of weighed loads instead")
+    parser.add_argument("--taps", nargs="+", metavar="LOG", help="sensor.response_s of the machine file, from taps on the plate")
     parser.add_argument("--compare", action="store_true", help="compare with the empirical models, by cross-validation")
     parser.add_argument(
         "--identifiability", action="store_true", help="report what these rows determine, and what rows would add"
@@ -60,28 +54,41 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     parser.add_argument("--seed", type=int, default=0, help="of the random starts; default: 0")
     parser.add_argument("--json", action="store_true", help="one JSON document")
-    _by_loads.add_arguments(parser)
+    group = parser.add_argument_group("calibration by weighed loads")
+    group.add_argument("--loads", nargs="+", metavar="SOURCE", help="a daemon's store, or logs of weighed loads, instead of DATA")
+    group.add_argument("--tickets", metavar="FILE", help="table with the columns load and weighed_kg, and if known std_dev_kg")
+    group.add_argument("--config", metavar="F", help="configuration that measured them; default: the shipped one")
     _outputs.add_force(parser, "out", "profiles")
 
 
 def run(args: argparse.Namespace) -> int:
     """Fit, report, write. Exit code 1 when weighed loads refuse the calibration."""
+    # Each way of calibrating imports what it needs, which is half of a short command's time.
     if args.taps is not None:
+        from yieldmon.cli import _taps
+
         taps = _taps.run(args)
         print_document(taps, _taps.text, as_json=args.json, indent=1)
         return 1 if taps["refused"] else 0
     if args.pulse_shape:
+        from yieldmon.cli import _pulse_shape
+
         shape = _pulse_shape.run(args)
         print_document(shape, _pulse_shape.text, as_json=args.json, indent=1)
         return 1 if shape["refused"] else 0
     if args.estimator is not None:
-        curve = _flow_curve.run(args)
-        print_document(curve, _flow_curve.text, as_json=args.json, indent=1)
+        from yieldmon.cli import _by_curve
+
+        print_document(_by_curve.run(args), _by_curve.text, as_json=args.json, indent=1)
         return 0
     if args.loads is not None:
+        from yieldmon.cli import _by_loads
+
         document = _by_loads.run(args)
         print_document(document, _by_loads.text, as_json=args.json, indent=1)
         return 1 if document["refused"] else 0
     if args.data is None:
         raise InputError("DATA", "is missing", "a table of a test facility, or --loads and --tickets")
+    from yieldmon.cli import _by_table
+
     return _by_table.run(args)

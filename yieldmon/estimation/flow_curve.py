@@ -140,6 +140,10 @@ class LookUpTable:
         return np.asarray((low + share * (high - low)) * faster)
 
 
+KINDS = (AlphaBeta.kind, LookUpTable.kind)
+"""Names of the laws."""
+
+
 def _read_off(column: TableColumn, force_n: Array) -> Array:
     from scipy.interpolate import PchipInterpolator  # It brings scipy.optimize along, half of a short command's time.
 

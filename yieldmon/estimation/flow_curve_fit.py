@@ -16,7 +16,6 @@ from .load_inputs import WeighedLoad
 from .measurements import Measurements
 from .parameters import CalibratedRange
 
-KINDS = (AlphaBeta.kind, LookUpTable.kind)
 LEAST_LOADS = 3
 _MOST_KNOTS = 12
 _LEAST_INNER = 3
