@@ -17,6 +17,7 @@ from yieldmon.estimation.home_flow import AwayVisits
 from yieldmon.files import parameter_file
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
+from yieldmon.physics.numerics import Array
 
 MACHINE, SHIPPED = Machine(), parameter_file.load()
 MODEL = ForwardModel(MACHINE, SHIPPED.effects)
@@ -24,6 +25,13 @@ ANGLE = np.radians([40.0, 40.0, 40.0, 50.0, 60.0, 80.0, 90.0, 90.0, 90.0])
 HOME = np.full(ANGLE.size, MACHINE.home_plate_angle_rad)
 FORCE_VARIANCE, FLOW_VARIANCE = 1e-4, 3e-4
 SEARCH_NOTHING = Policy(most_effects=0)
+
+
+def forces(angle_rad: Array, speed_rad_s: Array, flow_kg_s: Array) -> Array:
+    """Of all sweeps at once, (sweeps, angles)."""
+    angle_rad = np.broadcast_to(angle_rad, flow_kg_s.shape)
+    where = Conditions(angle_rad.ravel(), speed_rad_s.ravel(), mass_flow_kg_s=flow_kg_s.ravel(), moisture_pct=15.0)
+    return np.real(MODEL.force(where, SHIPPED.values)).reshape(flow_kg_s.shape)
 
 
 def alike(
@@ -34,19 +42,21 @@ def alike(
     offsets_rad: by how much the plates of the first machines are turned from what they say.
     """
     shared = FLOW_VARIANCE * (correlation + (1.0 - correlation) * np.eye(ANGLE.size))
+    shape = (sweeps, ANGLE.size)
+    speed = np.resize([380.0 * RPM, 420.0 * RPM], sweeps)[:, None] * np.ones(shape)
     made = []
     for number in range(machines):
-        of_machine = []
+        flow, read_noise, flow_noise = np.empty(shape), np.empty(shape), np.empty(shape)
         for sweep in range(sweeps):
-            speed, flow = np.full(ANGLE.size, (380.0, 420.0)[sweep % 2] * RPM), np.full(ANGLE.size, rng.uniform(5.0, 14.0))
-            turned = offsets_rad[number] if number < len(offsets_rad) else 0.0
-            at = [Conditions(a, speed, mass_flow_kg_s=flow, moisture_pct=15.0) for a in (ANGLE + turned, HOME + turned, HOME)]
-            away, home, known = (np.real(MODEL.force(where, SHIPPED.values)) for where in at)
-            # Flow is what the force at home says; the gain is brought to one by tickets.
-            force = away * known / home
-            read = force * np.exp(np.sqrt(FORCE_VARIANCE) * rng.standard_normal(ANGLE.size))
-            taken = flow * np.exp(rng.multivariate_normal(np.zeros(ANGLE.size), shared))
-            of_machine.append(AwayVisits(ANGLE, speed, taken, read, 15.0, np.full(ANGLE.size, FORCE_VARIANCE), shared))
+            flow[sweep] = rng.uniform(5.0, 14.0)
+            read_noise[sweep] = np.sqrt(FORCE_VARIANCE) * rng.standard_normal(ANGLE.size)
+            flow_noise[sweep] = rng.multivariate_normal(np.zeros(ANGLE.size), shared)
+        turned = offsets_rad[number] if number < len(offsets_rad) else 0.0
+        away, home, known = (forces(angle, speed, flow) for angle in (ANGLE + turned, HOME + turned, HOME))
+        # Flow is what the force at home says; the gain is brought to one by tickets.
+        read, taken = away * known / home * np.exp(read_noise), flow * np.exp(flow_noise)
+        variance = np.full(ANGLE.size, FORCE_VARIANCE)
+        of_machine = [AwayVisits(ANGLE, speed[k], taken[k], read[k], 15.0, variance, shared) for k in range(sweeps)]
         made.append((f"m{number}", of_machine))
     return lay(MACHINE, SHIPPED, 10.0, made)
 
