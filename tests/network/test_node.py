@@ -402,3 +402,23 @@ def test_groups_of_one_frame_are_taken_for_no_part_of_anything() -> None:
     for number in range(64):
         heard = node.feed(0x0CF00400 + 0x17 + (number << 8 & 0x300), bytes([number, 8, *range(6)]), 2.0 + 0.01 * number)
         assert (heard.frames, heard.payloads, node.held) == ([], [], 0)
+
+
+def test_who_clears_codes_on_the_network_clears_what_the_request_names() -> None:
+    """DM3 clears the previously active codes alone; DM11 also begins the counts of the active ones anew (J1939-73)."""
+    node = node_at()
+    for seconds, codes in enumerate((CODES[:2], CODES[1:2], CODES[:1], CODES[:2], ())):
+        run(node, node.report_trouble(codes, 1.0 + seconds), 1.0 + seconds)
+    run(node, node.report_trouble(CODES[:1], 9.0), 9.0)
+
+    def counts(request: str) -> list[tuple[int, int]]:
+        [answer] = node.feed(0x18EAFF17, bytes.fromhex(request), 20.0).frames
+        return [(code.spn, code.occurrences) for code in read(answer.data)]
+
+    active, previous = "CAFE00", "CBFE00"
+    assert counts(active) == [(520192, 3)]
+    assert [spn for spn, _ in counts(previous)] == [520196]
+    assert shown(node.feed(0x18EA8317, bytes.fromhex("CCFE00"), 21.0).frames) == ["18E8FF83#00FFFFFF17CCFE00"]
+    assert (counts(active), counts(previous)) == ([(520192, 3)], [])
+    assert shown(node.feed(0x18EA8317, bytes.fromhex("D3FE00"), 22.0).frames) == ["18E8FF83#00FFFFFF17D3FE00"]
+    assert (counts(active), counts(previous)) == ([(520192, 1)], [])
