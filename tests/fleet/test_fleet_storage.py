@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import resource
 import shutil
 import subprocess
 import tempfile
@@ -22,6 +23,8 @@ from yieldmon.bus.log_writing import writing
 from yieldmon.cli.main import main
 from yieldmon.errors import InputError
 from yieldmon.field import sources
+from yieldmon.fleet import manifest
+from yieldmon.fleet.copies import with_copies
 from yieldmon.fleet.dataset import Dataset
 from yieldmon.fleet.worker import DONE, LEFT, SKIPPED, Outcome, work
 
@@ -135,6 +138,25 @@ def test_a_folder_that_this_user_may_not_write_leaves_the_day() -> None:
         shutil.rmtree(place)
     assert (outcome.status, outcome.poisoned) == (LEFT, ())
     assert "Permission denied; expected a file or folder that user " in outcome.why_left
+
+
+def test_too_many_open_files_end_the_run_before_a_copy_counts_twice(tree: Path, tmp_path: Path) -> None:
+    """A log that could not be compared would be taken for no copy, and its mass counted again."""
+    source = shutil.copytree(tree, tmp_path / "tree")
+    shutil.copy(source / "m0" / "2026-10-01" / "a.log", source / "m0" / "2026-10-02" / "b.log")
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    found = manifest.load(str(source)).partitions
+    least = max(int(name) for name in os.listdir("/proc/self/fd")) - 1
+    held = [os.open("/dev/null", os.O_RDONLY) for _ in range(3)]
+    resource.setrlimit(resource.RLIMIT_NOFILE, (min(least, *held), hard))
+    try:
+        with pytest.raises(OSError, match="Too many open files"):
+            with_copies(found)
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+        for descriptor in held:
+            os.close(descriptor)
+    assert [len(partition.copies) for partition in with_copies(found)] == [0, 1, 0, 0]
 
 
 def packed_log(path: Path) -> Path:

@@ -10,11 +10,12 @@ import gzip
 import hashlib
 import zlib
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import contextmanager
 from dataclasses import replace
 from itertools import groupby
 from typing import Any
 
+from yieldmon.errors import of_the_computer
 from yieldmon.fleet.filesystem import filesystem_of
 from yieldmon.fleet.manifest import Partition
 
@@ -28,6 +29,11 @@ def with_copies(partitions: tuple[Partition, ...]) -> tuple[Partition, ...]:
 
     The first of a machine's logs with a content, by day and by place in the day, is none. A log that cannot be read is none, and
     neither is an empty one.
+
+    Raises
+    ------
+    OSError
+        This computer cannot read at present (`errors.of_the_computer`): a copy that is not known to be one would count twice.
     """
     found: list[Partition] = []
     for _, days in groupby(partitions, key=lambda partition: partition.machine):
@@ -35,19 +41,28 @@ def with_copies(partitions: tuple[Partition, ...]) -> tuple[Partition, ...]:
         logs = [(log, partition) for partition in whole for log in partition.logs]
         alike: dict[bytes, list[str]] = {}
         for log, _ in logs:
-            with suppress(OSError, zlib.error):
+            with _none_where_unreadable():
                 alike.setdefault(_head(log), []).append(log)
         first: dict[bytes, str] = {}
         repeated: dict[str, str] = {}
         several = {log for head, group in alike.items() if head and len(group) > 1 for log in group}
         for log, _ in logs:
             if log in several:
-                with suppress(OSError, zlib.error, EOFError):
+                with _none_where_unreadable():
                     same = first.setdefault(_digest(log), log)
                     if same != log:
                         repeated[log] = same
         found += [replace(p, copies=tuple((log, repeated[log]) for log in p.logs if log in repeated)) for p in whole]
     return tuple(found)
+
+
+@contextmanager
+def _none_where_unreadable() -> Iterator[None]:
+    try:
+        yield
+    except (OSError, zlib.error, EOFError) as error:
+        if of_the_computer(error) is not None:
+            raise
 
 
 def _head(log: str) -> bytes:
