@@ -11,9 +11,11 @@ import pytest
 from tests.extras import MF4
 from yieldmon.bus import log_writing, logs
 
+TABLE = Path(__file__).resolve().parents[1] / "data" / "bench_table.csv"
 HEAVY = {
     "asammdf", "can", "cantools", "matplotlib", "numpy", "pandas", "pyarrow", "pydantic", "rich", "scipy", "yaml",
-    "yieldmon.engine.monitor", "yieldmon.engine.records", "yieldmon.estimation.closed_loop", "yieldmon.service.store",
+    "yieldmon.engine.monitor", "yieldmon.engine.records", "yieldmon.estimation.calibration", "yieldmon.estimation.closed_loop",
+    "yieldmon.estimation.loads", "yieldmon.service.store",
 }  # fmt: skip
 
 
@@ -43,11 +45,14 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("status --socket /nonexistent", {"rich"}),
         ("check-config", {"numpy", "pydantic", "yaml"}),
         ("monitor LOG --once --speed 0", {"can", "cantools", "rich"}),
+        ("calibrate --help", {"numpy"}),
+        ("calibrate TABLE --starts 1", {"numpy", "rich", "scipy", "yaml", "yieldmon.estimation.calibration"}),
+        ("estimate --help", {"numpy", "yaml"}),
     ],
-    ids=["help", "status", "check-config", "monitor"],
+    ids=["help", "status", "check-config", "monitor", "calibrate-help", "calibrate", "estimate-help"],
 )
 def test_no_more_than_it_needs(line: str, allowed: set[str], log: Path) -> None:
-    assert imported(*line.replace("LOG", str(log)).split()) <= allowed
+    assert imported(*line.replace("LOG", str(log)).replace("TABLE", str(TABLE)).split()) <= allowed
 
 
 @MF4[0]
@@ -59,7 +64,7 @@ import sys
 from yieldmon.bus import mf4
 mf4.defer()
 import can
-assert sys.modules["asammdf"] is None
+assert "asammdf" not in sys.modules
 from {log_writing.__name__} import writing
 from {logs.__name__} import read_log
 path = sys.argv[1]
