@@ -330,6 +330,13 @@ def test_in_a_terminal_an_answer_that_does_not_fit_is_asked_again(tmp_path, caps
     assert known.machine.sensor.gain_n_per_mv == pytest.approx(9.80665 * 10.0 / 195.1, rel=1e-3)
 
 
+@pytest.mark.parametrize("typed", ["0x10", "1/2", "12x", "0.1 0x10"])
+def test_a_word_that_is_no_number_is_named_whole(tmp_path, capsys, typed):
+    """0x10 was called x10, and 1/2 was called /2."""
+    assert main(["setup", "--answers", answers(tmp_path, paddle_spacings_m=typed), "--out", str(tmp_path / "new")]) == 2
+    assert f"paddle_spacings_m: is {typed.split()[-1]};" in capsys.readouterr().err
+
+
 def test_ctrl_d_keeps_the_answers_as_ctrl_c_does(tmp_path, capsys, monkeypatch):
     prompts = in_a_terminal(monkeypatch, ["blue", "virtual"])
     assert main(["setup", "--out", str(tmp_path / "new")]) == 130

@@ -250,6 +250,15 @@ def test_an_unlikely_mass_is_asked_about(words, factor, said, warned, monkeypatc
     assert bool(err) == bool(warned)
 
 
+def test_what_tickets_before_made_of_a_load_is_what_its_mass_is_held_against(monkeypatch, capsys) -> None:
+    """On a machine that was 50 % off every right ticket was called a slip, the last as the first."""
+    for known_kg, warned in ((1.0, True), (0.52, False)):
+        answer = {"factor": 0.5, "measured_mass_kg": 1.0, "known_mass_kg": known_kg, "weighed_mass_kg": 0.5}
+        monkeypatch.setattr(ticket, "ask_daemon", lambda args, request, a=answer: {**a, "anchor": True, "why_no_anchor": ""})
+        assert main(["ticket", "7", "0.5kg"]) == 0
+        assert bool(capsys.readouterr().err) is warned
+
+
 @pytest.mark.parametrize(
     ("words", "units", "refused"),
     [

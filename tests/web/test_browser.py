@@ -180,6 +180,36 @@ def test_every_button_with_a_real_daemon(browser: Browser, tmp_path: Path) -> No
             assert bench.status["load"]["number"] == loads
 
 
+def test_a_load_begun_under_a_wrong_crop(browser: Browser, tmp_path: Path) -> None:
+    with running(tmp_path) as bench:
+        bench.play(14.0, 0.0)
+        bench.play(8.0, 150.0)
+        bench.played()
+        with page(bench.daemon.configuration.socket_path) as site, Watched(browser, {"width": 360, "height": 640}) as watched:
+            watched.page.goto(site)
+            watched.wait(READY)
+            commands, dialog = watched.page.get_by_role("group", name="Commands"), watched.page.locator("dialog[open]")
+            for crop, said in (
+                ("wheat", "is still open"),
+                ("wheat", "Load 1: wheat; measured again."),
+                ("wheat", "has 'wheat' already"),
+            ):
+                commands.get_by_role("button", name="Wrong crop").click()
+                dialog.locator("[name=first_load]").fill("1")
+                dialog.locator("[name=last_load]").fill("1")
+                dialog.locator("[name=crop]").fill(crop)
+                dialog.get_by_role("button", name="Correct the loads").click()
+                watched.wait(ASKED)
+                shown = dialog.locator(".problem").inner_text() if dialog.count() else watched.page.inner_text("#answer")
+                assert said in shown
+                if dialog.count():
+                    watched.page.keyboard.press("Escape")
+                if "open" in said:
+                    commands.get_by_role("button", name="End load").click()
+                    dialog.get_by_role("button", name="End load").click()
+                    watched.wait(ASKED)
+
+
 def test_us_units(browser: Browser, tmp_path: Path) -> None:
     with standing_in(tmp_path, units="us", crop="corn") as daemon:
         daemon.seconds(60)

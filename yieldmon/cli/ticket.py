@@ -53,8 +53,10 @@ def run(args: argparse.Namespace) -> int:
     answer = ask_daemon(args, request)
     which = f"load {first}" if first == last else f"loads {first} to {last}"
     change_pct = 100.0 * (answer["factor"] - 1.0)
-    if abs(change_pct) > UNLIKELY_PCT:
-        doubt = f"{change_pct:+.0f} % is a lot; if it is a slip, enter the right mass as another ticket"
+    # What earlier tickets made of the load tells a slip from a calibration that was off.
+    off_pct = 100.0 * (answer["weighed_mass_kg"] / answer.get("known_mass_kg", answer["measured_mass_kg"]) - 1.0)
+    if abs(off_pct) > UNLIKELY_PCT:
+        doubt = f"{off_pct:+.0f} % is a lot; if it is a slip, enter the right mass as another ticket"
         print(f"yieldmon: {which}: {doubt}", file=sys.stderr)
     if args.json:
         print_json(answer)

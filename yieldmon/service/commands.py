@@ -174,6 +174,8 @@ def _ticket(order: _Order) -> Answer:
     measured_kg = sum(load.mass_kg for load in covered)
     if not measured_kg > 0.0:
         raise InputError(f"ticket for load {first}", "nothing was measured for it", "a load with a measured mass")
+    again = journal.actions.ledger.factors
+    known_kg = sum(load.mass_kg * again.get(load.number, 1.0) for load in covered)
     ticket = Ticket(order.now_s, first, last, weighed_kg, measured_kg, request.name("note") or "")
     why_not = ticket_file.unit_slip(weighed_kg, measured_kg) or why_no_reference(monitor, journal, covered, order.stored)
     if not why_not:
@@ -187,6 +189,7 @@ def _ticket(order: _Order) -> Answer:
         "last_load": last,
         "weighed_mass_kg": weighed_kg,
         "measured_mass_kg": measured_kg,
+        "known_mass_kg": known_kg,
         "factor": ticket.factor,
         "anchor": not why_not,
         "why_no_anchor": why_not,

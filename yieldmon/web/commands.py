@@ -11,6 +11,7 @@ from yieldmon.errors import InputError
 ALLOWED: Mapping[str, frozenset[str]] = {
     "load-start": frozenset({"field", "crop"}),
     "load-stop": frozenset(),
+    "load-correct": frozenset({"first_load", "last_load", "field", "crop"}),
     "ticket": frozenset({"first_load", "last_load", "mass_kg", "std_dev_kg", "note"}),
     "ticket-undo": frozenset({"ticket"}),
     "zero": frozenset(),

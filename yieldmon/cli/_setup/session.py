@@ -13,11 +13,12 @@ import can
 
 from yieldmon.cli._setup.questions import QUESTIONS, Question
 from yieldmon.cli._setup.written_numbers import OTHER_UNITS, numbers
-from yieldmon.errors import InputError
+from yieldmon.errors import InputError, brief
 from yieldmon.files import strict_yaml, whole_file
 from yieldmon.files.crops import crop
 
 KEPT = "setup-answers.yaml"
+_SHOWN = 40
 
 
 def from_file(path: str | Path) -> dict[str, Any]:
@@ -76,13 +77,18 @@ def _numbers(question: Question, text: str, where: str) -> list[float]:
     try:
         found = numbers(text, question.unit)
     except (ValueError, KeyError) as error:
-        wrong = str(error.args[0]).split()[0]
+        wrong = brief(_typed(text, str(error.args[0]).split()[0]), _SHOWN)
         raise InputError(where, f"is {wrong}", f"{question.low:g} to {question.high:g} {question.unit} (or in {units})") from None
     for number in found:
         if not question.low <= number <= question.high:
             shown = text.strip() if len(found) == 1 else f"{number:g}"
             raise InputError(where, f"is {shown}", f"{question.low:g} to {question.high:g} {question.unit}")
     return found
+
+
+def _typed(text: str, wrong: str) -> str:
+    """The word of a text that is no number, whole."""
+    return next((word for word in text.split() if wrong in word), wrong)
 
 
 def wrapped(text: str) -> str:

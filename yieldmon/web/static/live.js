@@ -215,14 +215,23 @@ function answerOf(name, answer) {
   if (name === "load-stop") return `Load ${answer.load} ended: ${mass(answer.mass_kg)} ${units.mass.name}.`;
   if (name === "ticket") {
     const change = 100 * (answer.factor - 1);
-    const doubt = Math.abs(change) > UNLIKELY_PCT ? " That is a lot; if it is a slip, enter the right mass as another ticket." : "";
+    const off = 100 * (answer.weighed_mass_kg / (answer.known_mass_kg ?? answer.measured_mass_kg) - 1);
+    const doubt = Math.abs(off) > UNLIKELY_PCT ? " That is a lot; if it is a slip, enter the right mass as another ticket." : "";
     const use = answer.anchor ? "a reference for the calibration" : "no reference for the calibration";
     const masses = `Measured ${mass(answer.measured_mass_kg)} ${units.mass.name}, weighed ${mass(answer.weighed_mass_kg)} ${units.mass.name}`;
     return `${masses} (${number(change, 2)} %); ${use}.${doubt}`;
   }
   if (name === "ticket-undo") {
     const back = answer.version === undefined ? "" : `; measuring with the parameters from before it (version ${answer.version})`;
-    return `Ticket ${answer.ticket} undone${back}.`;
+    const again = answer.learnt_again?.length ? `; ticket ${answer.learnt_again.join(", ")} teaches again` : "";
+    const left = answer.not_learnt_again?.length ? `; ticket ${answer.not_learnt_again.map((row) => row.ticket).join(", ")} does not` : "";
+    return `Ticket ${answer.ticket} undone${back}${again}${left}.`;
+  }
+  if (name === "load-correct") {
+    const loads = answer.first_load === answer.last_load ? `Load ${answer.first_load}` : `Loads ${answer.first_load} to ${answer.last_load}`;
+    const again = answer.measured_again?.length ? "; measured again" : "";
+    const not = answer.not_measured_again?.length ? `; load ${answer.not_measured_again.map((row) => row.load).join(", ")} is not measured again` : "";
+    return `${loads}: ${[answer.field, answer.crop].filter(Boolean).join(" ")}${again}${not}.`;
   }
   if (name === "zero") return `Zero calibration ${answer.zero}.`;
   if (name === "zero-undo") return `Zero calibration undone; ${mass(answer.restored_kg)} ${units.mass.name} since then.`;
@@ -240,7 +249,7 @@ function requestOf(dialog) {
     request.mass_kg = Number(request.mass) * units.mass.si;
     delete request.mass;
   }
-  if (request.command.startsWith("load-")) request.shown_load = Number(dialog.dataset.load);
+  if (["load-start", "load-stop"].includes(request.command)) request.shown_load = Number(dialog.dataset.load);
   return request;
 }
 
@@ -255,6 +264,11 @@ function open(dialog) {
       dialog.querySelector("[name=field]").value = state.load.field;
       dialog.querySelector("[name=crop]").value = state.load.crop;
     }
+  }
+  if (dialog.dataset.command === "load-correct" && state) {
+    const form = dialog.querySelector("form");
+    const ended = state.load.number - (state.load.open ? 1 : 0);
+    if (ended > 0) form.first_load.value = form.last_load.value = ended;
   }
   if (dialog.dataset.command === "ticket") prepareTicket(dialog);
   if (dialog.dataset.command === "ticket-undo") prepareTicketUndo(dialog);
@@ -273,9 +287,11 @@ async function prepareTicket(dialog) {
     const compare = () => {
       const [first, last] = ["first_load", "last_load"].map((name) => Number(form[name].value));
       const weighed = Number(form.mass.value) * units.mass.si;
-      const measured = loads.filter((load) => first <= load.number && load.number <= last).reduce((sum, load) => sum + load.mass_kg, 0);
+      const covered = loads.filter((load) => first <= load.number && load.number <= last);
+      const measured = covered.reduce((sum, load) => sum + load.mass_kg, 0);
+      const known = covered.reduce((sum, load) => sum + (load.posted_mass_kg ?? load.mass_kg), 0);
       const change = measured > 0 && weighed > 0 ? 100 * (weighed / measured - 1) : null;
-      const doubt = change !== null && Math.abs(change) > UNLIKELY_PCT ? " Is that the right load and unit?" : "";
+      const doubt = change !== null && Math.abs(100 * (weighed / known - 1)) > UNLIKELY_PCT ? " Is that the right load and unit?" : "";
       text.textContent = `Measured ${mass(measured)} ${units.mass.name}${change === null ? "" : `: ${number(change, 1)} %`}.${doubt}`;
     };
     form.oninput = compare;
