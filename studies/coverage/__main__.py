@@ -8,7 +8,8 @@
 z = (published - true) / published standard deviation. Flow: every second from 4 kg/s. Load: every load of a minute. An error that
 all seconds of a run share is one draw, however long the run: so every run is a machine of its own, whose parameters are the
 shipped ones with an error drawn from their covariance, and whose effect has a size drawn from a distribution. Rows "after"
-count from the first whole sweep (sweeps) or the first ticket (slip) on: what nothing has shown yet, no budget can hold.
+count from the first whole sweep (sweeps) or the first ticket (slip) on: what nothing has shown yet, no budget can hold. Rows
+"load_posted" are all loads as they are stated at the end of the run, when sweeps have shown what they show.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ FIRST_SEED = 41000
 EMPTY_S = 8.0
 LOAD_S = 60.0
 LEAST_KG_S = 4.0
-LINE = "{scenario:>10} {of:>10}: {count} z of {machines}, mean {mean:+.2f}, sd {sd:.2f}, {within_1:.0%} / {within_2:.0%}"
+LINE = "{scenario:>10} {of:>11}: {count} z of {machines}, mean {mean:+.2f}, sd {sd:.2f}, {within_1:.0%} / {within_2:.0%}"
 SETTLING_S = 15.0
 """Of harvest, before the first second that counts."""
 
@@ -144,12 +145,13 @@ CASES = (
 @dataclass(frozen=True)
 class Found:
     """z of seconds and loads of one run, all and those after the first whole sweep or ticket, and whether the alarm of scale was
-    shown after the first ticket."""
+    shown after the first ticket. load_posted: of the loads as they are stated at the end of the run."""
 
     flow: NDArray[np.float64]
     load: NDArray[np.float64]
     flow_after: NDArray[np.float64]
     load_after: NDArray[np.float64]
+    load_posted: NDArray[np.float64]
     alarm: bool
 
 
@@ -189,6 +191,7 @@ def one(case: Case, duration_s: float, seed: int, *, fixed: bool) -> Found:
     combine = VirtualCombine(scenario, settings.machine, seed)
     records, ends = [], np.arange(EMPTY_S - 1.0, duration_s, LOAD_S)
     loads: list[tuple[float, float]] = []
+    true_of: dict[int, float] = {}
     delay_s = 0.5 * settings.machine.pattern_length_m / settings.machine.paddle_speed_m_s(scenario.elevator.speed_rpm * RPM)
     alarm, known_s = False, np.inf
     for number, end_s in enumerate((*ends.tolist(), duration_s)):
@@ -207,6 +210,7 @@ def one(case: Case, duration_s: float, seed: int, *, fixed: bool) -> Found:
             if end_s - times[0] < LOAD_S + 2.0 and number <= ends.size - 1:
                 true_kg = float(np.diff(combine.delivered_kg(times))[0])
                 # A load that was open when it became known is reported as well.
+                true_of[load.number] = true_kg
                 loads.append((end_s, (load.measured_kg - true_kg) / load.std_dev_kg))
                 if sizes.weighs and number == 1:
                     monitor.ticket(load.number, true_kg, 0.002 * true_kg)
@@ -218,7 +222,8 @@ def one(case: Case, duration_s: float, seed: int, *, fixed: bool) -> Found:
     counts = (true >= LEAST_KG_S) & np.isfinite(flow) & (time_s > EMPTY_S + SETTLING_S)
     z, load_z = (flow - true) / sd, np.array([value for _, value in loads])
     after = np.array([at > known_s for at, _ in loads], dtype=bool)
-    return Found(z[counts], load_z, z[counts & (time_s > known_s)], load_z[after], alarm)
+    posted = [(k.measured_kg - true_of[k.number]) / k.std_dev_kg for k in monitor.loads if k.number in true_of]
+    return Found(z[counts], load_z, z[counts & (time_s > known_s)], load_z[after], np.array(posted), alarm)
 
 
 def row(name: str, runs: list[NDArray[np.float64]]) -> dict[str, Any]:
@@ -245,7 +250,7 @@ def main() -> int:
     rows: list[dict[str, Any]] = []
     for case in (case for case in CASES if case.name in args.only):
         runs = [one(case, args.duration, args.first + k, fixed=args.fixed) for k in range(args.machines)]
-        for what in ("flow", "load", "flow_after", "load_after"):
+        for what in ("flow", "load", "flow_after", "load_after", "load_posted"):
             values = [getattr(run, what) for run in runs]
             if any(part.size for part in values):
                 rows.append({"scenario": case.name, **row(what, values)})

@@ -567,3 +567,16 @@ def test_away_from_home_the_standard_deviation_is_widened() -> None:
         assert record.quality is Q.SWEEPING
         found[factor] = record.std_dev_kg_s
     assert found[3.0] == pytest.approx(3.0 * found[1.0])
+
+
+def test_noise_that_is_widened_away_from_home_still_averages_out() -> None:
+    widened = replace(NOISE_ALONE, sweep=replace(EngineSettings().sweep, max_std_dev_factor=3.0))
+    target = monitor(widened, estimator=ForceProportional(relative_std_dev=0.0))
+    feed(target, replace(STEADY, angle=lambda t: 70.0 if t < 1008.0 else 60.0).frames(40))
+    away = [record for record in target.records if record.quality is Q.SWEEPING]
+    load = target.open_load
+    assert load is not None
+    assert len(away) > 25
+    assert load.budget.parameters_kg == pytest.approx(0.0, abs=1e-3)
+    seconds = [r for r in target.records if r.mass_kg > 0.0]
+    assert load.budget.noise_kg2 == pytest.approx(sum((r.noise_std_dev_kg_s * r.duration_s) ** 2 for r in seconds))

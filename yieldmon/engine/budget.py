@@ -30,12 +30,18 @@ class FlowBudget:
         The zero's uncertainty since the elevator last ran empty.
     moisture_kg_s : float
         Grain whose moisture differs from the calibration's, or is not measured.
+    covariance_kg_s : float
+        Of parameters_kg_s the part that is not the model's error by what sweeps show.
+    per_error_kg_s : float
+        Change of the flow by a relative error of 1 of the force.
     """
 
     noise_kg_s: float = _NAN
     parameters_kg_s: float = _NAN
     zero_kg_s: float = 0.0
     moisture_kg_s: float = 0.0
+    covariance_kg_s: float = 0.0
+    per_error_kg_s: float = 0.0
 
     @property
     def std_dev_kg_s(self) -> float:
@@ -99,6 +105,10 @@ class MassBudget:
             return MassBudget.unknown()
         factor = after_kg / before_kg
         return MassBudget(self.noise_kg2 * factor, self.parameters_kg * factor, self.zero_kg * factor, self.moisture_kg * factor)
+
+    def with_parameters(self, more_kg: float) -> MassBudget:
+        """The budget of a mass whose parameters turn out to be less sure by so much, or surer (below 0)."""
+        return replace(self, parameters_kg=max(self.parameters_kg + more_kg, 0.0))
 
     def with_common(self, parameters_kg: float) -> MassBudget:
         """The budget of a mass whose parameters turn out to be less sure than they were taken to be, by so much at least."""

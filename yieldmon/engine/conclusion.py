@@ -52,8 +52,6 @@ class Conclusion:
         """Of the windows that `completed` has not had yet."""
         self.windows = 0
         self.publishing = True
-        self._away = 0, 0.0
-        """Number of the open load, and mass of it, kg, that was measured with the plate away from home."""
         self._zero_mv = nan
         """With which the next window is measured; nan where that is not known yet."""
         self.begun_with: LoadEvents = ()
@@ -74,7 +72,7 @@ class Conclusion:
         silent = not (window.samples or reading.speed_rad_s > 0.0)
         mass_kg = loads.count(window, flow, reading.inputs.fresh["moisture"], area_m2, silent)
         self._weigh(reading, flow, mass_kg)
-        self._count_away(mass_kg, at_home=reading.at_home)
+        loads.share(mass_kg, flow, estimator.parameters.version, at_home=reading.at_home)
         step = sweep.window(self._sweep_window(reading, flow))
         shown = parts.faults.observe_all(conditions(self._observation(reading, flow)), bus_s)
         published = parts.flow_meter.published(flow, plate_rests_at_home=reading.still and reading.at_home)
@@ -91,7 +89,7 @@ class Conclusion:
         if parts.waveform is not None and parts.settings.sweep.when == "information":
             channels = parts.waveform.channels(window.end_s, estimator)
         learnt = learning.learn(window.end_s, record, sweep, channels)
-        self._widen(*believed)
+        restated = self._restate(*believed)
         self._hold_moisture(learnt)
         if parts.waveform is not None and not (sweep.driving or learnt):
             lesson = parts.waveform.lessons.take()
@@ -102,7 +100,7 @@ class Conclusion:
         frames = parts.publisher.frames(record, self._published()) if self.publishing else ()
         emptied = parts.unloading.emptied(reading.inputs, window.end_s - window.start_s) and loads.totals.load_kg > 0.0
         started = loads.start(bus_s) if emptied else ()
-        result: WindowResult = _result(record, frames, (*begun, *zero, *shown, *learnt, *ended, *started), NOTHING)
+        result: WindowResult = _result(record, frames, (*begun, *zero, *shown, *learnt, *restated, *ended, *started), NOTHING)
         if parts.waveform is None:
             return result
         self._samples.append(_Samples(second, by_mean_force, estimator))
@@ -167,21 +165,15 @@ class Conclusion:
         if totals.load_open:
             learning.measured(totals.load_number, reading, flow, mass_kg)
 
-    def _widen(self, model_error: ModelError, contradiction: ScaleCheck | None) -> None:
-        """What the open load holds is as unsure as sweeps or a weighed mass have just shown it to be. Before: the model's error,
-        and the mass that contradicted."""
-        loads, learning, flow_error = self._parts.loads, self._parts.learning, self._parts.flow_meter.flow_error
-        error, mass_kg = learning.model_error, loads.totals.load_kg
-        if error.home > model_error.home or error.away > model_error.away:
-            loads.widen(flow_error(error.home) * mass_kg + flow_error(error.away) * self._away[1])
-        found = learning.scale_alarm.state.contradiction
+    def _restate(self, model_error: ModelError, contradiction: ScaleCheck | None) -> LoadEvents:
+        """Loads are as unsure as sweeps, and the open one as a weighed mass, have just shown them to be. Before: the model's
+        error, and the mass that contradicted."""
+        loads, learning = self._parts.loads, self._parts.learning
+        error, found = learning.model_error, learning.scale_alarm.state.contradiction
+        restated = loads.restate(error, learning.estimator.parameters.version) if error != model_error else ()
         if found is not None and found is not contradiction:
-            loads.widen(abs(found.error_pct) / 100.0 * mass_kg)
-
-    def _count_away(self, mass_kg: float, *, at_home: bool) -> None:
-        totals = self._parts.loads.totals
-        number, away_kg = self._away
-        self._away = totals.load_number, (away_kg if number == totals.load_number else 0.0) + (0.0 if at_home else mass_kg)
+            loads.widen(abs(found.error_pct) / 100.0 * loads.totals.load_kg)
+        return restated
 
     def _hold_moisture(self, learnt: Sequence[ParametersChanged]) -> None:
         """The moisture for which changed parameters hold; where none is known, the one before."""

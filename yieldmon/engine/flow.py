@@ -94,8 +94,6 @@ class FlowMeter:
         self._gain_n_per_mv = gain_n_per_mv
         self._filter = FlowFilter(settings.flow_filter)
         self.moisture = MoistureReference(settings.budget)
-        self._flow_per_force = _NAN
-        """Relative error of flow from one of force, at the newest flow."""
 
     def flow(self, reading: Reading, estimate: Estimate | None, estimator: FlowEstimator, circumstances: Circumstances) -> Flow:
         """The flow of a window, as it is counted."""
@@ -107,7 +105,8 @@ class FlowMeter:
             rate, std_dev = _full_paddle(reading, estimator)
         if not (isfinite(rate) and isfinite(std_dev)) or rate < 0.0:
             return Flow(_NAN, _NAN, EstimateQuality.NOT_AVAILABLE, reading.force_n, reading.force_std_dev_n)
-        std_dev = self._widened(reading, rate, std_dev, estimator)
+        if reading.inputs.angle_stale:
+            std_dev = hypot(std_dev, self._angle_uncertainty(reading, rate, estimator))
         saturated = status is FlowStatus.SATURATED or reading.window.saturated_share >= self._settings.windows.saturated_share
         outside = status is FlowStatus.OUTSIDE_CALIBRATION
         quality = self._quality(reading, saturated, outside, circumstances)
@@ -127,18 +126,6 @@ class FlowMeter:
         return _flow(
             rate, spread, flow.quality, flow.force_n, flow.force_std_dev_n, flow.out_of_calibration, flow.saturated, flow.budget
         )
-
-    def flow_error(self, force_error: float) -> float:
-        """Relative error of the newest flow from one of the force; of 0 before there is one."""
-        return force_error * self._flow_per_force if isfinite(self._flow_per_force) else 0.0
-
-    def _widened(self, reading: Reading, rate: float, std_dev: float, estimator: FlowEstimator) -> float:
-        """The standard deviation with what a held angle and a plate away from home add to it."""
-        if reading.inputs.angle_stale:
-            std_dev = hypot(std_dev, self._angle_uncertainty(reading, rate, estimator))
-        if not reading.at_home:
-            std_dev *= self._settings.sweep.max_std_dev_factor
-        return std_dev
 
     def _budget(
         self,
@@ -161,12 +148,14 @@ class FlowMeter:
             followed="moisture_dependence" in parameters.effects,
         )
         parameters_kg_s = max(0.0, std_dev**2 - noise**2) ** 0.5
-        if rate > 0.0 and reading.force_n > 0.0:
-            self._flow_per_force = per_n * reading.force_n / rate
+        if not reading.at_home:
+            # Each part by itself: what averages out goes on doing so.
+            factor = self._settings.sweep.max_std_dev_factor
+            noise, parameters_kg_s = factor * noise, factor * parameters_kg_s
+        per_error = reading.force_n * per_n if reading.force_n > 0.0 and isfinite(per_n) else 0.0
         error = model_error.home if reading.at_home else hypot(model_error.home, model_error.away)
-        if error > 0.0 and reading.force_n > 0.0:
-            parameters_kg_s = hypot(parameters_kg_s, error * reading.force_n * per_n)
-        return _flow_budget(noise, parameters_kg_s, zero_n * per_n, relative * rate)
+        shared = hypot(parameters_kg_s, error * per_error)
+        return _flow_budget(noise, shared, zero_n * per_n, relative * rate, parameters_kg_s, per_error)
 
     def _quality(self, reading: Reading, saturated: bool, outside: bool, circumstances: Circumstances) -> EstimateQuality:
         if saturated:

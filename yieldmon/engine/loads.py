@@ -16,13 +16,17 @@ from math import inf, isfinite
 from yieldmon.engine.budget import EMPTY, MassBudget
 from yieldmon.engine.flow import Flow
 from yieldmon.engine.settings import EngineSettings
+from yieldmon.engine.shared_error import SharedError
 from yieldmon.engine.since_zero import NO_LOAD, MissedMass
 from yieldmon.engine.totals import Totals, dry_mass
 from yieldmon.engine.windows import Window
+from yieldmon.estimation.sweep_model_error import ModelError
 from yieldmon.frames import EstimateQuality
 
 _NAN = float("nan")
 _KEPT_LOADS = 256
+_RESTATED = 0.01
+"""Relative change of a closed load's standard deviation from which it is reported again."""
 _LONGEST_SILENCE_S, _LONGEST_WAKING_S = 60.0, 3.0
 """How long all sensors' nodes may be silent at a load's begin, and one of them after another: assumed, by no study."""
 
@@ -93,6 +97,8 @@ class Loads:
         self._start_s = _NAN
         self._complete = True
         self._opening = Opening()
+        self._shared: dict[int, SharedError] = {}
+        """Of loads that the parameters in use have measured, by number."""
 
     @property
     def open(self) -> LoadSummary | None:
@@ -157,11 +163,61 @@ class Loads:
         self.totals = self.totals.with_mass(mass_kg, dry_kg, flow.budget, seconds, area_m2)
         return mass_kg
 
+    def resume_share(self, error: ModelError, version: int) -> None:
+        """After `restore`: the open load was measured with the parameters of this version, which are in use, and its standard
+        deviation holds this error of the model. What of it was measured away from home is not known."""
+        totals = self.totals
+        if totals.load_open and totals.load_kg > 0.0:
+            by_error_kg = error.home * totals.load_kg
+            own_kg = max(totals.load_budget.parameters_kg**2 - by_error_kg**2, 0.0) ** 0.5
+            self._shared[totals.load_number] = SharedError(version, 0.0, own_kg, totals.load_kg)
+
+    def share(self, mass_kg: float, flow: Flow, version: int, *, at_home: bool) -> None:
+        """After `count`: what of the window's error all of the load shares. version: of the parameters that measured it."""
+        totals, number = self.totals, self.totals.load_number
+        if not (totals.load_open and mass_kg > 0.0):
+            return
+        seconds, known = mass_kg / flow.rate_kg_s, self._shared.get(number)
+        if known is None or known.version != version:
+            # What other parameters measured stays as stated.
+            self._shared = {n: shared for n, shared in self._shared.items() if shared.version == version}
+            known = SharedError(version, totals.load_budget.parameters_kg - flow.budget.parameters_kg_s * seconds)
+        self._shared[number] = known.plus(flow.budget, seconds, at_home=at_home)
+
+    def restate(self, error: ModelError, version: int) -> LoadEvents:
+        """Sweeps show another error of the model with these parameters: all loads that these have measured are as unsure as that
+        says; closed ones that it changes are returned."""
+        events: list[LoadClosed | LoadOpened] = []
+        for number, shared in self._shared.items():
+            if shared.version == version:
+                events += self._restated(number, shared.parameters_kg(error))
+        return tuple(events)
+
+    def _restated(self, number: int, parameters_kg: float) -> LoadEvents:
+        totals = self.totals
+        if totals.load_open and number == totals.load_number:
+            more_kg = parameters_kg - totals.load_budget.parameters_kg
+            load, total = totals.load_budget.with_parameters(more_kg), totals.total_budget.with_parameters(more_kg)
+            self.totals = replace(totals, load_budget=load, total_budget=total)
+            return ()
+        place = next((place for place, load in enumerate(self._closed) if load.number == number), None)
+        if place is None:
+            return ()
+        closed = self._closed[place]
+        budget = replace(closed.budget, parameters_kg=parameters_kg)
+        if number >= totals.first_load:
+            more_kg = parameters_kg - closed.budget.parameters_kg
+            self.totals = replace(totals, total_budget=totals.total_budget.with_parameters(more_kg))
+        self._closed[place] = replace(closed, budget=budget, std_dev_kg=budget.std_dev_kg)
+        changed = abs(budget.std_dev_kg - closed.std_dev_kg) > _RESTATED * closed.std_dev_kg
+        return (LoadClosed(self._closed[place]),) if changed else ()
+
     def widen(self, error_kg: float) -> None:
         """What the open load holds turns out to be less sure: by error_kg at least, one standard deviation, by its parameters."""
         totals = self.totals
         if not (totals.load_open and error_kg > 0.0):
             return
+        self._shared.pop(totals.load_number, None)
         load = totals.load_budget.with_common(error_kg)
         more_kg = load.parameters_kg - totals.load_budget.parameters_kg
         total = totals.total_budget.with_common(totals.total_budget.parameters_kg + more_kg)
@@ -173,6 +229,7 @@ class Loads:
 
     def restore(self, totals: Totals) -> None:
         """Go on from totals that were kept; what passed since was not measured."""
+        self._shared = {}
         self.totals = self._at_market(totals)
         self._complete, self._opening = not (totals.load_open and totals.load_kg > 0.0), Opening()
 
@@ -181,6 +238,7 @@ class Loads:
         returned."""
         events: list[LoadClosed | LoadOpened] = []
         for number, found in missed.items():
+            self._shared.pop(number, None)
             totals = self.totals
             here = totals.load_open and number == totals.load_number
             taken = max(found.kg, -totals.load_kg) if here else found.kg
@@ -224,6 +282,8 @@ class Loads:
         if not self.totals.load_open:
             return ()
         self._closed.append(self._summary(now_s))
+        kept = {load.number for load in self._closed}
+        self._shared = {number: shared for number, shared in self._shared.items() if number in kept}
         return (LoadClosed(self._closed[-1]),)
 
 

@@ -45,6 +45,7 @@ def restore(parts: Parts, state: EngineState) -> None:
     if state.parameter_version == parameters.version:
         learning.disagreement.restore(state.disagreement, parameters)
         learning.judge_model(weighed=state.calibrator is not None and bool(state.calibrator.weighed))
+        parts.loads.resume_share(learning.model_error, parameters.version)
         if state.moisture is not None:
             parts.flow_meter.moisture.state = state.moisture
         learning.scale_alarm.state = state.scale_alarm
