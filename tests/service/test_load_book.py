@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from yieldmon.engine.loads import LoadSummary
 from yieldmon.engine.since_zero import MissedMass
-from yieldmon.service.batch import Load
+from yieldmon.service.batch import Batch, Load
 from yieldmon.service.load_book import LoadBook
+from yieldmon.service.recorded import read_loads
+from yieldmon.service.store import Store
 
 SUMMARY = LoadSummary(
     number=3, start_s=10.0, end_s=20.0, measured_kg=100.0, dry_kg=85.0, unknown_moisture_kg=0.0, complete=True, area_m2=50.0
@@ -96,3 +99,23 @@ def test_what_was_known_stays_and_only_what_changed_is_brought() -> None:
     unstarted = book(replace(KNOWN, started_s=None))
     unstarted.measured(SUMMARY, "", "")
     assert unstarted.take() == (KNOWN,)
+
+
+def test_a_load_that_a_sweep_shows_to_be_less_sure_is_stated_so(tmp_path: Path) -> None:
+    found = book()
+    with Store(tmp_path / "s.sqlite") as store:
+        for number, std_dev_kg in enumerate((NAN, 0.6, 4.5), 1):
+            found.measured(replace(SUMMARY, std_dev_kg=std_dev_kg), "south", "corn")
+            store.commit([Batch(number, float(number), {}, loads=found.take())])
+            (row,) = store.corrected_loads()
+            assert row["std_dev_kg"] == (None if number == 1 else std_dev_kg)
+        assert (row["mass_kg"], row["area_m2"]) == (100.0, 50.0)
+    (record,) = read_loads(tmp_path / "s.sqlite")
+    assert record.std_dev_kg == 4.5
+
+
+def test_a_corrected_load_is_relatively_as_sure_as_before() -> None:
+    found = book(replace(KNOWN, std_dev_kg=2.0))
+    found.corrected(3, MissedMass(kg=50.0))
+    (load,) = found.take()
+    assert (load.mass_kg, load.std_dev_kg) == (150.0, 3.0)

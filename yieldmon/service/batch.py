@@ -12,7 +12,7 @@ from yieldmon.service.rows import SecondRow
 @dataclass(frozen=True)
 class Load:
     """A load: from one emptying of the tank, or one `load start`, to the next. `ended_s` is None while it is open, `area_m2`
-    where the area of its grain is not known."""
+    where the area of its grain is not known. `std_dev_kg`: of mass_kg, None where it is not known; sweeps may change it later."""
 
     number: int
     field: str
@@ -22,6 +22,7 @@ class Load:
     mass_kg: float
     dry_mass_kg: float | None
     area_m2: float | None = None
+    std_dev_kg: float | None = None
 
 
 @dataclass(frozen=True)

@@ -34,12 +34,15 @@ class Ledger:
         """A load as measured, as measured again, as weighed, and the best of these."""
         found, posted = self.ticket_of(load.number), self.factors.get(load.number)
         factor = found[1].factor if found is not None else 1.0 if posted is None else posted
-        return asdict(load) | {
+        measured = asdict(load)
+        std_dev_kg = measured.pop("std_dev_kg")
+        return measured | {
             "posted_mass_kg": None if posted is None else load.mass_kg * posted,
             "ticket_mass_kg": None if found is None else found[1].weighed_mass_kg,
             "corrected_mass_kg": load.mass_kg * factor,
             "corrected_dry_mass_kg": None if load.dry_mass_kg is None else load.dry_mass_kg * factor,
             "ticket_id": None if found is None else found[0],
+            "std_dev_kg": std_dev_kg,
         }
 
 
@@ -66,6 +69,8 @@ class LoadRecord:
         The best of these, kg.
     ticket_id : int or None
         Number of the ticket that counts.
+    std_dev_kg : float or None
+        Of mass_kg, kg, as sweeps have shown it to be since; None in a store that does not have it.
 
     Examples
     --------
@@ -85,6 +90,7 @@ class LoadRecord:
     corrected_mass_kg: float
     corrected_dry_mass_kg: float | None
     ticket_id: int | None
+    std_dev_kg: float | None = None
 
 
 def ledger(tickets: Sequence[Ticket], actions: Iterable[Action]) -> Ledger:

@@ -42,6 +42,7 @@ class LoadBook:
             mass_kg=summary.measured_kg,
             dry_mass_kg=summary.dry_kg if dry_known else None,
             area_m2=summary.area_m2 if area_known else None,
+            std_dev_kg=finite(summary.std_dev_kg),
         )
         if load != known:
             self._loads[load.number] = self._new[load.number] = load
@@ -59,6 +60,7 @@ class LoadBook:
             mass_kg=mass_kg,
             dry_mass_kg=max(0.0, (known.dry_mass_kg or 0.0) + missed.dry_kg) if dry_known else None,
             area_m2=known.area_m2 if area_known else None,
+            std_dev_kg=known.std_dev_kg * mass_kg / known.mass_kg if known.std_dev_kg and known.mass_kg > 0.0 else None,
         )
 
     def named(self, number: int, field: str | None, crop: str | None) -> None:

@@ -142,7 +142,8 @@ def _whole(load: Load, seconds: Sequence[SecondRow], min_coverage: float) -> boo
 def _budget(stored: StoredLoad, machine: Machine) -> MassBudget:
     """Of the load's mass, by cause: noise is in the seconds, the parameters' share follows from them, and what is left of the
     whole (that of zero and moisture) stands under zero."""
-    whole_kg = next((s.load_std_dev_kg for s in reversed(stored.seconds) if s.load_std_dev_kg is not None), None)
+    at_its_end_kg = next((s.load_std_dev_kg for s in reversed(stored.seconds) if s.load_std_dev_kg is not None), None)
+    whole_kg = stored.load.std_dev_kg or at_its_end_kg
     counted = [s for s in stored.seconds if s.mass_kg > 0.0]
     if whole_kg is None or any(s.noise_std_dev_kg_s is None for s in counted):
         return MassBudget.unknown()

@@ -187,13 +187,22 @@ SELECT *, mass_kg * factor AS corrected_mass_kg, dry_mass_kg * factor AS correct
         GROUP BY load_factor.key) AS posting ON posting.number = CAST(load.number AS TEXT));
 """
 
+# Standard deviation of a load's measured mass as it is known now; a load without a row has that of its last second alone.
+_VERSION_13 = """
+CREATE TABLE load_std_dev (
+    number INTEGER PRIMARY KEY,
+    std_dev_kg REAL NOT NULL,
+    checksum INTEGER NOT NULL
+) STRICT;
+"""
+
 #: From this version on rows carry checksums.
 CHECKED_FROM = 4
 
 #: From this version on there are actions and steps.
 ACTIONS_FROM = 8
 
-_SCRIPTS = (_VERSION_1, _VERSION_2, _VERSION_3, _VERSION_4, "", "", _VERSION_7, _VERSION_8, "", "", "", _VERSION_12)
+_SCRIPTS = (_VERSION_1, _VERSION_2, _VERSION_3, _VERSION_4, "", "", _VERSION_7, _VERSION_8, "", "", "", _VERSION_12, _VERSION_13)
 _SQL_KINDS = {float: "REAL", int: "INTEGER", str: "TEXT"}
 _WITHOUT = {float: "0.0", int: "0", str: "''"}
 
@@ -242,6 +251,7 @@ COLUMNS: dict[str, tuple[str, ...]] = {
     "parameter_set": ("version", "time_s", "origin", "document"),
     "load": ("number", "field", "crop", "started_s", "ended_s", "mass_kg", "dry_mass_kg"),
     "load_area": ("number", "area_m2"),
+    "load_std_dev": ("number", "std_dev_kg"),
     "ticket": ("time_s", "first_load", "last_load", "weighed_mass_kg", "measured_mass_kg", "note"),
     "counter": ("name", "value"),
     "sweep": ("time_s", "outcome", "reason", "document"),
@@ -250,6 +260,7 @@ COLUMNS: dict[str, tuple[str, ...]] = {
     "step": ("version", "time_s", "document"),
 }
 KEYS: dict[str, str] = {
-    "state": "slot", "mark": "name", "parameter_set": "version", "load": "number", "load_area": "number", "ticket": "id",
+    "state": "slot", "mark": "name", "parameter_set": "version", "load": "number", "load_area": "number",
+    "load_std_dev": "number", "ticket": "id",
     "counter": "name", "sweep": "id", "fault": "id", "second": "number", "action": "number", "step": "version",
 }  # fmt: skip

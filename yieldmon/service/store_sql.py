@@ -25,9 +25,19 @@ def _put(table: str, verb: str = "INSERT") -> str:
 
 
 _INSERT_SECOND, _INSERT_SWEEP, _INSERT_FAULT = (_put(table) for table in ("second", "sweep", "fault"))
-_UPSERT_LOAD, _UPSERT_AREA, _UPSERT_PARAMETERS, _UPSERT_COUNTER, _UPSERT_STATE, _UPSERT_MARK, _UPSERT_ACTION, _UPSERT_STEP = (
+(
+    _UPSERT_LOAD,
+    _UPSERT_AREA,
+    _UPSERT_STD_DEV,
+    _UPSERT_PARAMETERS,
+    _UPSERT_COUNTER,
+    _UPSERT_STATE,
+    _UPSERT_MARK,
+    _UPSERT_ACTION,
+    _UPSERT_STEP,
+) = (
     _put(table, "INSERT OR REPLACE")
-    for table in ("load", "load_area", "parameter_set", "counter", "state", "mark", "action", "step")
+    for table in ("load", "load_area", "load_std_dev", "parameter_set", "counter", "state", "mark", "action", "step")
 )
 # A batch that is written again, to a store made anew, does not enter a ticket twice.
 _INSERT_TICKET = (
@@ -85,9 +95,11 @@ def write_in_part(database: sqlite3.Connection, batch: Batch, identity: int) -> 
 def _write_rows(database: sqlite3.Connection, batch: Batch) -> None:
     executemany = database.executemany
     executemany(_INSERT_SECOND, (_summed("second", astuple(row)) for row in batch.seconds))
-    executemany(_UPSERT_LOAD, (_summed("load", astuple(load)[:-1]) for load in batch.loads))
+    executemany(_UPSERT_LOAD, (_summed("load", astuple(load)[:-2]) for load in batch.loads))
     areas = ((load.number, load.area_m2) for load in batch.loads if load.area_m2 is not None)
     executemany(_UPSERT_AREA, (_summed("load_area", area) for area in areas))
+    deviations = ((load.number, load.std_dev_kg) for load in batch.loads if load.std_dev_kg is not None)
+    executemany(_UPSERT_STD_DEV, (_summed("load_std_dev", deviation) for deviation in deviations))
     executemany(_INSERT_SWEEP, (_summed("sweep", (s.time_s, s.outcome, s.reason, _json(s.document))) for s in batch.sweeps))
     executemany(
         _UPSERT_PARAMETERS,

@@ -19,6 +19,7 @@ from yieldmon.service.store_sql import COLUMNS, second_is_sound
 
 #: Schema version that brought the loads' areas.
 _AREAS_FROM = 7
+_LOAD_STD_DEVS_FROM = 13
 
 
 class StoredRows:
@@ -156,7 +157,8 @@ class StoredRows:
             columns = ", ".join(COLUMNS["load"][:-1])
             return self._of_kind(Load, ((*row, None) for row in self._rows_of(columns, "load ORDER BY number")))
         areas = dict(self._checked("load_area")) if self._version() >= _AREAS_FROM else {}
-        return self._of_kind(Load, ((*row, areas.get(row[0])) for row in self._checked("load")))
+        deviations = dict(self._checked("load_std_dev")) if self._version() >= _LOAD_STD_DEVS_FROM else {}
+        return self._of_kind(Load, ((*row, areas.get(row[0]), deviations.get(row[0])) for row in self._checked("load")))
 
     def corrected_loads(self) -> list[dict[str, Any]]:
         """All loads as measured, as measured again, as weighed, and the best of these."""

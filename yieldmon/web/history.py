@@ -110,9 +110,12 @@ class History:
             self._sum_up(path)
             with opened(path) as store:
                 loads = store.corrected_loads()
+                for load in loads:
+                    # Of a store that kept it with the seconds alone.
+                    load["std_dev_kg"] = load["std_dev_kg"] or self._sums.load_std_dev_kg.get(load["number"])
                 return {
                     "days": [day.document(name) for name, day in sorted(self._sums.days.items(), reverse=True)],
-                    "loads": [load | {"std_dev_kg": self._sums.load_std_dev_kg.get(load["number"])} for load in reversed(loads)],
+                    "loads": loads[::-1],
                     "sweeps": [asdict(sweep) for sweep in reversed(store.sweeps(_SWEEPS))],
                     "parameters": _parameters(store, path),
                     "faults": [asdict(fault) for fault in reversed(store.faults(_FAULTS))],
