@@ -30,10 +30,12 @@ from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.sweep_model_error import ModelError
 from yieldmon.estimation.sweep_worth import OtherChannels
 from yieldmon.frames import EstimateQuality, SweepState
-from yieldmon.physics.machine import Machine
+from yieldmon.physics.machine import SAME_ANGLE_RAD, Machine
 
 _KEPT_TICKETS = 12
 """That outlive a restart."""
+_WAY_HOME_S = 20.0
+"""How long a plate may take home for the flow there to speak of that before."""
 _FORCES_HOLD = frozenset({SweepAbort.FLOW_CHANGED, SweepAbort.SPEED_CHANGED, SweepAbort.NOT_MEASURED, SweepAbort.OPERATOR})
 """Ends of a sweep that leave what was measured until then usable."""
 
@@ -78,6 +80,9 @@ class Learning:
         self._weighed_s = float("-inf")
         self._sweep_records: list[WindowRecord] = []
         self._sweeping = False
+        self._home_rad = machine.home_plate_angle_rad
+        self._way_home: list[WindowRecord] = []
+        """Of a sweep that ended away from home because the flow changed, until the plate is back."""
         self._looked_step = 0
         """Of the sweep under way, at which its pattern was last looked at."""
 
@@ -338,8 +343,11 @@ class Learning:
         if not sweep.visiting and not sweep.completed:
             if self._sweeping:
                 self._end_early(record, sweep.abort_reason)
+            elif self._way_home:
+                self._come_home(record)
             self._sweep_records = [*self._sweep_records, record][-sweep.lead :] if sweep.lead else []
             return self._learn_from_masses(record) or self._follow_drift(record)
+        self._way_home = []
         self._sweeping = not sweep.completed
         if record.usable_for_calibration:
             self._sweep_records.append(record)
@@ -375,9 +383,24 @@ class Learning:
         self._sweeping, self._looked_step = False, 0
         if reason is SweepAbort.FLOW_CHANGED:
             # The window that ended it was as good as those before it, and may be the visit home that they need.
-            self._look([*self._sweep_records, record])
-        self.disagreement.end_early(usable=reason in _FORCES_HOLD)
+            records = [*self._sweep_records, record]
+            self._look(records)
+            self._way_home = [] if self._is_home(record) else records
+        self.disagreement.end_early(usable=reason in _FORCES_HOLD and not self._way_home)
         self.judge_model()
+
+    def _come_home(self, record: WindowRecord) -> None:
+        """After a change of flow away from home, which a large error of the model may be: the next window at home tells."""
+        if record.time_s - self._way_home[-1].time_s > _WAY_HOME_S:
+            self._way_home = []
+        elif self._is_home(record) and record.plate_still and isfinite(record.mass_flow_kg_s):
+            records, self._way_home = [*self._way_home, record], []
+            self._look(records)
+            self.disagreement.end_early(usable=True)
+            self.judge_model()
+
+    def _is_home(self, record: WindowRecord) -> bool:
+        return abs(record.plate_angle_rad - self._home_rad) <= SAME_ANGLE_RAD
 
     def _worth_making(self, at_s: float, record: WindowRecord, sweep: SweepMachine, channels: OtherChannels | None) -> bool:
         """Whether a sweep may begin by schedule; one that is due and not worth making is declined."""
