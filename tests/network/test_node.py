@@ -422,3 +422,20 @@ def test_who_clears_codes_on_the_network_clears_what_the_request_names() -> None
     assert (counts(active), counts(previous)) == ([(520192, 3)], [])
     assert shown(node.feed(0x18EA8317, bytes.fromhex("D3FE00"), 22.0).frames) == ["18E8FF83#00FFFFFF17D3FE00"]
     assert (counts(active), counts(previous)) == ([(520192, 1)], [])
+
+
+def test_a_listener_keeps_sixty_four_messages_under_way_and_counts_one_more_as_incomplete() -> None:
+    """Of both transports; the one that has no place costs none of the others."""
+    broadcast, fast = Reassembler(), Reassembler()
+    for source in range(65):
+        broadcast.feed(0x1CECFF00 | source, bytes.fromhex("200A0002FF16FF00"), 1.0)
+        fast.feed(0x09F80500 | source, bytes.fromhex("000A000102030405"), 1.0)
+    assert (broadcast.under_way, broadcast.incomplete) == (64, 1)
+    assert (fast.under_way, fast.incomplete) == (64, 1)
+    for last, reassembler in ((0x1CEBFF00, broadcast), (0x09F80500, fast)):
+        whole = 0
+        for source in range(65):
+            parts = ("0100112233445566", "02778899FFFFFFFF") if reassembler is broadcast else ("0106070809FFFFFF",)
+            whole += sum(len(reassembler.feed(last | source, bytes.fromhex(part), 1.1)) for part in parts)
+        assert whole == 64
+        assert reassembler.under_way == 0
