@@ -176,3 +176,15 @@ def test_a_value_of_process_data_has_32_bits(value: str, read: bool) -> None:
         return
     with pytest.raises(InputError, match=r"^TLG00001.XML: DLV 0: has no identifier or a value that is not a number"):
         timelog.header(text, "TLG00001.XML")
+
+
+@pytest.mark.parametrize("before", ["\n", "\n\n", "\r\n", "\v", "\f", "\x1c", " \n\t\n"])
+@pytest.mark.parametrize("end", ["", "\n"])
+def test_one_row_behind_lines_without_any_is_read(tmp_path: Path, before: str, end: str) -> None:
+    """Also where the last line is the only one that holds something."""
+    row = "-96.42,41.15,12.0,1000,1,60,240,18.5,33,1,777,Field: North,Load: 1,Corn,Corn,1,2,330.0"
+    path = tmp_path / "a.txt"
+    path.write_text(before + row + end)
+    table = sources.read(path, ReadOptions())
+    assert len(table) == 1
+    assert table["latitude_deg"][0] == 41.15

@@ -95,9 +95,9 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
     with path.open("rb") as stream:
         head = stream.read(1 << 16)
     encoding = encoding_of(head)
-    sample = [
-        line for line in head.decode(encoding, "replace").splitlines()[:-1] or [head.decode(encoding, "replace")] if line.strip()
-    ]
+    lines = [line for line in head.decode(encoding, "replace").splitlines() if line.strip()]
+    # The last one may be cut where the head ends.
+    sample = lines[:-1] or lines or [""]
     delimiter = delimiter_of(sample[0])
     first = next(csv.reader(sample[:1], delimiter=delimiter, skipinitialspace=True))
     headed = _is_header(first)
