@@ -386,12 +386,15 @@ def test_a_log_without_a_data_frame_is_refused_in_a_line(name, text, says, tmp_p
     assert says in line
 
 
-def test_identifiers_of_29_bits_that_lack_their_mark(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """As some car and sensor makers' files have them; one wrong identifier made the whole file useless."""
+def test_identifiers_that_lack_their_mark_and_names_of_values_that_lack_their_signal(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As some car and sensor makers' files have them; each made the whole file useless."""
     dbc = (
         'VERSION ""\nBU_: A\nBO_ 419361024 Cell: 8 A\n SG_ Signal : 0|32@1- (1,0) [0|0] "mV" A\n'
-        'BO_ 291 Short: 8 A\n SG_ Speed : 0|16@1+ (0.125,0) [0|0] "rpm" A\n'
+        'BO_ 291 Short: 2 A\n SG_ Speed : 0|16@1+ (0.125,0) [0|0] "rpm" A\n'
         'CM_ SG_ 419361024 Signal "bridge";\nSIG_VALTYPE_ 419361024 Signal : 1;\n'
+        'VAL_ 291 Gear 1 "low;\n gear" 0 "none" ;\nVAL_ 291 Speed 0 "rest" ;\nVAL_ 7 Gone 1 "on" ;\n'
     )
     (tmp_path / "maker.dbc").write_text(dbc)
     value = struct.pack("<f", 12.5).hex()
@@ -402,3 +405,5 @@ def test_identifiers_of_29_bits_that_lack_their_mark(tmp_path: Path, capsys: pyt
     found = survey(capsys, str(tmp_path / "a.log"), "--dbc", str(tmp_path / "maker.dbc"))
     cell = next(message for message in found["messages"] if message["name"] == "Cell")
     assert (cell["id"], cell["signals"]["Signal"]["last"]) == ("0x18FEF100", 12.5)
+    short = next(message for message in found["messages"] if message["name"] == "Short")
+    assert short["signals"]["Speed"]["last"] == 0.125 * 0x0C80

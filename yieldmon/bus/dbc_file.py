@@ -25,6 +25,19 @@ _IDENTIFIER = re.compile(
     re.MULTILINE,
 )
 
+_PART = re.compile(r"^[ \t]*(?:BO_[ \t]+(\d+)|SG_[ \t]+(\w+))", re.MULTILINE)
+_VALUE_NAMES = re.compile(r"^[ \t]*VAL_[ \t]+(\d+)[ \t]+(\w+)(?:[^\";]|\"[^\"]*\")*;", re.MULTILINE)
+
+
+def without_stray_names(text: str) -> str:
+    """A DBC's text without names of values of signals that are not in it, as editing by hand leaves them."""
+    known, message = set[tuple[str, str]](), ""
+    for number, signal in _PART.findall(text):
+        message = number or message
+        if signal:
+            known.add((message, signal))
+    return _VALUE_NAMES.sub(lambda m: m[0] if (m[1], m[2]) in known else "", text)
+
 
 def with_extended(text: str) -> str:
     """A DBC's text with the mark of 29 bits on identifiers that lack it and do not fit in 11, as some makers write them."""
@@ -59,7 +72,7 @@ def read(path: Path | str, *, strict: bool = True) -> Database:
     # What it warns of, messages with one name or identifier, is refused in a line here or where it matters.
     logging.getLogger("cantools.database.can.database").setLevel(logging.ERROR)
     try:
-        database = cantools.database.load_string(with_extended(text), database_format="dbc", strict=strict)
+        database = cantools.database.load_string(without_stray_names(with_extended(text)), database_format="dbc", strict=strict)
     except DbcError as error:
         raise InputError(where, " ".join(str(error).split()), "a DBC file without contradictions") from error
     except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
