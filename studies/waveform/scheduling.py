@@ -1,8 +1,8 @@
 """Load errors of a season whose sweeps are made by interval, where their information suffices (`sweep.when`), or not at all.
 
-Seasons are those of `teaching`: forces of the virtual combine's parcels, grain that drifts by up to 15 %, updates of the daemon.
-In each load one sweep falls due, at a flow of its own. A sweep's windows have 1 % of noise, the model's error at each angle is
-drawn once a season (1 %), and the flow wanders by 5 % over 20 s.
+Seasons are those of `teaching`: forces of the virtual combine's parcels, grain that drifts as the daemon expects or by up to
+15 %, updates and rates of the daemon. In each load one sweep falls due, at a flow of its own. A sweep has 1 % of noise,
+the model's error at each angle is drawn once a season (1 %), and the flow wanders by 5 % over 20 s.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from studies.waveform.season import HOME_RAD, SPEED_RAD_S
-from studies.waveform.teaching import LOADS, MODEL, DriftingSeason, forces
+from studies.waveform.teaching import LOADS, MODEL, SEASONS, DriftingSeason, forces
 from yieldmon.engine.settings import SweepSettings
 from yieldmon.engine.sweep import sweep_sequence
 from yieldmon.estimation.closed_loop import self_calibrate
@@ -34,6 +34,8 @@ STOPS_DEG = [
 TIMES_S = window_times_s(STOPS_DEG)
 CASES = {"mean force": (False, ()), "one ticket": (False, (0,)), "kernels teach, one ticket": (True, (0,))}
 WHEN = ("never", "interval", "information")
+GRAINS = ("drifts as the default rates say", "15 %, default rates")
+"""Of `teaching.SEASONS`."""
 
 
 def _worth_making(known: DriftingParameters, flow_kg_s: float, bias: CommonBias | None) -> bool:
@@ -56,9 +58,12 @@ def _swept(of: DriftingSeason, seed: int) -> None:
     of.learn(self_calibrate(MODEL, of.known.parameters, [sweep], settings=LOOP))
 
 
-def season(seed: int, *, when: str, teaches: bool, tickets: tuple[int, ...]) -> tuple[list[float], list[float], int]:
+def season(
+    seed: int, *, when: str, teaches: bool, tickets: tuple[int, ...], grain: str = GRAINS[1]
+) -> tuple[list[float], list[float], int]:
     """Relative error and stated deviation of each load before its own sweep, lesson and ticket, and how many sweeps were made."""
-    of = DriftingSeason(seed, STOPS_DEG, LOOP.model_error)
+    rates, as_expected = SEASONS[grain]
+    of = DriftingSeason(seed, STOPS_DEG, LOOP.model_error, rates=rates, as_expected=as_expected)
     errors, stated, made = [], [], 0
     for load in range(LOADS):
         error, deviation = of.load(load, teaches=teaches, ticket=load in tickets)
@@ -72,16 +77,17 @@ def season(seed: int, *, when: str, teaches: bool, tickets: tuple[int, ...]) -> 
 
 def report(seeds: int, seed: int) -> dict[str, Any]:
     """Sweeps a season, mean absolute load error, that of the worst season, and rms error over the stated deviation."""
-    rows: dict[str, dict[str, dict[str, float]]] = {}
-    for name, (teaches, tickets) in CASES.items():
-        for when in WHEN:
-            found = [season(seed + i, when=when, teaches=teaches, tickets=tickets) for i in range(seeds)]
-            errors, stated = (np.array([one[part] for one in found]) for part in (0, 1))
-            by_season = np.abs(errors).mean(axis=1)
-            rows.setdefault(name, {})[when] = {
-                "sweeps": round(float(np.mean([one[2] for one in found])), 1),
-                "mean_pct": round(100.0 * float(by_season.mean()), 2),
-                "worst_season_pct": round(100.0 * float(by_season.max()), 2),
-                "error_over_stated_rms": round(float(np.sqrt(np.mean((errors / stated) ** 2))), 2),
-            }
+    rows: dict[str, dict[str, dict[str, dict[str, float]]]] = {}
+    for grain in GRAINS:
+        for name, (teaches, tickets) in CASES.items():
+            for when in WHEN:
+                found = [season(seed + i, when=when, teaches=teaches, tickets=tickets, grain=grain) for i in range(seeds)]
+                errors, stated = (np.array([one[part] for one in found]) for part in (0, 1))
+                by_season = np.abs(errors).mean(axis=1)
+                rows.setdefault(grain, {}).setdefault(name, {})[when] = {
+                    "sweeps": round(float(np.mean([one[2] for one in found])), 1),
+                    "mean_pct": round(100.0 * float(by_season.mean()), 2),
+                    "worst_season_pct": round(100.0 * float(by_season.max()), 2),
+                    "error_over_stated_rms": round(float(np.sqrt(np.mean((errors / stated) ** 2))), 2),
+                }
     return {"seed": seed, "seasons": seeds, "loads": LOADS, "cases": rows}

@@ -1,25 +1,29 @@
 """Load errors of a season in which kernel noise teaches the parameters, with the one bias that all its lessons share.
 
 Forces are the virtual combine's parcels; friction, density and restitution begin at values drawn from the calibration's
-deviations and drift by up to 15 %. Kernel noise is not simulated by kernels: its flow is the true one times a bias drawn once a
-season, which goes with restitution as in discrete elements, with 1 % of chance a load. Updates are those of the daemon.
+deviations and drift, either steadily by up to 15 % or as the daemon's rates say. Kernel noise is not simulated by kernels: its
+flow is the true one times a bias drawn once a season, which goes with restitution as in discrete elements (or wanders as the
+daemon expects), with 1 % of chance a load. Updates and rates are those of the daemon.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from studies.waveform.season import DRIFT, HOME_RAD, MACHINE, SPEED_RAD_S, bias_slope
+from yieldmon.engine.calibrator_settings import CalibratorSettings
 from yieldmon.estimation import common_bias
 from yieldmon.estimation.closed_loop import update_from_tickets
 from yieldmon.estimation.closed_loop_inputs import MassAnchor
 from yieldmon.estimation.closed_loop_outcome import Outcome
+from yieldmon.estimation.common_bias import WANDER as BIAS_WANDER
 from yieldmon.estimation.common_bias import CommonBias, KernelLesson
-from yieldmon.estimation.drift_rates import DriftRates
+from yieldmon.estimation.identifiability import natural_scale
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.steady_drift import advance, begin, learn
@@ -43,6 +47,16 @@ WAYS = {
     "a ticket after each third, kernels teach": (True, (0, 8, 16)),
 }
 MODEL = ForwardModel(MACHINE, ("gravity",))
+RATES = CalibratorSettings()
+"""How the daemon expects parameters to drift, steady rates among them."""
+_PER_KT = DRIFT / 3.0**0.5 / (LOADS * LOAD_KG / 1e6)
+_FAST = replace(RATES, steady_per_kilotonne={"friction": _PER_KT, "density": _PER_KT, "restitution": _PER_KT * 0.55 / 1.55})
+SEASONS = {
+    "drifts as the default rates say": (RATES, True),
+    "15 %, default rates": (RATES, False),
+    "15 %, rates of that size": (_FAST, False),
+}
+"""What the daemon expects, and whether the grain drifts so."""
 
 
 def forces(grain: Grain, flows: Array, angles_rad: Array) -> Array:
@@ -68,6 +82,10 @@ class DriftingSeason:
         Plate angles of a sweep that falls due in each load; none by default.
     model_error : float
         Relative standard deviation of the model's error at each of these angles, which is drawn once.
+    rates : CalibratorSettings
+        How the daemon expects the grain to drift.
+    as_expected : bool
+        Whether it does; else steadily by up to 15 % over the season.
 
     Attributes
     ----------
@@ -82,7 +100,16 @@ class DriftingSeason:
         Flow of the last load's sweep; nan without stops.
     """
 
-    def __init__(self, seed: int, stops_deg: Collection[float] = (), model_error: float = 0.0) -> None:
+    def __init__(
+        self,
+        seed: int,
+        stops_deg: Collection[float] = (),
+        model_error: float = 0.0,
+        *,
+        rates: CalibratorSettings = RATES,
+        as_expected: bool = False,
+    ) -> None:
+        self._rates, self._as_expected = rates, as_expected
         self._rng = rng = np.random.default_rng(seed)
         self._signs, self._slope = rng.uniform(-1.0, 1.0, size=3), bias_slope()
         self.grain = start = Grain()
@@ -91,20 +118,20 @@ class DriftingSeason:
             "restitution": start.restitution, "gravity.acceleration_m_s2": 9.81,
         }  # fmt: skip
         names = tuple(KNOWN_SD)
-        self.known = begin(ParameterSet(self._values, names, np.diag([KNOWN_SD[name] ** 2 for name in names])), {})
+        self.known = begin(
+            ParameterSet(self._values, names, np.diag([KNOWN_SD[name] ** 2 for name in names])), rates.steady_per_kilotonne
+        )
         self._off = {name: rng.normal(0.0, KNOWN_SD[name]) for name in names}
         self.error_at = {angle: rng.normal(0.0, model_error) for angle in sorted(set(stops_deg))}
         self._log_bias = rng.normal(0.0, LASTING_SD)
+        self._steady = {name: rng.normal(0.0, rates.steady_per_kilotonne[name]) for name in names} if as_expected else {}
         self.bias: CommonBias | None = None
         self.sweep_flow_kg_s = float("nan")
 
     def load(self, number: int, *, teaches: bool, ticket: bool) -> tuple[float, float]:
         """The load's relative error and stated deviation, before its own lesson of kernel noise and its ticket are learnt."""
-        rng, size, values, start = self._rng, np.ones(WINDOWS), self._values, Grain()
-        now = [
-            (values[name] + off) * (1.0 + DRIFT * sign * (number + 0.5) / LOADS)
-            for (name, off), sign in zip(self._off.items(), self._signs, strict=True)
-        ]
+        rng, size, values, start, rates = self._rng, np.ones(WINDOWS), self._values, Grain(), self._rates
+        now = self._drifted(number)
         self.grain = Grain(now[0], now[2], now[1], start.shape_ratio)
         flows = rng.uniform(5.0, 12.0, WINDOWS)
         if self.error_at:
@@ -113,11 +140,15 @@ class DriftingSeason:
         found = OpenLoop(MODEL, self.known.parameters).estimate(force, HOME_RAD * size, SPEED_RAD_S * size)
         measured = np.asarray(found.mass_flow_kg_s)
         error, stated = float(measured.sum() / flows.sum() - 1.0), float(np.mean(np.asarray(found.std_dev_kg_s) / measured))
-        self.known, step = advance(self.known, DriftRates(), LOAD_KG / flows.mean() / 3600.0, LOAD_KG)
+        self.known, step = advance(
+            self.known, rates.drift, LOAD_KG / flows.mean() / 3600.0, LOAD_KG,
+            per_kilotonne=rates.steady_per_kilotonne, memory_kt=rates.steady_drift_memory_kt,
+        )  # fmt: skip
         if self.bias is not None:
             self.bias = common_bias.carried(self.bias, step.transition, LOAD_KG)
         chance = rng.normal(0.0, CHANCE_SD)
-        heard = flows * np.exp(self._log_bias + self._slope * (now[2] - values["restitution"]) + chance)
+        with_restitution = 0.0 if self._as_expected else self._slope * (now[2] - values["restitution"])
+        heard = flows * np.exp(self._log_bias + with_restitution + chance)
         weighed_kg = LOAD_KG * (1.0 + rng.normal(0.0, TICKET_SD))
         if teaches:
             bias = self.bias or common_bias.begin(LASTING_SD, len(self.known.joint))
@@ -131,6 +162,22 @@ class DriftingSeason:
             self.learn(update_from_tickets(MODEL, self.known.parameters, [anchor]))
         return error, stated
 
+    def _drifted(self, number: int) -> list[float]:
+        """The grain's friction, density and restitution in a load."""
+        values, off, grain_kt = self._values, self._off, LOAD_KG / 1e6
+        if not self._as_expected:
+            late = DRIFT * (number + 0.5) / LOADS
+            return [(values[name] + off[name]) * (1.0 + late * sign) for name, sign in zip(off, self._signs, strict=True)]
+        rng, drift = self._rng, self._rates.drift
+        left = float(np.exp(-grain_kt / self._rates.steady_drift_memory_kt))
+        for name, likely in self._rates.steady_per_kilotonne.items():
+            size = natural_scale(name, values[name] + off[name])
+            walk = drift.per_root_kilotonne[name] ** 2 * grain_kt
+            off[name] += size * (self._steady[name] * grain_kt + rng.normal(0.0, walk**0.5))
+            self._steady[name] = left * self._steady[name] + rng.normal(0.0, likely * (1.0 - left**2) ** 0.5)
+        self._log_bias += rng.normal(0.0, BIAS_WANDER * grain_kt**0.5)
+        return [values[name] + by for name, by in off.items()]
+
     def learn(self, outcome: Outcome) -> None:
         """Take what a ticket or a sweep changed."""
         if not outcome.updated:
@@ -141,23 +188,34 @@ class DriftingSeason:
         self.known = after
 
 
-def season(seed: int, *, teaches: bool, tickets: tuple[int, ...], loads: int = LOADS) -> list[tuple[float, float]]:
+def season(
+    seed: int,
+    *,
+    teaches: bool,
+    tickets: tuple[int, ...],
+    loads: int = LOADS,
+    rates: CalibratorSettings = RATES,
+    as_expected: bool = False,
+) -> list[tuple[float, float]]:
     """Relative error and stated deviation of each of the first loads, before its own lesson and ticket."""
-    of = DriftingSeason(seed)
+    of = DriftingSeason(seed, rates=rates, as_expected=as_expected)
     return [of.load(load, teaches=teaches, ticket=load in tickets) for load in range(loads)]
 
 
 def report(seeds: int, seed: int) -> dict[str, Any]:
     """Mean absolute load error of all seasons and of the worst, mean of the stated deviation, and rms error over it."""
-    rows = {}
-    for name, (teaches, tickets) in WAYS.items():
-        found = np.array([season(seed + i, teaches=teaches, tickets=tickets) for i in range(seeds)])
-        errors, stated = found[..., 0], found[..., 1]
-        by_season = np.abs(errors).mean(axis=1)
-        rows[name] = {
-            "mean_pct": round(100.0 * float(by_season.mean()), 2),
-            "worst_season_pct": round(100.0 * float(by_season.max()), 2),
-            "stated_pct": round(100.0 * float(stated.mean()), 2),
-            "error_over_stated_rms": round(float(np.sqrt(np.mean((errors / stated) ** 2))), 2),
-        }
+    rows: dict[str, dict[str, dict[str, float]]] = {}
+    for grain, (rates, as_expected) in SEASONS.items():
+        for name, (teaches, tickets) in WAYS.items():
+            found = np.array(
+                [season(seed + i, teaches=teaches, tickets=tickets, rates=rates, as_expected=as_expected) for i in range(seeds)]
+            )
+            errors, stated = found[..., 0], found[..., 1]
+            by_season = np.abs(errors).mean(axis=1)
+            rows.setdefault(grain, {})[name] = {
+                "mean_pct": round(100.0 * float(by_season.mean()), 2),
+                "worst_season_pct": round(100.0 * float(by_season.max()), 2),
+                "stated_pct": round(100.0 * float(stated.mean()), 2),
+                "error_over_stated_rms": round(float(np.sqrt(np.mean((errors / stated) ** 2))), 2),
+            }
     return {"seed": seed, "seasons": seeds, "ways": rows}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -38,3 +39,16 @@ def test_a_season_s_first_load_is_measured_before_any_update() -> None:
     assert alone[0] == taught[0]
     assert len(alone) == 3
     assert np.mean([sd for _, sd in taught]) < np.mean([sd for _, sd in alone])
+
+
+def test_where_grain_drifts_as_the_daemon_s_rates_say_kernel_lessons_and_a_ticket_leave_what_is_stated() -> None:
+    """The rates are those of the daemon, steady ones among them; without these what is stated after a ticket is a quarter less."""
+    seasons = [
+        teaching.season(60 + i, teaches=True, tickets=(0,), rates=teaching.RATES, as_expected=True, loads=16) for i in range(4)
+    ]
+    errors, stated = np.array(seasons)[:, 1:, 0], np.array(seasons)[:, 1:, 1]
+    assert 0.6 < float(np.sqrt(np.mean((errors / stated) ** 2))) < 1.4
+    still = replace(teaching.RATES, steady_per_kilotonne=dict.fromkeys(teaching.KNOWN_SD, 0.0))
+    fixed = teaching.season(60, teaches=False, tickets=(0,), rates=still, loads=16)
+    drifting = teaching.season(60, teaches=False, tickets=(0,), loads=16)
+    assert drifting[-1][1] > 1.15 * fixed[-1][1]
