@@ -44,6 +44,8 @@ _FLOW_SD = 10.0
 _ITERATIONS = 10
 _SCALE_HOLDS_S = 600.0
 """How long the scale that shape or kernels have found counts where they determine nothing, as in a sweep."""
+_MOST_SLOPES = 500
+"""Kept at a time, of the mean force over the shape of heaps."""
 _SEARCH_EVERY = 10
 """Windows from one search for pulses that fit nowhere to the next."""
 
@@ -139,7 +141,7 @@ class Waveform:
         self._biases: deque[float] = deque(maxlen=settings.kernel_windows)
         self._of_shapes: deque[_Scale] = deque(maxlen=settings.contradiction_windows)
         self._of_kernels: _Scale | None = None
-        self._heap_slope: tuple[FlowEstimator, tuple[float, ...], float] | None = None
+        self._heap_slopes: tuple[FlowEstimator, dict[tuple[float, ...], float]] | None = None
 
     def go_on_with(self, before: Waveform) -> None:
         """Noise that was heard on the same machine by the same settings is heard no second time."""
@@ -368,19 +370,29 @@ class Waveform:
         if not sd > 0.0:
             return 0.0, 0.0
         moisture = reading.inputs.fresh["moisture"]
-        here = (round(log(rate_kg_s), 1), round(window.plate_angle_rad, 2), round(window.speed_rad_s), _tenth(moisture))
-        if self._heap_slope is None or self._heap_slope[:2] != (estimator, here):
-            slope = heap_slope(
+        if self._heap_slopes is None or self._heap_slopes[0] is not estimator:
+            self._heap_slopes = estimator, {}
+        # It changes slowly: once for each tenth of flow, degree or so of the plate and 2 rad/s of the elevator.
+        here = (
+            round(log(rate_kg_s), 1),
+            round(window.plate_angle_rad, 2),
+            2 * round(0.5 * window.speed_rad_s),
+            _per_cent(moisture),
+        )
+        slopes = self._heap_slopes[1]
+        if len(slopes) > _MOST_SLOPES:
+            slopes.clear()
+        if here not in slopes:
+            slopes[here] = heap_slope(
                 self._model(estimator).model,
                 estimator.parameters,
                 mass_flow_kg_s=exp(here[0]),
-                plate_angle_rad=window.plate_angle_rad,
-                elevator_speed_rad_s=window.speed_rad_s,
-                moisture_pct=moisture,
+                plate_angle_rad=here[1],
+                elevator_speed_rad_s=here[2],
+                moisture_pct=here[3],
             )
-            self._heap_slope = estimator, here, slope
         flow, ratio = (shape.names.index(name) for name in ("log_volume_flow", "log_shape_ratio"))
-        return self._heap_slope[2] * sd, float(shape.covariance[flow, ratio]) / sd
+        return slopes[here] * sd, float(shape.covariance[flow, ratio]) / sd
 
     def _outside(self, volume_flow_m3_s: float, reading: Reading, estimator: FlowEstimator) -> str:
         """Why the shape says nothing at a volume flow; empty where it does."""
@@ -446,9 +458,9 @@ class Waveform:
         return median(self._stretches)
 
 
-def _tenth(moisture_pct: float) -> float:
-    """Rounded; -1 where it is not known, which is equal to itself."""
-    return round(moisture_pct, 1) if isfinite(moisture_pct) else -1.0
+def _per_cent(moisture_pct: float) -> float:
+    """Whole; one and the same nan where it is not known, so that it finds itself again."""
+    return round(moisture_pct) if isfinite(moisture_pct) else _NAN
 
 
 def _noise(mean_flow: Flow) -> float:
