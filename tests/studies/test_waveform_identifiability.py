@@ -42,7 +42,7 @@ def test_a_season_s_first_load_is_measured_before_any_update() -> None:
 
 
 def test_where_grain_drifts_as_the_daemon_s_rates_say_kernel_lessons_and_a_ticket_leave_what_is_stated() -> None:
-    """The rates are those of the daemon, steady ones among them; without these what is stated after a ticket is a quarter less."""
+    """The rates are those of the daemon, steady ones among them; without these a quarter less is stated after a ticket."""
     seasons = [
         teaching.season(60 + i, teaches=True, tickets=(0,), rates=teaching.RATES, as_expected=True, loads=16) for i in range(4)
     ]
