@@ -39,7 +39,12 @@ SIZES: dict[str, tuple[float, float]] = {
     "moisture_dependence": (0.0, 0.06),
     "unpushed_layers": (0.0, 12.0),
     "stream_rise": (0.0, 0.3),
+    "speed_dependent_friction": (-1.5, 1.5),
 }
+LATER = ("speed_dependent_friction",)
+"""Effects that came after the cases of the records: pairs are drawn without them, so that a salt's other cases stay."""
+MANY_SPEEDS = ("speed_dependent_shape", "speed_dependent_friction")
+"""Effects of elevator speed alone, which one speed cannot show."""
 #: The candidate's parameter that carries the size.
 LEADING = {
     "paddle_leakage": "loss_at_full", "chain_slip": "share", "paddle_wear": "length_m", "residual_radial_speed": "share",
@@ -48,7 +53,7 @@ LEADING = {
     "jet_shielding": "rate_per_m", "speed_dependent_restitution": "exponent", "secondary_impact": "share",
     "resting_grain": "time_s", "zero_offset": "force_n", "plate_angle_offset": "angle_rad", "lever_arm": "slope",
     "cell_nonlinearity": "softening_per_n", "plate_buildup": "weight_n", "moisture_dependence": "friction_per_pct",
-    "unpushed_layers": "rate_per_rad", "stream_rise": "ratio",
+    "unpushed_layers": "rate_per_rad", "stream_rise": "ratio", "speed_dependent_friction": "exponent",
 }  # fmt: skip
 REPLICATES = 3
 SALT = 8803
@@ -90,7 +95,7 @@ def all_cases(per_effect: int, per_effect_noisy: int, clean: int, outside: int, 
     """The study, in an order in which every kind advances together."""
     groups: list[list[Case]] = []
     for name in SIZES:
-        single_too = name != "speed_dependent_shape"
+        single_too = name not in MANY_SPEEDS
         groups.append([Case("hidden", (name,), i, 1.0, "one" if i % 2 and single_too else "many") for i in range(per_effect)])
         groups.append(
             [Case("hidden", (name,), i, 3.0, "one" if i % 2 and single_too else "many") for i in range(per_effect_noisy)]
@@ -100,8 +105,9 @@ def all_cases(per_effect: int, per_effect_noisy: int, clean: int, outside: int, 
     for kind in g.OUTSIDE:
         groups.append([Case("outside", (kind,), i, 1.0, "many") for i in range(outside)])
     rng = np.random.default_rng(SALT)
+    drawn = [name for name in SIZES if name not in LATER]
     groups.append(
-        [Case("pair", tuple(sorted(map(str, rng.choice(list(SIZES), 2, replace=False)))), i, 1.0, "many") for i in range(pairs)]
+        [Case("pair", tuple(sorted(map(str, rng.choice(drawn, 2, replace=False)))), i, 1.0, "many") for i in range(pairs)]
     )
     return list(_in_turn(groups))
 

@@ -71,6 +71,7 @@ def force(  # noqa: PLR0915
     third = frozenset(THIRD_LAWS) if third_laws else frozenset[str]()
     wetter = moisture - 15.0
     rate = size.get("moisture_dependence", 0.0)
+    sliding = size.get("speed_dependent_friction", 0.0)
     mu = grain.friction * (1.0 + rate * wetter)
     e = np.clip(grain.restitution * (1.0 - 0.5 * rate * wetter), 0.0, 1.0)
     density = grain.density * (1.0 - 0.2 * rate * wetter)
@@ -78,6 +79,8 @@ def force(  # noqa: PLR0915
     angle = angle + size.get("plate_angle_offset", 0.0)
     speed = speed * (1.0 - size.get("chain_slip", 0.0))
     faster = speed / machine.nominal_speed
+    if "speed_dependent_friction" not in third:
+        mu, sliding = mu * (1.0 + sliding * (faster - 1.0)), 0.0
     swifter = 0.5 * (faster**2 - 1.0) if "speed_dependent_shape" in third else faster - 1.0
     shape = grain.shape * (1.0 + size.get("speed_dependent_shape", 0.0) * swifter) * (1.0 + size.get("heap_shape", 0.0))
     passes = speed * machine.pitch_radius / machine.spacing
@@ -102,9 +105,9 @@ def force(  # noqa: PLR0915
     number = pull / (length * speed**2)
     outwards = 0.7 * np.ones_like(radius) if "residual_radial_speed" in third else np.sqrt(radius)
     push = size.get("residual_radial_speed", 0.0) * (radius**2 if "residual_radial_speed" in other else outwards)
-    tau, outward = _slide(radius, push, mu[:, None], number[:, None], start)
-    theta = start + tau
     tip = (length * speed)[:, None]
+    tau, outward = _slide(radius, push, mu[:, None], number[:, None], start, tip, sliding)
+    theta = start + tau
     vx, vy = tip * (outward * np.cos(theta) - np.sin(theta)), tip * (outward * np.sin(theta) + np.cos(theta))
     x, y = length * np.cos(theta), length * np.sin(theta)
     parts = _as_released(
@@ -225,10 +228,13 @@ def _layers(inner: Array, shape: Array) -> tuple[Array, Array, Array]:
     return middle, psi, middle * psi * (outer - lower)
 
 
-def _slide(rho: Array, push: Array, mu: Array, number: Array, start: Array | float) -> tuple[Array, Array]:
+def _slide(
+    rho: Array, push: Array, mu: Array, number: Array, start: Array | float, tip: Array, sliding: float
+) -> tuple[Array, Array]:
     """Rotation at which each layer reaches the tip, and its radial speed there (in tip speeds), by Runge-Kutta in rotation.
 
-    Layers that need more than a turn or so are given the last rotation; they fall short of the plate.
+    sliding: friction grows with the speed v along the paddle by this share of (v - 2 m/s) / (v + 2 m/s). Layers that need more
+    than a turn or so are given the last rotation; they fall short of the plate.
     """
     step = _TAU_END / _TAU_STEPS
     position, velocity = rho.copy(), push + 0.0 * rho
@@ -236,7 +242,11 @@ def _slide(rho: Array, push: Array, mu: Array, number: Array, start: Array | flo
 
     def rate(r: Array, v: Array, at: float) -> Array:
         theta = start + at
-        return np.asarray(r - 2.0 * mu * v + number * (np.sin(theta) + mu * np.cos(theta)))
+        here = mu
+        if sliding:
+            quick = np.abs(v) * tip
+            here = mu * (1.0 + sliding * (quick - 2.0) / (quick + 2.0))
+        return np.asarray(r - 2.0 * here * v + number * (np.sin(theta) + here * np.cos(theta)))
 
     at = 0.0
     for _ in range(_TAU_STEPS):
@@ -425,12 +435,12 @@ with exp(-fill), a share that does not depend on incidence or place, yielding ab
 THIRD_LAWS = (
     "paddle_leakage", "residual_radial_speed", "resting_grain", "cell_nonlinearity", "jet_shielding", "secondary_impact",
     "speed_dependent_restitution", "plate_friction", "lever_arm", "miss_capture", "stream_spread", "air_drag",
-    "speed_dependent_shape", "release_angle", "plate_overshoot", "unpushed_layers", "stream_rise",
+    "speed_dependent_shape", "release_angle", "plate_overshoot", "unpushed_layers", "stream_rise", "speed_dependent_friction",
 )  # fmt: skip
 """Effects with a third law: loss by fill to the power 1.5 over speed squared, one radial speed for all layers, weight borne by a
 part that does not slope away, a logarithm of force, shielding that saturates with thickness, cos^6, e linear in speed, friction
 that falls with speed, a quadratic lever, capture that fades below the edge, a fan with long tails, drag with speed to 1.3, a heap
 by speed squared, a release that comes later with load, a stream that thins out faster than exponentially, a thresholded share of
-free layers, a rise by the root of depth."""
+free layers, a rise by the root of depth, friction that grows with the speed along the paddle and saturates."""
 
 OUTSIDE = ("speed_resonance", "bent_bracket", "lagging_sensor", "overfull_spill")

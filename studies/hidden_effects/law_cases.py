@@ -67,6 +67,7 @@ COMBINE: dict[str, tuple[str, float, float]] = {
     "lever_arm": ("slope", 0.2, 1.0),
     "cell_nonlinearity": ("share", 0.1, 0.4),
     "air_drag": ("terminal_speed_m_s", 14.0, 7.0),
+    "speed_dependent_friction": ("rise", 0.5, 4.0),
 }
 
 
@@ -120,7 +121,7 @@ EXACT = ("gravity", "zero_offset", "plate_angle_offset", "plate_buildup", "heap_
 THIRD = (*g.THIRD_LAWS, *EXACT)
 Grain = dict[str, float]
 """friction, restitution and density."""
-PAIRED = tuple(name for name in THIRD if name not in ("chain_slip", "paddle_wear"))
+PAIRED = tuple(name for name in THIRD if name not in ("chain_slip", "paddle_wear", *cases.LATER))
 
 
 def todo(count: int) -> Iterator[tuple[str, str, int]]:
@@ -129,8 +130,8 @@ def todo(count: int) -> Iterator[tuple[str, str, int]]:
         rng = np.random.default_rng([number, 77])
         pairs = ["+".join(sorted(map(str, rng.choice(PAIRED, 2, replace=False)))) for _ in range(6)]
         groups = [
-            [("third", name, number) for name in THIRD],
-            [("combine", name, number) for name in COMBINE],
+            [("third", name, number) for name in THIRD if name not in cases.LATER],
+            [("combine", name, number) for name in COMBINE if name not in cases.LATER],
             [("engine", name, number) for name in ENGINE],
             [("clean", f"{average:g}", number) for average in AVERAGES_S],
             [("third-clean", "", 2 * number + i) for i in range(2)],
@@ -140,8 +141,17 @@ def todo(count: int) -> Iterator[tuple[str, str, int]]:
         ]
         for group in groups:
             rng.shuffle(group)
+        groups += [_later(name, number) for name in cases.LATER]
         placed = [((i + 0.5) / len(group), n, case) for n, group in enumerate(groups) for i, case in enumerate(group)]
         yield from ((str(kind), str(name), int(i)) for _, _, (kind, name, i) in sorted(placed, key=lambda p: p[:2]))
+
+
+def _later(name: str, number: int) -> list[tuple[str, str, int]]:
+    """A round's cases of an effect that came after the records: each generator's, one removed, one beside another effect."""
+    other = str(np.random.default_rng([number, 78]).choice(PAIRED))
+    pair = "+".join(sorted((name, other)))
+    kinds = [("third", name), ("combine", name), ("third-removed", name), ("third-pair", pair)]
+    return [(kind, hidden, number) for kind, hidden in kinds]
 
 
 def engine_rows(name: str, rng: np.random.Generator) -> tuple[Rows, dict[str, float], float]:

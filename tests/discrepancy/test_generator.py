@@ -42,7 +42,7 @@ def test_each_effect_means_the_same_in_both(name: str) -> None:
 
 
 def test_every_registered_effect_is_in_the_study() -> None:
-    without_a_law_of_the_generators = {"heap_shape", "speed_dependent_friction"}
+    without_a_law_of_the_generators = {"heap_shape"}
     inferred = {name for name, effect in registry().items() if not effect.measured}
     assert set(cases.SIZES) == inferred - without_a_law_of_the_generators
 

@@ -65,6 +65,16 @@ class SpeedDependentShape(StrictModel):
     exponent: Annotated[float, Field(ge=-3, le=3)] = -0.5
 
 
+class SpeedDependentFriction(StrictModel):
+    """Friction on the paddle falls from standstill to fast sliding: grain friction times 1 + rise exp(-v / speed).
+
+    v is the speed along the paddle; a rise below 0 makes it grow instead.
+    """
+
+    rise: Annotated[float, Field(ge=-1, le=10)] = 1.0
+    speed_m_s: Annotated[float, Field(gt=0, le=20)] = 1.5
+
+
 class MissCapture(StrictModel):
     """Share of the grain that passes below the plate's low edge and is led back onto it by the housing."""
 
@@ -166,6 +176,7 @@ class Effects(StrictModel):
     release_angle: ReleaseAngle | None = None
     stream_spread: StreamSpread | None = None
     speed_dependent_shape: SpeedDependentShape | None = None
+    speed_dependent_friction: SpeedDependentFriction | None = None
     miss_capture: MissCapture | None = None
     speed_dependent_restitution: SpeedDependentRestitution | None = None
     secondary_impact: SecondaryImpact | None = None

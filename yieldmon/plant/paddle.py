@@ -5,7 +5,8 @@ gamma = g / (l Omega^2), theta = 3 pi/2 + tau:
 
     r'' = r - mu max(N, 0) sign(r') + gamma sin(theta),    N = 2 r' - gamma cos(theta)
 
-integrated with classical Runge-Kutta from rest (or from a given radial speed) until the parcel passes the tip.
+integrated with classical Runge-Kutta from rest (or from a given radial speed) until the parcel passes the tip. mu is a number, or
+one that follows the speed along the paddle (:class:`Friction`).
 """
 
 from __future__ import annotations
@@ -33,29 +34,45 @@ class Release:
     radial_speed: Array
 
 
-def _acceleration(angle: float, radius: Array, speed: Array, friction: float, gamma: float) -> Array:
+@dataclass(frozen=True, slots=True)
+class Friction:
+    """Friction at the speed u along the paddle (tip speeds): fast (1 + rise exp(-u / scale))."""
+
+    fast: float
+    rise: float = 0.0
+    scale: float = 1.0
+
+    def at(self, speed: Array) -> Array | float:
+        """Friction at speeds of any shape."""
+        return self.fast * (1.0 + self.rise * np.exp(-np.abs(speed) / self.scale)) if self.rise else self.fast
+
+
+def _acceleration(angle: float, radius: Array, speed: Array, friction: Friction, gamma: float) -> Array:
     normal = np.maximum(2.0 * speed - gamma * np.sin(angle), 0.0)
-    return np.asarray(radius - friction * normal * np.sign(speed) - gamma * np.cos(angle))
+    return np.asarray(radius - friction.at(speed) * normal * np.sign(speed) - gamma * np.cos(angle))
 
 
-def slide(radius: Array, friction: float, gamma: float, radial_speed: float = 0.0, start_angle_rad: float = 0.0) -> Release:
+def slide(
+    radius: Array, friction: float | Friction, gamma: float, radial_speed: float = 0.0, start_angle_rad: float = 0.0
+) -> Release:
     """Release of parcels that start at the given radii (l, any shape) when the paddle is at start_angle_rad.
 
     radial_speed: speed outward at the start per radius, in tip speeds. gamma: g / (l Omega^2).
     """
+    law = friction if isinstance(friction, Friction) else Friction(friction)
     r = np.array(radius, dtype=float)
     u = radial_speed * r
     inside = np.ones(r.shape, dtype=bool)
     before = np.full((7, *r.shape), np.nan)
     angle, h = start_angle_rad, _STEP_RAD
     while angle < _LAST_ANGLE_RAD and inside.any():
-        a1 = _acceleration(angle, r, u, friction, gamma)
+        a1 = _acceleration(angle, r, u, law, gamma)
         u2 = u + 0.5 * h * a1
-        a2 = _acceleration(angle + 0.5 * h, r + 0.5 * h * u, u2, friction, gamma)
+        a2 = _acceleration(angle + 0.5 * h, r + 0.5 * h * u, u2, law, gamma)
         u3 = u + 0.5 * h * a2
-        a3 = _acceleration(angle + 0.5 * h, r + 0.5 * h * u2, u3, friction, gamma)
+        a3 = _acceleration(angle + 0.5 * h, r + 0.5 * h * u2, u3, law, gamma)
         u4 = u + h * a3
-        a4 = _acceleration(angle + h, r + h * u3, u4, friction, gamma)
+        a4 = _acceleration(angle + h, r + h * u3, u4, law, gamma)
         r_next = r + h / 6.0 * (u + 2.0 * u2 + 2.0 * u3 + u4)
         u_next = u + h / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
         passing = inside & (r_next >= 1.0)
@@ -100,7 +117,7 @@ class ReleaseCurve:
 
 
 def release_curve(
-    friction: float, gamma: float, radial_speed: float = 0.0, start_angle_rad: float = 0.0, nodes: int = 160
+    friction: float | Friction, gamma: float, radial_speed: float = 0.0, start_angle_rad: float = 0.0, nodes: int = 160
 ) -> ReleaseCurve:
     """Release of every parcel of a paddle; arguments as for :func:`slide`."""
     depth = np.linspace(0.0, np.sqrt(0.98), nodes)

@@ -16,7 +16,7 @@ from yieldmon.physics.numerics import Array
 from yieldmon.plant import flight, heap, impact
 from yieldmon.plant.effects import Effects
 from yieldmon.plant.grain import Grain
-from yieldmon.plant.paddle import release_curve
+from yieldmon.plant.paddle import Friction, release_curve
 
 LAYERS = 7
 """Of a heap ahead of its paddle; what a cell of some milliseconds shows needs no more."""
@@ -82,7 +82,8 @@ def throw(
     parcels = heap.cut(kept / unit, ratio, cells)
     start = np.deg2rad(effects.release_angle.angle_deg) if effects.release_angle else 0.0
     radial = effects.residual_radial_speed.share_of_tip_speed if effects.residual_radial_speed else 0.0
-    release = release_curve(grain.friction, gravity / (length * speed_rad_s**2), radial, float(start))(parcels.radius)
+    friction = _friction(effects, grain, length * speed_rad_s)
+    release = release_curve(friction, gravity / (length * speed_rad_s**2), radial, float(start))(parcels.radius)
 
     layer = (2.0 * np.arange(layers) + 1.0) / layers - 1.0
     fan = np.deg2rad(effects.stream_spread.half_width_deg) * layer if effects.stream_spread else np.zeros(1)
@@ -102,6 +103,11 @@ def throw(
         impulse_n_s=np.broadcast_to(landed * np.nan_to_num(per_kg), shape),
         arrival_s=passage[None] / speed_rad_s + arrival.time_s,
     )
+
+
+def _friction(effects: Effects, grain: Grain, tip_speed_m_s: float) -> Friction:
+    law = effects.speed_dependent_friction
+    return Friction(grain.friction, law.rise, law.speed_m_s / tip_speed_m_s) if law else Friction(grain.friction)
 
 
 def _leaked_share(effects: Effects, machine: Machine, fill: Array, speed_rad_s: float) -> Array:
