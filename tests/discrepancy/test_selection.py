@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import zlib
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from studies.hidden_effects import law_cases
 from yieldmon.discrepancy import candidates, diagnosis
 from yieldmon.discrepancy.candidates import Score
 from yieldmon.discrepancy.choice import Candidate, Step
 from yieldmon.discrepancy.fit import Fit, fit
 from yieldmon.discrepancy.policy import Policy
 from yieldmon.discrepancy.selection import Search
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.physics.effects import laws
 
 USUAL = Policy()
 NAMED_NOTHING = diagnosis.Options(policy=Policy(most_effects=0), hold_out="none")
@@ -44,6 +48,20 @@ def test_an_effect_that_stuck_at_nothing_is_found_again_from_where_it_was(publis
     helped = candidates.refit(stuck, wanted, beside=whole.values)
     assert helped.chi2 == pytest.approx(whole.chi2, abs=0.1)
     assert helped.chi2 < alone.chi2 - 50.0
+
+
+def test_a_law_that_a_few_steps_leave_behind_another_may_be_the_better_one() -> None:
+    """Free layers fitted as all that lies beyond the tip's reach are ahead after six steps, and far behind at the end."""
+    case = np.random.default_rng([zlib.crc32(b"third/unpushed_layers/0"), 940117])
+    rows, _, _ = law_cases.rows_of("third", "unpushed_layers", case)
+    seen = diagnosis.examine(rows, ParameterSet(values=law_cases.START), replace(NAMED_NOTHING, hold_out="cells"))
+    base = seen.choice.base
+    found = search(base, seen.noise).candidates(base, ("unpushed_layers",), 1)
+    assert found[0].effect == "unpushed_layers"
+    ours, other = (candidates.score(base, candidates.signature(base, law)) for law in laws("unpushed_layers")[:2])
+    rough, ahead = (candidates.refit(base, s, iterations=USUAL.short_search) for s in (ours, other))
+    assert ahead.chi2 < rough.chi2
+    assert found[0].fit.chi2 < 0.8 * candidates.polished(ahead).chi2
 
 
 def test_other_starts_leave_a_poor_minimum_and_never_make_a_fit_worse(published) -> None:

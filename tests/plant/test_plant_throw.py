@@ -15,7 +15,7 @@ from yieldmon.physics.machine import RPM, Machine
 from yieldmon.plant import flight, heap
 from yieldmon.plant.effects import AirDrag, Effects
 from yieldmon.plant.grain import Grain
-from yieldmon.plant.paddle import slide
+from yieldmon.plant.paddle import Friction, slide
 from yieldmon.plant.throw import full_paddle_kg, throw
 
 MACHINE = Machine()
@@ -39,7 +39,7 @@ def test_bare_throw_gives_the_published_momentum(flow_kg_s):
 
 
 def independent_release(radius, friction, gamma, radial_speed):
-    """Paddle angle and radial speed at the tip, by scipy on Cartesian forces in the turning frame."""
+    """Paddle angle and radial speed at the tip, by scipy on Cartesian forces in the turning frame; friction by a function."""
 
     def motion(angle, state):
         r, u = state
@@ -47,7 +47,8 @@ def independent_release(radius, friction, gamma, radial_speed):
         outward, forward = np.array([np.cos(theta), np.sin(theta)]), np.array([-np.sin(theta), np.cos(theta)])
         weight = gamma * np.array([0.0, 1.0])
         push = max(2.0 * u - weight @ forward, 0.0)
-        return [u, r + weight @ outward - friction * push * np.sign(u)]
+        here = friction(abs(u)) if callable(friction) else friction
+        return [u, r + weight @ outward - here * push * np.sign(u)]
 
     def at_tip(angle, state):
         return state[0] - 1.0
@@ -62,6 +63,14 @@ def independent_release(radius, friction, gamma, radial_speed):
 def test_a_parcel_slides_as_scipy_says(radius, friction, gamma, radial_speed):
     release = slide(np.array([radius]), friction, gamma, radial_speed)
     angle, speed = independent_release(radius, friction, gamma, radial_speed)
+    assert release.angle_rad[0] == pytest.approx(angle, abs=2e-6)
+    assert release.radial_speed[0] == pytest.approx(speed, abs=2e-6)
+
+
+@pytest.mark.parametrize(("rise", "scale"), [(3.0, 0.3), (-0.8, 0.6)])
+def test_a_parcel_slides_against_friction_by_its_speed_as_scipy_says(rise, scale):
+    release = slide(np.array([0.7]), Friction(0.2, rise, scale), 0.035)
+    angle, speed = independent_release(0.7, lambda u: 0.2 * (1.0 + rise * np.exp(-u / scale)), 0.035, 0.0)
     assert release.angle_rad[0] == pytest.approx(angle, abs=2e-6)
     assert release.radial_speed[0] == pytest.approx(speed, abs=2e-6)
 
@@ -160,6 +169,9 @@ FALLS, RISES = -1, 1
         ({"release_angle": {"angle_deg": 5.0}}, {"mass": 2.0}, FALLS),  # the jet turns down
         ({"release_angle": {"angle_deg": -5.0}}, {"mass": 2.0}, RISES),
         ({"speed_dependent_shape": {"exponent": -0.5}}, {"speed": 1.2 * SPEED, "mass": 2.0}, FALLS),
+        # More friction on the paddle: out later and more of it misses.
+        ({"speed_dependent_friction": {"rise": 2.0}}, {"mass": 2.0}, FALLS),
+        ({"speed_dependent_friction": {"rise": -0.9}}, {"mass": 2.0}, RISES),
         ({"miss_capture": {"captured_share": 0.8}}, {"angle_deg": 45.0, "mass": 2.0}, RISES),
         ({"speed_dependent_restitution": {}}, {"speed": 1.3 * SPEED, "mass": 0.1}, FALLS),
         ({"speed_dependent_restitution": {}}, {"speed": 0.7 * SPEED, "mass": 0.1}, RISES),

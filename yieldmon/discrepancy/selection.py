@@ -227,18 +227,18 @@ class Search:
     def _fitted(
         self, current: Fit, worth: Sequence[Sequence[Score]], beside: Mapping[str, float] | None
     ) -> list[tuple[Score, Fit]]:
-        """Each effect's refit by its best law; one that a few steps leave far behind the best is not taken to the end."""
+        """Each effect's refit by its best law; a law that a few steps leave far behind the best is not taken to the end."""
         short = self.policy.short_search
-        begun = []
+        begun: list[list[tuple[Score, Fit]]] = []
         for of_family in worth:
             rough = [(s, refit(current, s, starts=self.policy.starts, beside=beside, iterations=short)) for s in of_family]
-            fits = [(s, f) for s, f in rough if f is not None]
-            if fits:
-                begun.append(min(fits, key=lambda found: found[1].chi2))
-        scale = misfit([f for _, f in begun])
-        least = min((f.chi2 for _, f in begun), default=0.0)
+            begun.append([(s, f) for s, f in rough if f is not None])
+        each = [f for laws in begun for _, f in laws]
+        scale, least = misfit(each), min((f.chi2 for f in each), default=0.0)
         limit = least + self.policy.hopeless * scale + 0.25 * (current.chi2 - least)
-        return [(s, polished(f) if f.chi2 <= limit else f) for s, f in begun]
+        # A few steps do not rank the laws of one effect: what leads after them may be behind at the end.
+        ended = [[(s, polished(f) if f.chi2 <= limit else f) for s, f in laws] for laws in begun if laws]
+        return [min(laws, key=lambda found: found[1].chi2) for laws in ended]
 
     def admissible(self, found: Sequence[Candidate], current: Fit) -> list[Candidate]:
         """Those that may be added to `current`: significant, large enough, predictive, within bounds."""
