@@ -14,7 +14,7 @@ from yieldmon.discrepancy.diagnosis_notes import of_run_order
 from yieldmon.discrepancy.fit import fit
 from yieldmon.discrepancy.gap import lack_of_fit
 from yieldmon.discrepancy.observations import Rows, with_cells
-from yieldmon.discrepancy.run_order import BETWEEN, DRIFT, blocked_by, of_order, speeds_in_turn
+from yieldmon.discrepancy.run_order import BETWEEN, DRIFT, blocked_by, blocked_in_each_trial, of_order, speeds_in_turn
 from yieldmon.discrepancy.selection import Search
 from yieldmon.files import table
 from yieldmon.physics.machine import Machine
@@ -35,6 +35,17 @@ def drifting(rows: Rows, share: float) -> Rows:
     return replace(rows, value=rows.value * (1.0 + share * rows.order / rows.order.max()))
 
 
+def repeated(rows: Rows, how: str) -> Rows:
+    """The rows, which lie speed by speed, measured trial by trial: each trial's speeds in one sequence ("same"), backwards in
+    every other trial ("turned"), or all mixed within the trial ("mixed")."""
+    trial = np.array([int(name) for name in rows.trial])
+    speed = rows.elevator_speed_rad_s * np.where((how == "turned") & (trial % 2 == 0), -1.0, 1.0)
+    within = RANDOM[: len(rows)] if how == "mixed" else speed
+    order = np.empty(len(rows))
+    order[np.lexsort((within, trial))] = np.arange(float(len(rows)))
+    return replace(rows, order=order)
+
+
 def against(rows: Rows, start, effect: str) -> str:
     """What speaks against one effect when the rules on what is left are not asked."""
     base, noise = published(rows, start)
@@ -50,6 +61,19 @@ def against(rows: Rows, start, effect: str) -> str:
 )
 def test_speeds_that_were_returned_to_are_distinguished_from_blocks(make_rows, order, in_turn) -> None:
     assert speeds_in_turn(replace(make_rows(), order=order)) == in_turn
+
+
+@pytest.mark.parametrize(("order", "blocked"), [("same", True), ("turned", False), ("mixed", False)])
+def test_trials_that_repeat_one_sequence_of_speeds_are_recognised(make_rows, order, blocked) -> None:
+    assert blocked_in_each_trial(repeated(make_rows(), order)) == blocked
+
+
+def test_a_drift_over_trials_of_one_sequence_of_speeds_is_no_effect_of_speed(make_rows, start) -> None:
+    """Of readings that rise by 12 % over three trials each speed has had a share by its place in the trial."""
+    rows = drifting(repeated(make_rows(), "same"), 0.12)
+    assert speeds_in_turn(rows)
+    assert "explains the rows as well as air_drag" in against(rows, start, "air_drag-by_time")
+    assert against(replace(rows, order=None), start, "air_drag-by_time") == ""
 
 
 def test_one_speed_is_no_block(make_rows) -> None:

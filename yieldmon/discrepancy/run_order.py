@@ -39,9 +39,26 @@ def speeds_in_turn(rows: Rows) -> bool:
     return _in_turn(cluster(np.log(rows.elevator_speed_rad_s), SAME_SPEED), rows.order)
 
 
+def blocked_in_each_trial(rows: Rows) -> bool:
+    """Whether every trial ran its elevator speeds one after the other, in one sequence: a drift over the run then adds up to an
+    effect of speed, though each speed was returned to. False for one speed, one trial, or an unknown order."""
+    if rows.order is None or len(set(rows.trial)) < 2:
+        return False
+    number, trial = cluster(np.log(rows.elevator_speed_rad_s), SAME_SPEED), np.array(rows.trial)
+    sequences = set()
+    for name in set(rows.trial):
+        inside = trial == name
+        if _in_turn(number[inside], rows.order[inside]):
+            return False
+        ran = number[inside][np.argsort(rows.order[inside], kind="stable")]
+        sequences.add(tuple(int(n) for n in ran[np.flatnonzero(np.diff(ran, prepend=-1))]))
+    return len(sequences) == 1
+
+
 def is_asked(rows: Rows) -> bool:
-    """Whether the order of rows can speak against a name: times are stated, or speeds were run one after the other."""
-    return rows.order is not None and (rows.timed or not speeds_in_turn(rows))
+    """Whether the order of rows can speak against a name: times are stated, or speeds were run one after the other, once or in
+    each trial."""
+    return rows.order is not None and (rows.timed or not speeds_in_turn(rows) or blocked_in_each_trial(rows))
 
 
 def blocked_by(rows: Rows) -> str:
@@ -62,7 +79,7 @@ def blocked_by(rows: Rows) -> str:
 def _in_turn(number: NDArray[np.int64], order: Array) -> bool:
     """Whether one of several values was returned to; True for a single one."""
     changes = int(np.count_nonzero(np.diff(number[np.argsort(order, kind="stable")])))
-    return changes != int(number.max()) or changes == 0
+    return changes != len(np.unique(number)) - 1 or changes == 0
 
 
 def drift(without: Fit, scale: float, per_parameter: float) -> OfOrder:
@@ -74,8 +91,8 @@ def drift(without: Fit, scale: float, per_parameter: float) -> OfOrder:
 def of_order(without: Fit, scale: float, per_parameter: float) -> OfOrder | None:
     """The best of these explanations beside a model, with gain, zero or both off.
 
-    A steady drift, or one that bends, over `time_s` or over rows whose speeds were run one after the other; one error for each
-    of such speeds. None where the rows can show neither.
+    A steady drift, or one that bends, over `time_s` or over rows whose speeds were run one after the other, once or in each
+    trial; one error for each speed that was never returned to. None where the rows can show neither.
     """
     cells = without.frame.cells
     if not is_asked(cells.rows):
