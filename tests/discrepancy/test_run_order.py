@@ -72,7 +72,9 @@ def test_a_drift_over_trials_of_one_sequence_of_speeds_is_no_effect_of_speed(mak
     """Of readings that rise by 12 % over three trials each speed has had a share by its place in the trial."""
     rows = drifting(repeated(make_rows(), "same"), 0.12)
     assert speeds_in_turn(rows)
-    assert "explains the rows as well as air_drag" in against(rows, start, "air_drag-by_time")
+    why = against(rows, start, "air_drag-by_time")
+    assert "explains the rows as well as air_drag" in why
+    assert "speed by speed in each trial" in why
     assert against(replace(rows, order=None), start, "air_drag-by_time") == ""
 
 

@@ -37,7 +37,7 @@ from .gap import lack_of_fit, lack_of_fit_but_one
 from .noise import Noise
 from .pairs import screen
 from .policy import DEFAULT, Policy
-from .run_order import is_asked, of_order
+from .run_order import is_asked, of_order, speeds_in_turn
 
 Progress = Callable[[str, float], None]
 Places = dict[str, tuple[Candidate, ...]]
@@ -185,7 +185,9 @@ class Search:
             without = fit(current.frame, tuple(e for e in current.effects if e != effect), current.values)
             other = of_order(without, scale, self.policy.per_parameter) if without is not None else None
             if other is not None and other.merit <= most:
-                how = "`time_s` shows" if current.frame.cells.rows.timed else "the table has its rows speed by speed"
+                rows = current.frame.cells.rows
+                how = "the table has its rows speed by speed" + ("" if not speeds_in_turn(rows) else " in each trial")
+                how = "`time_s` shows" if rows.timed else how
                 return f"{other.what} explains the rows as well as {family_of(effect)} ({how})"
         return ""
 
