@@ -19,7 +19,7 @@ FILES = {
     "twins.dbc": COUNTS.dbc + TWIN.format(801, "Twin"),
     "names.dbc": COUNTS.dbc + TWIN.format(901, "Linear"),
     "beyond.dbc": COUNTS.dbc.replace("SG_ Tilt : 7|", "SG_ Tilt : 15|"),
-    "marks.dbc": COUNTS.dbc.replace("BO_ 802 ", "BO_ 419381761 "),
+    "marks.dbc": COUNTS.dbc.replace("BO_ 802 ", "BO_ 1075054137 "),
     "nested.dbc": """VERSION ""
 NS_ :
 BS_:
@@ -101,7 +101,7 @@ CASES = {
     ),
     "one name twice": ("plate_angle: {dbc: names.dbc, message: Linear, signal: X}", "names.dbc: Linear", "twice", "own"),
     "a signal beyond the message": ("plate_angle: {dbc: beyond.dbc, message: Linear, signal: Tilt}", "beyond.dbc", "Tilt", "fit"),
-    "29 bits without their mark": (
+    "more than 29 bits": (
         "plate_angle: {dbc: marks.dbc, message: Linear, signal: Tilt}",
         "marks.dbc", "11 bits", "Linear",
     ),
