@@ -403,6 +403,9 @@ class Scales:
         known = replace(estimator.parameters, version=estimator.parameters.version + 1)
         return CalibrationOutcome(ForceProportional(parameters=known), "weighed", weighed=True)
 
+    def drift_std_dev(self, record, estimator):  # type: ignore[no-untyped-def]
+        return 0.0
+
     def follow(self, record, estimator):  # type: ignore[no-untyped-def]
         return None
 

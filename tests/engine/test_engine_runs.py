@@ -47,6 +47,9 @@ class Teacher:
     def weigh(self, record: WindowRecord, anchors: Sequence[ReferenceMass], estimator: FlowEstimator) -> CalibrationOutcome:
         return self.update([record], estimator)
 
+    def drift_std_dev(self, record: WindowRecord, estimator: FlowEstimator) -> float:
+        return 0.0
+
     def follow(self, record: WindowRecord, estimator: FlowEstimator) -> None:
         return None
 

@@ -45,7 +45,7 @@ from tests.robustness import undoing
 from tests.robustness.undoing import Broken, Simulation, Trouble, live, mend, require
 from tests.seconds import measured_second
 from tests.service.test_installation import FakePip
-from yieldmon.bus import bulk, candump, logs
+from yieldmon.bus import binary_logs, bulk, candump
 from yieldmon.bus.log_notes import LogNotes
 from yieldmon.bus.logs import read_log
 from yieldmon.bus.opening import open_bus
@@ -137,7 +137,7 @@ def hostile_lines(rng: random.Random) -> None:
 
 def much_in_little(rng: random.Random) -> None:
     """A packed database that unpacks to more than there is room for."""
-    with _folder() as folder, mock.patch.object(logs, "LARGEST_UNPACKED_BYTES", _FILE_BYTES // 4):
+    with _folder() as folder, mock.patch.object(binary_logs, "LARGEST_UNPACKED_BYTES", _FILE_BYTES // 4):
         path = folder / "bomb.db.gz"
         path.write_bytes(gzip.compress(bytes([rng.randrange(256)]) * (3 * _FILE_BYTES), 1))
         notes = LogNotes(on_damage=lambda damage: None)
@@ -473,7 +473,7 @@ MENDS = {
     "names in XML": mend((17,), odd_names, lambda: mock.patch.object(taskdata, "plain", str)),
     "names in text": mend((17,), odd_names, lambda: mock.patch.object(agleader, "quotable", str)),
     "no formulas": mend((17,), odd_names, lambda: mock.patch.object(columns, "cell", str)),
-    "bounded unpacking": mend((18,), much_in_little, lambda: mock.patch.object(logs, "_unpacked", _unpacks_all)),
+    "bounded unpacking": mend((18,), much_in_little, lambda: mock.patch.object(binary_logs, "_unpacked", _unpacks_all)),
     "stores of anybody": mend((18,), crafted_store, _trusting),
 }  # fmt: skip
 

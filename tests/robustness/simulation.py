@@ -544,11 +544,9 @@ def _patched(target: str, value: Any) -> Callable[[], AbstractContextManager[Any
 @contextmanager
 def _no_checksums() -> Iterator[None]:
     flat = lambda table, *values: 0  # noqa: E731
-    with (
-        mock.patch("yieldmon.service.store.row_checksum", flat), mock.patch("yieldmon.service.rescue.row_checksum", flat),
-        mock.patch("yieldmon.service.store_file.row_checksum", flat),
-        mock.patch("yieldmon.service.store_sql.row_checksum", flat),
-    ):  # fmt: skip
+    with ExitStack() as patched:
+        for module in ("stored_rows", "rescue", "identity", "store_file", "store_sql"):
+            patched.enter_context(mock.patch(f"yieldmon.service.{module}.row_checksum", flat))
         yield
 
 

@@ -16,6 +16,15 @@ def silent():
         yield
 
 
+MENDS = [(share.name, name, mend) for share in SHARES for name, mend in share.simulation.mends.items()]
+
+
+@pytest.mark.parametrize("mend", [mend for *_, mend in MENDS], ids=[f"{share}: {name}" for share, name, _ in MENDS])
+def test_what_a_mend_replaces_is_there(mend):
+    with mend.undone():
+        pass
+
+
 def test_simulated_days_break_no_invariant():
     world = store_simulation.simulate(40, seed=7)
     assert world.broken == []

@@ -15,6 +15,7 @@ import numpy as np
 from yieldmon.engine.anchors import ReferenceMass
 from yieldmon.engine.calibrator_settings import CalibratorSettings
 from yieldmon.engine.curve_states import aligned
+from yieldmon.engine.drift_deviation import DriftDeviation, force_deviation
 from yieldmon.engine.load_update import LoadUpdate
 from yieldmon.engine.mass_anchors import checked, mass_anchor, weighed
 from yieldmon.engine.records import (
@@ -53,7 +54,7 @@ _WORSE = 1.5
 _LESSON_SDS = 3.0
 """Deviations of a difference beyond which a lesson contradicts and teaches nothing."""
 FOLLOWED_KG = 20_000.0
-"""Of grain, after which a steady drift that has been learnt moves the parameters without a lesson."""
+"""Of grain, after which a learnt steady drift moves the parameters without a lesson, and drift widens what is stated."""
 _LEAST_FOLLOWED = 1e-5
 """Relative change of a parameter by steady drift below which it waits."""
 _ROUNDING = 1e-9
@@ -100,6 +101,7 @@ class ClosedLoopCalibrator:
         """Crops of a run before that have not been harvested since, by name."""
         self._bias: tuple[CommonBias, ParameterSet] | None = None
         """Of kernel noise, with the parameters that its covariance is with; None where it has taught none of these."""
+        self._deviation: DriftDeviation | None = None
         self.last: Outcome | None = None
 
     def update(self, records: Sequence[WindowRecord], estimator: FlowEstimator, *, use_sweep: bool = True) -> CalibrationOutcome:
@@ -220,6 +222,28 @@ class ClosedLoopCalibrator:
         taken = self._taken(nothing, drifting, used, moment, step)
         self.last = last
         return replace(taken, reason="moved by steady drift", moved_by_moisture=False)
+
+    def drift_std_dev(self, record: WindowRecord, estimator: FlowEstimator) -> float:
+        """See records.SelfCalibrator."""
+        used, seen = self._in_use(estimator), self._deviation
+        if not isfinite(self._at_kg):
+            self._at_kg = record.total_kg
+        if seen is not None and seen.parameters is not used and self._from_outside(used):
+            # They describe the machine as it is now.
+            self._at_s, self._at_kg = record.time_s, record.total_kg
+        if seen is None or seen.parameters is not used:
+            seen = DriftDeviation(0.0, used, 0)
+        steps = int(max(record.total_kg - self._at_kg, 0.0) // FOLLOWED_KG)
+        if seen.steps != steps and record.mass_flow_kg_s > 0.0:
+            later = self._prior(used, float("nan"), record.time_s, record.total_kg)[0].parameters
+            seen = DriftDeviation(force_deviation(self._model, used, later, record), used, steps)
+        self._deviation = seen
+        return seen.relative
+
+    def _from_outside(self, used: ParameterSet) -> bool:
+        """Whether no lesson led to these parameters, and no undo brought them back."""
+        before = any(dict(used.values) == dict(known.values) for _, known in self._history)
+        return used is not self._updated and used is not self._restored and not before
 
     def sweep_worth(
         self, record: WindowRecord, stops_deg: Sequence[float], channels: OtherChannels, estimator: FlowEstimator

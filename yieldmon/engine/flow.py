@@ -58,11 +58,12 @@ class Estimate(NamedTuple):
 
 class Circumstances(NamedTuple):
     """What bears on a flow beside its window: a sweep is under way, the fault CalibrationOld is shown; the model's error
-    by what sweeps show."""
+    by what sweeps show; drift_sd: relative, of the force, by drift since the parameters were learnt."""
 
     sweeping: bool
     calibration_old: bool
     model_error: ModelError = NO_ERROR
+    drift_sd: float = 0.0
 
 
 def estimates(estimator: FlowEstimator, readings: Sequence[Reading]) -> list[Estimate | None]:
@@ -110,7 +111,7 @@ class FlowMeter:
         saturated = status is FlowStatus.SATURATED or reading.window.saturated_share >= self._settings.windows.saturated_share
         outside = status is FlowStatus.OUTSIDE_CALIBRATION
         quality = self._quality(reading, saturated, outside, circumstances)
-        budget = self._budget(reading, rate, std_dev, own, estimator, circumstances.model_error)
+        budget = self._budget(reading, rate, std_dev, own, estimator, circumstances)
         return _flow(rate, budget.std_dev_kg_s, quality, reading.force_n, reading.force_std_dev_n, outside, saturated, budget)
 
     def published(self, flow: Flow, *, plate_rests_at_home: bool) -> Flow:
@@ -134,7 +135,7 @@ class FlowMeter:
         std_dev: float,
         own: float | None,
         estimator: FlowEstimator,
-        model_error: ModelError,
+        circumstances: Circumstances,
     ) -> FlowBudget:
         """The flow's standard deviation by cause. std_dev: of noise and parameters; own: the estimator's word on the noise."""
         settings, parameters = self._settings.budget, estimator.parameters
@@ -147,12 +148,13 @@ class FlowMeter:
             parameters.calibrated.moisture_pct,
             followed="moisture_dependence" in parameters.effects,
         )
-        parameters_kg_s = max(0.0, std_dev**2 - noise**2) ** 0.5
+        per_error = reading.force_n * per_n if reading.force_n > 0.0 and isfinite(per_n) else 0.0
+        parameters_kg_s = hypot(max(0.0, std_dev**2 - noise**2) ** 0.5, circumstances.drift_sd * per_error)
+        model_error = circumstances.model_error
         if not reading.at_home:
             # Each part by itself: what averages out goes on doing so.
             factor = self._settings.sweep.max_std_dev_factor
             noise, parameters_kg_s = factor * noise, factor * parameters_kg_s
-        per_error = reading.force_n * per_n if reading.force_n > 0.0 and isfinite(per_n) else 0.0
         error = model_error.home if reading.at_home else hypot(model_error.home, model_error.away)
         shared = hypot(parameters_kg_s, error * per_error)
         return _flow_budget(noise, shared, zero_n * per_n, relative * rate, parameters_kg_s, per_error)

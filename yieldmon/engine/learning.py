@@ -145,6 +145,8 @@ class Learning:
 
     def _put(self, estimator: FlowEstimator, calibration_age_s: float | None, *, weighed: bool) -> None:
         self.estimator = estimator
+        self.drift_sd = 0.0
+        """Relative, of the force, by drift since the parameters in use were learnt."""
         self.calibration_age_s = calibration_age_s
         self._sweeps_teach = not refusal(estimator.parameters)
         self._weighed = weighed
@@ -442,8 +444,11 @@ class Learning:
 
     def _follow_drift(self, record: WindowRecord) -> tuple[ParametersChanged, ...]:
         """Between lessons the parameters go on as the lessons together say that they drift."""
-        outcome = self.calibrator.follow(record, self.estimator) if self.calibrator is not None else None
+        if self.calibrator is None:
+            return ()
+        outcome = self.calibrator.follow(record, self.estimator)
         if outcome is None or outcome.estimator is None:
+            self.drift_sd = self.calibrator.drift_std_dev(record, self.estimator)
             return ()
         self._put(outcome.estimator, self.calibration_age_s, weighed=self._weighed)
         return (ParametersChanged(outcome.estimator.parameters, "drift", outcome.reason, outcome.step, nan),)

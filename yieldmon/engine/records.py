@@ -360,6 +360,10 @@ class SelfCalibrator(Protocol):
         """Where the drift that has been learnt has led the parameters since the last update; None: no further than is worth a
         step. record: the last window."""
 
+    def drift_std_dev(self, record: WindowRecord, estimator: FlowEstimator) -> float:
+        """Relative standard deviation of the force by drift since the parameters in use were learnt, beyond their covariance.
+        record: the last window."""
+
     def sweep_worth(
         self, record: WindowRecord, stops_deg: Sequence[float], channels: OtherChannels, estimator: FlowEstimator
     ) -> SweepWorth | None:

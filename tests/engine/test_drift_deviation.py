@@ -1,0 +1,90 @@
+"""What is stated of a flow grows with the grain harvested since the parameters were learnt, also before a first lesson."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.engine.test_closed_loop_calibrator import MACHINE, MODEL, PRIOR, SPEED, TRUE, records, ticket
+from yieldmon.engine.calibrator_settings import CalibratorSettings
+from yieldmon.engine.closed_loop_calibrator import ClosedLoopCalibrator
+from yieldmon.engine.records import WindowRecord
+from yieldmon.estimation.drift_rates import DriftRates
+from yieldmon.estimation.open_loop import OpenLoop
+from yieldmon.physics.model import Conditions
+
+SEED, FLOW_KG_S = 6107, 10.0
+RATES = DriftRates(per_root_kilotonne={"friction": 0.04, "density": 0.02, "restitution": 0.01}, per_root_hour={})
+SETTINGS = CalibratorSettings(drift=RATES, steady_per_kilotonne={})
+
+
+def second(total_t: float) -> WindowRecord:
+    """A window at home after so much grain."""
+    home = min(records(FLOW_KG_S), key=lambda record: abs(record.plate_angle_rad - MACHINE.home_plate_angle_rad))
+    return replace(home, time_s=100.0 * total_t, total_kg=1000.0 * total_t, plate_angle_rad=MACHINE.home_plate_angle_rad)
+
+
+def scatter(kilotonnes: float) -> float:
+    """Of the force over machines whose parameters have walked, by draws."""
+    rng = np.random.default_rng(SEED)
+    there = Conditions(MACHINE.home_plate_angle_rad, SPEED, mass_flow_kg_s=FLOW_KG_S)
+    drawn = {name: value * (1.0 + rate * kilotonnes**0.5 * rng.standard_normal(4000)) for name, value, rate in (
+        ("density", 1100.0, 0.02), ("friction", 0.2, 0.04))}  # fmt: skip
+    gain = 1.0 + 0.01 * kilotonnes**0.5 * rng.standard_normal(4000)
+    values = {**PRIOR.values, **drawn, "restitution": 1.6 * gain - 1.0}
+    force = np.real(MODEL.force(there, values))
+    return float(np.std(force) / np.mean(force))
+
+
+@pytest.fixture
+def begun() -> tuple[ClosedLoopCalibrator, OpenLoop]:
+    calibrator, estimator = ClosedLoopCalibrator(MODEL, SETTINGS), OpenLoop(MODEL, PRIOR)
+    assert calibrator.drift_std_dev(second(0.0), estimator) == 0.0
+    return calibrator, estimator
+
+
+def test_it_grows_with_the_grain_before_a_first_lesson(begun: tuple[ClosedLoopCalibrator, OpenLoop]) -> None:
+    calibrator, estimator = begun
+    assert calibrator.drift_std_dev(second(19.0), estimator) == 0.0
+    found = [calibrator.drift_std_dev(second(total_t), estimator) for total_t in (20.0, 400.0, 1600.0)]
+    assert found == sorted(found)
+    assert found[1:] == [pytest.approx(scatter(0.4), rel=0.04), pytest.approx(scatter(1.6), rel=0.04)]
+    assert calibrator.drift_std_dev(second(1600.0), estimator) == found[-1]
+
+
+def test_a_lesson_ends_it(begun: tuple[ClosedLoopCalibrator, OpenLoop]) -> None:
+    calibrator, estimator = begun
+    assert calibrator.drift_std_dev(second(400.0), estimator) > 0.0
+    weighed = calibrator.weigh(second(400.0), (ticket(estimator, FLOW_KG_S, 39_000.0, 39_900.0),), estimator).estimator
+    assert weighed is not None
+    assert calibrator.drift_std_dev(second(401.0), weighed) == 0.0
+    assert calibrator.drift_std_dev(second(800.0), weighed) == pytest.approx(scatter(0.4), rel=0.1)
+
+
+def test_parameters_from_outside_end_it(begun: tuple[ClosedLoopCalibrator, OpenLoop]) -> None:
+    """They are of a calibration that was made of the machine as it is now."""
+    calibrator, estimator = begun
+    assert calibrator.drift_std_dev(second(400.0), estimator) > 0.0
+    other = OpenLoop(MODEL, replace(PRIOR, values=TRUE, version=2))
+    assert calibrator.drift_std_dev(second(400.0), other) == 0.0
+    assert calibrator.drift_std_dev(second(800.0), other) == pytest.approx(scatter(0.4), rel=0.1)
+
+
+def test_a_restart_goes_on_with_it(begun: tuple[ClosedLoopCalibrator, OpenLoop]) -> None:
+    calibrator, estimator = begun
+    before = calibrator.drift_std_dev(second(400.0), estimator)
+    state = calibrator.snapshot(second(400.0).time_s, 400_000.0)
+    assert state is not None
+    again, known = ClosedLoopCalibrator(MODEL, SETTINGS), OpenLoop(MODEL, replace(PRIOR))
+    again.restore(state, known.parameters, 400_000.0)
+    assert again.drift_std_dev(second(400.0), known) == pytest.approx(before, rel=1e-6)
+
+
+def test_seconds_without_grain_keep_it(begun: tuple[ClosedLoopCalibrator, OpenLoop]) -> None:
+    calibrator, estimator = begun
+    idle = replace(second(400.0), mass_flow_kg_s=0.0)
+    assert calibrator.drift_std_dev(idle, estimator) == 0.0
+    before = calibrator.drift_std_dev(second(400.0), estimator)
+    assert calibrator.drift_std_dev(idle, estimator) == before > 0.0
