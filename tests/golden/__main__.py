@@ -21,7 +21,7 @@ from tests.golden import cases, kept
 def outputs(names: list[str]) -> dict[str, str]:
     """Outputs of this checkout by case, from a process of its own."""
     with tempfile.TemporaryDirectory() as folder:
-        subprocess.run([sys.executable, str(Path(cases.__file__)), folder, *names], check=True)
+        subprocess.run([sys.executable, str(Path(cases.__file__)), folder, *names], check=True, env=kept.environment())
         found = json.loads((Path(folder) / "outputs.json").read_text())
     return {name: kept.normalized(text) for name, text in found.items()}
 

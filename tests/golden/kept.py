@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import hashlib
 import json
+import os
 import platform
 import re
 from pathlib import Path
@@ -43,12 +44,16 @@ def machine() -> str:
     return f"{platform.machine()} {_maker()} numpy {np.__version__} {' '.join(found)}"
 
 
+def environment() -> dict[str, str]:
+    """This process's, without what makes OpenBLAS choose other code than the processor's own, which changes last digits."""
+    return {name: value for name, value in os.environ.items() if not name.startswith("OPENBLAS_")}
+
+
 def _maker() -> str:
-    """Of the processor, and its family, by which OpenBLAS sizes the blocks that it adds up, as Linux names them."""
+    """Of the processor, as Linux names it."""
     listed = Path("/proc/cpuinfo")
-    facts = dict(line.split("\t", 1) for line in listed.read_text().splitlines() if "\t" in line) if listed.exists() else {}
-    maker, family = (facts.get(name, "").partition(":")[2].strip() for name in ("vendor_id", "cpu family"))
-    return f"{maker} family {family}" if family else maker or platform.processor()
+    lines = listed.read_text().splitlines() if listed.exists() else []
+    return next((line.partition(":")[2].strip() for line in lines if line.startswith("vendor_id")), platform.processor())
 
 
 def load(name: str) -> str:

@@ -25,7 +25,8 @@ def apart(tmp_path_factory: pytest.TempPathFactory) -> Runner:
 
 
 def as_a_process(arguments: list[str]) -> int:
-    done = subprocess.run([sys.executable, "-m", "yieldmon", *arguments], check=False, capture_output=True, text=True)
+    command = [sys.executable, "-m", "yieldmon", *arguments]
+    done = subprocess.run(command, check=False, capture_output=True, text=True, env=kept.environment())
     sys.stdout.write(done.stdout)
     sys.stderr.write(done.stderr)
     return done.returncode
@@ -33,7 +34,7 @@ def as_a_process(arguments: list[str]) -> int:
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
 def test_output_is_the_kept_one(runner: Runner, apart: Runner, case: Case) -> None:
-    """Bit for bit on a machine of the kind that it was kept on; last digits by a process that runs nothing else, as a user's."""
+    """Bit for bit on a machine of the kind that it was kept on; where OPENBLAS_ variables choose other code, by a process without."""
     text, expected = kept.normalized(runner.output(case)), kept.load(case.name)
     assert kept.first_difference(text, expected) == ""
     if kept.machine() == kept.machine_of(case.name) and text != expected:
