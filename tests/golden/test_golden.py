@@ -34,7 +34,7 @@ def as_a_process(arguments: list[str]) -> int:
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
 def test_output_is_the_kept_one(runner: Runner, apart: Runner, case: Case) -> None:
-    """Bit for bit on a machine of the kind that it was kept on; where OPENBLAS_ variables choose other code, by a process without."""
+    """Bit for bit on a machine like that of the kept one; where OPENBLAS_ variables choose other code, by a process without."""
     text, expected = kept.normalized(runner.output(case)), kept.load(case.name)
     assert kept.first_difference(text, expected) == ""
     if kept.machine() == kept.machine_of(case.name) and text != expected:
