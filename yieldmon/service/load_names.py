@@ -11,25 +11,17 @@ from dataclasses import dataclass
 from math import nan
 from typing import Any
 
-import numpy as np
-
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.settings import TotalsSettings
 from yieldmon.engine.totals import dry_mass
 from yieldmon.errors import InputError
-from yieldmon.estimation.estimators import estimator_of
-from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files.crops import find_crop
-from yieldmon.physics.machine import Machine
-from yieldmon.physics.model import ForwardModel
 from yieldmon.service import ledger, relearning
 from yieldmon.service.batch import Load, Ticket
 from yieldmon.service.journal import Journal
+from yieldmon.service.load_factor import load_factor
 from yieldmon.service.reference_loads import StoredLoad
-from yieldmon.service.weighed_loads import MeasuredLoad, force_columns
-
-_LEAST_SHARE = 0.9
-"""Of a load's mass that must rest on a known force, angle and speed."""
+from yieldmon.service.weighed_loads import MeasuredLoad
 
 
 @dataclass(frozen=True)
@@ -76,7 +68,7 @@ def correct(
             journal.loads.dried(load.number, None)
             continue
         journal.loads.dried(load.number, _dry_kg(kept, wanted.crop or "", monitor.settings.totals))
-        found = None if parameters is None else factor(kept, parameters, monitor.machine)
+        found = None if parameters is None else load_factor(_measured(kept), parameters, monitor.machine)
         if parameters is None:
             why_not[load.number] = f"nothing is known of {wanted.crop}"
         elif found is None:
@@ -115,6 +107,11 @@ def _tickets_of(loads: Sequence[Load], journal: Journal) -> dict[int, Ticket]:
     return found
 
 
+def _measured(stored: StoredLoad) -> MeasuredLoad:
+    rows = tuple(second for second in stored.seconds if second.mass_kg > 0.0)
+    return MeasuredLoad(str(stored.load.number), "", rows, stored.parameters)
+
+
 def _dry_kg(stored: StoredLoad, crop: str, settings: TotalsSettings) -> float | None:
     known = find_crop(crop)
     if known is None and settings.moisture_reference_pct is None:
@@ -125,23 +122,3 @@ def _dry_kg(stored: StoredLoad, crop: str, settings: TotalsSettings) -> float | 
         for s in stored.seconds if s.mass_kg > 0.0
     ]  # fmt: skip
     return None if any(kg is None for kg in dried) else float(sum(kg for kg in dried if kg is not None))
-
-
-def factor(stored: StoredLoad, parameters: ParameterSet, machine: Machine) -> float | None:
-    """Mass of a load by other parameters over its mass as measured; None where less than 90 % rests on a known force."""
-    rows = [second for second in stored.seconds if second.mass_kg > 0.0]
-    load = MeasuredLoad(str(stored.load.number), "", tuple(rows), stored.parameters)
-    parts = [
-        force_columns([row for row in rows if row.parameter_version == v], known, machine)
-        for v, known in sorted(stored.parameters.items())
-    ]
-    columns = np.concatenate(parts, axis=1)
-    duration, force, angle, speed, moisture, mass = columns[:, np.isfinite(columns[0]) & (columns[0] > 0.0)]
-    if not mass.sum() > _LEAST_SHARE * load.mass_kg:
-        return None
-    model = ForwardModel(machine, parameters.effects)
-    flow = estimator_of(machine, parameters, model).invert(force, angle, speed, moisture)
-    measured = np.isfinite(flow)
-    if not np.sum(mass[measured]) > _LEAST_SHARE * load.mass_kg:
-        return None
-    return float(np.sum(duration[measured] * flow[measured]) / np.sum(mass[measured]))

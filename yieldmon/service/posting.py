@@ -21,19 +21,18 @@ from yieldmon.engine.curve_states import in_names
 from yieldmon.engine.records import CalibrationStep
 from yieldmon.errors import InputError
 from yieldmon.estimation.drift_lessons import DriftLesson, by_weighed_masses, ending
-from yieldmon.estimation.estimators import estimator_of
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.steady_drift import Advance, DriftingParameters, learn, smoothed
 from yieldmon.physics.machine import Machine
-from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array
 from yieldmon.service.batch import Step
 from yieldmon.service.ledger import recropped
+from yieldmon.service.load_factor import load_factor
 from yieldmon.service.recorded import opened, parameter_sets
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.store import Store
 from yieldmon.service.update_steps import step_from_document
-from yieldmon.service.weighed_loads import MeasuredLoad, force_columns, loads_of, of_loads
+from yieldmon.service.weighed_loads import MeasuredLoad, loads_of, of_loads
 from yieldmon.units import S_PER_DAY
 
 _log = logging.getLogger(__name__)
@@ -44,8 +43,6 @@ _CONTRADICTION = 10.83
 """Squared standard deviations that a lesson moves the parameters by, which chance reaches once in a thousand."""
 _MOST_ROWS = 270_000
 _WRITING_S = 10.0
-_LEAST_SHARE = 0.9
-"""Of a load's mass that must rest on a known force, angle and speed."""
 
 
 @dataclass(frozen=True)
@@ -151,25 +148,15 @@ def factors(
     a load that was given another crop is of the timeline's; those that are count whatever parameters measured them.
     """
     renamed = {} if of_crop is None else of_crop
-    model = ForwardModel(machine, known.parameters.effects)
     out = {}
     for load in loads:
         versions = {row.parameter_version for row in load.seconds}
-        if not renamed.get(int(load.name), versions <= known.versions) or not versions <= set(load.parameters):
-            continue
-        parts = [
-            force_columns([row for row in load.seconds if row.parameter_version == v], load.parameters[v], machine)
-            for v in sorted(versions)
-        ]
-        columns = np.concatenate(parts, axis=1)
-        duration, force, angle, speed, moisture, mass = columns[:, np.isfinite(columns[0]) & (columns[0] > 0.0)]
-        if not mass.sum() > _LEAST_SHARE * load.mass_kg:
+        if not renamed.get(int(load.name), versions <= known.versions):
             continue
         moment_s = float(np.average([row.time_s for row in load.seconds], weights=[row.mass_kg for row in load.seconds]))
-        flow = estimator_of(machine, known.at(moment_s), model).invert(force, angle, speed, moisture)
-        measured = np.isfinite(flow)
-        if np.sum(mass[measured]) > _LEAST_SHARE * load.mass_kg:
-            out[int(load.name)] = float(np.sum(duration[measured] * flow[measured]) / np.sum(mass[measured]))
+        found = load_factor(load, known.at(moment_s), machine)
+        if found is not None:
+            out[int(load.name)] = found
     return out
 
 
