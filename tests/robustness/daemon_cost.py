@@ -21,13 +21,14 @@ import signal
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import accumulate, pairwise
 from pathlib import Path
 from typing import Any
+
+import can
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -81,8 +82,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def measure(folder: Path, seconds: float, *, waveform: bool = False) -> list[Phase]:
     """Runs the daemon through both kinds of traffic."""
-    import can
-
     from yieldmon.service.control import ControlError, ask
 
     configuration = folder / "yieldmon.yaml"
@@ -156,8 +155,6 @@ class Player:
     """Sends frames against absolute deadlines, others' frames between them where asked for."""
 
     def __init__(self, bus: Any, messages: list[Any]) -> None:
-        import can
-
         self.sent = self.own_sent = 0
         self._bus = bus
         self._messages = messages
@@ -200,8 +197,6 @@ class Listener:
     """Takes MassFlow frames on a thread, with the kernel's time of each."""
 
     def __init__(self) -> None:
-        import can
-
         from yieldmon import frames
         from yieldmon.bus.codec import Codec
         from yieldmon.engine.settings import WindowSettings
@@ -212,16 +207,13 @@ class Listener:
         self._bus = can.Bus(GROUP, interface="udp_multicast", port=PORT, can_filters=filters)
         self._heard: list[tuple[float, int]] = []
         self._from = 0
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._listen)
+        self._notifier = can.Notifier(self._bus, [self._hear])
 
     def __enter__(self) -> Listener:
-        self._thread.start()
         return self
 
     def __exit__(self, *exception: object) -> None:
-        self._stop.set()
-        self._thread.join()
+        self._notifier.stop()
         self._bus.shutdown()
 
     def begin(self) -> None:
@@ -255,14 +247,11 @@ class Listener:
             missed=sum(step - 1 for step in steps),
         )
 
-    def _listen(self) -> None:
-        while not self._stop.is_set():
-            message = self._bus.recv(0.2)
-            if message is not None:
-                frame = self._codec.decode(message)
-                counter = frame.signals["WindowCounter"] if frame is not None else None
-                assert isinstance(counter, (int, float)), f"{message}: not a flow frame of ours"
-                self._heard.append((message.timestamp, int(counter)))
+    def _hear(self, message: can.Message) -> None:
+        frame = self._codec.decode(message)
+        counter = frame.signals["WindowCounter"] if frame is not None else None
+        assert isinstance(counter, (int, float)), f"{message}: not a flow frame of ours"
+        self._heard.append((message.timestamp, int(counter)))
 
 
 def nearest_rank(ordered: list[float], share: float) -> float:

@@ -26,6 +26,8 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import can
+
 from tests.robustness.daemon_cost import ROOT, START_LIMIT_S, WARM_UP_S, Player, traffic
 from yieldmon.service.control import ControlError, ask
 
@@ -105,8 +107,6 @@ class Listener:
     """On a thread: the source of each MassFlow and address claim, with the kernel's time."""
 
     def __init__(self) -> None:
-        import can
-
         from yieldmon import frames
         from yieldmon.bus.codec import Codec
 
@@ -117,36 +117,29 @@ class Listener:
         self._bus = can.Bus(GROUP, interface="udp_multicast", port=PORT)
         self.heard: list[tuple[str, float, int, int]] = []
         """Kind, time, source address; window's counter or identity number."""
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._listen)
+        self._notifier = can.Notifier(self._bus, [self._hear])
 
     def __enter__(self) -> Listener:
-        self._thread.start()
         return self
 
     def __exit__(self, *exception: object) -> None:
-        self._stop.set()
-        self._thread.join()
+        self._notifier.stop()
         self._bus.shutdown()
 
-    def _listen(self) -> None:
-        while not self._stop.is_set():
-            message = self._bus.recv(0.2)
-            kind = self._groups.get((message.arbitration_id >> 8) & 0x3FFFF) if message is not None else None
-            if message is None or kind is None:
-                continue
-            if kind == "claim":
-                number = int.from_bytes(message.data[:3], "little") & 0x1FFFFF
-            else:
-                frame = self._codec.decode(message)
-                number = int(frame.signals["WindowCounter"]) if frame is not None else -1  # type: ignore[arg-type]
-            self.heard.append((kind, message.timestamp, message.arbitration_id & 0xFF, number))
+    def _hear(self, message: can.Message) -> None:
+        kind = self._groups.get((message.arbitration_id >> 8) & 0x3FFFF)
+        if kind is None:
+            return
+        if kind == "claim":
+            number = int.from_bytes(message.data[:3], "little") & 0x1FFFFF
+        else:
+            frame = self._codec.decode(message)
+            number = int(frame.signals["WindowCounter"]) if frame is not None else -1  # type: ignore[arg-type]
+        self.heard.append((kind, message.timestamp, message.arbitration_id & 0xFF, number))
 
 
 def run(case: Case, folder: Path, seconds: float, fault_s: float) -> tuple[dict[str, Any], bool]:
     """Figures of a case, and whether all held."""
-    import can
-
     messages = traffic(WARM_UP_S + seconds + START_LIMIT_S)
     with ExitStack() as stack:
         sender = stack.enter_context(can.Bus(GROUP, interface="udp_multicast", port=PORT))
