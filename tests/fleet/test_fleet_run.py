@@ -15,41 +15,13 @@ import pyarrow.parquet as pq
 import pytest
 
 from tests.fleet import logs
+from tests.fleet.runs import LOADED, files, tasks
 from yieldmon.cli.main import main
 from yieldmon.errors import InputError
 from yieldmon.fleet import manifest
 from yieldmon.fleet.dataset import MARK, Dataset, Superseded
 from yieldmon.fleet.identity import parameters_sha256, software
 from yieldmon.fleet.worker import DONE, FAILED, SKIPPED, Outcome, Task, work
-from yieldmon.resources import shipped
-from yieldmon.service import configuration
-
-LOADED = configuration.load(shipped("config/yieldmon.yaml"))
-HASH = parameters_sha256(LOADED)
-
-
-def tasks(source: Path, out: Path) -> list[Task]:
-    dataset = Dataset(str(out))
-    token = dataset.begin()
-    return [
-        Task(partition, dataset.address, token, LOADED, HASH, software()) for partition in manifest.load(str(source)).partitions
-    ]
-
-
-def files(out: Path) -> dict[str, bytes]:
-    return {path.relative_to(out).as_posix(): path.read_bytes() for path in sorted(out.rglob("*")) if path.is_file()}
-
-
-@pytest.fixture(scope="module")
-def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return logs.tree(tmp_path_factory.mktemp("fleet") / "tree")
-
-
-@pytest.fixture(scope="module")
-def measured(tree: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("fleet") / "dataset"
-    assert [work(task).status for task in tasks(tree, out)] == [DONE] * 4
-    return out
 
 
 def test_command_measures_and_skips(tree: Path, measured: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

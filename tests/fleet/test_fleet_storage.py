@@ -17,7 +17,7 @@ import pytest
 
 from tests.file_limit import files_end_at
 from tests.fleet import logs
-from tests.fleet.test_fleet_run import files, tasks
+from tests.fleet.runs import files, tasks
 from yieldmon import api
 from yieldmon.bus.log_writing import writing
 from yieldmon.cli.main import main
@@ -30,18 +30,6 @@ from yieldmon.fleet.worker import DONE, LEFT, SKIPPED, Outcome, work
 
 Resize = Callable[[str], None]
 Run = Callable[[], tuple[int, dict[str, Any], str]]
-
-
-@pytest.fixture(scope="module")
-def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return logs.tree(tmp_path_factory.mktemp("fleet") / "tree")
-
-
-@pytest.fixture(scope="module")
-def measured(tree: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("fleet") / "dataset"
-    assert [work(task).status for task in tasks(tree, out)] == [DONE] * 4
-    return out
 
 
 def whole(out: Path) -> dict[str, bytes]:
