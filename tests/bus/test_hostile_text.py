@@ -83,6 +83,22 @@ for suffix, head in heads.items():
 """
 )
 
+_DBC = (
+    _LIMITED
+    + """
+import pathlib, sys
+from yieldmon.bus import dbc_file
+from yieldmon.errors import InputError
+path = pathlib.Path(sys.argv[1]) / "hostile.dbc"
+for line in ("VAL_ 1 a 1", 'VAL_ 1 a 1 "x', 'VAL_ 1 a 1 "x" 2', 'CM_ SG_ 5000 a "x', 'BA_ "x" BO_ 5000 "', "BO_ 5000 x: 8 y"):
+    path.write_text("BO_ 5000 x: 8 y\\n" + (line + "\\n") * 40_000)
+    try:
+        dbc_file.read(path)
+    except InputError:
+        pass
+"""
+)
+
 _YAML = (
     _LIMITED
     + """
@@ -122,7 +138,9 @@ assert refused == 9, refused
 )
 
 
-@pytest.mark.parametrize("script", [_PATTERNS, _READERS, _YAML, _HEADERS], ids=["patterns", "readers", "yaml", "headers"])
+@pytest.mark.parametrize(
+    "script", [_PATTERNS, _READERS, _DBC, _YAML, _HEADERS], ids=["patterns", "readers", "dbc", "yaml", "headers"]
+)
 def test_no_text_keeps_a_reader_without_end(script, tmp_path):
     ended = subprocess.run([sys.executable, "-c", script, str(tmp_path)], capture_output=True, text=True, check=False)
     assert ended.returncode == 0, ended.stderr[-500:]

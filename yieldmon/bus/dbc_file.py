@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from yieldmon.bounded import read_whole
 from yieldmon.errors import InputError
-from yieldmon.identifiers import EXTENDED_FLAG
+from yieldmon.identifiers import EXTENDED_FLAG, LARGEST_EXTENDED_ID, LARGEST_STANDARD_ID
 
 if TYPE_CHECKING:
     from cantools.database.can import Database, Message
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 #: Makers' largest files have some ten megabytes.
 LARGEST_BYTES = 64_000_000
 
-_LARGEST_STANDARD, _LARGEST = 0x7FF, 0x1FFFFFFF
 _MESSAGE = re.compile(r"^[ \t]*BO_[ \t]+(\d+)", re.MULTILINE)
 _IDENTIFIER = re.compile(
     r"^([ \t]*(?:(?:BO_|VAL_|SG_MUL_VAL_|SIG_VALTYPE_|SIG_GROUP_|BO_TX_BU_)"
@@ -26,7 +25,7 @@ _IDENTIFIER = re.compile(
 )
 
 _PART = re.compile(r"^[ \t]*(?:BO_[ \t]+(\d+)|SG_[ \t]+(\w+))", re.MULTILINE)
-_VALUE_NAMES = re.compile(r"^[ \t]*VAL_[ \t]+(\d+)[ \t]+(\w+)(?:[^\";]|\"[^\"]*\")*;", re.MULTILINE)
+_VALUE_NAMES = re.compile(r"^[ \t]*VAL_[ \t]+(\d+)[ \t]+(\w+)(?:\s++[-+.\deE]++\s*+\"[^\"]*+\")*+\s*+;", re.MULTILINE)
 
 
 def without_stray_names(text: str) -> str:
@@ -41,7 +40,7 @@ def without_stray_names(text: str) -> str:
 
 def with_extended(text: str) -> str:
     """A DBC's text with the mark of 29 bits on identifiers that lack it and do not fit in 11, as some makers write them."""
-    lacking = {number for number in _MESSAGE.findall(text) if _LARGEST_STANDARD < int(number) <= _LARGEST}
+    lacking = {number for number in _MESSAGE.findall(text) if LARGEST_STANDARD_ID < int(number) <= LARGEST_EXTENDED_ID}
     if not lacking:
         return text
     return _IDENTIFIER.sub(lambda m: m[1] + (str(int(m[2]) + EXTENDED_FLAG) if m[2] in lacking else m[2]), text)
