@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from yieldmon.discrepancy.choice import Step
 from yieldmon.estimation.model_error import off
 
 from .alternatives import FREE_SHAPE, chosen_from_all, of_other_laws
+from .choice import Step
 from .fit import Fit, fit
 from .gap import lack_of_fit
 from .noise import Noise

@@ -11,8 +11,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from yieldmon.discrepancy.choice import Candidate, Choice, Step, rows_searched
-from yieldmon.discrepancy.merit import by_own_error, by_weight, far_ahead, left_by_own_law, merit, misfit
 from yieldmon.documents.diagnose import Verdict
 from yieldmon.physics.effects import family_of
 from yieldmon.physics.numerics import Array
@@ -31,9 +29,11 @@ from .candidates import (
     score,
     signature,
 )
+from .choice import Candidate, Choice, Step, rows_searched
 from .crossvalidation import grouped_error
 from .fit import Fit, fit
 from .gap import lack_of_fit, lack_of_fit_but_one
+from .merit import by_own_error, by_weight, far_ahead, left_by_own_law, merit, misfit
 from .noise import Noise
 from .pairs import screen
 from .policy import DEFAULT, Policy
