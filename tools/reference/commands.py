@@ -12,12 +12,13 @@ from yieldmon.cli.main import build_parser, find_verbs
 
 #: Said once at the top of the page: each with the further lines of its help.
 _COMMON = re.compile(
-    r"^  --(?:(?:json|force|socket|config|seed|machine|set|units)\b|params F .*default: corn|out F +picture to write)"
+    r"^  --(?:(?:json|force|socket|config|seed|machine|set|units)\b|params FILE .*default: corn|out FILE +picture to write)"
     r".*\n?(?:^ {9,}.*\n?)*",
     re.M,
 )
 #: The same in every verb that opens a bus; python-can's lists are long.
 _BUS = re.compile(r"^bus arguments:\n(?:.+\n)+", re.M)
+_EXAMPLE = re.compile(r"^example: (?:.+\n?)+", re.M)
 #: Arguments stand without a dash, options with one: no heading is needed between them.
 _HEADINGS = re.compile(r"^(?:positional arguments|options):\n", re.M)
 
@@ -36,15 +37,20 @@ def markdown() -> str:
 
 
 def _markdown() -> str:
+    parts = [", ".join(f"[{name}](#{name})" for name in find_verbs()), ""]
+    for name, parser in parsers():
+        nested = " " in name
+        if text := _help(parser, nested=nested):
+            parts += [f"{'###' if nested else '##'} {name}", "", "```text", text, "```", ""]
+    return "\n".join(parts)
+
+
+def parsers() -> Iterator[tuple[str, argparse.ArgumentParser]]:
+    """Of each verb, and of each word below one, such as `load start`, with its name."""
     verbs = find_verbs()
-    parts = [", ".join(f"[{verb.name}](#{verb.name})" for verb in verbs.values()), ""]
     for verb in verbs.values():
         parser, _ = build_parser(verbs, verb)
-        for name, described in _with_children(verb.name, _children(parser)[verb.name]):
-            nested = " " in name
-            if text := _help(described, nested=nested):
-                parts += [f"{'###' if nested else '##'} {name}", "", "```text", text, "```", ""]
-    return "\n".join(parts)
+        yield from _with_children(verb.name, _children(parser)[verb.name])
 
 
 def _with_children(name: str, parser: argparse.ArgumentParser) -> Iterator[tuple[str, argparse.ArgumentParser]]:
@@ -59,11 +65,14 @@ def _children(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentPar
 
 
 def _help(parser: argparse.ArgumentParser, *, nested: bool) -> str:
-    """The help without what stands elsewhere on the page: usage, common options, and what a list above says of a nested verb."""
+    """The help without what stands elsewhere on the page: usage, common options, what a list above says of a nested verb, and
+    its example, since the verb's own shows how they are written."""
     lines = parser.format_help().rstrip().splitlines()
     first = next(number for number, line in enumerate(lines) if not line.strip())
     text = "\n".join(line.rstrip() for line in lines[first + 1 :] if not line.startswith("  -h, --help"))
     if nested and not _HEADINGS.match(text):
         text = text.partition("\n\n")[2]
+    if nested:
+        text = _EXAMPLE.sub("", text)
     text = _BUS.sub("and the bus arguments\n", _COMMON.sub("", text))
     return re.sub(r"\n{3,}", "\n\n", _HEADINGS.sub("", text)).strip("\n")

@@ -92,6 +92,11 @@ def prepared(
 def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
     """The bus options of python-can's own tools: -i, -c, -b, --fd, --bus-kwargs and so on."""
     add_python_can_arguments(parser)
+    for action in parser._actions:
+        if action.dest == "interface":
+            # Without it the two dozen names stand three times in the help, on lines of 300 columns.
+            action.metavar = "INTERFACE"
+            action.help = f"{action.help} One of {', '.join(sorted(can.VALID_INTERFACES))}."
 
 
 def open_bus_from(

@@ -1,4 +1,4 @@
-"""A curve that gives the flow, as verbs take it: `--estimator F`."""
+"""A curve of `calibrate --estimator`, instead of the model, as verbs take it: `--estimator F`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from yieldmon.files import flow_curve_file
 
 def add_file(parser: argparse.ArgumentParser) -> None:
     """--estimator F of the verbs that use a curve."""
-    parser.add_argument("--estimator", metavar="F", help="curve that gives the flow")
+    parser.add_argument("--estimator", metavar="FILE", help="curve of `calibrate --estimator`, instead of the model")
 
 
 def with_file(known: ParameterSet, path: str | None) -> ParameterSet:

@@ -20,17 +20,17 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "yieldmon calibrate --loads yieldmon.sqlite --tickets tickets.csv --out corn.yaml",
     )
     parser.add_argument("data", nargs="?", metavar="DATA.csv", help="plate_angle_deg, a load column and a reading column")
-    parser.add_argument("--out", metavar="P.yaml", help="write the parameters here")
-    parser.add_argument("--machine", metavar="F", help="file or shipped name; default: sprocket-8")
-    parser.add_argument("--starts", type=int, default=20, metavar="N", help="random starts; default: 20")
-    parser.add_argument("--free", metavar="A,B", help="parameters to fit; default: grain, impact and all of the effects'")
+    parser.add_argument("--out", metavar="FILE.yaml", help="write the parameters here")
+    parser.add_argument("--machine", metavar="FILE", help="file or shipped name (default: sprocket-8)")
+    parser.add_argument("--starts", type=int, default=20, metavar="N", help="random starts (default: 20)")
+    parser.add_argument("--free", metavar="A,B", help="parameters to fit (default: grain, impact and the effects')")
     parser.add_argument("--fix", action="append", default=[], metavar="NAME=VALUE", help="hold a parameter at a value")
     parser.add_argument("--bounds", action="append", default=[], metavar="NAME=LOW:HIGH", help="search range of a parameter")
-    parser.add_argument("--prior", metavar="P.yaml", help="parameter file whose values and covariance are the prior")
+    parser.add_argument("--prior", metavar="FILE.yaml", help="parameter file whose values and covariance are the prior")
     parser.add_argument(
         "--impact",
         choices=("restitution", "exchange"),
-        help="1 + e, or k1 M/M_full + k2; default: 1 + e, and k1, k2 for a response or where 1 + e ends at its physical bound",
+        help="impact gain: 1 + e, or k1 M/M_full + k2 (default: 1 + e; k1, k2 for a response or where e ends at its bound)",
     )
     parser.add_argument("--effects", default="", metavar="A,B", help="effects to add to the published model")
     parser.add_argument("--response-scale", type=float, metavar="S", help="units of `response` in one kg m/s, where known")
@@ -44,20 +44,22 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--by-moisture", action="store_true", help="a fit for each moisture_pct and a map; --out names a folder")
     parser.add_argument("--estimator", choices=KINDS, help="fit a curve for estimator_file instead of the model")
     parser.add_argument("--pulse-shape", action="store_true", help="fit pulse_shape_file from logs of weighed loads instead")
-    parser.add_argument("--taps", nargs="+", metavar="LOG", help="sensor.response_s of the machine file, from taps on the plate")
+    parser.add_argument(
+        "--taps", nargs="+", metavar="LOG", help="fit sensor.response_s of the machine file to logs of taps on the plate"
+    )
     parser.add_argument("--compare", action="store_true", help="compare with the empirical models, by cross-validation")
     parser.add_argument(
         "--identifiability", action="store_true", help="report what these rows determine, and what rows would add"
     )
     parser.add_argument(
-        "--profiles", metavar="F", help="draw how the misfit grows with each parameter (*.png or *.svg; needs the plot extra)"
+        "--profiles", metavar="FILE", help="draw how the misfit grows with each parameter (*.png or *.svg; needs the plot extra)"
     )
-    parser.add_argument("--seed", type=int, default=0, help="of the random starts; default: 0")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the random starts (default: 0)")
     parser.add_argument("--json", action="store_true", help="one JSON document")
     group = parser.add_argument_group("calibration by weighed loads")
     group.add_argument("--loads", nargs="+", metavar="SOURCE", help="a daemon's store, or logs of weighed loads, instead of DATA")
     group.add_argument("--tickets", metavar="FILE", help="table with the columns load and weighed_kg, and if known std_dev_kg")
-    group.add_argument("--config", metavar="F", help="configuration that measured them; default: the shipped one")
+    group.add_argument("--config", metavar="FILE", help="configuration that measured them (default: the shipped one)")
     _outputs.add_force(parser, "out", "profiles")
 
 

@@ -26,8 +26,12 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         epilog="example: yieldmon calibrations list; yieldmon calibrations undo 14",
     )
     actions = parser.add_subparsers(dest="action", metavar="list|undo", required=True)
-    listing = actions.add_parser("list", help=f"the newest {_SHOWN}; with --json all")
-    undo = actions.add_parser("undo", help="the parameters before a version again, as a new version")
+    listing = actions.add_parser(
+        "list", help=f"the newest {_SHOWN}; with --json all", epilog="example: yieldmon calibrations list"
+    )
+    undo = actions.add_parser(
+        "undo", help="the parameters before a version again, as a new version", epilog="example: yieldmon calibrations undo 14"
+    )
     undo.add_argument("version", metavar="VERSION", type=int, help="as the list shows it")
     for action in (listing, undo):
         add_daemon_arguments(action)

@@ -21,7 +21,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         description=__doc__,
         epilog="example: yieldmon check-config /etc/yieldmon/yieldmon.yaml --log drive.log",
     )
-    parser.add_argument("file", nargs="?", help="configuration (YAML); default: the shipped one")
+    parser.add_argument("file", nargs="?", metavar="FILE", help="YAML configuration (default: the shipped one)")
     parser.add_argument("--log", metavar="FILE", help="check the signal mapping against this recording")
     parser.add_argument("--json", action="store_true", help="print what was found as one JSON document")
     parser.add_argument("--defaults", action="store_true", help="print the default configuration, commented, and end")

@@ -40,9 +40,11 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "data", nargs="?", metavar="DATA", help="CSV table with plate angle, load and reading, or a daemon's store (.sqlite, .db)"
     )
     parser.add_argument(
-        "--params", metavar="P.yaml", help="parameters of the model (default: shipped corn; for a store, those it was given last)"
+        "--params",
+        metavar="FILE.yaml",
+        help="parameters of the model (default: shipped corn; for a store, those it was given last)",
     )
-    parser.add_argument("--machine", metavar="M.yaml", help="file or shipped name; default: sprocket-8")
+    parser.add_argument("--machine", metavar="FILE.yaml", help="file or shipped name (default: sprocket-8)")
     parser.add_argument(
         "--form",
         choices=("auto", "restitution", "exchange"),
@@ -61,12 +63,12 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         action="store_true",
         help="of a table: effects that the parameters name belong to the model and are not looked for (of a store: always)",
     )
-    parser.add_argument("--seed", type=int, default=1, help="of splits and bootstraps (default: 1)")
+    parser.add_argument("--seed", type=int, default=1, metavar="N", help="of splits and bootstraps (default: 1)")
     parser.add_argument("--sweeps", type=int, metavar="N", help="of a store, the newest N sweeps (default: all)")
-    parser.add_argument("--table", metavar="OUT.csv", help="of a store, write the table that is diagnosed")
-    parser.add_argument("--adopt", metavar="OUT.yaml", help="write the next version of the parameters, with the named effects")
+    parser.add_argument("--table", metavar="FILE.csv", help="of a store, write the table that is diagnosed")
+    parser.add_argument("--adopt", metavar="FILE.yaml", help="write the next version of the parameters, with the named effects")
     parser.add_argument("--rollback", metavar="FILE.yaml", help="put the parent of an adopted file back in its place, and end")
-    parser.add_argument("--plan", metavar="OUT.csv", help="write the next experiment, and next to it the daemon's sweep section")
+    parser.add_argument("--plan", metavar="FILE.csv", help="write the next experiment, and next to it the daemon's sweep section")
     parser.add_argument("--report", metavar="DIR", help="write an HTML page with pictures")
     parser.add_argument("--json", action="store_true", help="print one JSON document")
     _outputs.add_force(parser, "table", "plan")

@@ -30,9 +30,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     model_options.add_model_arguments(parser)
     _flow_curve.add_file(parser)
     parser.add_argument(
-        "--sigma", type=float, default=0.0, metavar="SD", help="noise of the reading where the table has no sigma; default: 0"
+        "--sigma", type=float, default=0.0, metavar="SD", help="noise of the reading where the table has no sigma (default: 0)"
     )
-    parser.add_argument("--json", action="store_true", help='one JSON document, {"rows": [...]}; default: CSV')
+    parser.add_argument("--json", action="store_true", help='one JSON document, {"rows": [...]} (default: CSV)')
 
 
 def run(args: argparse.Namespace) -> int:

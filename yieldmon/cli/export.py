@@ -38,9 +38,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         epilog="example: yieldmon export monday.parquet --out monday.gpkg --swath 9.1 --flow-delay 12",
     )
     parser.add_argument("record", metavar="RECORD", help="a daemon's store (.sqlite, .db), or a table of `process`")
-    parser.add_argument("--out", metavar="F", required=True, help=f"file to write, *{', *'.join(ENDINGS)}")
+    parser.add_argument("--out", metavar="FILE", required=True, help=f"file to write, *{', *'.join(ENDINGS)}")
     _outputs.add_force(parser, "out")
-    parser.add_argument("--format", choices=FORMATS, help="default: by the name's ending; taskdata without .zip writes a folder")
+    kinds = f"{', '.join(FORMATS)} (default: by the name's ending); taskdata without .zip writes a folder"
+    parser.add_argument("--format", choices=FORMATS, metavar="FORMAT", help=kinds)
     parser.add_argument(
         "--what", choices=("seconds", "loads", "points"), help="what a table holds (default: seconds); other formats hold points"
     )

@@ -30,11 +30,15 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--rollback", action="store_true", help="go back to the previous installation; repeated, forward again")
     parser.add_argument("--no-lock", action="store_true", help="dependencies as pip finds them, not those of the lock file")
     parser.add_argument("--purge", action="store_true", help="with --uninstall: configuration and records, too")
-    parser.add_argument("--interface", default="can0", help="CAN interface of the combine (default can0)")
-    parser.add_argument("--command", type=Path, help="an installed command, outside home folders; default: makes /opt/yieldmon")
+    parser.add_argument("--interface", default="can0", metavar="NAME", help="CAN interface of the combine (default: can0)")
+    parser.add_argument(
+        "--command", type=Path, metavar="PATH", help="an installed command, outside home folders (default: makes /opt/yieldmon)"
+    )
     parser.add_argument("--from", dest="source", metavar="PACKAGE", help="a wheel or folder for pip to install there")
-    parser.add_argument("--python", default=sys.executable, help="Python of /opt/yieldmon (default: this one)")
-    parser.add_argument("--root", type=Path, default=Path("/"), help="install below this folder instead; runs no systemctl")
+    parser.add_argument("--python", default=sys.executable, metavar="PATH", help="Python of /opt/yieldmon (default: this one)")
+    parser.add_argument(
+        "--root", type=Path, default=Path("/"), metavar="DIR", help="install below this folder instead; runs no systemctl"
+    )
     parser.add_argument("--dry-run", action="store_true", help="print what would be done")
 
 

@@ -24,21 +24,25 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         epilog="example: yieldmon load start --field north; yieldmon load stop; yieldmon load correct 7-8 --crop wheat",
     )
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
-    start = actions.add_parser("start", help="begin a new load")
-    start.add_argument("--field", help="field name, for this load and the next ones")
-    start.add_argument("--crop", help="crop, for this load and the next ones; its parameters are used")
+    start = actions.add_parser("start", help="begin a new load", epilog="example: yieldmon load start --field north --crop corn")
+    start.add_argument("--field", metavar="NAME", help="field name, for this load and the next ones")
+    start.add_argument("--crop", metavar="NAME", help="crop, for this load and the next ones; its parameters are used")
     start.add_argument(
         "--thousand-kernel-weight",
         type=float,
         metavar="G",
         help="mass of a thousand kernels, g, for this load and the next ones; scales the flow from kernel noise",
     )
-    stop = actions.add_parser("stop", help="the load is complete")
-    listing = actions.add_parser("list", help="list all loads, as measured and as corrected by tickets")
-    correct = actions.add_parser("correct", help="give complete loads another crop or field")
+    stop = actions.add_parser("stop", help="the load is complete", epilog="example: yieldmon load stop")
+    listing = actions.add_parser(
+        "list", help="list all loads, as measured and as corrected by tickets", epilog="example: yieldmon load list --json"
+    )
+    correct = actions.add_parser(
+        "correct", help="give complete loads another crop or field", epilog="example: yieldmon load correct 7-8 --crop wheat"
+    )
     correct.add_argument("loads", metavar="LOAD", help="number, or FIRST-LAST")
-    correct.add_argument("--field", help="field name")
-    correct.add_argument("--crop", help="crop, whose parameters measure them again")
+    correct.add_argument("--field", metavar="NAME", help="field name")
+    correct.add_argument("--crop", metavar="NAME", help="crop, whose parameters measure them again")
     for action in (start, stop, listing, correct):
         add_daemon_arguments(action)
         add_units(action, "the daemon's configuration")

@@ -39,8 +39,8 @@ _LEAST_MOMENTUM_KG_M_S = 0.05
 
 def add_model_arguments(parser: argparse.ArgumentParser, default: str = parameter_file.DEFAULT) -> None:
     """--machine, --params and --set. default: the shipped parameter file that counts where --params is not given."""
-    parser.add_argument("--machine", metavar="F", help="file or shipped name; default: sprocket-8")
-    parser.add_argument("--params", metavar="F", help=f"file or shipped name; default: {Path(default).stem}")
+    parser.add_argument("--machine", metavar="FILE", help="file or shipped name (default: sprocket-8)")
+    parser.add_argument("--params", metavar="FILE", help=f"file or shipped name (default: {Path(default).stem})")
     parser.set_defaults(shipped_params=default)
     add_set_argument(parser)
 

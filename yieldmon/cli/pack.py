@@ -30,7 +30,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         epilog="example: yieldmon pack monday-*.log.gz --out monday.parquet",
     )
     parser.add_argument("logs", nargs="+", metavar="LOG", help="candump or any log of python-can; several are one record")
-    parser.add_argument("--out", required=True, metavar="F.parquet", help="file to write")
+    parser.add_argument("--out", required=True, metavar="FILE.parquet", help="file to write")
     parser.add_argument("--json", action="store_true", help="print a summary as one JSON document")
     _outputs.add_force(parser, "out")
 

@@ -46,43 +46,61 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     kinds = parser.add_subparsers(dest="picture", metavar="PICTURE", required=True)
 
-    record = _picture(kinds, "flow", _flow, "mass flow and accumulated mass, with the truth or the tickets")
+    record = _picture(
+        kinds, "flow", _flow, "mass flow and accumulated mass, with the truth or the tickets", "monday.parquet --truth truth.csv"
+    )
     record.add_argument("record", metavar="RECORD", help=RECORD_HELP)
-    record.add_argument("--truth", metavar="F", help="CSV with time_s, mass_flow_kg_s, total_mass_kg (as simulate writes)")
+    record.add_argument("--truth", metavar="FILE", help="CSV with time_s, mass_flow_kg_s, total_mass_kg (as simulate writes)")
     _add_units(record)
 
-    record = _picture(kinds, "errors", _errors, "error of the seconds by band of true flow")
+    record = _picture(kinds, "errors", _errors, "error of the seconds by band of true flow", "monday.parquet --truth truth.csv")
     record.add_argument("record", metavar="RECORD", help=RECORD_HELP)
-    record.add_argument("--truth", metavar="F", required=True, help="CSV with time_s, mass_flow_kg_s, total_mass_kg")
-    record.add_argument("--bands", nargs="+", default=["1:29:4"], metavar="KG_S", help="edges (default: 1:29:4)")
+    record.add_argument("--truth", metavar="FILE", required=True, help="CSV with time_s, mass_flow_kg_s, total_mass_kg")
+    record.add_argument("--bands", nargs="+", default=["1:29:4"], metavar="KG_S", help="edges of the bands (default: 1:29:4)")
     _add_units(record)
 
-    record = _picture(kinds, "sweeps", _sweeps, "force by plate angle in each sweep, and the flow around it")
+    record = _picture(kinds, "sweeps", _sweeps, "force by plate angle in each sweep, and the flow around it", "yieldmon.sqlite")
     record.add_argument("record", metavar="RECORD", help=RECORD_HELP)
     _add_units(record)
 
-    record = _picture(kinds, "parameters", _parameters, "parameters over time with their 90 %% intervals")
+    record = _picture(kinds, "parameters", _parameters, "parameters over time with their 90 % intervals", "yieldmon.sqlite")
     record.add_argument("record", metavar="STORE", help="a daemon's store (.sqlite, .db)")
 
-    curve = _picture(kinds, "curves", _curves, "force by plate angle and by flow: model, and readings of a table")
-    curve.add_argument("data", nargs="?", metavar="DATA.csv", help="measurement table (force or momentum); default: none")
+    curve = _picture(
+        kinds,
+        "curves",
+        _curves,
+        "force by plate angle and by flow: model, and readings of a table",
+        "facility.csv --params corn.yaml",
+    )
+    curve.add_argument("data", nargs="?", metavar="DATA.csv", help="measurement table of force or momentum (default: none)")
     model_options.add_model_arguments(curve)
     curve.add_argument("--mass-flow", nargs="+", metavar="KG_S", help="flows (default: the table's, or 2:26:4)")
     curve.add_argument("--plate-angle", nargs="+", metavar="DEG", help="angles (default: the table's, or 40:90:10)")
-    curve.add_argument("--elevator-speed", type=float, metavar="RPM", help="default: the machine's")
-    curve.add_argument("--moisture", type=float, default=15.0, metavar="PCT", help="default: 15")
+    curve.add_argument("--elevator-speed", type=float, metavar="RPM", help="elevator speed (default: the machine's)")
+    curve.add_argument("--moisture", type=float, default=15.0, metavar="PCT", help="grain moisture (default: 15)")
 
-    missed = _picture(kinds, "residuals", _residuals, "model less measured, over plate angle and load")
+    missed = _picture(
+        kinds, "residuals", _residuals, "model minus measured, over plate angle and load", "facility.csv --params corn.yaml"
+    )
     missed.add_argument("data", metavar="DATA.csv", help="measurement table with a load and a reading")
     model_options.add_model_arguments(missed)
 
-    study = _picture(kinds, "sensitivity", _sensitivity, "force against each grain parameter, one varied at a time")
-    study.add_argument("--machine", metavar="F", help="file or shipped name; default: sprocket-8")
-    study.add_argument("--plate-angle", type=float, default=70.0, metavar="DEG", help="default: 70")
+    study = _picture(
+        kinds, "sensitivity", _sensitivity, "force against each grain parameter, one varied at a time", "--plate-angle 60"
+    )
+    study.add_argument("--machine", metavar="FILE", help="file or shipped name (default: sprocket-8)")
+    study.add_argument("--plate-angle", type=float, default=70.0, metavar="DEG", help="plate angle (default: 70)")
 
-    theirs = _picture(kinds, "published", _published, "published momentum table and closed loop, with ours")
+    theirs = _picture(
+        kinds,
+        "published",
+        _published,
+        "published momentum table and closed loop, beside this model's",
+        "tests/data/published_tables.yaml",
+    )
     theirs.add_argument("tables", metavar="TABLES.yaml", help="the published figures (tests/data/published_tables.yaml)")
-    theirs.add_argument("--machine", metavar="F", help="file or shipped name; default: sprocket-8")
+    theirs.add_argument("--machine", metavar="FILE", help="file or shipped name (default: sprocket-8)")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -96,9 +114,15 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _picture(kinds: Any, name: str, draw: Callable[[argparse.Namespace], Figure], summary: str) -> argparse.ArgumentParser:
-    parser: argparse.ArgumentParser = kinds.add_parser(name, help=summary, description=summary)
-    parser.add_argument("--out", metavar="F", required=True, help="picture to write, *.png or *.svg")
+def _picture(
+    kinds: Any, name: str, draw: Callable[[argparse.Namespace], Figure], summary: str, example: str
+) -> argparse.ArgumentParser:
+    """example: arguments of the kind, without --out."""
+    words = " ".join(word for word in ("plot", name, example, f"--out {name}.png") if word)
+    parser: argparse.ArgumentParser = kinds.add_parser(
+        name, help=summary.replace("%", "%%"), description=summary, epilog=f"example: yieldmon {words}"
+    )
+    parser.add_argument("--out", metavar="FILE", required=True, help="picture to write, *.png or *.svg")
     _outputs.add_force(parser, "out")
     parser.set_defaults(draw=draw)
     return parser

@@ -52,19 +52,23 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "logs", nargs="+", metavar="LOG", help="candump or any log of python-can; several are one record; or a daemon's store"
     )
-    parser.add_argument("--params", metavar="F", help="file or shipped name; default: the configuration's; of a store its newest")
-    parser.add_argument("--config", metavar="F", help="configuration (YAML); default: the shipped one")
+    parser.add_argument(
+        "--params", metavar="FILE", help="file or shipped name (default: the configuration's; of a store, its newest)"
+    )
+    parser.add_argument("--config", metavar="FILE", help="YAML configuration (default: the shipped one)")
     _flow_curve.add_file(parser)
     parser.add_argument(
         "--out",
-        metavar="F",
+        metavar="FILE",
         required=True,
         help=f"table to write, *{', *'.join(FORMATS)}; - is standard output; with --separate a folder",
     )
-    parser.add_argument("--format", choices=[kind[1:] for kind in FORMATS], help="kind of table; default: by the name's ending")
+    parser.add_argument("--format", choices=[kind[1:] for kind in FORMATS], help="kind of table (default: by the name's ending)")
     parser.add_argument("--separate", action="store_true", help="each log is a record of its own, with a table of its own")
     parser.add_argument("--jobs", type=int, metavar="N", default=os.cpu_count() or 1, help="processes (default: one a core)")
-    parser.add_argument("--zero-mv", type=float, metavar="MV", help="zero-load voltage of a log that begins in grain, or a store")
+    parser.add_argument(
+        "--zero-mv", type=float, metavar="MV", help="zero-load voltage, mV, of a log that begins in grain, or a store"
+    )
     parser.add_argument(
         "--delay", type=int, metavar="S", default=0, help="of a store: place and ground speed belong to the flow S seconds later"
     )

@@ -28,7 +28,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         description=f"{__doc__} SIGTERM and SIGINT end it; SIGHUP reloads the configuration.",
         epilog="example: yieldmon run --config /etc/yieldmon/yieldmon.yaml",
     )
-    parser.add_argument("--config", metavar="F", help="configuration (YAML); default: the shipped one")
+    parser.add_argument("--config", metavar="FILE", help="YAML configuration (default: the shipped one)")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -37,12 +37,20 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("data", metavar="DATA.csv", help="plate_angle_deg and a reading; a load column serves comparison only")
     model_options.add_model_arguments(parser)
     parser.add_argument(
-        "--group-by", metavar="COL", help="one sweep for each value of this column; default: group, else the load, else one sweep"
+        "--group-by",
+        metavar="COL",
+        help="one sweep for each value of this column (default: group, else the load, else one sweep)",
     )
-    parser.add_argument("--separate", action="store_true", help="each sweep by itself from the same prior; default: pooled")
-    parser.add_argument("--sigma", type=float, metavar="SD", help="noise of a reading; default: column sigma, else from the rows")
+    parser.add_argument("--separate", action="store_true", help="each sweep by itself from the same prior (default: pooled)")
     parser.add_argument(
-        "--model-error", type=float, default=0.0, metavar="SHARE", help="the model's own relative error at each angle; default: 0"
+        "--sigma", type=float, metavar="SD", help="noise of a reading (default: column sigma, else from the rows)"
+    )
+    parser.add_argument(
+        "--model-error",
+        type=float,
+        default=0.0,
+        metavar="SHARE",
+        help="the model's own relative error at each angle (default: 0)",
     )
     parser.add_argument(
         "--flow",
@@ -55,7 +63,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         metavar="KG_M3:SD",
         help="another measurement of the parameter `density`",
     )
-    parser.add_argument("--out", metavar="P.yaml", help="write the updated parameters here (pooled only)")
+    parser.add_argument("--out", metavar="FILE.yaml", help="write the updated parameters here (pooled only)")
     parser.add_argument("--json", action="store_true", help="one JSON document")
     _outputs.add_force(parser, "out")
 

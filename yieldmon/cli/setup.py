@@ -38,7 +38,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         epilog="example: yieldmon setup --out /etc/yieldmon; yieldmon setup --answers answers.yaml --out new",
     )
     parser.add_argument("--out", metavar="DIR", required=True, help="folder for the files; made if it is not there")
-    parser.add_argument("--answers", metavar="F", help="YAML file of answers; with all of them nothing is asked")
+    parser.add_argument("--answers", metavar="FILE", help="YAML file of answers; with all of them nothing is asked")
     parser.add_argument("--force", action="store_true", help="replace files of an earlier set-up")
     parser.add_argument("--json", action="store_true", help="print what was found as one JSON document; asks nothing")
 

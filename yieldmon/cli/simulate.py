@@ -40,13 +40,17 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         description=__doc__,
         epilog="example: yieldmon simulate --scenario demo --log demo.log --truth demo-truth.csv",
     )
-    parser.add_argument("--scenario", default="demo", metavar="F", help="scenario file, or a shipped one's name (default: demo)")
-    parser.add_argument("--machine", metavar="F", help="file or shipped name; default: the scenario's")
-    parser.add_argument("--log", metavar="F", help="write a log as fast as it goes (.log .asc .blf .trc .csv .db .mf4)")
-    parser.add_argument("--truth", metavar="F", help="write the truth, one row a second, as CSV")
-    parser.add_argument("--duration", type=float, metavar="S", help="stop after S seconds; default: the scenario's")
+    parser.add_argument(
+        "--scenario", default="demo", metavar="FILE", help="scenario file, or a shipped one's name (default: demo)"
+    )
+    parser.add_argument("--machine", metavar="FILE", help="file or shipped name (default: the scenario's)")
+    parser.add_argument("--log", metavar="FILE", help="write a log as fast as it goes (.log .asc .blf .trc .csv .db .mf4)")
+    parser.add_argument("--truth", metavar="FILE", help="write the truth, one row a second, as CSV")
+    parser.add_argument("--duration", type=float, metavar="S", help="stop after S seconds (default: the scenario's)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="random seed (default: 0)")
-    parser.add_argument("--start-time", type=float, default=0.0, metavar="T", help="timestamp of the log's beginning, s")
+    parser.add_argument(
+        "--start-time", type=float, default=0.0, metavar="T", help="timestamp of the log's beginning, s (default: 0)"
+    )
     parser.add_argument("--json", action="store_true", help="print a summary as one JSON document")
     _outputs.add_force(parser, "log", "truth")
     add_bus_arguments(parser)

@@ -29,9 +29,11 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         epilog="example: yieldmon ticket 3-5 27.4t; yieldmon ticket list; yieldmon ticket undo 2",
     )
     parser.add_argument("loads", metavar="LOAD|list|undo", help="number of the load, or FIRST-LAST for several on one ticket")
-    parser.add_argument("mass", metavar="MASS|N", nargs="*", help="weighed mass: 9120, 9120kg, 9.12t or 20106lb; undo: a ticket")
+    parser.add_argument(
+        "mass", metavar="MASS|N", nargs="*", help="weighed mass: 9120, 9120kg, 9.12t or 20106lb; undo: number of the ticket"
+    )
     parser.add_argument("--std-dev", metavar="MASS", help="standard deviation of the weighing (default: 0.5 %% of it)")
-    parser.add_argument("--note", help="a note to keep with it")
+    parser.add_argument("--note", metavar="TEXT", help="a note to keep with it")
     add_daemon_arguments(parser)
     add_units(parser, "the daemon's configuration")
     parser.add_argument("--json", action="store_true", help="print the answer as one JSON document")

@@ -21,11 +21,13 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         epilog="example: yieldmon totals archive /mnt/usb/2026.sqlite && yieldmon totals reset 41250",
     )
     actions = parser.add_subparsers(dest="action", metavar="archive|reset", required=True)
-    archive = actions.add_parser("archive", help="copy the store into a new file")
+    archive = actions.add_parser(
+        "archive", help="copy the store into a new file", epilog="example: yieldmon totals archive /mnt/usb/2026.sqlite"
+    )
     archive.add_argument("out", metavar="OUT", help="file to write; must not be there yet")
-    archive.add_argument("--store", metavar="F", help="the store to copy; default: the running daemon's")
+    archive.add_argument("--store", metavar="FILE", help="the store to copy (default: the running daemon's)")
     add_daemon_arguments(archive)
-    reset = actions.add_parser("reset", help="all masses from 0")
+    reset = actions.add_parser("reset", help="set all masses to 0", epilog="example: yieldmon totals reset 41250")
     reset.add_argument("total_kg", type=int, metavar="KG", help="the total as `status` shows it, in whole kg")
     add_daemon_arguments(reset)
 

@@ -20,16 +20,16 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         epilog="example: yieldmon web, then http://127.0.0.1:8090/",
     )
     add_daemon_arguments(parser)
-    parser.add_argument("--store", metavar="F", type=Path, help="the store of the history; default: the daemon's")
+    parser.add_argument("--store", metavar="FILE", type=Path, help="the store of the history (default: the daemon's)")
     parser.add_argument(
         "--listen",
         metavar="ADDRESS:PORT",
         default="127.0.0.1:8090",
         help="address (default: 127.0.0.1:8090); beyond this computer with --token-file",
     )
-    parser.add_argument("--token-file", metavar="F", type=Path, help="file that holds the token")
+    parser.add_argument("--token-file", metavar="FILE", type=Path, help="file that holds the token")
     parser.add_argument("--read-only", action="store_true", help="no buttons")
-    parser.add_argument("--tiles", metavar="F", type=Path, help="background of the map: MBTiles of images")
+    parser.add_argument("--tiles", metavar="FILE", type=Path, help="background of the map: MBTiles of images")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -23,8 +23,8 @@ def run(words: Words) -> None:
     )
     parser.add_argument("source", metavar="SOURCE", help="manifest (CSV: machine, day, log), or folder MACHINE/DAY/LOGS")
     parser.add_argument("--out", required=True, metavar="DATASET", help="folder, or address such as s3://bucket/season")
-    parser.add_argument("--config", metavar="F", help="configuration of machines that have none of their own")
-    parser.add_argument("--params", metavar="P", help="parameters for all, in place of the configurations'")
+    parser.add_argument("--config", metavar="FILE", help="configuration of machines that have none of their own")
+    parser.add_argument("--params", metavar="FILE", help="parameters for all, in place of the configurations'")
     parser.add_argument("--crop", metavar="NAME", default="", help="crop of days for which nothing else names one")
     parser.add_argument(
         "--workers",
@@ -48,7 +48,7 @@ def report(words: Words) -> None:
         epilog="example: yieldmon fleet report season --html season.html",
     )
     parser.add_argument("dataset", metavar="DATASET", help="what `fleet run` wrote")
-    parser.add_argument("--html", metavar="F", help="write the report as one HTML file as well")
+    parser.add_argument("--html", metavar="FILE", help="write the report as one HTML file as well")
     parser.add_argument("--json", action="store_true", help="print the report as one JSON document")
     _outputs.add_force(parser, "html")
 
@@ -62,7 +62,7 @@ def compare(words: Words) -> None:
         epilog="example: yieldmon fleet compare season season-new-parameters",
     )
     parser.add_argument("first", metavar="A", help="dataset")
-    parser.add_argument("second", metavar="B", help="dataset; differences are B less A")
+    parser.add_argument("second", metavar="B", help="dataset; differences are B minus A")
     parser.add_argument("--json", action="store_true", help="print the comparison as one JSON document")
 
 
@@ -76,7 +76,7 @@ def prior(words: Words) -> None:
     )
     parser.add_argument("dataset", metavar="DATASET", help="what `fleet run` wrote, with tickets of at least 3 machines")
     parser.add_argument("--crop", required=True, metavar="NAME", help="crop, as shipped")
-    parser.add_argument("--out", metavar="P", help="parameter file to write")
+    parser.add_argument("--out", metavar="FILE", help="parameter file to write")
     parser.add_argument("--json", action="store_true", help="print the result as one JSON document")
     _outputs.add_force(parser, "out")
 

@@ -1,0 +1,50 @@
+"""The help of every verb and of every word below it, as a terminal of 80 columns shows it."""
+
+from __future__ import annotations
+
+import shlex
+
+import pytest
+
+from tools.reference.commands import parsers
+from yieldmon.cli.main import build_parser, find_verbs
+
+
+@pytest.fixture(scope="module")
+def helps() -> dict[str, str]:
+    """By verb and word."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("COLUMNS", "80")
+        return {name: parser.format_help() for name, parser in parsers()}
+
+
+def test_every_verb_is_there(helps: dict[str, str]) -> None:
+    assert {name.partition(" ")[0] for name in helps} == set(find_verbs())
+    assert {"load start", "fleet prior", "plot parameters", "totals reset", "calibrations undo"} <= set(helps)
+
+
+def test_each_line_fits_a_terminal(helps: dict[str, str]) -> None:
+    assert [(name, line) for name, text in helps.items() for line in text.splitlines() if len(line) > 80] == []
+
+
+def test_no_percent_sign_is_doubled(helps: dict[str, str]) -> None:
+    assert [name for name, text in helps.items() if "%%" in text] == []
+
+
+def test_each_has_an_example_that_is_a_command(helps: dict[str, str]) -> None:
+    verbs = find_verbs()
+    for name, text in helps.items():
+        found = [part for part in text.split("\n\n") if part.startswith("example: ")]
+        assert len(found) == 1, name
+        # argparse breaks lines at the hyphens of options and file names too.
+        line = found[0].removeprefix("example: ").replace("-\n", "-").replace("\n", " ")
+        assert line.startswith(f"yieldmon {name}"), name
+        for command in line.replace("&&", ";").partition(", then ")[0].split(";"):
+            program, *words = shlex.split(command)
+            assert program == "yieldmon", name
+            build_parser(verbs, verbs[words[0]])[0].parse_args(words)
+
+
+def test_a_file_is_named_FILE_and_a_number_N(helps: dict[str, str]) -> None:
+    others = {"F", "FILENAME", "PARAMS", "SEED", "COUNT"}
+    assert {name: found for name, text in helps.items() if (found := others & set(text.replace("]", " ").split()))} == {}
