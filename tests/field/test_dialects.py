@@ -210,3 +210,84 @@ def test_a_mass_of_a_load_is_no_loads_name(tmp_path: Path, mass: str, names: tup
     path.write_text("\n".join([head, *rows]) + "\n")
     found = sources.read(path, ReadOptions())
     assert tuple(name for name in found.labels["load"].names if name) == names
+
+
+#: One point a second, 2 m apart, 1 kg/s on 9.144 m.
+LOGGED = 400
+HEADING = "Longitude,Latitude,Flow(kg/s),Swath(m),Distance(m),Moisture(%),When"
+
+
+def logged(when: list[str], *, order: list[int] | None = None, moisture: str = "16.0") -> str:
+    rows = [f"-92.1,{39.0 + 1.798e-5 * n:.8f},1.0,9.144,2.0,{moisture},{when[n]}" for n in range(LOGGED)]
+    return "\n".join([HEADING, *(rows[n] for n in order or range(LOGGED))]) + "\n"
+
+
+def read_logged(content: str, tmp_path: Path, time: str = "When") -> HarvestTable:
+    path = tmp_path / "field.csv"
+    path.write_text(content)
+    return sources.read(path, ReadOptions({"time": (time.partition(":")[0], time.partition(":")[2])}))
+
+
+@pytest.mark.parametrize("unit", ["", ":d"])
+def test_days_of_a_spreadsheet_to_five_digits(unit: str, tmp_path: Path) -> None:
+    days = [f"{41880.47525 + n / 86400.0:.5f}" for n in range(LOGGED)]
+    table = read_logged(logged(days), tmp_path, f"When{unit}")
+    assert table.unix_time
+    # 29 August 2014, 11:24:21 UTC: (41880.47525 - 25569) days since 1970.
+    assert table["time_s"][0] == pytest.approx(1_409_311_461.6, abs=1.0)
+    assert np.ptp(table["interval_s"][20:-20]) < 0.2
+    assert (table["flow_kg_s"] * table["interval_s"]).sum() == pytest.approx(LOGGED, rel=0.01)
+    assert any("evened out" in note for note in table.sources[0].notes)
+
+
+def test_steps_that_really_differ_stay(tmp_path: Path) -> None:
+    moments = np.cumsum(np.where(np.arange(LOGGED) % 3 == 0, 3.0, 1.0))
+    rows = [
+        f"-92.1,{39.0 + 8.99e-6 * 2.0 * moment:.8f},1.0,9.144,{2.0 * step},16.0,{moment}"
+        for moment, step in zip(moments, np.diff(moments, prepend=0.0), strict=True)
+    ]
+    table = read_logged("\n".join([HEADING, *rows]) + "\n", tmp_path, "When:s")
+    assert table["time_s"].tolist() == moments.tolist()
+    assert not any("evened" in note for note in table.sources[0].notes)
+
+
+def test_days_without_times_are_no_clock(tmp_path: Path) -> None:
+    table = read_logged(logged(["2018-07-18"] * LOGGED), tmp_path)
+    assert not table.unix_time
+    assert table["time_s"].tolist() == list(range(LOGGED))
+    assert any("holds days and no times" in note for note in table.sources[0].notes)
+
+
+def test_rows_without_times_in_another_order_are_refused(tmp_path: Path) -> None:
+    order = np.random.default_rng(11).permutation(LOGGED).tolist()
+    with pytest.raises(InputError, match=r"not in the order driven .*expected --column time"):
+        read_logged(logged(["2018-07-18"] * LOGGED, order=order), tmp_path)
+    assert len(read_logged(logged([str(n) for n in range(LOGGED)], order=order), tmp_path)) == LOGGED
+
+
+@pytest.mark.parametrize(
+    ("quantity", "unit", "message"),
+    [
+        ("time", "weeks", "has the unit 'weeks'; expected one of s, "),
+        ("header", "kg", "--column header: has the unit 'kg'"),
+        ("pass", "m", "--column pass: has the unit 'm'"),
+    ],
+)
+def test_a_unit_that_would_count_for_nothing_is_refused(quantity: str, unit: str, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "field.csv"
+    path.write_text(logged([str(n) for n in range(LOGGED)]))
+    with pytest.raises(InputError, match=message):
+        sources.read(path, ReadOptions({quantity: ("When", unit)}))
+
+
+def test_the_hint_names_the_quantity_of_the_column(tmp_path: Path) -> None:
+    path = tmp_path / "field.csv"
+    path.write_text("Longitude,Latitude,Yield,Swath(m)\n-92.1,39.0,5.1,9.144\n")
+    with pytest.raises(InputError, match="states no known unit for Yield; expected --column yield=Yield:UNIT"):
+        sources.read(path, ReadOptions())
+
+
+def test_no_moisture_is_0(tmp_path: Path) -> None:
+    table = read_logged(logged([str(n) for n in range(LOGGED)], moisture="0"), tmp_path)
+    assert np.isnan(table["moisture_pct"]).all()
+    assert any("moisture_pct" in note for note in table.sources[0].notes)

@@ -16,6 +16,7 @@ import pytest
 from tests.in_process import program
 from tests.seconds import measured_second
 from yieldmon.cli import main as cli
+from yieldmon.field import cleaning
 from yieldmon.field.products import FILES, FORMATS, picture
 from yieldmon.service.batch import Batch, Load
 from yieldmon.service.store import Store
@@ -353,3 +354,13 @@ def test_every_product_is_written(corn_map: tuple[Path, dict[str, Any]]) -> None
     assert sorted(path.name for path in out.iterdir()) == sorted(name for kind in FORMATS for name in FILES[kind])
     with sqlite3.connect(out / "harvest.gpkg") as database:
         assert database.execute("PRAGMA integrity_check").fetchone() == ("ok",)
+
+
+def test_a_rule_that_takes_a_quarter_of_the_harvest_is_named() -> None:
+    names = (cleaning.KEPT, "header up", "duplicate", "turn")
+    cleaned = cleaning.Cleaned(np.repeat(np.arange(4, dtype=np.int8), [4, 3, 2, 1]), names)
+    notes = cleaning.much_left_out(cleaned, {cleaning.KEPT: 40.0, "header up": 26.0, "duplicate": 25.0, "turn": 9.0})
+    assert notes == (
+        "26 % of the mass, 3 points, is left out as 'header up' (not harvesting)",
+        "25 % of the mass, 2 points, is left out as 'duplicate' (time or place of another point); --without 'duplicate' keeps it",
+    )

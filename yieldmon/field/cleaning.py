@@ -42,6 +42,8 @@ _MIN_NEW_SHARE = 0.5
 _JUMP_TIMES = 3.0
 _CHUNK = 100_000
 _MIN_PART, _MAX_PARTS = 200, 200
+_MUCH = 0.25
+"""Share of the mass from which on what one rule leaves out is said by itself."""
 
 
 @dataclass(frozen=True)
@@ -382,3 +384,15 @@ def mass_by_reason(cleaned: Cleaned, placed: Placed) -> Mapping[str, float]:
     if placed.lost_kg:
         out[NO_PLACE] = placed.lost_kg
     return out
+
+
+def much_left_out(cleaned: Cleaned, mass_kg: Mapping[str, float]) -> tuple[str, ...]:
+    """A note on each reason that takes a quarter of the mass or more. mass_kg: as of mass_by_reason."""
+    total, points = sum(mass_kg.values()), cleaned.points_by_reason()
+    about = {rule.name: rule.about for rule in RULES} | {LOCAL: "far from its neighbours"}
+    return tuple(
+        f"{100 * mass / total:.0f} % of the mass, {points[name]} points, is left out as {name!r} ({about[name]})"
+        + ("" if name in NEEDED else f"; --without {name!r} keeps it")
+        for name, mass in mass_kg.items()
+        if name in about and total > 0 and mass >= _MUCH * total
+    )

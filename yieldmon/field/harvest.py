@@ -10,7 +10,7 @@ import numpy as np
 from yieldmon.estimation.gaussian import REACH_95
 from yieldmon.units import KG_PER_LB, M2_PER_ACRE, Units, UnitSystem
 
-from .cleaning import Cleaned, Context, clean, mass_by_reason
+from .cleaning import Cleaned, Context, clean, mass_by_reason, much_left_out
 from .delay import Decision, Delay
 from .loads import LoadResult, Ticket, correct
 from .machines import Machine, machines_of, placed_by_machine
@@ -197,7 +197,7 @@ def make_map(table: HarvestTable, options: MapOptions, progress: Callable[[str],
         name,
         None if facts is None else facts.bushel_lb * KG_PER_LB,
         transport,
-        _notes(table, machines, options.transport and transport is None),
+        (*_notes(table, machines, options.transport and transport is None), *much_left_out(cleaned, totals.by_reason)),
     )
 
 

@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 
 from yieldmon.errors import InputError
 from yieldmon.field.plane import Sites
-from yieldmon.field.table import LABELS, Array, HarvestTable, Label, Skipped, Source, build
+from yieldmon.field.table import LABELS, Array, HarvestTable, Label, Source, build
 from yieldmon.field.tracks import GAP_INTERVALS
 from yieldmon.field.units import FACTORS, factor
 from yieldmon.field.units import crop as known_crop
-from yieldmon.units import S_PER_DAY
 
-from . import clocks
 from .delimited import number
-from .naming import QUANTITIES, Column
+from .naming import QUANTITIES
 from .options import ReadOptions
 from .positions import plausible
+from .raw_table import Raw
+from .row_times import row_times
 
 _TABLE_NAMES = {
     "longitude": "longitude_deg",
@@ -37,39 +36,10 @@ _TABLE_NAMES = {
     "pass": "pass_number",
     "section": "section",
 }
-_TIME_UNITS = ("s", "sec", "ms", "min", "h")
-_LOOKED_AT = 100
 _WORDS = dict.fromkeys(("on", "down", "true", "yes", "working", "in work", "harvesting", "active"), 1.0) | dict.fromkeys(
     ("off", "up", "false", "no", "not working", "raised", "inactive"), 0.0
 )
 """What files call a header that is at work, or not."""
-
-
-@dataclass(frozen=True)
-class Raw:
-    """What a file holds.
-
-    Parameters
-    ----------
-    columns : mapping of str to Column
-        By quantity.
-    numbers, texts : mapping of str to array or Label
-        By the file's own name.
-    count : int
-        Rows.
-    skipped, notes
-        As in Source.
-    default_flow_s : float
-        See HarvestTable.
-    """
-
-    columns: Mapping[str, Column]
-    numbers: Mapping[str, Array]
-    texts: Mapping[str, Label]
-    count: int
-    skipped: tuple[Skipped, ...] = ()
-    notes: tuple[str, ...] = ()
-    default_flow_s: float = 0.0
 
 
 def assemble(raw: Raw, where: str, kind: str, options: ReadOptions) -> HarvestTable:
@@ -86,10 +56,10 @@ def assemble(raw: Raw, where: str, kind: str, options: ReadOptions) -> HarvestTa
     strange: tuple[str, ...] = ()
     if header is not None and header.name in raw.texts:
         values["header"], strange = _states(raw.texts[header.name], header.name)
-    time, unix_time, notes = _time(raw, options, where)
-    time = np.where(np.isfinite(time), time, np.nan)
     if "longitude" not in values or "latitude" not in values:
         raise InputError(where, "has no longitude and latitude", "--column longitude=NAME --column latitude=NAME")
+    time, unix_time, notes = row_times(raw, values, options, where)
+    time = np.where(np.isfinite(time), time, np.nan)
     if options.width_m is not None:
         values["width"] = np.full(raw.count, options.width_m)
     if "width" not in values:
@@ -125,45 +95,6 @@ def _crop_name(raw: Raw) -> str:
     return label.names[0] if label is not None and len(label.names) == 1 else ""
 
 
-def _time(raw: Raw, options: ReadOptions, where: str) -> tuple[Array, bool, list[str]]:
-    column = raw.columns.get("time") or _dated_column(raw)
-    if column is None:
-        return (
-            np.arange(raw.count, dtype=float),
-            False,
-            ["has no time: rows are taken as one second apart, in the order of the file"],
-        )
-    if column.name in raw.texts:
-        label = _with_day(raw, raw.texts[column.name])
-        times, note = clocks.parsed(label.names)
-        numbers = _as_numbers(label)
-        # Of counts of seconds some read as dates.
-        counted = column.unit in _TIME_UNITS or (np.isfinite(numbers).all() and not np.isfinite(times).all())
-        if np.isfinite(times).any() and not counted:
-            return times[label.codes], True, [note] if note else []
-        if not np.isfinite(numbers).any():
-            raise InputError(f"{where}: {column.name}", f"is {label.names[0][:40]!r}", "ISO 8601 times, or seconds")
-    else:
-        numbers = raw.numbers[column.name]
-    if column.unit in _TIME_UNITS:
-        numbers = numbers * factor(column.unit, "time", where)
-    numbers, time_unit = clocks.of_unix(numbers)
-    unix = bool(time_unit) or "unix" in column.name.lower()
-    out, notes = clocks.unwrapped(numbers)
-    if options.first_date is not None and not unix:
-        return clocks.dated(out, options.first_date), True, list(notes)
-    return out, unix, [*notes] if column.unit else [*notes, f"{column.name} is taken as {time_unit or 'seconds'}"]
-
-
-def _dated_column(raw: Raw) -> Column | None:
-    """The column of days, where it holds the time as well."""
-    day = raw.columns.get("day")
-    if day is None or day.name not in raw.texts:
-        return None
-    times, _ = clocks.parsed(raw.texts[day.name].names[:_LOOKED_AT])
-    return day if (times[np.isfinite(times)] % S_PER_DAY != 0).any() else None
-
-
 def _states(label: Label, name: str) -> tuple[Array, tuple[str, ...]]:
     """1 for on, 0 for off, NaN for a word that is not known, and a note on those."""
     states, unknown = [], []
@@ -178,25 +109,6 @@ def _states(label: Label, name: str) -> tuple[Array, tuple[str, ...]]:
         states.append(state)
     note = f"{name}: {', '.join(unknown[:5])} is neither on nor off and counts as unknown"
     return np.array(states)[label.codes], (note,) if unknown else ()
-
-
-def _with_day(raw: Raw, time: Label) -> Label:
-    """Times of the day with the day that stands in a column of its own."""
-    day = raw.columns.get("day")
-    if day is None or day.name not in raw.texts or raw.texts[day.name] is time:
-        return time
-    dates = raw.texts[day.name]
-    return Label.of([f"{a} {b}" for a, b in zip(dates.text().tolist(), time.text().tolist(), strict=True)])
-
-
-def _as_numbers(label: Label) -> Array:
-    out = []
-    for name in label.names:
-        try:
-            out.append(float(name))
-        except ValueError:
-            out.append(float("nan"))
-    return np.array(out)[label.codes]
 
 
 def _backwards(time: Array) -> tuple[str, ...]:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from datetime import UTC, date, datetime
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from yieldmon import utc
 from yieldmon.field.table import Array
@@ -15,6 +16,17 @@ from yieldmon.units import S_PER_DAY
 _UNIX_S = (631_152_000.0, 4_102_444_800.0)
 """1990 and 2100."""
 _WEEK_S = 7.0 * S_PER_DAY
+_SERIAL_DAY_OF_1970 = 25_569.0
+"""What spreadsheets give 1 January 1970 as."""
+_GAP_STEPS = 3.0
+"""Times the usual step: a longer one is a gap."""
+_LEAST_STEADY = 0.9
+"""Of the steps of a log in its own order."""
+_ROUNDED = 0.1
+"""Standard deviation of steps from which on they count as rounded, as a share of the usual one."""
+_EVENED_ROWS = 11
+_LEAST_STEP_S = 0.01
+"""No monitor logs more often."""
 
 
 def unwrapped(time_s: Array) -> tuple[Array, tuple[str, ...]]:
@@ -58,6 +70,85 @@ def of_unix(time_s: Array) -> tuple[Array, str]:
         if _UNIX_S[0] <= middle * scale < _UNIX_S[1]:
             return time_s * scale, f"Unix time in {name}"
     return time_s, ""
+
+
+def is_serial_days(numbers: Array, *, in_days: bool) -> bool:
+    """Whether numbers are dates of these decades as spreadsheets count days.
+
+    They are where they are said to be days, or where steps of so many seconds would be shorter than any log's.
+
+    >>> is_serial_days(np.array([41880.47525, 41880.47527]), in_days=False)
+    True
+    >>> is_serial_days(np.array([41880.0, 41881.0]), in_days=False)
+    False
+    """
+    known = numbers[np.isfinite(numbers)]
+    low, high = (_SERIAL_DAY_OF_1970 + edge / S_PER_DAY for edge in _UNIX_S)
+    if not known.size or not low <= np.median(known) < high:
+        return False
+    steps = np.diff(known)
+    return in_days or bool((steps > 0).any() and np.median(steps[steps > 0]) < _LEAST_STEP_S)
+
+
+def of_serial_days(days: Array) -> Array:
+    """Unix time of dates as spreadsheets count days, to the millisecond.
+
+    >>> of_serial_days(np.array([25569.5])).tolist()
+    [43200.0]
+    """
+    unix: Array = np.round((days - _SERIAL_DAY_OF_1970) * S_PER_DAY, 3)
+    return unix
+
+
+def days_only(time_s: Array) -> bool:
+    """Whether Unix times are days and no more: all at midnight, and several of the same.
+
+    >>> days_only(np.array([86400.0, 86400.0, 172800.0])), days_only(np.array([86400.0]))
+    (True, False)
+    """
+    known = time_s[np.isfinite(time_s)]
+    return bool(known.size > np.unique(known).size and (known % S_PER_DAY == 0).all())
+
+
+def evened(time_s: Array, way_m: Array) -> tuple[Array, float]:
+    """Times of a clock that counts more coarsely than the log, evened out over 11 rows; and its step, s, 0 for any other clock.
+
+    Steps that come of rounding differ while the ways driven in them do not; where a log's steps really differ, so do the ways.
+
+    Parameters
+    ----------
+    time_s : array, shape (n,)
+        In the order of the file.
+    way_m : array, shape (n,)
+        Driven since the row before, m.
+
+    Examples
+    --------
+    >>> even, step_s = evened(np.floor(np.arange(40.0) * 1.25), np.full(40, 2.0))
+    >>> bool(np.ptp(np.diff(even)[5:-5]) < 0.1), step_s
+    (True, 1.0)
+    """
+    step = np.diff(time_s, prepend=np.nan)
+    positive = step[step > 0]
+    if not positive.size:
+        return time_s, 0.0
+    usual = float(np.median(positive))
+    with np.errstate(invalid="ignore"):
+        steady = (step >= 0) & (step <= _GAP_STEPS * usual) & np.isfinite(way_m)
+    if np.count_nonzero(steady) < _LEAST_STEADY * len(step):
+        return time_s, 0.0
+    off_s, off_m = (values[steady] - uniform_filter1d(values[steady], _EVENED_ROWS) for values in (step, way_m))
+    speed = float(way_m[steady].sum() / step[steady].sum())
+    followed = float(off_s @ off_m) / max(float(off_s @ off_s), 1e-300)
+    if float(np.std(off_s)) < _ROUNDED * usual or followed > 0.5 * speed:
+        return time_s, 0.0
+    out = time_s.copy()
+    begins = np.flatnonzero(~steady)
+    for begin, end in zip(begins.tolist(), [*begins[1:].tolist(), len(step)], strict=True):
+        if end - begin > 2:
+            line = np.linspace(time_s[begin], time_s[end - 1], end - begin)
+            out[begin:end] = line + uniform_filter1d(time_s[begin:end] - line, _EVENED_ROWS, mode="nearest")
+    return out, float(positive.min())
 
 
 def dated(time_s: Array, first: date) -> Array:

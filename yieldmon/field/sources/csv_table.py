@@ -9,10 +9,11 @@ from yieldmon.errors import InputError
 from yieldmon.field.table import DEFAULT_FLOW_S, HarvestTable
 from yieldmon.repeats import repeated
 
-from .assembled import Raw, assemble
+from .assembled import assemble
 from .delimited import delimiter_of, encoding_of, has_decimal_comma, read_rows, rows_of
 from .naming import QUANTITIES, columns_of
 from .options import ReadOptions
+from .raw_table import Raw
 from .vector import to_degrees
 
 KIND = "CSV with a header"

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from yieldmon.errors import InputError
-from yieldmon.field.units import FACTORS, plain_unit
+from yieldmon.field.units import FACTORS, factor, plain_unit
 
 
 @dataclass(frozen=True)
@@ -124,6 +124,15 @@ def split_unit(name: str) -> tuple[str, str]:
     return name, ""
 
 
+def _require_unit_of(quantity: str, unit: str) -> None:
+    """Raises InputError for a unit that a person gives and that would count for nothing."""
+    kind = QUANTITIES[quantity].kind
+    if unit and kind == "date":
+        factor(unit, "time", "--column time")
+    elif unit and (kind not in FACTORS or kind == "none"):
+        raise InputError(f"--column {quantity}", f"has the unit {unit!r}", f"{quantity}=NAME, which has none")
+
+
 def _spellings(name: str, bare: str) -> tuple[str, ...]:
     """What a column may be called: with and without its unit, and without brackets that hold no known one."""
     return plain_name(bare), plain_name(name), plain_name(_BRACKETS.sub("", name))
@@ -162,8 +171,9 @@ def columns_of(
             raise InputError("--column", f"names the quantity {quantity!r}", f"one of {', '.join(QUANTITIES)}")
         if name not in names:
             raise InputError(where, f"has no column {name!r}", f"one of {', '.join(names[:30])}")
+        _require_unit_of(quantity, unit)
         out[quantity] = Column(name, quantity, unit or units.get(name, "") or split_unit(name)[1])
-    lacking = []
+    lacking: dict[str, str] = {}
     found = [(name, *split_unit(name)) for name in names]
     for quantity, facts in QUANTITIES.items():
         if quantity in out:
@@ -176,7 +186,7 @@ def columns_of(
                 continue
             unit = units.get(named[0], "") or named[1]
             if facts.kind not in ("text", "date", "state", "none") and not unit and quantity not in _NEEDS_NO_UNIT:
-                lacking.append(named[0])
+                lacking.setdefault(named[0], quantity)
                 continue
             if quantity == "moisture" and not unit:
                 unit = "%"
@@ -187,8 +197,9 @@ def columns_of(
         "width" not in out and any(plain_name(n) in QUANTITIES["width"].names for n in lacking)
     ):
         if lacking:
+            first, quantity = next(iter(lacking.items()))
             raise InputError(
-                where, f"states no known unit for {', '.join(lacking)}", f"--column flow={lacking[0]}:UNIT and so on"
+                where, f"states no known unit for {', '.join(lacking)}", f"--column {quantity}={first}:UNIT and so on"
             )
         raise InputError(where, f"has no column of flow or yield among {', '.join(names[:20])}", "--column flow=NAME:UNIT")
     notes += [f"{name} has no unit and is not used" for name in lacking if name not in {column.name for column in out.values()}]

@@ -13,7 +13,8 @@ LIMITS: Mapping[str, tuple[float, float]] = {
     "longitude_deg": (-180.0, 180.0),
     "latitude_deg": (-90.0, 90.0),
     "flow_kg_s": (0.0, 1000.0),
-    "moisture_pct": (0.0, 100.0),
+    # A sensor that has nothing in it yet reads 0.
+    "moisture_pct": (0.1, 100.0),
     "interval_s": (0.0, 3600.0),
     "distance_m": (0.0, 10_000.0),
     "width_m": (0.0, 100.0),

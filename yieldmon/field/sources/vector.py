@@ -17,10 +17,11 @@ from yieldmon.errors import InputError, brief
 from yieldmon.field.table import Array, HarvestTable, Label, Skipped, joined
 
 from . import isoxml
-from .assembled import Raw, assemble, labels_from
+from .assembled import assemble, labels_from
 from .damage import ZIP_DAMAGE, may_be_harvest
 from .naming import QUANTITIES, Column, columns_of
 from .options import ReadOptions
+from .raw_table import Raw
 
 KIND = "GeoPackage, GeoJSON or shapefile"
 ORDER = 30

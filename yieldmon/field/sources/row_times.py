@@ -1,0 +1,129 @@
+"""When each row was measured: from columns of times and days, else from the order of the rows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from yieldmon.errors import InputError
+from yieldmon.field.plane import Sites
+from yieldmon.field.table import Array, Label
+from yieldmon.field.units import FACTORS, factor, plain_unit
+from yieldmon.units import S_PER_DAY
+
+from . import clocks
+from .naming import Column
+from .options import ReadOptions
+from .raw_table import Raw
+
+_LOOKED_AT = 100
+_OUT_OF_ORDER = 1.5
+"""Rows lie this many times further apart than was driven between them where they are in another order."""
+
+
+def row_times(raw: Raw, values: Mapping[str, Array], options: ReadOptions, where: str) -> tuple[Array, bool, tuple[str, ...]]:
+    """Time of each row, s, whether it is Unix time, and what was taken for granted.
+
+    Parameters
+    ----------
+    raw : Raw
+        As read.
+    values : mapping of str to array, shape (n,)
+        Quantity -> values in SI: longitude and latitude, interval and distance where the file has them.
+    options : ReadOptions
+        Of the map.
+    where : str
+        Place for errors.
+
+    Raises
+    ------
+    InputError
+        For times that cannot be read, and for rows without times that are not in the order in which they were driven.
+    """
+    column = raw.columns.get("time") or _dated_column(raw)
+    if column is None:
+        return _in_order(raw.count, values, where, "has no time")
+    time_s, unix, notes = _of_column(column, raw, options, where)
+    if unix and clocks.days_only(time_s):
+        return _in_order(raw.count, values, where, f"{column.name} holds days and no times")
+    if "interval" in values or "section" in values:
+        return time_s, unix, tuple(notes)
+    even_s, step_s = clocks.evened(time_s, values.get("distance", _apart_m(values)))
+    if step_s:
+        notes.append(f"{column.name} counts in steps of {step_s:.2g} s, more coarsely than the rows follow: times are evened out")
+    return even_s, unix, tuple(notes)
+
+
+def _apart_m(values: Mapping[str, Array]) -> Array:
+    """From each row to the one before it."""
+    plane = Sites.about(values["longitude"], values["latitude"])
+    x, y = plane.to_m(values["longitude"], values["latitude"])
+    return np.hypot(np.diff(x, prepend=np.nan), np.diff(y, prepend=np.nan))
+
+
+def _in_order(count: int, values: Mapping[str, Array], where: str, why: str) -> tuple[Array, bool, tuple[str, ...]]:
+    """A clock for rows that have none: as far apart as their intervals are long, else a second."""
+    if "distance" in values:
+        apart_m, driven_m = (float(np.nanmedian(np.append(way, 0.0))) for way in (_apart_m(values), values["distance"]))
+        if apart_m > _OUT_OF_ORDER * driven_m > 0:
+            problem = f"{why}, and its rows are not in the order driven ({apart_m:.1f} m apart, {driven_m:.1f} m driven)"
+            raise InputError(where, problem, "--column time=NAME:UNIT, or the rows as they were logged")
+    interval_s = values.get("interval")
+    if interval_s is not None and np.isfinite(interval_s).all() and (interval_s > 0).all():
+        step, apart = interval_s, "one after another at their intervals"
+    else:
+        step, apart = np.ones(count), "one second apart"
+    return np.cumsum(step) - step, False, (f"{why}: rows are taken as {apart}, in the order of the file",)
+
+
+def _of_column(column: Column, raw: Raw, options: ReadOptions, where: str) -> tuple[Array, bool, list[str]]:
+    if column.name in raw.texts:
+        label = _with_day(raw, raw.texts[column.name])
+        times, note = clocks.parsed(label.names)
+        numbers = _as_numbers(label)
+        # Of counts of seconds some read as dates.
+        counted = plain_unit(column.unit) in FACTORS["time"] or (np.isfinite(numbers).all() and not np.isfinite(times).all())
+        if np.isfinite(times).any() and not counted:
+            return times[label.codes], True, [note] if note else []
+        if not np.isfinite(numbers).any():
+            raise InputError(f"{where}: {column.name}", f"is {label.names[0][:40]!r}", "ISO 8601 times, or seconds")
+    else:
+        numbers = raw.numbers[column.name]
+    s_per_unit = factor(column.unit, "time", f"{where}: {column.name}") if column.unit else 1.0
+    if clocks.is_serial_days(numbers, in_days=s_per_unit == S_PER_DAY):
+        return clocks.of_serial_days(numbers), True, [f"{column.name} is taken as a spreadsheet's days, 1 for 1 January 1900"]
+    numbers, time_unit = clocks.of_unix(numbers * s_per_unit)
+    unix = bool(time_unit) or "unix" in column.name.lower()
+    out, notes = clocks.unwrapped(numbers)
+    if options.first_date is not None and not unix:
+        return clocks.dated(out, options.first_date), True, list(notes)
+    return out, unix, [*notes] if column.unit else [*notes, f"{column.name} is taken as {time_unit or 'seconds'}"]
+
+
+def _dated_column(raw: Raw) -> Column | None:
+    """The column of days, where it holds the time as well."""
+    day = raw.columns.get("day")
+    if day is None or day.name not in raw.texts:
+        return None
+    times, _ = clocks.parsed(raw.texts[day.name].names[:_LOOKED_AT])
+    return day if (times[np.isfinite(times)] % S_PER_DAY != 0).any() else None
+
+
+def _with_day(raw: Raw, time: Label) -> Label:
+    """Times of the day with the day that stands in a column of its own."""
+    day = raw.columns.get("day")
+    if day is None or day.name not in raw.texts or raw.texts[day.name] is time:
+        return time
+    dates = raw.texts[day.name]
+    return Label.of([f"{a} {b}" for a, b in zip(dates.text().tolist(), time.text().tolist(), strict=True)])
+
+
+def _as_numbers(label: Label) -> Array:
+    out = []
+    for name in label.names:
+        try:
+            out.append(float(name))
+        except ValueError:
+            out.append(float("nan"))
+    return np.array(out)[label.codes]
