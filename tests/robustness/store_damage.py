@@ -54,7 +54,7 @@ class Finding:
 
 
 def original(folder: Path, seconds: int = 24) -> Original:
-    """A store that a daemon has written for so many seconds, two loads and a ticket among them."""
+    """A store that a daemon has written for so many seconds: two loads, tickets, one taken back, and a field corrected."""
     path = folder / "yieldmon.sqlite"
     with running(folder) as bench:
         bench.play(14, 0.0)
@@ -62,6 +62,9 @@ def original(folder: Path, seconds: int = 24) -> Original:
         bench.played()
         bench.daemon.command({"command": "load-start", "field": "north"})
         bench.daemon.command({"command": "ticket", "first_load": 1, "mass_kg": 50.0})
+        bench.daemon.command({"command": "ticket", "first_load": 1, "mass_kg": 49.0})
+        bench.daemon.command({"command": "ticket-undo", "ticket": 1})
+        bench.daemon.command({"command": "load-correct", "first_load": 1, "field": "south"})
         bench.play(4, 60.0)
         bench.played()
         assert bench.daemon.writer.wait_until_written(10.0)
@@ -127,7 +130,8 @@ def judge(true: Original, memory: Memory, note: str) -> tuple[str, str | None]:
 
 def _told(memory: Memory) -> tuple[object, ...]:
     parameters = "" if memory.parameters is None else digest(memory.parameters)
-    return memory.loads, memory.tickets, memory.last_version, parameters, memory.field, memory.crop, memory.faults
+    entered = memory.loads, memory.tickets, memory.actions, memory.unfinished_tickets
+    return *entered, memory.last_version, parameters, memory.field, memory.crop, memory.faults
 
 
 def _placed(folder: Path, main: bytes, journal: bytes, witness: bytes) -> Path:

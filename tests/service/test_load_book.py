@@ -114,6 +114,19 @@ def test_a_load_that_a_sweep_shows_to_be_less_sure_is_stated_so(tmp_path: Path) 
     assert record.std_dev_kg == 4.5
 
 
+@pytest.mark.parametrize(
+    "lost",
+    [{"area_m2": None}, {"std_dev_kg": None}, {"dry_mass_kg": None}, {"area_m2": None, "std_dev_kg": None, "dry_mass_kg": None}],
+)
+def test_what_is_not_known_of_a_load_any_more_is_not_in_the_store(lost: dict[str, None], tmp_path: Path) -> None:
+    """While it is open a load is written each second: the speed that fails in the middle leaves no area, not the first half's."""
+    whole, other = replace(KNOWN, std_dev_kg=2.0), replace(KNOWN, number=4, std_dev_kg=3.0)
+    with Store(tmp_path / "s.sqlite") as store:
+        store.commit([Batch(1, 1.0, {}, loads=(whole, other))])
+        store.commit([Batch(2, 2.0, {}, loads=(replace(whole, **lost),))])
+        assert store.loads() == [replace(whole, **lost), other]
+
+
 def test_a_corrected_load_is_relatively_as_sure_as_before() -> None:
     found = book(replace(KNOWN, std_dev_kg=2.0))
     found.corrected(3, MissedMass(kg=50.0))

@@ -31,6 +31,8 @@ class ActionLog:
         self._of_crop = {crop: [number for number in kept if number in known] for crop, kept in (of_crop or {}).items()}
         """Numbers of those that are to update the parameters of another crop than the present one, by its name."""
         self._taken: tuple[int, ...] = ()
+        self._taken_before = 0
+        """Number of the first action after the tickets were taken."""
         self._tickets = list(tickets)
         self._actions = list(actions)
         self._new_tickets: list[Ticket] = []
@@ -42,11 +44,14 @@ class ActionLog:
     def add(self, kind: str, who: str, document: Mapping[str, Any], now_s: float | None = None) -> Action:
         """Something that was entered or taken back. kind: of `ledger`. who: as `Action` has it. now_s: when, Unix time; None: as
         the attribute of that name."""
-        number = self._actions[-1].number + 1 if self._actions else 1
-        action = Action(number, self.now_s if now_s is None else now_s, kind, who, document)
+        action = Action(self._next_number, self.now_s if now_s is None else now_s, kind, who, document)
         self._actions.append(action)
         self._new_actions.append(action)
         return action
+
+    @property
+    def _next_number(self) -> int:
+        return self._actions[-1].number + 1 if self._actions else 1
 
     def ticket(self, ticket: Ticket, who: str = "", std_dev_kg: float | None = None, *, is_reference: bool = False) -> int:
         """A ticket; returns its number. std_dev_kg: of the weighing. is_reference: it was handed to the calibration."""
@@ -97,7 +102,8 @@ class ActionLog:
         (self._of_crop.setdefault(crop, []) if crop else self.waiting).extend(numbers)
 
     def wait_no_more(self, numbers: Sequence[int]) -> None:
-        """These tickets are not to update the parameters."""
+        """These tickets are not to update the parameters, nor to be gone on with after a restart."""
+        self._taken = tuple(number for number in self._taken if number not in numbers)
         for kept in (self.waiting, *self._of_crop.values()):
             kept[:] = [number for number in kept if number not in numbers]
 
@@ -139,8 +145,11 @@ class ActionLog:
         """Tickets that wait, each once, and the version of the parameters with which loads are measured again after them.
 
         in_use: the present version. Where a change of crop came since the tickets updated the parameters, it is the last version
-        that they led to; tickets of another version are left for the next time.
+        that they led to; tickets of another version are left for the next time. Those taken before of which nothing
+        came wait again.
         """
+        self.waiting = [*self._taken, *self.waiting]
+        self._taken_before = self._next_number
         changed = max((version for version, a in self.updates.items() if a.document.get("origin") == ledgers.CROP), default=0)
         learnt = {number: version for number, version in self._learnt.items() if version < changed}
         version = learnt.get(self.waiting[0], in_use)
@@ -171,8 +180,10 @@ class ActionLog:
 
     def posted(self, tickets: Sequence[int], version: int, factors: Mapping[int, float]) -> None:
         """Loads were measured again with the parameters of this version, after these tickets. factors: by load number; none where
-        nothing came of it."""
+        nothing came of it. Loads that were given another crop meanwhile keep what that crop's parameters measured."""
         self._taken = ()
+        recropped = ledgers.recropped(action for action in self._actions if action.number >= self._taken_before)
+        factors = {number: factor for number, factor in factors.items() if number not in recropped}
         if not factors:
             return
         document = {

@@ -96,10 +96,13 @@ def _write_rows(database: sqlite3.Connection, batch: Batch) -> None:
     executemany = database.executemany
     executemany(_INSERT_SECOND, (_summed("second", astuple(row)) for row in batch.seconds))
     executemany(_UPSERT_LOAD, (_summed("load", astuple(load)[:-2]) for load in batch.loads))
-    areas = ((load.number, load.area_m2) for load in batch.loads if load.area_m2 is not None)
-    executemany(_UPSERT_AREA, (_summed("load_area", area) for area in areas))
-    deviations = ((load.number, load.std_dev_kg) for load in batch.loads if load.std_dev_kg is not None)
-    executemany(_UPSERT_STD_DEV, (_summed("load_std_dev", deviation) for deviation in deviations))
+    for table, upsert, values in (
+        ("load_area", _UPSERT_AREA, [(load.number, load.area_m2) for load in batch.loads]),
+        ("load_std_dev", _UPSERT_STD_DEV, [(load.number, load.std_dev_kg) for load in batch.loads]),
+    ):
+        # What is not known any more has no row either.
+        executemany(f"DELETE FROM {table} WHERE number = ?", ((number,) for number, value in values if value is None))
+        executemany(upsert, (_summed(table, row) for row in values if row[1] is not None))
     executemany(_INSERT_SWEEP, (_summed("sweep", (s.time_s, s.outcome, s.reason, _json(s.document))) for s in batch.sweeps))
     executemany(
         _UPSERT_PARAMETERS,
