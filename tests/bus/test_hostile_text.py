@@ -69,6 +69,10 @@ heads = {
     ".asc": "date Mon Jan 1 00:00:00 2024\\nbase hex  timestamps absolute\\n0.1 1  123 Rx d 8 ",
     ".csv": "timestamp,arbitration_id,extended,remote,error,dlc,data\\n1.0,0x1,",
     ".trc": ";$FILEVERSION=2.1\\n;$COLUMNS=N,O,T,I,d,l,D\\n 1 ",
+    "-savvycan.csv": "Time Stamp,ID,Extended,Bus,LEN,D1\\n1000,1,false,0,1,",
+    "-canedge.csv": "TimestampEpoch;BusChannel;ID;IDE;DataLength;DataBytes\\n1.0;1;1;0;1;",
+    "-kvaser.csv": "CSV CAN data\\nFormat of data field,HEX\\nFormat of id field,HEX\\nLogging started at,2023-08-14 ",
+    "-busmaster.log": "***BUSMASTER\\n***HEX***\\n***SYSTEM MODE***\\n***START DATE AND TIME 1:1:2024 1:1:1:1***\\n01:00:00:1",
 }
 folder = pathlib.Path(sys.argv[1])
 for suffix, head in heads.items():

@@ -74,6 +74,15 @@ def _zipped_log(path: Path) -> None:
     path.write_bytes(gzip.compress(b"(1.000000) can0 123#01\n" * 400))
 
 
+def _excerpt(name: str) -> Seed:
+    """A log of another maker's logger."""
+
+    def write(path: Path) -> None:
+        path.write_bytes((Path(__file__).parents[1] / "data" / "loggers" / name).read_bytes())
+
+    return write
+
+
 def _copy(name: str) -> Seed:
     def write(path: Path) -> None:
         path.write_bytes(shipped(name).read_bytes())
@@ -255,6 +264,10 @@ READERS: dict[str, Reader] = {
     "blf": Reader("x.blf", _log, _read),
     "trc": Reader("x.trc", _log, _read),
     "csv": Reader("x.csv", _log, _read),
+    "savvycan": Reader("x.csv", _excerpt("savvycan_gvret.csv"), _read),
+    "canedge": Reader("x.csv", _excerpt("canedge.csv"), _read),
+    "busmaster": Reader("x.log", _excerpt("busmaster.log"), _in_blocks),
+    "peak": Reader("x.trc", _excerpt("peak_2_0.trc"), _read),
     "db": Reader("x.db", _log, _read),
     "candump-gz": Reader("x.log.gz", _zipped_log, _read),
     "packed": Reader("x.parquet", _packed, _read, within_parquet),

@@ -17,7 +17,15 @@ from yieldmon.bus.gunzip import early_end_of, open_bytes
 from yieldmon.bus.log_notes import LogNotes, refuse_unreadable
 from yieldmon.bus.logs import PACKED_SUFFIX, log_format, read_log, reading_log, require_log
 from yieldmon.bus.packed_reading import Wanted, dropped_by_recorder, read_blocks
-from yieldmon.bus.text_logs import LONGEST_LINE_BYTES, candump_frame, endless, line_problem, without_byte_order_mark
+from yieldmon.bus.text_logs import (
+    LONGEST_LINE_BYTES,
+    candump_frame,
+    endless,
+    is_candump,
+    line_problem,
+    read_stream,
+    without_byte_order_mark,
+)
 
 _CHUNK_BYTES = 4 * 1024 * 1024
 _MESSAGES_PER_BLOCK = 100_000
@@ -74,7 +82,10 @@ def iter_blocks(
         for block in _candump_blocks(path, notes, chunk_bytes, compiled):
             yield block if wanted is None else block.take(np.flatnonzero(wanted(block.can_id)))
         return
-    messages = read_log(path, notes)
+    yield from _blocks_of(read_log(path, notes))
+
+
+def _blocks_of(messages: Iterator[can.Message]) -> Iterator[FrameBlock]:
     while batch := list(islice(messages, _MESSAGES_PER_BLOCK)):
         yield block_of(batch)
 
@@ -83,6 +94,10 @@ def _candump_blocks(path: Path, notes: LogNotes, chunk_bytes: int, compiled: boo
     channels: list[str] = []
     line = 1
     with reading_log(path), open_bytes(path, log_format(path)[1]) as stream:
+        if not is_candump(stream):
+            yield from _blocks_of(_counted(read_stream(stream, path, ".log", notes), notes))
+            refuse_unreadable(notes)
+            return
         try:
             for chunk in _whole_lines(stream, path, chunk_bytes):
                 parsed = _parse(chunk, path, notes, channels, line, compiled)
@@ -95,6 +110,12 @@ def _candump_blocks(path: Path, notes: LogNotes, chunk_bytes: int, compiled: boo
     if early_end is not None:
         notes.damage(f"{path}:{line}", early_end)
     refuse_unreadable(notes)
+
+
+def _counted(messages: Iterator[can.Message], notes: LogNotes) -> Iterator[can.Message]:
+    for message in messages:
+        notes.frame(message)
+        yield message
 
 
 class _Endless(Exception):

@@ -15,8 +15,8 @@ _log = logging.getLogger(__name__)
 
 
 _KINDS = {
-    ".log": ": lines of candump; export others as .asc or .trc",
-    ".csv": ": timestamp,arbitration_id,extended,remote,error,dlc,data of python-can; export others as .asc or .trc",
+    ".log": ": lines of candump or BUSMASTER; export others as .asc or .trc",
+    ".csv": ": of python-can, SavvyCAN, Kvaser or CANedge; export others as .asc or .trc",
     ".trc": ": PEAK's; export others as .asc",
     ".asc": ": Vector's",
 }

@@ -1,4 +1,5 @@
-"""Text logs line by line: candump by its own parser, the others by python-can; damaged lines are reported and skipped."""
+"""Text logs line by line: candump and those of loggers by parsers of their own, Vector's and python-can's by python-can; damaged
+lines are reported and skipped."""
 
 from __future__ import annotations
 
@@ -14,6 +15,10 @@ from yieldmon.bus.candump import dropped_frames, parse_line
 from yieldmon.bus.frame_check import impossible
 from yieldmon.bus.gunzip import early_end_of, open_bytes
 from yieldmon.bus.log_notes import LogNotes
+from yieldmon.bus.loggers import canedge, kvaser, savvycan
+from yieldmon.bus.loggers.busmaster import Busmaster, begins
+from yieldmon.bus.loggers.fields import Parser
+from yieldmon.bus.loggers.peak import Trace
 from yieldmon.errors import InputError
 
 #: By their ending; candump's is the first.
@@ -24,11 +29,13 @@ TEXT_SUFFIXES = (".log", ".asc", ".csv", ".trc")
 LONGEST_LINE_BYTES = 4096
 #: Of a longer line the rest is passed over, up to so much, behind which nothing more is looked for.
 LONGEST_SKIPPED_BYTES = 256 * 1024 * 1024
+_LONGEST_START_BYTES = 64
+_UTF8_MARK = b"\xef\xbb\xbf"
 #: Control characters that stand in no text log: all but tab, line feed and carriage return.
 _CONTROL_BYTE = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]")
 
 #: What stands for a header when a reader goes on behind a damaged line: the line it may skip without loss.
-_RESUME_LINE = {".asc": "internal events logged", ".csv": "header", ".trc": ";"}
+_RESUME_LINE = {".asc": "internal events logged", ".csv": "header"}
 _UNPACKED = re.compile(r"values to unpack \(expected (\d+)")
 """How Python says that a line has more or fewer fields than its reader takes."""
 
@@ -36,8 +43,26 @@ _UNPACKED = re.compile(r"values to unpack \(expected (\d+)")
 def read_text(path: Path, suffix: str, compressed: bool, notes: LogNotes) -> Iterator[can.Message]:
     """The frames of a text log; `notes` takes in what is wrong with it. Raises InputError for UTF-16, OSError."""
     with open_bytes(path, compressed) as stream:
-        lines = _Lines(stream, path, notes)
-        yield from _read_candump(lines, notes) if suffix == ".log" else _read_with_python_can(lines, suffix)
+        yield from read_stream(stream, path, suffix, notes)
+
+
+def read_stream(stream: io.BufferedReader, path: Path, suffix: str, notes: LogNotes) -> Iterator[can.Message]:
+    """As read_text(), of a stream that stands at its beginning. path: for what is said of it."""
+    lines = _Lines(stream, path, notes)
+    match suffix:
+        case ".log":
+            return _read_candump(lines, notes) if is_candump(stream) else _read_lines(lines, Busmaster())
+        case ".trc":
+            return _read_trace(lines)
+        case ".csv":
+            return _read_csv(lines, notes)
+        case _:
+            return _read_with_python_can(lines, suffix)
+
+
+def is_candump(stream: io.BufferedReader) -> bool:
+    """Whether a .log that stands at its beginning is to be read as candump's, not as BUSMASTER's."""
+    return not begins(stream.peek(_LONGEST_START_BYTES).removeprefix(_UTF8_MARK))
 
 
 class _Lines:
@@ -48,6 +73,7 @@ class _Lines:
 
     def __init__(self, stream: io.BufferedReader, path: Path, notes: LogNotes) -> None:
         self.number = 0
+        self.damaged = False
         self.resume_with: str | None = None
         self._stream = stream
         self._path = path
@@ -79,6 +105,7 @@ class _Lines:
 
     def damage(self, problem: str) -> None:
         """Reports the line handed out last."""
+        self.damaged = True
         self._notes.damage(f"{self._path}:{self.number}", problem)
 
     def _read_line(self) -> bytes:
@@ -114,7 +141,7 @@ def without_byte_order_mark(start: bytes, path: Path) -> bytes:
     """The start of a text file without the mark that some editors put before UTF-8. Raises InputError for UTF-16."""
     if start.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise InputError(str(path), "UTF-16 text", "UTF-8 or ASCII")
-    return start.removeprefix(b"\xef\xbb\xbf")
+    return start.removeprefix(_UTF8_MARK)
 
 
 def endless(line_bytes: int) -> str | None:
@@ -150,6 +177,47 @@ def _read_candump(lines: _Lines, notes: LogNotes) -> Iterator[can.Message]:
     for line in lines:
         message = candump_frame(line, notes, lines.damage)
         if message is not None:
+            yield message
+
+
+def _read_csv(lines: _Lines, notes: LogNotes) -> Iterator[can.Message]:
+    """By the first line; a file whose first line no logger writes is python-can's."""
+
+    def lost() -> None:
+        notes.dropped_by_recorder += 1
+
+    heading = next(lines, None)
+    if heading is None:
+        return
+    try:
+        parse = savvycan.parser(heading) or canedge.parser(heading) or kvaser.parser(heading, lost)
+    except ValueError as error:
+        lines.damage(str(error))
+        return
+    if parse is not None:
+        yield from _read_lines(lines, parse)
+        return
+    lines.resume_with = heading
+    yield from _read_with_python_can(lines, ".csv")
+
+
+def _read_trace(lines: _Lines) -> Iterator[can.Message]:
+    trace = Trace()
+    yield from _read_lines(lines, trace)
+    if trace.incomplete and not lines.damaged:
+        lines.damage(trace.incomplete)
+
+
+def _read_lines(lines: _Lines, parse: Parser) -> Iterator[can.Message]:
+    for line in lines:
+        try:
+            message = parse(line)
+            problem = None if message is None else impossible(message)
+        except ValueError as error:
+            message, problem = None, str(error)
+        if problem is not None:
+            lines.damage(problem)
+        elif message is not None:
             yield message
 
 

@@ -1,0 +1,262 @@
+"""Logs as other makers' loggers write them: excerpts by others (tests/data/loggers), and forms made here where there is none."""
+
+from __future__ import annotations
+
+import gzip
+from datetime import UTC, datetime
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+
+from yieldmon.bus.loading import load_frames
+from yieldmon.bus.log_notes import LogNotes
+from yieldmon.bus.logs import read_log
+from yieldmon.cli.main import main
+from yieldmon.errors import InputError
+
+LOGGERS = Path(__file__).parents[1] / "data" / "loggers"
+START_S = datetime(2023, 8, 14, 9, 15, 2, tzinfo=UTC).timestamp()
+
+KVASER = """CSV CAN data
+Converted from Kvaser Memorator at,2023-08-14 16:02:11
+
+Format of data field,{data}
+Format of id field,{id}
+Timestamp Offset,             0.00000,seconds
+Logging started at,2023-08-14 09:15:02
+Time,Channel,id,Flags,DLC,Data0,Data1,Data2,Data3,Data4,Data5,Data6,Data7,Counter,AbsTime
+"""
+BUSMASTER = """***BUSMASTER Ver 1.6.4***
+***PROTOCOL {protocol}***
+***NOTE: PLEASE DO NOT EDIT THIS DOCUMENT***
+***[START LOGGING SESSION]***
+***START DATE AND TIME 14:8:2023 {start}***
+***{base}***
+***{mode} MODE***
+"""
+
+
+def read(path: Path) -> tuple[list[can.Message], LogNotes]:
+    notes = LogNotes(on_damage=lambda damage: None)
+    return list(read_log(path, notes)), notes
+
+
+def written(tmp_path: Path, name: str, text: str) -> Path:
+    (tmp_path / name).write_text(text, encoding="utf-8")
+    return tmp_path / name
+
+
+@pytest.mark.parametrize(
+    ("name", "frames", "errors", "first", "last"),
+    [
+        ("savvycan_gvret.csv", 40, 0, (166.064, 0x21A, False, "FE3612FE690507AD"), None),
+        ("busmaster.log", 27, 0, (1443046814.992, 0x21A, False, "FE3612FE690507AD"), None),
+        ("canedge.csv", 79, 0, (1581670628.16155, 0x123, False, ""), None),
+        ("peak_1_0.trc", 4, 1, (1.841, 1, False, "0000000000000000"), (1.845, 0x300, False, "0000000000000000")),
+        ("peak_1_1.trc", 6, 1, (1048510353.543897, 0x300, False, "00000000040000"), None),
+        ("peak_1_2.trc", 6, 1, (1236356113.377202, 0x300, False, "00000000040000"), None),
+        ("peak_1_3.trc", 5, 1, (1649159855.830352, 0x401, False, "0000000000000000"), None),
+        ("peak_2_0.trc", 8, 1, (1437731217.674896, 0x300, False, "00000000040000"), None),
+        ("peak_2_1.trc", 9, 2, (1399460968.107754, 0x300, False, "00000000040000"), None),
+    ],
+)
+def test_logs_by_others_are_read_whole(name: str, frames: int, errors: int, first: tuple, last: tuple | None) -> None:
+    messages, notes = read(LOGGERS / name)
+    assert (len(messages), notes.error_frames, notes.damages) == (frames, errors, [])
+    for expected, message in ((first, messages[0]), (last, messages[-1])):
+        if expected is not None:
+            time_s, *rest = expected
+            assert message.timestamp == pytest.approx(time_s, abs=2e-6)
+            assert [message.arbitration_id, message.is_extended_id, message.data.hex().upper()] == rest
+
+
+@pytest.mark.parametrize("name", sorted(path.name for path in LOGGERS.iterdir() if path.suffix != ".md"))
+def test_blocks_hold_the_same_frames_gzipped_as_well(tmp_path: Path, name: str) -> None:
+    packed = tmp_path / f"{name}.gz"
+    packed.write_bytes(gzip.compress((LOGGERS / name).read_bytes()))
+    messages, notes = read(LOGGERS / name)
+    counted = LogNotes()
+    for path in (LOGGERS / name, packed):
+        block = load_frames(path, counted)
+        assert block.time_s.tolist() == [message.timestamp for message in messages]
+        assert (block.can_id & 0x1FFFFFFF).tolist() == [message.arbitration_id for message in messages]
+    assert (counted.frames, counted.error_frames) == (2 * notes.frames, 2 * notes.error_frames)
+
+
+def test_what_frames_of_other_kinds_are_in_the_excerpts() -> None:
+    canedge = read(LOGGERS / "canedge.csv")[0]
+    assert {message.channel for message in canedge} == {1}
+    assert {(message.is_fd, message.bitrate_switch) for message in canedge} == {(False, False), (True, False), (True, True)}
+    assert max(len(message.data) for message in canedge) == 64
+    assert [m.is_extended_id for m in canedge if m.arbitration_id == 0x12345678] == [True] * 38
+    trace = read(LOGGERS / "peak_2_0.trc")[0]
+    assert [message.is_rx for message in trace] == [True, True, False, True, False, True, False, True]
+    assert [(message.is_fd, len(message.data)) for message in trace][4] == (True, 12)
+    assert [message.is_remote_frame for message in trace][-1] is True
+    assert (trace[-2].arbitration_id, trace[-2].is_extended_id) == (0x18EFC034, True)
+
+
+@pytest.mark.parametrize(("ids", "data"), [("HEX", "HEX"), ("DEC", "DEC"), ("DEC", "HEX"), ("HEX", "DEC")])
+@pytest.mark.parametrize("separator", [",", ";", "\t"])
+def test_kvaser_says_its_bases_itself(tmp_path: Path, ids: str, data: str, separator: str) -> None:
+    number = {"HEX": "{:x}", "DEC": "{:d}"}
+    byte = {"HEX": "{:02x}", "DEC": "{:d}"}[data]
+    payload = bytes((128, 62, 0, 255, 255, 255, 255, 16))
+    cells = [byte.format(one) for one in payload]
+    clock = "2023-08-14 09:15:02"
+    rows = [
+        ["0.00251", "1", number[ids].format(0x18FF0117), "4", "8", *cells, "1", clock],
+        ["0.00252", "2", number[ids].format(0x123), "66", "2", *cells[:2], *[""] * 6, "2", clock],
+        ["0.00260", "1", "", "34", "", *[""] * 8, "3", clock],
+        ["0.00270", "1", number[ids].format(0x321), "3", "4", *[""] * 8, "4", clock],
+        ["0.00280", "1", number[ids].format(0x322), "130", "1", cells[0], *[""] * 7, "5", clock],
+        ["0.00290", "1", number[ids].format(0x7FF), str(2 + 0x400), "0", *[""] * 8, "6", clock],
+    ]
+    text = KVASER.format(id=ids, data=data).replace(",", separator) + "".join(separator.join(row) + "\n" for row in rows)
+    if separator == ";":
+        text = text.replace("0.00", "0,00")
+    messages, notes = read(written(tmp_path, "memorator.csv", text))
+    assert (notes.damages, notes.error_frames, notes.dropped_by_recorder) == ([], 1, 1)
+    first, sent, error, remote, last = messages
+    assert (first.arbitration_id, first.is_extended_id, bytes(first.data)) == (0x18FF0117, True, payload)
+    assert first.timestamp == pytest.approx(START_S + 0.00251, abs=1e-6)
+    assert (sent.arbitration_id, sent.is_extended_id, sent.is_rx, sent.channel) == (0x123, False, False, 2)
+    assert (error.is_error_frame, remote.is_remote_frame, remote.dlc) == (True, True, 4)
+    assert last.arbitration_id == 0x7FF
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        (KVASER.format(id="HEX", data="HEX").replace(",id,", ",PGN,").replace("of id", "of PGN"), "parameter groups in place of"),
+        (KVASER.format(id="HEX", data="HEX").replace("Format of id field,HEX\n", ""), "does not say whether identifiers"),
+        ("CSV CAN data\n" + "x\n" * 50, "no line begins Time, Channel"),
+        ("TimestampEpoch;BusChannel;ID;IDE;DLC\n1.0;1;123;0;0\n", "lacks the column DataLength"),
+        ("Time,Id,Data\n0.1,123,AA BB\n", "of python-can, SavvyCAN, Kvaser or CANedge"),
+    ],
+)
+def test_csv_that_cannot_be_read_is_refused_in_one_line(tmp_path: Path, text: str, problem: str, capsys) -> None:
+    path = written(tmp_path, "logger.csv", text)
+    with pytest.raises(InputError, match=problem):
+        read(path)
+    assert main(["process", str(path), "--out", str(tmp_path / "out.csv")]) == 2
+    told = capsys.readouterr().err.strip().splitlines()
+    assert [problem in line for line in told] == [True]
+
+
+@pytest.mark.parametrize(
+    ("mode", "base", "start", "times", "expected_s"),
+    [
+        ("ABSOLUTE", "DEC", "9:15:2:0", ("00:00:01:2541", "00:00:01:2548"), (1.2541, 1.2548)),
+        ("ABSOLUTE", "HEX", "9:15:2:0", ("94:00:00:0000", "94:00:01:0000"), (94 * 3600.0, 94 * 3600.0 + 1)),
+        ("RELATIVE", "HEX", "9:15:2:0", ("00:00:00:0000", "00:00:00:0013", "00:00:00:0980"), (0.0, 0.0013, 0.0993)),
+        ("SYSTEM", "DEC", "9:15:2:0", ("09:15:03:5000", "09:15:03:5010"), (1.5, 1.501)),
+        # The clock of the log's name and that of its frames differ by seconds; no frame is a day late for that.
+        ("SYSTEM", "HEX", "9:15:2:0", ("09:14:40:0000", "09:14:41:0000"), (-22.0, -21.0)),
+        ("SYSTEM", "HEX", "23:59:59:0", ("23:59:59:9000", "00:00:00:1000", "00:00:01:0000"), (53097.9, 53098.1, 53099.0)),
+    ],
+)
+def test_times_of_busmaster(tmp_path: Path, mode: str, base: str, start: str, times: tuple, expected_s: tuple) -> None:
+    identifier, data = {"HEX": ("0x6D6", "0A FF"), "DEC": ("1750", "010 255")}[base]
+    text = BUSMASTER.format(protocol="CAN", start=start, base=base, mode=mode)
+    text += "".join(f"{time} Tx 1 {identifier} s 2 {data}\n" for time in times) + "***[STOP LOGGING SESSION]***\n"
+    messages, notes = read(written(tmp_path, "busmaster.log", text))
+    assert notes.damages == []
+    assert [m.timestamp - START_S for m in messages] == pytest.approx(expected_s, abs=2e-6)
+    assert {(m.arbitration_id, bytes(m.data), m.is_rx) for m in messages} == {(0x6D6, b"\x0a\xff", False)}
+
+
+def test_busmaster_sessions_kinds_and_another_protocol(tmp_path: Path) -> None:
+    can_log = BUSMASTER.format(protocol="CAN", start="9:15:2:0", base="HEX", mode="ABSOLUTE")
+    can_log += "00:00:01:0000 Rx 1 0xD83CEB3 x 2 00 01\n00:00:02:0000 Rx 2 0x136 sr 8\n"
+    path = written(tmp_path, "two.log", can_log + can_log.replace("9:15:2:0", "9:16:2:0"))
+    messages, notes = read(path)
+    assert notes.damages == []
+    assert [m.timestamp - START_S for m in messages] == [1.0, 2.0, 61.0, 62.0]
+    assert [(m.is_extended_id, m.is_remote_frame) for m in messages[:2]] == [(True, False), (False, True)]
+    other = BUSMASTER.format(protocol="J1939", start="9:15:2:0", base="HEX", mode="SYSTEM")
+    with pytest.raises(InputError, match="protocol J1939; expected one of protocol CAN"):
+        read(written(tmp_path, "j1939.log", other + "14:24:01:3995 1 1ceaff00 0x00EA00 RQST_ACL 00  FF  007 Tx 3 00 EE 00\n"))
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "problem"),
+    [
+        ("savvycan_gvret.csv", ",false,0,8,67,01,5E,", ",false,0,8,67,01", "byte 285 is above 255"),
+        ("savvycan_gvret.csv", "0000022A", "0000x22A", "identifier '0000x22A' is no hexadecimal number"),
+        ("canedge.csv", ";1;1;0;0;0;12\n", ";1;1;0;0;0;1\n", "no hexadecimal bytes"),
+        ("canedge.csv", ";2;2;0;0;0;1234\n", ";2;2;0;0;0;12\n", "1 bytes of data where the length says 2"),
+        ("busmaster.log", "0000021A s 8 FE 36", "0000021A s 8 36", "7 bytes of data where the length says 8"),
+        ("peak_1_3.trc", "Rx        0401", "Qx        0401", "type 'Qx' is not known"),
+        ("peak_2_1.trc", "DT 1 0400 Tx - 2 00 00", "DT 1 0400 Tx - 2 00", "1 bytes of data where the length says 2"),
+    ],
+)
+def test_a_damaged_line_costs_itself(tmp_path: Path, name: str, old: str, new: str, problem: str) -> None:
+    text = (LOGGERS / name).read_text(encoding="utf-8")
+    assert old in text
+    whole, (messages, notes) = read(LOGGERS / name)[0], read(written(tmp_path, name, text.replace(old, new, 1)))
+    assert len(messages) == len(whole) - 1
+    assert [problem in damage.problem for damage in notes.damages] == [True]
+
+
+@pytest.mark.parametrize(
+    ("version", "problem"), [("9.9", "version 9.9; expected 1.0 to 2.1"), ("2.1", "does not name its columns")]
+)
+def test_traces_that_cannot_be_read_are_refused(tmp_path: Path, version: str, problem: str) -> None:
+    text = f";$FILEVERSION={version}\n;\n      1      1059.900 DT 1      0300 Rx -  1    00\n"
+    with pytest.raises(InputError, match=problem):
+        read(written(tmp_path, "drive.trc", text))
+
+
+def _savvycan(m: can.Message) -> str:
+    cells = ",".join(f"{byte:02X}" for byte in m.data.ljust(8, b"\0"))
+    return f"{round(m.timestamp * 1e6)},{m.arbitration_id:08X},{str(m.is_extended_id).lower()},Rx,0,{m.dlc},{cells},"
+
+
+def _canedge(m: can.Message) -> str:
+    kind = f"{int(m.is_extended_id)};{m.dlc};{m.dlc};0;0;0;0;0"
+    return f"{m.timestamp:.6f};1;{m.arbitration_id:X};{kind};{m.data.hex().upper()}"
+
+
+def _kvaser(m: can.Message) -> str:
+    cells = [str(byte) for byte in m.data] + [""] * (8 - m.dlc)
+    flags = 4 if m.is_extended_id else 2
+    return ",".join([f"{m.timestamp - START_S:.6f}", "1", str(m.arbitration_id), str(flags), str(m.dlc), *cells, "7", "-"])
+
+
+def _busmaster(m: can.Message) -> str:
+    tenths = round((m.timestamp - START_S) * 1e4)
+    clock = f"{tenths // 36_000_000:02d}:{tenths // 600_000 % 60:02d}:{tenths // 10_000 % 60:02d}:{tenths % 10_000:04d}"
+    return f"{clock} Rx 1 0x{m.arbitration_id:X} {'x' if m.is_extended_id else 's'} {m.dlc} {m.data.hex(' ').upper()}"
+
+
+_FORMS = {
+    "savvycan.csv": ("Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,D3,D4,D5,D6,D7,D8\n", _savvycan),
+    "canedge.csv": ("TimestampEpoch;BusChannel;ID;IDE;DLC;DataLength;Dir;EDL;BRS;ESI;RTR;DataBytes\n", _canedge),
+    "kvaser.csv": (KVASER.format(id="DEC", data="DEC"), _kvaser),
+    "busmaster.log": (BUSMASTER.format(protocol="CAN", start="9:15:2:0", base="HEX", mode="ABSOLUTE"), _busmaster),
+}
+
+
+@pytest.fixture(scope="module")
+def harvest(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("harvest")
+    command = ["simulate", "--duration", "25", "--seed", "5", "--start-time", f"{START_S:.0f}", "--log", str(folder / "day.log")]
+    assert main(command) == 0
+    return folder / "day.log"
+
+
+@pytest.mark.parametrize("name", list(_FORMS))
+def test_a_harvest_measures_the_same_from_any_logger(tmp_path: Path, harvest: Path, name: str) -> None:
+    heading, line = _FORMS[name]
+    path = written(tmp_path, name, heading + "".join(line(message) + "\n" for message in read_log(harvest)))
+    tables = []
+    for log in (harvest, path):
+        out = tmp_path / f"{log.stem}-out.csv"
+        assert main(["process", str(log), "--out", str(out)]) == 0
+        tables.append(np.genfromtxt(out, delimiter=",", names=True, dtype=None, encoding="utf-8"))
+    assert len(tables[0]) == len(tables[1]) >= 20
+    np.testing.assert_allclose(tables[1]["mass_flow_kg_s"], tables[0]["mass_flow_kg_s"], rtol=2e-4, atol=1e-3)
+    np.testing.assert_allclose(tables[1]["time_s"], tables[0]["time_s"], atol=2e-4)

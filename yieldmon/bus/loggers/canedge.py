@@ -1,0 +1,58 @@
+"""CSV that CSS Electronics' converters make of CANedge's MF4 files: seconds since 1970, hexadecimal identifiers.
+
+Lines, with the delimiter that the converter was given, and ESI and RTR in newer ones::
+
+    TimestampEpoch;BusChannel;ID;IDE;DLC;DataLength;Dir;EDL;BRS;DataBytes
+    1581670628.161750;1;123;0;1;1;0;0;0;12
+    TimestampEpoch;BusChannel;ID;IDE;DLC;DataLength;Dir;EDL;BRS;ESI;RTR;DataBytes
+
+Dir is 0 for received. Without the column RTR a remote frame is one with a length and no data. CANedge keeps error frames apart.
+"""
+
+from __future__ import annotations
+
+import can
+
+from .fields import Form, Parser, message, seconds, switch, whole
+
+_NEEDED = ("TimestampEpoch", "BusChannel", "ID", "IDE", "DataLength", "DataBytes")
+_OPTIONAL = ("Dir", "EDL", "BRS", "ESI", "RTR")
+
+
+def parser(heading: str) -> Parser | None:
+    """What reads the lines behind this one; None where it is not CANedge's heading."""
+    if not heading.startswith(_NEEDED[0]):
+        return None
+    delimiter = heading[len(_NEEDED[0]) : len(_NEEDED[0]) + 1]
+    columns = [column.strip() for column in heading.split(delimiter)] if delimiter else []
+    missing = [name for name in _NEEDED if name not in columns]
+    if missing:
+        raise ValueError(f"lacks the column {missing[0]}")
+    place = {name: columns.index(name) for name in (*_NEEDED, *_OPTIONAL) if name in columns}
+
+    def frame(line: str) -> can.Message | None:
+        fields = [field.strip() for field in line.split(delimiter)]
+        if fields == [""]:
+            return None
+        if len(fields) != len(columns):
+            raise ValueError(f"{len(fields)} fields; expected {len(columns)}, as the heading has")
+        flags = {name: switch(fields[place[name]] or "0", name) for name in _OPTIONAL if name in place}
+        length, text = whole(fields[place["DataLength"]], "length"), fields[place["DataBytes"]]
+        try:
+            data = bytes.fromhex(text)
+        except ValueError:
+            raise ValueError(f"data {text[:20]!r} are no hexadecimal bytes") from None
+        form = Form(
+            whole(fields[place["ID"]], "identifier", 16),
+            switch(fields[place["IDE"]], "IDE"),
+            is_rx=not flags.get("Dir", False),
+            is_remote=flags.get("RTR", length > 0 and not text),
+            is_fd=flags.get("EDL", False),
+            bit_rate_switch=flags.get("BRS", False),
+            error_state=flags.get("ESI", False),
+        )
+        return message(
+            seconds(fields[place["TimestampEpoch"]]), whole(fields[place["BusChannel"]], "channel"), form, data, length
+        )
+
+    return frame

@@ -1,0 +1,104 @@
+"""Fields of a logger's text line as numbers; ValueError, which names the field, where one is none."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from datetime import UTC, datetime
+from typing import NamedTuple
+
+import can
+
+from yieldmon.identifiers import CLASSIC_BYTES, LARGEST_STANDARD_ID
+
+#: Of one log: a line without its end in, its frame out; None for a line that holds none. Raises ValueError, which says why the
+#: line cannot be read.
+Parser = Callable[[str], can.Message | None]
+_FD_LENGTHS: tuple[int, ...] = (*range(CLASSIC_BYTES + 1), 12, 16, 20, 24, 32, 48, 64)
+
+
+class Form(NamedTuple):
+    """What an identifier and its flags say of a frame, without its data."""
+
+    arbitration_id: int
+    is_extended: bool
+    is_rx: bool = True
+    is_remote: bool = False
+    is_fd: bool = False
+    bit_rate_switch: bool = False
+    error_state: bool = False
+
+
+def whole(text: str, what: str, base: int = 10) -> int:
+    """A whole number that is not negative; `base` 16 with or without 0x."""
+    try:
+        number = int(text, base)
+    except ValueError:
+        number = -1
+    if number < 0:
+        raise ValueError(f"{what} {text[:20]!r} is no {'hexadecimal ' if base == 16 else ''}number")
+    return number
+
+
+def seconds(text: str, what: str = "time") -> float:
+    """A number with a point or a comma."""
+    try:
+        return float(text.replace(",", "."))
+    except ValueError:
+        raise ValueError(f"{what} {text[:20]!r} is no number") from None
+
+
+def switch(text: str, what: str) -> bool:
+    """0 or 1, true or false."""
+    known = {"0": False, "false": False, "1": True, "true": True}
+    if text.lower() not in known:
+        raise ValueError(f"{what} {text[:20]!r} is not 0 or 1, true or false")
+    return known[text.lower()]
+
+
+def data_bytes(fields: Sequence[str], base: int = 16) -> bytes:
+    """One byte a field."""
+    numbers = [whole(text, "byte", base) for text in fields]
+    if any(number > 0xFF for number in numbers):
+        raise ValueError(f"byte {max(numbers)} is above 255")
+    return bytes(numbers)
+
+
+def fd_length(code: int) -> int:
+    """Bytes of a CAN FD frame by its data length code."""
+    if code >= len(_FD_LENGTHS):
+        raise ValueError(f"data length code {code} is above 15")
+    return _FD_LENGTHS[code]
+
+
+def clock_s(year: int, month: int, day: int, hour: int, minute: int, second: int) -> float:
+    """Seconds since 1970 of what a clock showed, taken as UTC: logs do not name their zone."""
+    return datetime(year, month, day, hour, minute, second, tzinfo=UTC).timestamp()
+
+
+def message(time_s: float, channel: int | str | None, form: Form, data: bytes, length: int) -> can.Message:
+    """A frame. Raises ValueError where its data are not as many bytes as its length says; a remote frame has none."""
+    if not form.is_remote and len(data) != length:
+        raise ValueError(f"{len(data)} bytes of data where the length says {length}")
+    return can.Message(
+        timestamp=time_s,
+        channel=channel,
+        arbitration_id=form.arbitration_id,
+        is_extended_id=form.is_extended,
+        is_remote_frame=form.is_remote,
+        is_rx=form.is_rx,
+        is_fd=form.is_fd,
+        bitrate_switch=form.bit_rate_switch,
+        error_state_indicator=form.error_state,
+        dlc=length,
+        data=None if form.is_remote else data,
+    )
+
+
+def error_frame(time_s: float, channel: int | str | None) -> can.Message:
+    """An error frame of whatever kind."""
+    return can.Message(timestamp=time_s, channel=channel, is_error_frame=True, is_extended_id=False, dlc=0)
+
+
+def extended(arbitration_id: int, *, marked: bool) -> bool:
+    """Whether an identifier has 29 bits: as marked, or since it is too large for 11."""
+    return marked or arbitration_id > LARGEST_STANDARD_ID
