@@ -186,6 +186,9 @@ def test_busmaster_sessions_kinds_and_another_protocol(tmp_path: Path) -> None:
     [
         ("savvycan_gvret.csv", ",false,0,8,67,01,5E,", ",false,0,8,67,01", "byte 285 is above 255"),
         ("savvycan_gvret.csv", "0000022A", "0000x22A", "identifier '0000x22A' is no hexadecimal number"),
+        ("savvycan_gvret.csv", "166064000,0000022A", "9" * 400 + ",0000022A", "is no number"),
+        ("canedge.csv", "1581670628.161750;", "nan;", "time 'nan' is no number"),
+        ("canedge.csv", "1581670628.161750;", "1e400;", "time '1e400' is no number"),
         ("canedge.csv", ";1;1;0;0;0;12\n", ";1;1;0;0;0;1\n", "no hexadecimal bytes"),
         ("canedge.csv", ";2;2;0;0;0;1234\n", ";2;2;0;0;0;12\n", "1 bytes of data where the length says 2"),
         ("busmaster.log", "0000021A s 8 FE 36", "0000021A s 8 36", "7 bytes of data where the length says 8"),

@@ -18,7 +18,7 @@ import can
 
 from .fields import Form, clock_s, data_bytes, message, whole
 
-_START = re.compile(r"\*\*\*START DATE AND TIME (\d+):(\d+):(\d+) (\d+):(\d+):(\d+):(\d+)\*\*\*")
+_START = re.compile(r"\*\*\*START DATE AND TIME (\d{1,4}):(\d{1,4}):(\d{1,4}) (\d{1,4}):(\d{1,4}):(\d{1,4}):(\d{1,4})\*\*\*")
 _PROTOCOL = re.compile(r"\*\*\*PROTOCOL (\w+)\*\*\*")
 _TIME = re.compile(r"(\d{1,4}):(\d\d):(\d\d):(\d{1,6})")
 _BASES = {"***HEX***": 16, "***DEC***": 10}

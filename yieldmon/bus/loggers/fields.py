@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from typing import NamedTuple
@@ -13,6 +14,8 @@ from yieldmon.identifiers import CLASSIC_BYTES, LARGEST_STANDARD_ID
 #: Of one log: a line without its end in, its frame out; None for a line that holds none. Raises ValueError, which says why the
 #: line cannot be read.
 Parser = Callable[[str], can.Message | None]
+_LARGEST = 2**60
+"""Of what any field may hold; microseconds since 1970 need 51 bits."""
 _FD_LENGTHS: tuple[int, ...] = (*range(CLASSIC_BYTES + 1), 12, 16, 20, 24, 32, 48, 64)
 
 
@@ -34,7 +37,7 @@ def whole(text: str, what: str, base: int = 10) -> int:
         number = int(text, base)
     except ValueError:
         number = -1
-    if number < 0:
+    if not 0 <= number <= _LARGEST:
         raise ValueError(f"{what} {text[:20]!r} is no {'hexadecimal ' if base == 16 else ''}number")
     return number
 
@@ -42,9 +45,12 @@ def whole(text: str, what: str, base: int = 10) -> int:
 def seconds(text: str, what: str = "time") -> float:
     """A number with a point or a comma."""
     try:
-        return float(text.replace(",", "."))
+        number = float(text.replace(",", "."))
     except ValueError:
-        raise ValueError(f"{what} {text[:20]!r} is no number") from None
+        number = math.nan
+    if not abs(number) <= _LARGEST:
+        raise ValueError(f"{what} {text[:20]!r} is no number")
+    return number
 
 
 def switch(text: str, what: str) -> bool:
