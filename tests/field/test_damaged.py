@@ -51,6 +51,22 @@ def test_machine_total_is_near_the_integral(harvests: Path) -> None:
     assert {name for name in table.extra if name.startswith("DDI EA60")} == {"DDI EA60 DET-1"}
 
 
+@pytest.mark.parametrize(
+    ("log", "mass_kg", "area_m2"),
+    [("TLG00003", 91_885.0, 19_500.0), ("TLG00006", None, None)],
+    ids=["a task with one log", "a task with two"],
+)
+def test_totals_of_the_task_for_a_log_without_counters(
+    harvests: Path, tmp_path: Path, log: str, mass_kg: float | None, area_m2: float | None
+) -> None:
+    shutil.copy(harvests / "isoxml" / "TASKDATA.XML", tmp_path)
+    shutil.copy(harvests / "isoxml" / "TLG00006.bin", tmp_path / f"{log}.bin")
+    header = (harvests / "isoxml" / "TLG00006.xml").read_text()
+    (tmp_path / f"{log}.xml").write_text(header.replace('"005A"', '"E0AA"').replace('"0074"', '"E0AB"'))
+    (source,) = sources.read(tmp_path, ReadOptions()).sources
+    assert (source.mass_kg, source.area_m2) == (mass_kg, area_m2)
+
+
 @pytest.mark.parametrize("share", [0.3, 0.8])
 def test_a_truncated_log_gives_its_first_records(harvests: Path, tmp_path: Path, share: float) -> None:
     shutil.copytree(harvests / "isoxml", tmp_path / "t")

@@ -15,6 +15,7 @@ from pathlib import Path
 from types import ModuleType
 
 from yieldmon.errors import NO_ROOM, InputError, no_room_to_unpack, reason
+from yieldmon.field.seconds import per_second
 from yieldmon.field.table import HarvestTable
 
 from .options import ReadOptions
@@ -50,8 +51,7 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
             raise InputError(str(path), "is neither a file nor a folder", "a harvest")
         for module in modules():
             if module.recognises(path, head):
-                table: HarvestTable = module.read(path, options)
-                return table
+                return per_second(module.read(path, options))
     except OSError as error:
         if error.errno in NO_ROOM:
             raise no_room_to_unpack(path, error) from error

@@ -155,12 +155,14 @@ class _Device:
 
 @dataclass(frozen=True)
 class _Task:
-    """A log's task: names for its rows."""
+    """A log's task: names for its rows, and the totals that the task states, where it has one log and states them once."""
 
     log: str
     task: str = ""
     field: str = ""
     crop: str = ""
+    mass_kg: float | None = None
+    area_m2: float | None = None
 
 
 def read(path: Path, options: ReadOptions) -> HarvestTable:
@@ -242,9 +244,21 @@ def _tasks(root: ET.Element) -> list[_Task]:
         name = "" if place is None else place.get("C", "")
         crop = "" if place is None else crops.get(place.get("G", ""), "")
         product = next((products.get(pan.get("A", ""), "") for pan in task.iter("PAN")), "")
-        for log in task.iter("TLG"):
-            out.append(_Task(log.get("A", ""), task.get("B", "") or task.get("A", ""), name, crop or product))
+        logs = [log.get("A", "") for log in task.iter("TLG")]
+        mass_kg, area_m2 = (_stated(task, ddi) if len(logs) == 1 else None for ddi in (TOTAL_MASS, TOTAL_AREA))
+        out += [_Task(log, task.get("B", "") or task.get("A", ""), name, crop or product, mass_kg, area_m2) for log in logs]
     return out
+
+
+def _stated(task: ET.Element, ddi: int) -> float | None:
+    """A total of a task's times, where there is one: of several it is not said whether each goes on from the one before."""
+    values = [
+        one.get("B", "") for time in task.iter("TIM") for one in time.iter("DLV") if one.get("A", "").upper() == f"{ddi:04X}"
+    ]
+    try:
+        return float(timelog.process_value(values[0])) if len(values) == 1 else None
+    except ValueError:
+        return None
 
 
 def _device(root: ET.Element) -> _Device:
@@ -305,13 +319,19 @@ def _log(folder: Folder, task: _Task, device: _Device, options: ReadOptions) -> 
     table = build(
         columns,
         labels,
-        Source(where, KIND, count, (), of.risen(TOTAL_MASS), of.risen(TOTAL_AREA), (*notes, *limits)),
+        Source(where, KIND, count, (), *_totals(of, task), (*notes, *limits)),
         unix_time=True,
         declared_flow_s=None if lag is None else lag * 1e-3,
         default_flow_s=FORAGE_FLOW_S if of.of(LENGTH_OF_CUT) else DEFAULT_FLOW_S,
         extra={f"DDI {ddi:04X} {element}".strip(): values for (ddi, element), values in log.values.items() if ddi not in _KNOWN},
     )
     return table, log.problem
+
+
+def _totals(of: _Values, task: _Task) -> tuple[float | None, float | None]:
+    """Mass, kg, and area, m2, by the machine's counters in the log, else as the task states them."""
+    mass_kg, area_m2 = of.risen(TOTAL_MASS), of.risen(TOTAL_AREA)
+    return task.mass_kg if mass_kg is None else mass_kg, task.area_m2 if area_m2 is None else area_m2
 
 
 def _steps(log: timelog.TimeLog) -> tuple[Array, Array]:

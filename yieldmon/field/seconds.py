@@ -1,0 +1,82 @@
+"""Logs faster than one row a second, taken together to seconds: what looks from point to point is meant for these."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yieldmon.field.table import Array, HarvestTable
+
+_FAST_S = 0.75
+"""Usual interval below which rows are taken together."""
+_WEIGHTS = {"flow_kg_s": "interval_s", "flow_sd_kg_s": "interval_s", "moisture_pct": "interval_s", "width_m": "distance_m"}
+"""Columns that are averaged, and by what; of the others the last row of a second counts."""
+_SUMS = ("interval_s", "distance_m")
+
+
+def per_second(table: HarvestTable) -> HarvestTable:
+    """The table with the rows of each second of a fast log as one, at the place and time of the last; mass and way stay.
+
+    Parameters
+    ----------
+    table : HarvestTable
+        Of one source.
+
+    Returns
+    -------
+    HarvestTable
+        The same where rows are a second apart or more. Rows of different sections, labels, passes or header states stay apart,
+        and so do rows without a time.
+    """
+    usual_s = _usual_interval_s(table)
+    if not 0.0 < usual_s < _FAST_S:
+        return table
+    group, count = _seconds(table)
+    last = np.zeros(count, np.intp)
+    last[group] = np.arange(len(table))
+    columns = {name: values[last] for name, values in table.columns.items()}
+    for name in _SUMS:
+        columns[name] = _total(table[name], group, count)
+    for name, by in _WEIGHTS.items():
+        columns[name] = _mean(table[name], np.nan_to_num(table[by]), group, count)
+    note = f"{len(table)} rows {usual_s:.2g} s apart are taken together to {count} of a second"
+    source = replace(table.sources[0], notes=(*table.sources[0].notes, note))
+    return replace(table.take(last), columns=columns, sources=(source,) if len(table.sources) == 1 else table.sources)
+
+
+def _usual_interval_s(table: HarvestTable) -> float:
+    positive = table["interval_s"][table["interval_s"] > 0]
+    return float(np.median(positive)) if positive.size else 0.0
+
+
+def _seconds(table: HarvestTable) -> tuple[NDArray[np.intp], int]:
+    """The second that each row belongs to, by number in the order of the file, and how many there are."""
+    time = table["time_s"]
+    keys = [np.floor(time), *(table[name] for name in ("section", "pass_number", "header_down"))]
+    keys += [label.codes.astype(float) for label in table.labels.values()] + [table.source_of_row.astype(float)]
+    keys.append(np.where(np.isfinite(time), -1.0, np.arange(len(time))))
+    rows = np.column_stack([np.nan_to_num(key, nan=-1e9) for key in keys])
+    _, first, number = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+    place = np.empty(len(first), np.intp)
+    place[np.argsort(first)] = np.arange(len(first))
+    return place[number.reshape(-1)], len(first)
+
+
+def _total(values: Array, group: NDArray[np.intp], count: int) -> Array:
+    known = np.isfinite(values)
+    total = np.bincount(group, np.where(known, values, 0.0), count)
+    return np.where(np.bincount(group, known, count) > 0, total, np.nan)
+
+
+def _mean(values: Array, weights: Array, group: NDArray[np.intp], count: int) -> Array:
+    """Weighted, of what is known; plain where nothing has a weight."""
+    known = np.isfinite(values)
+    plain = np.where(known, 1.0, 0.0)
+    weighted = plain * np.maximum(weights, 0.0)
+    heavy = np.bincount(group, weighted, count)
+    use = np.where(heavy[group] > 0, weighted, plain)
+    total = np.bincount(group, use, count)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.bincount(group, use * np.where(known, values, 0.0), count) / np.where(total > 0, total, np.nan)
