@@ -139,3 +139,29 @@ def test_seconds_of_independent_noise_average_out_and_what_lasts_does_not() -> N
     assert found.random_sd == pytest.approx(0.01)
     assert found.lasting_sd == 0.13
     assert found.kernels_kg_s.shape == (4,)
+
+
+@pytest.mark.parametrize("scatter", [0.35, 0.5])
+@pytest.mark.parametrize("lessons", [1, 2, 30])
+def test_kernels_whose_masses_scatter_leave_a_deviation_that_covers(scatter: float, lessons: int) -> None:
+    # Shot noise goes with the mean square of the masses, so that kernels' flow is low by 1 + scatter^2; the bias is thought to be
+    # known to 5 %.
+    drifting = begin(KNOWN, {})
+    bias = common_bias.begin(0.05, len(drifting.joint))
+    for _ in range(lessons):
+        low = replace(lesson(TRUE, -np.log(1.0 + scatter**2)), lasting_sd=0.05)
+        taught = common_bias.teach(MODEL, drifting, bias, low)
+        drifting, bias = taught.drifting, taught.bias
+        joined = np.block([[drifting.joint, bias.cross[:, None]], [bias.cross[None], np.array([[bias.variance]])]])
+        assert np.linalg.eigvalsh(joined)[0] > -1e-12
+    off, sd = flow(drifting.parameters, TRUE)
+    assert off < -0.04
+    assert abs(off) < 1.5 * sd
+    assert sd < 0.1
+
+
+def test_lessons_that_agree_narrow_as_before() -> None:
+    drifting, bias = repeatedly(1, TRUE, 0.0)
+    before = flow(KNOWN, TRUE)[1]
+    assert flow(drifting.parameters, TRUE)[1] == pytest.approx(1.0 / np.hypot(1.0 / before, 1.0 / LASTING_SD), rel=0.02)
+    assert bias.largest == LASTING_SD**2

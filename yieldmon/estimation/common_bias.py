@@ -5,7 +5,12 @@ tomorrow: a hundred hours of noise know the scale no better than the bias is kno
 covariance with the parameters, which every update carries along, whatever it learns from. A weighed load that fixes the scale
 fixes the bias with it, and from then on kernel noise follows what drifts.
 
-Source: Schmidt, "Application of state-space methods to navigation problems" (1966), on biases as further states.
+Kernels whose masses scatter otherwise than when the bias was found (broken kernels, another crop among them) raise the noise
+and look in it like fewer, heavier ones. Where a lesson and the mean force lie further apart than their deviations say, what the
+lesson leaves unknown is wider by that factor.
+
+Sources: Schmidt, "Application of state-space methods to navigation problems" (1966), on biases as further states; Birge, Phys.
+Rev. 40 (1932) 207, on results that lie further apart than their deviations say.
 """
 
 from __future__ import annotations
@@ -30,6 +35,7 @@ _LESSON_SD = 0.01
 """Relative standard deviation of one lesson beside its noise: of the load that it was heard at."""
 _STEP = 1e-3
 _LARGEST_STEP = 0.3
+_LEAST_VARIANCE = 1e-12
 
 
 @dataclass(frozen=True)
@@ -98,13 +104,16 @@ def followed(bias: CommonBias, before: DriftingParameters, after: DriftingParame
     size = np.sqrt(np.maximum(np.diag(prior), 1e-300))
     gain = np.linalg.lstsq(prior / np.outer(size, size), bias.cross / size, rcond=1e-12)[0] / size
     lost = float(gain @ (prior - after.joint) @ gain)
-    variance = min(max(bias.variance - lost, 1e-12), bias.largest)
+    variance = min(max(bias.variance - lost, _LEAST_VARIANCE), bias.largest)
     value = bias.value + float(gain @ (after.state - before.state))
     return replace(bias, value=value, variance=variance, cross=gain @ after.joint)
 
 
 def teach(model: ForwardModel, drifting: DriftingParameters, bias: CommonBias, lesson: KernelLesson) -> Taught:
     """One lesson, by a Kalman update of parameters, rates and bias together.
+
+    Where the difference is beyond one deviation, what the lesson leaves unknown of the flow, and of the bias with it, is wider by
+    that factor, up to what was unknown of the flow before and what the lesson moved it by.
 
     Raises ValueError where the mean force gives no flow, nothing is uncertain, or the step would be too long to be linear.
     """
@@ -123,7 +132,11 @@ def teach(model: ForwardModel, drifting: DriftingParameters, bias: CommonBias, l
     moved_by = float(slope @ step)
     if not abs(moved_by) < _LARGEST_STEP:
         raise ValueError(f"kernel noise would move the flow by {100.0 * (exp(moved_by) - 1.0):+.0f} % at once")
+    share = of_bias / variance
     joint = drifting.joint - np.outer(gain, of_states)
+    cross, own = bias.cross - gain * of_bias, max(bias.variance - share * of_bias, _LEAST_VARIANCE)
+    most = float(slope @ drifting.joint @ slope) + moved_by**2
+    joint, cross, own = _apart(joint, cross, own, slope, factor=difference**2 / variance, most=most)
     joint = 0.5 * (joint + joint.T)
     values = dict(known.values)
     for i, name in enumerate(names):
@@ -135,14 +148,29 @@ def teach(model: ForwardModel, drifting: DriftingParameters, bias: CommonBias, l
         drifting.rates + step[count:],
         joint,
     )
-    share = of_bias / variance
-    learnt = replace(
-        bias,
-        value=bias.value + share * difference,
-        variance=max(bias.variance - share * of_bias, 1e-12),
-        cross=bias.cross - gain * of_bias,
-    )
+    learnt = CommonBias(bias.value + share * difference, own, cross, max(bias.largest, own))
     return Taught(after, learnt, difference, sqrt(variance), moved_by)
+
+
+def _apart(
+    joint: Array, cross: Array, variance: float, slope: Array, *, factor: float, most: float
+) -> tuple[Array, Array, float]:
+    """Covariance of the states, that of the bias with them and its variance, with the part that goes with the flow's error larger
+    by a factor, if above 1, up to a variance of the flow of `most`. slope: of ln flow by the states."""
+    with_flow = joint @ slope
+    of_flow = float(slope @ with_flow)
+    if not of_flow > 0.0:
+        return joint, cross, variance
+    more = min(factor, most / of_flow) - 1.0
+    if not more > 0.0:
+        return joint, cross, variance
+    of_bias = float(slope @ cross)
+    share = more / of_flow
+    return (
+        joint + share * np.outer(with_flow, with_flow),
+        cross + share * of_bias * with_flow,
+        variance + share * of_bias**2,
+    )
 
 
 def _log_flow(model: ForwardModel, parameters: ParameterSet, lesson: KernelLesson) -> float:
