@@ -8,8 +8,10 @@ from pathlib import Path
 
 import can
 
-from tests.service.bench import CODEC, START_S, traffic
+from tests.service.bench import CODEC, traffic
 
+START_S = 1_790_841_600.0
+"""2026-10-01, 08:00 UTC."""
 EMPTY_S, GRAIN_S = 10.0, 8.0
 
 

@@ -17,6 +17,7 @@ from tests.fleet import logs
 from yieldmon.cli.main import main
 from yieldmon.files.parameter_file import load as load_parameters
 from yieldmon.fleet.comparison import compare
+from yieldmon.fleet.dataset import MARK
 from yieldmon.fleet.html import page
 from yieldmon.fleet.summary import summarise
 
@@ -199,6 +200,22 @@ def test_days_are_in_the_order_of_time(
     assert list(machine["parameters"]["friction"]["by_day"]) == expected
 
 
+def test_a_clock_that_is_off_by_years_is_named_and_orders_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """As receivers say after 1024 weeks, or computers whose battery is empty."""
+    first = 1790812800.0  # 2026-10-01
+    weeks = 1024 * 7 * 86400.0
+    starts = {"2026-10-01": first + 7200.0, "2026-10-02": first + 86400.0 - weeks, "20261003": first + 2 * 86400.0 - 7200.0}
+    for number, (day, start_s) in enumerate(starts.items()):
+        logs.write(tmp_path / "tree" / "m" / day / "a.log", 50.0 + number, start_s)
+    logs.write(tmp_path / "tree" / "n" / "2026-10-01" / "a.log", 55.0, 50.0)
+    assert measure(tmp_path / "tree", str(tmp_path / "out")) == 0
+    found = summarise(str(tmp_path / "out"))
+    assert [(item["day"], item["problem"]) for item in found["doubtful"]] == [
+        ("2026-10-02", "a.log begins on 2007-02-16 by its clock")
+    ]
+    assert [day["day"] for day in found["days"]] == ["2026-10-01", "2026-10-02", "20261003", "2026-10-01"]
+
+
 def test_names_from_files_cannot_break_the_page(season: Path) -> None:
     summary = summarise(str(season / "first"))
     summary["dataset"] = "<img src=x>"
@@ -219,6 +236,36 @@ def test_comparison(season: Path, capsys: pytest.CaptureFixture[str]) -> None:
         assert {"records", "parameters", "loads"} <= set(item["tables"])
         assert "mass_flow_kg_s" in item["columns"]
         assert "elevator_speed_rpm" not in item["columns"]
+
+
+def of_an_earlier_release(dataset: Path, day: Path) -> Path:
+    """A copy of a dataset in which the records of one day lack a column, have one more, and one of another kind."""
+    records = dataset / day / "records.parquet"
+    table = pq.read_table(records).drop_columns(["shape_verdict"])
+    place = table.column_names.index("quality")
+    table = table.set_column(place, "quality", table["quality"].cast(pa.string()))
+    pq.write_table(table.append_column("rows_before", table["number"]), records)
+    mark = json.loads((dataset / day / MARK).read_text())
+    mark["files"]["records.parquet"]["sha256"] = "0" * 64
+    (dataset / day / MARK).write_text(json.dumps(mark))
+    return dataset
+
+
+def test_days_of_an_earlier_release_are_read_beside_others(
+    season: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As days that the source has no longer stay in a dataset."""
+    day = sorted((season / "first").glob("machine=*/day=*"))[0].relative_to(season / "first")
+    old = of_an_earlier_release(shutil.copytree(season / "first", tmp_path / "old"), day)
+    assert main(["fleet", "report", str(old)]) == 0
+    found = compare(str(old), str(season / "first"))
+    assert (found["equal"], len(found["different"])) == (3, 1)
+    assert found["columns_only_in_first"] == {"rows_before": 1}
+    assert found["columns_only_in_second"] == {"shape_verdict": 1}
+    assert found["different"][0]["columns"] == {}
+    capsys.readouterr()
+    assert main(["fleet", "compare", str(old), str(season / "first")]) == 1
+    assert f"columns of records only in {old}: rows_before" in capsys.readouterr().out.splitlines()
 
 
 @pytest.fixture
@@ -287,3 +334,23 @@ def test_prior_from_the_tickets_of_a_dataset(tmp_path: Path, capsys: pytest.Capt
     assert load_parameters(out).provenance["machines"] == "3"
     assert main(["fleet", "prior", dataset, "--crop", "wheat"]) == 2
     assert main(["fleet", "prior", dataset, "--crop", "grass"]) == 2
+
+
+def test_a_machine_without_a_ticket_that_can_be_used_does_not_stop_the_prior(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for number, weighed in enumerate((20.0, 21.0, 22.0, 400.0)):
+        day = tmp_path / "tree" / f"m{number}" / "d"
+        logs.write(day / "a.log", 60.0)
+        (day / "tickets.csv").write_text(f"load,weighed_kg\na.log,{weighed}\n")
+    dataset = str(tmp_path / "season")
+    assert measure(tmp_path / "tree", dataset, "--crop", "corn") == 0
+    assert main(["fleet", "prior", dataset, "--crop", "corn", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert sorted(found["machines"]) == ["m0", "m1", "m2"]
+    assert [reason.partition(": ")[0] for reason in found["left_out"]] == ["m3 d"]
+    shutil.rmtree(tmp_path / "season" / "machine=m2")
+    assert main(["fleet", "prior", dataset, "--crop", "corn"]) == 2
+    said = capsys.readouterr().err
+    assert "tickets of 2 machines for corn that can be used; left out: m3 d: " in said
+    assert said.count("\n") == 1

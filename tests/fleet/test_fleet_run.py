@@ -21,7 +21,7 @@ from yieldmon.errors import InputError
 from yieldmon.fleet import manifest
 from yieldmon.fleet.dataset import MARK, Dataset, Superseded
 from yieldmon.fleet.identity import parameters_sha256, software
-from yieldmon.fleet.worker import DONE, FAILED, SKIPPED, Outcome, Task, work
+from yieldmon.fleet.worker import DONE, LEFT, SKIPPED, Outcome, Task, work
 
 
 def test_command_measures_and_skips(tree: Path, measured: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -71,7 +71,7 @@ def test_what_changed_is_measured_again(tree: Path, measured: Path, tmp_path: Pa
         # A worker elsewhere whose software is another is no worker of this run.
         first = replace(first, software=replace(software(), source_sha256="0" * 64))
     outcome = work(first)
-    assert outcome.status == (FAILED if what == "software" else DONE)
+    assert outcome.status == (LEFT if what == "software" else DONE)
     assert work(second).status == SKIPPED
     before, after = ({n: b for n, b in files(d).items() if n.startswith(first.partition.name)} for d in (measured, out))
     assert (before == after) is (what == "software")
@@ -154,16 +154,55 @@ def test_loads_and_tickets(tmp_path: Path) -> None:
 
 
 def test_logs_outside_the_folders_of_days_are_named(tmp_path: Path) -> None:
+    """Whose mass would be missed by nobody; tables and databases may be of another kind, and are left out."""
     inside = {"m 0/d1/a.log"}
-    left_out = {"a.log", "m 0/b.log.gz", "m 0/d1/notes.txt"}
-    for name in (*inside, *left_out, "m 0/config.yaml", "readme.txt"):
+    refused = {"a.log", "m 0/b.log.gz", "m 0/c.log.1", "m 0/tickets.csv", "m 0/d1/candump.log-20261001.gz"}
+    nested = {"m 0/d1/morning/a.log": "m 0/d1/morning", "2026/10/01/a.asc": "2026/10/01"}
+    left_out = {"m 0/d1/notes.txt", "fields.csv", "m 0/d1/maps/fields.csv", "m 0/machine=m/day=d/records.parquet"}
+    for name in (*inside, *refused, *nested, *left_out, "m 0/config.yaml", "readme.txt"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text("")
     for name in ("m 0/d2", "m1"):
         (tmp_path / name).mkdir()
     found = manifest.load(str(tmp_path))
     assert [partition.logs for partition in found.partitions] == [(str(tmp_path / name),) for name in inside]
-    assert {Path(path).relative_to(tmp_path).as_posix() for path in found.left_out} == {*left_out, "m 0/d2", "m1"}
+    folders = {"m 0/d1/maps", "m 0/machine=m", "m 0/d2", "m1"}
+    assert {Path(path).relative_to(tmp_path).as_posix() for path in found.left_out} == {
+        "m 0/d1/notes.txt",
+        "fields.csv",
+        *folders,
+    }
+    assert {Path(error.where).relative_to(tmp_path).as_posix() for error in found.refused} == {*refused, *nested.values()}
+
+
+@pytest.mark.parametrize(
+    ("name", "read"), [("config.yml", "config.yaml"), ("Config.yaml", "config.yaml"), ("CONFIG.YML", "config.yaml")]
+)
+def test_a_machine_whose_configuration_is_called_otherwise_is_refused(tmp_path: Path, name: str, read: str) -> None:
+    """It would be measured by the configuration of all others."""
+    for each in ("m0/d/a.log", "m1/d/a.log", "m1/d2/a.log", f"m0/{name}", f"m1/d/{name}"):
+        logs.write(tmp_path / each)
+    found = manifest.load(str(tmp_path))
+    assert [(partition.machine, partition.day) for partition in found.partitions] == [("m1", "d2")]
+    assert [str(error) for error in found.refused] == [
+        f"{tmp_path / folder / name}: is not read under this name; expected {read}" for folder in ("m0", "m1/d")
+    ]
+
+
+def test_tickets_that_are_called_otherwise_are_refused(tmp_path: Path) -> None:
+    for each in ("m/d/a.log", "m/d/Tickets.CSV"):
+        logs.write(tmp_path / each)
+    found = manifest.load(str(tmp_path))
+    assert [Path(log).name for log in found.partitions[0].logs] == ["a.log"]
+    assert [str(error).partition(": ")[2] for error in found.refused] == ["is not read under this name; expected tickets.csv"]
+
+
+def test_a_worker_of_another_release_leaves_its_days(tree: Path, tmp_path: Path) -> None:
+    task = tasks(tree, tmp_path / "out")[0]
+    outcome = work(replace(task, software=replace(task.software, version="0.0.1")))
+    assert (outcome.status, outcome.poisoned) == (LEFT, ())
+    assert "expected that of the client, 0.0.1" in outcome.why_left
+    assert Dataset(str(tmp_path / "out")).failures() == []
 
 
 @pytest.mark.parametrize("name", ["b.log.zst", "b.ASC.bz2", "b.blf.xz", "b.log.zip"])

@@ -9,9 +9,9 @@ from yieldmon.fleet import tables
 from yieldmon.fleet.dataset import Commit
 from yieldmon.fleet.querying import Query, opened
 
-_SUMS = """
-SELECT machine, day, count(*) AS seconds, sum(mass_kg) AS mass_kg FROM records GROUP BY ALL
-"""
+_SUMS = "SELECT count(*) AS seconds, coalesce(sum(mass_kg), 0.0) AS mass_kg FROM {}"
+_SIDES = ("first", "second")
+_ROWS = "SELECT * FROM {} ORDER BY number"
 
 
 def compare(first: str, second: str) -> dict[str, Any]:
@@ -25,20 +25,22 @@ def compare(first: str, second: str) -> dict[str, Any]:
     Returns
     -------
     dict
-        only_in_first, only_in_second: partitions; equal: how many are so to the byte; different: for each other partition its
-        masses, its tables that differ, and by column of the records in how many seconds.
+        only_in_first, only_in_second: partitions; equal: how many are so to the byte; columns_only_in_first,
+        columns_only_in_second: of the records, with the number of partitions, as of two releases; different: for each other
+        partition its masses, its tables that differ, and by column of the records in how many seconds.
 
     Raises
     ------
     InputError
         One of them is no dataset.
     """
-    with opened(first) as before, opened(second) as after:
+    with opened(first, ()) as before, opened(second, ()) as after:
         ours, theirs = ({commit.name: commit for commit in query.commits} for query in (before, after))
         both = [name for name in ours if name in theirs]
         unequal = [name for name in both if _files(ours[name]) != _files(theirs[name])]
         different = [_difference(ours[name], theirs[name], before, after) for name in unequal]
         changes = Counter(reason for item in different for reason in item["because"])
+        lacking = [Counter(name for item in different for name in item.pop(f"columns_only_in_{which}")) for which in _SIDES]
     return {
         "first": first,
         "second": second,
@@ -47,6 +49,7 @@ def compare(first: str, second: str) -> dict[str, Any]:
         "only_in_second": [name for name in theirs if name not in ours],
         "equal": len(both) - len(unequal),
         "because": dict(changes),
+        **{f"columns_only_in_{which}": dict(found) for which, found in zip(_SIDES, lacking, strict=True)},
         "different": different,
     }
 
@@ -57,11 +60,11 @@ def _files(commit: Commit) -> dict[str, str]:
 
 
 def _difference(ours: Commit, theirs: Commit, before: Query, after: Query) -> dict[str, Any]:
-    rows = [query.rows(f"{_SUMS} HAVING machine = ? AND day = ?", (ours.machine, ours.day)) for query in (before, after)]
-    sums = [found[0] if found else {"seconds": 0, "mass_kg": 0.0} for found in rows]
+    records = [query.of_partition(tables.RECORDS, ours.machine, ours.day) for query in (before, after)]
+    sums = [query.rows(_SUMS.format(each))[0] for query, each in zip((before, after), records, strict=True)]
+    a, b = (query.table(_ROWS.format(each)) for query, each in zip((before, after), records, strict=True))
     names = sorted({*_files(ours), *_files(theirs)})
-    columns = _columns(ours, before, after)
-    mass = [entry["mass_kg"] or 0.0 for entry in sums]
+    mass = [entry["mass_kg"] for entry in sums]
     return {
         "machine": ours.machine,
         "day": ours.day,
@@ -72,44 +75,35 @@ def _difference(ours: Commit, theirs: Commit, before: Query, after: Query) -> di
         "seconds": [entry["seconds"] for entry in sums],
         "mass_kg": mass,
         "mass_change_pct": 100.0 * (mass[1] / mass[0] - 1.0) if mass[0] else None,
-        "columns": columns,
+        "columns": _columns(a, b),
+        "columns_only_in_first": [name for name in a.column_names if name not in b.column_names],
+        "columns_only_in_second": [name for name in b.column_names if name not in a.column_names],
     }
 
 
-def _columns(commit: Commit, before: Query, after: Query) -> dict[str, dict[str, Any]]:
+def _columns(first: Any, second: Any) -> dict[str, dict[str, Any]]:
     """Of each column that differs: in how many seconds, the first of them, and the largest difference of numbers."""
+    import pyarrow as pa
     import pyarrow.compute as pc
 
-    tables_ = [
-        query.table("SELECT * FROM records WHERE machine = ? AND day = ? ORDER BY number", (commit.machine, commit.day))
-        for query in (before, after)
-    ]
-    count = min(table.num_rows for table in tables_)
-    ours, theirs = (table.slice(0, count) for table in tables_)
+    count = min(first.num_rows, second.num_rows)
+    ours, theirs = (table.slice(0, count) for table in (first, second))
     found = {}
     for name in ours.column_names:
         if name not in theirs.column_names:
             continue
         a, b = ours[name].combine_chunks(), theirs[name].combine_chunks()
+        numbers = all(pa.types.is_integer(each.type) or pa.types.is_floating(each.type) for each in (a, b))
+        if not numbers and a.type != b.type:
+            # Of another kind in another release: as people read it.
+            a, b = (each.cast(pa.string()) for each in (a, b))
         same = pc.or_kleene(pc.equal(a, b), pc.and_(pc.is_null(a), pc.is_null(b)))
         differs = pc.invert(pc.fill_null(same, False))
         seconds = pc.sum(differs).as_py() or 0
         if not seconds:
             continue
         entry: dict[str, Any] = {"seconds": seconds, "first_number": pc.filter(ours["number"], differs)[0].as_py()}
-        if a.type in (_float(), _whole()):
+        if numbers:
             entry["largest"] = pc.max(pc.abs(pc.subtract(b, a))).as_py()
         found[name] = entry
     return found
-
-
-def _float() -> Any:
-    import pyarrow as pa
-
-    return pa.float64()
-
-
-def _whole() -> Any:
-    import pyarrow as pa
-
-    return pa.int64()

@@ -2,12 +2,15 @@
 
 A manifest is a table (CSV) with the columns machine, day and log, a row for each log, and if wanted config, tickets and crop,
 which are the same in all rows of a partition. Names of files are relative to the manifest. A tree holds MACHINE/DAY/LOGS; beside
-the logs of a day, or in the machine's folder, `config.yaml` is its configuration; beside the logs `tickets.csv` its tickets.
+the logs of a day, or in the machine's folder, `config.yaml` is its configuration; beside the logs `tickets.csv` its tickets. Logs
+at other depths, or under names that do not end as a format does, are refused: left out without an error, nobody would miss their
+mass.
 """
 
 from __future__ import annotations
 
 import os
+import re
 import stat
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -22,6 +25,12 @@ from yieldmon.fleet.names import folder_of, in_order, is_name
 
 CONFIG, TICKETS = "config.yaml", "tickets.csv"
 _UNREAD_COMPRESSIONS = (".zst", ".bz2", ".xz", ".lz4", ".7z", ".zip")
+_OF_OTHERS_TOO = (".csv", ".db", ".parquet")
+_ROTATED = re.compile(r"(.+)[.-]\d+(\.gz)?")
+"""As `logrotate` names what it moves away: candump.log.1, candump.log-20261001.gz."""
+_LAYOUT = "folders MACHINE/DAY with logs in them, or a manifest"
+_DEEPEST = 6
+"""Folders below a day in which logs are looked for."""
 _NO_LOGS = ("thumbs.db",)
 """Files that file managers leave and that end as a log may."""
 _REQUIRED = ("machine", "day", "log")
@@ -52,8 +61,8 @@ class Partition:
 
 @dataclass(frozen=True, slots=True)
 class Manifest:
-    """partitions by name; left_out: what of a tree is no log of a day, and logs outside the folders of days; refused: what of a
-    tree should be a machine, day or log and cannot be used."""
+    """partitions by name; left_out: what of a tree is no log; refused: what of a tree should be a machine, day, log,
+    configuration or table of tickets and cannot be used."""
 
     partitions: tuple[Partition, ...]
     left_out: tuple[str, ...] = ()
@@ -142,12 +151,14 @@ def _may_be_read(path: str) -> bool:
 
 def _of_tree(files: Any, root: str, source: str) -> Manifest:
     found: list[Partition] = []
-    left_out, refused = _astray(files, root), list[InputError]()
+    left_out = list[str]()
+    refused = _astray(files, root, left_out)
     for machine in _folders(files, root, left_out, refused):
         try:
             name = _name(machine.rpartition("/")[2], machine)
             config = _present(files, f"{machine}/{CONFIG}")
-            left_out += _astray(files, machine)
+            _refuse_other_spelling(files, machine, CONFIG)
+            refused += _astray(files, machine, left_out)
             days = _folders(files, machine, left_out, refused)
             if not days:
                 left_out.append(machine)
@@ -155,14 +166,20 @@ def _of_tree(files: Any, root: str, source: str) -> Manifest:
             refused.append(_refusal(machine, error))
             continue
         for day in days:
+            if day.rpartition("/")[2].startswith("machine="):
+                # A dataset of `fleet run` that lies in its own source.
+                left_out.append(day)
+                continue
+            before = len(refused)
             try:
                 day_name = _name(day.rpartition("/")[2], day)
+                _refuse_other_spelling(files, day, CONFIG)
                 logs = _logs(files, day, left_out, refused)
             except (InputError, PermissionError) as error:
                 refused.append(_refusal(day, error))
                 continue
             if not logs:
-                left_out.append(day)
+                left_out += [day] if len(refused) == before else []
                 continue
             found.append(
                 Partition(
@@ -189,9 +206,18 @@ def _logs(files: Any, day: str, left_out: list[str], refused: list[InputError]) 
         name = path.rpartition("/")[2]
         if name in (CONFIG, TICKETS) or (kind == _FOLDER and name.startswith((".", "_"))):
             continue
-        if other := _unread_compression(name):
+        if name.lower() == TICKETS:
+            refused.append(_other_spelling(path, TICKETS))
+        elif kind == _FOLDER and not _is_log(name):
+            if log := _log_below(files, path):
+                refused.append(InputError(path, f"holds the log {log} and is no day", _LAYOUT))
+            else:
+                left_out.append(path)
+        elif _is_rotated(name) and not _is_left_behind(name):
+            refused.append(InputError(path, "is a log under a name that is not read", "one that ends in .log, .asc or the like"))
+        elif other := _unread_compression(name):
             refused.append(InputError(path, f"is compressed as {other}, which is not read", "the log as it is, or as .gz"))
-        elif name.startswith(".") or name.lower() in _NO_LOGS or not _is_log(name):
+        elif _is_left_behind(name) or not _is_log(name):
             left_out.append(path)
         elif kind == _FILE:
             logs.append(path)
@@ -200,9 +226,43 @@ def _logs(files: Any, day: str, left_out: list[str], refused: list[InputError]) 
     return sorted(logs, key=lambda path: in_order(path.rpartition("/")[2]))
 
 
-def _astray(files: Any, path: str) -> list[str]:
-    """Logs that lie beside the folders of machines or days."""
-    return [name for name, kind in _entries(files, path) if kind != _FOLDER and _is_log(name)]
+def _astray(files: Any, path: str, left_out: list[str]) -> list[InputError]:
+    """Logs and tickets that lie beside the folders of machines or days; what may be a table of another kind is left out."""
+    refused = []
+    for entry, kind in _entries(files, path):
+        name = entry.rpartition("/")[2]
+        if kind == _FOLDER or _is_left_behind(name):
+            continue
+        if name.lower() == TICKETS or _is_surely_log(name):
+            refused.append(InputError(entry, "lies beside the folders of machines or days", _LAYOUT))
+        elif _is_log(name):
+            left_out.append(entry)
+    return refused
+
+
+def _log_below(files: Any, path: str, depth: int = _DEEPEST) -> str:
+    """The first log in a folder or in those below it, by its name from there; "" where there is none."""
+    for entry, kind in _entries(files, path):
+        name: str = entry.rpartition("/")[2]
+        if _is_left_behind(name):
+            continue
+        if kind == _FILE and _is_surely_log(name):
+            return name
+        if kind == _FOLDER and depth and (log := _log_below(files, entry, depth - 1)):
+            return f"{name}/{log}"
+    return ""
+
+
+def _refuse_other_spelling(files: Any, folder: str, name: str) -> None:
+    """Config.yaml or config.yml: a machine would be measured by the configuration of all others."""
+    names = {path.rpartition("/")[2]: path for path, kind in _entries(files, folder) if kind == _FILE}
+    for other, path in names.items():
+        if name not in names and other.lower().replace(".yml", ".yaml") == name:
+            raise _other_spelling(path, name)
+
+
+def _other_spelling(path: str, name: str) -> InputError:
+    return InputError(path, "is not read under this name", name)
 
 
 def _folders(files: Any, path: str, left_out: list[str], refused: list[InputError]) -> list[str]:
@@ -243,6 +303,21 @@ def _unread_compression(name: str) -> str:
     """Of a log; "" for all else."""
     stem, dot, suffix = name.lower().rpartition(".")
     return dot + suffix if dot + suffix in _UNREAD_COMPRESSIONS and stem.endswith(SUFFIXES) else ""
+
+
+def _is_left_behind(name: str) -> bool:
+    """By a file manager or editor."""
+    return name.startswith(".") or name.lower() in _NO_LOGS
+
+
+def _is_surely_log(name: str) -> bool:
+    """Not a table or database as other programs write them too."""
+    return _is_rotated(name) or (_is_log(name) and not name.lower().removesuffix(".gz").endswith(_OF_OTHERS_TOO))
+
+
+def _is_rotated(name: str) -> bool:
+    found = _ROTATED.fullmatch(name.lower())
+    return found is not None and found[1].endswith(SUFFIXES)
 
 
 def _is_log(name: str) -> bool:

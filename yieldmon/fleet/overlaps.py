@@ -11,10 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yieldmon.fleet import tables
+from yieldmon.fleet.names import EARLIEST_DATE_S
 from yieldmon.fleet.querying import Query
 
-EARLIEST_DATE_S = 1e8
-"""Bus time before this (1973) counts from a recorder's start and is no date: two logs that begin so share no time."""
 _LOGS = f"""
 SELECT machine, day, name, first_number, last_number, least(start_s, end_s) AS from_s, greatest(start_s, end_s) AS to_s FROM loads
 WHERE kind = '{tables.LOG}' AND seconds > 0 AND least(start_s, end_s) > {EARLIEST_DATE_S} ORDER BY machine, day, first_number

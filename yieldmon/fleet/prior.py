@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -58,7 +58,9 @@ def crop_prior(address: str, name: str) -> CropPrior:
     with opened(address) as query:
         machines, left_out = _machines(query, name, start)
     if len(machines) < LEAST_MACHINES:
-        raise InputError(address, f"has tickets of {len(machines)} machines for {name}", f"at least {LEAST_MACHINES}")
+        raise InputError(
+            address, f"has tickets of {len(machines)} machines for {name}{_others(left_out)}", f"at least {LEAST_MACHINES}"
+        )
     try:
         found = pooled(start, machines)
     except ValueError as error:
@@ -70,6 +72,13 @@ def crop_prior(address: str, name: str) -> CropPrior:
     return CropPrior(
         replace(found, parameter_set=replace(found.parameter_set, provenance=facts)), tuple(machines), tuple(left_out)
     )
+
+
+def _others(left_out: Sequence[str]) -> str:
+    if not left_out:
+        return ""
+    more = f" (and {len(left_out) - 1} more)" if len(left_out) > 1 else ""
+    return f" that can be used; left out: {left_out[0]}{more}"
 
 
 def _machines(query: Query, name: str, start: ParameterSet) -> tuple[list[MachineLoads], list[str]]:
@@ -84,10 +93,12 @@ def _machines(query: Query, name: str, start: ParameterSet) -> tuple[list[Machin
         models[day["machine"]] = ForwardModel(machine, start.effects)
         for ticket in query.rows(_TICKETS, (day["machine"], day["day"])):
             try:
-                loads.setdefault(day["machine"], []).append(_weighed(query, day, ticket, machine))
+                found = _weighed(query, day, ticket, machine)
             except InputError as error:
                 left_out.append(str(error))
-    return [MachineLoads(name, models[name], tuple(found)) for name, found in loads.items()], left_out
+            else:
+                loads.setdefault(day["machine"], []).append(found)
+    return [MachineLoads(name, models[name], tuple(weighed)) for name, weighed in loads.items()], left_out
 
 
 def _weighed(query: Query, day: dict[str, Any], ticket: dict[str, Any], machine: Machine) -> WeighedLoad:

@@ -91,9 +91,9 @@ def opened(address: str, wanted: Sequence[str] = tables.TABLES) -> Iterator[Quer
             listed = ", ".join(_quoted(path) for path in paths)
             kinds = "{'machine': VARCHAR, 'day': VARCHAR}"
             with _readable(address):
-                database.execute(
-                    f"CREATE VIEW {table} AS SELECT * FROM read_parquet([{listed}], hive_partitioning=true, hive_types={kinds})"
-                )
+                # By name: days that an earlier release measured may lack columns, which are null there.
+                options = f"union_by_name=true, hive_partitioning=true, hive_types={kinds}"
+                database.execute(f"CREATE VIEW {table} AS SELECT * FROM read_parquet([{listed}], {options})")
         yield Query(database, dataset, commits)
 
 

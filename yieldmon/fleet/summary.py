@@ -5,23 +5,28 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable, Mapping, Sequence
+from datetime import UTC, datetime
 from math import sqrt
 from typing import Any
 
 from yieldmon.engine.faults import FaultCode
 from yieldmon.errors import InputError
 from yieldmon.fleet import tables
-from yieldmon.fleet.names import in_order
-from yieldmon.fleet.overlaps import EARLIEST_DATE_S, Overlap, overlaps
+from yieldmon.fleet.names import EARLIEST_DATE_S, LATEST_DATE_S, in_order, off_by_days
+from yieldmon.fleet.overlaps import Overlap, overlaps
 from yieldmon.fleet.querying import Query, opened
 
 Rows = list[dict[str, Any]]
 _TABLES = (tables.PROVENANCE, tables.FAULTS, tables.SWEEPS, tables.PARAMETERS, tables.LOADS, tables.RECORDS)
 
 _DAYS = f"""
-WITH first AS (SELECT machine, day, arg_min(start_s, first_number) AS start_s FROM loads WHERE kind = '{tables.LOG}' GROUP BY ALL)
+WITH first AS (
+  SELECT machine, day, arg_min(start_s, first_number) AS start_s, arg_min(name, first_number) AS log FROM loads
+  WHERE kind = '{tables.LOG}' GROUP BY ALL
+)
 SELECT machine, day, seconds, frames, total_mass_kg, crop, software_version, source_sha256, parameters_sha256, zero_known,
-  logs, damages, first.start_s AS start_s FROM provenance LEFT JOIN first USING (machine, day) ORDER BY machine, day
+  logs, damages, first.start_s AS start_s, first.log AS first_log
+FROM provenance LEFT JOIN first USING (machine, day) ORDER BY machine, day
 """
 _FAULTS = f"""
 WITH last AS (SELECT machine, day, arg_max(end_s, first_number) AS end_s FROM loads WHERE kind = '{tables.LOG}' GROUP BY ALL)
@@ -58,7 +63,8 @@ def summarise(address: str) -> dict[str, Any]:
     -------
     dict
         totals; machines, by name; days, by machine and day; tickets; failed and poisoned; doubtful: damaged logs, days without a
-        zero, logs that are there twice, and logs of a machine that overlap in time or hold the same samples at other times.
+        zero, clocks that contradict a day's name, logs that are there twice, and logs of a machine that overlap in time or hold
+        the same samples at other times.
 
     Raises
     ------
@@ -109,7 +115,7 @@ def _in_order(rows: Rows) -> Rows:
     """Days by machine and then by date, where a machine's logs hold it, else by name with numbers in it as such."""
     ordered: Rows = []
     for days in _by_machine(rows).values():
-        dated = all((row["start_s"] or 0.0) > EARLIEST_DATE_S for row in days)
+        dated = all((row["start_s"] or 0.0) > EARLIEST_DATE_S and not off_by_days(row["day"], row["start_s"]) for row in days)
         ordered += sorted(days, key=lambda row: (row["start_s"] if dated else 0.0, in_order(row["day"])))
     return ordered
 
@@ -145,6 +151,9 @@ def _doubtful(days: Rows, overlapping: Sequence[Overlap], samples: Mapping[_Log,
         if damages:
             more = f" (and {len(damages) - 1} more)" if len(damages) > 1 else ""
             found.append({**where, "problem": f"damaged: {damages[0]}{more}"})
+        if off_by_days(row["day"], row["start_s"]):
+            begin = datetime.fromtimestamp(min(row["start_s"], LATEST_DATE_S), UTC).date().isoformat()
+            found.append({**where, "problem": f"{row['first_log']} begins on {begin} by its clock"})
         if row["seconds"] and not row["zero_known"]:
             found.append({**where, "problem": f"no zero of the sensor is known, so none of the {row['seconds']} s has a flow"})
         for name, digest in logs:

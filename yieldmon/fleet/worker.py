@@ -81,10 +81,13 @@ def left(task: Task, error: BaseException) -> Outcome:
 
 def _worked(task: Task) -> Outcome:
     dataset = Dataset(task.dataset)
+    if software() != task.software:
+        # No fault of the day: noted as such, one worker that was not updated would soon have refused all of them.
+        dataset.require(task.token)
+        ours, theirs = (f"{s.version} ({s.source_sha256[:12]}, {s.libraries})" for s in (software(), task.software))
+        why = f"a worker runs yieldmon {ours}; expected that of the client, {theirs}"
+        return Outcome(task.partition.name, LEFT, why_left=why)
     try:
-        if software() != task.software:
-            ours, theirs = (f"{s.version} ({s.source_sha256[:12]}, {s.libraries})" for s in (software(), task.software))
-            raise InputError("worker", f"runs yieldmon {ours}", f"that of the client, {theirs}")
         return _measured(task, dataset)
     except InputError as error:
         computer = of_the_computer(error)

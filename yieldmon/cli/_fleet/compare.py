@@ -9,6 +9,7 @@ from yieldmon.cli._json import print_document
 from yieldmon.fleet.comparison import compare
 
 _SHOWN = 20
+_CAUSES = {"inputs_sha256": "logs or tickets", "parameters_sha256": "parameters", "software": "software"}
 
 
 def run(args: argparse.Namespace) -> int:
@@ -20,6 +21,13 @@ def run(args: argparse.Namespace) -> int:
 
 def _text(found: dict[str, Any]) -> str:
     lines = [f"{found['equal']} of {found['partitions']} partitions are equal"]
+    if found["because"]:
+        lines.append("what differs: " + ", ".join(f"{_CAUSES[name]} ({days} days)" for name, days in found["because"].items()))
+    lines += [
+        f"columns of records only in {found[which]}: {', '.join(names)}"
+        for which in ("first", "second")
+        if (names := found[f"columns_only_in_{which}"])
+    ]
     lines += [f"only in {found[which]}: {name}" for which in ("first", "second") for name in found[f"only_in_{which}"]]
     worst = sorted(found["different"], key=lambda item: -abs(item["mass_change_pct"] or 0.0))
     for item in worst[:_SHOWN]:

@@ -23,7 +23,7 @@ from yieldmon.fleet.copies import with_copies
 from yieldmon.fleet.dataset import Dataset
 from yieldmon.fleet.filesystem import is_remote
 from yieldmon.fleet.identity import parameters_sha256, software
-from yieldmon.fleet.manifest import Partition
+from yieldmon.fleet.manifest import Manifest, Partition
 from yieldmon.fleet.measuring import by_name
 from yieldmon.fleet.worker import DONE, FAILED, LEFT, SKIPPED, Outcome, Task, refused
 from yieldmon.resources import shipped
@@ -85,7 +85,7 @@ def run(args: argparse.Namespace) -> int:
         raise
     dataset.withdraw_failures([outcome.name for outcome in outcomes if outcome.status == SKIPPED], token)
     dataset.end(token)
-    document = _document(args.out, outcomes, looked_at, found.refused)
+    document = _document(args.out, outcomes, looked_at, found)
     if args.json:
         print_json(document)
     else:
@@ -157,9 +157,7 @@ def _configurations(partitions: Sequence[Partition], args: argparse.Namespace) -
     return found
 
 
-def _document(
-    out: str, outcomes: Sequence[Outcome], partitions: Sequence[Partition], refusals: Sequence[InputError]
-) -> dict[str, Any]:
+def _document(out: str, outcomes: Sequence[Outcome], partitions: Sequence[Partition], found: Manifest) -> dict[str, Any]:
     counts = {status: sum(outcome.status == status for outcome in outcomes) for status in (DONE, SKIPPED, FAILED, LEFT)}
     return {
         "dataset": out,
@@ -167,9 +165,10 @@ def _document(
         **counts,
         "frames": sum(outcome.frames for outcome in outcomes),
         "seconds": sum(outcome.seconds for outcome in outcomes),
+        "left_out": list(found.left_out),
         "copies": [{"log": log, "same_as": same} for partition in partitions for log, same in partition.copies],
         "poisoned": [
-            *({"partition": "", "where": error.where, "problem": str(error)} for error in refusals),
+            *({"partition": "", "where": error.where, "problem": str(error)} for error in found.refused),
             *(
                 {"partition": outcome.name, **asdict(item)}
                 for outcome in sorted(outcomes, key=lambda outcome: outcome.name)
