@@ -287,6 +287,17 @@ def test_the_hint_names_the_quantity_of_the_column(tmp_path: Path) -> None:
         sources.read(path, ReadOptions())
 
 
+@pytest.mark.parametrize(
+    ("cut", "quantity"),
+    [("Yld_Vol_Dr", "yield"), ("Yld_Mass_W", "yield"), ("Yld_Mass_D", "yield"), ("Crop_Flw_M", "flow"), ("Swth_Wdth_", "width")],
+)
+def test_names_as_shapefiles_cut_them(cut: str, quantity: str, tmp_path: Path) -> None:
+    path = tmp_path / "field.csv"
+    path.write_text(f"Longitude,Latitude,{cut}\n-92.1,39.0,5.1\n")
+    with pytest.raises(InputError, match=f"states no known unit for {cut}; expected --column {quantity}={cut}:UNIT"):
+        sources.read(path, ReadOptions())
+
+
 def test_no_moisture_is_0(tmp_path: Path) -> None:
     table = read_logged(logged([str(n) for n in range(LOGGED)], moisture="0"), tmp_path)
     assert np.isnan(table["moisture_pct"]).all()

@@ -110,6 +110,7 @@ FACTORS: dict[str, dict[str, float]] = {
     "none": {"": 1.0},
 }
 _BUSHELS = ("bu/ac", "bu/acre", "bu/ha", "bu/h", "bu/s")
+_OF_BUSHELS = ("mass_per_area", "mass_flow")
 
 
 def plain_unit(text: str) -> str:
@@ -123,6 +124,15 @@ def plain_unit(text: str) -> str:
         if unit.endswith(f"1{below}-1"):
             return f"{unit.removesuffix(f'1{below}-1')}/{below}"
     return unit if unit != "/cent" else "percent"
+
+
+def is_unit_of(unit: str, kind: str) -> bool:
+    """Whether a unit, as plain_unit spells it, is one of a kind of quantity; any is of what has none.
+
+    >>> is_unit_of("bu/ac", "mass_per_area"), is_unit_of("m", "mass_flow")
+    (True, False)
+    """
+    return kind not in FACTORS or unit in FACTORS[kind] or (unit in _BUSHELS and kind in _OF_BUSHELS)
 
 
 def factor(unit: str, kind: str, where: str, crop_name: str = "") -> float:
@@ -148,7 +158,7 @@ def factor(unit: str, kind: str, where: str, crop_name: str = "") -> float:
     known = FACTORS[kind]
     if plain in known:
         return known[plain]
-    if plain in _BUSHELS and kind in ("mass_per_area", "mass_flow"):
+    if plain in _BUSHELS and kind in _OF_BUSHELS:
         of = crop(crop_name)
         if of is None:
             names = ", ".join(known_crops())

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from yieldmon.errors import InputError
-from yieldmon.field.units import FACTORS, factor, plain_unit
+from yieldmon.field.units import FACTORS, factor, is_unit_of, plain_unit
 
 
 @dataclass(frozen=True)
@@ -83,6 +83,8 @@ QUANTITIES: Mapping[str, Quantity] = {
     "product": Quantity("text", _names("product variety hybrid")),
 }
 _NEEDS_NO_UNIT = ("longitude", "latitude", "time", "moisture", "heading")
+_SHAPEFILE_NAME, _LEAST_CUT = 10, 7
+"""Longest name of a column in a shapefile, and shortest in plain letters that still says what was cut."""
 _BRACKETS = re.compile(r"[(\[]([^()\[\]]*)[)\]]\s*$")
 _UNIT_WORDS = [
     *sorted(
@@ -138,6 +140,14 @@ def _spellings(name: str, bare: str) -> tuple[str, ...]:
     return plain_name(bare), plain_name(name), plain_name(_BRACKETS.sub("", name))
 
 
+def _is_called(wanted: str, name: str, bare: str) -> bool:
+    """Whether a column bears a known name, whole or cut to ten characters as in a shapefile, its unit with it."""
+    if wanted in _spellings(name, bare):
+        return True
+    plain = plain_name(name)
+    return len(name) == _SHAPEFILE_NAME and len(plain) >= _LEAST_CUT and (wanted.startswith(plain) or wanted == plain[:-1])
+
+
 def plain_name(name: str) -> str:
     """Small letters and digits only; letters without their accents."""
     return re.sub(r"[^a-z0-9]", "", unicodedata.normalize("NFKD", name.lower()))
@@ -181,10 +191,10 @@ def columns_of(
         for wanted in facts.names:
             # What has a unit is no text: load_kg is a mass, not a load's name.
             fits = [row for row in found if not (facts.kind == "text" and row[2])]
-            named = next(((name, unit) for name, bare, unit in fits if wanted in _spellings(name, bare)), None)
+            named = next(((name, unit) for name, bare, unit in fits if _is_called(wanted, name, bare)), None)
             if named is None:
                 continue
-            unit = units.get(named[0], "") or named[1]
+            unit = units.get(named[0], "") or (named[1] if is_unit_of(named[1], facts.kind) else "")
             if facts.kind not in ("text", "date", "state", "none") and not unit and quantity not in _NEEDS_NO_UNIT:
                 lacking.setdefault(named[0], quantity)
                 continue
