@@ -1,0 +1,190 @@
+"""A mapping held against a recording: each figure of what was seen, and limits met exactly."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from yieldmon.errors import InputError
+from yieldmon.service import configuration
+from yieldmon.service.configuration import Configuration
+from yieldmon.service.mapping_check import RATE_TOLERANCE, QuantitySeen, notes, problems, seen_in
+
+DBC = """\
+VERSION ""
+NS_ :
+BS_:
+BU_: Cell
+BO_ 257 CellData: 4 Cell
+ SG_ Volt0 : 0|16@1- (0.1,0) [0|0] "mV" Cell
+ SG_ Volt1 : 16|16@1- (0.1,0) [0|0] "mV" Cell
+BO_ 2566849793 WideCell: 4 Cell
+ SG_ Volt0 : 0|16@1- (0.1,0) [0|0] "mV" Cell
+BO_ 258 Shaft: 2 Cell
+ SG_ Turns : 0|16@1+ (0.5,0) [0|0] "rpm" Cell
+BO_ 259 Short: 8 Cell
+ SG_ Flow : 0|16@1+ (0.01,0) [0|600] "kg/s" Cell
+ SG_ Whole : 16|32@1+ (0.5,-10) [0|0] "kg" Cell
+BO_ 2566898449 Long: 8 Cell
+ SG_ Load : 0|16@1+ (1,0) [0|0] "kg" Cell
+ SG_ Grain : 16|16@1+ (-0.002,100) [0|0] "%" Cell
+ SG_ Number : 32|16@1+ (1,0) [0|0] "" Cell
+"""
+J1939 = """\
+BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN","reserved","J1939PG";
+BA_ "VFrameFormat" BO_ 2566898449 3;
+"""
+CELL = "{dbc: own.dbc, message: CellData, signals: [Volt0, Volt1], rate_hz: 500}"
+WIDE = "{dbc: own.dbc, message: WideCell, signal: Volt0, rate_hz: 500"
+SHAFT = "{dbc: own.dbc, message: Shaft, signal: Turns}"
+
+
+def load(folder: Path, more: str = "", cell: str = CELL, attributes: str = "") -> Configuration:
+    (folder / "own.dbc").write_text(DBC + attributes)
+    text = f"plate: {{fixed_angle_deg: 70}}\nsignals:\n  impact_voltage: {cell}\n  elevator_speed: {SHAFT}\n{more}"
+    (folder / "c.yaml").write_text(text)
+    return configuration.load(folder / "c.yaml")
+
+
+def log_of(folder: Path, *rows: tuple[float, int, bytes]) -> Path:
+    lines = [f"({time_s:.6f}) can0 {identifier:03X}#{data.hex().upper()}" for time_s, identifier, data in sorted(rows)]
+    (folder / "a.log").write_text("\n".join(lines) + "\n")
+    return folder / "a.log"
+
+
+def test_what_a_recording_shows_of_each_quantity(tmp_path: Path) -> None:
+    """Six frames of two samples 2 ms apart, the last of a frame at its time; one frame of the middle is missing."""
+    millivolts = [(10.0, 20.0), (30.0, -5.5), (7.0, 8.0), (9.0, 11.0), (600.5, 12.0), (13.0, 14.0)]
+    at_s = [100.0, 100.004, 100.008, 100.016, 100.020, 100.024]
+    cell = [
+        (time_s, 257, struct.pack("<hh", *(round(10 * mv) for mv in both))) for time_s, both in zip(at_s, millivolts, strict=True)
+    ]
+    turns = [(100.0, 400.0), (100.1, 30_000.0), (100.35, 410.0), (100.4, 390.5)]
+    shaft = [(time_s, 258, struct.pack("<H", round(2 * rpm))) for time_s, rpm in turns]
+    seen, incomplete = seen_in(load(tmp_path), log_of(tmp_path, *cell, *shaft))
+    assert incomplete == 0
+    assert {name for name, entry in seen.items() if entry.values} == {"impact", "elevator_speed"}
+    flat = [mv for both in millivolts for mv in both]
+    assert seen["impact"].rate_hz == pytest.approx(11 / 0.026, rel=1e-9)
+    assert seen["impact"].largest_gap_s == pytest.approx(0.006, rel=1e-6)
+    assert seen["impact"].first == pytest.approx(flat[:5])
+    impact = replace(seen["impact"], rate_hz=None, largest_gap_s=None, first=())
+    assert impact == QuantitySeen("mV", 12, 12, None, -5.5, 600.5, None, (), (-5.5, 600.5))
+    assert seen["elevator_speed"].rate_hz == pytest.approx(3 / 0.4, rel=1e-6)
+    assert seen["elevator_speed"].largest_gap_s == pytest.approx(0.35, rel=1e-6), "without the one that no elevator turns at"
+    speed = replace(seen["elevator_speed"], rate_hz=None, largest_gap_s=None)
+    assert speed == QuantitySeen("rpm", 4, 3, None, 390.5, 410.0, None, (400.0, 410.0, 390.5), (390.5, 30_000.0))
+
+
+def test_one_value_has_no_rate_and_none_at_all_has_no_figure(tmp_path: Path) -> None:
+    config = load(tmp_path)
+    cell = [(100.0 + 0.004 * k, 257, struct.pack("<hh", 10, 20)) for k in range(3)]
+    alone, _ = seen_in(config, log_of(tmp_path, *cell, (100.0, 258, struct.pack("<H", 800))))
+    assert alone["elevator_speed"] == QuantitySeen("rpm", 1, 1, None, 400.0, 400.0, None, (400.0,), (400.0, 400.0))
+    none, _ = seen_in(config, log_of(tmp_path, *cell))
+    assert none["elevator_speed"] == QuantitySeen("rpm", 0, 0, None, None, None, None, (), None)
+    ((where, problem, expected),) = problems(config, none, str(tmp_path / "a.log"))
+    assert (where, problem, expected) == (f"{tmp_path / 'a.log'}: elevator_speed", "no frame of it", "frames that are mapped")
+
+
+def impact(config: Configuration, **figures: float) -> dict[str, QuantitySeen]:
+    good = QuantitySeen("mV", 9, 9, 500.0, 0.0, 1.0, 0.002, (0.0,), (0.0, 1.0))
+    speed = QuantitySeen("rpm", 9, 9, 10.0, 400.0, 400.0, 0.1, (400.0,), (400.0, 400.0))
+    return {"impact": replace(good, **figures), "elevator_speed": speed}
+
+
+@pytest.mark.parametrize(
+    ("figures", "found"),
+    [
+        ({}, ()),
+        ({"low": 1.0, "high": 9.0}, ()),
+        ({"low": 1.001, "high": 9.0}, ("mV",)),
+        ({"low": -9.0, "high": -1.0}, ()),
+        ({"low": -9.0, "high": -1.001}, ("mV",)),
+        ({"low": -9.0, "high": 9.0}, ()),
+        ({"rate_hz": 500.0 * (0.999 + RATE_TOLERANCE)}, ()),
+        ({"rate_hz": 500.0 * (1.001 + RATE_TOLERANCE)}, ("samples per second",)),
+        ({"rate_hz": 500.0 * (1.001 - RATE_TOLERANCE)}, ()),
+        ({"rate_hz": 500.0 * (0.999 - RATE_TOLERANCE)}, ("samples per second",)),
+        ({"low": 1.001, "high": 9.0, "rate_hz": 100.0}, ("mV", "samples per second")),
+    ],
+)
+def test_samples_are_held_against_the_cell_and_the_stated_rate(
+    figures: dict[str, float], found: tuple[str, ...], tmp_path: Path
+) -> None:
+    """low, high: in the most that a cell of this machine can say."""
+    config = load(tmp_path)
+    most_mv = config.engine.windows.plausible_full_scales * config.machine.sensor.full_scale_mv
+    scaled = {key: value * most_mv if key in ("low", "high") else value for key, value in figures.items()}
+    told = problems(config, impact(config, **scaled), "a.log")
+    assert [next(text for text in ("mV", "samples per second") if problem.endswith(text)) for _, problem, _ in told] == list(
+        found
+    )
+    assert all(where == "a.log: impact" for where, _, _ in told)
+
+
+@pytest.mark.parametrize(
+    ("decoded", "told"),
+    [((1e9, 2e9), "no usable value: it decodes to 1e+09 to 2e+09 rpm"), ((7.0, 7.0), "no usable value: it decodes to 7 rpm")],
+)
+def test_values_that_an_input_cannot_have_are_said(decoded: tuple[float, float], told: str, tmp_path: Path) -> None:
+    config = load(tmp_path)
+    seen = impact(config)
+    seen["elevator_speed"] = QuantitySeen("rpm", 9, 0, 10.0, None, None, None, (), decoded)
+    ((where, problem, expected),) = problems(config, seen, "a.log")
+    assert (where, problem) == ("a.log: elevator_speed", told)
+    assert expected == "values that it can have; look at signal, unit, scale and range"
+
+
+OUTPUTS = """\
+outputs:
+  signals:
+    mass_flow: {dbc: own.dbc, message: Short, signal: Flow, period_ms: 250, range: [0, 500]}
+    total_mass: {dbc: own.dbc, message: Short, signal: Whole, period_ms: 250, not_available: 4294967295}
+    load_mass: {dbc: own.dbc, message: Long, signal: Load}
+    moisture: {dbc: own.dbc, message: Long, signal: Grain}
+    load_number: {dbc: own.dbc, message: Long, signal: Number}
+"""
+
+
+SILENT = "; without a value no frame is sent"
+
+
+@pytest.mark.parametrize(
+    ("attributes", "source", "kg", "pct", "silent"),
+    [("", "11", 65535, "-31.07", SILENT), (J1939, "xx", 64255, "-28.51", "")],
+    ids=["plain", "J1939"],
+)
+def test_notes_say_where_a_quantity_goes_and_what_it_can_carry(
+    attributes: str, source: str, kg: int, pct: str, silent: str, tmp_path: Path
+) -> None:
+    """Ranges by hand, the smaller of `range` and what the bits hold: 65535 steps of 1 kg and of -0.002 %, 64255 in
+    J1939, which has a raw value for what is not known."""
+    told = [note for note in notes(load(tmp_path, OUTPUTS, attributes=attributes)) if " goes to " in note]
+    assert told == [
+        f"mass_flow goes to Short.Flow (0x103), every 250 ms, from 0 to 500 kg/s{SILENT}",
+        "total_mass goes to Short.Whole (0x103), every 250 ms, from -10 to 2.14748e+09 kg",
+        f"load_mass goes to Long.Load (0x18FFC3{source}), with each new value, from 0 to {kg} kg{silent}",
+        f"moisture goes to Long.Grain (0x18FFC3{source}), with each new value, from {pct} to 100 %{silent}",
+        f"load_number goes to Long.Number (0x18FFC3{source}), with each new value",
+    ]
+
+
+BITS = {
+    "identity_number": 21, "manufacturer_code": 11, "ecu_instance": 3, "function_instance": 5, "function": 8, "vehicle_system": 7,
+    "vehicle_system_instance": 4, "industry_group": 3,
+}  # fmt: skip
+"""Of each field of a NAME (SAE J1939-81)."""
+
+
+@pytest.mark.parametrize("field", BITS)
+def test_fields_of_a_name_take_what_their_bits_hold(field: str, tmp_path: Path) -> None:
+    whole = 2 ** BITS[field]
+    for value in (0, 1, whole - 1):
+        load(tmp_path, cell=f"{WIDE}, source: {{{field}: {value}}}}}")
+    for value in (-1, whole):
+        with pytest.raises(InputError, match=field):
+            load(tmp_path, cell=f"{WIDE}, source: {{{field}: {value}}}}}")
