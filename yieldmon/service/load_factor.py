@@ -28,7 +28,8 @@ def load_factor(load: MeasuredLoad, parameters: ParameterSet, machine: Machine) 
     Returns
     -------
     float or None
-        None where less than 90 % of the mass rests on a known force, or parameters that measured it are not known.
+        None where less than 90 % of the mass rests on a known force (and a known moisture where the parameters depend on it), or
+        parameters that measured it are not known.
     """
     versions = {row.parameter_version for row in load.seconds}
     if not versions or not versions <= set(load.parameters):
@@ -42,7 +43,11 @@ def load_factor(load: MeasuredLoad, parameters: ParameterSet, machine: Machine) 
     if not mass.sum() > _LEAST_SHARE * load.mass_kg:
         return None
     model = ForwardModel(machine, parameters.effects)
-    flow = estimator_of(machine, parameters, model).invert(force, angle, speed, moisture)
+    known = np.isfinite(moisture) if model.needs_moisture else np.full(mass.shape, fill_value=True)
+    flow = np.full(mass.shape, np.nan)
+    if np.any(known):
+        inputs = (column[known] for column in (force, angle, speed, moisture))
+        flow[known] = estimator_of(machine, parameters, model).invert(*inputs)
     measured = np.isfinite(flow)
     if not np.sum(mass[measured]) > _LEAST_SHARE * load.mass_kg:
         return None
