@@ -191,6 +191,26 @@ def test_without_a_weight_it_says_that_this_is_what_is_missing() -> None:
     assert (seen.kernels, seen.kernels_reason) == (KernelVerdict.NO_KERNEL_WEIGHT, "no thousand-kernel weight is known")
 
 
+@pytest.mark.parametrize("needed", [1, 4])
+def test_kernels_are_heard_after_so_many_seconds_of_the_empty_machine_and_of_grain(needed: int) -> None:
+    """Each second before says how many it has; the one that completes them is the first that is judged."""
+    waveform = replace(WaveformSettings(), shape=LAW, enabled=True, thousand_kernel_weight_g=175.0, quiet_windows=needed)
+    engine = replace(EngineSettings(), sweep=replace(SweepSettings(), enabled=False), waveform=waveform)
+    machine = replace(MACHINE, sensor=replace(MACHINE.sensor, response_s=2e-4))
+    monitor = Monitor(engine, machine, OpenLoop(ForwardModel(machine, PARAMETERS.effects), PARAMETERS))
+    results = [r for frame in struck(2e-4) for r in monitor.feed(frame) if isinstance(r, WindowResult)]
+    seen = [(r.waveform.kernels, r.waveform.kernels_reason) for r in results if r.record.mass_flow_kg_s > 0.5 * FLOW_KG_S]
+    early = [reason for verdict, reason in seen if verdict is KernelVerdict.TOO_EARLY]
+    quiet = int(early[0].split(" ")[0])
+    assert quiet >= needed
+    told = {
+        f"{quiet} s of the empty machine and {heard} s of steady grain heard, {needed} s of each needed"
+        for heard in range(needed)
+    }
+    assert set(early) == told
+    assert [verdict is KernelVerdict.TOO_EARLY for verdict, _ in seen] == [True] * len(early) + [False] * (len(seen) - len(early))
+
+
 STEPS = (6.0, 14.0, 10.0)
 
 

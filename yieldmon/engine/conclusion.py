@@ -226,8 +226,6 @@ class Conclusion:
 def _operating_state(reading: Reading, active: tuple[FaultCode, ...], *, sweeping: bool) -> OperatingState:
     if any(FAULTS[code].severity is Severity.STOP_TRUSTING for code in active):
         return OperatingState.FAULT
-    if not reading.window.samples or not reading.speed_known:
-        return OperatingState.STARTING
     if reading.zero is None or reading.calibrating_zero:
         return OperatingState.ZEROING
     if sweeping:
