@@ -127,6 +127,31 @@ def test_what_is_not_known_of_a_load_any_more_is_not_in_the_store(lost: dict[str
         assert store.loads() == [replace(whole, **lost), other]
 
 
+@pytest.mark.parametrize(
+    ("dried_kg", "changes", "expected_kg"),
+    [
+        (90.0, {"std_dev_kg": 4.5}, 90.0),
+        (90.0, {"measured_kg": 120.0, "dry_kg": 102.0}, 108.0),
+        (90.0, {"unknown_moisture_kg": 5.0}, None),
+        (None, {"std_dev_kg": 4.5}, None),
+        (None, {"measured_kg": 120.0, "dry_kg": 102.0}, None),
+    ],
+)
+def test_a_load_of_another_crop_keeps_its_dry_mass_when_it_is_restated(
+    dried_kg: float | None, changes: dict[str, Any], expected_kg: float | None
+) -> None:
+    """A sweep after the correction states another deviation of the load, or an undone zero another mass."""
+    found = book()
+    found.measured(SUMMARY, "south", "corn")
+    found.named(3, None, "wheat")
+    found.dried(3, 95.0)
+    found.dried(3, dried_kg)
+    found.measured(replace(SUMMARY, **changes), "south", "corn")
+    (load,) = found.take()
+    assert (load.crop, load.dry_mass_kg) == ("wheat", expected_kg)
+    assert load.mass_kg == changes.get("measured_kg", 100.0)
+
+
 def test_a_corrected_load_is_relatively_as_sure_as_before() -> None:
     found = book(replace(KNOWN, std_dev_kg=2.0))
     found.corrected(3, MissedMass(kg=50.0))

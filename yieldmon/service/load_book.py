@@ -22,6 +22,8 @@ class LoadBook:
         """loads: as the store has them."""
         self._loads = {load.number: load for load in loads}
         self._new: dict[int, Load] = {}
+        self._dried: dict[int, tuple[float | None, float | None]] = {}
+        """Dry mass as measured and at another market moisture, kg, by load."""
 
     def __iter__(self) -> Iterator[Load]:
         """In order of their numbers."""
@@ -40,7 +42,7 @@ class LoadBook:
             started_s=started_s if started_s is not None else finite(summary.start_s),
             ended_s=finite(summary.end_s),
             mass_kg=summary.measured_kg,
-            dry_mass_kg=summary.dry_kg if dry_known else None,
+            dry_mass_kg=self._dry_kg(summary.number, summary.dry_kg if dry_known else None),
             area_m2=summary.area_m2 if area_known else None,
             std_dev_kg=finite(summary.std_dev_kg),
         )
@@ -70,8 +72,16 @@ class LoadBook:
         self._loads[number] = self._new[number] = replace(known, field=field, crop=crop)
 
     def dried(self, number: int, dry_mass_kg: float | None) -> None:
-        """The dry mass of a load, at another market moisture."""
+        """The dry mass of a load, at another market moisture; it stays so when the load is restated."""
+        measured_kg = self._dried[number][0] if number in self._dried else self._loads[number].dry_mass_kg
+        self._dried[number] = measured_kg, dry_mass_kg
         self._loads[number] = self._new[number] = replace(self._loads[number], dry_mass_kg=dry_mass_kg)
+
+    def _dry_kg(self, number: int, measured_kg: float | None) -> float | None:
+        before_kg, dried_kg = self._dried.get(number, (measured_kg, measured_kg))
+        if measured_kg == before_kg or dried_kg is None:
+            return dried_kg
+        return dried_kg * measured_kg / before_kg if measured_kg is not None and before_kg else None
 
     def take(self) -> tuple[Load, ...]:
         """Those that no batch has brought yet; they count as brought."""
