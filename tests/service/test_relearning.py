@@ -1,4 +1,4 @@
-"""A ticket taken back leaves what never having entered it would have, whatever came after it."""
+"""A ticket or a calibration taken back leaves what it would be without it, whatever came after it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 
 from tests.service.bench import running, wait_for
 from tests.service.test_tickets_after_restart import TRUE, Season, ask
-from yieldmon.cli._records import taken_back
+from yieldmon.cli._records import back, taken_back
 from yieldmon.files import parameter_file
 from yieldmon.service.store import Store
 
@@ -152,3 +152,93 @@ def test_a_ticket_from_before_a_new_parameter_file_leaves_that_file(tmp_path, ca
         bench.played()
         assert "undone" not in ask(season.folder, capsys, "ticket", "undo", "1")
         assert left(season, bench)["values"]["density"] == 900.0
+
+
+def versions_of(season: Season, number: int) -> list[int]:
+    """Of the parameters, to which a ticket led and which stand."""
+    rows = ask(season.folder, season.capsys, "calibrations", "list")["calibrations"]
+    undone = {row["version"] for row in rows if row["state"] == "undone"}
+    with Store(season.folder / "yieldmon.sqlite") as store:
+        led = [a.document for a in store.actions() if a.kind == "parameters" and number in a.document["tickets"]]
+    return [document["version"] for document in led if document["version"] not in undone]
+
+
+@pytest.mark.parametrize("restart", [False, True], ids=["", "after a restart"])
+@pytest.mark.parametrize("place", [0, 1, 3], ids=["first", "in the middle", "last"])
+def test_a_calibration_undone_leaves_what_the_others_teach(place: int, restart: bool, never, tmp_path, capsys) -> None:
+    """A wrong ticket's lesson is taken back by its version: the parameters are those of the others alone, and the mass that
+    it gives its own load stays until the ticket goes, too."""
+    season = Season(tmp_path / "a", capsys)
+    tickets = [*RIGHT[:place], (5, 1.01 * TRUE), *RIGHT[place:]]
+    with running(season.folder) as bench:
+        season.harvest(bench)
+        enter(season, bench, tickets)
+        settle(season, bench)
+        version = versions_of(season, place + 1)[0]
+        season.now_s = bench.now_s
+        if not restart:
+            answer = ask(season.folder, capsys, "calibrations", "undo", str(version))
+            found = left(season, bench)
+    if restart:
+        with running(season.folder, start_s=season.now_s + 60.0) as bench:
+            bench.play(3, 0.0)
+            bench.played()
+            answer = ask(season.folder, capsys, "calibrations", "undo", str(version))
+            found = left(season, bench)
+    others = list(range(place + 2, len(tickets) + 1))
+    assert (answer["silenced"], answer["learnt_again"], answer["not_learnt_again"]) == ([place + 1], others, [])
+    assert found["corrected"][5] == pytest.approx(1.01 * TRUE * season.masses[5], rel=1e-6)
+    same({"values": found["values"]}, {"values": never["values"]})
+    told = back(answer)
+    assert (
+        f"; ticket {place + 1} teaches no more and still corrects its load: `yieldmon ticket undo {place + 1}` takes that" in told
+    )
+    assert ("is learnt again without it" in told) is bool(others)
+
+
+def test_a_silenced_ticket_stays_silent_when_another_is_taken_back(tmp_path, capsys) -> None:
+    season, alone = Season(tmp_path / "a", capsys), Season(tmp_path / "alone", capsys)
+    with running(season.folder) as bench:
+        season.harvest(bench)
+        enter(season, bench, RIGHT)
+        settle(season, bench)
+        ask(season.folder, capsys, "calibrations", "undo", str(versions_of(season, 2)[0]))
+        settle(season, bench)
+        undone = ask(season.folder, capsys, "ticket", "undo", "1")
+        assert (undone["learnt_again"], undone["not_learnt_again"]) == ([3], [])
+        found = left(season, bench)
+    with running(alone.folder) as bench:
+        alone.harvest(bench)
+        enter(alone, bench, RIGHT[2:])
+        same({"values": found["values"]}, {"values": left(alone, bench)["values"]})
+
+
+def test_a_parameter_file_undone_gives_the_tickets_after_it_to_the_one_before(tmp_path, capsys) -> None:
+    season = Season(tmp_path / "a", capsys)
+    with running(season.folder) as bench:
+        season.harvest(bench)
+        enter(season, bench, RIGHT[:1])
+        season.now_s = bench.now_s
+    own = replace(parameter_file.load(), values={**parameter_file.load().values, "density": 900.0})
+    parameter_file.save(own, season.folder / "own.yaml")
+    configured = "bus: {transmit_max_age_s: 60}\nparameter_file: own.yaml\n"
+    with running(season.folder, configured, start_s=season.now_s + 60.0) as bench:
+        bench.play(14, 0.0)
+        bench.played()
+        ask(season.folder, capsys, "load", "start")
+        bench.play(5, 90.0)
+        bench.played()
+        ask(season.folder, capsys, "load", "stop")
+        bench.play(2, 0.0)
+        bench.played()
+        season.masses = {row["number"]: row["mass_kg"] for row in ask(season.folder, capsys, "load", "list")["loads"]}
+        number = max(season.masses)
+        assert season.ticket(bench, number, TRUE)["why_no_anchor"] == ""
+        settle(season, bench)
+        rows = ask(season.folder, capsys, "calibrations", "list")["calibrations"]
+        version = next(row["version"] for row in reversed(rows) if row["origin"] == "file")
+        answer = ask(season.folder, capsys, "calibrations", "undo", str(version))
+        assert (answer["silenced"], answer["learnt_again"], answer["not_learnt_again"]) == ([], [2], [])
+        assert left(season, bench)["values"]["density"] != pytest.approx(900.0, rel=0.01)
+        # It teaches again from the file before, so it is among those that an undo of it reaches.
+        assert ask(season.folder, capsys, "ticket", "undo", "2")["undone"] > version

@@ -26,11 +26,20 @@ def undone(time_s: float | None, who: str | None) -> str:
 
 def back(answer: Mapping[str, Any]) -> str:
     """What an undo of a calibration did."""
-    left = _teaching(answer)
+    left = _silenced(answer) + _teaching(answer)
     if answer.get("crop"):
         return f"calibration {answer['undone']} undone for {answer['crop']}; the parameters in use now stay{left}"
     undone_ = str(answer["undone"]) if answer["undone"] == answer["until"] else f"{answer['undone']} to {answer['until']}"
     return f"calibration {undone_} undone, what was in use before is version {answer['version']}{left}"
+
+
+def _silenced(answer: Mapping[str, Any]) -> str:
+    """The tickets whose own lesson was undone."""
+    numbers = answer.get("silenced", ())
+    if not numbers:
+        return ""
+    does = "teaches no more and still corrects its load" if len(numbers) == 1 else "teach no more and still correct their loads"
+    return f"; ticket {_listed(numbers)} {does}: `yieldmon ticket undo {numbers[0]}` takes that back too"
 
 
 def _teaching(answer: Mapping[str, Any]) -> str:

@@ -21,8 +21,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser = subparsers.add_parser(
         "calibrations",
         help="list calibrations and zeros, or take one back",
-        description=f"{__doc__} undo takes back a calibration and all that followed on it; a zero goes back with "
-        "`yieldmon zero --undo`.",
+        description=f"{__doc__} undo takes back a calibration: later tickets teach again, its own corrects its load and "
+        "teaches no more. A zero goes back with `yieldmon zero --undo`.",
         epilog="example: yieldmon calibrations list; yieldmon calibrations undo 14",
     )
     actions = parser.add_subparsers(dest="action", metavar="list|undo", required=True)
@@ -30,7 +30,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "list", help=f"the newest {_SHOWN}; with --json all", epilog="example: yieldmon calibrations list"
     )
     undo = actions.add_parser(
-        "undo", help="the parameters before a version again, as a new version", epilog="example: yieldmon calibrations undo 14"
+        "undo", help="the parameters without a version, as a new one", epilog="example: yieldmon calibrations undo 14"
     )
     undo.add_argument("version", metavar="VERSION", type=int, help="as the list shows it")
     for action in (listing, undo):

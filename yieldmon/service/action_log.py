@@ -107,9 +107,34 @@ class ActionLog:
         for kept in (self.waiting, *self._of_crop.values()):
             kept[:] = [number for number in kept if number not in numbers]
 
+    def led_first_to(self, version: int) -> tuple[int, ...]:
+        """Numbers of the standing tickets that led to a version and to none before it that stands."""
+        standing, gone = self.ledger.tickets, self.undone_versions
+        before = [action for earlier, action in self.updates.items() if earlier < version and earlier not in gone]
+        known = {int(led) for action in before for led in action.document.get("tickets", ())}
+        update = self.updates.get(version)
+        led = () if update is None else update.document.get("tickets", ())
+        return tuple(sorted({int(number) for number in led if int(number) in standing and int(number) not in known}))
+
+    def last_ticket_before(self, version: int) -> int:
+        """Number of the last ticket that was entered before a version came; 0 for none."""
+        update = self.updates.get(version)
+        entered = (
+            int(a.document["ticket"])
+            for a in self._actions
+            if a.kind == ledgers.TICKET and (update is None or a.number < update.number)
+        )
+        return max(entered, default=0)
+
+    @property
+    def silenced(self) -> frozenset[int]:
+        """Numbers of the tickets whose lesson was taken back by the version: they correct their loads and teach no more."""
+        undos = (action for action in self._actions if action.kind == ledgers.PARAMETERS_UNDO)
+        return frozenset(int(number) for action in undos for number in action.document.get("tickets", ()))
+
     def not_learnt_after(self, number: int) -> tuple[int, ...]:
         """Numbers of the standing tickets after one, of the parameter file in use, that were handed to the calibration and led to
-        no version that stands."""
+        no version that stands; without those that are silenced."""
         handed = [a for a in self._actions if a.kind == ledgers.TICKET and a.document.get("reference", False)]
         file = self.updates.get(self.calibrated_version)
         since = 0 if file is None else file.number
@@ -117,7 +142,7 @@ class ActionLog:
         gone, standing = self.undone_versions, self.ledger.tickets
         standing_updates = [action for version, action in self.updates.items() if version not in gone]
         learnt = {int(led) for action in standing_updates for led in action.document.get("tickets", ())}
-        return tuple(n for n in later if n > number and n in standing and n not in learnt)
+        return tuple(n for n in later if n > number and n in standing and n not in {*learnt, *self.silenced})
 
     def newest_of(self, numbers: Collection[int]) -> tuple[int, ...]:
         """Of standing tickets with these numbers, the newest for the same loads."""
@@ -207,9 +232,10 @@ class ActionLog:
         return ledgers.undone_versions(self._actions)
 
     def standing_of(self, versions: Collection[int]) -> tuple[int, ...]:
-        """Numbers of the tickets that led to these versions and stand; of several for the same loads the newest."""
+        """Numbers of the tickets that led to these versions and stand, not silenced; of several for the same loads the newest."""
         updates = [update for version, update in self.updates.items() if version in versions]
-        return self.newest_of({int(number) for update in updates for number in update.document.get("tickets", ())})
+        led = {int(number) for update in updates for number in update.document.get("tickets", ())}
+        return self.newest_of(led - self.silenced)
 
     def learnt_from(self) -> tuple[int, ...]:
         """Numbers of the standing tickets that led to versions which stand."""
@@ -217,8 +243,10 @@ class ActionLog:
 
     @property
     def calibrated_version(self) -> int:
-        """Version with which the newest parameter file came; what was measured before it says nothing about it."""
-        return max((version for version, a in self.updates.items() if a.document.get("origin") == "file"), default=0)
+        """Version with which the newest parameter file that stands came; what was measured before it says nothing about it."""
+        gone = self.undone_versions
+        files = (version for version, a in self.updates.items() if a.document.get("origin") == "file" and version not in gone)
+        return max(files, default=0)
 
     @property
     def ledger(self) -> ledgers.Ledger:

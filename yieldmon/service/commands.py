@@ -29,7 +29,7 @@ _MOST_LOADS = 63
 
 QUERIES = frozenset({"status", "loads", "tickets", "calibrations"})
 """Commands that change nothing."""
-TEACH_AGAIN = frozenset({"ticket-undo", "load-correct"})
+TEACH_AGAIN = frozenset({"ticket-undo", "calibration-undo", "load-correct"})
 """Commands after which standing tickets may teach again."""
 
 
@@ -211,8 +211,7 @@ def _calibrations(order: _Order) -> Answer:
 
 def _calibration_undo(order: _Order) -> Answer:
     version = order.request.number_of("version", "version")
-    answer = relearning.back_before(version, order.monitor, order.journal, order.request.who, order.now_s)
-    return {**answer, "standing_tickets": list(answer["standing_tickets"])}
+    return relearning.without_version(version, order.monitor, order.journal, order.request.who, order.now_s, order.stored)
 
 
 def _covered(journal: Journal, first: int, last: int, what: str = "ticket for load") -> list[Load]:

@@ -76,11 +76,13 @@ class ParameterHistory:
         """This file's parameters are those to begin with from now on."""
         self.digest = parameter_file.digest(configured)
 
-    def undo(self, version: int, in_use: ParameterSet, named: str, who: str, now_s: float) -> tuple[ParameterSet, str]:
+    def undo(
+        self, version: int, in_use: ParameterSet, named: str, who: str, now_s: float, silenced: Sequence[int] = ()
+    ) -> tuple[ParameterSet, str]:
         """The parameters before a version, as a new version in use; the crop, where that is another than is harvested now: then
         those in use stay, and its own are kept for it. Raises InputError.
 
-        named: the crop that an operator named last.
+        named: the crop that an operator named last. silenced: tickets that are to teach no more.
         """
         changes = self._actions.updates
         if version not in changes:
@@ -100,7 +102,8 @@ class ParameterHistory:
             if later >= version and (later == version or changes[later].document.get("origin") != ledgers.CROP)
             and (not crop or self._crop_at(later) in ((crop, "") if of_now else (crop,)))
         ]  # fmt: skip
-        self._actions.add(ledgers.PARAMETERS_UNDO, who, {"version": version, "versions": followed}, now_s)
+        document = {"version": version, "versions": followed} | ({"tickets": list(silenced)} if silenced else {})
+        self._actions.add(ledgers.PARAMETERS_UNDO, who, document, now_s)
         earlier = replace(self._versions[before], version=self.version + 1)
         if of_now:
             self.use(earlier, "undo", who, f"version {version} undone: as version {before}")

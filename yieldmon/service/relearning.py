@@ -1,4 +1,4 @@
-"""A ticket is taken back: the parameters from before it, and the tickets that stand taught again from there."""
+"""A ticket or a calibration is taken back: the parameters from before it, and the tickets that stand taught again from there."""
 
 from __future__ import annotations
 
@@ -28,6 +28,33 @@ def without_ticket(
     kernel noise taught since then goes. stored: loads of standing tickets, as the store has them. Raises InputError.
     """
     return _without(number, monitor, journal, who, now_s, stored, stands=())
+
+
+def without_version(
+    version: int, monitor: Monitor, journal: Journal, who: str, now_s: float, stored: Sequence[StoredLoad]
+) -> dict[str, Any]:
+    """Take a calibration back, as if it had never come: the standing tickets that taught after it teach again.
+
+    Those whose own lesson it was (`silenced`) correct their loads and teach no more. What sweeps and kernel noise taught since
+    then goes. stored: loads of standing tickets, as the store has them. Raises InputError.
+    """
+    actions = journal.actions
+    silenced = actions.led_first_to(version)
+    since = min(silenced, default=actions.last_ticket_before(version))
+    loads = [load for n in silenced for load in range(actions.entered(n).first_load, actions.entered(n).last_load + 1)]
+    undone_before = actions.undone_versions
+    answer = back_before(version, monitor, journal, who, now_s, silenced)
+    actions.wait_no_more(silenced)
+    undone = actions.undone_versions - undone_before
+    of_crop = answer["crop"] or journal.crop_in_use(monitor.estimator.parameters)
+    later = [n for n in actions.not_learnt_after(since) if not of_crop or _crop_of(journal, n) in (of_crop, "")]
+    numbers = actions.newest_of({*actions.standing_of(undone), *later})
+    taught, why_not = _teach_again(numbers, loads, answer["crop"], monitor, journal, stored, goes_back=True)
+    lost = [v for v in undone if v != version and actions.updates[v].document.get("origin") in _NOT_WEIGHED]
+    return answer | {
+        "silenced": list(silenced), "learnt_again": taught, "standing_tickets": sorted(why_not),
+        "not_learnt_again": [{"ticket": n, "why": why} for n, why in sorted(why_not.items())], "sweeps_undone": len(lost),
+    }  # fmt: skip
 
 
 def without_lessons(
@@ -97,10 +124,12 @@ def _crop_of(journal: Journal, number: int) -> str:
     return next((load.crop for load in journal.loads if load.number == first), "")
 
 
-def back_before(version: int, monitor: Monitor, journal: Journal, who: str, now_s: float) -> dict[str, Any]:
+def back_before(
+    version: int, monitor: Monitor, journal: Journal, who: str, now_s: float, silenced: Sequence[int] = ()
+) -> dict[str, Any]:
     """The parameters before a version again, as a new version; for another crop than the present one, once it is harvested.
 
-    Raises InputError.
+    silenced: tickets that are to teach no more. Raises InputError.
     """
     in_use = monitor.estimator.parameters
     if in_use.curve is not None:
@@ -108,7 +137,7 @@ def back_before(version: int, monitor: Monitor, journal: Journal, who: str, now_
             f"version {version}", "the flow comes from estimator_file, which learns nothing", "another estimator_file"
         )
     before = journal.actions.undone_versions
-    chosen, crop = journal.parameters.undo(version, in_use, journal.crop, who, now_s)
+    chosen, crop = journal.parameters.undo(version, in_use, journal.crop, who, now_s, silenced)
     left = journal.actions.standing_of(journal.actions.undone_versions - before)
     monitor.set_estimator(estimator_of(monitor.machine, chosen), calibration_age_s(chosen, now_s))
     return {
