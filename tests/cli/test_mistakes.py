@@ -196,11 +196,12 @@ def hashes(folder: Path) -> dict[str, str]:
 
 def stamps(folder: Path) -> dict[str, tuple[int, ...]]:
     """What changes with any writing: file number, size, times of the last change of content and of anything."""
-    found = {path: path.stat() for path in folder.rglob("*")}
-    return {
-        str(path): (seen.st_ino, seen.st_size, seen.st_mtime_ns, seen.st_ctime_ns)
-        for path, seen in found.items() if path.is_file()
-    }  # fmt: skip
+    found = {}
+    for place, _, names in os.walk(folder):
+        for name in names:
+            seen = os.stat(path := os.path.join(place, name))
+            found[path] = (seen.st_ino, seen.st_size, seen.st_mtime_ns, seen.st_ctime_ns)
+    return found
 
 
 ROWS = [(name, *row) for name, row in MISTAKES.items()]

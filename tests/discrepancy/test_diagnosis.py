@@ -19,7 +19,7 @@ from yieldmon.discrepancy.candidates import Signature
 from yieldmon.discrepancy.diagnosis_document import to_document
 from yieldmon.discrepancy.fit import LAW_SD, Fit, Parameter, fit
 from yieldmon.discrepancy.noise import Noise
-from yieldmon.discrepancy.observations import with_cells
+from yieldmon.discrepancy.observations import Rows, with_cells
 from yieldmon.discrepancy.policy import Policy
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
@@ -33,15 +33,20 @@ ONE_SPEED = {"speeds_rpm": (400.0,)}
 
 
 @pytest.fixture(scope="module")
-def offset_seen(make_rows, start) -> diagnosis.Examination:
-    """Of rows that hide an offset of 4 N."""
-    return diagnosis.examine(make_rows({"zero_offset": 4.0}), start, QUICK)
+def offset_rows(make_rows) -> Rows:
+    """Of one speed, with a hidden offset of 4 N."""
+    return make_rows({"zero_offset": 4.0}, **ONE_SPEED)
 
 
 @pytest.fixture(scope="module")
-def offset_found(make_rows, offset_seen) -> diagnosis.Diagnosis:
+def offset_seen(offset_rows, start) -> diagnosis.Examination:
+    return diagnosis.examine(offset_rows, start, QUICK)
+
+
+@pytest.fixture(scope="module")
+def offset_found(offset_rows, offset_seen) -> diagnosis.Diagnosis:
     """Of the same rows, whole."""
-    return diagnosis.conclude(offset_seen, make_rows({"zero_offset": 4.0}), QUICK)
+    return diagnosis.conclude(offset_seen, offset_rows, QUICK)
 
 
 @pytest.fixture(scope="module")
@@ -239,25 +244,24 @@ def test_a_clean_table_has_no_note_on_its_repetitions(clean_found) -> None:
     assert not any("repetitions" in note for note in clean_found.notes)
 
 
-def test_a_gap_that_only_all_rows_together_show_is_reported(make_rows, offset_seen) -> None:
+def test_a_gap_that_only_all_rows_together_show_is_reported(offset_rows, offset_seen) -> None:
     """The search saw none: its rows do not show what the sealed ones have."""
-    rows = make_rows({"zero_offset": 4.0})
     assert offset_seen.choice.best_gap.p_value > 0.01
-    bent = replace(rows, value=rows.value * np.where(offset_seen.sealed, 1.05, 1.0))
-    reported = [diagnosis.conclude(offset_seen, of, QUICK).notes for of in (rows, bent)]
+    bent = replace(offset_rows, value=offset_rows.value * np.where(offset_seen.sealed, 1.05, 1.0))
+    reported = [diagnosis.conclude(offset_seen, of, QUICK).notes for of in (offset_rows, bent)]
     assert [any("all rows together leave F = " in note for note in notes) for notes in reported] == [False, True]
 
 
 @pytest.mark.parametrize(("factor", "reported"), [(1.0, False), (0.102, True), (100.0, True)])
 def test_a_gain_that_is_none_of_grain_asks_for_the_unit(make_rows, start, factor: float, reported: bool) -> None:
-    rows = make_rows()
+    rows = make_rows(**ONE_SPEED)
     notes = diagnosis.examine(replace(rows, value=factor * rows.value), start, QUICK).notes
     assert any("in the units that their columns say" in note for note in notes) == reported
 
 
 @pytest.mark.parametrize("turned_deg", [90.0, 180.0])
 def test_plate_angles_from_another_line_are_asked_about_and_no_effect_is_named(make_rows, start, turned_deg: float) -> None:
-    rows = make_rows()
+    rows = make_rows(**ONE_SPEED)
     turned = with_cells(replace(rows, plate_angle_rad=np.radians(turned_deg) - rows.plate_angle_rad))
     seen = diagnosis.examine(turned, start, QUICK)
     assert any(note.startswith(f"with {turned_deg:.0f} deg less each plate angle") for note in seen.notes)
@@ -266,7 +270,7 @@ def test_plate_angles_from_another_line_are_asked_about_and_no_effect_is_named(m
 
 def test_a_shuffled_column_is_reported(make_rows, start) -> None:
     """Rows of one condition are no longer of one condition."""
-    rows = make_rows()
+    rows = make_rows(**ONE_SPEED)
     shuffled = np.random.default_rng(3).permutation(rows.plate_angle_rad)
     seen = diagnosis.examine(with_cells(replace(rows, plate_angle_rad=shuffled)), start, QUICK)
     assert any("so nothing is named: is a column shuffled" in note for note in seen.notes)
@@ -275,15 +279,15 @@ def test_a_shuffled_column_is_reported(make_rows, start) -> None:
 
 
 def test_columns_that_are_a_row_off_are_reported(make_rows, start) -> None:
-    rows = make_rows()
+    rows = make_rows(**ONE_SPEED)
     off = np.roll(rows.load, 1)
     notes = diagnosis.examine(with_cells(replace(rows, load=off)), start, QUICK).notes
     assert any("do the columns of a row belong together" in note for note in notes)
 
 
-def test_many_effects_that_explain_alike_are_counted_in_the_summary(make_rows, start) -> None:
+def test_many_effects_that_explain_alike_are_counted_in_the_summary(start, offset_rows) -> None:
     options = replace(QUICK, policy=replace(QUICK.policy, tie=1e9))
-    found = diagnosis.diagnose_rows(make_rows({"zero_offset": 4.0}, **ONE_SPEED), start, options)
+    found = diagnosis.diagnose_rows(offset_rows, start, options)
     tied = 1 + len(found.choice.steps[0].equivalent)
     assert f"{tied} effects explain these rows alike, so none is named" in report.summary(found)
     assert "of 100 cases" not in report.summary(found)
@@ -335,17 +339,17 @@ def test_two_effects_are_both_named(make_rows, start) -> None:
     assert set(diagnosis.examine(rows, start, QUICK).choice.named) == {"zero_offset", "plate_friction"}
 
 
-def test_an_effect_taken_out_of_the_library_is_never_named(make_rows, start) -> None:
+def test_an_effect_taken_out_of_the_library_is_never_named(start, offset_rows) -> None:
     options = replace(QUICK, without=("zero_offset",))
-    seen = diagnosis.examine(make_rows({"zero_offset": 4.0}, **ONE_SPEED), start, options)
+    seen = diagnosis.examine(offset_rows, start, options)
     assert all("zero_offset" not in (c.effect, *c.fit.effects) for c in seen.choice.looked_at)
     assert seen.choice.verdict == "unknown"
 
 
-def test_more_ties_than_a_class_holds_are_no_name(make_rows, start) -> None:
+def test_more_ties_than_a_class_holds_are_no_name(start, offset_rows) -> None:
     """Where the data cannot tell the leading effect from many, nothing is named, though the gap is explained."""
     options = replace(QUICK, policy=replace(QUICK.policy, tie=1e9))
-    choice = diagnosis.examine(make_rows({"zero_offset": 4.0}), start, options).choice
+    choice = diagnosis.examine(offset_rows, start, options).choice
     assert 1 + len(choice.steps[0].equivalent) > options.policy.largest_class
     assert (choice.verdict, choice.named) == ("unknown", ())
 
@@ -361,17 +365,17 @@ def test_the_error_of_a_law_is_a_share_of_what_its_effect_changes(offset_seen) -
     assert volume > 0.0
 
 
-def test_sealed_rows_are_not_fitted(make_rows, start, offset_seen) -> None:
+def test_sealed_rows_are_not_fitted(start, offset_rows, offset_seen) -> None:
     """Whatever stands in the sealed rows, the choice and its parameters are the same."""
-    rows, first = make_rows({"zero_offset": 4.0}), offset_seen
+    rows, first = offset_rows, offset_seen
     spoilt = replace(rows, value=np.where(first.sealed, -5.0 * rows.value, rows.value))
     second = diagnosis.examine(spoilt, start, QUICK)
     assert first.choice.best.values == second.choice.best.values
     assert first.held_out.after.rms != second.held_out.after.rms
 
 
-def test_the_same_seed_gives_the_same_document(make_rows, start, offset_found) -> None:
-    again = diagnosis.diagnose_rows(make_rows({"zero_offset": 4.0}), start, QUICK)
+def test_the_same_seed_gives_the_same_document(start, offset_rows, offset_found) -> None:
+    again = diagnosis.diagnose_rows(offset_rows, start, QUICK)
     assert json.dumps(to_document(again)) == json.dumps(to_document(offset_found))
 
 
@@ -473,8 +477,8 @@ def test_loads_that_share_an_error_leave_the_scale_uncertain(offset_found, start
     np.testing.assert_allclose(shared.covariance - exact.covariance, added, rtol=1e-6, atol=1e-12)
 
 
-def test_an_outlier_among_the_sealed_rows_is_left_out_and_counted(make_rows, start, offset_seen) -> None:
-    rows, first = make_rows({"zero_offset": 4.0}), offset_seen
+def test_an_outlier_among_the_sealed_rows_is_left_out_and_counted(start, offset_rows, offset_seen) -> None:
+    rows, first = offset_rows, offset_seen
     value = rows.value.copy()
     value[np.flatnonzero(first.sealed)[4]] += 0.5 * value.max()
     second = diagnosis.examine(replace(rows, value=value), start, QUICK)
@@ -549,9 +553,9 @@ def test_what_no_size_would_show_is_reported(make_rows, start) -> None:
     assert any("chain_slip" in note for note in document["notes"])
 
 
-def test_what_is_tied_is_not_said_to_be_beyond_showing(make_rows, start) -> None:
+def test_what_is_tied_is_not_said_to_be_beyond_showing(start, offset_rows) -> None:
     options = replace(QUICK, policy=replace(QUICK.policy, tie=1e9, largest_class=30, refits=24))
-    found = diagnosis.diagnose_rows(make_rows({"zero_offset": 4.0}, speeds_rpm=(400.0,)), start, options)
+    found = diagnosis.diagnose_rows(offset_rows, start, options)
     tied = set(found.choice.steps[0].equivalent)
     assert "chain_slip" in tied
     assert tied.isdisjoint(found.undetectable)

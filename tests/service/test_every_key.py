@@ -80,7 +80,8 @@ def line_of(error: InputError) -> str:
     return text
 
 
-SECTIONS = {section: [(key, schema) for other, key, schema in keys() if other == section] for section, *_ in keys()}
+KEYS = tuple(keys())
+SECTIONS = {section: [(key, schema) for other, key, schema in KEYS if other == section] for section, *_ in KEYS}
 
 
 @pytest.mark.parametrize("section", SECTIONS)
@@ -131,7 +132,7 @@ STRUCTURE = {
 def test_what_is_not_plain_yaml_is_refused_in_any_section_with_its_line(tmp_path, fault):
     path = tmp_path / "c.yaml"
     seen: set[str] = set()
-    for section, key, _ in keys():
+    for section, key, _ in KEYS:
         if section in seen:
             continue
         seen.add(section)
