@@ -17,18 +17,18 @@ def harvest(season: Season, bench, crops) -> None:
     bench.play(14, 0.0)
     bench.played()
     for crop, (seconds, signal_mv) in zip(crops, LOADS, strict=True):
-        ask(season.folder, season.capsys, "load", "start", "--crop", crop)
+        ask(season.folder, "load", "start", "--crop", crop)
         bench.play(seconds, signal_mv)
         bench.played()
-        ask(season.folder, season.capsys, "load", "stop")
-        rows = ask(season.folder, season.capsys, "load", "list")["loads"]
+        ask(season.folder, "load", "stop")
+        rows = ask(season.folder, "load", "list")["loads"]
         season.masses = {row["number"]: row["mass_kg"] for row in rows}
         if not season.truth.get(rows[-1]["number"]):
             season.truth[rows[-1]["number"]] = (1.1 + 0.003 * len(season.truth)) * rows[-1]["mass_kg"]
         number = rows[-1]["number"]
         enter(season, bench, [(number, season.truth[number] / season.masses[number])])
         settle(season, bench)
-    ask(season.folder, season.capsys, "load", "start", "--crop", "wheat")
+    ask(season.folder, "load", "start", "--crop", "wheat")
     settle(season, bench)
 
 
@@ -37,16 +37,16 @@ def known(season: Season, bench) -> dict:
     settle(season, bench)
     found = {}
     for crop in ("corn", "wheat"):
-        ask(season.folder, season.capsys, "load", "start", "--crop", crop)
+        ask(season.folder, "load", "start", "--crop", crop)
         settle(season, bench)
         found[crop] = dict(bench.daemon.monitor.estimator.parameters.values)
-    rows = ask(season.folder, season.capsys, "load", "list")["loads"]
+    rows = ask(season.folder, "load", "list")["loads"]
     found["loads"] = {row["number"]: row for row in rows}
     return found
 
 
 def test_a_corrected_crop_is_as_if_it_had_been_chosen(tmp_path, capsys) -> None:
-    right, wrong = Season(tmp_path / "right", capsys), Season(tmp_path / "wrong", capsys)
+    right, wrong = Season(tmp_path / "right"), Season(tmp_path / "wrong")
     wrong.truth = right.truth = {}
     with running(wrong.folder) as bench:
         harvest(wrong, bench, ("corn", "corn", "corn"))
@@ -69,13 +69,14 @@ def test_a_corrected_crop_is_as_if_it_had_been_chosen(tmp_path, capsys) -> None:
 
 
 def test_what_a_correction_refuses_is_said_in_one_line(tmp_path, capsys) -> None:
-    season = Season(tmp_path / "a", capsys)
+    season = Season(tmp_path / "a")
     season.truth = {}
     with running(season.folder) as bench:
         harvest(season, bench, ("corn", "corn", "corn"))
-        ask(season.folder, capsys, "ticket", "2-3", "100kg")
+        ask(season.folder, "ticket", "2-3", "100kg")
 
         def refusal(*words: str) -> str:
+            capsys.readouterr()
             with pytest.raises(SystemExit):
                 cli.main(["load", "correct", *words, "--socket", str(season.folder / "yieldmon.sock")])
             (line,) = capsys.readouterr().err.strip().splitlines()
@@ -88,10 +89,10 @@ def test_what_a_correction_refuses_is_said_in_one_line(tmp_path, capsys) -> None
         assert "load 3: is on ticket 4 with other loads; expected all of 2-3, or `yieldmon ticket undo 4` first" in refusal(
             "3-4", "--crop", "wheat"
         )
-        rows = ask(season.folder, capsys, "load", "list")["loads"]
+        rows = ask(season.folder, "load", "list")["loads"]
         assert {row["crop"] for row in rows if row["number"] in LOADED} == {"corn"}
-        ask(season.folder, capsys, "load", "correct", "2", "--field", "north")
-        assert ask(season.folder, capsys, "load", "list")["loads"][1]["field"] == "north"
+        ask(season.folder, "load", "correct", "2", "--field", "north")
+        assert ask(season.folder, "load", "list")["loads"][1]["field"] == "north"
 
 
 LOADED = (2, 3, 4)

@@ -41,7 +41,7 @@ def settle(season: Season, bench) -> None:
 def left(season: Season, bench) -> dict:
     """What is learnt, and the loads' masses, when all has been done."""
     settle(season, bench)
-    rows = ask(season.folder, season.capsys, "load", "list")["loads"]
+    rows = ask(season.folder, "load", "list")["loads"]
     with contextlib.closing(sqlite3.connect(season.folder / "yieldmon.sqlite")) as database:
         listed = dict(database.execute("SELECT number, corrected_mass_kg FROM load_corrected"))
     assert listed == pytest.approx({row["number"]: row["corrected_mass_kg"] for row in rows})
@@ -58,9 +58,9 @@ def same(found: dict, expected: dict) -> None:
         assert found[key] == pytest.approx(value, rel=3e-4, abs=1e-6), key
 
 
-@pytest.fixture
-def never(tmp_path, capsys) -> dict:
-    season = Season(tmp_path / "never", capsys)
+@pytest.fixture(scope="module")
+def never(tmp_path_factory) -> dict:
+    season = Season(tmp_path_factory.mktemp("never") / "a")
     with running(season.folder) as bench:
         season.harvest(bench)
         enter(season, bench, RIGHT)
@@ -77,15 +77,15 @@ WRONG = {
 
 @pytest.mark.parametrize("restart", [False, True], ids=["", "after a restart"])
 @pytest.mark.parametrize(("tickets", "undone"), WRONG.values(), ids=list(WRONG))
-def test_an_undo_leaves_what_never_having_entered_the_ticket_does(tickets, undone, restart, never, tmp_path, capsys) -> None:
-    season = Season(tmp_path / "a", capsys)
+def test_an_undo_leaves_what_never_having_entered_the_ticket_does(tickets, undone, restart, never, tmp_path) -> None:
+    season = Season(tmp_path / "a")
     with running(season.folder) as bench:
         season.harvest(bench)
         enter(season, bench, tickets)
         settle(season, bench)
         if not restart:
             for number in undone:
-                ask(season.folder, capsys, "ticket", "undo", str(number))
+                ask(season.folder, "ticket", "undo", str(number))
                 settle(season, bench)
             same(left(season, bench), never)
             return
@@ -94,40 +94,40 @@ def test_an_undo_leaves_what_never_having_entered_the_ticket_does(tickets, undon
         bench.play(3, 0.0)
         bench.played()
         for number in undone:
-            ask(season.folder, capsys, "ticket", "undo", str(number))
+            ask(season.folder, "ticket", "undo", str(number))
         same(left(season, bench), never)
 
 
-def test_a_second_undo_takes_back_what_was_learnt_again(tmp_path, capsys) -> None:
+def test_a_second_undo_takes_back_what_was_learnt_again(tmp_path) -> None:
     """The parameters that a ticket led to when it taught again are its own: an undo of it reaches them."""
-    season = Season(tmp_path / "a", capsys)
+    season = Season(tmp_path / "a")
     with running(season.folder) as bench:
         season.harvest(bench)
         before = left(season, bench)
         enter(season, bench, RIGHT)
-        answer = ask(season.folder, capsys, "ticket", "undo", "1")
+        answer = ask(season.folder, "ticket", "undo", "1")
         assert (answer["learnt_again"], answer["not_learnt_again"], answer["sweeps_undone"]) == ([2, 3], [], 0)
         assert taken_back(answer) == (
             "ticket 1 undone; calibration 2 to 4 undone, what was in use before is version 5; "
             "what ticket 2, 3 taught is learnt again without it"
         )
         settle(season, bench)
-        ask(season.folder, capsys, "ticket", "undo", "2")
+        ask(season.folder, "ticket", "undo", "2")
         settle(season, bench)
-        ask(season.folder, capsys, "ticket", "undo", "3")
+        ask(season.folder, "ticket", "undo", "3")
         same(left(season, bench), before)
 
 
-def test_a_kill_between_the_undo_and_the_learning_changes_nothing(never, tmp_path, capsys) -> None:
+def test_a_kill_between_the_undo_and_the_learning_changes_nothing(never, tmp_path) -> None:
     """The store as a kill leaves it right after the answer; the run that goes on from it learns what was left to learn."""
-    season = Season(tmp_path / "a", capsys)
+    season = Season(tmp_path / "a")
     killed = tmp_path / "killed"
     killed.mkdir()
     with running(season.folder) as bench:
         season.harvest(bench)
         enter(season, bench, (RIGHT[0], (5, 1.12 * TRUE), *RIGHT[1:]))
         settle(season, bench)
-        ask(season.folder, capsys, "ticket", "undo", "2")
+        ask(season.folder, "ticket", "undo", "2")
         for file in Path(season.folder).glob("yieldmon.sqlite*"):
             shutil.copy(file, killed / file.name)
         season.now_s = bench.now_s
@@ -138,8 +138,8 @@ def test_a_kill_between_the_undo_and_the_learning_changes_nothing(never, tmp_pat
         same(left(season, bench), never)
 
 
-def test_a_ticket_from_before_a_new_parameter_file_leaves_that_file(tmp_path, capsys) -> None:
-    season = Season(tmp_path / "a", capsys)
+def test_a_ticket_from_before_a_new_parameter_file_leaves_that_file(tmp_path) -> None:
+    season = Season(tmp_path / "a")
     with running(season.folder) as bench:
         season.harvest(bench)
         enter(season, bench, RIGHT[:1])
@@ -150,7 +150,7 @@ def test_a_ticket_from_before_a_new_parameter_file_leaves_that_file(tmp_path, ca
     with running(season.folder, configured, start_s=season.now_s + 60.0) as bench:
         bench.play(3, 0.0)
         bench.played()
-        assert "undone" not in ask(season.folder, capsys, "ticket", "undo", "1")
+        assert "undone" not in ask(season.folder, "ticket", "undo", "1")
         assert left(season, bench)["values"]["density"] == 900.0
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 import math
 import os
@@ -24,17 +26,19 @@ TRUE = 1.15
 """Weighed over measured mass."""
 
 
-def ask(folder, capsys, *words: str) -> dict:
-    assert cli.main([*words, "--socket", str(folder / "yieldmon.sock"), "--json"]) == 0
-    return json.loads(capsys.readouterr().out)
+def ask(folder, *words: str) -> dict:
+    """The answer of the running daemon; not by capsys, which a fixture of a module cannot have."""
+    with contextlib.redirect_stdout(io.StringIO()) as out:
+        assert cli.main([*words, "--socket", str(folder / "yieldmon.sock"), "--json"]) == 0
+    return json.loads(out.getvalue())
 
 
 class Season:
     """Runs of a daemon on one store. masses: as measured, by load."""
 
-    def __init__(self, folder, capsys) -> None:
+    def __init__(self, folder) -> None:
         folder.mkdir()
-        self.folder, self.capsys, self.now_s = folder, capsys, START_S
+        self.folder, self.now_s = folder, START_S
         self.masses: dict[int, float] = {}
 
     def harvest(self, bench) -> None:
@@ -42,17 +46,17 @@ class Season:
         # The zero first: seconds without one are not measured.
         bench.played()
         for seconds, signal_mv in LOADS:
-            ask(self.folder, self.capsys, "load", "start")
+            ask(self.folder, "load", "start")
             bench.play(seconds, signal_mv)
             bench.played()
-        ask(self.folder, self.capsys, "load", "stop")
+        ask(self.folder, "load", "stop")
         bench.play(2, 0.0)
         bench.played()
-        self.masses = {row["number"]: row["mass_kg"] for row in ask(self.folder, self.capsys, "load", "list")["loads"]}
+        self.masses = {row["number"]: row["mass_kg"] for row in ask(self.folder, "load", "list")["loads"]}
 
     def ticket(self, bench, number: int, factor: float) -> dict:
         weighed_kg = factor * self.masses[number]
-        answer = ask(self.folder, self.capsys, "ticket", str(number), f"{weighed_kg}kg", "--std-dev", f"{0.002 * weighed_kg}kg")
+        answer = ask(self.folder, "ticket", str(number), f"{weighed_kg}kg", "--std-dev", f"{0.002 * weighed_kg}kg")
         bench.play(2, 0.0)
         bench.played()
         return answer
@@ -68,9 +72,9 @@ TICKETS = ((2, TRUE), (3, 1.003 * TRUE), (4, 0.998 * TRUE), (5, 1.12 * TRUE))
 """The last is another truck's grain."""
 
 
-def learnt(folder, capsys, runs: tuple[int, ...]) -> tuple[list, list[str]]:
+def learnt(folder, runs: tuple[int, ...]) -> tuple[list, list[str]]:
     """What the tickets teach, so many of them in each run of the daemon, and why each taught as it did."""
-    season, reported, left = Season(folder, capsys), [], list(TICKETS)
+    season, reported, left = Season(folder), [], list(TICKETS)
     for place, count in enumerate(runs):
         with running(folder, start_s=season.now_s) as bench:
             if place == 0:
@@ -84,9 +88,9 @@ def learnt(folder, capsys, runs: tuple[int, ...]) -> tuple[list, list[str]]:
     return season.lessons(), reported
 
 
-def test_tickets_update_the_same_after_restarts(tmp_path, capsys) -> None:
-    through, reported = learnt(tmp_path / "a", capsys, (4,))
-    anew, told_anew = learnt(tmp_path / "b", capsys, (0, 1, 2, 1))
+def test_tickets_update_the_same_after_restarts(tmp_path) -> None:
+    through, reported = learnt(tmp_path / "a", (4,))
+    anew, told_anew = learnt(tmp_path / "b", (0, 1, 2, 1))
     assert [origin for origin, _, _ in through] == [origin for origin, _, _ in anew] == ["file", "ticket", "ticket", "ticket"]
     assert "contradicts the 3 weighed before" in reported[3]
     assert told_anew == reported
@@ -97,12 +101,12 @@ def test_tickets_update_the_same_after_restarts(tmp_path, capsys) -> None:
         )
 
 
-def test_tickets_that_wait_for_another_crop_update_it_after_restarts(tmp_path, capsys) -> None:
-    season = Season(tmp_path / "a", capsys)
+def test_tickets_that_wait_for_another_crop_update_it_after_restarts(tmp_path) -> None:
+    season = Season(tmp_path / "a")
     with running(season.folder) as bench:
         season.harvest(bench)
-        ask(season.folder, capsys, "ticket", "3", f"{1.1 * season.masses[3]}kg")
-        wheat = ask(season.folder, capsys, "load", "start", "--crop", "wheat")["parameters"]["version"]
+        ask(season.folder, "ticket", "3", f"{1.1 * season.masses[3]}kg")
+        wheat = ask(season.folder, "load", "start", "--crop", "wheat")["parameters"]["version"]
         season.now_s = bench.now_s
     for _ in range(2):
         with running(season.folder, start_s=season.now_s + 60.0) as bench:
@@ -112,7 +116,7 @@ def test_tickets_that_wait_for_another_crop_update_it_after_restarts(tmp_path, c
             season.now_s = bench.now_s
     with running(season.folder, start_s=season.now_s + 60.0) as bench:
         bench.play(3, 0.0)
-        corn = ask(season.folder, capsys, "load", "start", "--crop", "corn")["parameters"]["version"]
+        corn = ask(season.folder, "load", "start", "--crop", "corn")["parameters"]["version"]
         bench.play(3, 0.0)
         bench.played()
         wait_for(lambda: bench.status["parameters"]["version"] == corn + 1, "what the ticket teaches of corn")
@@ -121,27 +125,27 @@ def test_tickets_that_wait_for_another_crop_update_it_after_restarts(tmp_path, c
             """Once a second the daemon looks what has been measured again."""
             bench.play(1, 0.0)
             bench.played()
-            rows = ask(season.folder, capsys, "load", "list")["loads"]
+            rows = ask(season.folder, "load", "list")["loads"]
             return {row["number"]: row["posted_mass_kg"] for row in rows if row["posted_mass_kg"] is not None}
 
         wait_for(lambda: set(again()) >= {2, 3, 4, 5}, "the loads of corn, measured before wheat was harvested")
         assert again()[3] == pytest.approx(1.1 * season.masses[3], rel=0.01)
-        undone = ask(season.folder, capsys, "ticket", "undo", "1")
+        undone = ask(season.folder, "ticket", "undo", "1")
         assert undone["undone"] == corn + 1
     assert "ticket" in [origin for origin, _, _ in season.lessons()]
 
 
-def test_a_ticket_that_updates_after_a_restart_is_undone_with_its_update(tmp_path, capsys) -> None:
-    season = Season(tmp_path / "a", capsys)
+def test_a_ticket_that_updates_after_a_restart_is_undone_with_its_update(tmp_path) -> None:
+    season = Season(tmp_path / "a")
     with running(season.folder) as bench:
         season.harvest(bench)
-        ask(season.folder, capsys, "ticket", "3", f"{1.1 * season.masses[3]}kg")
+        ask(season.folder, "ticket", "3", f"{1.1 * season.masses[3]}kg")
         season.now_s = bench.now_s
     with running(season.folder, start_s=season.now_s + 60.0) as bench:
         bench.play(3, 0.0)
         bench.played()
         wait_for(lambda: bench.status["parameters"]["version"] == 2, "what it teaches")
-        undone = ask(season.folder, capsys, "ticket", "undo", "1")
+        undone = ask(season.folder, "ticket", "undo", "1")
         assert (undone.get("undone"), undone.get("version")) == (2, 3)
     assert season.lessons()[2][1] == season.lessons()[0][1] != season.lessons()[1][1]
 
@@ -216,9 +220,9 @@ def test_loads_are_measured_again_with_the_crop_that_their_ticket_updated_though
     assert log.waiting == []
 
 
-def test_a_store_made_anew_by_the_last_write_has_the_tickets_too(tmp_path, capsys, monkeypatch) -> None:
+def test_a_store_made_anew_by_the_last_write_has_the_tickets_too(tmp_path, monkeypatch) -> None:
     """The disk fails, the store's files are removed meanwhile, the disk works again, and the daemon is stopped."""
-    season = Season(tmp_path / "a", capsys)
+    season = Season(tmp_path / "a")
     path = season.folder / "yieldmon.sqlite"
     with running(season.folder) as bench:
         season.harvest(bench)
@@ -230,13 +234,13 @@ def test_a_store_made_anew_by_the_last_write_has_the_tickets_too(tmp_path, capsy
             """Whether the answer made after one more second says so: the writer finds out beside the engine."""
             bench.play(1, 0.0)
             bench.played()
-            return bool(ask(season.folder, capsys, "status")["store"]["failing"])
+            return bool(ask(season.folder, "status")["store"]["failing"])
 
         wait_for(failing, "a store that says that it fails")
         for file in season.folder.glob("yieldmon.sqlite*"):
             file.unlink()
         monkeypatch.undo()
-        total_kg = ask(season.folder, capsys, "status")["total"]["mass_kg"]
+        total_kg = ask(season.folder, "status")["total"]["mass_kg"]
     with Store(path) as store:
         assert [ticket.last_load for ticket in store.tickets()] == [2]
         assert len(store.loads()) == len(season.masses)
