@@ -75,7 +75,7 @@ NAMED = (
     ),
     Named("patience with a peer", "yieldmon/service/control.py", "_PATIENCE_S = 5.0", "_PATIENCE_S = 500.0"),
     Named(
-        "size of a request", "yieldmon/service/control.py",
+        "size of a request", "yieldmon/service/control_protocol.py",
         "MAX_REQUEST_BYTES = 64 * 1024\n", "MAX_REQUEST_BYTES = 64 * 1024 * 1024\n",
     ),
     Named(

@@ -44,8 +44,10 @@ from tests.robustness.undoing import Simulation, Trouble, live, mend, require
 from tests.service.bench import START_S, encoded, traffic
 from yieldmon.cli import main as command
 from yieldmon.cli import run as run_verb
-from yieldmon.service import configuration, control, daemon
-from yieldmon.service.control import ControlError, ControlServer, ask
+from yieldmon.service import configuration, control, control_socket, daemon
+from yieldmon.service.control import ControlServer
+from yieldmon.service.control_client import ask
+from yieldmon.service.control_protocol import ControlError
 from yieldmon.service.daemon import Daemon
 from yieldmon.service.journal import Journal
 from yieldmon.service.quiet_log import QuietLog
@@ -461,7 +463,7 @@ MENDS = {
     "a few lines a minute": mend((12,), asks, lambda: mock.patch(f"{__name__}.QuietLog", _Loud)),
     "each step of a stop": mend((15,), journal_fails, lambda: mock.patch.object(Daemon, "_end", _end_in_one_go)),
     "only configuration errors end for good": mend(
-        (20,), binds, lambda: mock.patch.object(control, "_WRONG_PATH", frozenset(errno.errorcode)),
+        (20,), binds, lambda: mock.patch.object(control_socket, "_WRONG_PATH", frozenset(errno.errorcode)),
     ),
     "answers that are cut": mend((13,), answer_is_cut, lambda: mock.patch(f"{__name__}.ask", _ask)),
 }  # fmt: skip

@@ -33,7 +33,7 @@ from tests.robustness.soak_machine import CYCLE_S, EXPECTED_FAULTS, STUCK_EVERY,
 from yieldmon.service import configuration
 from yieldmon.service.batch import Batch
 from yieldmon.service.bus_time import SILENCE_S
-from yieldmon.service.control import ask
+from yieldmon.service.control_client import ask
 from yieldmon.service.daemon import Daemon
 from yieldmon.service.retention import Retention
 from yieldmon.service.store import Store

@@ -206,7 +206,8 @@ def cost(folder: Path, options: argparse.Namespace) -> tuple[dict[str, Any], boo
     import can
 
     from tests.robustness.daemon_cost import GROUP, PORT, ROOT, WARM_UP_S, Player, cpu_time_s, traffic
-    from yieldmon.service.control import ControlError, ask
+    from yieldmon.service.control_client import ask
+    from yieldmon.service.control_protocol import ControlError
 
     turns = 6
     bus = {"interface": "udp_multicast", "channel": GROUP, "options": {"port": PORT}}

@@ -19,7 +19,9 @@ import pytest
 
 from tests.service.bench import wait_for
 from yieldmon.errors import InputError
-from yieldmon.service.control import MAX_REQUEST_BYTES, ControlError, ControlServer, ask
+from yieldmon.service.control import ControlServer
+from yieldmon.service.control_client import ask
+from yieldmon.service.control_protocol import MAX_REQUEST_BYTES, ControlError
 
 
 def answer(request: Mapping[str, Any]) -> Mapping[str, Any]:

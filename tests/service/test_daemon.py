@@ -27,7 +27,7 @@ from yieldmon.frames import EstimateQuality, Frame
 from yieldmon.service import configuration
 from yieldmon.service.bus_time import SILENCE_S
 from yieldmon.service.command_queue import CommandQueue
-from yieldmon.service.control import ControlError
+from yieldmon.service.control_protocol import ControlError
 from yieldmon.service.journal import Journal
 from yieldmon.service.store import Store
 from yieldmon.service.writer import StoreWriter

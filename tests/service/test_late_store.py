@@ -21,7 +21,7 @@ from yieldmon.engine.totals import Totals
 from yieldmon.errors import InputError
 from yieldmon.service import answering, configuration
 from yieldmon.service import daemon as service
-from yieldmon.service.control import ControlError
+from yieldmon.service.control_protocol import ControlError
 from yieldmon.service.daemon import Daemon
 from yieldmon.service.late_store import KeptInput
 from yieldmon.service.ownership import OccupiedError

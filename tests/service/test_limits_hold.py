@@ -18,7 +18,8 @@ from yieldmon.bus.receiver import BusEvent, BusEventKind
 from yieldmon.engine.faults import FaultCode
 from yieldmon.service import control
 from yieldmon.service.batch import Batch, Load
-from yieldmon.service.control import ControlServer, ask
+from yieldmon.service.control import ControlServer
+from yieldmon.service.control_client import ask
 from yieldmon.service.retention import Retention
 from yieldmon.service.service_faults import ServiceFaults
 from yieldmon.service.store import Store

@@ -16,7 +16,7 @@ import pytest
 from tests.service.bench import CODEC, START_S, Bench, running, traffic, wait_for
 from yieldmon import frames
 from yieldmon.frames import Frame
-from yieldmon.service.control import ask
+from yieldmon.service.control_client import ask
 
 HOME_DEG, AWAY_DEG = 70.0, 60.0
 EMPTY_MV, GRAIN_MV = 0.0, 60.0

@@ -15,7 +15,9 @@ from tests.service.bench import PATIENCE_S, Bench, running, wait_for
 from yieldmon.files import parameter_file
 from yieldmon.files.machine_file import load as load_machine
 from yieldmon.service import control, daemon, metrics, supervision
-from yieldmon.service.control import ControlError, ControlServer, ask
+from yieldmon.service.control import ControlServer
+from yieldmon.service.control_client import ask
+from yieldmon.service.control_protocol import ControlError
 from yieldmon.service.posting import Poster
 from yieldmon.service.supervision import HANGS_LOOKS, HANGS_S, MOST, Supervisor
 

@@ -9,7 +9,8 @@ import pytest
 from tests.file_limit import files_end_at
 from tests.service.bench import START_S, running
 from yieldmon.cli.main import main
-from yieldmon.service.control import ControlError, ask
+from yieldmon.service.control_client import ask
+from yieldmon.service.control_protocol import ControlError
 from yieldmon.service.store import Store
 
 

@@ -13,7 +13,8 @@ from service_manager import UNIT, add_interface, delete_interface, eventually, i
 
 from tests.service.bench import CODEC, traffic
 from yieldmon.cli._daemon import SYSTEM_SOCKET
-from yieldmon.service.control import ControlError, ask
+from yieldmon.service.control_client import ask
+from yieldmon.service.control_protocol import ControlError
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.store import Store
 

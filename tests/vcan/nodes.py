@@ -24,7 +24,8 @@ from yieldmon.bus.codec import Codec
 from yieldmon.cli import replay, run, simulate
 from yieldmon.cli.main import main
 from yieldmon.resources import shipped
-from yieldmon.service.control import ControlError, ask
+from yieldmon.service.control_client import ask
+from yieldmon.service.control_protocol import ControlError
 from yieldmon.service.store import Store
 
 CODEC = Codec()

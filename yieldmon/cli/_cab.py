@@ -8,7 +8,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from yieldmon.service.control import ControlError, ask
+from yieldmon.service.control_client import ask
+from yieldmon.service.control_protocol import ControlError
 
 Status = Mapping[str, Any]
 _INTERVAL_S = 1.0

@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from yieldmon.errors import InputError
-from yieldmon.service.control import ControlError, ask
+from yieldmon.service.control_client import ask
+from yieldmon.service.control_protocol import ControlError
 from yieldmon.service.folders import runtime_folder
 from yieldmon.units import KG_PER_LB, KG_PER_T, LB_PER_SHORT_TON
 

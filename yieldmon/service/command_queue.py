@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from yieldmon.errors import InputError
-from yieldmon.service.control import Answer, ControlError
+from yieldmon.service.control_protocol import Answer, ControlError
 from yieldmon.service.reference_loads import StoredLoad
 
 #: How long a command waits for the engine.

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from yieldmon.engine.sources import THOUSAND_KERNELS_G
 from yieldmon.physics.machine import Machine
-from yieldmon.service.control import LONGEST_SOCKET_BYTES
+from yieldmon.service.control_socket import LONGEST_SOCKET_BYTES
 from yieldmon.service.document import Document
 
 #: Of python-can, which takes a fifth of a second to ask.

@@ -1,16 +1,9 @@
-"""The local socket of a running daemon: one JSON line asks, one JSON line answers.
-
-A request is {"command": NAME, ...arguments}; an answer {"ok": true, ...} or {"ok": false, "error": TEXT}. Whoever may
-open the socket may command; its file mode says who that is.
-"""
+"""The control server of a running daemon: it answers requests on a local socket, as `control_protocol` has them."""
 
 from __future__ import annotations
 
-import errno
-import grp
 import json
 import logging
-import os
 import pwd
 import selectors
 import socket
@@ -23,41 +16,25 @@ from pathlib import Path
 from time import monotonic, sleep
 from typing import Any
 
-from yieldmon.errors import InputError, brief, reason
-from yieldmon.service.ownership import OccupiedError
+from yieldmon.errors import InputError, reason
+from yieldmon.service.control_protocol import MAX_REQUEST_BYTES, Answer, ControlError, parse_request
+from yieldmon.service.control_socket import Listening, listen
 
 _log = logging.getLogger(__name__)
 
-MAX_REQUEST_BYTES = 64 * 1024
-#: Of a socket's path, on Linux, without the zero at its end.
-LONGEST_SOCKET_BYTES = 107
 #: A peer that takes longer than this for its whole request, or for taking the answer, is cut off.
 _PATIENCE_S = 5.0
-_CONNECT_S = 1.0
 _POLL_S = 0.2
 _STOP_S = 0.5
-_RETRY_S = 0.02
-_BACKLOG = 64
 _LOOK_EVERY_S = 2.0
-#: What only another configuration corrects; a medium that is full or a file that is in the way may pass.
-_WRONG_PATH = frozenset({errno.ENAMETOOLONG, errno.ENOTDIR, errno.EISDIR, errno.ELOOP, errno.EINVAL})
 #: Connections whose requests are awaited, and requests that are answered, at the same time.
 _CONNECTIONS, _ANSWERS_AT_ONCE = 32, 8
-#: Of a request that is refused.
-_EXPECTED = '{"command": NAME} with its arguments, and a line feed'
 _BUSY = f'{{"ok": false, "error": "{_ANSWERS_AT_ONCE} requests are being answered; nothing was done, ask again"}}\n'.encode()
 _CUT = f'{{"ok": false, "error": "request: no line feed in {_PATIENCE_S:g} s; expected one line; nothing was done"}}\n'.encode()
 _NO_THREAD = b'{"ok": false, "error": "the system gives the daemon no thread to answer on; nothing was done, ask again"}\n'
 #: From so many connections on the thread rests between two looks at them.
 _CROWDED, _CROWDED_PAUSE_S = 8, 0.02
 _PIECE_BYTES = 65_536
-_MAX_ANSWER_BYTES = 64 * 1024 * 1024
-
-Answer = Mapping[str, Any]
-
-
-class ControlError(Exception):
-    """A daemon that does not answer, or answers that it could not do what was asked. One line."""
 
 
 class ControlServer:
@@ -67,13 +44,12 @@ class ControlServer:
         """path: the socket; what is there of an earlier run is replaced. group: may use it too (mode 0660, else 0600).
         answer: called with each request, on any thread; InputError and ControlError become an error answer.
 
-        Raises InputError for a group that does not exist or a path that no socket can have, OSError for one that cannot be bound
-        now, OccupiedError for one at which a daemon is running.
+        Raises as `control_socket.listen`.
         """
         self.path = path
         self._group = group
         self._answer = answer
-        self._server = _Server(path, group, answer, _listen(path, group))
+        self._server = _Server(path, group, answer, listen(path, group))
         self._thread = threading.Thread(target=self._server.run, name="control", daemon=True)
 
     def start(self) -> None:
@@ -110,76 +86,6 @@ class ControlServer:
                 self.path.unlink()
 
 
-def _answers(path: Path) -> bool:
-    """Whether somebody listens at a socket."""
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
-        connection.settimeout(_CONNECT_S)
-        try:
-            connection.connect(str(path))
-        except (BlockingIOError, TimeoutError):
-            # Listening, with more waiting than it has room for.
-            return True
-        except OSError:
-            return False
-    return True
-
-
-@dataclass(frozen=True)
-class _Listening:
-    """A socket that listens at a path, and the file that stands for it there."""
-
-    socket: socket.socket
-    path: Path
-    file: tuple[int, int]
-
-    def there(self) -> bool:
-        """Whether the file is still there; without it no client finds the socket."""
-        with suppress(OSError):
-            return _identity(self.path) == self.file
-        return False
-
-
-def _identity(path: Path) -> tuple[int, int]:
-    found = path.lstat()
-    return found.st_dev, found.st_ino
-
-
-def _listen(path: Path, group: str | None) -> _Listening:
-    """Raises as ControlServer does."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        if _answers(path):
-            raise OccupiedError("status.socket", f"{path}: a daemon is running there", "a socket for each daemon")
-        if path.is_file() and not path.is_symlink():
-            raise InputError("status.socket", f"{path}: is a file; it is left as it is", "a path that can be bound")
-        path.unlink(missing_ok=True)
-        listening = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        try:
-            # The file has the socket's mode, less the umask, from the first moment on.
-            os.fchmod(listening.fileno(), 0o600)
-            listening.bind(str(path))
-            path.chmod(0o600)
-            listening.listen(_BACKLOG)
-            if group is not None:
-                os.chown(path, -1, grp.getgrnam(group).gr_gid)
-                path.chmod(0o660)
-            return _Listening(listening, path, _identity(path))
-        except BaseException:
-            listening.close()
-            raise
-    except KeyError as error:
-        raise InputError("status.group", repr(group), "a group of this system") from error
-    except OSError as error:
-        # Without a number: a path that is too long for a socket's address.
-        if error.errno is None or error.errno in _WRONG_PATH:
-            problem = f"{path}: {reason(error)}"
-            raise InputError("status.socket", problem, "a path that can be bound") from error
-        if error.filename is None:
-            # bind() does not say what it was asked to bind.
-            raise OSError(error.errno, error.strerror, str(path)) from error
-        raise
-
-
 @dataclass
 class _Asking:
     """A connection whose request is not whole yet."""
@@ -198,7 +104,7 @@ class _Server:
     """
 
     def __init__(
-        self, path: Path, group: str | None, answer: Callable[[Mapping[str, Any]], Answer], listening: _Listening | None
+        self, path: Path, group: str | None, answer: Callable[[Mapping[str, Any]], Answer], listening: Listening | None
     ) -> None:
         """listening: None for one that `run` is to make."""
         self.stopping = False
@@ -227,7 +133,7 @@ class _Server:
         try:
             while not self.stopping:
                 try:
-                    self.listening = self.listening or _listen(self._path, self._group)
+                    self.listening = self.listening or listen(self._path, self._group)
                     self._serve(self.listening)
                 except OSError as error:
                     # Of the system, such as no descriptor left; where in the code says nothing about it.
@@ -253,7 +159,7 @@ class _Server:
             if not self.stopping:
                 self.listening = None
 
-    def _serve(self, listening: _Listening) -> None:
+    def _serve(self, listening: Listening) -> None:
         """Until `stopping`, or an error that was not foreseen; connections under way end with it."""
         woken, self._waker = socket.socketpair()
         with woken, self._waker, selectors.DefaultSelector() as selector:
@@ -285,12 +191,12 @@ class _Server:
                 for asking in list(self._asking.values()):
                     self._drop(selector, asking)
 
-    def _listen_again(self, selector: selectors.BaseSelector, old: _Listening) -> _Listening:
+    def _listen_again(self, selector: selectors.BaseSelector, old: Listening) -> Listening:
         """Another one where the socket's file is no longer there and can be made."""
         if old.there():
             return old
         try:
-            new = _listen(old.path, self._group)
+            new = listen(old.path, self._group)
         except (InputError, OSError) as error:
             if self._trouble != str(error):
                 self._trouble = str(error)
@@ -365,7 +271,7 @@ class _Server:
 
     def _answer_to(self, line: bytes, who: str) -> Answer:
         try:
-            return {"ok": True, **self._answer({**_request(line), "who": who})}
+            return {"ok": True, **self._answer({**parse_request(line), "who": who})}
         except (InputError, ControlError) as error:
             return {"ok": False, "error": str(error)}
 
@@ -374,31 +280,6 @@ def _refuse(connection: socket.socket, answer: bytes) -> None:
     """What the socket has no room for is not waited for."""
     with suppress(OSError):
         connection.send(answer)
-
-
-def _request(line: bytes) -> dict[str, Any]:
-    """What one line asks. Raises InputError."""
-    try:
-        request = json.loads(line, object_pairs_hook=_once_each) if len(line) <= MAX_REQUEST_BYTES else None
-    except InputError:
-        raise
-    except (ValueError, RecursionError):
-        request = None
-    if request is None:
-        raise InputError("request", "is not one line of JSON", f"{_EXPECTED}, of at most {MAX_REQUEST_BYTES} bytes")
-    if not isinstance(request, dict) or not isinstance(request.get("command"), str):
-        raise InputError("request", "names no command", _EXPECTED)
-    return request
-
-
-def _once_each(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """A JSON object; of a key that comes twice nobody knows which value is meant. Raises InputError."""
-    values = dict(pairs)
-    if len(values) < len(pairs):
-        names = [name for name, _ in pairs]
-        double = next(name for name in values if names.count(name) > 1)
-        raise InputError("request", f"{brief(double)!r} comes twice", "each key once")
-    return values
 
 
 def _user(connection: socket.socket) -> str:
@@ -411,51 +292,3 @@ def _user(connection: socket.socket) -> str:
         return pwd.getpwuid(user).pw_name
     except KeyError:
         return f"user {user}"
-
-
-def _connect(connection: socket.socket, path: Path, end_s: float) -> None:
-    """Waits where more peers wait than the socket has room for; a socket with a time limit gets the error at once."""
-    while True:
-        try:
-            connection.connect(str(path))
-            return
-        except BlockingIOError:
-            if monotonic() > end_s:
-                raise
-            sleep(_RETRY_S)
-
-
-def ask(path: Path, request: Mapping[str, Any], timeout_s: float = 10.0) -> dict[str, Any]:
-    """The daemon's answer to a request. Raises ControlError when there is none within timeout_s seconds or it is an error."""
-    end_s = monotonic() + timeout_s
-    received = bytearray()
-    try:
-        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
-            connection.settimeout(timeout_s)
-            _connect(connection, path, end_s)
-            connection.sendall(json.dumps(request).encode() + b"\n")
-            while b"\n" not in received and len(received) <= _MAX_ANSWER_BYTES:
-                connection.settimeout(max(0.01, end_s - monotonic()))
-                piece = connection.recv(_PIECE_BYTES)
-                if not piece:
-                    break
-                received += piece
-                if monotonic() > end_s:
-                    raise TimeoutError("timed out")
-    except (FileNotFoundError, ConnectionRefusedError) as error:
-        raise ControlError(f"{path}: no daemon answers there; is the service running?") from error
-    except PermissionError as error:
-        raise ControlError(f"{path}: {reason(error)}; expected sudo, or a user of the group that status.group names") from error
-    except OSError as error:
-        raise ControlError(f"{path}: {reason(error)}") from error
-    if not received:
-        raise ControlError(f"{path}: the daemon closed the connection without an answer")
-    try:
-        answer = json.loads(received)
-        ok = answer.pop("ok")
-        problem = "" if ok else str(answer["error"])
-    except (ValueError, RecursionError, KeyError, TypeError, AttributeError) as error:
-        raise ControlError(f"{path}: the daemon's answer is cut or makes no sense") from error
-    if not ok:
-        raise ControlError(problem)
-    return dict(answer)

@@ -31,7 +31,8 @@ from yieldmon.service.bus_node import BusNode
 from yieldmon.service.bus_time import SILENCE_S
 from yieldmon.service.command_queue import PATIENCE_S, CommandQueue, Job
 from yieldmon.service.configuration import Configuration
-from yieldmon.service.control import Answer, ControlError, ControlServer
+from yieldmon.service.control import ControlServer
+from yieldmon.service.control_protocol import Answer, ControlError
 from yieldmon.service.identity import this_computer
 from yieldmon.service.journal import Journal
 from yieldmon.service.late_store import KEPT_FRAMES, STORE_ANSWERS_WITHIN_S, KeptInput, StoreReading, without_sweeps_for

@@ -16,7 +16,8 @@ from time import monotonic
 from typing import Any
 
 from yieldmon.errors import InputError
-from yieldmon.service.control import ControlError, ask
+from yieldmon.service.control_client import ask
+from yieldmon.service.control_protocol import ControlError
 from yieldmon.service.recorded import opened
 from yieldmon.web.units import page_units
 
