@@ -20,6 +20,7 @@ from tests.screen.screens import CODEC, KEPT, MANY_FAULTS, SCREENS, STATUS, US, 
 from yieldmon import frames
 from yieldmon.bus.log_writing import writing
 from yieldmon.cli._daemon import mass
+from yieldmon.files.crops import crops, shipped_name
 from yieldmon.frames import Frame
 from yieldmon.screen import values
 from yieldmon.screen.cab import Cab
@@ -94,13 +95,14 @@ def test_bytes_that_change_stand_out_and_the_range_is_that_of_all_frames() -> No
     assert changed == [f"{int(401.0 / 0.125) & 0xFF:02X}"]
 
 
-ALL_KEYS = ("l", "t", "z", "w")
+CORRECT = {"command": "load-correct", "first_load": 6, "last_load": 6, "crop": "wheat"}
+WHEAT = {"command": "load-start", "crop": "wheat"}
+ALL_KEYS = ("l", "x", "t", "z", "w")
 
 
 def pressed(keys: list[str], status: dict[str, Any] | None = STATUS) -> tuple[Dialog, list[dict[str, Any]]]:
-    dialog = Dialog(mass)
-    found = (dialog.press(key, status, Units()) for key in keys)
-    return dialog, [request for request in found if request is not None]
+    dialog = Dialog(mass, shipped_name, tuple(crops()))
+    return dialog, [request for key in keys for request in dialog.press(key, status, Units())]
 
 
 @pytest.mark.parametrize(
@@ -119,10 +121,41 @@ def pressed(keys: list[str], status: dict[str, Any] | None = STATUS) -> tuple[Di
         ([*"t7 9.12t", "\x1b", "y"], []),
         (["t", "7", "8", "\x7f", *" 100lb", "\r", "y"], [{"command": "ticket", "first_load": 7, "mass_kg": 45.359237}]),
         (["x", "y"], []),
+        (["x", "c", "\r", *"wheat", "\r", "y"], [CORRECT]),
+        (["x", "c", *"6", "\r", *"Winter Wheat", "\r", "y"], [CORRECT]),
+        (["x", "c", "\r", *"wheat", "\r", "n"], []),
+        (["x", "c", "\r", *"wheat", "\x1b", "y"], []),
+        (["x", "c", "\r", "\r", "y"], []),
+        (["x", "c", *"8", "\r", "y"], []),
+        (["x", "c", *"-1", "\r", "y"], []),
+        (["x", "c", *"7", "\r", *"wheat", "\r", "y"], [WHEAT, {**CORRECT, "first_load": 7, "last_load": 7}]),
+        (["x", "n", *"wheat", "\r", "y"], [WHEAT]),
+        (["x", "n", *"wheat", "\r", "\r"], []),
+        (["x", "l", "y"], []),
     ],
 )
 def test_nothing_is_asked_of_the_daemon_without_a_yes(keys: list[str], sent: list[dict[str, Any]]) -> None:
     assert pressed(keys)[1] == sent
+
+
+def test_each_step_of_a_wrong_crop_is_one_prompt_with_its_figures() -> None:
+    known = " ".join(crops())
+    dialog = Dialog(mass, shipped_name, tuple(crops()))
+    shown = []
+    for key in ("x", "c", *"7", "\r", *"quinoa", "\r", "n"):
+        assert not dialog.press(key, STATUS, Units())
+        if not key.isalnum() or key in "xcn":
+            shown.append(dialog.prompt)
+    assert shown[:3] == [
+        "n: a new load of another crop, c: correct the crop of a load, Esc: neither",
+        "number of the load whose crop is wrong (Enter: 6): _",
+        f"crop of load 7 ({known}): _",
+    ]
+    assert shown[-2:] == [
+        "load 7 is open and holds 8,432 kg: start load 8 of quinoa, and make load 7 quinoa too (not a crop that is known: it is "
+        "only named)? y n",
+        "nothing was done",
+    ]
 
 
 @pytest.mark.parametrize("key", ALL_KEYS)

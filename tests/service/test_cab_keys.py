@@ -7,36 +7,38 @@ import pytest
 from tests.service.bench import Bench, running, wait_for
 from yieldmon.cli._cab import DaemonLink, aged
 from yieldmon.cli._daemon import mass
+from yieldmon.files.crops import crops, shipped_name
 from yieldmon.screen.dialog import Dialog
 from yieldmon.service.control import ControlServer
 from yieldmon.units import Units
 
 
 class Cab:
-    """A screen without a terminal. reported: the last sentence about a request."""
+    """A screen without a terminal. reported: a sentence about each request."""
 
     def __init__(self, bench: Bench, link: DaemonLink) -> None:
-        self.bench, self.link, self.dialog, self.reported = bench, link, Dialog(mass), ""
+        self.bench, self.link, self.reported = bench, link, []
+        self.dialog = Dialog(mass, shipped_name, tuple(crops()))
 
     def look(self) -> None:
         for news in self.link.news():
             if isinstance(news, str):
-                self.reported = news
+                self.reported.append(news)
 
     def press(self, *keys: str) -> str:
-        """Presses keys; waits for what comes of the request, if there is one, else returns the question."""
-        self.reported = ""
-        sent = [self.dialog.press(key, self.bench.status, Units()) for key in keys]
-        if not any(sent):
+        """Presses keys; waits for what comes of the requests, if there are some, and returns the last, else the question."""
+        self.reported = []
+        sent = [request for key in keys for request in self.dialog.press(key, self.bench.status, Units())]
+        if not sent:
             return self.dialog.prompt
-        self.link.request(next(request for request in sent if request))
+        self.link.request(*sent)
 
         def answered() -> bool:
             self.look()
-            return bool(self.reported)
+            return len(self.reported) == len(sent)
 
         wait_for(answered, f"what comes of {keys}")
-        return self.reported
+        return self.reported[-1]
 
 
 def test_every_key_does_on_the_daemon_what_it_asks(tmp_path) -> None:
@@ -65,14 +67,55 @@ def test_every_key_does_on_the_daemon_what_it_asks(tmp_path) -> None:
         assert cab.press("z", "y").startswith("the zero is being taken")
 
 
+def masses(bench: Bench) -> tuple[float, dict[int, tuple[str, float]]]:
+    loads = bench.daemon.command({"command": "loads"})["loads"]
+    return bench.status["total"]["mass_kg"], {load["number"]: (load["crop"], load["mass_kg"]) for load in loads}
+
+
+def test_a_wrong_crop_is_corrected_from_the_cab_and_taken_back(tmp_path) -> None:
+    """The load that is complete, then the one that is open, of which no grain is lost; each undone by the same keys."""
+    with running(tmp_path) as bench, DaemonLink(tmp_path / "yieldmon.sock") as link:
+        cab = Cab(bench, link)
+        bench.play(14, 0.0)
+        bench.played()
+        assert cab.press("x", "n", *"corn", "\r", "y") == "load 2 started of corn"
+        bench.play(5, 60.0)
+        bench.played()
+        assert cab.press("l", "n", "y") == "load 3 started of corn"
+        bench.play(5, 80.0)
+        bench.played()
+        total_kg, before = masses(bench)
+        assert cab.press("x", "c", "\r", *"wheat", "\r", "n") == "nothing was done"
+        assert masses(bench) == (total_kg, before)
+        reported = cab.press("x", "c", "\r", *"Wheat", "\r", "y")
+        assert reported == (
+            "load 2: wheat; load 2 measured again with the parameters of wheat, seconds stay as they are; "
+            "x, c and the former crop take it back"
+        )
+        assert masses(bench)[1] == {**before, 2: ("wheat", before[2][1])}
+        assert cab.press("x", "c", "\r", *"wheat", "\r", "y").startswith("load 2: has 'wheat' already")
+        assert cab.press("x", "c", "\r", *"corn", "\r", "y").startswith("load 2: corn; load 2 measured again")
+        assert masses(bench)[1] == before
+        reported = cab.press("x", "c", *"3", "\r", *"wheat", "\r", "y")
+        assert cab.reported[0] == "load 4 started of wheat"
+        assert reported.startswith("load 3: wheat; load 3 measured again with the parameters of wheat")
+        bench.play(5, 80.0)
+        bench.played()
+        after_kg, loads = masses(bench)
+        assert [loads[number][0] for number in (2, 3, 4)] == ["corn", "wheat", "wheat"]
+        assert sum(kg for _, kg in loads.values()) == pytest.approx(after_kg, rel=1e-9)
+        assert loads[3][1] == pytest.approx(before[3][1], rel=1e-9)
+        assert loads[4][1] > 0.0
+
+
 @pytest.mark.parametrize(
     ("typed", "problem"),
     [("7", "expected"), ("x 9t", "a load's number"), ("7 9 stone", "expected"), ("7 -4t", "expected"), ("", "a load's number")],
 )
 def test_a_ticket_that_makes_no_sense_is_not_sent(typed: str, problem: str) -> None:
-    dialog = Dialog(mass)
+    dialog = Dialog(mass, shipped_name, tuple(crops()))
     status = {"load": {"number": 7, "mass_kg": 100.0, "open": True}, "sweep": {"state": "idle"}}
-    assert [dialog.press(key, status, Units()) for key in ("t", *typed, "\r", "y")] == [None] * (len(typed) + 3)
+    assert [dialog.press(key, status, Units()) for key in ("t", *typed, "\r", "y")] == [()] * (len(typed) + 3)
     assert problem in dialog.prompt
 
 

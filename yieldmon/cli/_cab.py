@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from yieldmon.cli._records import corrected
 from yieldmon.service.control_client import ask
 from yieldmon.service.control_protocol import ControlError
 
@@ -39,9 +40,10 @@ class DaemonLink:
     def __exit__(self, *_: object) -> None:
         self._requests.put(None)
 
-    def request(self, request: Mapping[str, Any]) -> None:
-        """Have something done; what became of it is among the news."""
-        self._requests.put(request)
+    def request(self, *requests: Mapping[str, Any]) -> None:
+        """Have something done, in order; what became of each is among the news."""
+        for request in requests:
+            self._requests.put(request)
 
     def news(self) -> list[Status | str | None]:
         """What came since the last call: a status, None where no daemon answers, a text for the operator."""
@@ -84,10 +86,8 @@ def _answered(request: Mapping[str, Any], answer: Mapping[str, Any]) -> str:
 def said(request: Mapping[str, Any], answer: Mapping[str, Any]) -> str:
     """One sentence on what a request did."""
     match request["command"]:
-        case "load-start":
-            return f"load {answer['load']} started"
-        case "load-stop":
-            return f"load {answer['load']} is complete"
+        case "load-start" | "load-stop" | "load-correct":
+            return _said_of_load(request["command"], answer)
         case "ticket":
             change_pct = 100.0 * (answer["factor"] - 1.0)
             taken = f"ticket for load {answer['first_load']} taken: {change_pct:+.1f} % against what was measured"
@@ -97,3 +97,12 @@ def said(request: Mapping[str, Any], answer: Mapping[str, Any]) -> str:
         case "sweep-start":
             return "a sweep begins as soon as the conditions hold"
     return "the sweep has ended; the plate goes home"
+
+
+def _said_of_load(command: str, answer: Mapping[str, Any]) -> str:
+    if command == "load-correct":
+        return f"{corrected(answer)}; x, c and the former crop take it back"
+    if command == "load-stop":
+        return f"load {answer['load']} is complete"
+    crop = answer["crop"]
+    return f"load {answer['load']} started" + (f" of {crop}" if crop else "")

@@ -27,11 +27,12 @@ from yieldmon.cli._json import print_json
 from yieldmon.cli._limits import above_0, within
 from yieldmon.cli._units import add_units
 from yieldmon.errors import InputError
+from yieldmon.files.crops import crops, shipped_name
 from yieldmon.files.units import units_of
 from yieldmon.frames import Unusable
 from yieldmon.screen import keys
 from yieldmon.screen.cab import Cab, from_frames
-from yieldmon.screen.dialog import Dialog
+from yieldmon.screen.dialog import KEYS, Dialog
 from yieldmon.screen.panels import ORDERS, Screen, View
 from yieldmon.screen.traffic import Row, Traffic
 from yieldmon.service.control_client import ask
@@ -51,8 +52,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "monitor",
         help="watch the bus: every frame decoded, mass flow large",
         description="Show a bus, or a log at its own speed. Keys: q quit, space pause, s sort, / filter, j and k choose a row, "
-        "r record to a log, u units, c the cab's view and back. There l, t, z and w ask the daemon for a load, ticket, zero "
-        "or sweep, each after a question.",
+        "r record to a log, u units, c the cab's view and back. There l, x, t, z and w ask the daemon for a load, crop, ticket, "
+        "zero or sweep, each after a question.",
         epilog="example: yieldmon monitor -i socketcan -c can0; yieldmon monitor drive.log --once --json",
     )
     parser.add_argument("log", nargs="?", metavar="LOG", help="show this log instead of a bus")
@@ -148,7 +149,7 @@ class _Cab:
     def __init__(self, args: argparse.Namespace, view: View, daemon: DaemonLink | None) -> None:
         self.view = view
         self.daemon = daemon
-        self.dialog = Dialog(mass)
+        self.dialog = Dialog(mass, shipped_name, tuple(crops()))
         self._system: str | None = args.units
         self._status: Status | None = None
         self._heard_s = time.monotonic()
@@ -180,10 +181,10 @@ class _Cab:
         if self.view.cab:
             if key in ("q", "\x03") and not self.dialog.open:
                 return "quit"
-            asked = key in "ltzw" or self.dialog.open
-            request = self.dialog.press(key, self._status, self.view.units) if asked else None
-            if request is not None and self.daemon is not None:
-                self.daemon.request(request)
+            asked = key in KEYS or self.dialog.open
+            requests = self.dialog.press(key, self._status, self.view.units) if asked else ()
+            if self.daemon is not None:
+                self.daemon.request(*requests)
             if asked or key not in "cu ":
                 return None
         what = keys.press(self.view, key)

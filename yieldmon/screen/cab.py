@@ -31,7 +31,7 @@ from .panels import View
 from .traffic import Traffic
 
 Status = Mapping[str, Any]
-KEYS = "l load  t ticket  z zero  w sweep  u units  c frames  space pause  q quit"
+KEYS = "l load  x crop  t ticket  z zero  w sweep  u units  c bus  space pause  q quit"
 _BESIDE = 16
 """Columns of a line with two figures beside these."""
 _GOOD = ("harvesting", "sweeping", "not_harvesting")
