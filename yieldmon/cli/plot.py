@@ -45,7 +45,11 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         epilog="example: yieldmon plot flow monday.parquet --truth truth.csv --out monday.png",
     )
     kinds = parser.add_subparsers(dest="picture", metavar="PICTURE", required=True)
+    _add_of_records(kinds)
+    _add_of_models(kinds)
 
+
+def _add_of_records(kinds: Any) -> None:
     record = _picture(
         kinds, "flow", _flow, "mass flow and accumulated mass, with the truth or the tickets", "monday.parquet --truth truth.csv"
     )
@@ -66,6 +70,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     record = _picture(kinds, "parameters", _parameters, "parameters over time with their 90 % intervals", "yieldmon.sqlite")
     record.add_argument("record", metavar="STORE", help="a daemon's store (.sqlite, .db)")
 
+
+def _add_of_models(kinds: Any) -> None:
     curve = _picture(
         kinds,
         "curves",

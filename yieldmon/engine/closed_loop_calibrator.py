@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from math import isclose, isfinite
+from math import isfinite, nan
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from yieldmon.engine.curve_states import aligned
 from yieldmon.engine.drift_deviation import DriftDeviation, force_deviation
 from yieldmon.engine.load_update import LoadUpdate
 from yieldmon.engine.mass_anchors import checked, mass_anchor, weighed
+from yieldmon.engine.prior_states import as_prior_state, as_set, as_tuples, says_as
 from yieldmon.engine.records import (
     CalibrationOutcome,
     CalibrationStep,
@@ -45,7 +47,6 @@ from yieldmon.estimation.steady_drift import Advance, DriftingParameters, advanc
 from yieldmon.estimation.sweep_worth import OtherChannels, SweepPlan, SweepWorth, sweep_worth, window_times_s
 from yieldmon.estimation.wrong_tickets import known_slip
 from yieldmon.physics.model import ForwardModel
-from yieldmon.physics.numerics import Array
 
 _TAUGHT = "kernel_noise"
 """Key of the provenance of parameters that kernel noise has taught."""
@@ -57,10 +58,16 @@ FOLLOWED_KG = 20_000.0
 """Of grain, after which a learnt steady drift moves the parameters without a lesson, and drift widens what is stated."""
 _LEAST_FOLLOWED = 1e-5
 """Relative change of a parameter by steady drift below which it waits."""
-_ROUNDING = 1e-9
-"""Relative, of parameters that were stored."""
 _LEAST_LOAD_ERROR = 1e-4
 """Of a weighed load's measured mass."""
+
+
+class _LearntAt(NamedTuple):
+    """When, after how much grain in total, and of which moisture: what parameters have held from."""
+
+    time_s: float
+    total_kg: float
+    moisture_pct: float
 
 
 class ClosedLoopCalibrator:
@@ -71,9 +78,9 @@ class ClosedLoopCalibrator:
         looks = self._settings.pattern_sd > 0.0 and EFFECT not in model.effects
         self._model = model.with_effects((*model.effects, EFFECT)) if looks else model
         self._map = self._settings.moisture_map
-        self._moisture_pct = float("nan")
-        self._at_s = float("nan")
-        self._at_kg = float("nan")
+        self._moisture_pct = nan
+        self._at_s = nan
+        self._at_kg = nan
         self._used: frozenset[ReferenceMass] = frozenset()
         self._history: list[tuple[float, ParameterSet]] = []
         self._given: ParameterSet | None = None
@@ -135,15 +142,15 @@ class ClosedLoopCalibrator:
                 return CalibrationOutcome(None, f"the sweep would put {leads}", identifiable=False)
         except ValueError as error:
             return CalibrationOutcome(None, f"{error}; the parameters stay", identifiable=False)
-        moment = (now_s, total_kg, moisture_pct)
-        return self._taken(outcome, drifting, used, moment, step, sweep_alone=density is None)
+        at = _LearntAt(now_s, total_kg, moisture_pct)
+        return self._taken(outcome, drifting, used, at, step, sweep_alone=density is None)
 
     def weigh(self, record: WindowRecord, anchors: Sequence[ReferenceMass], estimator: FlowEstimator) -> CalibrationOutcome:
         """See records.SelfCalibrator."""
         used = self._in_use(estimator)
         self._know_origin(used)
-        moment = (record.time_s, record.total_kg, record.moisture_pct if self._map is not None else float("nan"))
-        drifting, step = self._prior(used, moment[2], moment[0], moment[1])
+        at = self._learnt_at(record)
+        drifting, step = self._prior(used, at.moisture_pct, at.time_s, at.total_kg)
         prior = drifting.parameters
         found = self._mass_anchors(anchors, used)
         checks = self._checks(found, prior)
@@ -167,14 +174,14 @@ class ClosedLoopCalibrator:
         except ValueError as error:
             return CalibrationOutcome(None, f"{error}; the parameters stay", identifiable=False, checks=checks)
         self._used = frozenset(anchors)
-        taken = self._taken(outcome, drifting, used, moment, step)
+        taken = self._taken(outcome, drifting, used, at, step)
         return replace(taken, reason=f"{taken.reason}; {doubt}" if doubt else taken.reason, weighed=True, checks=checks)
 
     def hear(self, record: WindowRecord, lesson: KernelLesson, estimator: FlowEstimator) -> CalibrationOutcome:
         """See records.SelfCalibrator."""
         used = self._in_use(estimator)
-        moment = (record.time_s, record.total_kg, record.moisture_pct if self._map is not None else float("nan"))
-        drifting, step = self._prior(used, moment[2], moment[0], moment[1])
+        at = self._learnt_at(record)
+        drifting, step = self._prior(used, at.moisture_pct, at.time_s, at.total_kg)
         bias = self._bias_of(used, step, record.total_kg)
         if bias is None:
             if _TAUGHT in used.provenance:
@@ -194,8 +201,8 @@ class ClosedLoopCalibrator:
         facts = {**used.provenance, _TAUGHT: "taught"}
         known = replace(taught.drifting.parameters, version=used.version + 1, provenance=facts)
         self._given = None
-        self._at_s, self._at_kg, self._moisture_pct = moment
-        self._history = [*self._history[-7:], (moment[0], used)]
+        self._at_s, self._at_kg, self._moisture_pct = at
+        self._history = [*self._history[-7:], (at.time_s, used)]
         self._updated, self._drifting = known, replace(taught.drifting, parameters=known)
         self._bias = taught.bias, known
         reason = (
@@ -213,13 +220,13 @@ class ClosedLoopCalibrator:
         grain_kt = (record.total_kg - self._at_kg) / 1e6
         if known.parameters is not used or not np.any(np.abs(known.rates) * grain_kt > _LEAST_FOLLOWED):
             return None
-        drifting, step = self._prior(used, float("nan"), record.time_s, record.total_kg)
+        drifting, step = self._prior(used, nan, record.time_s, record.total_kg)
         if refusal(drifting.parameters) and not refusal(used):
             return None
         still = ScaleReport(0.0, 0.0, 0.0, False, ())
         nothing = Outcome(drifting.parameters, False, True, "", "", (), (), still, 0.0, 0, 1.0, ())
-        last, moment = self.last, (record.time_s, record.total_kg, self._moisture_pct)
-        taken = self._taken(nothing, drifting, used, moment, step)
+        last, at = self.last, _LearntAt(record.time_s, record.total_kg, self._moisture_pct)
+        taken = self._taken(nothing, drifting, used, at, step)
         self.last = last
         return replace(taken, reason="moved by steady drift", moved_by_moisture=False)
 
@@ -235,7 +242,7 @@ class ClosedLoopCalibrator:
             seen = DriftDeviation(0.0, used, 0)
         steps = int(max(record.total_kg - self._at_kg, 0.0) // FOLLOWED_KG)
         if seen.steps != steps and record.mass_flow_kg_s > 0.0:
-            later = self._prior(used, float("nan"), record.time_s, record.total_kg)[0].parameters
+            later = self._prior(used, nan, record.time_s, record.total_kg)[0].parameters
             seen = DriftDeviation(force_deviation(self._model, used, later, record), used, steps)
         self._deviation = seen
         return seen.relative
@@ -270,6 +277,9 @@ class ClosedLoopCalibrator:
             return sweep_worth(self._model, known, plan, channels, allowing_for(self._settings.closed_loop, known))
         except ValueError:
             return None
+
+    def _learnt_at(self, record: WindowRecord) -> _LearntAt:
+        return _LearntAt(record.time_s, record.total_kg, record.moisture_pct if self._map is not None else nan)
 
     def _bias_of(self, used: ParameterSet, step: Advance, total_kg: float) -> CommonBias | None:
         """The bias as it is now; None where its covariance with these parameters is not known."""
@@ -312,12 +322,12 @@ class ClosedLoopCalibrator:
         outcome: Outcome,
         drifting: DriftingParameters,
         used: ParameterSet,
-        moment: tuple[float, float, float],
+        at: _LearntAt,
         step: Advance,
         *,
         sweep_alone: bool = False,
     ) -> CalibrationOutcome:
-        """The new parameters, remembered with the moment (bus time s, total kg, moisture %) they hold from; step led to it."""
+        """The new parameters, remembered with what they hold from; step led to it."""
         self.last = outcome
         came, known_before = step, drifting
         if outcome.updated:
@@ -326,10 +336,10 @@ class ClosedLoopCalibrator:
         if not outcome.updated and prior.values == self._patterned(used).values:
             return CalibrationOutcome(None, outcome.reason, identifiable=False)
         # Without an update the moisture map or the drift alone has moved the values; the new prior is what is known.
-        bias = self._bias_of(used, came, moment[1]) if drifting is known_before else None
+        bias = self._bias_of(used, came, at.total_kg) if drifting is known_before else None
         begun_s = self._at_s
-        self._at_s, self._at_kg, self._moisture_pct = moment
-        self._history = [*self._history[-7:], (moment[0], used)]
+        self._at_s, self._at_kg, self._moisture_pct = at
+        self._history = [*self._history[-7:], (at.time_s, used)]
         if outcome.updated and outcome.parameter_set.covariance_names != drifting.parameters.covariance_names:
             self._drifting = begin(outcome.parameter_set, self._settings.steady_per_kilotonne)
         elif outcome.updated:
@@ -352,7 +362,7 @@ class ClosedLoopCalibrator:
         follows = self._drifting.state.shape == step.after.shape and known.covariance_names == prior.covariance_names
         state = tuple(map(float, self._drifting.state))
         widening = outcome.prior_widening if outcome.updated else 1.0
-        led = CalibrationStep(used.version, begun_s, moment[0], step, state, widening, sweep_alone, known.covariance_names)
+        led = CalibrationStep(used.version, begun_s, at.time_s, step, state, widening, sweep_alone, known.covariance_names)
         moved = self._map is not None
         step_taken = led if follows else None
         return CalibrationOutcome(OpenLoop(self._model, known), reason, outcome.updated, step=step_taken, moved_by_moisture=moved)
@@ -399,7 +409,7 @@ class ClosedLoopCalibrator:
         """See records.SelfCalibrator."""
         known = self._updated or self._restored
         if self._origin is not None and known is not None:
-            self._origin_of_grain[before] = _as_prior_state(self._origin), _as_prior_state(known)
+            self._origin_of_grain[before] = as_prior_state(self._origin), as_prior_state(known)
         self._origin, self._restored, self._updated = None, None, None
         kept = self._grains_before.pop(now, None)
         origin, left = self._origin_of_grain.pop(now, (None, None) if kept is None else (kept.origin, kept.left))
@@ -407,8 +417,8 @@ class ClosedLoopCalibrator:
         self._weighings = self._of_grain.pop(now, Weighings(self._load_settings))
         if estimator is not None:
             back = self._in_use(estimator)
-            if origin is not None and left is not None and _says_as(back, left):
-                self._origin, self._restored = _as_set(origin, back), back
+            if origin is not None and left is not None and says_as(back, left):
+                self._origin, self._restored = as_set(origin, back), back
             if kept is not None:
                 self._weigh_again(kept.weighed, kept.doubted, used, back)
         self._used = self._checked = frozenset(used)
@@ -430,7 +440,7 @@ class ClosedLoopCalibrator:
             moisture_pct=self._moisture_pct if isfinite(self._moisture_pct) else None,
             drifting=() if known is None else known.names,
             rates=() if known is None else tuple(map(float, known.rates)),
-            covariance=() if known is None else _as_tuples(known.joint[count:]),
+            covariance=() if known is None else as_tuples(known.joint[count:]),
             at_s=self._at_s if isfinite(self._at_s) else self._before.at_s if self._before is not None else None,
             weighed=tuple(load.name for load in self._weighings.counted),
             doubted=self._weighings.doubted_name,
@@ -449,7 +459,7 @@ class ClosedLoopCalibrator:
         origin, known = self._origin, self._updated or self._restored
         if origin is None or known is None or origin is known or LOAD_PATTERN in origin.effects:
             return None
-        return replace(_as_prior_state(origin), version=known.version)
+        return replace(as_prior_state(origin), version=known.version)
 
     def _kept_grains(self) -> tuple[GrainState, ...]:
         found = dict(self._grains_before)
@@ -464,11 +474,11 @@ class ClosedLoopCalibrator:
     def restore(self, state: CalibratorState, parameters: ParameterSet, total_kg: float) -> None:
         """See records.SelfCalibrator."""
         if state.origin is not None and state.origin.version == parameters.version:
-            self._restored, self._origin = parameters, _as_set(state.origin, parameters)
+            self._restored, self._origin = parameters, as_set(state.origin, parameters)
         self._before = state
         self._grains_before = {grain.crop: grain for grain in state.grains}
         self._waited_s, self._at_kg = state.waited_s, total_kg - state.harvested_kg
-        self._moisture_pct = float("nan") if state.moisture_pct is None else state.moisture_pct
+        self._moisture_pct = nan if state.moisture_pct is None else state.moisture_pct
         fresh = begin(parameters, self._settings.steady_per_kilotonne)
         if len(state.bias) == 3 + len(fresh.joint) and fresh.parameters is parameters:
             value, variance, largest, *cross = state.bias
@@ -551,27 +561,3 @@ class ClosedLoopCalibrator:
     def _mass_anchor(self, anchor: ReferenceMass, used: ParameterSet) -> MassAnchor:
         spans = ((until_s, self._patterned(known)) for until_s, known in (*self._history, (float("inf"), used)))
         return mass_anchor(anchor, self._model, spans, self._settings.anchor_error)
-
-
-def _as_prior_state(known: ParameterSet) -> PriorState:
-    return PriorState(known.version, tuple(known.values.items()), known.covariance_names, _as_tuples(known.covariance))
-
-
-def _as_set(state: PriorState, like: ParameterSet) -> ParameterSet:
-    """The set of a state, with version and provenance of another one."""
-    covariance = np.reshape(state.covariance, (len(state.covariance_names),) * 2)
-    return replace(like, values=dict(state.values), covariance_names=state.covariance_names, covariance=covariance)
-
-
-def _says_as(known: ParameterSet, state: PriorState) -> bool:
-    """Whether a set is that of a state, whatever its version and provenance."""
-    values = dict(state.values)
-    if known.values.keys() != values.keys() or known.covariance_names != state.covariance_names:
-        return False
-    same = all(isclose(value, values[name], rel_tol=_ROUNDING) for name, value in known.values.items())
-    return same and np.allclose(known.covariance, state.covariance, rtol=_ROUNDING, atol=0.0)
-
-
-def _as_tuples(rows: Array) -> tuple[tuple[float, ...], ...]:
-    """As a state has a matrix."""
-    return tuple(tuple(map(float, row)) for row in rows)

@@ -1,0 +1,40 @@
+"""Sets of parameters as a state that outlives a restart has them, and back."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import isclose
+
+import numpy as np
+
+from yieldmon.engine.records import PriorState
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.physics.numerics import Array
+
+_ROUNDING = 1e-9
+"""Relative, of parameters that were stored."""
+
+
+def as_prior_state(known: ParameterSet) -> PriorState:
+    """The state of a set."""
+    return PriorState(known.version, tuple(known.values.items()), known.covariance_names, as_tuples(known.covariance))
+
+
+def as_set(state: PriorState, like: ParameterSet) -> ParameterSet:
+    """The set of a state, with version and provenance of another one."""
+    covariance = np.reshape(state.covariance, (len(state.covariance_names),) * 2)
+    return replace(like, values=dict(state.values), covariance_names=state.covariance_names, covariance=covariance)
+
+
+def says_as(known: ParameterSet, state: PriorState) -> bool:
+    """Whether a set is that of a state, whatever its version and provenance."""
+    values = dict(state.values)
+    if known.values.keys() != values.keys() or known.covariance_names != state.covariance_names:
+        return False
+    same = all(isclose(value, values[name], rel_tol=_ROUNDING) for name, value in known.values.items())
+    return same and np.allclose(known.covariance, state.covariance, rtol=_ROUNDING, atol=0.0)
+
+
+def as_tuples(rows: Array) -> tuple[tuple[float, ...], ...]:
+    """A matrix as a state has it."""
+    return tuple(tuple(map(float, row)) for row in rows)
