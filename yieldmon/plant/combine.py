@@ -8,7 +8,7 @@ from functools import lru_cache
 from math import floor
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from yieldmon import frames
 from yieldmon.frames import Frame
@@ -16,17 +16,17 @@ from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.numerics import Array
 from yieldmon.plant import elevator, kernels, profiles, sensor
 from yieldmon.plant.actuator import ActuatorFault, PlateActuator
-from yieldmon.plant.field import Track
+from yieldmon.plant.crop_course import CropCourse
 from yieldmon.plant.flight import GRAVITY_M_S2
+from yieldmon.plant.nodes import BLOCK_SAMPLES, Nodes, sensor_fault
 from yieldmon.plant.pulse_table import QUANTILES, Condition, Detail, PulseTable
-from yieldmon.plant.scenario import Channel, Scenario
-from yieldmon.plant.sensor import ImpactCell, SensorFault
+from yieldmon.plant.scenario import Scenario
+from yieldmon.plant.sensor import ImpactCell
 from yieldmon.plant.tank import Load, Tank
 
 BLOCK_S = 0.02
 """Commands take effect at the start of the next block."""
 
-_BLOCK_SAMPLES = 20
 _CHUNK_SAMPLES = 1000
 _PULSE_ROOM = 400
 """Samples ahead of a block into which its paddles' pulses may reach."""
@@ -131,7 +131,7 @@ class VirtualCombine:
         self.scenario = scenario
         self.machine = machine or Machine()
         seeds = np.random.SeedSequence(seed).spawn(8)
-        flow_rng, speed_rng, scatter_rng, self._noise_rng, zero_rng, actuator_rng, self._other_rng, self._kernel_rng = (
+        flow_rng, speed_rng, scatter_rng, self._noise_rng, zero_rng, actuator_rng, nodes_rng, self._kernel_rng = (
             np.random.default_rng(s) for s in seeds
         )
         self._table = table or pulse_table(scenario, self.machine)
@@ -159,7 +159,16 @@ class VirtualCombine:
         self._actuator = PlateActuator(scenario.actuator, self.machine, actuator_rng)
         self._angle_offset = effects.plate_angle_offset.angle_deg if effects.plate_angle_offset else 0.0
         self._tank = Tank(scenario.tank)
-        self._track = Track(scenario.field)
+        self._course = CropCourse(scenario)
+        self._nodes = Nodes(
+            scenario,
+            run=self._run,
+            harvest=self._harvest,
+            cell=self._cell,
+            actuator=self._actuator,
+            tank=self._tank,
+            rng=nodes_rng,
+        )
         self._zero_walk = np.cumsum(
             scenario.sensor.drift_mv_per_sqrt_h / 60.0 * zero_rng.standard_normal(int(scenario.duration_s) + 2)
         )
@@ -167,7 +176,7 @@ class VirtualCombine:
         self._block = 0
         self._blocks = floor(scenario.duration_s / BLOCK_S + 1e-9)
         self._next_paddle = 0
-        self._ahead = np.zeros((_BLOCK_SAMPLES + _PULSE_ROOM) * self._steps)
+        self._ahead = np.zeros((BLOCK_SAMPLES + _PULSE_ROOM) * self._steps)
         self._background = np.zeros(0)
         self._rows: list[tuple[float, ...]] = []
         self._second: list[tuple[Array, Array]] = []
@@ -212,7 +221,7 @@ class VirtualCombine:
         while self._block < self._blocks and self.time_s + BLOCK_S <= time_s + 1e-9:
             start = self._block
             voltage, _, _ = self._advance()
-            yield from self._frames(start, voltage)
+            yield from self._nodes.frames_of(start, voltage)
 
     def samples_until(self, time_s: float) -> Samples:
         """The same samples as arrays, without making frames.
@@ -232,7 +241,7 @@ class VirtualCombine:
         while self._block < self._blocks and self.time_s + BLOCK_S <= time_s + 1e-9:
             blocks.append(self._advance())
         voltage, angle, speed = (np.concatenate([b[i] for b in blocks]) if blocks else np.zeros(0) for i in range(3))
-        time = (first * _BLOCK_SAMPLES + np.arange(1.0, len(voltage) + 1.0)) * frames.SAMPLE_INTERVAL_S
+        time = (first * BLOCK_SAMPLES + np.arange(1.0, len(voltage) + 1.0)) * frames.SAMPLE_INTERVAL_S
         return Samples(time, voltage, angle, speed)
 
     @property
@@ -263,21 +272,21 @@ class VirtualCombine:
         angle_deg = self._actuator.step(end_s, BLOCK_S) + self._angle_offset
         self._drop_paddles(end_s, angle_deg)
 
-        block = _BLOCK_SAMPLES * self._steps
+        block = BLOCK_SAMPLES * self._steps
         force = self._ahead[:block].copy()
         self._ahead[:-block] = self._ahead[block:]
         self._ahead[-block:] = 0.0
         if len(self._background) == 0:
             self._background, self._speeds = self._next_chunk()
-        background, self._background = np.split(self._background, [_BLOCK_SAMPLES])
-        speeds, self._speeds = np.split(self._speeds, [_BLOCK_SAMPLES])
+        background, self._background = np.split(self._background, [BLOCK_SAMPLES])
+        speeds, self._speeds = np.split(self._speeds, [BLOCK_SAMPLES])
         still = self._still_force_n(start_s, angle_deg) / self.machine.sensor.gain_n_per_mv
-        voltage = self._cell.samples_mv(force, background + still, self._sensor_fault(start_s))
+        voltage = self._cell.samples_mv(force, background + still, sensor_fault(self.scenario, start_s))
         self._second.append((force, np.array([angle_deg, float(speeds[-1])])))
         self._block += 1
         if self._block % round(1.0 / BLOCK_S) == 0:
             self._close_second()
-        return voltage, np.full(_BLOCK_SAMPLES, angle_deg), speeds
+        return voltage, np.full(BLOCK_SAMPLES, angle_deg), speeds
 
     def _drop_paddles(self, end_s: float, angle_deg: float) -> None:
         """Add the pulses of the paddles that point up in this block to the force ahead."""
@@ -305,7 +314,7 @@ class VirtualCombine:
     def _pulse(self, mass_kg: float, angle_rad: float, speed_rad_s: float, time_s: float) -> tuple[float, Array]:
         """Impulse and arrival times. Below the table's speeds what lands shrinks with the square of the speed."""
         covered = min(max(speed_rad_s, self._speed_low), self._speed_high)
-        arguments = (mass_kg, angle_rad, covered, self._moisture_pct(time_s))
+        arguments = (mass_kg, angle_rad, covered, self._course.moisture_pct(time_s))
         impulse = float(self._table.impulse_n_s(*arguments)) * (speed_rad_s / covered) ** 2
         return impulse, self._table.arrival_times_s(*arguments)
 
@@ -315,14 +324,14 @@ class VirtualCombine:
         if effects.plate_buildup is not None:
             angle = np.deg2rad(angle_deg)
             force += effects.plate_buildup.mass_kg * GRAVITY_M_S2 * float(np.cos(angle) * np.sin(angle))
-        if effects.zero_offset is not None and self._at(self._harvest.flow_kg_s, time_s) > 0.0:
+        if effects.zero_offset is not None and profiles.at(self._harvest.flow_kg_s, time_s) > 0.0:
             force += effects.zero_offset.force_n
         return force
 
     def _next_chunk(self) -> tuple[Array, Array]:
         """Zero voltage with noise and vibration (mV), and sprocket speed, for the next second of samples."""
         settings = self.scenario.sensor
-        time = (self._block * _BLOCK_SAMPLES + 1 + np.arange(_CHUNK_SAMPLES)) * frames.SAMPLE_INTERVAL_S
+        time = (self._block * BLOCK_SAMPLES + 1 + np.arange(_CHUNK_SAMPLES)) * frames.SAMPLE_INTERVAL_S
         grid = time / profiles.SAMPLE_INTERVAL_S
         index = np.minimum(grid.astype(int), len(self._run.speed_rad_s) - 2)
         share = grid - index
@@ -336,7 +345,7 @@ class VirtualCombine:
             len(self.machine.paddle_spacings_m),
         )
         noise = settings.noise_mv * self._noise_rng.standard_normal(_CHUNK_SAMPLES)
-        zero = np.interp(time, np.arange(len(self._zero_walk)), self._zero_walk) + self._zero_mv(float(time[0]))
+        zero = np.interp(time, np.arange(len(self._zero_walk)), self._zero_walk) + self._course.zero_mv(float(time[0]))
         return zero + noise + vibration / self.machine.sensor.gain_n_per_mv, speed
 
     def _close_second(self) -> None:
@@ -345,9 +354,9 @@ class VirtualCombine:
         state = np.array([s for _, s in self._second])
         self._second.clear()
         total, before = (float(self.delivered_kg(t)) for t in (end_s, end_s - 1.0))
-        working = bool(self._at(self._harvest.working, end_s - 0.5))
+        working = bool(profiles.at(self._harvest.working, end_s - 0.5))
         self._tank.step(end_s, total - before, working)
-        zero = self._zero_mv(end_s) + float(np.interp(end_s, np.arange(len(self._zero_walk)), self._zero_walk))
+        zero = self._course.zero_mv(end_s) + float(np.interp(end_s, np.arange(len(self._zero_walk)), self._zero_walk))
         self._rows.append(
             (
                 end_s,
@@ -358,7 +367,7 @@ class VirtualCombine:
                 float(state[:, 1].mean()) / RPM,
                 float(force.mean()),
                 zero,
-                self._moisture_pct(end_s),
+                self._course.moisture_pct(end_s),
                 float(working),
                 float(len(self._tank.loads)),
             )
@@ -382,97 +391,5 @@ class VirtualCombine:
             return np.zeros(np.shape(time_s))
         return np.asarray(np.interp(np.asarray(time_s), paddles.delivered_until_s, self._delivered, left=0.0))
 
-    def _frames(self, block: int, voltage: Array) -> Iterator[Frame]:
-        """Frames of one block, in time order."""
-        start_ms = block * _BLOCK_SAMPLES
-        out: list[Frame] = []
-        fault = self._sensor_fault(start_ms * 1e-3)
-        if fault is not SensorFault.SILENT:
-            per = frames.SAMPLES_PER_FRAME
-            for k in range(0, _BLOCK_SAMPLES, per):
-                values = voltage[k : k + per]
-                number = (start_ms + k) // per
-                signals: dict[str, frames.Value] = {f"Sample{j}": float(values[j]) for j in range(per)}
-                signals["SampleCounter"] = number % 256
-                signals["SensorStatus"] = int(self._cell.status(float(values.max()), fault))
-                out.append(Frame((start_ms + k + per) * 1e-3, frames.IMPACT_SENSOR_SAMPLES, signals))
-        for milliseconds in range(start_ms + 10, start_ms + _BLOCK_SAMPLES + 1, 10):
-            out.extend(self._slow_frames(milliseconds))
-        out.sort(key=lambda frame: frame.time_s)
-        yield from out
-
-    def _slow_frames(self, milliseconds: int) -> Iterator[Frame]:
-        time = milliseconds * 1e-3
-        if milliseconds % 50 == 0 and (feedback := self._actuator.feedback()) is not None:
-            yield Frame(time, frames.PLATE_ACTUATOR_FEEDBACK, {"PlateAngle": feedback[0], "ActuatorState": int(feedback[1])})
-        if milliseconds % 100 == 0:
-            yield from self._spoken(
-                Channel.ELEVATOR_SPEED,
-                Frame(time, frames.ELEVATOR_SPEED, {"ElevatorSpeed": self._at(self._run.speed_rad_s, time) / RPM}),
-            )
-            if self.scenario.frames.harvest_state:
-                working = int(self._at(self._harvest.working, time))
-                yield Frame(time, "HarvestState", {"HeaderDown": working, "WorkState": working})
-        if milliseconds % 1000 == 0:
-            yield from self._second_frames(time)
-
-    def _second_frames(self, time: float) -> Iterator[Frame]:
-        crop, rng = self.scenario.crop, self._other_rng
-        working = bool(self._at(self._harvest.working, time))
-        if self.scenario.frames.grain_condition:
-            moisture = self._moisture_pct(time)
-            grain = crop.grain.at_moisture(moisture, self.scenario.effects.moisture_dependence)
-            signals: dict[str, frames.Value] = {
-                "Moisture": max(moisture + crop.moisture_noise_pct * float(rng.standard_normal()), 0.0),
-                "GrainTemperature": self._temperature_degc(time),
-                "TestWeight": grain.bulk_density_kg_m3 * crop.test_weight_share,
-            }
-            yield from self._spoken(Channel.GRAIN_CONDITION, Frame(time, frames.GRAIN_CONDITION, signals))
-        if self.scenario.frames.kernel_weight and self.scenario.kernels is not None:
-            yield Frame(time, frames.GRAIN_KERNELS, {"ThousandKernelWeight": self.scenario.kernels.thousand_kernel_weight_g})
-        if self.scenario.tank.scale:
-            mass, status = self._tank.reading(working, rng)
-            yield from self._spoken(
-                Channel.TANK_SCALE, Frame(time, frames.TANK_SCALE, {"TankMass": mass, "TankScaleStatus": int(status)})
-            )
-        if self.scenario.frames.position:
-            place = self._track.step(1.0, working)
-            yield Frame(time, "VehiclePosition", {"Latitude": place.latitude_deg, "Longitude": place.longitude_deg})
-            yield Frame(
-                time,
-                "VehicleDirectionSpeed",
-                {"CompassBearing": place.bearing_deg, "NavigationSpeed": place.ground_speed_km_h},
-            )
-
-    def _spoken(self, channel: Channel, frame: Frame) -> Iterator[Frame]:
-        """The frame, or what is left of it under a fault of its source."""
-        for fault in self.scenario.faults.messages:
-            if fault.message is channel and fault.active(frame.time_s):
-                if fault.error:
-                    yield Frame(frame.time_s, frame.message, dict.fromkeys(frame.signals, frames.ERROR))
-                return
-        yield frame
-
     def _actuator_fault(self, time_s: float) -> ActuatorFault | None:
         return next((f.kind for f in self.scenario.faults.actuator if f.active(time_s)), None)
-
-    def _sensor_fault(self, time_s: float) -> SensorFault | None:
-        return next((f.kind for f in self.scenario.faults.sensor if f.active(time_s)), None)
-
-    @staticmethod
-    def _at(values: Array | NDArray[np.bool_], time_s: float) -> float:
-        return float(values[min(int(time_s / profiles.SAMPLE_INTERVAL_S + 0.5), len(values) - 1)])
-
-    def _between(self, start: float, end: float | None, time_s: float) -> float:
-        return start if end is None else start + (end - start) * min(time_s / self.scenario.duration_s, 1.0)
-
-    def _moisture_pct(self, time_s: float) -> float:
-        return self._between(self.scenario.crop.moisture_pct, self.scenario.crop.end_moisture_pct, time_s)
-
-    def _temperature_degc(self, time_s: float) -> float:
-        return self._between(self.scenario.crop.temperature_degc, self.scenario.crop.end_temperature_degc, time_s)
-
-    def _zero_mv(self, time_s: float) -> float:
-        settings = self.scenario.sensor
-        warmer = self._temperature_degc(time_s) - self.scenario.crop.temperature_degc
-        return settings.zero_mv + settings.temperature_mv_per_degc * warmer

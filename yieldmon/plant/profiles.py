@@ -183,3 +183,8 @@ def _stop_and_go(piece: StopAndGo, count: int, rng: np.random.Generator) -> Arra
         pause = piece.unload_s if passes % piece.unload_every == 0 else piece.headland_s
         place = end + _count(pause * rng.uniform(0.8, 1.2))
     return flow
+
+
+def at(values: Array | NDArray[np.bool_], time_s: float) -> float:
+    """A profile's value at the sample nearest to a time, the last one after its end."""
+    return float(values[min(int(time_s / SAMPLE_INTERVAL_S + 0.5), len(values) - 1)])
