@@ -1,5 +1,5 @@
-"""Corrected masses by the store's view, for whoever reads it with SQL, and by the ledger: the same whatever was entered, taken back,
-undone and measured again."""
+"""Corrected masses by the store's view, for whoever reads it with SQL, and by the ledger: the same whatever was entered, undone
+and measured again."""
 
 from __future__ import annotations
 
