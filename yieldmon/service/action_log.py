@@ -89,6 +89,12 @@ class ActionLog:
                 return version
         return None
 
+    def lesson_before_file(self, number: int) -> int | None:
+        """The first version that rests on a ticket, of those that a parameter file has replaced since; None: none that stands."""
+        undone = self.undone_versions
+        led = (v for v, a in sorted(self.updates.items()) if number in a.document.get("tickets", ()) and v not in undone)
+        return next((version for version in led if version < self.calibrated_version), None)
+
     def undo_ticket(self, number: int, who: str, now_s: float) -> Ticket:
         """Take a ticket back; returns it. Raises InputError."""
         ticket = self.standing_ticket(number)

@@ -96,12 +96,7 @@ class ParameterHistory:
             raise InputError(f"version {version}", "the parameters before it are not known", "a later version")
         now, crop = self.crop_of(in_use, named), self._crop_at(version)
         of_now = not crop or not now or crop == now
-        followed = [
-            later
-            for later in sorted(changes)
-            if later >= version and (later == version or changes[later].document.get("origin") != ledgers.CROP)
-            and (not crop or self._crop_at(later) in ((crop, "") if of_now else (crop,)))
-        ]  # fmt: skip
+        followed = self._followed(version, (crop, "") if of_now else (crop,))
         document = {"version": version, "versions": followed} | ({"tickets": list(silenced)} if silenced else {})
         self._actions.add(ledgers.PARAMETERS_UNDO, who, document, now_s)
         earlier = replace(self._versions[before], version=self.version + 1)
@@ -113,6 +108,24 @@ class ParameterHistory:
         chosen = replace(in_use, version=self.version + 1, provenance={**in_use.provenance, "crop": now})
         self.use(chosen, ledgers.CROP, who, f"what is known of {now}")
         return chosen, crop
+
+    def withdraw(self, version: int, who: str, now_s: float) -> None:
+        """A version that a parameter file has replaced since rests on what was taken back: masses measured again with it, or with
+        what followed on it before that file, go back. The parameters in use stay."""
+        changes = self._actions.updates
+        file = min(later for later in changes if later > version and changes[later].document.get("origin") == "file")
+        replaced = [later for later in self._followed(version, (self._crop_at(version), "")) if later < file]
+        self._actions.add(ledgers.PARAMETERS_UNDO, who, {"version": version, "versions": replaced}, now_s)
+
+    def _followed(self, version: int, crops: Sequence[str]) -> list[int]:
+        """A version and those after it, of these crops where it is of one."""
+        changes = self._actions.updates
+        return [
+            later
+            for later in sorted(changes)
+            if later >= version and (later == version or changes[later].document.get("origin") != ledgers.CROP)
+            and (not self._crop_at(version) or self._crop_at(later) in crops)
+        ]  # fmt: skip
 
     def _crop_at(self, version: int) -> str:
         """Whose crop a version is: it says so, or the one that a change of crop kept first since; "" where none does."""

@@ -25,7 +25,8 @@ def without_ticket(
     """Take a ticket back, as if it had never been entered, as near as what is kept allows; says what does not come back.
 
     Where it has taught, the parameters are those from before it, and the standing tickets after it teach again. What sweeps and
-    kernel noise taught since then goes. stored: loads of standing tickets, as the store has them. Raises InputError.
+    kernel noise taught since then goes. Where a parameter file has replaced them since, it stays, and masses measured again with
+    what the ticket had taught go back. stored: loads of standing tickets, as the store has them. Raises InputError.
     """
     return _without(number, monitor, journal, who, now_s, stored, stands=())
 
@@ -80,6 +81,9 @@ def _without(
     loads = range(ticket.first_load, ticket.last_load + 1)
     first = actions.first_lesson(number, counts=any(load in monitor.counted_loads for load in loads))
     answer: dict[str, Any] = {"ticket": number, "first_load": ticket.first_load, "last_load": ticket.last_load}
+    replaced = actions.lesson_before_file(number)
+    if replaced is not None:
+        journal.parameters.withdraw(replaced, who, now_s)
     undone_before, stays = actions.undone_versions, ""
     if first is not None:
         try:
