@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from studies.waveform.season import DRIFT, HOME_RAD, MACHINE, SPEED_RAD_S, bias_slope
 from yieldmon.engine.calibrator_settings import CalibratorSettings
-from yieldmon.estimation import common_bias
+from yieldmon.estimation import common_bias, drift_spread
 from yieldmon.estimation.closed_loop import update_from_tickets
 from yieldmon.estimation.closed_loop_inputs import MassAnchor
 from yieldmon.estimation.closed_loop_outcome import Outcome
@@ -26,7 +26,7 @@ from yieldmon.estimation.common_bias import CommonBias, KernelLesson
 from yieldmon.estimation.identifiability import natural_scale
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.estimation.steady_drift import advance, begin, learn
+from yieldmon.estimation.steady_drift import advance, begin, forgotten, learn, widened
 from yieldmon.physics.model import ForwardModel
 from yieldmon.plant.effects import Effects
 from yieldmon.plant.grain import Grain
@@ -121,6 +121,7 @@ class DriftingSeason:
         self.known = begin(
             ParameterSet(self._values, names, np.diag([KNOWN_SD[name] ** 2 for name in names])), rates.steady_per_kilotonne
         )
+        self._spread = drift_spread.begin(self.known.joint, len(self.known.names))
         self._off = {name: rng.normal(0.0, KNOWN_SD[name]) for name in names}
         self.error_at = {angle: rng.normal(0.0, model_error) for angle in sorted(set(stops_deg))}
         self._log_bias = rng.normal(0.0, LASTING_SD)
@@ -137,13 +138,14 @@ class DriftingSeason:
         if self.error_at:
             self.sweep_flow_kg_s = float(rng.uniform(5.0, 12.0))
         force = forces(self.grain, flows, HOME_RAD * size)
-        found = OpenLoop(MODEL, self.known.parameters).estimate(force, HOME_RAD * size, SPEED_RAD_S * size)
+        found = OpenLoop(MODEL, self._as_stated()).estimate(force, HOME_RAD * size, SPEED_RAD_S * size)
         measured = np.asarray(found.mass_flow_kg_s)
         error, stated = float(measured.sum() / flows.sum() - 1.0), float(np.mean(np.asarray(found.std_dev_kg_s) / measured))
-        self.known, step = advance(
-            self.known, rates.drift, LOAD_KG / flows.mean() / 3600.0, LOAD_KG,
-            per_kilotonne=rates.steady_per_kilotonne, memory_kt=rates.steady_drift_memory_kt,
-        )  # fmt: skip
+        expected = {"per_kilotonne": rates.steady_per_kilotonne, "memory_kt": rates.steady_drift_memory_kt}
+        added = forgotten(self.known, LOAD_KG, **expected)  # type: ignore[arg-type]
+        hours = LOAD_KG / flows.mean() / 3600.0
+        self.known, step = advance(self.known, rates.drift, hours, LOAD_KG, **expected)  # type: ignore[arg-type]
+        self._spread = drift_spread.advanced(self._spread, step.transition, added)
         if self.bias is not None:
             self.bias = common_bias.carried(self.bias, step.transition, LOAD_KG)
         chance = rng.normal(0.0, CHANCE_SD)
@@ -155,12 +157,18 @@ class DriftingSeason:
             lesson = KernelLesson(heard, force, HOME_RAD * size, SPEED_RAD_S * size, np.nan * size, CHANCE_SD, LASTING_SD)
             taught = common_bias.teach(MODEL, self.known, bias, lesson)
             self.known, self.bias = taught.drifting, taught.bias
+            self._spread = drift_spread.taught(self._spread, taught.errors)
         if ticket:
             anchor = MassAnchor.from_windows(
                 weighed_kg, TICKET_SD * weighed_kg, LOAD_KG / flows.sum() * size, force, HOME_RAD * size, SPEED_RAD_S * size
             )
             self.learn(update_from_tickets(MODEL, self.known.parameters, [anchor]))
         return error, stated
+
+    def _as_stated(self) -> ParameterSet:
+        """What is known, with the covariance that a flow's deviation is stated by."""
+        known = self.known.parameters
+        return replace(known, covariance=known.covariance + drift_spread.beyond(self._spread, len(known.covariance_names)))
 
     def _drifted(self, number: int) -> list[float]:
         """The grain's friction, density and restitution in a load."""
@@ -182,10 +190,17 @@ class DriftingSeason:
         """Take what a ticket or a sweep changed."""
         if not outcome.updated:
             return
-        after = learn(self.known, outcome.parameter_set, widening=outcome.prior_widening)
-        if self.bias is not None:
-            self.bias = common_bias.followed(self.bias, self.known, after, widening=outcome.prior_widening)
+        before, widening, bias = self.known, outcome.prior_widening, self.bias
+        after = learn(before, outcome.parameter_set, widening=widening)
+        prior = _joined(widened(before.joint, len(before.parameters.covariance_names), widening), bias)
+        if bias is not None:
+            self.bias = common_bias.followed(bias, before, after, widening=widening)
+        self._spread = drift_spread.taught(self._spread, drift_spread.by_lesson(prior, _joined(after.joint, self.bias)))
         self.known = after
+
+
+def _joined(joint: Array, bias: CommonBias | None) -> Array:
+    return drift_spread.with_bias(joint, None if bias is None else (bias.cross, bias.variance))
 
 
 def season(

@@ -88,3 +88,49 @@ def test_seconds_without_grain_keep_it(begun: tuple[ClosedLoopCalibrator, OpenLo
     assert calibrator.drift_std_dev(idle, estimator) == 0.0
     before = calibrator.drift_std_dev(second(400.0), estimator)
     assert calibrator.drift_std_dev(idle, estimator) == before > 0.0
+
+
+LIKELY = {"friction": 0.15, "density": 0.04, "restitution": 0.02}
+STEADY = CalibratorSettings(drift=DriftRates(per_root_kilotonne={}, per_root_hour={}), steady_per_kilotonne=LIKELY)
+
+
+def steady_scatter(kilotonnes: float) -> float:
+    """Of the force over machines that drift steadily, at half to four and a half times the likely rates, each octave alike."""
+    rng = np.random.default_rng(SEED)
+    there = Conditions(MACHINE.home_plate_angle_rad, SPEED, mass_flow_kg_s=FLOW_KG_S)
+    sizes = np.exp(rng.uniform(np.log(0.5), np.log(4.5), 20_000))
+    drift = {name: likely * sizes * rng.standard_normal(sizes.size) * kilotonnes for name, likely in LIKELY.items()}
+    drawn = {"density": 1100.0 * (1.0 + drift["density"]), "friction": 0.2 * (1.0 + drift["friction"])}
+    force = np.real(MODEL.force(there, {**PRIOR.values, **drawn, "restitution": 1.6 * (1.0 + drift["restitution"]) - 1.0}))
+    return float(np.std(force) / np.mean(force))
+
+
+def test_rates_of_unknown_size_count_by_the_sizes_that_they_may_have() -> None:
+    settings = replace(STEADY, steady_drift_memory_kt=np.inf)
+    calibrator, estimator = ClosedLoopCalibrator(MODEL, settings), OpenLoop(MODEL, PRIOR)
+    assert calibrator.drift_std_dev(second(0.0), estimator) == 0.0
+    assert calibrator.drift_std_dev(second(400.0), estimator) == pytest.approx(steady_scatter(0.4), rel=0.05)
+
+
+def test_a_sweep_does_not_end_what_it_does_not_see_and_a_restart_keeps_it() -> None:
+    calibrator, estimator = ClosedLoopCalibrator(MODEL, STEADY), OpenLoop(MODEL, PRIOR)
+    weighed = calibrator.weigh(second(0.0), (ticket(estimator, FLOW_KG_S, 0.0, 900.0),), estimator).estimator
+    assert weighed is not None
+    assert calibrator.drift_std_dev(second(1.0), weighed) == 0.0
+    before = calibrator.drift_std_dev(second(400.0), weighed)
+    swept_s, swept_kg = second(400.0).time_s, second(400.0).total_kg
+    windows = [replace(record, time_s=record.time_s + swept_s, total_kg=swept_kg) for record in records(FLOW_KG_S)]
+    swept = calibrator.update(windows, weighed).estimator
+    assert swept is not None
+    # What the parameters are known by holds the likely rates already.
+    left = calibrator.drift_std_dev(second(401.0), swept)
+    assert 0.5 * before < left < before
+    state = calibrator.snapshot(second(401.0).time_s + 60.0, second(401.0).total_kg)
+    assert state is not None
+    again, known = ClosedLoopCalibrator(MODEL, STEADY), OpenLoop(MODEL, replace(swept.parameters))
+    again.restore(state, known.parameters, second(401.0).total_kg)
+    assert again.drift_std_dev(second(401.0), known) == pytest.approx(left, rel=1e-6)
+    # A weighed mass sees the scale.
+    last = again.weigh(second(402.0), (ticket(known, FLOW_KG_S, 40_000.0, 40_900.0),), known).estimator
+    assert last is not None
+    assert again.drift_std_dev(second(402.0), last) < 0.2 * left

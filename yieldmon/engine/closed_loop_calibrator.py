@@ -16,7 +16,7 @@ import numpy as np
 from yieldmon.engine.anchors import ReferenceMass
 from yieldmon.engine.calibrator_settings import CalibratorSettings
 from yieldmon.engine.curve_states import aligned
-from yieldmon.engine.drift_deviation import DriftDeviation, force_deviation
+from yieldmon.engine.drift_deviation import DriftDeviation, RateSpread, after_lesson, as_stated, force_deviation
 from yieldmon.engine.load_update import LoadUpdate
 from yieldmon.engine.mass_anchors import checked, mass_anchor, weighed
 from yieldmon.engine.prior_states import as_prior_state, as_set, as_tuples, says_as
@@ -32,7 +32,7 @@ from yieldmon.engine.records import (
 from yieldmon.engine.scale_alarm import ScaleCheck, name_of
 from yieldmon.engine.sweep_records import density_anchor, median_moisture_pct, sweep_of
 from yieldmon.engine.weighings import KEPT_LOADS, Weighings
-from yieldmon.estimation import common_bias
+from yieldmon.estimation import common_bias, drift_spread
 from yieldmon.estimation.admission import allowing_for, refusal
 from yieldmon.estimation.angle_pattern import EFFECT, with_pattern
 from yieldmon.estimation.closed_loop import self_calibrate, update_from_tickets
@@ -43,7 +43,7 @@ from yieldmon.estimation.load_inputs import LoadSettings
 from yieldmon.estimation.load_pattern import EFFECT as LOAD_PATTERN
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.estimation.steady_drift import Advance, DriftingParameters, advance, begin, carried, learn
+from yieldmon.estimation.steady_drift import Advance, DriftingParameters, advance, begin, carried, forgotten, learn, widened
 from yieldmon.estimation.sweep_worth import OtherChannels, SweepPlan, SweepWorth, sweep_worth, window_times_s
 from yieldmon.estimation.wrong_tickets import known_slip
 from yieldmon.physics.model import ForwardModel
@@ -109,6 +109,7 @@ class ClosedLoopCalibrator:
         self._bias: tuple[CommonBias, ParameterSet] | None = None
         """Of kernel noise, with the parameters that its covariance is with; None where it has taught none of these."""
         self._deviation: DriftDeviation | None = None
+        self._spread: RateSpread | None = None
         self.last: Outcome | None = None
 
     def update(self, records: Sequence[WindowRecord], estimator: FlowEstimator, *, use_sweep: bool = True) -> CalibrationOutcome:
@@ -201,6 +202,8 @@ class ClosedLoopCalibrator:
         facts = {**used.provenance, _TAUGHT: "taught"}
         known = replace(taught.drifting.parameters, version=used.version + 1, provenance=facts)
         self._given = None
+        spread = drift_spread.taught(self._spread_at(used, drifting, step, at.total_kg), taught.errors)
+        self._spread = RateSpread(spread, known)
         self._at_s, self._at_kg, self._moisture_pct = at
         self._history = [*self._history[-7:], (at.time_s, used)]
         self._updated, self._drifting = known, replace(taught.drifting, parameters=known)
@@ -239,13 +242,34 @@ class ClosedLoopCalibrator:
             # They describe the machine as it is now.
             self._at_s, self._at_kg = record.time_s, record.total_kg
         if seen is None or seen.parameters is not used:
-            seen = DriftDeviation(0.0, used, 0)
+            seen = DriftDeviation(0.0, used, -1)
         steps = int(max(record.total_kg - self._at_kg, 0.0) // FOLLOWED_KG)
         if seen.steps != steps and record.mass_flow_kg_s > 0.0:
-            later = self._prior(used, nan, record.time_s, record.total_kg)[0].parameters
+            later = self._as_stated(used, record.time_s, record.total_kg) if steps else self._as_learnt(used)
             seen = DriftDeviation(force_deviation(self._model, used, later, record), used, steps)
         self._deviation = seen
         return seen.relative
+
+    def _as_stated(self, used: ParameterSet, time_s: float, total_kg: float) -> ParameterSet:
+        """The parameters in use as far as they are known now, the size of steady rates being unknown."""
+        later, step = self._prior(used, nan, time_s, total_kg)
+        return as_stated(later.parameters, self._spread_at(used, later, step, total_kg))
+
+    def _as_learnt(self, used: ParameterSet) -> ParameterSet:
+        """The same as they were when they were learnt."""
+        spread = self._spread
+        return used if spread is None or spread.parameters is not used else as_stated(used, spread.covariance)
+
+    def _spread_at(self, used: ParameterSet, later: DriftingParameters, step: Advance, total_kg: float) -> Array:
+        """What rates of unknown size may have added until now; step: from the parameters in use to `later`."""
+        start = self._drifting
+        if start is None or start.parameters is not used:
+            start = begin(self._patterned(used), self._settings.steady_per_kilotonne)
+        gone = forgotten(
+            start, max(total_kg - self._at_kg, 0.0),
+            per_kilotonne=self._settings.steady_per_kilotonne, memory_kt=self._settings.steady_drift_memory_kt,
+        )  # fmt: skip
+        return RateSpread.at(self._spread, used, step, later, gone)
 
     def _from_outside(self, used: ParameterSet) -> bool:
         """Whether no lesson led to these parameters, and no undo brought them back."""
@@ -338,6 +362,8 @@ class ClosedLoopCalibrator:
         # Without an update the moisture map or the drift alone has moved the values; the new prior is what is known.
         bias = self._bias_of(used, came, at.total_kg) if drifting is known_before else None
         begun_s = self._at_s
+        whole = known_before.joint.shape == came.covariance_after.shape
+        spread = self._spread_at(used, known_before, came, at.total_kg) if whole else None
         self._at_s, self._at_kg, self._moisture_pct = at
         self._history = [*self._history[-7:], (at.time_s, used)]
         if outcome.updated and outcome.parameter_set.covariance_names != drifting.parameters.covariance_names:
@@ -348,13 +374,18 @@ class ClosedLoopCalibrator:
             self._drifting = carried(drifting, replace(prior, version=used.version + 1))
         known = self._drifting.parameters
         same = self._drifting.joint.shape == drifting.joint.shape and known.covariance_names == prior.covariance_names
+        heard = bias
         if bias is not None and same and outcome.updated:
             bias = common_bias.followed(bias, drifting, self._drifting, widening=outcome.prior_widening)
+        if spread is not None and outcome.updated:
+            before = widened(drifting.joint, len(prior.covariance_names), outcome.prior_widening)
+            spread = after_lesson(spread, before, self._drifting, (heard, bias if same else None))
         if (bias is None or not same) and outcome.scale.observable and _TAUGHT in known.provenance:
             # What kernel noise taught is not known any more, and no longer matters.
             known = replace(known, provenance={key: text for key, text in known.provenance.items() if key != _TAUGHT})
             self._drifting = replace(self._drifting, parameters=known)
         self._bias = (bias, known) if bias is not None and same else None
+        self._spread = None if spread is None else RateSpread(spread, known)
         reason = outcome.reason if outcome.updated else "moved by moisture or steady drift; the data add too little"
         self._updated = known
         if known.effects != self._model.effects:
@@ -445,6 +476,7 @@ class ClosedLoopCalibrator:
             weighed=tuple(load.name for load in self._weighings.counted),
             doubted=self._weighings.doubted_name,
             bias=self._kept_bias(),
+            spread=self._kept_spread(),
             origin=self._kept_origin(),
             grains=self._kept_grains(),
         )
@@ -454,6 +486,11 @@ class ClosedLoopCalibrator:
             return ()
         bias = self._bias[0]
         return (bias.value, bias.variance, bias.largest, *map(float, bias.cross))
+
+    def _kept_spread(self) -> tuple[tuple[float, ...], ...]:
+        if self._spread is None or self._drifting is None or self._spread.parameters is not self._drifting.parameters:
+            return ()
+        return as_tuples(self._spread.covariance)
 
     def _kept_origin(self) -> PriorState | None:
         origin, known = self._origin, self._updated or self._restored
@@ -483,6 +520,8 @@ class ClosedLoopCalibrator:
         if len(state.bias) == 3 + len(fresh.joint) and fresh.parameters is parameters:
             value, variance, largest, *cross = state.bias
             self._bias = CommonBias(value, variance, np.array(cross), largest), parameters
+        if len(state.spread) == 1 + len(fresh.joint) and fresh.parameters is parameters:
+            self._spread = RateSpread(np.array(state.spread), parameters)
         if not state.drifting or fresh.names != state.drifting or len(state.covariance[0]) != len(fresh.joint):
             return  # No rates, or others by now: they begin anew.
         rows, joint = np.array(state.covariance), fresh.joint.copy()

@@ -324,7 +324,8 @@ class CalibratorState:
     have a variance, and with each other. at_s: bus time of the last update, None where it is not known. weighed: names of the
     loads that a new one is held against; doubted: of the one that contradicts them, "" for none. bias: of kernel noise (value,
     variance, largest variance, then its covariance with parameters and rates), empty where it has taught nothing. origin: the
-    parameters before weighed loads taught a curve of their own, None where they have not. grains: the crops before.
+    parameters before weighed loads taught a curve of their own, None where they have not. grains: the crops before. spread: what
+    rates of unknown size may have added (`estimation.drift_spread`), (n + r + 1, n + r + 1), empty where nothing has taught.
     """
 
     waited_s: float
@@ -339,6 +340,7 @@ class CalibratorState:
     bias: tuple[float, ...] = ()
     origin: PriorState | None = None
     grains: tuple[GrainState, ...] = ()
+    spread: tuple[tuple[float, ...], ...] = ()
 
 
 class SelfCalibrator(Protocol):

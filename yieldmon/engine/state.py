@@ -134,11 +134,18 @@ def _scale_alarm(data: Mapping[str, Any]) -> ScaleAlarmState:
 def _calibrator(data: Mapping[str, Any]) -> CalibratorState:
     lists = {name: tuple(data.get(name, ())) for name in ("drifting", "rates", "weighed", "bias")}
     grains = tuple(_grain(grain) for grain in data.get("grains", ()))
-    parts = {"covariance": _rows(data["covariance"]), "origin": _prior_or_none(data.get("origin")), "grains": grains}
+    parts = {
+        "covariance": _rows(data["covariance"]),
+        "origin": _prior_or_none(data.get("origin")),
+        "grains": grains,
+        "spread": _rows(data.get("spread", ())),
+    }
     state = CalibratorState(**{**data, **lists, **parts})
     count = len(state.drifting)
     if len(state.rates) != count or len(state.covariance) != count or len({len(row) for row in state.covariance}) > 1:
         raise ValueError(f"engine state: rates {state.rates} do not fit the parameters {state.drifting}")
+    if any(len(row) != len(state.spread) for row in state.spread):
+        raise ValueError(f"engine state: a spread of {len(state.spread)} rows is not square")
     return state
 
 

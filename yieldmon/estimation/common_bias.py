@@ -72,13 +72,15 @@ class CommonBias:
 @dataclass(frozen=True)
 class Taught:
     """drifting, bias: after the lesson. difference, sd: of ln flow by kernels less bias and by mean force, and its deviation.
-    moved: ln flow of the mean force moved by so much."""
+    moved: ln flow of the mean force moved by so much. errors: what the lesson made of errors of states and bias (`drift_spread`).
+    """
 
     drifting: DriftingParameters
     bias: CommonBias
     difference: float
     sd: float
     moved: float
+    errors: Array
 
 
 def begin(lasting_sd: float, states: int) -> CommonBias:
@@ -149,7 +151,8 @@ def teach(model: ForwardModel, drifting: DriftingParameters, bias: CommonBias, l
         joint,
     )
     learnt = CommonBias(bias.value + share * difference, own, cross, max(bias.largest, own))
-    return Taught(after, learnt, difference, sqrt(variance), moved_by)
+    errors = np.eye(slope.size + 1) - np.outer(np.append(gain, share), np.append(slope, 1.0))
+    return Taught(after, learnt, difference, sqrt(variance), moved_by, errors)
 
 
 def _apart(

@@ -126,21 +126,16 @@ def advance(
     """
     if not memory_kt > 0.0:
         raise ValueError(f"a rate's memory is {memory_kt} kt; expected more than 0")
-    grain = harvested_kg / KG_PER_KT
-    left, lasting, variance, tie, own = _forgetting(grain, memory_kt)
+    left, lasting, *_ = _forgetting(harvested_kg / KG_PER_KT, memory_kt)
     parameters, count = known.parameters, len(known.parameters.covariance_names)
     transition = np.eye(len(known.joint))
-    added = np.zeros_like(known.joint)
+    added = forgotten(known, harvested_kg, per_kilotonne=per_kilotonne, memory_kt=memory_kt)
     values, rates = dict(parameters.values), known.rates * left
     for i, name in enumerate(known.names):
-        row = parameters.covariance_names.index(name)
-        size, likely = natural_scale(name, values[name]), (per_kilotonne or {}).get(drift_key(name), 0.0)
+        row, size = parameters.covariance_names.index(name), natural_scale(name, values[name])
         transition[row, count + i] = size * lasting
         transition[row, row] += known.rates[i] * lasting
         transition[count + i, count + i] = left
-        added[row, row] = variance * (size * likely) ** 2
-        added[row, count + i] = added[count + i, row] = tie * size * likely**2
-        added[count + i, count + i] = own * likely**2
         values[name] += size * known.rates[i] * lasting
     joint = transition @ known.joint @ transition.T + added
     joint = 0.5 * (joint + joint.T)
@@ -149,6 +144,22 @@ def advance(
     joint[:count, :count] = grown.covariance
     later = DriftingParameters(grown, known.names, rates, joint)
     return later, Advance(known.state, known.joint, transition, later.state, joint)
+
+
+def forgotten(
+    known: DriftingParameters, harvested_kg: float, *, per_kilotonne: Mapping[str, float] | None = None, memory_kt: float = inf
+) -> Array:
+    """Covariance (n + r, n + r) that states gain over some grain as their rates are forgotten; arguments as of `advance`."""
+    parameters, count = known.parameters, len(known.parameters.covariance_names)
+    _, _, variance, tie, own = _forgetting(harvested_kg / KG_PER_KT, memory_kt)
+    added = np.zeros_like(known.joint)
+    for i, name in enumerate(known.names):
+        row = parameters.covariance_names.index(name)
+        size, likely = natural_scale(name, parameters.values[name]), (per_kilotonne or {}).get(drift_key(name), 0.0)
+        added[row, row] = variance * (size * likely) ** 2
+        added[row, count + i] = added[count + i, row] = tie * size * likely**2
+        added[count + i, count + i] = own * likely**2
+    return added
 
 
 def _forgetting(grain_kt: float, memory_kt: float) -> tuple[float, float, float, float, float]:
