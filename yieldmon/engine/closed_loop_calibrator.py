@@ -47,6 +47,7 @@ from yieldmon.estimation.steady_drift import Advance, DriftingParameters, advanc
 from yieldmon.estimation.sweep_worth import OtherChannels, SweepPlan, SweepWorth, sweep_worth, window_times_s
 from yieldmon.estimation.wrong_tickets import known_slip
 from yieldmon.physics.model import ForwardModel
+from yieldmon.physics.numerics import Array
 
 _TAUGHT = "kernel_noise"
 """Key of the provenance of parameters that kernel noise has taught."""
