@@ -261,6 +261,17 @@ def test_a_plate_that_did_not_follow_is_reported_until_it_follows(how: SweepAbor
     assert not sweep.machine.not_following
 
 
+def test_a_plate_that_does_not_come_home_in_time_is_reported() -> None:
+    """At the limit it may still come; beyond it the plate is given up for a while, and it has not followed."""
+    sweep = left_away(2.0)
+    assert (sweep.state, sweep.machine.not_following) == (S.RETURNING, False)
+    sweep.tick(SETTINGS.return_timeout_s, 50.0)
+    assert (sweep.state, sweep.machine.not_following) == (S.RETURNING, False)
+    sweep.tick(BEYOND, 50.0)
+    assert (sweep.state, sweep.machine.not_following) == (S.IDLE, True)
+    assert sweep.demand == PlateDemand(CommandMode.RELEASE)
+
+
 def test_a_hand_ends_the_return_and_the_next_try_does_not_wait() -> None:
     sweep = left_away(2.0)
     assert sweep.demand == PlateDemand(CommandMode.GO_HOME)

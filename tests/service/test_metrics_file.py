@@ -28,6 +28,20 @@ def started_and_stopped(path: Path) -> None:
     metrics.stop()
 
 
+@pytest.mark.parametrize("alive", [True, False])
+def test_the_file_goes_whether_or_not_its_thread_still_runs(path: Path, *, alive: bool) -> None:
+    """A thread that has died takes nothing away."""
+    path.write_text("stale")
+    metrics = MetricsFile(path, 3600.0, no_status)
+    if alive:
+        metrics.start()
+    else:
+        assert not metrics.alive
+    metrics.stop()
+    assert not path.exists()
+    assert not metrics.alive
+
+
 def test_by_a_link_the_file_goes_and_the_link_stays(path: Path, tmp_path: Path) -> None:
     (tmp_path / "target").write_text("stale")
     path.symlink_to("target")

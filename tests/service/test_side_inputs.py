@@ -12,6 +12,7 @@ import pytest
 
 from tests.service.bench import CODEC, START_S, running, traffic
 from yieldmon.bus.bulk import block_of, decode_block, frames_of
+from yieldmon.bus.factory_monitor import FactoryMonitor
 from yieldmon.bus.log_writing import writing
 from yieldmon.frames import VEHICLE_DIRECTION_SPEED, VEHICLE_POSITION, Frame
 from yieldmon.network.fast_packet import split
@@ -205,6 +206,22 @@ CONCERNED = {
     0x8CCAFF1C: False, 0x8CCCFF1C: False, 0x98FF6890: False, 0x89F8061C: False, 0x8CFEF21C: False, 0x8CF0041C: False,
     0x09F8051C: False, 0xC9F8051C: False, 0xA9F8051C: False, 0x00000123: False,
 }  # fmt: skip
+
+
+def test_the_filters_let_through_what_concerns_these_and_hardly_more() -> None:
+    """By the kernel's rule: a frame passes where its identifier and a filter's are equal in the bits of the mask. Any source, any
+    priority; a factory's own frames keep the address that its layout names."""
+    inputs = SideInputs()
+    filters = [(entry["can_id"], entry["can_mask"]) for entry in inputs.filters()]
+    assert all(entry.get("extended") for entry in inputs.filters())
+    rng = np.random.default_rng(5)
+    known = [i for i, concerned in CONCERNED.items() if concerned]
+    tried = [*known, *(int(i) | 1 << 31 for i in rng.integers(0, 1 << 29, 3000))]
+    tried += [identity | int(rng.integers(8)) << 26 | 1 << 31 for identity in FactoryMonitor().identifiers for _ in range(4)]
+    concerned = inputs.concerns(np.array(tried, np.uint32))
+    passed = np.array([any((i ^ value) & mask & 0x1FFFFFFF == 0 for value, mask in filters) for i in tried])
+    assert not np.any(concerned & ~passed), [hex(i) for i, c, p in zip(tried, concerned, passed, strict=True) if c and not p][:5]
+    assert np.mean(passed[len(known) : len(known) + 3000]) < 0.02
 
 
 def test_which_frames_may_concern_position_speed_and_the_factorys_flow() -> None:

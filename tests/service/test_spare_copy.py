@@ -149,6 +149,19 @@ def test_sectors_that_cannot_be_read_are_zero_in_the_copy_and_reported(tmp_path,
     assert not copy.exists()
 
 
+def test_a_medium_that_refuses_for_another_reason_gives_no_copy_with_holes(tmp_path, monkeypatch):
+    """Permission, a stale handle: nothing says that the sector is bad, so zeros in its place would pass for damage."""
+    path = tmp_path / "s.sqlite"
+    path.write_bytes(os.urandom(3_000_000))
+
+    def pread(descriptor: int, length: int, offset: int) -> bytes:
+        raise OSError(errno.ESTALE, os.strerror(errno.ESTALE))
+
+    monkeypatch.setattr("os.pread", pread)
+    with pytest.raises(StoreError, match=f"cannot be copied to be read: .*{os.strerror(errno.ESTALE)}"), spare_copy(path):
+        pass
+
+
 def test_a_store_with_a_bad_sector_is_read_as_far_as_it_goes(tmp_path, monkeypatch):
     """SQLite reads around none: where it fails, every start did."""
     path = tmp_path / "s.sqlite"
