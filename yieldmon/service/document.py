@@ -73,6 +73,3 @@ ENGINE_SECTIONS = (
     "clock", "windows", "inputs", "zero", "gate", "totals", "budget", "flow_filter", "plate", "sweep", "faults", "anchors",
     "disagreement", "waveform",
 )  # fmt: skip
-
-#: Settings of the engine that the protocol fixes, or that come from a file of their own; their section has no key for them.
-FIXED_BY_THE_FRAMES = frozenset({"windows.window_s", "plate.command_counter_modulus", "waveform.shape"})
