@@ -8,7 +8,6 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from functools import cache
-from pathlib import Path
 
 from yieldmon.resources import shipped
 
@@ -21,12 +20,11 @@ _LINE = re.compile(f"{_MESSAGE}|{_SIGNAL}", re.MULTILINE)
 
 
 @cache
-def signal_ranges(dbc_path: Path | None = None) -> SignalRanges:
-    """Ranges of the DBC at dbc_path (None: the shipped one). Raises OSError."""
-    path = shipped("dbc/yieldmon.dbc") if dbc_path is None else dbc_path
+def signal_ranges() -> SignalRanges:
+    """Ranges of the shipped DBC. Raises OSError."""
     found: dict[str, dict[str, tuple[float, float]]] = {}
     signals: dict[str, tuple[float, float]] = {}
-    for line in _LINE.finditer(path.read_text(encoding="utf-8")):
+    for line in _LINE.finditer(shipped("dbc/yieldmon.dbc").read_text(encoding="utf-8")):
         if line["message"]:
             signals = found.setdefault(line["message"], {})
         else:

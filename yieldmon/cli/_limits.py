@@ -15,9 +15,9 @@ def within(option: str, value: float, low: float, high: float = inf, unit: str =
     return value
 
 
-def within_if_given(option: str, value: float | None, low: float, high: float = inf, unit: str = "") -> float | None:
+def within_if_given(option: str, value: float | None, low: float, high: float = inf) -> float | None:
     """The same for an option that need not be given."""
-    return None if value is None else within(option, value, low, high, unit)
+    return None if value is None else within(option, value, low, high)
 
 
 def above_0(option: str, value: float) -> float:

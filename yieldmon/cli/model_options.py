@@ -37,11 +37,10 @@ _LEAST_MOMENTUM_KG_M_S = 0.05
 """Below it an offset of the reading outweighs the grain."""
 
 
-def add_model_arguments(parser: argparse.ArgumentParser, default: str = parameter_file.DEFAULT) -> None:
-    """--machine, --params and --set. default: the shipped parameter file that counts where --params is not given."""
+def add_model_arguments(parser: argparse.ArgumentParser) -> None:
+    """--machine, --params and --set."""
     parser.add_argument("--machine", metavar="FILE", help="file or shipped name (default: sprocket-8)")
-    parser.add_argument("--params", metavar="FILE", help=f"file or shipped name (default: {Path(default).stem})")
-    parser.set_defaults(shipped_params=default)
+    parser.add_argument("--params", metavar="FILE", help=f"file or shipped name (default: {Path(parameter_file.DEFAULT).stem})")
     add_set_argument(parser)
 
 
@@ -63,7 +62,7 @@ def machine(args: argparse.Namespace) -> Machine:
 
 def parameters(args: argparse.Namespace) -> ParameterSet:
     """The parameters that the arguments name, with --set applied."""
-    path = _named_files.parameters_path(args.params) if args.params else shipped(args.shipped_params)
+    path = _named_files.parameters_path(args.params) if args.params else shipped(parameter_file.DEFAULT)
     return with_values(parameter_file.load(path), assignments(args.set, "--set"))
 
 
@@ -107,7 +106,7 @@ def check_parameter(name: str, value: float, where: str) -> None:
         raise InputError(f"{where} {name}", f"is {value:g}", f"{low:g} to {high:g} {unit}".rstrip())
 
 
-def with_values(known: ParameterSet, changes: Mapping[str, float], where: str = "--set") -> ParameterSet:
+def with_values(known: ParameterSet, changes: Mapping[str, float]) -> ParameterSet:
     """The set with some values replaced; they count as exactly known.
 
     A name of an effect that the set lacks adds that effect, its other parameters without effect; restitution replaces k1 and k2
@@ -117,7 +116,7 @@ def with_values(known: ParameterSet, changes: Mapping[str, float], where: str = 
         return known
     values = dict(known.values)
     for name, value in changes.items():
-        check_parameter(name, value, where)
+        check_parameter(name, value, "--set")
         form = GRAIN[name].form if name in GRAIN else ""
         if form:
             values = {k: v for k, v in values.items() if k not in GRAIN or GRAIN[k].form in ("", form)}
@@ -130,7 +129,7 @@ def with_values(known: ParameterSet, changes: Mapping[str, float], where: str = 
     try:
         return replace(known, values=values, covariance_names=kept, covariance=known.covariance_of(kept))
     except ValueError as error:
-        raise InputError(where, str(error)) from error
+        raise InputError("--set", str(error)) from error
 
 
 def check_moisture(moisture_pct: float | None) -> None:

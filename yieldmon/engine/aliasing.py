@@ -16,11 +16,12 @@ from yieldmon.physics.machine import Machine
 _AMPLITUDES = (0.31, 1.29, 0.41, 0.47, 0.24, 0.12, 0.10, 0.02)
 """Amplitude over mean force of the pattern's harmonics, two paddles a pattern: of the virtual combine at 400 rpm and 12 kg/s."""
 _NEGLIGIBLE = 1e-4
+_WINDOW_S = 1.0
 ALIAS_FREE_HZ = 200.0
 """From this rate on no harmonic that matters is folded, at any speed at which grain is measured."""
 
 
-def aliasing_share(source: SampleSource, machine: Machine, speed_rad_s: float, window_s: float = 1.0) -> float:
+def aliasing_share(source: SampleSource, machine: Machine, speed_rad_s: float) -> float:
     """Standard deviation from aliasing over the mean force; 0 where the samples are frequent enough.
 
     Parameters
@@ -40,7 +41,7 @@ def aliasing_share(source: SampleSource, machine: Machine, speed_rad_s: float, w
         filtered = amplitude / hypot(1.0, 2.0 * pi * at_hz * source.time_constant_s)
         nearest = round(at_hz / rate_hz)
         seen = [abs(at_hz - fold * rate_hz) for fold in (nearest - 1, nearest, nearest + 1) if fold >= 1]
-        passed = max((_passed(hz, window_s) * _passed(hz, 1.0 / pattern_hz) for hz in seen), default=0.0)
+        passed = max((_passed(hz, _WINDOW_S) * _passed(hz, 1.0 / pattern_hz) for hz in seen), default=0.0)
         total += 0.5 * (filtered * passed) ** 2
     share = total**0.5
     return share if share > _NEGLIGIBLE else 0.0

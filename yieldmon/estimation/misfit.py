@@ -173,16 +173,14 @@ def common_misfit(
     *,
     least_sweeps: int = 4,
     level: float = 0.001,
-    width_rad: float = SAME_ANGLE_RAD,
     tolerance: float = 0.0,
     shared: int = 0,
 ) -> Misfit:
     """Test the pattern over plate angle that the sweeps share.
 
-    width_rad: steps closer than this are one angle. tolerance: standard deviation of a relative model error at each angle that is
-    nobody's concern; averaging over sweeps does not take it away. shared: quantities fitted to all sweeps together. Never
-    disagrees on fewer than least_sweeps sweeps. The scatter of the sweeps about their common pattern widens the stated sd where
-    it is larger, so that flow that wanders raises no alarm.
+    tolerance: standard deviation of a relative model error at each angle that is tolerated; averaging over sweeps does not take it
+    away. shared: quantities fitted to all sweeps together. Never disagrees on fewer than least_sweeps sweeps. The scatter of the
+    sweeps about their common pattern widens the stated sd where it is larger, so that flow that wanders raises no alarm.
     """
     usable = [s for s in sweeps if len(s.relative_residual) > s.fitted + 1]
     if len(usable) < least_sweeps:
@@ -194,7 +192,7 @@ def common_misfit(
     angle, residual, sd = angle[good], residual[good], sd[good]
     if angle.size == 0:
         return NO_MISFIT
-    numbers = cluster(angle, width_rad)
+    numbers = cluster(angle, SAME_ANGLE_RAD)
     count = int(numbers.max()) + 1
     weight = np.bincount(numbers, 1.0 / sd**2, count)
     mean = np.bincount(numbers, residual / sd**2, count) / weight

@@ -24,6 +24,8 @@ FLOOR = 0.002
 _DEGREES = (3, 3, 2)
 _LEAST_LEVEL = 0.05
 """Readings below this share of the largest have the error of that share."""
+_UNSEEN = 1e-3
+"""Share of a residual below which what a group leaves says nothing of it."""
 
 
 def level(predicted: Array) -> Array:
@@ -84,13 +86,13 @@ def left_out(residual: Array, tangent: Array, group: NDArray[np.int64], unseen: 
     return out
 
 
-def expected_left_out(tangent: Array, group: NDArray[np.int64], unseen: float = 1e-3) -> float:
+def expected_left_out(tangent: Array, group: NDArray[np.int64]) -> float:
     """Mean square of `left_out` residuals when there is noise alone: above 1, as each group is predicted from the others."""
     total = 0.0
     for number in range(int(group.max()) + 1):
         own = tangent[group == number]
         kept = np.linalg.eigvalsh(np.eye(own.shape[0]) - own @ own.T)
-        total += float(np.sum(np.where(kept < unseen, kept, 1.0 / np.where(kept < unseen, 1.0, kept))))
+        total += float(np.sum(np.where(kept < _UNSEEN, kept, 1.0 / np.where(kept < _UNSEEN, 1.0, kept))))
     return total / len(tangent)
 
 

@@ -23,6 +23,8 @@ _STENCIL = np.array([-1.0, 0.0, 1.0])
 _NEAR = np.arange(4)
 _LEAST_STEP = 1e-9
 _THIN = 1e-4
+_EXACT = 1e-13
+"""Relative error of the force at which a flow is found."""
 """Heap thickness, 1 - h0/l, at which momentum is in proportion to load."""
 _NEAR_ERROR = 1e-3
 """Relative, of a load curve between knots: twice the most that it is found to be."""
@@ -90,7 +92,7 @@ class FlowEstimate:
     noise_std_dev_kg_s: Array | None = None
 
 
-def invert_force(throw: Throw, force_n: Array, *, tolerance: float = 1e-13, near: Array | None = None) -> tuple[Array, Array]:
+def invert_force(throw: Throw, force_n: Array, *, near: Array | None = None) -> tuple[Array, Array]:
     """Mass flow at which `throw` gives `force_n`, and d(force)/d(mass flow) there, by a bracketed solver.
 
     throw and force have shapes that broadcast to S; returns two arrays of shape S. The bracket is an empty to a full paddle; of
@@ -114,11 +116,11 @@ def invert_force(throw: Throw, force_n: Array, *, tolerance: float = 1e-13, near
     empty = grid[:, :1]
     below = np.less_equal(goal, empty).reshape(shape)
     # Momentum rises as thickness squared, so its root is nearly linear in the thickness.
-    near = np.minimum(np.maximum(right - 2, 0), _GRID.size - 4) + _NEAR
-    root = np.sqrt(np.maximum(grid[rows, near] - empty, 0.0))
-    start = _inverse_interpolation(root, _GRID[near], np.sqrt(np.maximum(goal - empty, 0.0)))
-    beyond = 0 if near is None else 1
-    low, high = _GRID[np.maximum(right - 1 - beyond, 0)], _GRID[np.minimum(right + beyond, _GRID.size - 1)]
+    around = np.minimum(np.maximum(right - 2, 0), _GRID.size - 4) + _NEAR
+    root = np.sqrt(np.maximum(grid[rows, around] - empty, 0.0))
+    start = _inverse_interpolation(root, _GRID[around], np.sqrt(np.maximum(goal - empty, 0.0)))
+    # An interval more on either side: `near` is only about what the throw reads.
+    low, high = _GRID[np.maximum(right - 2, 0)], _GRID[np.minimum(right + 1, _GRID.size - 1)]
     q = np.minimum(np.maximum(start, low), high).reshape(*shape, 1)
     low, high = low.reshape(q.shape), high.reshape(q.shape)
     q = np.minimum(np.maximum(q, 2.0 * _LEAST_STEP), 1.0 - 2.0 * _LEAST_STEP)
@@ -140,7 +142,7 @@ def invert_force(throw: Throw, force_n: Array, *, tolerance: float = 1e-13, near
             trial = q - newton / (1.0 - 0.5 * newton * curve / slope)
         trial = np.where((trial >= low) & (trial <= high), trial, 0.5 * (low + high))
         here = _slope_at(throw.offered_along_curve(np.where(no_grain, q, trial)), mass, momentum)
-        near_enough = (np.abs(trial - q) <= 1e-4 * q) | (np.abs(error) <= tolerance * np.abs(target)) | no_grain
+        near_enough = (np.abs(trial - q) <= 1e-4 * q) | (np.abs(error) <= _EXACT * np.abs(target)) | no_grain
         # A row that has settled stays as it is, so that its result does not depend on the rows beside it.
         q, gain = np.where(settled, q, trial), np.where(settled, gain, here)
         settled = settled | near_enough

@@ -14,9 +14,9 @@ def software_identification(fields: Sequence[str]) -> bytes:
     return bytes([len(kept)]) + b"".join(field + b"*" for field in kept)
 
 
-def component_identification(make: str, model: str, serial_number: str, unit_number: str = "") -> bytes:
-    """Make, model, serial number and unit number, each with an asterisk behind it."""
-    return b"".join(_field(field) + b"*" for field in (make, model, serial_number, unit_number))
+def component_identification(make: str, model: str, serial_number: str) -> bytes:
+    """Make, model, serial number and an empty unit number, each with an asterisk behind it."""
+    return b"".join(_field(field) + b"*" for field in (make, model, serial_number, ""))
 
 
 def _field(text: str) -> bytes:

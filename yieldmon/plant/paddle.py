@@ -20,6 +20,7 @@ from yieldmon.physics.numerics import Array
 
 _STEP_RAD = 0.025
 _LAST_ANGLE_RAD = 2.2
+_NODES = 160
 """Past this angle a parcel leaves downward, away from any plate."""
 
 
@@ -117,10 +118,10 @@ class ReleaseCurve:
 
 
 def release_curve(
-    friction: float | Friction, gamma: float, radial_speed: float = 0.0, start_angle_rad: float = 0.0, nodes: int = 160
+    friction: float | Friction, gamma: float, radial_speed: float = 0.0, start_angle_rad: float = 0.0
 ) -> ReleaseCurve:
     """Release of every parcel of a paddle; arguments as for :func:`slide`."""
-    depth = np.linspace(0.0, np.sqrt(0.98), nodes)
+    depth = np.linspace(0.0, np.sqrt(0.98), _NODES)
     release = slide(1.0 - depth**2, friction, gamma, radial_speed, start_angle_rad)
     out = np.isfinite(release.angle_rad)
     depth, angle, speed = depth[out], release.angle_rad[out], release.radial_speed[out]

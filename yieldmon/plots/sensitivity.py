@@ -31,11 +31,11 @@ RANGES: Mapping[str, tuple[float, float]] = {
 FLOWS_KG_S: Array = np.arange(2.0, 26.1, 4.0)
 
 
-def forces_n(machine: Machine, name: str, values: Array, plate_angle_rad: float, flows_kg_s: Array = FLOWS_KG_S) -> Array:
-    """Force, N, of shape (flows, values): `name` takes the values, the other parameters are TYPICAL; nominal elevator speed."""
+def forces_n(machine: Machine, name: str, values: Array, plate_angle_rad: float) -> Array:
+    """Force, N, of shape (FLOWS_KG_S, values): `name` takes the values, the others are TYPICAL; nominal elevator speed."""
     parameters: dict[str, ArrayLike] = {**TYPICAL, name: values[None, :]}
-    conditions = Conditions(plate_angle_rad, machine.nominal_elevator_speed_rad_s, mass_flow_kg_s=flows_kg_s[:, None])
-    shape = (len(flows_kg_s), len(values))
+    conditions = Conditions(plate_angle_rad, machine.nominal_elevator_speed_rad_s, mass_flow_kg_s=FLOWS_KG_S[:, None])
+    shape = (len(FLOWS_KG_S), len(values))
     return np.broadcast_to(np.real(ForwardModel(machine).force(conditions, parameters)), shape)
 
 

@@ -66,7 +66,7 @@ class Rescued:
         return text + ("; older seconds are in that file only" if self.left_behind else "")
 
 
-def rescue(path: Path, label: str, *, without: Sequence[str] = (), seconds_budget_s: float = SECONDS_BUDGET_S) -> Rescued:
+def rescue(path: Path, label: str, *, without: Sequence[str] = ()) -> Rescued:
     """Put a sound store in the place of the damaged one at `path`, with every row of it that is as it was written.
 
     label: the damaged files are kept as ``<name>.<label>``. without: tables to leave empty. Raises StoreError, or OSError when a
@@ -80,7 +80,7 @@ def rescue(path: Path, label: str, *, without: Sequence[str] = (), seconds_budge
     with Store(fresh) as store, _opened(path, fresh) as damaged:
         if damaged is not None:
             for table in sorted({*schema.COLUMNS, "second"} & _tables(damaged) - set(without), key=tuple(_COLUMNS).index):
-                _copy(damaged, store.path, table, rescued, seconds_budget_s)
+                _copy(damaged, store.path, table, rescued)
     rescued.aside = _replace(path, fresh, label)
     return rescued
 
@@ -233,7 +233,7 @@ def _with_a_sound_header(content: bytes) -> bytes:
     return bytes(header) + content[_HEADER_BYTES:]
 
 
-def _copy(damaged: sqlite3.Connection, target: Path, table: str, rescued: Rescued, seconds_budget_s: float) -> None:
+def _copy(damaged: sqlite3.Connection, target: Path, table: str, rescued: Rescued) -> None:
     columns, keyed_by_row = _COLUMNS[table], schema.KEYS[table] == "id"
     names = (*columns, "checksum", *(("id",) if keyed_by_row else ()))
     marks = ", ".join("?" * len(names))
@@ -241,7 +241,7 @@ def _copy(damaged: sqlite3.Connection, target: Path, table: str, rescued: Rescue
     if table == "mark":
         # The new store has marks of its own; of the old one's only what is said of its rows goes on.
         statement = statement.replace("OR IGNORE", "OR REPLACE")
-    end_s = monotonic() + seconds_budget_s
+    end_s = monotonic() + SECONDS_BUDGET_S
     damaged.set_progress_handler(lambda: monotonic() > end_s, _STEPS_BETWEEN_LOOKS)
     unchecked_to = _unchecked_to(damaged) if table == "second" else 0
     with closing(prepared(sqlite3.connect(target, isolation_level=None))) as store:

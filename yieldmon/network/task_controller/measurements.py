@@ -10,6 +10,7 @@ from yieldmon.network.process_data import LEAST, MOST, Command, ProcessData, Ref
 from .pool import Device, Trigger
 
 MIN_INTERVAL_S = 0.1
+_DEFAULT_INTERVAL_MS = 1000
 _TRIGGERS = {
     Command.TIME_INTERVAL: Trigger.TIME,
     Command.DISTANCE_INTERVAL: Trigger.DISTANCE,
@@ -64,13 +65,13 @@ class Measurements:
         self._wanted[key] = _Wanted(asked.value, now_s, distance_m)
         return Refusal.NONE
 
-    def want_defaults(self, now_s: float, distance_m: float, interval_s: float = 1.0) -> None:
-        """The default set, by time where nothing else was asked."""
+    def want_defaults(self, now_s: float, distance_m: float) -> None:
+        """The default set, once a second where nothing else was asked."""
         for number, element in enumerate(self._device.elements):
             for variable in element.variables:
                 if variable.default and variable.triggers & Trigger.TIME:
                     key = (Command.TIME_INTERVAL, number, variable.ddi)
-                    self._wanted.setdefault(key, _Wanted(round(interval_s * 1000), now_s, distance_m))
+                    self._wanted.setdefault(key, _Wanted(_DEFAULT_INTERVAL_MS, now_s, distance_m))
 
     def due(self, values: Mapping[Key, int], now_s: float, distance_m: float) -> list[Key]:
         """The variables to be sent at now_s, each once."""
