@@ -178,9 +178,9 @@ def common_misfit(
 ) -> Misfit:
     """Test the pattern over plate angle that the sweeps share.
 
-    tolerance: standard deviation of a relative model error at each angle that is tolerated; averaging over sweeps does not take it
-    away. shared: quantities fitted to all sweeps together. Never disagrees on fewer than least_sweeps sweeps. The scatter of the
-    sweeps about their common pattern widens the stated sd where it is larger, so that flow that wanders raises no alarm.
+    tolerance: standard deviation of a relative model error at each angle that is tolerated; averaging over sweeps does not take
+    it away. shared: quantities fitted to all sweeps together. Never disagrees on fewer than least_sweeps sweeps. The scatter of
+    the sweeps about their common pattern widens the stated sd where it is larger, so that flow that wanders raises no alarm.
     """
     usable = [s for s in sweeps if len(s.relative_residual) > s.fitted + 1]
     if len(usable) < least_sweeps:
