@@ -572,6 +572,16 @@ def test_away_from_home_the_standard_deviation_is_widened() -> None:
     assert found[3.0] == pytest.approx(3.0 * found[1.0])
 
 
+def test_a_moving_plate_widens_by_the_delay_of_its_feedback_and_one_at_rest_does_not() -> None:
+    target = monitor(NOISE_ALONE, estimator=ForceProportional(relative_std_dev=0.0))
+    # 10 deg/s from 1010 s to 1012 s; the flow changes by 1.1 % a degree there.
+    feed(target, replace(STEADY, angle=lambda t: 70.0 + min(max(10.0 * (t - 1010.0), 0.0), 20.0)).frames(20))
+    widened = {round(r.time_s - 1000.0): r.noise_std_dev_kg_s / r.mass_flow_kg_s for r in target.records if r.mass_kg > 0.0}
+    at_home, moving, at_rest = widened[9], widened[12], widened[16]
+    assert at_rest == pytest.approx(at_home, rel=0.2)
+    assert moving == pytest.approx(np.hypot(at_home, 0.07 * 10.0 * 0.009), rel=0.2)
+
+
 def test_noise_that_is_widened_away_from_home_still_averages_out() -> None:
     widened = replace(NOISE_ALONE, sweep=replace(EngineSettings().sweep, max_std_dev_factor=3.0))
     target = monitor(widened, estimator=ForceProportional(relative_std_dev=0.0))

@@ -23,6 +23,9 @@ from yieldmon.frames import EstimateQuality
 _NAN = float("nan")
 _STATUSES = tuple(FlowStatus)
 """By code."""
+_FEEDBACK_DELAY_S = 0.07
+"""Standard deviation of the time between the plate's angle and the grain that strikes it: feedback comes every 50 ms, the cell
+answers after 16 ms, and grain flies for some 50 ms."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +110,10 @@ class FlowMeter:
         if not (isfinite(rate) and isfinite(std_dev)) or rate < 0.0:
             return Flow(_NAN, _NAN, EstimateQuality.NOT_AVAILABLE, reading.force_n, reading.force_std_dev_n)
         if reading.inputs.angle_stale:
-            std_dev = hypot(std_dev, self._angle_uncertainty(reading, rate, estimator))
+            held_rad = radians(self._settings.inputs.held_angle_std_dev_deg)
+            # A curve gives the same flow at any angle; how far that is wrong stands in its standard deviation.
+            change, there = _change_by_angle(reading, rate, estimator, held_rad)
+            std_dev = hypot(std_dev, change if change > 0.0 else there)
         saturated = status is FlowStatus.SATURATED or reading.window.saturated_share >= self._settings.windows.saturated_share
         outside = status is FlowStatus.OUTSIDE_CALIBRATION
         quality = self._quality(reading, saturated, outside, circumstances)
@@ -140,8 +146,13 @@ class FlowMeter:
         """The flow's standard deviation by cause. std_dev: of noise and parameters; own: the estimator's word on the noise."""
         settings, parameters = self._settings.budget, estimator.parameters
         noise = _noise(rate, own, reading)
-        zero_n = zero_std_dev_mv(settings, reading.zero_age_s) * self._gain_n_per_mv
         per_n = noise / reading.force_std_dev_n if reading.force_std_dev_n > 0.0 else _NAN
+        common = max(0.0, std_dev**2 - noise**2) ** 0.5
+        if not (reading.still or reading.inputs.angle_stale):
+            # Of the other sign on the way back.
+            late_rad = _late_rad(reading.window, self._settings.windows.max_ramp_s)
+            noise = hypot(noise, _change_by_angle(reading, rate, estimator, late_rad)[0])
+        zero_n = zero_std_dev_mv(settings, reading.zero_age_s) * self._gain_n_per_mv
         relative = self.moisture.relative_std_dev(
             reading.inputs.fresh["moisture"],
             parameters.version,
@@ -149,7 +160,7 @@ class FlowMeter:
             followed="moisture_dependence" in parameters.effects,
         )
         per_error = reading.force_n * per_n if reading.force_n > 0.0 and isfinite(per_n) else 0.0
-        parameters_kg_s = hypot(max(0.0, std_dev**2 - noise**2) ** 0.5, circumstances.drift_sd * per_error)
+        parameters_kg_s = hypot(common, circumstances.drift_sd * per_error)
         model_error = circumstances.model_error
         if not reading.at_home:
             # Each part by itself: what averages out goes on doing so.
@@ -181,14 +192,19 @@ class FlowMeter:
             or window.held_s > 0.25 * settings.window_s
         )
 
-    def _angle_uncertainty(self, reading: Reading, rate: float, estimator: FlowEstimator) -> float:
-        """Standard deviation of flow from a plate angle that is held, not measured, kg/s."""
-        moved = reading.window.plate_angle_rad - radians(self._settings.inputs.held_angle_std_dev_deg)
-        other = _ask(reading, estimator, reading.force_n, moved)
-        if not isfinite(other.rate_kg_s):
-            return rate
-        # A curve gives the same flow at any angle; how far that is wrong stands in its standard deviation.
-        return other.std_dev_kg_s if other.rate_kg_s == rate else abs(other.rate_kg_s - rate)
+
+def _late_rad(window: Window, max_ramp_s: float) -> float:
+    """By how much the plate may have been at another angle than the feedback says, as it moved in a window."""
+    # The range of the angle is that of the window and of its ramp in the window before.
+    moved_s = window.end_s - window.start_s + max_ramp_s
+    return (window.plate_max_rad - window.plate_min_rad) * _FEEDBACK_DELAY_S / moved_s
+
+
+def _change_by_angle(reading: Reading, rate: float, estimator: FlowEstimator, by_rad: float) -> tuple[float, float]:
+    """Change of the flow where the plate is at an angle less by so much, and the flow's standard deviation there, kg/s; where the
+    model has none there, all of the flow."""
+    other = _ask(reading, estimator, reading.force_n, reading.window.plate_angle_rad - by_rad)
+    return (abs(other.rate_kg_s - rate), other.std_dev_kg_s) if isfinite(other.rate_kg_s) else (rate, rate)
 
 
 def _noise(rate: float, own: float | None, reading: Reading) -> float:

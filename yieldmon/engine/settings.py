@@ -206,8 +206,8 @@ class SweepSettings:
     """Spread of ln(flow) over a whole sweep from which it is asked whether the plate moved at all."""
     feedback_plausibility_force_ratio: float = 0.5
     """The plate did not move if the force itself spreads less than this share of that."""
-    max_std_dev_factor: float = 1.5
-    """Widening of the standard deviation of flow measured away from home."""
+    max_std_dev_factor: float = 1.0
+    """Widening of the standard deviation of flow measured away from home, beside what the plate's motion adds."""
 
 
 @dataclass(frozen=True, slots=True)
