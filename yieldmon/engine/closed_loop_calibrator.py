@@ -18,7 +18,7 @@ from yieldmon.engine.calibrator_settings import CalibratorSettings
 from yieldmon.engine.curve_states import aligned
 from yieldmon.engine.drift_deviation import DriftDeviation, RateSpread, after_lesson, as_stated, force_deviation
 from yieldmon.engine.load_update import LoadUpdate
-from yieldmon.engine.mass_anchors import checked, mass_anchor, weighed
+from yieldmon.engine.mass_anchors import checked, mass_anchor, moisture_sd, weighed
 from yieldmon.engine.prior_states import as_prior_state, as_set, as_tuples, says_as
 from yieldmon.engine.records import (
     CalibrationOutcome,
@@ -43,7 +43,17 @@ from yieldmon.estimation.load_inputs import LoadSettings
 from yieldmon.estimation.load_pattern import EFFECT as LOAD_PATTERN
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.estimation.steady_drift import Advance, DriftingParameters, advance, begin, carried, forgotten, learn, widened
+from yieldmon.estimation.steady_drift import (
+    Advance,
+    DriftingParameters,
+    advance,
+    begin,
+    carried,
+    forgotten,
+    learn,
+    unsure_of_gain,
+    widened,
+)
 from yieldmon.estimation.sweep_worth import OtherChannels, SweepPlan, SweepWorth, sweep_worth, window_times_s
 from yieldmon.estimation.wrong_tickets import known_slip
 from yieldmon.physics.model import ForwardModel
@@ -156,6 +166,8 @@ class ClosedLoopCalibrator:
         prior = drifting.parameters
         found = self._mass_anchors(anchors, used)
         checks = self._checks(found, prior)
+        drifting, step = unsure_of_gain(drifting, step, moisture_sd(reference for reference, _ in found))
+        prior = drifting.parameters
         try:
             masses, doubt = self._accepted(found, prior)
         except ValueError as error:

@@ -26,7 +26,8 @@ def mass_anchor(
     anchor_error: relative standard deviation of a reference mass beside its own.
     """
     machine, span_s = model.machine, anchor.end_s - anchor.start_s
-    sd = hypot(anchor.std_dev_kg, anchor_error * anchor.reference_kg, _noise_kg(anchor))
+    zero_kg = anchor.budget.zero_kg if isfinite(anchor.budget.zero_kg) else 0.0
+    sd = hypot(anchor.std_dev_kg, anchor_error * anchor.reference_kg, _noise_kg(anchor), zero_kg)
     forces = anchor.forces
     if forces is not None and (not model.needs_moisture or np.all(np.isfinite(forces.moisture_pct))):
         moisture = forces.moisture_pct if model.needs_moisture else None
@@ -75,6 +76,17 @@ def _noise_kg(anchor: ReferenceMass) -> float:
     return sqrt(anchor.budget.noise_kg2) if isfinite(anchor.budget.noise_kg2) else 0.0
 
 
+def moisture_sd(anchors: Iterable[ReferenceMass]) -> float:
+    """Relative standard deviation of the flow, the largest of these masses', by grain of another measured moisture than that for
+    which the parameters in use hold."""
+    found = [0.0]
+    for anchor in anchors:
+        known = anchor.forces is not None and bool(np.all(np.isfinite(anchor.forces.moisture_pct)))
+        if known and isfinite(anchor.budget.moisture_kg):
+            found.append(anchor.budget.moisture_kg / anchor.measured_kg)
+    return max(found)
+
+
 def weighed(anchor: ReferenceMass, mass: MassAnchor) -> WeighedLoad:
     """A mass anchor under its reference mass's name, with that one's own standard deviations."""
     return WeighedLoad(
@@ -109,7 +121,9 @@ def checked(
     measured_kg = float(mass.duration_s @ flow.mass_flow_kg_s)
     if not isfinite(measured_kg):
         return as_stated(reference)
-    shared_kg = hypot(reference.budget.zero_kg, reference.budget.moisture_kg)
+    # The mass's own deviation holds that of the zero where the forces over it were kept.
+    budget, kept = reference.budget, reference.forces is not None
+    shared_kg = budget.moisture_kg if kept else hypot(budget.zero_kg, budget.moisture_kg)
     std_dev_kg = hypot(
         mass.std_dev_kg,
         float(mass.duration_s @ flow.std_dev_kg_s),

@@ -162,6 +162,33 @@ def forgotten(
     return added
 
 
+def unsure_of_gain(known: DriftingParameters, step: Advance, relative: float) -> tuple[DriftingParameters, Advance]:
+    """The same where the impact gain is less sure besides, as by grain of a moisture that the parameters do not follow.
+
+    Parameters
+    ----------
+    known : DriftingParameters
+    step : Advance
+        That led to it.
+    relative : float
+        Standard deviation of the gain, 0 or more; parameters without a gain that is unsure stay as they are.
+
+    Returns
+    -------
+    DriftingParameters, Advance
+    """
+    names = [name for name in known.parameters.covariance_names if drift_key(name) == "restitution"]
+    if not (relative > 0.0 and names):
+        return known, step
+    direction = np.zeros(len(known.joint))
+    for name in names:
+        direction[known.parameters.covariance_names.index(name)] = natural_scale(name, known.parameters.values[name])
+    joint = known.joint + relative**2 * np.outer(direction, direction)
+    count = len(known.parameters.covariance_names)
+    wider = replace(known, parameters=replace(known.parameters, covariance=joint[:count, :count]), joint=joint)
+    return wider, replace(step, covariance_after=joint)
+
+
 def _forgetting(grain_kt: float, memory_kt: float) -> tuple[float, float, float, float, float]:
     """Of a rate after some grain: the share of it that is left; the grain over which it has moved its parameter; and, for a
     likely size of 1, the variance that forgetting gives to the parameter, the covariance with the rate, and the rate's variance.
