@@ -1,0 +1,70 @@
+"""What a ticket teaches depends on the zero of its load, and on grain of another moisture than before."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.engine.test_closed_loop_calibrator import MACHINE, MODEL, PRIOR, SPEED, records
+from yieldmon.engine.anchors import AnchorSource, ReferenceMass
+from yieldmon.engine.budget import MassBudget
+from yieldmon.engine.calibrator_settings import CalibratorSettings
+from yieldmon.engine.closed_loop_calibrator import ClosedLoopCalibrator
+from yieldmon.engine.load_forces import LoadForces
+from yieldmon.estimation.open_loop import OpenLoop
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.physics.model import Conditions
+
+FLOW_KG_S, SECONDS = 10.0, 500.0
+SURE = replace(PRIOR, covariance=PRIOR.covariance / 100.0)
+"""The force at home is good to some 0.8 %."""
+
+
+def ticket(weaker: float, budget: MassBudget, moisture_pct: float = 18.0) -> ReferenceMass:
+    """Of a load whose grain strikes weaker by a share than the parameters say."""
+    home = MACHINE.home_plate_angle_rad
+    force = (1.0 - weaker) * np.real(MODEL.force(Conditions(home, SPEED, mass_flow_kg_s=FLOW_KG_S), SURE.values))
+    measured = SECONDS * float(OpenLoop(MODEL, SURE).invert(force, home, SPEED))
+    columns = (np.full(10, value) for value in (SECONDS / 10.0, force, home, SPEED, moisture_pct))
+    mass = FLOW_KG_S * SECONDS
+    return ReferenceMass(
+        AnchorSource.TICKET, 0.0, SECONDS, mass, 0.005 * mass, measured, True, 1, budget, forces=LoadForces(*columns)
+    )
+
+
+def learnt(anchor: ReferenceMass) -> ParameterSet:
+    """The parameters after it."""
+    settings = CalibratorSettings(steady_per_kilotonne={})
+    outcome = ClosedLoopCalibrator(MODEL, settings).weigh(records(FLOW_KG_S)[0], (anchor,), OpenLoop(MODEL, SURE))
+    assert outcome.estimator is not None
+    return outcome.estimator.parameters
+
+
+def left(anchor: ReferenceMass) -> tuple[float, float]:
+    """Error with which the ticket's own load is measured after it, and its standard deviation, as shares."""
+    assert anchor.forces is not None
+    found = OpenLoop(MODEL, learnt(anchor)).estimate(
+        anchor.forces.force_n, anchor.forces.plate_angle_rad, anchor.forces.elevator_speed_rad_s
+    )
+    rate = float(np.mean(found.mass_flow_kg_s))
+    return rate / FLOW_KG_S - 1.0, float(np.mean(found.std_dev_kg_s)) / rate
+
+
+def test_a_ticket_sets_the_scale_for_the_moisture_of_its_grain() -> None:
+    """Of 2 % by a point of moisture little is to be drawn towards what held for other grain; it was 1.4 % with 0.5 % stated."""
+    same, other = (left(ticket(0.02, MassBudget(moisture_kg=share * FLOW_KG_S * SECONDS))) for share in (0.0, 0.02))
+    assert same[0] < -0.01
+    assert abs(other[0]) < min(0.3 * abs(same[0]), 0.5 * other[1])
+
+
+def test_moisture_that_was_not_measured_leaves_the_tickets_to_average() -> None:
+    budget = MassBudget(moisture_kg=0.04 * FLOW_KG_S * SECONDS)
+    assert left(ticket(0.02, budget, float("nan"))) == pytest.approx(left(ticket(0.02, MassBudget())))
+
+
+def test_a_ticket_is_no_surer_than_the_zero_of_its_load() -> None:
+    known, unsure = (left(ticket(0.005, MassBudget(zero_kg=share * FLOW_KG_S * SECONDS))) for share in (0.0, 0.01))
+    assert unsure[1] > 1.15 * known[1]
+    assert unsure[0] < known[0] < 0.0
