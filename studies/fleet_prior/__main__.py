@@ -2,6 +2,7 @@
 
     python -m studies.fleet_prior [--machines N] [--seed N] [--json]
     python -m studies.fleet_prior --seeds 10 --out results.jsonl    # seeds 1 to 10, a line each; those in the file are kept
+    python -m studies.fleet_prior --seeds 10 --oracle               # what is reachable in each of them
 
 Three crops, N machines each. Hidden: the crop's friction, density and restitution (drawn about the shipped ones by their stated
 deviations), each machine's gain (3 %), its plate's angle (1 deg), its own field's density (2 %), and 2 to 10 tickets with scatter
@@ -9,7 +10,13 @@ deviations), each machine's gain (3 %), its plate's angle (1 deg), its own field
 the forward model with the hidden values: the study judges the pooling, not the model.
 
 Beside it what no prior of a crop can take away: the error with the crop known exactly and nothing known of the machine, and what
-of it each of gain, angle and field makes alone.
+of it each of gain, angle and field makes alone. `--oracle` gives, from the same draws and without pooling, what is reachable:
+
+- true_pct: the prior of one who knows the crop and the law by which machines differ, its centre the median of that law (of 400
+  machines drawn anew), which has the least expected error;
+- hindsight_pct: density and gain chosen for the very loads that are judged, one pair a crop (errors linear in both): no prior
+  common to its machines can leave less;
+- angle_known_pct: the crop and each machine's plate angle known, as by sweeps before the first ticket; gain and field are left.
 """
 
 from __future__ import annotations
@@ -18,23 +25,29 @@ import argparse
 import json
 import subprocess
 import sys
-from dataclasses import replace
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.optimize import minimize
 
+from yieldmon.estimation.density_and_gain import moved
 from yieldmon.estimation.fleet_prior import MachineLoads, load_deviation, load_errors, pooled
 from yieldmon.estimation.load_inputs import WeighedLoad
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files.crops import crop
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import Conditions, ForwardModel
+from yieldmon.physics.numerics import Array
 
 CROPS = ("corn", "soybean", "wheat")
 GAIN_SD, ANGLE_SD_DEG, FIELD_DENSITY_SD = 0.03, 1.0, 0.02
 SCATTER_SD, SCALE_SD = 0.005, 0.003
 WINDOWS, WINDOW_S = 30, 20.0
+_DRAWN, _STEP = 400, 0.01
 
 
 def hidden_crop(shipped: ParameterSet, chance: np.random.Generator) -> dict[str, float]:
@@ -81,6 +94,88 @@ def error_pct(machine: MachineLoads, known: ParameterSet) -> float:
     """Mean absolute error of a machine's loads with these parameters, %."""
     errors = load_errors(machine.model, known, [load.condensed() for load in machine.loads])
     return 100.0 * float(np.mean(np.abs(np.expm1(errors))))
+
+
+def _centred(known: ParameterSet, seed: int) -> ParameterSet:
+    """The crop's parameters with the gain at which errors of machines that differ by the study's law have the median 0."""
+    chance = np.random.default_rng([seed, len(CROPS)])
+    model = ForwardModel(Machine(), ("gravity",))
+    angle, speed = model.machine.home_plate_angle_rad, model.machine.nominal_elevator_speed_rad_s
+    seen = []
+    for _ in range(_DRAWN):
+        values = known.values | {"density": known.values["density"] * float(np.exp(chance.normal(0.0, FIELD_DENSITY_SD)))}
+        flow = chance.uniform(5.0, 12.0) * np.exp(chance.normal(0.0, 0.15, 4))
+        at = Conditions(np.full(4, angle + np.radians(chance.normal(0.0, ANGLE_SD_DEG))), speed, mass_flow_kg_s=flow)
+        force = np.asarray(np.real(model.force(at, values)) * np.exp(chance.normal(0.0, GAIN_SD)))
+        seen.append(WeighedLoad("", float(flow.sum()), 1.0, np.ones(4), force, np.full(4, angle), np.full(4, speed)))
+    # ln mass falls by about 1 with ln gain, and the median by as much.
+    return moved(known, 0.0, float(np.median(load_errors(model, known, seen))))
+
+
+@dataclass(frozen=True)
+class _Judged:
+    """The loads of a crop's machines, which are all of one model, and the weight of each in the mean over machines."""
+
+    loads: list[WeighedLoad]
+    weight: Array
+
+    @classmethod
+    def of(cls, fleet: Sequence[MachineLoads]) -> _Judged:
+        """Of these machines, each with the weight of one."""
+        shares = [np.full(len(machine.loads), 1.0 / (len(machine.loads) * len(fleet))) for machine in fleet]
+        return cls([load.condensed() for machine in fleet for load in machine.loads], np.concatenate(shares))
+
+    def errors(self, known: ParameterSet) -> Array:
+        """ln of measured over weighed mass."""
+        return load_errors(ForwardModel(Machine(), ("gravity",)), known, self.loads)
+
+    def pct(self, errors: Array) -> float:
+        """Mean absolute error, %."""
+        return 100.0 * float(self.weight @ np.abs(np.expm1(errors)))
+
+
+def oracle(machines: int, seed: int) -> dict[str, Any]:
+    """What is reachable in the draws of `study`: mean absolute errors of loads, %, by crop and of all."""
+    chance, found = np.random.default_rng(seed), {}
+    for name in CROPS:
+        shipped = crop(name).parameters()
+        exact = replace(shipped, values=hidden_crop(shipped, chance))
+        fleet, straight = [], []
+        for k in range(machines):
+            state = chance.bit_generator.state
+            straight.append(machine_of(f"{name}-{k}", dict(exact.values), chance, ("gain", "field")))
+            chance.bit_generator.state = state
+            fleet.append(machine_of(f"{name}-{k}", dict(exact.values), chance))
+        judged, without_angle = _Judged.of(fleet), _Judged.of(straight)
+        errors = judged.errors(exact)
+        slopes = [(judged.errors(moved(exact, *step)) - errors) / _STEP for step in ((_STEP, 0.0), (0.0, _STEP))]
+        by_shift = np.stack(slopes, axis=-1)
+
+        def of_hindsight(shift: Array, judged: _Judged = judged, errors: Array = errors, slopes: Array = by_shift) -> float:
+            return judged.pct(errors + slopes @ shift)
+
+        corners = [(0.0, 0.0), (0.0, 0.03), (0.05, 0.0)]
+        best = minimize(of_hindsight, corners[0], method="Nelder-Mead", options={"initial_simplex": corners, "maxfev": 400})
+        found[name] = {
+            "shipped_pct": judged.pct(judged.errors(shipped)), "known_crop_pct": judged.pct(errors),
+            "true_pct": judged.pct(judged.errors(_centred(exact, seed))), "hindsight_pct": float(best.fun),
+            "angle_known_pct": without_angle.pct(without_angle.errors(exact)),
+        }  # fmt: skip
+    mean = {key: float(np.mean([entry[key] for entry in found.values()])) for key in found[CROPS[0]]}
+    return {"seed": seed, "machines": machines * len(CROPS), "crops": found, "all": mean}
+
+
+def oracles(seeds: int, machines: int) -> bool:
+    """Print them for seeds 1 to `seeds`; whether the prior of the true law halves the shipped crop's error in each."""
+    keys = ("known_crop_pct", "true_pct", "hindsight_pct", "angle_known_pct")
+    halved = Counter[str]()
+    for seed in range(1, seeds + 1):
+        entry = oracle(machines, seed)["all"]
+        halved.update(key for key in keys if entry[key] <= 0.5 * entry["shipped_pct"])
+        parts = ", ".join(f"{key.removesuffix('_pct')} {entry[key]:.2f}" for key in keys)
+        print(f"seed {seed}: shipped {entry['shipped_pct']:.2f} %, half {0.5 * entry['shipped_pct']:.2f}; {parts}", flush=True)
+    print("halved: " + ", ".join(f"{key.removesuffix('_pct')} in {halved[key]}" for key in keys) + f" of {seeds}")
+    return halved["true_pct"] == seeds
 
 
 def study(machines: int, seed: int) -> dict[str, Any]:
@@ -157,9 +252,12 @@ def main() -> int:
     parser.add_argument("--machines", type=int, default=10)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--seeds", type=int)
+    parser.add_argument("--oracle", action="store_true", help="what is reachable in seeds 1 to --seeds")
     parser.add_argument("--out", type=Path, help="results of --seeds")
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args()
+    if args.oracle:
+        return 0 if oracles(args.seeds or 1, args.machines) else 1
     if args.seeds is not None:
         return 0 if several(args.seeds, args.machines, args.out or Path("fleet-prior.jsonl")) else 1
     found = study(args.machines, args.seed)

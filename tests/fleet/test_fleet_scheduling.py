@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -184,3 +185,19 @@ def test_workers_are_begun_without_the_terminals_interrupt(monkeypatch: pytest.M
         run_all(tasks(1), Cluster(workers=2), lambda outcome: None, lambda line: None)
     assert held == [True]
     assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+
+
+def test_workers_begin_without_what_no_partition_needs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """python-can takes asammdf along, and that pandas and sympy: half of what a worker's start took."""
+    found: list[Outcome] = []
+    monkeypatch.setattr(scheduling, "work", imported)
+    task = Task(
+        Partition("m", "d", ("a.log",)), str(tmp_path), "", configuration.load(shipped("config/yieldmon.yaml")), "", software()
+    )
+    run_all([task], Cluster(workers=1), found.append, lambda line: None)
+    assert [outcome.why_left.split() for outcome in found] == [["can"]]
+
+
+def imported(task: Task) -> Outcome:
+    """In a worker, which has imported what it takes to measure: what of these is among it."""
+    return Outcome(task.partition.name, DONE, why_left=" ".join({"can", "asammdf", "pandas", "sympy"} & {*sys.modules}))

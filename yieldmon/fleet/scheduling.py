@@ -18,6 +18,7 @@ from multiprocessing import resource_tracker
 from typing import Any
 
 from yieldmon.errors import InputError
+from yieldmon.fleet import preloading
 from yieldmon.fleet.dataset import Superseded
 from yieldmon.fleet.worker import Outcome, Task, failed, left, there, work
 
@@ -119,6 +120,7 @@ def _client(cluster: Cluster) -> Iterator[Any]:
         "distributed.comm.retry.count": 2,
         # Its sampling of all threads' frames can block for ever in CPython 3.11 before 3.11.9 (gh-106883).
         "distributed.worker.profile.enabled": False,
+        "distributed.worker.preload": [preloading.__name__],
     }
     if not cluster.scheduler:
         settings["distributed.dashboard.link"] = "http://127.0.0.1:{port}/status"

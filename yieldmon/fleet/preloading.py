@@ -1,0 +1,8 @@
+"""What a Dask worker does first (`distributed.worker.preload`): it holds back what a partition does not need.
+
+python-can imports asammdf where that is installed, and with it pandas and sympy: half of what a worker's start takes.
+"""
+
+from yieldmon.bus import mf4
+
+mf4.defer()
