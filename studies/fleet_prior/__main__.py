@@ -103,7 +103,7 @@ def _centred(known: ParameterSet, seed: int) -> ParameterSet:
     angle, speed = model.machine.home_plate_angle_rad, model.machine.nominal_elevator_speed_rad_s
     seen = []
     for _ in range(_DRAWN):
-        values = known.values | {"density": known.values["density"] * float(np.exp(chance.normal(0.0, FIELD_DENSITY_SD)))}
+        values = dict(known.values) | {"density": known.values["density"] * float(np.exp(chance.normal(0.0, FIELD_DENSITY_SD)))}
         flow = chance.uniform(5.0, 12.0) * np.exp(chance.normal(0.0, 0.15, 4))
         at = Conditions(np.full(4, angle + np.radians(chance.normal(0.0, ANGLE_SD_DEG))), speed, mass_flow_kg_s=flow)
         force = np.asarray(np.real(model.force(at, values)) * np.exp(chance.normal(0.0, GAIN_SD)))
