@@ -374,12 +374,13 @@ ERRORS_ONLY = (
     ("name", "text", "says"),
     [
         ("errors.asc", ERRORS_ONLY, "no data frame; expected a bus or log with traffic"),
-        ("other.log", "***BUSMASTER Ver 2.4.0***\n***PROTOCOL CAN***\n", "expected a CAN log as its name says: lines of candump"),
-        ("other.csv", "Time Stamp,ID,Extended,Bus,LEN,D1\n166064000,0000021A,false,0,1,FE,\n", "export others as .asc or .trc"),
+        ("empty.log", "***BUSMASTER Ver 2.4.0***\n***PROTOCOL CAN***\n", "no data frame; expected a bus or log with traffic"),
+        ("other.log", "time level\n12.5 notice\n", "expected a CAN log as its name says: lines of candump or BUSMASTER"),
+        ("other.csv", "time,voltage\n12.5,3.1\n", "export others as .asc or .trc"),
     ],
 )
 def test_a_log_without_a_data_frame_is_refused_in_a_line(name, text, says, tmp_path, capsys) -> None:
-    """Error frames only, and other programs' files under an ending that is read (of SavvyCAN's examples: BUSMASTER, GVRET)."""
+    """Error frames or a head only, and other programs' files under an ending that is read."""
     (tmp_path / name).write_text(text)
     assert main(["signals", str(tmp_path / name)]) == 2
     (line,) = capsys.readouterr().err.strip().splitlines()
