@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from pathlib import Path
 
 import numpy as np
@@ -64,6 +65,40 @@ def test_diagnose_looks_at_the_units_as_calibrate_does(
     assert said in "".join(asked)
     assert bool(asked) is bool(said)
     assert (captured.out == "") is (code == 2)
+
+
+CAMPAIGN, PUBLISHED = (Path(__file__).parents[1] / "data" / name for name in ("dem_campaign.csv", "dem_table.csv"))
+
+
+def in_pounds(source: Path, folder: Path, **only: str) -> Path:
+    """Rows of a recorded table with paddle_mass_kg in pounds."""
+    with source.open(newline="", encoding="utf-8") as file:
+        rows = [row for row in csv.DictReader(file) if all(row[k] == v for k, v in only.items())]
+    columns = ["plate_angle_deg", "paddle_mass_kg", "momentum_kg_m_s"]
+    lines = [",".join([row[columns[0]], f"{float(row[columns[1]]) / 0.45359237:g}", row[columns[2]]]) for row in rows]
+    path = folder / "pounds.csv"
+    path.write_text("\n".join((",".join(columns), *lines)) + "\n", encoding="utf-8")
+    return path
+
+
+def asked_of(argv: list[str], capsys: pytest.CaptureFixture[str]) -> list[str]:
+    assert main(argv) == 0
+    return [line for line in capsys.readouterr().err.splitlines() if "times that of grain" in line]
+
+
+@pytest.mark.parametrize("friction", ["0.15", "0.3"])
+def test_masses_in_pounds_are_asked_about(friction: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Readings 0.34 to 0.39 times those of grain, by an engine that shares no law with the model."""
+    table_in_pounds = in_pounds(CAMPAIGN, tmp_path, friction=friction, elevator_speed_rpm="400")
+    assert asked_of(["calibrate", str(table_in_pounds), "--starts", "2"], capsys)
+
+
+def test_right_units_are_not_asked_about_where_the_rows_refute_every_other(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The published discrete elements read 0.35 times what grain gives, as those of the campaign do in pounds."""
+    assert not asked_of(["calibrate", str(PUBLISHED), "--starts", "2"], capsys)
+    assert asked_of(["calibrate", str(in_pounds(PUBLISHED, tmp_path)), "--starts", "2"], capsys)
 
 
 def test_units_of_a_table_by_moisture_are_asked_about(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from yieldmon.cli import _named_files
 from yieldmon.errors import InputError
+from yieldmon.estimation import unit_question
 from yieldmon.estimation.measurements import Measurements
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import parameter_file
@@ -235,7 +236,9 @@ def check_force(data: Table, machine: Machine) -> str:
     """A question about readings in N or kg m/s that hardly any grain can give, "" for others; raises InputError for those that
     none can, typically because of their unit.
 
-    Held against the shipped parameters: grains differ by a factor of two or less, a newton and a kilogram-force by ten.
+    Held against the shipped parameters: grains differ by a factor of two or less, a newton and a kilogram-force by ten. Readings
+    that are too small are asked about unless the rows refute each unit that would make them so (`unit_question.possible`): grain
+    may miss the plate, while none gives more than its momentum twice.
     """
     if data.reading == RESPONSE:
         return ""
@@ -250,6 +253,9 @@ def check_force(data: Table, machine: Machine) -> str:
     ratio = float(np.median(values[at][usable] / predicted[usable]))
     if 1.0 / _FORCE_FACTOR <= ratio <= _FORCE_FACTOR:
         if 1.0 / _ASKED_FACTOR <= ratio <= _ASKED_FACTOR:
+            return ""
+        rows = Measurements(_at(data, machine, at), values[at])
+        if ratio < 1.0 and not unit_question.possible(ForwardModel(machine), rows, (str(data.load), data.reading)):
             return ""
         load_unit = "kg for each paddle" if data.load == "paddle_mass_kg" else "kg/s, not t/h or lb/s"
         return (

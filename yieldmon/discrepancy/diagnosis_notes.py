@@ -6,7 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from yieldmon.estimation import unit_question
 from yieldmon.estimation.gaussian import REACH_95
+from yieldmon.estimation.measurements import Measurements
+from yieldmon.physics.model import ForwardModel
 
 from .choice import Choice, rows_searched
 from .fit import Fit, fit
@@ -87,10 +90,19 @@ def of_gain(base: Fit) -> list[str]:
     gain = float(np.median(base.values["k1"] * fills(base) + base.values["k2"]))
     if _GAINS[0] <= gain <= _GAINS[1]:
         return []
-    return [
-        f"the impact gain is {gain:.2g} (k1 M / M_full + k2, median), where that of grain, 1 + restitution, is 1 to 2: are "
-        "reading, load and speed those of this machine, in the units that their columns say?"
-    ]
+    said = f"the impact gain is {gain:.2g} (k1 M / M_full + k2, median), where that of grain, 1 + restitution, is 1 to 2"
+    if gain < _GAINS[0] and not _other_units(base):
+        return [f"{said}: grain misses the plate or comes slower; no other unit would make these rows those of grain"]
+    return [f"{said}: are reading, load and speed those of this machine, in the units that their columns say?"]
+
+
+def _other_units(base: Fit) -> tuple[str, ...]:
+    """Units that would make the rows those of grain."""
+    cells, of_force = base.frame.cells, base.frame.cells.rows.of == "force"
+    passes = cells.rows.machine.passes_per_s(cells.elevator_speed_rad_s)
+    data = Measurements(cells.conditions(), cells.mean / passes if of_force else cells.mean)
+    columns = (cells.rows.load_name, "force_n" if of_force else "momentum_kg_m_s")
+    return unit_question.possible(ForwardModel(cells.rows.machine), data, columns)
 
 
 def scatter_share(noise: Noise, rows: Rows) -> float:

@@ -1,0 +1,130 @@
+"""Whether loads or readings that are too small for grain may be in another unit than the one stated.
+
+Mass flow and density times a, and the impact gain over a, leave every force as it is. So loads in another unit show as a
+density that is no grain's, and readings in another unit as a gain that is none: where the rows determine these, a unit that
+would put them out of the physical ranges is refuted. A gain below 1 alone is no sign of a unit: grain that misses the plate
+has one as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import stats
+
+from yieldmon.physics.grain import GRAIN, RESTITUTION_FORM
+from yieldmon.physics.model import ForwardModel
+from yieldmon.physics.numerics import Array
+
+from . import multistart
+from .calibration import default_start
+from .calibration_problem import CalibrationProblem
+from .measurements import Measurements
+from .priors import Bounds
+
+_POUND_KG, _POUND_FORCE_N, _KILOGRAM_FORCE_N = 0.45359237, 4.4482216, 9.80665
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """A unit that a column may be in by mistake: what one of it is in the unit stated, for loads and for readings."""
+
+    name: str
+    load: float = 1.0
+    reading: float = 1.0
+
+
+MISTAKEN: Mapping[str, tuple[Unit, ...]] = {
+    "mass_flow_kg_s": (Unit("t/h", load=1.0 / 3.6), Unit("lb/s", load=_POUND_KG)),
+    "paddle_mass_kg": (Unit("lb", load=_POUND_KG),),
+    "force_n": (Unit("lbf", reading=_POUND_FORCE_N), Unit("kgf", reading=_KILOGRAM_FORCE_N)),
+    "momentum_kg_m_s": (Unit("lbf s", reading=_POUND_FORCE_N), Unit("kgf s", reading=_KILOGRAM_FORCE_N)),
+}
+"""By column. Larger units alone for readings and smaller ones for loads: both make readings look too small."""
+
+_REFUTED = 0.001
+"""p value below which rows refute a unit: a wrong unit that is not asked about costs more than a needless question."""
+_LEAST_ERROR = 0.01
+"""Error of model and rows, as a share of the reading, that is always allowed for."""
+_OF_LARGEST = 0.15
+"""Share of the largest reading that the error of small ones is taken from."""
+_FREE: Bounds = {"density": GRAIN["density"].limits, "restitution": (-0.99, 99.0)}
+_NAMES = ("friction", "density", *RESTITUTION_FORM)
+_STARTS = 6
+
+
+def possible(model: ForwardModel, data: Measurements, columns: tuple[str, str]) -> tuple[str, ...]:
+    """Units that would make the rows those of grain.
+
+    Parameters
+    ----------
+    model : ForwardModel
+    data : Measurements
+        In the units stated.
+    columns : (str, str)
+        Names of the columns of load and reading.
+
+    Returns
+    -------
+    tuple of str
+        Units of `MISTAKEN` that the rows do not refute.
+
+    References
+    ----------
+    Seber and Wild, "Nonlinear Regression" (Wiley, 1989), section 5.3: the F test of constraints.
+
+    Examples
+    --------
+    >>> angle, flow = (each.ravel() for each in np.meshgrid(np.radians([45.0, 60.0, 75.0]), [4.0, 9.0, 14.0]))
+    >>> model, grain = ForwardModel(Machine()), {"friction": 0.3, "restitution": 0.5, "density": 1100.0, "shape_ratio": 2.0}
+    >>> momentum = model.paddle_momentum(Conditions(angle, 42.0, mass_flow_kg_s=flow), grain)
+    >>> in_pounds = Measurements(Conditions(angle, 42.0, mass_flow_kg_s=flow / 0.4536), momentum)
+    >>> "lb/s" in possible(model, in_pounds, ("mass_flow_kg_s", "force_n"))
+    True
+    """
+    means = _means(data)
+    return tuple(u.name for column in columns for u in MISTAKEN.get(column, ()) if not _refuted(model, _in_si(means, u)))
+
+
+def _refuted(model: ForwardModel, data: Measurements) -> bool:
+    """Whether grain's own ranges of density and impact gain cost these rows, one a condition, more than chance would."""
+    if data.momentum.size <= len(_NAMES):
+        return False
+    start = default_start(model, data, RESTITUTION_FORM)
+    try:
+        inside, at = _misfit(model, data, start, None)
+    except ValueError:
+        return True
+    free = min(inside, _misfit(model, data, start | at, _FREE)[0])
+    more = data.momentum.size - len(_NAMES)
+    scale = max(free / more, 1.0)
+    bounded = len(_FREE)
+    return bool(stats.f.sf((inside - free) / bounded / scale, bounded, more) < _REFUTED)
+
+
+def _misfit(
+    model: ForwardModel, data: Measurements, start: Mapping[str, float], bounds: Bounds | None
+) -> tuple[float, dict[str, float]]:
+    """Chi-square of the best fit, and its parameters."""
+    problem = CalibrationProblem(model, data, start, _NAMES, prior=None, bounds=bounds, robust=False)
+    _, theta = multistart.minimize(problem, _STARTS, np.random.default_rng(0), None)
+    error = (problem.momentum.value(theta[None])[0][problem.cell] - data.momentum) / problem.row_sd
+    return float(np.sum(error**2)), dict(zip(_NAMES, map(float, theta), strict=True))
+
+
+def _means(data: Measurements) -> Measurements:
+    """One row for each condition, with an error in proportion to the reading."""
+    at, cell = data.cells()
+    mean: Array = np.bincount(cell, data.momentum) / np.bincount(cell)
+    level = np.hypot(mean, _OF_LARGEST * float(np.max(np.abs(mean))))
+    return Measurements(at, mean, _LEAST_ERROR * level)
+
+
+def _in_si(data: Measurements, unit: Unit) -> Measurements:
+    """The rows, had they been written in another unit."""
+    at, sigma = data.conditions, data.sigma
+    name = "mass_flow_kg_s" if at.paddle_mass_kg is None else "paddle_mass_kg"
+    turned = replace(at, **{name: unit.load * np.asarray(getattr(at, name), dtype=float)})
+    return Measurements(turned, unit.reading * data.momentum, None if sigma is None else unit.reading * sigma)
