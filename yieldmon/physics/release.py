@@ -1,7 +1,7 @@
 """Stage 3, release: the heap slides out along the paddle and leaves it at the tip [8.10-8.16].
 
 Lengths in l, time in 1/Omega. With gravity number G = g / (l Omega^2) and theta the paddle's angle,
-rho'' = rho - 2 mu rho' + G (sin theta + mu cos theta); the published model has G = 0. The rotation tau_d to the tip is the
+rho'' = rho - 2 (mu rho' + D) + G (sin theta + mu cos theta), D a steady drag; the published model has G = D = 0. The rotation tau_d to the tip is the
 independent variable: the radius of release follows from it in closed form, because the solution is linear in rho_0.
 """
 
@@ -47,6 +47,8 @@ class Slide:
     start: AnyArray
     forced: tuple[AnyArray, AnyArray, AnyArray, AnyArray] | None
     """Under gravity: factors of sine and cosine, and what these are at the start, itself and its rate."""
+    steady: AnyArray | None = None
+    """Radius at which a steady drag balances the centrifugal force."""
 
 
 def slide_of(setting: Setting) -> Slide:
@@ -60,7 +62,10 @@ def slide_of(setting: Setting) -> Slide:
         b = -number * mu / (1.0 + mu * mu)
         sin0, cos0 = np.sin(start), np.cos(start)
         forced = a, b, a * sin0 + b * cos0, a * cos0 - b * sin0
-    return Slide(mu, s, mu / s, setting.radial_speed, start, forced)
+    steady = None
+    if setting.steady_drag_m_s is not None:
+        steady = 2.0 * setting.steady_drag_m_s / (setting.paddle_length_m * setting.elevator_speed_rad_s)
+    return Slide(mu, s, mu / s, setting.radial_speed, start, forced, steady)
 
 
 def outflow(tau: AnyArray, setting: Setting, slide: Slide | None = None) -> Outflow:
@@ -77,19 +82,24 @@ def outflow(tau: AnyArray, setting: Setting, slide: Slide | None = None) -> Outf
         rate = damping * (cosh - slowed)
         position, velocity = position + known.radial_speed * velocity, velocity + known.radial_speed * rate
     angle = known.start + tau
-    if known.forced is None:
+    if known.forced is None and known.steady is None:
         release = 1.0 / position
         radial = release * velocity
         return Outflow(release, radial, radial * release, angle, None)
-    sin, cos = sin_cos(angle)
-    free_rate_rate = damping * (cosh - slowed)
-    # G (sin theta + mu cos theta) forces a solution that starts at rest at the centre.
-    a, b, at_start, rate_at_start = known.forced
-    forced = a * sin + b * cos - at_start * free - rate_at_start * free_rate
-    forced_rate = a * cos - b * sin - at_start * free_rate - rate_at_start * free_rate_rate
+    # What acts on grain whatever its radius forces a solution that starts at rest at the centre.
+    forced, forced_rate, direction = 0.0, 0.0, None
+    if known.forced is not None:
+        direction = sin, cos = sin_cos(angle)
+        free_rate_rate = damping * (cosh - slowed)
+        # G (sin theta + mu cos theta)
+        a, b, at_start, rate_at_start = known.forced
+        forced = a * sin + b * cos - at_start * free - rate_at_start * free_rate
+        forced_rate = a * cos - b * sin - at_start * free_rate - rate_at_start * free_rate_rate
+    if known.steady is not None:
+        forced, forced_rate = forced + known.steady * (1.0 - free), forced_rate - known.steady * free_rate
     release = (1.0 - forced) / position
     radial = release * velocity + forced_rate
-    return Outflow(release, radial, radial / position, angle, (sin, cos))
+    return Outflow(release, radial, radial / position, angle, direction)
 
 
 def slides_of(setting: Setting) -> tuple[Slide, Setting, Slide]:

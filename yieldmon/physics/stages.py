@@ -48,6 +48,10 @@ class Setting:
     radial_speed: AnyArray | None = None
     """Radial speed at release over (elevator speed x radius of the grain); None in the published model: at rest."""
 
+    steady_drag_m_s: AnyArray | None = None
+    """Part of the friction on the paddle that does not grow with the sliding speed, over twice the elevator speed and mass; None
+    in the published model, whose friction is all in proportion to it."""
+
     @property
     def speed_ratio(self) -> AnyArray:
         """Elevator speed over the machine's nominal one."""

@@ -226,6 +226,7 @@ def _frictions_once(setting: Setting) -> tuple[Setting, NDArray[np.intp] | None]
     others = (
         setting.plate_angle_rad, setting.elevator_speed_rad_s, setting.paddle_length_m, setting.plate_pivot_x_m,
         setting.plate_pivot_y_m, setting.gravity_m_s2, setting.release_angle_rad, setting.radial_speed,
+        setting.steady_drag_m_s,
     )  # fmt: skip
     # Not numpy.unique, which costs more than the few values that there usually are.
     frictions = friction[:, 0].tolist()
