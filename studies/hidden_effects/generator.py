@@ -7,7 +7,7 @@ power, a box of directions for a Gaussian one). SI units, radians; y down, angle
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,11 +60,12 @@ def force(  # noqa: PLR0915
     *,
     other_laws: bool = False,
     third_laws: bool = False,
+    friction_at: Callable[[Array], Array] | None = None,
 ) -> Array:
     """Mean horizontal force, N, for arrays of one shape (rows,); nan where the paddles would overflow.
 
     other_laws: the effects in `OTHER_LAWS` act by those laws; third_laws: those in `THIRD_LAWS` by a third set, which shares no
-    law with the library's.
+    law with the library's. friction_at: factor on friction at a sliding speed, m/s.
     """
     size = dict(effects)
     other = frozenset(OTHER_LAWS) if other_laws else frozenset[str]()
@@ -106,7 +107,10 @@ def force(  # noqa: PLR0915
     outwards = 0.7 * np.ones_like(radius) if "residual_radial_speed" in third else np.sqrt(radius)
     push = size.get("residual_radial_speed", 0.0) * (radius**2 if "residual_radial_speed" in other else outwards)
     tip = (length * speed)[:, None]
-    tau, outward = _slide(radius, push, mu[:, None], number[:, None], start, tip, sliding)
+    if sliding and friction_at is None:
+        # Friction grows with the speed along the paddle.
+        friction_at = lambda v: 1.0 + sliding * (v - 2.0) / (v + 2.0)  # noqa: E731
+    tau, outward = _slide(radius, push, mu[:, None], number[:, None], start, tip, friction_at)
     theta = start + tau
     vx, vy = tip * (outward * np.cos(theta) - np.sin(theta)), tip * (outward * np.sin(theta) + np.cos(theta))
     x, y = length * np.cos(theta), length * np.sin(theta)
@@ -229,12 +233,18 @@ def _layers(inner: Array, shape: Array) -> tuple[Array, Array, Array]:
 
 
 def _slide(
-    rho: Array, push: Array, mu: Array, number: Array, start: Array | float, tip: Array, sliding: float
+    rho: Array,
+    push: Array,
+    mu: Array,
+    number: Array,
+    start: Array | float,
+    tip: Array,
+    friction_at: Callable[[Array], Array] | None,
 ) -> tuple[Array, Array]:
     """Rotation at which each layer reaches the tip, and its radial speed there (in tip speeds), by Runge-Kutta in rotation.
 
-    sliding: friction grows with the speed v along the paddle by this share of (v - 2 m/s) / (v + 2 m/s). Layers that need more
-    than a turn or so are given the last rotation; they fall short of the plate.
+    friction_at: factor on mu at a speed along the paddle, m/s. Layers that need more than a turn or so are given the last
+    rotation; they fall short of the plate.
     """
     step = _TAU_END / _TAU_STEPS
     position, velocity = rho.copy(), push + 0.0 * rho
@@ -242,10 +252,7 @@ def _slide(
 
     def rate(r: Array, v: Array, at: float) -> Array:
         theta = start + at
-        here = mu
-        if sliding:
-            quick = np.abs(v) * tip
-            here = mu * (1.0 + sliding * (quick - 2.0) / (quick + 2.0))
+        here = mu if friction_at is None else mu * friction_at(np.abs(v) * tip)
         return np.asarray(r - 2.0 * here * v + number * (np.sin(theta) + here * np.cos(theta)))
 
     at = 0.0

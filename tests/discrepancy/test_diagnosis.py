@@ -12,7 +12,7 @@ import pytest
 from scipy import stats
 
 from studies.hidden_effects import generator
-from tests.discrepancy.conftest import GRAIN
+from tests.discrepancy.conftest import GRAIN, START
 from yieldmon.cli.diagnose import print_text
 from yieldmon.discrepancy import adoption, detectability, diagnosis, experiment, gap, report
 from yieldmon.discrepancy.candidates import Signature
@@ -26,6 +26,7 @@ from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.effects import family_of
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
+from yieldmon.physics.numerics import Array
 
 QUICK = diagnosis.Options(policy=Policy(refits=8, exchanges=2, beam=2, pairs=4))
 #: A third of the rows, where speeds are not the matter.
@@ -95,6 +96,29 @@ def test_friction_that_rises_with_speed_is_distinguished_from_other_effects_of_s
     assert best.values["speed_dependent_friction.exponent"] == pytest.approx(1.5, abs=0.4)
     assert best.chi2 < 1.4 * best.dof < base.chi2
     assert all(other.chi2 > best.chi2 + 10.0 for other in fits.values())
+
+
+@pytest.mark.parametrize(
+    "friction_at",
+    [
+        lambda v: 0.6 + 1.2 * np.exp(-((v / 1.2) ** 2)),
+        pytest.param(lambda v: 0.5 + 1.2 * np.exp(-v / 1.5), marks=pytest.mark.slow),
+        pytest.param(lambda v: 0.6 + 0.3 * v, marks=pytest.mark.slow),
+    ],
+    ids=["Stribeck", "exponential", "viscous"],
+)
+def test_friction_by_sliding_speed_is_not_another_elevator_speed(make_rows, friction_at: Callable[[Array], Array]) -> None:
+    """Where gravity is known a slipping chain bends the angle profile as friction does that falls within each throw."""
+    rougher = replace(GRAIN, friction=0.42)
+
+    def alter(force, angle, speed, flow):
+        moisture = np.full(force.shape, 15.0)
+        return generator.force(angle, speed, flow, moisture, rougher, {"gravity": 9.81}, friction_at=friction_at)
+
+    known = ParameterSet(values=START | {"gravity.acceleration_m_s2": 9.81})
+    choice = diagnosis.examine(make_rows(alter=alter), known, replace(QUICK, keep_effects=True)).choice
+    assert choice.named == ("speed_dependent_friction",)
+    assert "chain_slip" not in choice.steps[0].equivalent
 
 
 def test_weight_in_proportion_to_the_flow_is_resting_grain_alone(make_rows, start) -> None:

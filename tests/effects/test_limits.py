@@ -79,6 +79,17 @@ def test_friction_is_untouched_at_nominal_speed_and_scaled_elsewhere() -> None:
     np.testing.assert_allclose(read("speed_dependent_friction", at=faster, exponent=0.5), rougher, rtol=1e-10)
 
 
+def test_steady_friction_alone_follows_energy() -> None:
+    """rho'' = rho - 2 D: (rho'^2 - (rho - 2 D)^2) is kept, with D = d / (l Omega)."""
+    law = "speed_dependent_friction-by_sliding"
+    throw = ForwardModel(MACHINE, (law,)).throw(1.2, 40.0, GRAIN | {"friction": 0.0, f"{law}.steady_m_s": 0.4})
+    jet = throw.reading(np.asarray(1.0)).impulse.arrival.jet
+    tip_m_s = MACHINE.paddle_length_m * 40.0
+    outwards2 = (jet.vx_m_s**2 + jet.vy_m_s**2) / tip_m_s**2 - 1.0
+    twice = 2.0 * 0.4 / tip_m_s
+    np.testing.assert_allclose(outwards2, (1.0 - twice) ** 2 - (jet.release_radius - twice) ** 2, rtol=1e-10)
+
+
 def test_radial_speed_without_friction_follows_energy() -> None:
     """rho'' = rho from rho' = s rho_0: (rho'^2 - rho^2) is kept, so at the tip u^2 = 1 - rho_0^2 (1 - s^2)."""
     model = ForwardModel(MACHINE, ("residual_radial_speed",))

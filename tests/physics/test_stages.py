@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -104,6 +106,26 @@ def test_inward_rate_is_the_slope_of_the_release_radius(gravity: float | None) -
     high, low = release.outflow(tau + step, setting), release.outflow(tau - step, setting)
     slope = -(high.release_radius - low.release_radius) / (2.0 * step)
     assert release.outflow(tau, setting).inward_rate == pytest.approx(slope, rel=1e-7)
+
+
+@pytest.mark.parametrize("gravity", [None, 9.81])
+def test_a_steady_drag_is_part_of_the_motion(gravity: float | None) -> None:
+    """rho'' = rho - 2 (mu rho' + D) + G (sin theta + mu cos theta), integrated from the radius of release."""
+    speed, drag_m_s = 300.0 * RPM, 0.5
+    setting = replace(throw(0.3, speed, gravity).setting, steady_drag_m_s=np.array([drag_m_s]))
+    steady, fall = drag_m_s / (0.16 * speed), (gravity or 0.0) / (0.16 * speed**2)
+    tau = 0.8
+    flow = release.outflow(np.array([tau]), setting)
+
+    def rate(at: float, y: np.ndarray) -> list[float]:
+        theta = release.TOP + at
+        return [y[1], y[0] - 2.0 * (0.3 * y[1] + steady) + fall * (np.sin(theta) + 0.3 * np.cos(theta))]
+
+    way = solve_ivp(rate, (0.0, tau), [float(flow.release_radius[0]), 0.0], rtol=1e-11, atol=1e-13)
+    assert way.y[0, -1] == pytest.approx(1.0, rel=1e-8)
+    assert way.y[1, -1] == pytest.approx(float(flow.radial_speed[0]), rel=1e-7)
+    high, low = (float(release.outflow(np.array([tau + step]), setting).release_radius[0]) for step in (1e-5, -1e-5))
+    assert float(flow.inward_rate[0]) == pytest.approx((low - high) / 2e-5, rel=1e-7)
 
 
 @pytest.mark.parametrize("inner", [0.999999, 0.9, 0.5, 0.05])

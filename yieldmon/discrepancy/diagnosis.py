@@ -16,7 +16,7 @@ from yieldmon.estimation.gaussian import REACH_95
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.priors import EXCHANGED, at_bound_sentence
 from yieldmon.files.table import Table
-from yieldmon.physics.effects import family_of
+from yieldmon.physics.effects import family_of, laws
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.numerics import Array
 
@@ -260,11 +260,12 @@ def conclude(
     signatures = [signature(base_all, e) for e in library(whole, options.without)]
     detectable = minimum_detectable(signatures)
     spoken_of = {*map(family_of, found.effects), *(e for step in chosen.steps for e in step.equivalent)}
-    undetectable = tuple(
-        s.effect
-        for s in signatures
-        if s.effect not in spoken_of and all(np.isinf(size_seen(s, i)) for i in range(len(s.parameters)))
-    )
+    shown = {
+        family_of(s.effect)
+        for s in (*signatures, *(signature(base_all, law) for e in library(whole, options.without) for law in laws(e)[1:]))
+        if not all(np.isinf(size_seen(s, i)) for i in range(len(s.parameters)))
+    }
+    undetectable = tuple(s.effect for s in signatures if s.effect not in spoken_of | shown)
     return Diagnosis(
         options=options,
         form=seen.form,

@@ -1,8 +1,9 @@
 """Stage 3, release: the heap slides out along the paddle and leaves it at the tip [8.10-8.16].
 
 Lengths in l, time in 1/Omega. With gravity number G = g / (l Omega^2) and theta the paddle's angle,
-rho'' = rho - 2 (mu rho' + D) + G (sin theta + mu cos theta), D a steady drag; the published model has G = D = 0. The rotation tau_d to the tip is the
-independent variable: the radius of release follows from it in closed form, because the solution is linear in rho_0.
+rho'' = rho - 2 (mu rho' + D) + G (sin theta + mu cos theta), with a steady drag D; the published model has G = D = 0. The
+rotation tau_d to the tip is the independent variable: the radius of release follows from it in closed form, because the solution
+is linear in rho_0.
 """
 
 from __future__ import annotations
@@ -87,7 +88,9 @@ def outflow(tau: AnyArray, setting: Setting, slide: Slide | None = None) -> Outf
         radial = release * velocity
         return Outflow(release, radial, radial * release, angle, None)
     # What acts on grain whatever its radius forces a solution that starts at rest at the centre.
-    forced, forced_rate, direction = 0.0, 0.0, None
+    forced: AnyArray | float = 0.0
+    forced_rate: AnyArray | float = 0.0
+    direction = None
     if known.forced is not None:
         direction = sin, cos = sin_cos(angle)
         free_rate_rate = damping * (cosh - slowed)
