@@ -48,6 +48,15 @@ def test_readings_in_steps_coarser_than_their_noise_are_no_outliers(make_rows, r
     assert 0.7 * sd < found.sd(np.array([rows.value.max()]))[0] < 1.6 * sd
 
 
+def test_steps_at_which_hardly_any_repetition_differs_leave_the_rounding_as_noise(make_rows) -> None:
+    """Noise of a fortieth of a step: the few repetitions on either side of an edge are no outliers among exact ones."""
+    rows = make_rows(noise=1e-3)
+    step = 0.03 * float(rows.value.max())
+    found, outlier = noise.estimate(replace(rows, value=step * np.round(rows.value / step)))
+    assert not outlier.any()
+    assert found.constant >= 0.99 * step / np.sqrt(12.0)
+
+
 def test_two_outliers_that_agree_do_not_outvote_the_truth(make_rows) -> None:
     rows = make_rows(repeats=3)
     places = np.flatnonzero(rows.cell == rows.cell[40])

@@ -6,14 +6,14 @@ the cells' variances, 5 %). Rows that state their own standard deviation keep it
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from yieldmon.estimation.gaussian import SD_PER_MAD
-from yieldmon.estimation.scatter_law import fit_variances, scatter_law, usual_deviation
+from yieldmon.estimation.scatter_law import fit_variances, rounding_sd, scatter_law, usual_deviation
 from yieldmon.physics.numerics import Array
 
 from .observations import Cells, Rows, cells
@@ -70,18 +70,23 @@ def _from_replicates(rows: Rows) -> tuple[Noise, NDArray[np.bool_]]:
     deviation = np.abs(rows.value - median) / np.sqrt(1.0 - 1.0 / np.maximum(count, 2))
     # A form that is right for either kind of noise to a factor, and a median that is blind to the outliers it is to find.
     form = 0.15 * float(np.max(np.abs(median))) + np.abs(median)
-    robust = usual_deviation((deviation / form)[repeated])
-    sd = 2.0 * max(robust, 1e-12) * form
+    robust, rounding = usual_deviation((deviation / form)[repeated]), rounding_sd(rows.value)
+    sd = np.maximum(2.0 * max(robust, 1e-12) * form, rounding)
     outlier = _outliers_of_cells(rows, repeated & (deviation > _OUTLIER_SD * sd), sd)
-    noise = _variance_model(cells(rows.take(~outlier)), robust * float(form.mean()))
+    noise = _rounded(_variance_model(cells(rows.take(~outlier)), robust * float(form.mean())), rounding)
     for _ in range(4):
         sd = np.maximum(noise.sd(median), 1e-300)
         found = _outliers_of_cells(rows, repeated & (deviation > _OUTLIER_SD * sd), sd)
         if np.array_equal(found, outlier):
             break
         outlier = found
-        noise = _variance_model(cells(rows.take(~outlier)), robust * float(form.mean()))
+        noise = _rounded(_variance_model(cells(rows.take(~outlier)), robust * float(form.mean())), rounding)
     return noise, outlier
+
+
+def _rounded(noise: Noise, rounding: float) -> Noise:
+    """Noise no smaller than rounding makes it: repetitions of readings in coarse steps agree, and are no more exact for that."""
+    return noise if rounding <= noise.constant else replace(noise, constant=rounding)
 
 
 def _outliers_of_cells(rows: Rows, suspect: NDArray[np.bool_], sd: Array) -> NDArray[np.bool_]:
@@ -142,7 +147,7 @@ def _from_smooth_surface(rows: Rows) -> tuple[Noise, NDArray[np.bool_]]:
         variance = residual[keep] ** 2 / spread
         pooled = float(np.mean(variance))
         a2, b2 = fit_variances(variance, np.full(variance.shape, spread), rows.value[keep] ** 2, pooled)
-        noise = Noise(float(np.sqrt(a2)), float(np.sqrt(b2)), float(dof), "smooth")
+        noise = _rounded(Noise(float(np.sqrt(a2)), float(np.sqrt(b2)), float(dof), "smooth"), rounding_sd(rows.value))
         robust = SD_PER_MAD * float(np.median(np.abs(residual[keep]) / noise.sd(rows.value[keep]))) / np.sqrt(spread)
         good = np.abs(residual) <= _OUTLIER_SD * max(min(robust, 1.0), 0.3) * noise.sd(rows.value)
         if np.array_equal(good, keep):

@@ -12,6 +12,9 @@ _MOST_OUTLIERS = 0.1
 """Share of the rows."""
 _LEAST_CONSTANT = 0.01
 """Of the root mean square of all standard deviations: no reading near zero is taken as exact."""
+_LEAST_DISTINCT = 3
+_SAME_STEP = 1e-3
+"""Share of a step by which readings in whole steps may miss one."""
 
 
 def scatter_law(level: Array, sd: Array) -> tuple[float, float]:
@@ -44,6 +47,16 @@ def fit_variances(variance: Array, dof: Array, level2: Array, pooled: float) -> 
         if value < least:
             best, least = (max(size * (1.0 - share), floor), size * share / top), value
     return best
+
+
+def rounding_sd(readings: Array) -> float:
+    """Standard deviation of the rounding of readings that all lie whole steps apart, step / sqrt(12); 0 where they do not."""
+    distinct = np.unique(readings)
+    if distinct.size < _LEAST_DISTINCT:
+        return 0.0
+    step = float(np.diff(distinct).min())
+    steps = (distinct - distinct[0]) / step
+    return step / float(np.sqrt(12.0)) if np.all(np.abs(steps - np.round(steps)) < _SAME_STEP) else 0.0
 
 
 def usual_deviation(relative: Array) -> float:
