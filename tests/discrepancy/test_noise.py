@@ -52,8 +52,11 @@ def test_steps_at_which_hardly_any_repetition_differs_leave_the_rounding_as_nois
     """Noise of a fortieth of a step: the few repetitions on either side of an edge are no outliers among exact ones."""
     rows = make_rows(noise=1e-3)
     step = 0.03 * float(rows.value.max())
-    found, outlier = noise.estimate(replace(rows, value=step * np.round(rows.value / step)))
+    coarse = replace(rows, value=step * np.round(rows.value / step))
+    found, outlier = noise.estimate(coarse)
     assert not outlier.any()
+    # Repetitions that agree have one rounding in common: their mean is no more exact than they are.
+    assert np.all(found.of_cells(observations.cells(coarse)) >= 0.99 * step / np.sqrt(12.0))
     assert found.constant >= 0.99 * step / np.sqrt(12.0)
 
 

@@ -30,13 +30,14 @@ _ASSUMED = (0.002, 0.01)
 class Noise:
     """sd of one row: sqrt(constant^2 + (proportional y)^2), with dof behind it.
 
-    how: "replicates", "smooth", "stated" or "assumed".
+    how: "replicates", "smooth", "stated" or "assumed". shared: the part of the constant one that repetitions have in common.
     """
 
     constant: float
     proportional: float
     dof: float
     how: str
+    shared: float = 0.0
 
     def sd(self, level: Array) -> Array:
         """Standard deviation of one row at reading `level`."""
@@ -50,7 +51,8 @@ class Noise:
         """Standard deviation of each cell's mean, shape (cells,)."""
         if grouped.rows.stated:
             return np.asarray(np.bincount(grouped.rows.cell, grouped.rows.sigma**-2.0) ** -0.5)
-        return self.sd(grouped.mean) / np.sqrt(grouped.count)
+        own = self.sd(grouped.mean) / np.sqrt(grouped.count)
+        return own if self.shared == 0.0 else np.hypot(own, self.shared * np.sqrt(1.0 - 1.0 / grouped.count))
 
 
 def estimate(rows: Rows) -> tuple[Noise, NDArray[np.bool_]]:
@@ -85,8 +87,9 @@ def _from_replicates(rows: Rows) -> tuple[Noise, NDArray[np.bool_]]:
 
 
 def _rounded(noise: Noise, rounding: float) -> Noise:
-    """Noise no smaller than rounding makes it: repetitions of readings in coarse steps agree, and are no more exact for that."""
-    return noise if rounding <= noise.constant else replace(noise, constant=rounding)
+    """Noise no smaller than rounding makes it: repetitions of readings in coarse steps agree, and are no more exact for that, nor
+    is their mean."""
+    return noise if rounding <= noise.constant else replace(noise, constant=rounding, shared=rounding)
 
 
 def _outliers_of_cells(rows: Rows, suspect: NDArray[np.bool_], sd: Array) -> NDArray[np.bool_]:
