@@ -40,6 +40,11 @@ class Told:
     totals = Totals(load_open=False)
     estimator = SimpleNamespace(parameters=parameter_file.load())
 
+    counted_loads = frozenset()
+
+    def ticket_departure(self, *ticket: float) -> None:
+        """Not known."""
+
     def ticket(self, *ticket: float) -> None:
         self.tickets.append(ticket)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from math import isclose, isfinite, nan
+from math import hypot, isclose, isfinite, nan
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.since_zero import KeptSecond
 from yieldmon.engine.state import TicketState
 from yieldmon.engine.sweep import SweepAbort, SweepMachine
+from yieldmon.engine.ticket_check import departure_of
 from yieldmon.engine.windows import Window
 from yieldmon.estimation.admission import refusal
 from yieldmon.estimation.common_bias import KernelLesson
@@ -261,6 +262,13 @@ class Learning:
         self._waiting.append(anchor)
         self._masses_new = True
         return anchor
+
+    def departure(
+        self, load_number: int, mass_kg: float, std_dev_kg: float, loads: tuple[LoadSummary, ...], now_s: float
+    ) -> tuple[float, float] | None:
+        """See `Monitor.ticket_departure`."""
+        anchor = self._anchor(load_number, mass_kg, std_dev_kg, loads, now_s)
+        return departure_of(anchor, self.estimator, hypot(self.drift_sd, self.model_error.home))
 
     def _anchor(
         self, load_number: int, mass_kg: float, std_dev_kg: float, loads: tuple[LoadSummary, ...], now_s: float

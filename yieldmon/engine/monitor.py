@@ -436,6 +436,27 @@ class Monitor:
         """
         return self._parts.learning.ticket(load_number, mass_kg, std_dev_kg, self.loads, self._parts.bus_now)
 
+    def ticket_departure(self, load_number: int, mass_kg: float, std_dev_kg: float) -> tuple[float, float] | None:
+        """How far a scale ticket that is not entered yet is from its load.
+
+        Parameters
+        ----------
+        load_number, mass_kg, std_dev_kg
+            As `ticket` has them.
+
+        Returns
+        -------
+        (float, float) or None
+            ln of the weighed mass over the load's by the parameters in use, and its standard deviation; None where the load was
+            not measured whole or the parameters are no model's.
+
+        Raises
+        ------
+        ValueError
+            As `ticket`.
+        """
+        return self._parts.learning.departure(load_number, mass_kg, std_dev_kg, self.loads, self._parts.bus_now)
+
     def report_fault(self, code: FaultCode, present: bool, detail: str = "") -> None:
         """A condition that the service sees, such as a bus error or a store that fails; holds until reported gone.
 

@@ -1,0 +1,89 @@
+"""A ticket that contradicts its load is asked about before it counts: what explains it, and what the same once more does."""
+
+from __future__ import annotations
+
+from math import log
+
+import pytest
+
+from tests.service.bench import running
+from tests.service.test_tickets_after_restart import TRUE, Season
+from yieldmon.cli import main as cli
+from yieldmon.errors import InputError
+from yieldmon.service.batch import Load
+from yieldmon.service.ticket_doubt import Departure, combined, refuse_doubted
+
+KNOWN_KG = {6: 7000.0, 7: 9000.0, 8: 4000.0}
+
+
+def question(weighed_kg: float, std_dev: float = 0.012, weighed: frozenset[int] = frozenset(), loads: range = range(7, 8)) -> str:
+    covered = [Load(number, "", "wheat", 1.0, 2.0, KNOWN_KG[number], None) for number in loads]
+    found = Departure(log(weighed_kg / sum(KNOWN_KG[number] for number in loads)), std_dev)
+    try:
+        refuse_doubted("ticket", weighed_kg, found, covered, KNOWN_KG, set(weighed))
+    except InputError as error:
+        return str(error)
+    return ""
+
+
+@pytest.mark.parametrize(
+    ("weighed_kg", "words"),
+    [
+        (9000.0, ""),
+        (9250.0, ""),
+        (9000.0 * 1.10231, "9,921 kg (21,872 lb) is 10.2 % more than the 9,000 kg (19,842 lb) +- 1.2 % that it is known to hold"),
+        (9000.0 * 1.10231, "as if short tons were taken for tonnes"),
+        (9000.0 * 0.907185, "as if tonnes were taken for short tons"),
+        (9000.0 * 2.20462, "as if pounds were taken for kilograms"),
+        (9000.0 * 0.453592, "as if kilograms were taken for pounds"),
+        (13000.0, "as if load 8 is on it too"),
+        (7010.0, "as if it is that of load 6"),
+        (9000.0 * 56.0 / 60.0, "its bushels were reckoned with the 56 lb of"),
+        (9000.0 * 1.7, "that it is known to hold; nothing was entered; expected a look at its number, unit and tare"),
+    ],
+)
+def test_a_question_names_what_explains_the_ticket(weighed_kg: float, words: str) -> None:
+    said = question(weighed_kg)
+    assert words in said
+    assert bool(said) is bool(words)
+    assert not said or said.endswith("; if the mass is right, the same ticket once more")
+
+
+def test_what_is_known_no_better_or_weighed_already_is_not_named() -> None:
+    assert question(9000.0 * 1.10231, std_dev=0.05) == ""
+    assert "load 8" not in question(13000.0, weighed=frozenset({8}))
+    assert "load 8 is not on it" in question(16000.0, loads=range(6, 9))
+
+
+def test_of_several_loads_the_deviations_go_together_and_an_unweighed_machine_is_known_to_a_quarter() -> None:
+    one = combined([(1000.0, (0.1, 0.02)), (3000.0, (0.02, 0.04))], weighed_before=True)
+    assert (one.ln, one.std_dev) == pytest.approx((0.04, 0.035))
+    assert combined([(1.0, (0.1, 0.0))], weighed_before=True).std_dev == 0.012
+    assert combined([(1.0, (0.1, 0.0))], weighed_before=False).std_dev == pytest.approx(0.25, rel=0.01)
+
+
+def test_the_last_ticket_in_short_tons_is_asked_about_and_counts_once_more(tmp_path, capsys) -> None:
+    season = Season(tmp_path / "a")
+    with running(season.folder) as bench:
+        season.harvest(bench)
+        for number in (2, 3):
+            assert season.ticket(bench, number, TRUE)["anchor"]
+        before = bench.daemon.monitor.estimator.parameters
+
+        def enter(factor: float) -> str:
+            mass = f"{factor * TRUE * season.masses[5]}kg"
+            try:
+                assert cli.main(["ticket", "5", mass, "--socket", str(season.folder / "yieldmon.sock")]) == 0
+            except SystemExit:
+                (line,) = capsys.readouterr().err.strip().splitlines()
+                return line
+            return capsys.readouterr().out
+
+        assert "as if short tons were taken for tonnes" in enter(1.10231)
+        bench.play(2, 0.0)
+        bench.played()
+        assert bench.daemon.monitor.estimator.parameters is before
+        assert enter(1.0).startswith("load 5: measured")
+        # Another ticket came in between: the question stands anew.
+        assert "the same ticket once more" in enter(1.10231)
+        assert enter(1.10231).startswith("load 5: measured")
