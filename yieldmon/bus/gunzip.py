@@ -46,7 +46,9 @@ class Gunzip(io.RawIOBase):
         return count
 
     def close(self) -> None:
-        self._file.close()
+        # Python closes one as well whose file could not be opened.
+        if hasattr(self, "_file"):
+            self._file.close()
         super().close()
 
     def _next_piece(self) -> bytes:

@@ -16,10 +16,10 @@ from yieldmon.physics.machine import Machine
 
 @dataclass(frozen=True, slots=True)
 class PlateDemand:
-    """What a part of the engine wants of the plate. target_deg has no meaning for RELEASE and GO_HOME."""
+    """What a part of the engine wants of the plate. target_deg: for GO_TO_ANGLE only."""
 
     mode: CommandMode
-    target_deg: float = float("nan")
+    target_deg: float | None = None
 
 
 RELEASE = PlateDemand(CommandMode.RELEASE)
@@ -49,10 +49,9 @@ class PlateCommander:
         if mode is CommandMode.RELEASE:
             self._last_deg = None
             return {"TargetPlateAngle": NOT_AVAILABLE, "CommandMode": int(mode), "CommandCounter": counter}
-        if mode is not CommandMode.GO_TO_ANGLE or not isfinite(demand.target_deg):
+        wanted = demand.target_deg
+        if mode is not CommandMode.GO_TO_ANGLE or wanted is None or not isfinite(wanted):
             mode, wanted = CommandMode.GO_HOME, self.home_deg
-        else:
-            wanted = demand.target_deg
         start = self._last_deg if self._last_deg is not None else measured_deg
         if not isfinite(start):
             start = self.home_deg

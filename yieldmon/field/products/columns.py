@@ -90,5 +90,5 @@ def unix_to_datetime(time_s: NDArray[np.float64]) -> NDArray[np.datetime64]:
     """Milliseconds; not a time for NaN."""
     known = np.isfinite(time_s)
     out = np.round(np.where(known, time_s, 0.0) * 1000.0).astype(np.int64).astype("datetime64[ms]")
-    out[~known] = np.datetime64("NaT")
+    out[~known] = np.datetime64("NaT", "ms")
     return out
