@@ -56,12 +56,7 @@ class Season:
 
     def ticket(self, bench, number: int, factor: float) -> dict:
         weighed_kg = factor * self.masses[number]
-        words = ("ticket", str(number), f"{weighed_kg}kg", "--std-dev", f"{0.002 * weighed_kg}kg")
-        try:
-            answer = ask(self.folder, *words)
-        except SystemExit:
-            # One that was asked about counts when it is entered once more.
-            answer = ask(self.folder, *words)
+        answer = ask(self.folder, "ticket", str(number), f"{weighed_kg}kg", "--std-dev", f"{0.002 * weighed_kg}kg")
         bench.play(2, 0.0)
         bench.played()
         return answer

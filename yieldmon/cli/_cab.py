@@ -91,7 +91,8 @@ def said(request: Mapping[str, Any], answer: Mapping[str, Any]) -> str:
         case "ticket":
             change_pct = 100.0 * (answer["factor"] - 1.0)
             taken = f"ticket for load {answer['first_load']} taken: {change_pct:+.1f} % against what was measured"
-            return taken if answer["anchor"] else f"{taken}; no reference: {answer['why_no_anchor']}"
+            doubt = f"; {answer['question']}: is it right?" if answer.get("question") else ""
+            return f"{taken}{doubt}" if answer["anchor"] else f"{taken}; no reference: {answer['why_no_anchor']}"
         case "zero":
             return "the zero is being taken; keep the elevator running empty; `yieldmon zero --undo` takes it back"
         case "sweep-start":

@@ -57,9 +57,9 @@ def run(args: argparse.Namespace) -> int:
     change_pct = 100.0 * (answer["factor"] - 1.0)
     # What earlier tickets made of the load tells a slip from a calibration that was off.
     off_pct = 100.0 * (answer["weighed_mass_kg"] / answer.get("known_mass_kg", answer["measured_mass_kg"]) - 1.0)
-    if abs(off_pct) > UNLIKELY_PCT:
-        doubt = f"{off_pct:+.0f} % is a lot; if it is a slip, enter the right mass as another ticket"
-        print(f"yieldmon: {which}: {doubt}", file=sys.stderr)
+    doubt = answer.get("question") or (f"{off_pct:+.0f} % is a lot" if abs(off_pct) > UNLIKELY_PCT else "")
+    if doubt:
+        print(f"yieldmon: {which}: {doubt}; if it is a slip, enter the right mass as another ticket", file=sys.stderr)
     if args.json:
         print_json(answer)
     else:

@@ -28,8 +28,6 @@ class ActionLog:
         known = range(1, len(tickets) + 1)
         self.waiting: list[int] = [number for number in unfinished if number in known]
         """Numbers of the tickets that are to update the parameters, or did and whose loads are not measured again yet."""
-        self.asked_ticket: tuple[int, int, float] | None = None
-        """First and last load and mass, kg, of a ticket that was asked about and not entered; once more it counts."""
         self._of_crop = {crop: [number for number in kept if number in known] for crop, kept in (of_crop or {}).items()}
         """Numbers of those that are to update the parameters of another crop than the present one, by its name."""
         self._taken: tuple[int, ...] = ()

@@ -180,7 +180,7 @@ def _ticket(order: _Order) -> Answer:
     ticket = Ticket(order.now_s, first, last, weighed_kg, measured_kg, request.name("note") or "")
     why_not = ticket_file.unit_slip(weighed_kg, measured_kg) or why_no_reference(monitor, journal, covered, order.stored)
     shares = weighings(covered, ticket, std_dev_kg)
-    _ask_about(ticket, [] if why_not else shares, order, covered)
+    question = _question(ticket, [] if why_not else shares, order, covered)
     if not why_not:
         for load_number, mass_kg, share_std_dev_kg in shares:
             monitor.ticket(load_number, mass_kg, share_std_dev_kg)
@@ -196,28 +196,21 @@ def _ticket(order: _Order) -> Answer:
         "factor": ticket.factor,
         "anchor": not why_not,
         "why_no_anchor": why_not,
+        "question": question,
     }
 
 
-def _ask_about(ticket: Ticket, shares: Sequence[Weighing], order: _Order, covered: Sequence[Load]) -> None:
-    """Raises InputError for a ticket that contradicts its loads, the first time that it is entered. shares: of the loads, where
-    they are to teach."""
-    actions, entered = order.journal.actions, (ticket.first_load, ticket.last_load, ticket.weighed_mass_kg)
-    asked, actions.asked_ticket = actions.asked_ticket, None
+def _question(ticket: Ticket, shares: Sequence[Weighing], order: _Order, covered: Sequence[Load]) -> str:
+    """See ticket_doubt. shares: of the loads, where they are to teach."""
     found = [(mass_kg, order.monitor.ticket_departure(number, mass_kg, sd_kg)) for number, mass_kg, sd_kg in shares]
     parts = [(mass_kg, part) for mass_kg, part in found if part is not None]
-    if entered == asked or not parts or len(parts) != len(shares):
-        return
-    again = actions.ledger.factors
-    known_kg = {load.number: load.mass_kg * again.get(load.number, 1.0) for load in order.journal.loads}
-    weighed = {n for t in actions.ledger.tickets.values() for n in range(t.first_load, t.last_load + 1)}
-    where = f"ticket for load {ticket.first_load}" + (f" to {ticket.last_load}" if ticket.last_load > ticket.first_load else "")
-    try:
-        departs = ticket_doubt.combined(parts, weighed_before=bool(order.monitor.counted_loads))
-        ticket_doubt.refuse_doubted(where, ticket.weighed_mass_kg, departs, covered, known_kg, weighed)
-    except InputError:
-        actions.asked_ticket = entered
-        raise
+    if not parts or len(parts) != len(shares):
+        return ""
+    known = order.journal.actions.ledger
+    known_kg = {load.number: load.mass_kg * known.factors.get(load.number, 1.0) for load in order.journal.loads}
+    weighed = {n for t in known.tickets.values() for n in range(t.first_load, t.last_load + 1)}
+    departs = ticket_doubt.combined(parts, weighed_before=bool(order.monitor.counted_loads))
+    return ticket_doubt.question(ticket.weighed_mass_kg, departs, covered, known_kg, weighed)
 
 
 def _tickets(order: _Order) -> Answer:

@@ -1,7 +1,8 @@
-"""What is asked about a ticket before it counts: a mass that contradicts its load by more than both are uncertain by.
+"""What is asked about a ticket as it is entered: a mass that contradicts its load by more than both are uncertain by.
 
 A wrong unit, another load on the same ticket or the ticket of another load each make a known factor of the mass; where one of
-them explains the ticket, the question names it with the mass that it would be. The same ticket once more counts as it is.
+them explains the ticket, the question names it with the mass that it would be. The ticket counts all the same: it may be right,
+and it is the one moment at which an error of scale shows.
 """
 
 from __future__ import annotations
@@ -10,7 +11,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import exp, hypot, log
 
-from yieldmon.errors import InputError
 from yieldmon.files.crops import crops, find_crop
 from yieldmon.service.batch import Load
 from yieldmon.units import KG_PER_LB, KG_PER_T, LB_PER_SHORT_TON
@@ -58,26 +58,21 @@ def combined(parts: Sequence[tuple[float, tuple[float, float]]], *, weighed_befo
     return Departure(sum(w * ln for w, ln, _ in shares), std_dev if weighed_before else hypot(std_dev, _UNWEIGHED_SD))
 
 
-def refuse_doubted(
-    where: str, weighed_kg: float, found: Departure, covered: Sequence[Load], known_kg: Mapping[int, float], weighed: set[int]
-) -> None:
-    """Raises InputError, which asks, for a ticket that contradicts its loads.
+def question(
+    weighed_kg: float, found: Departure, covered: Sequence[Load], known_kg: Mapping[int, float], weighed: set[int]
+) -> str:
+    """What is asked about a ticket that contradicts its loads; "" for any other.
 
     covered: its loads. known_kg: of each load, by number. weighed: loads with a ticket of their own.
     """
     slips = _explaining(found, covered, known_kg, weighed)
     if not slips and not (abs(found.ln) > _GROSS_SDS * found.std_dev and abs(found.ln) > _GROSS_LN):
-        return
+        return ""
     expected_kg = weighed_kg * exp(-found.ln)
     more = "more" if found.ln > 0.0 else "less"
     off = f"{100.0 * abs(exp(found.ln) - 1.0):.1f} % {more} than the {_mass(expected_kg)} +- {100.0 * found.std_dev:.1f} %"
-    what = " or ".join(words for _, words in slips)
-    right = " or ".join(f"{_mass(weighed_kg / factor)}" for factor, _ in slips)
-    raise InputError(
-        where,
-        f"{_mass(weighed_kg)} is {off} that it is known to hold{f', as if {what}' if what else ''}; nothing was entered",
-        f"{right or 'a look at its number, unit and tare'}; if the mass is right, the same ticket once more",
-    )
+    what = " or ".join(f"{words} (then {_mass(weighed_kg / factor)})" for factor, words in slips)
+    return f"{_mass(weighed_kg)} is {off} that it is known to hold{f', as if {what}' if what else ''}"
 
 
 def _explaining(

@@ -216,7 +216,8 @@ function answerOf(name, answer) {
   if (name === "ticket") {
     const change = 100 * (answer.factor - 1);
     const off = 100 * (answer.weighed_mass_kg / (answer.known_mass_kg ?? answer.measured_mass_kg) - 1);
-    const doubt = Math.abs(off) > UNLIKELY_PCT ? " That is a lot; if it is a slip, enter the right mass as another ticket." : "";
+    const asked = answer.question || (Math.abs(off) > UNLIKELY_PCT ? "That is a lot" : "");
+    const doubt = asked ? ` ${asked}; if it is a slip, enter the right mass as another ticket.` : "";
     const use = answer.anchor ? "a reference for the calibration" : "no reference for the calibration";
     const masses = `Measured ${mass(answer.measured_mass_kg)} ${units.mass.name}, weighed ${mass(answer.weighed_mass_kg)} ${units.mass.name}`;
     return `${masses} (${number(change, 2)} %); ${use}.${doubt}`;
