@@ -101,7 +101,7 @@ ALL_KEYS = ("l", "x", "t", "z", "w")
 
 
 def pressed(keys: list[str], status: dict[str, Any] | None = STATUS) -> tuple[Dialog, list[dict[str, Any]]]:
-    dialog = Dialog(mass, shipped_name, tuple(crops()))
+    dialog = Dialog(mass, shipped_name, lambda: tuple(crops()))
     return dialog, [request for key in keys for request in dialog.press(key, status, Units())]
 
 
@@ -140,7 +140,7 @@ def test_nothing_is_asked_of_the_daemon_without_a_yes(keys: list[str], sent: lis
 
 def test_each_step_of_a_wrong_crop_is_one_prompt_with_its_figures() -> None:
     known = " ".join(crops())
-    dialog = Dialog(mass, shipped_name, tuple(crops()))
+    dialog = Dialog(mass, shipped_name, lambda: tuple(crops()))
     shown = []
     for key in ("x", "c", *"7", "\r", *"quinoa", "\r", "n"):
         assert not dialog.press(key, STATUS, Units())

@@ -18,7 +18,7 @@ class Cab:
 
     def __init__(self, bench: Bench, link: DaemonLink) -> None:
         self.bench, self.link, self.reported = bench, link, []
-        self.dialog = Dialog(mass, shipped_name, tuple(crops()))
+        self.dialog = Dialog(mass, shipped_name, lambda: tuple(crops()))
 
     def look(self) -> None:
         for news in self.link.news():
@@ -113,7 +113,7 @@ def test_a_wrong_crop_is_corrected_from_the_cab_and_taken_back(tmp_path) -> None
     [("7", "expected"), ("x 9t", "a load's number"), ("7 9 stone", "expected"), ("7 -4t", "expected"), ("", "a load's number")],
 )
 def test_a_ticket_that_makes_no_sense_is_not_sent(typed: str, problem: str) -> None:
-    dialog = Dialog(mass, shipped_name, tuple(crops()))
+    dialog = Dialog(mass, shipped_name, lambda: tuple(crops()))
     status = {"load": {"number": 7, "mass_kg": 100.0, "open": True}, "sweep": {"state": "idle"}}
     assert [dialog.press(key, status, Units()) for key in ("t", *typed, "\r", "y")] == [()] * (len(typed) + 3)
     assert problem in dialog.prompt

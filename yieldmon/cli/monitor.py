@@ -27,7 +27,6 @@ from yieldmon.cli._json import print_json
 from yieldmon.cli._limits import above_0, within
 from yieldmon.cli._units import add_units
 from yieldmon.errors import InputError
-from yieldmon.files.crops import crops, shipped_name
 from yieldmon.files.units import units_of
 from yieldmon.frames import Unusable
 from yieldmon.screen import keys
@@ -143,13 +142,26 @@ def _may_ask(args: argparse.Namespace) -> bool:
     return not args.once or args.cab
 
 
+def _shipped_crop(name: str) -> str | None:
+    # The crops' file needs numpy and yaml, the screen neither until a crop is asked for.
+    from yieldmon.files.crops import shipped_name
+
+    return shipped_name(name)
+
+
+def _shipped_crops() -> tuple[str, ...]:
+    from yieldmon.files.crops import crops
+
+    return tuple(crops())
+
+
 class _Cab:
     """The cab's view: the daemon's status, or what the frames report, with the dialog of its keys."""
 
     def __init__(self, args: argparse.Namespace, view: View, daemon: DaemonLink | None) -> None:
         self.view = view
         self.daemon = daemon
-        self.dialog = Dialog(mass, shipped_name, tuple(crops()))
+        self.dialog = Dialog(mass, _shipped_crop, _shipped_crops)
         self._system: str | None = args.units
         self._status: Status | None = None
         self._heard_s = time.monotonic()

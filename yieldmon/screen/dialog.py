@@ -30,13 +30,13 @@ class Dialog:
         Reads a mass as people type it; InputError where it is none.
     crop_of : callable
         The name of the known crop that what people type means; None where it means none.
-    known_crops : sequence of str
+    known_crops : callable () -> sequence of str
         Names of these.
     """
 
     mass_kg: Callable[[str], float]
     crop_of: Callable[[str], str | None]
-    known_crops: Sequence[str]
+    known_crops: Callable[[], Sequence[str]]
     question: str = ""
     typed: str | None = None
     _on_yes: Sequence[Request] = ()
@@ -178,4 +178,4 @@ class Dialog:
 
     @property
     def _known(self) -> str:
-        return " ".join(self.known_crops)
+        return " ".join(self.known_crops())
