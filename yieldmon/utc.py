@@ -4,6 +4,11 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 
+from yieldmon.units import S_PER_DAY
+
+SERIAL_DAY_OF_1970 = 25_569.0
+"""1 January 1970 as spreadsheets and PEAK's programs count days: those since 30 December 1899."""
+
 
 def moment(time_s: float) -> datetime:
     """Unix time as date and time in UTC. Raises ValueError or OverflowError for a time that no calendar has."""
@@ -27,3 +32,12 @@ def read(text: str) -> datetime:
 def in_utc(at: datetime) -> datetime:
     """The same, taken as UTC where it names no zone."""
     return at if at.tzinfo is not None else at.replace(tzinfo=UTC)
+
+
+def of_serial_days(days: float) -> float:
+    """Unix time, to the microsecond, of a moment that spreadsheets and PEAK's programs give in days.
+
+    >>> of_serial_days(25569.5)
+    43200.0
+    """
+    return round((days - SERIAL_DAY_OF_1970) * S_PER_DAY, 6)

@@ -56,6 +56,16 @@ def test_mass_and_way_stay(steps: list[float], seed: int) -> None:
     assert len(taken) <= len(table)
 
 
+def test_an_unknown_flow_is_that_of_the_others_of_its_second() -> None:
+    table = passes(np.full(40, 0.25))
+    sparse = table.with_columns(flow_kg_s=np.where(np.arange(40) % 4 == 1, FLOW_KG_S, np.nan))
+    taken = per_second(sparse)
+    assert taken["flow_kg_s"][1:-1] == pytest.approx(FLOW_KG_S)
+    assert (taken["flow_kg_s"] * taken["interval_s"])[1:-1].sum() == pytest.approx(FLOW_KG_S * taken["interval_s"][1:-1].sum())
+    none = per_second(table.with_columns(flow_kg_s=np.full(40, np.nan)))
+    assert np.isnan(none["flow_kg_s"]).all()
+
+
 def test_a_log_of_a_second_a_row_is_left_as_it_is() -> None:
     table = passes(np.ones(50))
     assert per_second(table) is table

@@ -22,9 +22,9 @@ _GRID = chebyshev_points(24)
 _STENCIL = np.array([-1.0, 0.0, 1.0])
 _NEAR = np.arange(4)
 _LEAST_STEP = 1e-9
-_THIN = 1e-4
 _EXACT = 1e-13
 """Relative error of the force at which a flow is found."""
+_THIN = 1e-4
 """Heap thickness, 1 - h0/l, at which momentum is in proportion to load."""
 _NEAR_ERROR = 1e-3
 """Relative, of a load curve between knots: twice the most that it is found to be."""

@@ -17,6 +17,7 @@ from scipy import special
 from yieldmon.physics.grain import GRAIN, RESTITUTION_FORM
 from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array
+from yieldmon.units import KG_PER_LB, N_PER_KGF, S_PER_H
 
 from . import multistart
 from .calibration import default_start
@@ -24,7 +25,7 @@ from .calibration_problem import CalibrationProblem
 from .measurements import Measurements
 from .priors import Bounds
 
-_POUND_KG, _POUND_FORCE_N, _KILOGRAM_FORCE_N = 0.45359237, 4.4482216, 9.80665
+_N_PER_LBF = KG_PER_LB * N_PER_KGF
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,10 +38,10 @@ class Unit:
 
 
 MISTAKEN: Mapping[str, tuple[Unit, ...]] = {
-    "mass_flow_kg_s": (Unit("t/h", load=1.0 / 3.6), Unit("lb/s", load=_POUND_KG)),
-    "paddle_mass_kg": (Unit("lb", load=_POUND_KG),),
-    "force_n": (Unit("lbf", reading=_POUND_FORCE_N), Unit("kgf", reading=_KILOGRAM_FORCE_N)),
-    "momentum_kg_m_s": (Unit("lbf s", reading=_POUND_FORCE_N), Unit("kgf s", reading=_KILOGRAM_FORCE_N)),
+    "mass_flow_kg_s": (Unit("t/h", load=1000.0 / S_PER_H), Unit("lb/s", load=KG_PER_LB)),
+    "paddle_mass_kg": (Unit("lb", load=KG_PER_LB),),
+    "force_n": (Unit("lbf", reading=_N_PER_LBF), Unit("kgf", reading=N_PER_KGF)),
+    "momentum_kg_m_s": (Unit("lbf s", reading=_N_PER_LBF), Unit("kgf s", reading=N_PER_KGF)),
 }
 """By column. Larger units alone for readings and smaller ones for loads: both make readings look too small."""
 

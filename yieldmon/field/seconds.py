@@ -19,6 +19,8 @@ _SUMS = ("interval_s", "distance_m")
 def per_second(table: HarvestTable) -> HarvestTable:
     """The table with the rows of each second of a fast log as one, at the place and time of the last; mass and way stay.
 
+    Where the flow of some rows of a second is not known it is taken as that of the others.
+
     Parameters
     ----------
     table : HarvestTable

@@ -17,7 +17,6 @@ NO_DAEMON = "no daemon answers on this computer: these keys need one"
 _TICKET = "ticket: number of the load and its weighed mass, such as 7 9.12t: "
 _UNDER_WAY = ("moving", "settling", "measuring", "returning")
 _ESCAPE, _ENTER, _BACK = "\x1b", ("\r", "\n"), ("\x7f", "\b")
-_LONGEST_NAME = 80
 
 
 @dataclass(slots=True)
@@ -171,7 +170,7 @@ class Dialog:
 
     def _crop(self, typed: str) -> tuple[str, str]:
         """The crop that a name means, and what is to be said of one that is not known. Raises InputError."""
-        if not typed or len(typed) > _LONGEST_NAME:
+        if not typed:
             raise InputError("crop", repr(typed), "the name of a crop")
         found = self.crop_of(typed)
         return (typed, " (not a crop that is known: it is only named)") if found is None else (found, "")

@@ -16,6 +16,8 @@ import re
 
 import can
 
+from yieldmon.units import S_PER_DAY
+
 from .fields import Form, clock_s, data_bytes, message, whole
 
 _START = re.compile(r"\*\*\*START DATE AND TIME (\d{1,4}):(\d{1,4}):(\d{1,4}) (\d{1,4}):(\d{1,4}):(\d{1,4}):(\d{1,4})\*\*\*")
@@ -26,7 +28,6 @@ _MODES = {"***SYSTEM MODE***": "system", "***ABSOLUTE MODE***": "absolute", "***
 _TYPES = {"s": (False, False), "x": (True, False), "sr": (False, True), "xr": (True, True)}
 """Extended, remote."""
 _FIELDS = 6
-_DAY_S = 86400.0
 
 
 def begins(start: bytes) -> bool:
@@ -82,8 +83,8 @@ class Busmaster:
         if self._mode == "system":
             # The day is that on which the time of day is nearest to the frame before.
             near_s = self._start_s if self._last_s is None else self._last_s
-            midnight_s = near_s - near_s % _DAY_S
-            self._last_s = midnight_s + since_s + _DAY_S * round((near_s - midnight_s - since_s) / _DAY_S)
+            midnight_s = near_s - near_s % S_PER_DAY
+            self._last_s = midnight_s + since_s + S_PER_DAY * round((near_s - midnight_s - since_s) / S_PER_DAY)
         elif self._mode == "absolute" or self._last_s is None:
             self._last_s = self._start_s + since_s
         else:

@@ -22,6 +22,8 @@ from collections.abc import Callable
 
 import can
 
+from yieldmon.identifiers import CLASSIC_BYTES
+
 from .fields import Form, clock_s, data_bytes, error_frame, fd_length, message, seconds, whole
 
 _FIRST_LINE = "CSV CAN data"
@@ -100,7 +102,7 @@ class Kvaser:
             return None
         is_fd = bool(flags & _FD)
         code = whole(text["dlc"], "length")
-        length = fd_length(code) if is_fd else min(code, 8)
+        length = fd_length(code) if is_fd else min(code, CLASSIC_BYTES)
         if length > len(self._data_at):
             raise ValueError(f"{length} bytes, of which the log holds {len(self._data_at)}; convert it with more data bytes")
         form = Form(

@@ -16,9 +16,10 @@ frames.
 from __future__ import annotations
 
 import re
-from datetime import UTC, datetime, timedelta
 
 import can
+
+from yieldmon import utc
 
 from .fields import Form, data_bytes, error_frame, fd_length, message, seconds, whole
 
@@ -81,11 +82,12 @@ class Trace:
             if not set("NOTId") <= set(self._columns) or not set("lL") & set(self._columns):
                 raise ValueError(f"columns {value[:40]}; expected N, O, T, I, d, l or L, D")
         else:
-            days = seconds(value, "start time")
+            start_s = utc.of_serial_days(seconds(value, "start time"))
             try:
-                self._start_s = (datetime(1899, 12, 30, tzinfo=UTC) + timedelta(days=days)).timestamp()
-            except (OverflowError, ValueError):
+                utc.moment(start_s)
+            except (OverflowError, ValueError, OSError):
                 raise ValueError(f"start time {value[:20]} is no day") from None
+            self._start_s = start_s
 
     def _frame(self, of: dict[str, str], start_s: float) -> can.Message | None:
         kind, data = of.get("T", "Rx"), of.get("D", "")

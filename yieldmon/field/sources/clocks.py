@@ -16,8 +16,6 @@ from yieldmon.units import S_PER_DAY
 _UNIX_S = (631_152_000.0, 4_102_444_800.0)
 """1990 and 2100."""
 _WEEK_S = 7.0 * S_PER_DAY
-_SERIAL_DAY_OF_1970 = 25_569.0
-"""What spreadsheets give 1 January 1970 as."""
 _GAP_STEPS = 3.0
 """Times the usual step: a longer one is a gap."""
 _LEAST_STEADY = 0.9
@@ -83,7 +81,7 @@ def is_serial_days(numbers: Array, *, in_days: bool) -> bool:
     False
     """
     known = numbers[np.isfinite(numbers)]
-    low, high = (_SERIAL_DAY_OF_1970 + edge / S_PER_DAY for edge in _UNIX_S)
+    low, high = (utc.SERIAL_DAY_OF_1970 + edge / S_PER_DAY for edge in _UNIX_S)
     if not known.size or not low <= np.median(known) < high:
         return False
     steps = np.diff(known)
@@ -96,7 +94,7 @@ def of_serial_days(days: Array) -> Array:
     >>> of_serial_days(np.array([25569.5])).tolist()
     [43200.0]
     """
-    unix: Array = np.round((days - _SERIAL_DAY_OF_1970) * S_PER_DAY, 3)
+    unix: Array = np.round((days - utc.SERIAL_DAY_OF_1970) * S_PER_DAY, 3)
     return unix
 
 
