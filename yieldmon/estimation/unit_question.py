@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from math import isfinite
 
 import numpy as np
 from scipy import special
@@ -19,9 +20,9 @@ from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array
 from yieldmon.units import KG_PER_LB, N_PER_KGF, S_PER_H
 
-from . import multistart
 from .calibration import default_start
 from .calibration_problem import CalibrationProblem
+from .least_squares import levenberg_marquardt
 from .measurements import Measurements
 from .priors import Bounds
 
@@ -53,7 +54,8 @@ _OF_LARGEST = 0.15
 """Share of the largest reading that the error of small ones is taken from."""
 _FREE: Bounds = {"density": GRAIN["density"].limits, "restitution": (-0.99, 99.0)}
 _NAMES = ("friction", "density", *RESTITUTION_FORM)
-_STARTS = 2
+_STARTS, _STEPS, _COARSE = 4, 60, 1e-4
+"""Of a fit: starts, steps, and the share of a parameter's scale and of the misfit that does not matter."""
 
 
 def possible(model: ForwardModel, data: Measurements, columns: tuple[str, str]) -> tuple[str, ...]:
@@ -99,9 +101,8 @@ def _refuted(model: ForwardModel, data: Measurements, best: dict[float, float], 
     best: chi-square without these ranges by the unit of the loads, which grows here; a unit of the readings does not change it.
     """
     start = default_start(model, data, RESTITUTION_FORM)
-    try:
-        inside, at = _misfit(model, data, start, None, _STARTS)
-    except ValueError:
+    inside, at = _misfit(model, data, start, None, _STARTS)
+    if not isfinite(inside):
         return True
     if load not in best:
         best[load] = _misfit(model, data, start | at, _FREE, 1)[0]
@@ -115,11 +116,23 @@ def _refuted(model: ForwardModel, data: Measurements, best: dict[float, float], 
 def _misfit(
     model: ForwardModel, data: Measurements, start: Mapping[str, float], bounds: Bounds | None, starts: int
 ) -> tuple[float, dict[str, float]]:
-    """Chi-square of the best fit, and its parameters."""
+    """Chi-square of the best fit, inf where no start can carry the loads, and its parameters; to what a p value needs."""
     problem = CalibrationProblem(model, data, start, _NAMES, prior=None, bounds=bounds, robust=False)
-    _, theta = multistart.minimize(problem, starts, np.random.default_rng(0), None)
-    error = (problem.momentum.value(theta[None])[0][problem.cell] - data.momentum) / problem.row_sd
-    return float(np.sum(error**2)), dict(zip(_NAMES, map(float, theta), strict=True))
+    first = np.clip([problem.start[name] for name in _NAMES], problem.lower, problem.upper)
+    low, high = (np.clip([problem.ranges[name][i] for name in _NAMES], problem.lower, problem.upper) for i in (0, 1))
+    others = np.random.default_rng(0).uniform(low, high, (starts - 1, len(_NAMES)))
+    found = levenberg_marquardt(
+        lambda theta, _: problem.residuals(theta, problem.row_sd),
+        np.vstack((first, others)),
+        problem.lower,
+        problem.upper,
+        scale=problem.unit,
+        iterations=_STEPS,
+        tolerance=_COARSE,
+        least_gain=_COARSE,
+    )
+    best = int(np.argmin(found.cost))
+    return 2.0 * float(found.cost[best]), dict(zip(_NAMES, map(float, found.theta[best]), strict=True))
 
 
 def _means(data: Measurements) -> Measurements:
