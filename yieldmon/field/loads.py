@@ -8,18 +8,23 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from yieldmon import bounded
 from yieldmon.errors import InputError
 from yieldmon.files import ticket_file
 from yieldmon.files.delimited import LARGEST_BYTES
 
+from .mixed import mixed_loads
 from .placed import measured_mass_kg
 from .sources.delimited import delimiter_of
 from .table import Array, HarvestTable
 
 UNKNOWN_SCALE_SD = 0.03
 """Relative standard deviation of a single load's factor about the field's, where fewer than three loads are weighed."""
+ALL = "all"
+"""As the machine of a ticket: all that have a load of this name."""
+_COLUMNS = "columns load,weighed_kg[,sd_kg][,machine]"
 
 
 @dataclass(frozen=True)
@@ -29,6 +34,8 @@ class Ticket:
     load: str
     weighed_kg: float
     sd_kg: float
+    machine: str = ""
+    """Or file, where the load's name is one of several machines'; ALL: they filled it together."""
 
 
 @dataclass(frozen=True)
@@ -54,14 +61,14 @@ class LoadResult:
 
 
 def read_tickets(path: Path) -> list[Ticket]:
-    """CSV with the columns `load`, `weighed_kg` and, if known, `sd_kg`, with commas or semicolons between fields.
+    """CSV with the columns `load`, `weighed_kg` and, where wanted, `sd_kg` and `machine`, commas or semicolons between them.
 
     Raises
     ------
     InputError
         Naming file and row.
     """
-    wanted = "CSV with load,weighed_kg[,sd_kg]"
+    wanted = "CSV with load,weighed_kg[,sd_kg][,machine]"
     try:
         text = bounded.read_whole(path, wanted, LARGEST_BYTES).decode("utf-8-sig")
         lines = [line for line in bounded.split(text, str(path), wanted) if line.strip(" \t,;")]
@@ -73,7 +80,7 @@ def read_tickets(path: Path) -> list[Ticket]:
         raise InputError(str(path), "has no tickets", "at least one row")
     names = {str(name).strip().lower(): name for name in rows[0]} if rows else {}
     if rows and not {"load", "weighed_kg"} <= set(names):
-        raise InputError(f"{path}: first row", f"names {', '.join(map(str, rows[0]))[:80]}", "columns load,weighed_kg[,sd_kg]")
+        raise InputError(f"{path}: first row", f"names {', '.join(map(str, rows[0]))[:80]}", _COLUMNS)
     tickets = []
     for number, row in enumerate(rows, 1):
         try:
@@ -81,13 +88,13 @@ def read_tickets(path: Path) -> list[Ticket]:
             sd_text = row.get(names.get("sd_kg", ""))
             sd = _mass(sd_text) if sd_text and sd_text.strip() else ticket_file.RELATIVE_STD_DEV * weighed
         except (TypeError, ValueError):
-            raise InputError(f"{path}: row {number}", "has no mass in kg", "columns load,weighed_kg[,sd_kg]") from None
+            raise InputError(f"{path}: row {number}", "has no mass in kg", _COLUMNS) from None
         load = (row.get(names["load"]) or "").strip()
         if not (load and 0 < weighed < 1e9 and 0 <= sd < 1e9):
             raise InputError(
                 f"{path}: row {number}", f"weighs {weighed:g} kg with sd {sd:g} kg", "a load's name and positive masses"
             )
-        tickets.append(Ticket(load, weighed, sd))
+        tickets.append(Ticket(load, weighed, sd, (row.get(names.get("machine", "")) or "").strip()))
     if not tickets:
         raise InputError(str(path), "has no tickets", "at least one row")
     return tickets
@@ -104,48 +111,111 @@ def _mass(text: str) -> float:
 def correct(table: HarvestTable, tickets: Sequence[Ticket]) -> tuple[Array, tuple[LoadResult, ...]]:
     """A factor for each row, and the loads in order.
 
-    A weighed load takes its own factor; any other takes that of all weighed loads together, with the spread between them.
+    A weighed load takes its own factor; any other takes that of all weighed loads together, with the spread between them. Loads
+    of one name that several machines have are one for each machine, unless a ticket says that they filled it together.
 
     Raises
     ------
     InputError
-        For a ticket of a load that the harvest does not have, or one that measured nothing.
+        For a ticket of a load that the harvest does not have, one that measured nothing, and one of which it is not known whose
+        load it is: several machines have one of that name, or the rows of two are mixed in it.
     """
-    label = table.labels["load"]
-    measured = np.bincount(label.codes, measured_mass_kg(table), len(label.names))
-    weighed = _by_load(label.names, measured, tickets)
+    label, owners = table.labels["load"], Owners.of(table)
+    together = {_number_of(ticket, label.names) for ticket in tickets if ticket.machine.lower() == ALL}
+    key = np.where(np.isin(label.codes, list(together)), 0, owners.of_row)
+    count = len(owners.names)
+    pairs, codes = np.unique(label.codes.astype(np.intp) * count + key, return_inverse=True)
+    loads = [divmod(int(pair), count) for pair in pairs]
+    measured = np.bincount(codes, measured_mass_kg(table), len(loads))
+    weighed = _by_load(loads, label.names, measured, tickets, owners, together)
+    _refuse_mixed({loads[load][0] for load in weighed} - together, label.names, table)
     factors = {load: ticket.weighed_kg / measured[load] for load, ticket in weighed.items()}
     common, spread = _common([(factors[load], measured[load]) for load in weighed])
     results = []
-    for load, name in enumerate(label.names):
-        ticket = weighed.get(load)
+    for load, (number, owner) in enumerate(loads):
+        shared = number not in together and sum(one == number for one, _ in loads) > 1
+        name, ticket = f"{label.names[number]}, {owners.names[owner]}" if shared else label.names[number], weighed.get(load)
         if ticket is None:
             results.append(LoadResult(name, float(measured[load]), None, common, spread))
         else:
             sd = ticket.sd_kg / measured[load]
             results.append(LoadResult(name, float(measured[load]), ticket.weighed_kg, factors[load], float(sd)))
-    return np.array([one.factor for one in results] or [1.0])[label.codes], tuple(results)
+    return np.array([one.factor for one in results] or [1.0])[codes], tuple(results)
 
 
-def _by_load(names: Sequence[str], measured: Array, tickets: Sequence[Ticket]) -> Mapping[int, Ticket]:
-    out: dict[int, Ticket] = {}
+@dataclass(frozen=True)
+class Owners:
+    """Whose row each is: machines by name, over all files, and files that name none. of_row: index into names."""
+
+    of_row: NDArray[np.intp]
+    names: tuple[str, ...]
+
+    @classmethod
+    def of(cls, table: HarvestTable) -> Owners:
+        """Of a table's rows."""
+        label = table.labels["machine"]
+        named = np.array([bool(name.strip()) for name in label.names] or [False])[label.codes]
+        files = [Path(source.path).name for source in table.sources]
+        files = [source.path if files.count(name) > 1 else name for name, source in zip(files, table.sources, strict=True)]
+        key = np.where(named, label.codes, len(label.names) + table.source_of_row)
+        found, of_row = np.unique(key, return_inverse=True)
+        names = (*label.names, *files)
+        return cls(of_row.reshape(-1).astype(np.intp), tuple(names[k] for k in found.tolist()))
+
+
+def _refuse_mixed(loads: set[int], names: Sequence[str], table: HarvestTable) -> None:
+    """Raises InputError for a weighed load in which two machines took turns without names."""
+    mixed = mixed_loads(table) if loads else {}
+    for load in sorted(loads & set(mixed)):
+        raise InputError(
+            f"ticket of load {names[load]!r}",
+            f"two machines without names are mixed in it: its places leap to and fro {mixed[load]} times",
+            f"a file for each machine or a column with its name; or {ALL!r} as the ticket's machine where both filled it",
+        )
+
+
+def _number_of(ticket: Ticket, names: Sequence[str]) -> int:
     plain = {" ".join(name.split()): number for number, name in enumerate(names)}
     short = {name.split(":")[0].removeprefix("L"): number for name, number in plain.items()}
     behind = [name.split(":", 1)[1].strip() if ":" in name else "" for name in plain]
+    load = plain.get(ticket.load, short.get(ticket.load.removeprefix("L")))
+    if load is None and behind.count(ticket.load) == 1:
+        load = list(plain.values())[behind.index(ticket.load)]
+    if load is None:
+        raise InputError(
+            f"ticket of load {ticket.load!r}", "names a load that the harvest does not have", f"one of {', '.join(plain)}"
+        )
+    return load
+
+
+def _by_load(
+    loads: Sequence[tuple[int, int]],
+    names: Sequence[str],
+    measured: Array,
+    tickets: Sequence[Ticket],
+    owners: Owners,
+    together: set[int],
+) -> Mapping[int, Ticket]:
+    out: dict[int, Ticket] = {}
     for ticket in tickets:
-        load = plain.get(ticket.load, short.get(ticket.load.removeprefix("L")))
-        if load is None and behind.count(ticket.load) == 1:
-            load = list(plain.values())[behind.index(ticket.load)]
-        if load is None:
-            raise InputError(
-                f"ticket of load {ticket.load!r}", "names a load that the harvest does not have", f"one of {', '.join(plain)}"
-            )
-        if measured[load] <= 0:
-            raise InputError(f"ticket of load {ticket.load!r}", "is of a load that measured nothing", "a load with grain")
+        number = _number_of(ticket, names)
+        where = f"ticket of load {ticket.load!r}"
+        held = [load for load, (name, _) in enumerate(loads) if name == number]
+        whose = [owners.names[loads[load][1]] for load in held]
+        if ticket.machine and number not in together:
+            if ticket.machine not in whose:
+                raise InputError(where, f"names the machine {ticket.machine!r}", f"one of {', '.join(whose)}, or {ALL}")
+            held = [held[whose.index(ticket.machine)]]
+        if len(held) > 1:
+            expected = f"a column machine with one of these, or with {ALL!r} where they filled it together"
+            raise InputError(where, f"is of {len(held)} machines or files: {', '.join(whose)}", expected)
+        load = held[0] if held else -1
+        if load < 0 or measured[load] <= 0:
+            raise InputError(where, "is of a load that measured nothing", "a load with grain")
         whole = ticket
         if load in out:
             old = out[load]
-            whole = Ticket(old.load, old.weighed_kg + ticket.weighed_kg, float(np.hypot(old.sd_kg, ticket.sd_kg)))
+            whole = Ticket(old.load, old.weighed_kg + ticket.weighed_kg, float(np.hypot(old.sd_kg, ticket.sd_kg)), old.machine)
         out[load] = whole
     return out
 
