@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from yieldmon.estimation.kernel_noise import Density, KernelImpulse, KernelNoiseSettings, expected_sd, kernel_impulse
+from yieldmon.estimation.kernel_noise import KernelImpulse, KernelNoiseSettings, expected_sd, kernel_impulse
+from yieldmon.estimation.spectral_density import Density
 
 Array = NDArray[np.float64]
 FOLDER = Path(__file__).resolve().parent

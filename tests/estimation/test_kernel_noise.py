@@ -5,15 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from yieldmon.estimation import kernel_noise
-from yieldmon.estimation.kernel_noise import (
-    KernelNoiseSettings,
-    KernelVerdict,
-    density,
-    in_pulses,
-    kernel_flow,
-    kernel_impulse,
-)
+from yieldmon.estimation.kernel_noise import KernelImpulse, KernelNoiseSettings, KernelVerdict, kernel_flow, kernel_impulse
+from yieldmon.estimation.spectral_density import density, in_pulses
 
 FORCE_N, IMPULSE_N_S, KERNEL_KG = 73.0, 3.6e-3, 4.0e-4
 FINE = 20
@@ -188,8 +181,8 @@ def test_names_what_is_missing(force_n: float, low_hz: float, reason: str) -> No
 
 def test_flow_follows_the_kernel_s_mass_and_not_the_scale_of_force() -> None:
     settings = KernelNoiseSettings(bias=1.0, bias_sd=0.05)
-    found = kernel_noise.KernelImpulse(IMPULSE_N_S, 0.02, 0.01, KernelVerdict.USED, "")
-    twice = kernel_noise.KernelImpulse(2.0 * IMPULSE_N_S, 0.02, 0.01, KernelVerdict.USED, "")
+    found = KernelImpulse(IMPULSE_N_S, 0.02, 0.01, KernelVerdict.USED, "")
+    twice = KernelImpulse(2.0 * IMPULSE_N_S, 0.02, 0.01, KernelVerdict.USED, "")
     flow = kernel_flow(found, FORCE_N, KERNEL_KG, kernel_mass_sd=0.03, settings=settings)
     assert flow.mass_flow_kg_s == pytest.approx(FORCE_N * KERNEL_KG / IMPULSE_N_S)
     assert flow.relative_sd == pytest.approx(np.sqrt(0.02**2 + 0.01**2 + 0.05**2 + 0.03**2))

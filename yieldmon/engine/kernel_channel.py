@@ -12,12 +12,13 @@ from yieldmon.engine.measurement import Reading
 from yieldmon.engine.records import FlowEstimator
 from yieldmon.engine.settings import WaveformSettings
 from yieldmon.engine.windows import Trace
-from yieldmon.estimation import kernel_noise, noise_by_phase
-from yieldmon.estimation.kernel_noise import Density, KernelImpulse, KernelNoiseSettings
+from yieldmon.estimation import noise_by_phase, spectral_density
+from yieldmon.estimation.kernel_noise import CLEAR_OF_ALIASES, KernelImpulse, KernelNoiseSettings, kernel_impulse
 from yieldmon.estimation.noise_by_phase import PhaseNoise
 from yieldmon.estimation.noise_scatter import excess_scatter
 from yieldmon.estimation.pattern_fold import residual_of_pulses
 from yieldmon.estimation.running_pulses import RunningPulses
+from yieldmon.estimation.spectral_density import Density
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.numerics import Array
 
@@ -83,7 +84,7 @@ class KernelChannel:
         if not abs(mean_force_n) < self._machine.sensor.gain_n_per_mv:
             self._waiting.clear()
             return
-        self._waiting.append(kernel_noise.density(force_n, interval_s, segment=SEGMENT))
+        self._waiting.append(spectral_density.density(force_n, interval_s, segment=SEGMENT))
         if len(self._waiting) > 2 * _APART:
             self._quiet.append(self._waiting[_APART])
             self._quiet_mean = None
@@ -133,8 +134,8 @@ class KernelChannel:
         sizes = [noise.force_n * noise.impulse_per_kg for noise in self._loaded]
         per_kg = sum(w * size for w, size in zip(weights, sizes, strict=True))
         low_hz, high_hz = self._band_hz(interval_s)
-        return kernel_noise.kernel_impulse(
-            kernel_noise.pooled(densities),
+        return kernel_impulse(
+            spectral_density.pooled(densities),
             self._empty_noise(),
             per_kg / sum(weights),
             cell_response_s=self._machine.sensor.response_s,
@@ -163,7 +164,7 @@ class KernelChannel:
         ).share
 
     def _band_hz(self, interval_s: float) -> tuple[float, float]:
-        return self.noise.low_hz, min(self.noise.high_hz, kernel_noise.CLEAR_OF_ALIASES / interval_s)
+        return self.noise.low_hz, min(self.noise.high_hz, CLEAR_OF_ALIASES / interval_s)
 
     def _hear(self, force_n: Array, trace: Trace, reading: Reading, flow_kg_s: float) -> None:
         """Keep the noise of a window whose flow does not just change."""
@@ -180,7 +181,7 @@ class KernelChannel:
         mean, own = like
         left = residual_of_pulses(force_n, trace.phase, mean, self._machine.paddle_spacings_m)
         crest = mean.mean_n.size * float(mean.mean_n @ mean.mean_n) / float(mean.mean_n.sum()) ** 2
-        shown = kernel_noise.in_pulses(kernel_noise.density(left, trace.interval_s, segment=SEGMENT), crest)
+        shown = spectral_density.in_pulses(spectral_density.density(left, trace.interval_s, segment=SEGMENT), crest)
         shown = replace(shown, density=shown.density / (1.0 + own))
         by_phase = self._by_phase(left / (1.0 + own) ** 0.5, force_n, trace) if self._until_by_phase == 0 else None
         self._until_by_phase = (self._until_by_phase - 1) % _BY_PHASE_EVERY
@@ -208,5 +209,5 @@ class KernelChannel:
 
     def _empty_noise(self) -> Density:
         if self._quiet_mean is None:
-            self._quiet_mean = kernel_noise.pooled(list(self._quiet))
+            self._quiet_mean = spectral_density.pooled(list(self._quiet))
         return self._quiet_mean

@@ -9,28 +9,21 @@ whether there is anything to see.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import IntEnum
-from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from yieldmon.physics.numerics import Array
 
-_ALIASES = 64
-_CONTACT_HZ = 2000.0
-"""From which on a kernel's contact, of some tenths of a millisecond, passes on an unknown share of its noise."""
+from .band_evenness import uneven_sd
+from .noise_gain import CONTACT_HZ, power_gain, power_gain_and_aliases
+from .spectral_density import Density, expected_averages, frequencies_hz, in_pulses
+
 CLEAR_OF_ALIASES = 0.4
 """Share of the sampling rate up to which what the sampler folds back is small beside what is there."""
 _ITERATIONS = 6
-_SHORTEST_CELL_S = 1e-5
-"""A cell without lag counts as one of this time constant where the tilt of another one is compared with it."""
 _TINY = 1e-9
-_PUSHING = -0.4
-"""Exponent of the frequency by which the noise of kernels falls at most, for a push lasts (studies/waveform, `kernels`)."""
-_HANN_NEIGHBOURS = 1.0 + 2.0 * ((2.0 / 3.0) ** 2 + (1.0 / 6.0) ** 2)
-"""Variance of a sum over frequencies over that of independent ones: correlation of a Hann spectrum with its next neighbours."""
 
 
 class KernelVerdict(IntEnum):
@@ -80,25 +73,6 @@ class KernelNoiseSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class Density:
-    """Spectral density of a signal.
-
-    Attributes
-    ----------
-    frequency_hz : ndarray (k,)
-    density : ndarray (k,)
-        Two-sided, N^2/Hz, so that the sum over positive and negative frequencies times their spacing is the mean square.
-    averages : float
-        Independent segments that were averaged, as far as sums over many frequencies go: neighbours that share their noise count
-        as fewer segments.
-    """
-
-    frequency_hz: Array
-    density: Array
-    averages: float
-
-
-@dataclass(frozen=True, slots=True)
 class KernelImpulse:
     """Impulse of one kernel.
 
@@ -138,118 +112,6 @@ class KernelFlow:
     mass_flow_kg_s: float
     relative_sd: float
     random_sd: float
-
-
-def density(samples_n: Array, sample_interval_s: float, *, segment: int = 256) -> Density:
-    """Averaged spectral density of a stretch of samples (Welch, Hann window, half overlapped).
-
-    Parameters
-    ----------
-    samples_n : ndarray (n,)
-        Evenly spaced, none missing.
-    sample_interval_s : float
-    segment : int
-        Samples in a segment; n must hold at least one.
-
-    Returns
-    -------
-    Density
-        Frequencies above 0 and below Nyquist.
-
-    Raises
-    ------
-    ValueError
-        For fewer samples than one segment.
-    """
-    count = (len(samples_n) - segment) // (segment // 2) + 1
-    if count < 1:
-        raise ValueError(f"{len(samples_n)} samples, expected at least one segment of {segment}")
-    window, power_of_window = _hann(segment)
-    parts = np.asarray(samples_n, dtype=float)[_segments(count, segment)]
-    parts -= (parts.sum(axis=1) / segment)[:, None]
-    parts *= window
-    waves = np.fft.rfft(parts)
-    power = (waves.real**2 + waves.imag**2).sum(axis=0) * (sample_interval_s / (power_of_window * count))
-    # Hann segments that overlap by half: 1 / (1 + 2 (1/6)^2) of their number are independent (Welch, 1967).
-    independent = count if count == 1 else count / (1.0 + 2.0 * (1.0 - 1.0 / count) / 36.0)
-    return Density(_frequencies(segment, sample_interval_s), power[1:-1], independent / _HANN_NEIGHBOURS)
-
-
-@lru_cache(maxsize=8)
-def _hann(segment: int) -> tuple[Array, float]:
-    """The window, and the sum of its squares."""
-    window = np.hanning(segment + 1)[:-1]
-    window.flags.writeable = False
-    return window, float((window**2).sum())
-
-
-@lru_cache(maxsize=8)
-def _segments(count: int, segment: int) -> NDArray[np.intp]:
-    """Places (count, segment) of the samples of segments that overlap by half."""
-    places = np.arange(count)[:, None] * (segment // 2) + np.arange(segment)
-    places.flags.writeable = False
-    return places
-
-
-@lru_cache(maxsize=8)
-def _frequencies(segment: int, sample_interval_s: float) -> Array:
-    """Above 0 and below Nyquist."""
-    frequency: Array = np.asarray(np.fft.rfftfreq(segment, sample_interval_s)[1:-1], dtype=np.float64)
-    frequency.flags.writeable = False
-    return frequency
-
-
-def in_pulses(found: Density, crest: float) -> Density:
-    """A density of shot noise that comes in pulses: kernels strike for part of the time, and fewer of them average out less.
-
-    Parameters
-    ----------
-    crest : float
-        Mean square of the pulses over the square of their mean.
-    """
-    return replace(found, averages=found.averages / crest)
-
-
-def pooled(parts: list[Density]) -> Density:
-    """Mean of densities on the same frequencies, weighted by their averages."""
-    weights = np.array([p.averages for p in parts])
-    mean = weights @ np.array([p.density for p in parts]) / weights.sum()
-    return Density(parts[0].frequency_hz, mean, float(weights.sum()))
-
-
-def power_gain(frequency_hz: Array, cell_response_s: float, sample_interval_s: float, *, averaged: bool = True) -> Array:
-    """Share (k,) of a white density of force that samples show: critically damped cell, sampler, aliases.
-
-    Parameters
-    ----------
-    frequency_hz : ndarray (k,)
-    cell_response_s : float
-        Time constant; 0 for none.
-    sample_interval_s : float
-    averaged : bool
-        As of `KernelNoiseSettings`.
-    """
-    return _gains(frequency_hz, cell_response_s, sample_interval_s, averaged)[0]
-
-
-def _gains(frequency_hz: Array, cell_response_s: float, sample_interval_s: float, averaged: bool) -> tuple[Array, Array]:
-    """The same, and the part of it from beyond the frequency of a contact."""
-    frequency = np.ascontiguousarray(frequency_hz, dtype=np.float64)
-    return _power_gain(frequency.tobytes(), cell_response_s, sample_interval_s, averaged)
-
-
-@lru_cache(maxsize=64)
-def _power_gain(frequencies: bytes, cell_response_s: float, sample_interval_s: float, averaged: bool) -> tuple[Array, Array]:
-    """The same for the bytes of frequencies: a sensor's are the same each second."""
-    order = np.arange(-_ALIASES, _ALIASES + 1)[:, None]
-    frequency = np.frombuffer(frequencies) + order / sample_interval_s
-    shown = 1.0 / (1.0 + (2.0 * np.pi * frequency * cell_response_s) ** 2) ** 2
-    if averaged:
-        shown *= np.sinc(frequency * sample_interval_s) ** 2
-    gain: Array = np.asarray(shown.sum(axis=0))
-    beyond: Array = np.asarray(np.where(np.abs(frequency) > _CONTACT_HZ, shown, 0.0).sum(axis=0))
-    gain.flags.writeable = beyond.flags.writeable = False
-    return gain, beyond
 
 
 def kernel_impulse(
@@ -292,11 +154,11 @@ def kernel_impulse(
     if not mean_force_n > 0.0:
         return _unusable(KernelVerdict.NO_NOISE, "no force of grain")
     frequency = loaded.frequency_hz[band]
-    shares, beyond = _gains(frequency, cell_response_s, sample_interval_s, s.averaged)
+    shares, beyond = power_gain_and_aliases(frequency, cell_response_s, sample_interval_s, averaged=s.averaged)
     gain = mean_force_n * shares
     folded = float(beyond.sum() / shares.sum())
     if not s.averaged and folded > s.largest_sd:
-        return _unusable(KernelVerdict.NO_BAND, f"{100.0 * folded:.0f} % of the band is aliases from above {_CONTACT_HZ:g} Hz")
+        return _unusable(KernelVerdict.NO_BAND, f"{100.0 * folded:.0f} % of the band is aliases from above {CONTACT_HZ:g} Hz")
     ground = quiet.density[band]
     above = (1.0 - steady_share) * (loaded.density[band] - ground)
     impulse, weight, variance = _least_squares(above, ground, gain, (loaded.averages, quiet.averages), s.quiet_error)
@@ -311,10 +173,17 @@ def kernel_impulse(
     if not s.averaged:
         # What of the aliases a contact keeps back is not known; a sampler that averages lets few of them in.
         cell = float(np.hypot(cell, float((weight * beyond).sum() / (weight * shares).sum())))
-    cell_sd = s.response_error * 4.0 * turned / (1.0 + turned)
-    per_half = _halves(above, gain, weight, variance, s.quiet_error * ground, cell_sd)
-    middles_hz, lever = _as_another_cell_tilts(frequency, weight * gain, cell_response_s)
-    uneven = max(_unevenness(per_half / impulse), lever * _beyond_kernels(per_half / impulse, middles_hz))
+    uneven = uneven_sd(
+        above,
+        gain,
+        impulse_n_s=impulse,
+        weight=weight,
+        variance=variance,
+        ground_sd=s.quiet_error * ground,
+        cell_sd=s.response_error * 4.0 * turned / (1.0 + turned),
+        frequency_hz=frequency,
+        cell_response_s=cell_response_s,
+    )
     uneven = float(np.hypot(uneven, scatter))
     lasting = float(np.hypot(np.hypot(background, cell), uneven))
     total = float(np.hypot(random, lasting))
@@ -354,55 +223,6 @@ _CAUSES = {
         "noise that is not even over the band, or over time, as that of kernels is (is sensor.response_s right? a paddle bent?)"
     ),
 }
-
-
-def _halves(above: Array, gain: Array, weight: Array, variance: Array, ground_sd: Array, cell_sd: Array) -> Array:
-    """Impulse by the lower and the upper half of a band, and its deviations by chance, background and cell (2, 4), all N s."""
-    rows = []
-    for half in (slice(None, gain.size // 2), slice(gain.size // 2, None)):
-        w, slope = weight[half], float((weight[half] * gain[half]).sum())
-        impulse = float((w * above[half]).sum()) / slope
-        chance = float(np.sqrt((w**2 * variance[half]).sum())) / slope
-        of_cell = impulse * float((w * gain[half] * cell_sd[half]).sum()) / slope
-        rows.append((impulse, chance, float((w * ground_sd[half]).sum()) / slope, of_cell))
-    return np.array(rows)
-
-
-def _unevenness(per_half: Array) -> float:
-    """Half of what two halves of a band differ by beyond their deviations; background and cell err in both alike."""
-    apart = per_half[1] - per_half[0]
-    expected = float((per_half[:, 1] ** 2).sum() + apart[2] ** 2 + apart[3] ** 2)
-    return 0.5 * float(np.sqrt(max(0.0, float(apart[0]) ** 2 - expected)))
-
-
-def _as_another_cell_tilts(frequency_hz: Array, weight: Array, cell_response_s: float) -> tuple[Array, float]:
-    """Middles of the band's halves, Hz, and by what share of the impulse another time constant errs for what it tilts them.
-
-    weight: of the frequencies in the impulse. The lever is the mean over the band of the change of ln(gain) over the difference
-    of its means over the halves.
-    """
-    turned = (2.0 * np.pi * frequency_hz * max(cell_response_s, _SHORTEST_CELL_S)) ** 2
-    change = turned / (1.0 + turned)
-    half = frequency_hz.size // 2
-    means = [
-        (float((w * f).sum() / w.sum()), float((w * c).sum() / w.sum()))
-        for f, c, w in zip(*((v[:half], v[half:]) for v in (frequency_hz, change, weight)), strict=True)
-    ]
-    (low_hz, low), (high_hz, high) = means
-    return np.array([low_hz, high_hz]), float((weight * change).sum() / weight.sum()) / (high - low)
-
-
-def _beyond_kernels(per_half: Array, middles_hz: Array) -> float:
-    """By how much ln(impulse) differs between two halves of a band beyond what kernels and 1.5 deviations explain.
-
-    Kernels that strike and leave differ by nothing, those that go on pushing as the frequency to the power of `_PUSHING`.
-    """
-    if not per_half[:, 0].min() > 0.0:
-        return 0.0
-    apart = per_half[1] - per_half[0]
-    chance = float(np.sqrt((per_half[:, 1] ** 2).sum() + apart[2] ** 2 + apart[3] ** 2))
-    tilt, pushing = (float(np.log(v[1] / v[0])) for v in (per_half[:, 0], middles_hz**_PUSHING))
-    return max(0.0, max(tilt, pushing - tilt) - 1.5 * chance)
 
 
 def _unusable(verdict: KernelVerdict, reason: str) -> KernelImpulse:
@@ -448,8 +268,8 @@ def expected_sd(
 
     crest: as of `in_pulses`.
     """
-    frequency: Array = np.asarray(np.fft.rfftfreq(segment, sample_interval_s), dtype=np.float64)[1:-1]
-    averages = duration_s / (segment * sample_interval_s) * 2.0 / (1.0 + 2.0 / 36.0) / _HANN_NEIGHBOURS
+    frequency = frequencies_hz(segment, sample_interval_s)
+    averages = expected_averages(duration_s, sample_interval_s, segment=segment)
     ground = np.full(frequency.size, quiet_n2_hz)
     averaged = settings.averaged if settings is not None else True
     shown = ground + mean_force_n * impulse_n_s * power_gain(frequency, cell_response_s, sample_interval_s, averaged=averaged)
@@ -461,19 +281,3 @@ def expected_sd(
         sample_interval_s=sample_interval_s,
         settings=settings,
     )
-
-
-__all__ = [
-    "Density",
-    "KernelFlow",
-    "KernelImpulse",
-    "KernelNoiseSettings",
-    "KernelVerdict",
-    "density",
-    "expected_sd",
-    "in_pulses",
-    "kernel_flow",
-    "kernel_impulse",
-    "pooled",
-    "power_gain",
-]

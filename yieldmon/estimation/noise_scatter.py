@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from .kernel_noise import Density
+from .spectral_density import Density
 
 _LEAST_WINDOWS = 10
 _BEYOND = 2.0

@@ -1,0 +1,118 @@
+"""Spectral density of a stretch of samples, and means of such densities.
+
+Source: Welch, IEEE Trans. Audio Electroacoust. 15 (1967) 70.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yieldmon.physics.numerics import Array
+
+_HANN_NEIGHBOURS = 1.0 + 2.0 * ((2.0 / 3.0) ** 2 + (1.0 / 6.0) ** 2)
+"""Variance of a sum over frequencies over that of independent ones: correlation of a Hann spectrum with its next neighbours."""
+
+
+@dataclass(frozen=True, slots=True)
+class Density:
+    """Spectral density of a signal.
+
+    Attributes
+    ----------
+    frequency_hz : ndarray (k,)
+    density : ndarray (k,)
+        Two-sided, N^2/Hz, so that the sum over positive and negative frequencies times their spacing is the mean square.
+    averages : float
+        Independent segments that were averaged, as far as sums over many frequencies go: neighbours that share their noise count
+        as fewer segments.
+    """
+
+    frequency_hz: Array
+    density: Array
+    averages: float
+
+
+def density(samples_n: Array, sample_interval_s: float, *, segment: int = 256) -> Density:
+    """Averaged spectral density of a stretch of samples (Welch, Hann window, half overlapped).
+
+    Parameters
+    ----------
+    samples_n : ndarray (n,)
+        Evenly spaced, none missing.
+    sample_interval_s : float
+    segment : int
+        Samples in a segment; n must hold at least one.
+
+    Returns
+    -------
+    Density
+        Frequencies above 0 and below Nyquist.
+
+    Raises
+    ------
+    ValueError
+        For fewer samples than one segment.
+    """
+    count = (len(samples_n) - segment) // (segment // 2) + 1
+    if count < 1:
+        raise ValueError(f"{len(samples_n)} samples, expected at least one segment of {segment}")
+    window, power_of_window = _hann(segment)
+    parts = np.asarray(samples_n, dtype=float)[_segments(count, segment)]
+    parts -= (parts.sum(axis=1) / segment)[:, None]
+    parts *= window
+    waves = np.fft.rfft(parts)
+    power = (waves.real**2 + waves.imag**2).sum(axis=0) * (sample_interval_s / (power_of_window * count))
+    # Hann segments that overlap by half: 1 / (1 + 2 (1/6)^2) of their number are independent (Welch, 1967).
+    independent = count if count == 1 else count / (1.0 + 2.0 * (1.0 - 1.0 / count) / 36.0)
+    return Density(frequencies_hz(segment, sample_interval_s), power[1:-1], independent / _HANN_NEIGHBOURS)
+
+
+@lru_cache(maxsize=8)
+def _hann(segment: int) -> tuple[Array, float]:
+    """The window, and the sum of its squares."""
+    window = np.hanning(segment + 1)[:-1]
+    window.flags.writeable = False
+    return window, float((window**2).sum())
+
+
+@lru_cache(maxsize=8)
+def _segments(count: int, segment: int) -> NDArray[np.intp]:
+    """Places (count, segment) of the samples of segments that overlap by half."""
+    places = np.arange(count)[:, None] * (segment // 2) + np.arange(segment)
+    places.flags.writeable = False
+    return places
+
+
+@lru_cache(maxsize=8)
+def frequencies_hz(segment: int, sample_interval_s: float) -> Array:
+    """Of a density (k,), above 0 and below Nyquist."""
+    frequency: Array = np.asarray(np.fft.rfftfreq(segment, sample_interval_s)[1:-1], dtype=np.float64)
+    frequency.flags.writeable = False
+    return frequency
+
+
+def expected_averages(duration_s: float, sample_interval_s: float, *, segment: int = 256) -> float:
+    """`averages` of the density of a long stretch of samples."""
+    return duration_s / (segment * sample_interval_s) * 2.0 / (1.0 + 2.0 / 36.0) / _HANN_NEIGHBOURS
+
+
+def in_pulses(found: Density, crest: float) -> Density:
+    """A density of shot noise that comes in pulses: kernels strike for part of the time, and fewer of them average out less.
+
+    Parameters
+    ----------
+    crest : float
+        Mean square of the pulses over the square of their mean.
+    """
+    return replace(found, averages=found.averages / crest)
+
+
+def pooled(parts: list[Density]) -> Density:
+    """Mean of densities on the same frequencies, weighted by their averages."""
+    weights = np.array([p.averages for p in parts])
+    mean = weights @ np.array([p.density for p in parts]) / weights.sum()
+    return Density(parts[0].frequency_hz, mean, float(weights.sum()))
