@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from yieldmon.engine.records import CalibrationOutcome
     from yieldmon.engine.settings import EngineSettings
     from yieldmon.engine.sweep import SweepMachine
-    from yieldmon.engine.waveform import WaveformReading
+    from yieldmon.engine.waveform_reading import WaveformReading
     from yieldmon.engine.windows import Window
 
 

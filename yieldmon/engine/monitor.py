@@ -29,7 +29,7 @@ from yieldmon.engine.state import EngineState, TicketState
 from yieldmon.engine.sweep import SweepMachine
 from yieldmon.engine.timeline import Timeline
 from yieldmon.engine.totals import Totals
-from yieldmon.engine.waveform import WaveformReading
+from yieldmon.engine.waveform_reading import WaveformReading
 from yieldmon.frames import Frame
 from yieldmon.physics.machine import Machine
 from yieldmon.signal_ranges import SignalRanges

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from yieldmon.engine.flow import Flow
     from yieldmon.engine.measurement import Reading
     from yieldmon.engine.totals import Totals
-    from yieldmon.engine.waveform import WaveformReading
+    from yieldmon.engine.waveform_reading import WaveformReading
 
 
 class Second(NamedTuple):

@@ -13,7 +13,7 @@ from yieldmon.engine.learning import ParametersChanged
 from yieldmon.engine.loads import LoadClosed, LoadOpened
 from yieldmon.engine.plate import SweepEnded
 from yieldmon.engine.records import WindowRecord
-from yieldmon.engine.waveform import NOTHING, WaveformReading
+from yieldmon.engine.waveform_reading import NOTHING, WaveformReading
 from yieldmon.frames import Frame
 
 

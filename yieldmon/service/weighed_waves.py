@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from yieldmon.bus.codec import Codec
+from yieldmon.engine.pulse_fits import law_of, pulse_model
 from yieldmon.engine.results import Result, windows_in
-from yieldmon.engine.waveform import law_of, pulse_model
 from yieldmon.errors import InputError
 from yieldmon.estimation.machine_shape import WeighedWave
 from yieldmon.estimation.pattern_fold import PatternWave
