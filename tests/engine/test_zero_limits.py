@@ -211,13 +211,21 @@ def test_nothing_is_reported_of_pulses_before_vibration_is_learnt() -> None:
 
 
 @pytest.mark.parametrize(
-    ("despite", "signs", "waits", "suspect"),
-    [(True, "force", False, True), (True, "", False, False), (False, "force", True, False), (False, "", False, False)],
+    ("against", "despite", "signs", "waits", "suspect"),
+    [
+        (False, True, "force", False, True),
+        (False, True, "", False, False),
+        (False, False, "force", True, False),
+        (False, False, "", False, False),
+        (True, True, "", False, True),
+        (True, False, "force", True, True),
+        (True, False, "", False, True),
+    ],
 )
-def test_a_calibration_against_signs_of_grain(despite: bool, signs: str, waits: bool, suspect: bool) -> None:
+def test_a_calibration_against_signs_of_grain(against: bool, despite: bool, signs: str, waits: bool, suspect: bool) -> None:
     machine = known()
     assert machine.tracker.waits_for_grain_to_pass("force") is False, "none is under way"
-    machine.tracker.calibrate(despite_signs=despite)
+    machine.tracker.calibrate(against_signs=against, despite_signs=despite)
     assert machine.tracker.waits_for_grain_to_pass(signs) is waits
     machine.sees(*[ZERO_MV + 5.0] * 4)
     assert machine.tracker.suspect is suspect
