@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 from math import isnan, nan
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from yieldmon.engine.area import AreaCounter
 from yieldmon.engine.inputs import Inputs
@@ -51,6 +54,42 @@ def test_area_is_that_of_the_grain_at_the_plate() -> None:
 def test_when_ground_counts(inputs: dict[str, float], grain: bool, expected: float) -> None:
     (area,) = drive(Implement(working_width_m=WIDTH_M), [inputs], [grain])
     assert area == pytest.approx(expected, nan_ok=True)
+
+
+LEAST_M_S = GateSettings().min_ground_speed_m_s
+
+
+def counted_m2(width_m: float | None, speed_m_s: float, header: float, work: float, grain: bool) -> float:
+    """Area of a second, m2: what the header and the drives say goes before what the grain says."""
+    if header == 0.0 or work == 0.0 or speed_m_s < LEAST_M_S:
+        return nan if width_m is None else 0.0
+    if width_m is None or isnan(speed_m_s):
+        return nan
+    return width_m * speed_m_s if grain or header == 1.0 or work == 1.0 else 0.0
+
+
+def test_any_combination_of_what_the_bus_and_the_grain_say() -> None:
+    for case in product(
+        (None, WIDTH_M), (nan, 0.0, LEAST_M_S - 0.01, LEAST_M_S, 2.0), (nan, 0.0, 1.0), (nan, 0.0, 1.0), (False, True)
+    ):
+        width_m, speed, header, work, grain = case
+        reported = {"ground_speed": speed, "header_down": header, "work_state": work}
+        (area,) = drive(Implement(working_width_m=width_m), [reported], [grain])
+        assert area == pytest.approx(counted_m2(*case), nan_ok=True), case
+
+
+@given(
+    st.lists(st.tuples(st.sampled_from([0.0, 1.0, 2.0, 5.0]), st.booleans()), min_size=1, max_size=20),
+    st.sampled_from([0.0, 0.5, 1.0, 2.5, 3.0, 19.0]),
+)
+def test_area_is_that_of_the_second_the_delay_before(seconds: list[tuple[float, bool]], delay_s: float) -> None:
+    """Of the last second that had ended by then."""
+    reported = [{"ground_speed": speed, "work_state": 1.0} for speed, _ in seconds]
+    found = drive(Implement(working_width_m=WIDTH_M, grain_delay_s=delay_s), reported, [grain for _, grain in seconds])
+    for number, area in enumerate(found, 1):
+        cut = int(number - delay_s // 1) - (1 if delay_s % 1 else 0)
+        expected = nan if cut < 1 else counted_m2(WIDTH_M, seconds[cut - 1][0], nan, 1.0, grain=True)
+        assert area == pytest.approx(expected, nan_ok=True)
 
 
 def test_without_a_width_no_area_is_known() -> None:

@@ -39,6 +39,7 @@ class Seconds:
         """The reading of the next window. of: fields of the window, or of the inputs where their names begin with "in_"."""
         begun_s, self.now_s = self.now_s, self.now_s + 1.0
         plain: dict[str, object] = dict.fromkeys(Window.__dataclass_fields__, 0.0)
+        plain |= dict.fromkeys(("patterns", "sensor_fault_frames", "lost_frames", "surplus_frames", "repeated_frames"), 0)
         plain |= {
             "start_s": begun_s, "end_s": self.now_s, "mean_mv": ZERO_MV + force_n / GAIN_N_PER_MV, "std_dev_mv": nan,
             "harmonics_mv": (0.0, 0.0, 0.0, 0.0), "weight_s": 1.0, "covered_s": 1.0, "speed_rad_s": RATED,
