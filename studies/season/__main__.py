@@ -134,6 +134,24 @@ def bounds(args: argparse.Namespace) -> int:
     return 0
 
 
+def causes(args: argparse.Namespace) -> int:
+    """A line for each season of a combine whose grain is the model's: what its live error with a ticket a day is made of."""
+    from studies.season import season as seasons
+    from studies.season import study
+    from studies.season.combines import five
+    from studies.season.live_causes import live_causes
+    from yieldmon.physics.machine import Machine
+
+    settings, machine, combine = seasons.SeasonSettings(hours=args.hours), Machine(), five()[args.live_causes]
+    scenario = combine.scenario(study.scenario_of(settings)).model_copy(update={"effects": combine.effects})
+    for seed in range(args.seed, args.seed + args.seeds):
+        season = seasons.simulate(settings, machine, scenario, seed, ratio=combine.ratio)
+        first = study.first_calibration(settings, machine, seed, combine)
+        found = live_causes(season, first, study.StudySettings.of_daemon())
+        print(json.dumps({"combine": combine.name, "seed": seed, "loads": len(season.loads.mass_kg)} | found), flush=True)
+    return 0
+
+
 def document(outcomes: Sequence[Outcome], hours: float, seed: int, took_s: float) -> dict[str, Any]:
     """The table as plain values."""
     commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False).stdout.strip()
@@ -212,9 +230,14 @@ def main() -> int:
         help="strategy (c) alone, kept and posted by the daemon's own code, for N seeds from --seed on; posted.json",
     )
     parser.add_argument("--combines", nargs="+", metavar="NAME", help='map and sweeps compared on these combines; "all": five')
-    parser.add_argument("--seeds", type=int, default=1, help="with --combines and --best-live: seasons of each, from --seed on")
+    parser.add_argument(
+        "--seeds", type=int, default=1, help="with --combines, --best-live and --live-causes: seasons of each, from --seed on"
+    )
     parser.add_argument("--tickets", action="store_true", help="with --combines: only the two strategies with a ticket a day")
     parser.add_argument("--best-live", action="store_true", help="the most that any estimator could have right live")
+    parser.add_argument(
+        "--live-causes", choices=["as modelled", "h_f 3"], metavar="NAME", help="what the live error of this combine is made of"
+    )
     parser.add_argument("--reversed", action="store_true", help="with --combines: everything drifts the other way")
     parser.add_argument("--pattern-sd", type=float, help="with --combines: `learning.pattern_sd` instead of the daemon's default")
     args = parser.parse_args()
@@ -222,6 +245,8 @@ def main() -> int:
         return posted_by_daemon(args)
     if args.best_live:
         return bounds(args)
+    if args.live_causes:
+        return causes(args)
     if args.combines:
         return combines(args)
     begun = time.monotonic()

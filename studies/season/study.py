@@ -340,7 +340,7 @@ class Keeper:
         for angle in np.unique(self.angle_deg[windows]):
             here = self.angle_deg[windows] == angle
             level = None if moisture is None else float(np.mean(moisture))
-            flow[here] = _inverted(loop, force[here], float(np.radians(angle)), speed[here], level)
+            flow[here] = inverted(loop, force[here], float(np.radians(angle)), speed[here], level)
         return np.where(force > 1.0, flow, 0.0)
 
     def _try_sweep(self, place: int, end: int) -> int:
@@ -454,7 +454,7 @@ class Keeper:
         self.rows.append(tuple(row))
 
 
-def _inverted(loop: OpenLoop, force_n: Array, angle_rad: float, speed_rad_s: Array, moisture_pct: float | None) -> Array:
+def inverted(loop: OpenLoop, force_n: Array, angle_rad: float, speed_rad_s: Array, moisture_pct: float | None) -> Array:
     """Open loop of many windows at one angle, by interpolation between exact inversions (good to 1e-4 of the flow)."""
     if force_n.size <= 100:
         moisture = None if moisture_pct is None else np.full(force_n.shape, moisture_pct)

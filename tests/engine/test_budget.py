@@ -76,15 +76,26 @@ def test_moisture_that_moves_without_a_map_widens(
     assert found == pytest.approx(SETTINGS.moisture_per_pct * expected_pct, rel=1e-3)
 
 
-def test_a_moisture_sensor_that_scatters_widens_little() -> None:
-    """Readings 0.2 points about a steady moisture: a tenth of a point is left."""
+def _mean_square_pct2(moved_pct: float, scatter_pct: float) -> float:
+    """Mean over sensors of the stated distance of grain that is so far from the first grain, squared, over a load of 200 s."""
     rng = np.random.default_rng(4)
     found = []
-    for _ in range(50):
+    for _ in range(200):
         reference = MoistureReference(SETTINGS)
-        readings = (15.0 + 0.2 * rng.standard_normal(60)).tolist()
-        found.append([reference.relative_std_dev(value, 1, None, followed=False) for value in readings][-1])
-    assert float(np.mean(found)) < 0.15 * SETTINGS.moisture_per_pct
+        first, later = 15.0 + scatter_pct * rng.standard_normal(12), 15.0 + moved_pct + scatter_pct * rng.standard_normal(200)
+        stated = [reference.relative_std_dev(value, 1, None, followed=False) for value in (*first.tolist(), *later.tolist())]
+        found.append(float(np.mean(stated[-150:])) / SETTINGS.moisture_per_pct)
+    return float(np.mean(np.square(found)))
+
+
+def test_the_scatter_of_a_moisture_sensor_is_no_moisture_that_moves() -> None:
+    """Readings 0.2 points about a steady moisture: 0.05 points are left, 0.1 % of a load."""
+    assert _mean_square_pct2(0.0, 0.2) < 0.06**2
+
+
+@pytest.mark.parametrize("moved_pct", [0.3, -1.0, 4.0])
+def test_moisture_that_has_moved_counts_in_full_beside_a_sensor_that_scatters(moved_pct: float) -> None:
+    assert _mean_square_pct2(moved_pct, 0.2) ** 0.5 == pytest.approx(abs(moved_pct), rel=0.1)
 
 
 def _after(*readings: float) -> MoistureReference:

@@ -129,25 +129,37 @@ _made = maker_of(MassBudget)
 EMPTY = MassBudget()
 """Of no mass."""
 _AVERAGED_READINGS = 6
+_NOW_VARIANCE = 1.0 / (2 * _AVERAGED_READINGS - 1)
+"""Of the mean of the newest readings, over that of one: their weights fall by the same share from each to the one before it."""
+_SCATTER_READINGS = 60
+"""Over which the scatter of readings is learnt."""
+_MOST_SCATTER_PCT = 0.5
+"""Standard deviation beyond which a reading that differs from the one before it is of other grain."""
 
 
 @dataclass(frozen=True, slots=True)
 class MoistureState:
     """The moisture for which parameters hold. version: of the parameters. low_pct, high_pct: the moisture, or its range, %.
-    now_pct: mean of the newest readings, %. readings: of which low_pct and high_pct are the mean; 0: they are stated."""
+    now_pct: mean of the newest readings, %. readings: of which low_pct and high_pct are the mean; 0: they are stated.
+    last_pct: newest reading, %, None before one. variance_pct2: of readings of the same grain, by so many differences from one
+    to the next."""
 
     version: int
     low_pct: float
     high_pct: float
     now_pct: float
     readings: int = 0
+    last_pct: float | None = None
+    variance_pct2: float = 0.0
+    differences: int = 0
 
 
 class MoistureReference:
     """The moisture for which the parameters hold: their calibrated range, that of the load which set their scale, or what was
     first measured with them. A sweep does not change it, since it leaves the scale as it was.
 
-    Readings are averaged, about the newest six: a moisture sensor scatters by some tenths of a point.
+    Readings are averaged, about the newest six: a moisture sensor scatters by some tenths of a point. The square of what two
+    means are apart is larger than that of the grain's moistures by the variance of both, which is taken off.
     """
 
     def __init__(self, settings: BudgetSettings) -> None:
@@ -187,30 +199,39 @@ class MoistureReference:
     def hold(self, version: int, moisture_pct: float) -> None:
         """Other parameters come, which hold for grain of this moisture, %; nan: for that of those before."""
         if isfinite(moisture_pct):
-            now_pct = moisture_pct if self.state is None else self.state.now_pct
-            self.state = MoistureState(version, moisture_pct, moisture_pct, now_pct)
+            if self.state is None:
+                self.state = MoistureState(version, moisture_pct, moisture_pct, moisture_pct)
+            else:
+                self.state = replace(self.state, version=version, low_pct=moisture_pct, high_pct=moisture_pct, readings=0)
         elif self.state is not None:
             self.state = replace(self.state, version=version)
 
 
 def _begun(version: int, moisture_pct: float, calibrated: tuple[float, float] | None) -> MoistureState:
     if calibrated is not None:
-        return MoistureState(version, *calibrated, moisture_pct)
-    return MoistureState(version, moisture_pct, moisture_pct, moisture_pct, 1)
+        return MoistureState(version, *calibrated, moisture_pct, last_pct=moisture_pct)
+    return MoistureState(version, moisture_pct, moisture_pct, moisture_pct, 1, moisture_pct)
 
 
 def _with_reading(known: MoistureState, moisture_pct: float) -> MoistureState:
     """One reading more: the reference itself is the mean of the first few."""
+    variance, differences = known.variance_pct2, known.differences
+    if known.last_pct is not None:
+        differences = min(differences + 1, _SCATTER_READINGS)
+        variance += (min(0.5 * (moisture_pct - known.last_pct) ** 2, _MOST_SCATTER_PCT**2) - variance) / differences
+    known = replace(known, last_pct=moisture_pct, variance_pct2=variance, differences=differences)
     if 0 < known.readings < _AVERAGED_READINGS:
         count = known.readings + 1
         mean = known.low_pct + (moisture_pct - known.low_pct) / count
-        return MoistureState(known.version, mean, mean, mean, count)
-    now = known.now_pct + (moisture_pct - known.now_pct) / _AVERAGED_READINGS
-    return MoistureState(known.version, known.low_pct, known.high_pct, now, known.readings)
+        return replace(known, low_pct=mean, high_pct=mean, now_pct=mean, readings=count)
+    return replace(known, now_pct=known.now_pct + (moisture_pct - known.now_pct) / _AVERAGED_READINGS)
 
 
 def _away_pct(known: MoistureState) -> float:
-    return max(known.low_pct - known.now_pct, known.now_pct - known.high_pct, 0.0)
+    """Root of what the mean square of the grain's distance from the reference is expected to be."""
+    apart = max(known.low_pct - known.now_pct, known.now_pct - known.high_pct, 0.0)
+    of_means = _NOW_VARIANCE + (1.0 / known.readings if known.readings else 0.0)
+    return sqrt(max(apart**2 - of_means * known.variance_pct2, 0.0))
 
 
 def zero_std_dev_mv(settings: BudgetSettings, since_empty_s: float) -> float:
