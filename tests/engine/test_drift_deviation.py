@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,7 @@ from tests.engine.test_closed_loop_calibrator import MACHINE, MODEL, PRIOR, SPEE
 from yieldmon.engine.calibrator_settings import CalibratorSettings
 from yieldmon.engine.closed_loop_calibrator import ClosedLoopCalibrator
 from yieldmon.engine.records import WindowRecord
+from yieldmon.engine.state import EngineState
 from yieldmon.estimation.drift_rates import DriftRates
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.physics.model import Conditions
@@ -134,3 +136,76 @@ def test_a_sweep_does_not_end_what_it_does_not_see_and_a_restart_keeps_it() -> N
     last = again.weigh(second(402.0), (ticket(known, FLOW_KG_S, 40_000.0, 40_900.0),), known).estimator
     assert last is not None
     assert again.drift_std_dev(second(402.0), last) < 0.2 * left
+
+
+def undone(*, restart: bool) -> tuple[float, float]:
+    """Deviation at 500 t after a lesson at 400 t was taken back to one at 100 t, and as if it had never come."""
+    found = []
+    for taken_back in (True, False):
+        calibrator, estimator = ClosedLoopCalibrator(MODEL, SETTINGS), OpenLoop(MODEL, PRIOR)
+        assert calibrator.drift_std_dev(second(0.0), estimator) == 0.0
+        first = calibrator.weigh(second(100.0), (ticket(estimator, FLOW_KG_S, 9_000.0, 9_900.0),), estimator).estimator
+        assert first is not None
+        calibrator.drift_std_dev(second(101.0), first)
+        known = OpenLoop(MODEL, replace(first.parameters))
+        if taken_back:
+            wrong = ticket(first, 1.1 * FLOW_KG_S, 39_000.0, 39_900.0)
+            later = calibrator.weigh(second(400.0), (wrong,), first).estimator
+            assert later is not None
+            calibrator.drift_std_dev(second(450.0), later)
+            if restart:
+                state = EngineState(calibrator=calibrator.snapshot(second(450.0).time_s, 450_000.0))
+                kept = EngineState.from_dict(json.loads(json.dumps(state.as_dict()))).calibrator
+                assert kept is not None
+                calibrator = ClosedLoopCalibrator(MODEL, SETTINGS)
+                calibrator.restore(kept, later.parameters, 450_000.0)
+            known = OpenLoop(MODEL, replace(first.parameters, version=later.parameters.version + 1))
+            calibrator.use(known)
+        found.append(calibrator.drift_std_dev(second(500.0), known if taken_back else first))
+    return found[0], found[1]
+
+
+@pytest.mark.parametrize("restart", [False, True], ids=["", "after a restart"])
+def test_after_an_undo_drift_counts_from_the_lesson_before(restart: bool) -> None:
+    after_undo, never = undone(restart=restart)
+    assert never == pytest.approx(scatter(0.4), rel=0.1)
+    assert after_undo == pytest.approx(never, rel=1e-6)
+
+
+def test_the_total_reset_meanwhile_changes_nothing() -> None:
+    calibrator, estimator = ClosedLoopCalibrator(MODEL, SETTINGS), OpenLoop(MODEL, PRIOR)
+    calibrator.drift_std_dev(second(0.0), estimator)
+    taught = calibrator.weigh(second(300.0), (ticket(estimator, FLOW_KG_S, 29_000.0, 29_900.0),), estimator).estimator
+    assert taught is not None
+    calibrator.totals_reset(300_000.0)
+    back = OpenLoop(MODEL, replace(PRIOR, version=3))
+    calibrator.use(back)
+    at = replace(second(300.0), total_kg=100_000.0)
+    assert calibrator.drift_std_dev(at, back) == pytest.approx(scatter(0.4), rel=0.1)
+
+
+def test_parameters_from_outside_are_as_old_as_their_grain(begun: tuple[ClosedLoopCalibrator, OpenLoop]) -> None:
+    """A file from before 300 t that the store has seen since."""
+    calibrator, _ = begun
+    other = OpenLoop(MODEL, replace(PRIOR, values=TRUE, version=2))
+    calibrator.use(other, 300_000.0)
+    assert calibrator.drift_std_dev(second(400.0), other) == pytest.approx(scatter(0.3), rel=0.1)
+    assert calibrator.drift_std_dev(second(700.0), other) == pytest.approx(scatter(0.6), rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("kilotonnes", "factor", "alarms"), [(0.0, 1.1, True), (0.0, 1.0, False), (0.6, 1.1, False), (0.6, 1.5, True)]
+)
+def test_the_scale_alarm_allows_for_all_that_drift_may_have_added(kilotonnes: float, factor: float, alarms: bool) -> None:
+    """10 % off is an alarm right after a ticket, and not after grain over which the rates may have made as much."""
+    calibrator, estimator = ClosedLoopCalibrator(MODEL, STEADY), OpenLoop(MODEL, PRIOR)
+    calibrator.drift_std_dev(second(0.0), estimator)
+    known = calibrator.weigh(second(1.0), (ticket(estimator, FLOW_KG_S, 0.0, 90.0),), estimator).estimator
+    assert known is not None
+    at_s = 1e5 * kilotonnes + 1000.0
+    later = replace(second(1000.0 * kilotonnes + 2.0), time_s=at_s + 1000.0)
+    calibrator.drift_std_dev(later, known)
+    right = ticket(known, FLOW_KG_S, at_s, at_s + 900.0)
+    checks = calibrator.weigh(later, (replace(right, reference_kg=factor * right.reference_kg),), known).checks
+    assert len(checks) == 1
+    assert (checks[0].p_value < 0.001) is alarms

@@ -63,7 +63,8 @@ def run(args: argparse.Namespace) -> LoadCalibrationDocument:
     document = report(found, args)
     if args.out is not None and not found.refused:
         whole_file.check_place(args.out)
-        parameter_file.save(_with_provenance(found, args, prior), args.out)
+        until_s = weighed_loads.weighed_until_s(measured, loads)
+        parameter_file.save(_with_provenance(found, args, prior, until_s), args.out)
         document["written"] = args.out
     return document
 
@@ -204,8 +205,10 @@ def text(document: LoadCalibrationDocument) -> str:
     return "\n".join(lines)
 
 
-def _with_provenance(found: LoadCalibration, args: argparse.Namespace, prior: ParameterSet) -> ParameterSet:
-    facts = _provenance.of_loads(args.loads, args.tickets) | {
+def _with_provenance(
+    found: LoadCalibration, args: argparse.Namespace, prior: ParameterSet, until_s: float | None
+) -> ParameterSet:
+    facts = _provenance.of_loads(args.loads, args.tickets, until_s) | {
         "method": f"{len(found.loads) - len(found.outliers)} weighed loads"
         + (f", {found.sweeps_used} sweeps" if found.sweeps_used else ""),
         "parent_version": str(prior.version),

@@ -10,6 +10,9 @@ from yieldmon import utc
 from yieldmon.files import digests
 from yieldmon.files.table import Table
 
+_UNIX_S = 1e8
+"""Bus times above this are Unix times."""
+
 
 def today() -> str:
     """Date and time by this machine's clock, in UTC."""
@@ -21,9 +24,11 @@ def of_table(data: Table) -> dict[str, str]:
     return {"data": Path(data.path).name, "data_sha256": data.sha256, "date": today()}
 
 
-def of_loads(sources: Sequence[str], tickets: str | Path) -> dict[str, str]:
-    """Of logs or stores of weighed loads and a table of their tickets."""
-    return {
+def of_loads(sources: Sequence[str], tickets: str | Path, until_s: float | None = None) -> dict[str, str]:
+    """Of logs or stores of weighed loads and a table of their tickets. until_s: Unix time of the end of the last load, s."""
+    known = until_s is not None and until_s > _UNIX_S
+    until = {"loads_until": utc.text(utc.moment(until_s))} if known and until_s is not None else {}
+    return until | {
         "data": ", ".join(Path(source).name for source in sources),
         "tickets": Path(tickets).name,
         "tickets_sha256": digests.of_file(tickets),

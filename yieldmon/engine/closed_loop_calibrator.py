@@ -17,6 +17,7 @@ from yieldmon.engine.anchors import ReferenceMass
 from yieldmon.engine.calibrator_settings import CalibratorSettings
 from yieldmon.engine.curve_states import aligned
 from yieldmon.engine.drift_deviation import DriftDeviation, RateSpread, after_lesson, as_stated, force_deviation
+from yieldmon.engine.learnt_before import Places, moved, place_of, remembered
 from yieldmon.engine.load_update import LoadUpdate
 from yieldmon.engine.mass_anchors import checked, mass_anchor, moisture_sd, weighed
 from yieldmon.engine.prior_states import as_prior_state, as_set, as_tuples, says_as
@@ -121,6 +122,13 @@ class ClosedLoopCalibrator:
         """Of kernel noise, with the parameters that its covariance is with; None where it has taught none of these."""
         self._deviation: DriftDeviation | None = None
         self._spread: RateSpread | None = None
+        self._last: ParameterSet | None = None
+        """Those seen in use last."""
+        self._past: Places = ()
+        self._outside: tuple[ParameterSet, float] | None = None
+        """Parameters from outside that no window has been measured with yet, and the grain, kg, since they were learnt."""
+        self._placed: ParameterSet | None = None
+        """Parameters in use that no lesson led to, of which it is known since when they hold."""
         self.last: Outcome | None = None
 
     def update(self, records: Sequence[WindowRecord], estimator: FlowEstimator, *, use_sweep: bool = True) -> CalibrationOutcome:
@@ -165,11 +173,12 @@ class ClosedLoopCalibrator:
         drifting, step = self._prior(used, at.moisture_pct, at.time_s, at.total_kg)
         prior = drifting.parameters
         found = self._mass_anchors(anchors, used)
-        checks = self._checks(found, prior)
+        stated = as_stated(prior, self._spread_at(used, drifting, step, at.total_kg))
+        checks = self._checks(found, stated)
         drifting, step = unsure_of_gain(drifting, step, moisture_sd(reference for reference, _ in found))
         prior = drifting.parameters
         try:
-            masses, doubt = self._accepted(found, prior)
+            masses, doubt = self._accepted(found, prior, stated)
         except ValueError as error:
             # A load that no parameters near these explain would be refused again with each mass that follows.
             self._used = frozenset(anchors)
@@ -212,6 +221,7 @@ class ClosedLoopCalibrator:
         if refused or abs(taught.difference) > _LESSON_SDS * taught.sd:
             off = f"kernel noise and mean force differ by {100.0 * taught.difference:+.0f} %"
             return CalibrationOutcome(None, f"{off}; {refused or 'the parameters stay'}")
+        self._past = remembered(self._past, used, self._at_s, self._at_kg)
         facts = {**used.provenance, _TAUGHT: "taught"}
         known = replace(taught.drifting.parameters, version=used.version + 1, provenance=facts)
         self._given = None
@@ -219,7 +229,8 @@ class ClosedLoopCalibrator:
         self._spread = RateSpread(spread, known)
         self._at_s, self._at_kg, self._moisture_pct = at
         self._history = [*self._history[-7:], (at.time_s, used)]
-        self._updated, self._drifting = known, replace(taught.drifting, parameters=known)
+        self._updated = self._last = known
+        self._drifting = replace(taught.drifting, parameters=known)
         self._bias = taught.bias, known
         reason = (
             f"kernel noise moved the scale by {100.0 * taught.moved:+.1f} %; its bias is known to "
@@ -249,9 +260,10 @@ class ClosedLoopCalibrator:
     def drift_std_dev(self, record: WindowRecord, estimator: FlowEstimator) -> float:
         """See records.SelfCalibrator."""
         used, seen = self._in_use(estimator), self._deviation
+        self._place(used, record.time_s, record.total_kg)
         if not isfinite(self._at_kg):
             self._at_kg = record.total_kg
-        if seen is not None and seen.parameters is not used and self._from_outside(used):
+        if seen is not None and seen.parameters is not used and used is not self._placed and self._from_outside(used):
             # They describe the machine as it is now.
             self._at_s, self._at_kg = record.time_s, record.total_kg
         if seen is None or seen.parameters is not used:
@@ -262,6 +274,25 @@ class ClosedLoopCalibrator:
             seen = DriftDeviation(force_deviation(self._model, used, later, record), used, steps)
         self._deviation = seen
         return seen.relative
+
+    def use(self, estimator: FlowEstimator, harvested_kg: float = 0.0) -> None:
+        """See records.SelfCalibrator."""
+        if self._last is not None:
+            self._past = remembered(self._past, self._last, self._at_s, self._at_kg)
+        used = self._in_use(estimator)
+        place = place_of(self._past, used)
+        if place is None:
+            self._outside = used, harvested_kg
+            return
+        self._outside, self._placed = None, used
+        self._at_s, self._at_kg = place.at_s, place.at_kg
+
+    def _place(self, used: ParameterSet, now_s: float, total_kg: float) -> None:
+        """Parameters from outside begin to count with the first window."""
+        if self._outside is not None and self._outside[0] is used:
+            self._at_s, self._at_kg = now_s, total_kg - self._outside[1]
+            self._placed = used
+        self._outside = None
 
     def _as_stated(self, used: ParameterSet, time_s: float, total_kg: float) -> ParameterSet:
         """The parameters in use as far as they are known now, the size of steady rates being unknown."""
@@ -326,7 +357,7 @@ class ClosedLoopCalibrator:
 
     def _in_use(self, estimator: FlowEstimator) -> ParameterSet:
         """The parameters in use; with other effects than those before, another model explains them."""
-        used = estimator.parameters
+        used = self._last = estimator.parameters
         if used.effects != self._model.effects:
             self._model = self._model.with_effects(used.effects)
         return used
@@ -338,11 +369,13 @@ class ClosedLoopCalibrator:
         if used is not self._updated and used is not self._restored:
             self._origin, self._restored = used, None
 
-    def _accepted(self, found: Sequence[tuple[ReferenceMass, MassAnchor]], prior: ParameterSet) -> tuple[list[MassAnchor], str]:
+    def _accepted(
+        self, found: Sequence[tuple[ReferenceMass, MassAnchor]], prior: ParameterSet, stated: ParameterSet
+    ) -> tuple[list[MassAnchor], str]:
         """The masses to update from, and one sentence about one that the loads before it contradict ("" where there is none)."""
         accepted, doubt = [], ""
         for reference, mass in found:
-            error = self._weighings.take(weighed(reference, mass), self._model, prior)
+            error = self._weighings.take(weighed(reference, mass), self._model, prior, stated)
             if error is None:
                 accepted.append(mass)
             else:
@@ -375,6 +408,7 @@ class ClosedLoopCalibrator:
         # Without an update the moisture map or the drift alone has moved the values; the new prior is what is known.
         bias = self._bias_of(used, came, at.total_kg) if drifting is known_before else None
         begun_s = self._at_s
+        self._past = remembered(self._past, used, self._at_s, self._at_kg)
         whole = known_before.joint.shape == came.covariance_after.shape
         spread = self._spread_at(used, known_before, came, at.total_kg) if whole else None
         self._at_s, self._at_kg, self._moisture_pct = at
@@ -400,7 +434,7 @@ class ClosedLoopCalibrator:
         self._bias = (bias, known) if bias is not None and same else None
         self._spread = None if spread is None else RateSpread(spread, known)
         reason = outcome.reason if outcome.updated else "moved by moisture or steady drift; the data add too little"
-        self._updated = known
+        self._updated = self._last = known
         if known.effects != self._model.effects:
             self._model = self._model.with_effects(known.effects)
         follows = self._drifting.state.shape == step.after.shape and known.covariance_names == prior.covariance_names
@@ -471,6 +505,7 @@ class ClosedLoopCalibrator:
     def totals_reset(self, before_kg: float) -> None:
         """See records.SelfCalibrator."""
         self._at_kg -= before_kg
+        self._past = moved(self._past, -before_kg)
 
     def snapshot(self, now_s: float, total_kg: float) -> CalibratorState | None:
         """See records.SelfCalibrator."""
@@ -492,6 +527,7 @@ class ClosedLoopCalibrator:
             spread=self._kept_spread(),
             origin=self._kept_origin(),
             grains=self._kept_grains(),
+            past=self._past,
         )
 
     def _kept_bias(self) -> tuple[float, ...]:
@@ -525,7 +561,7 @@ class ClosedLoopCalibrator:
         """See records.SelfCalibrator."""
         if state.origin is not None and state.origin.version == parameters.version:
             self._restored, self._origin = parameters, as_set(state.origin, parameters)
-        self._before = state
+        self._before, self._past, self._outside, self._placed = state, state.past, None, parameters
         self._grains_before = {grain.crop: grain for grain in state.grains}
         self._waited_s, self._at_kg = state.waited_s, total_kg - state.harvested_kg
         self._moisture_pct = nan if state.moisture_pct is None else state.moisture_pct
@@ -567,6 +603,7 @@ class ClosedLoopCalibrator:
         if known is None or known.parameters is not used:
             known = begin(self._patterned(used), self._settings.steady_per_kilotonne)
         start = known
+        self._place(used, now_s, total_kg)
         if self._map is not None and isfinite(moisture_pct):
             if isfinite(self._moisture_pct):
                 known = carried(known, self._map.moved(known.parameters, self._moisture_pct, moisture_pct))
@@ -592,12 +629,12 @@ class ClosedLoopCalibrator:
             transition=step.transition * carry,
         )
 
-    def _checks(self, found: Sequence[tuple[ReferenceMass, MassAnchor]], prior: ParameterSet) -> tuple[ScaleCheck, ...]:
-        """New masses held against what is known now; each mass once, although a refused update may come again."""
+    def _checks(self, found: Sequence[tuple[ReferenceMass, MassAnchor]], stated: ParameterSet) -> tuple[ScaleCheck, ...]:
+        """New masses held against what is stated now; each mass once, although a refused update may come again."""
         new = [pair for pair in found if pair[0] not in self._checked]
         self._checked = frozenset((*self._used, *(reference for reference, _ in found)))
         model_error = self._settings.closed_loop.model_error
-        checks = (checked(*p, self._model, prior, moisture_pct=self._moisture_pct, model_error=model_error) for p in new)
+        checks = (checked(*p, self._model, stated, moisture_pct=self._moisture_pct, model_error=model_error) for p in new)
         return tuple(check for check in checks if check is not None)
 
     def _mass_anchors(self, anchors: Sequence[ReferenceMass], used: ParameterSet) -> list[tuple[ReferenceMass, MassAnchor]]:

@@ -63,7 +63,7 @@ class Learning:
         self.calibrator = calibrator
         self.disagreement = Disagreement(settings.disagreement, machine)
         self._sweeps = settings.sweep
-        self.use(estimator, None)
+        self._put(estimator, None, weighed=False)
         self.outcome: CalibrationOutcome | None = None
         """What the last whole sweep or weighed mass changed."""
         self.scale_alarm = ScaleAlarm(settings.faults)
@@ -140,9 +140,12 @@ class Learning:
         """What the last whole sweep or weighed mass changed, in a sentence."""
         return self.outcome.reason if self.outcome is not None else "no calibrator"
 
-    def use(self, estimator: FlowEstimator, calibration_age_s: float | None) -> None:
-        """Other parameters; calibration_age_s: time since they were calibrated, None where it is not known."""
+    def use(self, estimator: FlowEstimator, calibration_age_s: float | None, harvested_kg: float = 0.0) -> None:
+        """Other parameters; calibration_age_s: time since they were calibrated, None where it is not known; harvested_kg: grain
+        since then."""
         self._put(estimator, calibration_age_s, weighed=False)
+        if self.calibrator is not None:
+            self.calibrator.use(estimator, harvested_kg)
 
     def _put(self, estimator: FlowEstimator, calibration_age_s: float | None, *, weighed: bool) -> None:
         self.estimator = estimator

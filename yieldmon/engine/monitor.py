@@ -386,7 +386,7 @@ class Monitor:
         """End a sweep and take the plate home."""
         self.sweep.abort(self._parts.clock.now_s or 0.0)
 
-    def set_estimator(self, estimator: FlowEstimator, calibration_age_s: float | None) -> None:
+    def set_estimator(self, estimator: FlowEstimator, calibration_age_s: float | None, harvested_kg: float = 0.0) -> None:
         """Other parameters.
 
         Parameters
@@ -395,10 +395,12 @@ class Monitor:
             As in `Monitor`.
         calibration_age_s : float or None
             Time since they were calibrated, s; None where it is not known.
+        harvested_kg : float
+            Grain since then, kg, by which drift widens what is stated. Parameters that were in use before keep their own.
         """
         if dict(estimator.parameters.values) != dict(self._parts.learning.estimator.parameters.values):
             self._parts.flow_meter.moisture.state = None
-        self._parts.learning.use(estimator, calibration_age_s)
+        self._parts.learning.use(estimator, calibration_age_s, harvested_kg)
         self._parts.learning.scale_alarm.accept()
 
     def change_crop(self, estimator: FlowEstimator, calibration_age_s: float | None, before: str, now: str) -> None:

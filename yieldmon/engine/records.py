@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from yieldmon.engine.anchors import ReferenceMass
 from yieldmon.engine.faults import FaultCode
+from yieldmon.engine.learnt_before import Places
 from yieldmon.engine.quick import maker_of
 from yieldmon.engine.scale_alarm import ScaleCheck
 from yieldmon.estimation.common_bias import KernelLesson
@@ -326,6 +327,7 @@ class CalibratorState:
     variance, largest variance, then its covariance with parameters and rates), empty where it has taught nothing. origin: the
     parameters before weighed loads taught a curve of their own, None where they have not. grains: the crops before. spread: what
     rates of unknown size may have added (`estimation.drift_spread`), (n + r + 1, n + r + 1), empty where nothing has taught.
+    past: since when parameters that were in use before hold.
     """
 
     waited_s: float
@@ -341,6 +343,7 @@ class CalibratorState:
     origin: PriorState | None = None
     grains: tuple[GrainState, ...] = ()
     spread: tuple[tuple[float, ...], ...] = ()
+    past: Places = ()
 
 
 class SelfCalibrator(Protocol):
@@ -371,6 +374,10 @@ class SelfCalibrator(Protocol):
     ) -> SweepWorth | None:
         """What a sweep from now on is worth. record: the last window, at home; stops_deg: plate angle of each window of
         the sweep; None: not known."""
+
+    def use(self, estimator: FlowEstimator, harvested_kg: float = 0.0) -> None:
+        """Other parameters than what was learnt led to: those from before a lesson, since when they hold again; or from outside,
+        learnt so much grain ago."""
 
     @property
     def counted(self) -> frozenset[str]:

@@ -9,6 +9,7 @@ from typing import Any
 
 from yieldmon.engine.budget import MassBudget, MoistureState
 from yieldmon.engine.disagreement import DisagreementState, SweepPattern
+from yieldmon.engine.learnt_before import LearntBefore
 from yieldmon.engine.records import CalibratorState, GrainState, PriorState
 from yieldmon.engine.scale_alarm import ScaleAlarmState, ScaleCheck
 from yieldmon.engine.totals import Totals
@@ -139,6 +140,7 @@ def _calibrator(data: Mapping[str, Any]) -> CalibratorState:
         "origin": _prior_or_none(data.get("origin")),
         "grains": grains,
         "spread": _rows(data.get("spread", ())),
+        "past": tuple(LearntBefore.from_dict(place) for place in data.get("past", ())),
     }
     state = CalibratorState(**{**data, **lists, **parts})
     count = len(state.drifting)

@@ -36,14 +36,14 @@ class Weighings:
         """Of the load that contradicts them, "" for none."""
         return "" if self._doubted is None else self._doubted.name
 
-    def take(self, load: WeighedLoad, model: ForwardModel, prior: ParameterSet) -> float | None:
+    def take(self, load: WeighedLoad, model: ForwardModel, prior: ParameterSet, stated: ParameterSet) -> float | None:
         """A further load, or one of these again: None where it counts, else its relative error by those before it.
 
-        prior: what is known now, in the model's effects. Raises ValueError as `loads.calibrate_loads`.
+        prior: what is known now, in the model's effects; stated: with all that drift may have added to it. Raises ValueError as `loads.calibrate_loads`.
         """
         # A mass whose update was refused comes again.
         self._counted = tuple(known for known in self._counted if known.name != load.name)
-        error = self._contradiction(load, model, prior)
+        error = self._contradiction(load, model, prior, stated)
         if error is None:
             self._counted = (*self._counted[1 - KEPT_LOADS :], load)
             return None
@@ -64,11 +64,11 @@ class Weighings:
         """Go on with the loads of a run before."""
         self._counted, self._doubted = tuple(counted), doubted
 
-    def _contradiction(self, load: WeighedLoad, model: ForwardModel, prior: ParameterSet) -> float | None:
+    def _contradiction(self, load: WeighedLoad, model: ForwardModel, prior: ParameterSet, stated: ParameterSet) -> float | None:
         """Relative error of a weighed mass by the loads before it, where neither scatter nor drift since then explains it."""
         if len(self._counted) < LEAST_LOADS:
             return None
-        away, std_dev = departure(model, prior, load, self._settings)
+        away, std_dev = departure(model, stated, load, self._settings)
         # The loads before may be of other grain and less wear; what is known by now allows for that.
         if abs(away) < self._settings.outlier_sds * std_dev:
             return None

@@ -485,7 +485,7 @@ class Daemon:
         new = usable_now(self._at_start, new)
         fresh = self._journal.parameters.unlike(new.parameters)
         self._commit()
-        monitor = successor(self._monitor, new, fresh, time.time())
+        monitor = successor(self._monitor, new, fresh, time.time(), loads=self._journal.loads)
         commands.set_crop(monitor, self._journal)
         self._monitor, self._record = monitor, None
         # The next batch brings both: the file's name alone would make a start take the parameters before it for the file's.

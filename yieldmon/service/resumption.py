@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.totals import Totals
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.service.assembly import calibration_age_s, monitor_of
+from yieldmon.service.batch import Load
 from yieldmon.service.configuration import Configuration
+from yieldmon.service.grain_since import grain_since_kg
 from yieldmon.service.memory import Memory
 from yieldmon.service.reference_loads import reference
 
@@ -28,6 +31,9 @@ def resume(monitor: Monitor, memory: Memory, origin: str, configured: ParameterS
     elif age_s is not None:
         age_s += max(0.0, now_s - memory.saved_s)
     monitor.restore(replace(memory.engine, calibration_age_s=age_s))
+    if origin == "file":
+        since_kg = grain_since_kg(configured, memory.loads, memory.engine.totals, now_s)
+        monitor.set_estimator(monitor.estimator, age_s, since_kg)
     monitor.remember_since_zero(memory.since_zero)
     for stored in memory.ticketed if origin == "store" else ():
         found = reference(stored, monitor.machine, monitor.settings.windows.min_coverage)
@@ -36,10 +42,15 @@ def resume(monitor: Monitor, memory: Memory, origin: str, configured: ParameterS
 
 
 def successor(
-    before: Monitor, configuration: Configuration, fresh: ParameterSet | None, now_s: float, more: Totals | None = None
+    before: Monitor,
+    configuration: Configuration,
+    fresh: ParameterSet | None,
+    now_s: float,
+    more: Totals | None = None,
+    loads: Iterable[Load] = (),
 ) -> Monitor:
     """A monitor with another configuration that goes on from the one before. fresh: parameters of a file read anew; None: those
-    in use stay. now_s: Unix time. more: masses that another monitor measured, which join its own."""
+    in use stay. now_s: Unix time. more: masses that another monitor measured, which join its own. loads: all that are known."""
     state = before.snapshot()
     if more is not None:
         state = replace(state, totals=state.totals.with_more(more))
@@ -47,6 +58,9 @@ def successor(
         state = replace(state, calibration_age_s=calibration_age_s(fresh, now_s))
     monitor = monitor_of(configuration, fresh or before.estimator.parameters, waveform_later=True)
     monitor.restore(state)
+    if fresh is not None:
+        since_kg = grain_since_kg(fresh, loads, state.totals, now_s)
+        monitor.set_estimator(monitor.estimator, state.calibration_age_s, since_kg)
     monitor.take_zero_of(before)
     monitor.take_noise_of(before)
     if before.sweep.requested or before.sweep.visiting:

@@ -268,6 +268,12 @@ def force_columns(rows: Sequence[SecondRow], parameters: ParameterSet, machine: 
     return np.stack((duration, force, angle, speed, moisture, mass))
 
 
+def weighed_until_s(measured: Sequence[MeasuredLoad], weighed: Sequence[WeighedLoad]) -> float | None:
+    """Time of the last second, s, of the loads of a store that tickets are for; None for loads of logs."""
+    last = {load.name.rpartition("-")[2] for load in weighed}
+    return max((load.seconds[-1].time_s for load in measured if not load.log and load.name in last), default=None)
+
+
 def sweeps_of(loads: Iterable[MeasuredLoad]) -> tuple[Sweep, ...]:
     """The newest whole sweeps in the loads."""
     found: dict[tuple[str, int], list[SecondRow]] = {}

@@ -1,0 +1,50 @@
+"""Since when parameters that were in use before hold, so that drift counts from there once they are back."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import isfinite
+
+from yieldmon.estimation.parameters import ParameterSet
+
+_KEPT = 16
+
+
+@dataclass(frozen=True, slots=True)
+class LearntBefore:
+    """values: of the parameters, by name. at_s, at_kg: bus time, s, and total, kg, at which they were learnt."""
+
+    values: tuple[tuple[str, float], ...]
+    at_s: float
+    at_kg: float
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, object]) -> LearntBefore:
+        """Inverse of `dataclasses.asdict`. Raises TypeError, KeyError or ValueError."""
+        values = tuple((str(name), float(value)) for name, value in data["values"])  # type: ignore[attr-defined] # from JSON
+        return cls(values, float(data["at_s"]), float(data["at_kg"]))  # type: ignore[arg-type] # from JSON
+
+
+Places = tuple[LearntBefore, ...]
+"""By time, the newest last."""
+
+
+def remembered(places: Places, parameters: ParameterSet, at_s: float, at_kg: float) -> Places:
+    """With one more, where it is known since when these hold."""
+    if not (isfinite(at_s) and isfinite(at_kg)):
+        return places
+    values = tuple(sorted((name, float(value)) for name, value in parameters.values.items()))
+    others = [place for place in places if place.values != values]
+    return (*others[1 - _KEPT :], LearntBefore(values, at_s, at_kg))
+
+
+def place_of(places: Sequence[LearntBefore], parameters: ParameterSet) -> LearntBefore | None:
+    """Of parameters with these values; None where they are not known."""
+    values = tuple(sorted((name, float(value)) for name, value in parameters.values.items()))
+    return next((place for place in reversed(places) if place.values == values), None)
+
+
+def moved(places: Places, by_kg: float) -> Places:
+    """After the total's begin has moved by so much."""
+    return tuple(replace(place, at_kg=place.at_kg + by_kg) for place in places)
