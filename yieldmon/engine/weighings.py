@@ -39,7 +39,8 @@ class Weighings:
     def take(self, load: WeighedLoad, model: ForwardModel, prior: ParameterSet, stated: ParameterSet) -> float | None:
         """A further load, or one of these again: None where it counts, else its relative error by those before it.
 
-        prior: what is known now, in the model's effects; stated: with all that drift may have added to it. Raises ValueError as `loads.calibrate_loads`.
+        prior: what is known now, in the model's effects; stated: with all that drift may have added to it. Raises
+        ValueError as `loads.calibrate_loads`.
         """
         # A mass whose update was refused comes again.
         self._counted = tuple(known for known in self._counted if known.name != load.name)
