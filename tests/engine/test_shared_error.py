@@ -1,5 +1,6 @@
 """Loads that are as unsure as sweeps show, before a sweep as well as after it."""
 
+import json
 from dataclasses import replace
 from math import hypot, nan
 
@@ -7,10 +8,13 @@ import pytest
 
 from yieldmon.engine.budget import FlowBudget
 from yieldmon.engine.flow import Flow
-from yieldmon.engine.loads import LoadClosed, Loads
+from yieldmon.engine.loads import LoadClosed, LoadRestated, Loads
 from yieldmon.engine.settings import EngineSettings
+from yieldmon.engine.state import EngineState
 from yieldmon.estimation.sweep_model_error import NO_ERROR, ModelError
 from yieldmon.frames import EstimateQuality
+from yieldmon.service.batch import Load
+from yieldmon.service.load_book import LoadBook
 
 BUDGET = FlowBudget(noise_kg_s=0.3, parameters_kg_s=0.05, covariance_kg_s=0.05, per_error_kg_s=10.0)
 FLOW = Flow(10.0, BUDGET.std_dev_kg_s, EstimateQuality.OK, 80.0, 2.0, budget=BUDGET)
@@ -94,3 +98,49 @@ def test_a_budget_that_is_not_known_stays_so() -> None:
     loads.share(10.0, unknown, 1, at_home=True)
     loads.restate(SHOWN, 1)
     assert loads.totals.load_budget.std_dev_kg != loads.totals.load_budget.std_dev_kg
+
+
+def resumed(before: Loads, version: int = 1) -> Loads:
+    """The same after a restart, by way of JSON; version: of the parameters in use then."""
+    document = json.dumps(EngineState(totals=before.totals, closed=before.closed_states).as_dict())
+    state = EngineState.from_dict(json.loads(document))
+    loads = Loads(EngineSettings())
+    loads.restore(state.totals)
+    loads.resume_closed(state.closed, version)
+    loads.resume_share(NO_ERROR, version)
+    return loads
+
+
+def test_a_load_that_closed_before_a_restart_is_restated_as_without_it() -> None:
+    before = Loads(EngineSettings())
+    harvest(before, 60)
+    before.start(60.0)
+    harvest(before, 30, at_home=False)
+    before.stop(90.0)
+    loads = resumed(before)
+    (without,), events = before.restate(ModelError(0.0, 0.1), 1), loads.restate(ModelError(0.0, 0.1), 1)
+    assert isinstance(without, LoadClosed)
+    assert events == (LoadRestated(2, pytest.approx(without.load.std_dev_kg)),)
+    before.restate(SHOWN, 1)
+    expected = {load.number: pytest.approx(load.std_dev_kg) for load in before.all}
+    assert {event.number: event.std_dev_kg for event in loads.restate(SHOWN, 1) if isinstance(event, LoadRestated)} == expected
+    assert loads.totals.total_budget.std_dev_kg == pytest.approx(before.totals.total_budget.std_dev_kg)
+    # And over one more.
+    again = resumed(loads)
+    assert again.restate(SHOWN, 1) == ()
+    assert {event.number for event in again.restate(NO_ERROR, 1) if isinstance(event, LoadRestated)} == {1, 2}
+
+
+def test_other_parameters_after_a_restart_leave_it_as_stated() -> None:
+    before = Loads(EngineSettings())
+    harvest(before, 60)
+    before.start(60.0)
+    assert resumed(before, version=2).restate(SHOWN, 2) == ()
+
+
+def test_a_restated_load_is_so_in_the_book() -> None:
+    known = Load(1, "", "corn", 0.0, 60.0, 600.0, None, None, 3.0)
+    book = LoadBook([known])
+    book.restated(1, 24.2)
+    book.restated(9, 1.0)
+    assert book.take() == (replace(known, std_dev_kg=24.2),)

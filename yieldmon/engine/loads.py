@@ -9,14 +9,14 @@ counted apart and in no total.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from math import inf, isfinite
 
 from yieldmon.engine.budget import EMPTY, MassBudget
 from yieldmon.engine.flow import Flow
 from yieldmon.engine.settings import EngineSettings
-from yieldmon.engine.shared_error import SharedError
+from yieldmon.engine.shared_error import ClosedLoadState, SharedError
 from yieldmon.engine.since_zero import NO_LOAD, MissedMass
 from yieldmon.engine.totals import Totals, dry_mass
 from yieldmon.engine.windows import Window
@@ -25,6 +25,8 @@ from yieldmon.frames import EstimateQuality
 
 _NAN = float("nan")
 _KEPT_LOADS = 256
+_KEPT_CLOSED = 12
+"""Whose shares outlive a restart."""
 _RESTATED = 0.01
 """Relative change of a closed load's standard deviation from which it is reported again."""
 _LONGEST_SILENCE_S, _LONGEST_WAKING_S = 60.0, 3.0
@@ -84,7 +86,15 @@ class Opening:
         return 0.0 < self._silent_s <= _LONGEST_SILENCE_S and self._waking_s <= _LONGEST_WAKING_S
 
 
-LoadEvents = tuple[LoadOpened | LoadClosed, ...]
+@dataclass(frozen=True, slots=True)
+class LoadRestated:
+    """A load that closed in a run before is known otherwise than it was stated. std_dev_kg: of its mass."""
+
+    number: int
+    std_dev_kg: float
+
+
+LoadEvents = tuple[LoadOpened | LoadClosed | LoadRestated, ...]
 
 
 class Loads:
@@ -99,6 +109,8 @@ class Loads:
         self._opening = Opening()
         self._shared: dict[int, SharedError] = {}
         """Of loads that the parameters in use have measured, by number."""
+        self._before: dict[int, MassBudget] = {}
+        """Those of them that closed in a run before."""
 
     @property
     def open(self) -> LoadSummary | None:
@@ -187,7 +199,7 @@ class Loads:
     def restate(self, error: ModelError, version: int) -> LoadEvents:
         """Sweeps show another error of the model with these parameters: all loads that these have measured are as unsure as that
         says; closed ones that it changes are returned."""
-        events: list[LoadClosed | LoadOpened] = []
+        events: list[LoadClosed | LoadOpened | LoadRestated] = []
         for number, shared in self._shared.items():
             if shared.version == version:
                 events += self._restated(number, shared.parameters_kg(error))
@@ -201,16 +213,32 @@ class Loads:
             self.totals = replace(totals, load_budget=load, total_budget=total)
             return ()
         place = next((place for place, load in enumerate(self._closed) if load.number == number), None)
-        if place is None:
+        before = self._before.get(number) if place is None else self._closed[place].budget
+        if before is None:
             return ()
-        closed = self._closed[place]
-        budget = replace(closed.budget, parameters_kg=parameters_kg)
+        budget = replace(before, parameters_kg=parameters_kg)
         if number >= totals.first_load:
-            more_kg = parameters_kg - closed.budget.parameters_kg
+            more_kg = parameters_kg - before.parameters_kg
             self.totals = replace(totals, total_budget=totals.total_budget.with_parameters(more_kg))
-        self._closed[place] = replace(closed, budget=budget, std_dev_kg=budget.std_dev_kg)
-        changed = abs(budget.std_dev_kg - closed.std_dev_kg) > _RESTATED * closed.std_dev_kg
+        changed = abs(budget.std_dev_kg - before.std_dev_kg) > _RESTATED * before.std_dev_kg
+        if place is None:
+            self._before[number] = budget
+            return (LoadRestated(number, budget.std_dev_kg),) if changed else ()
+        self._closed[place] = replace(self._closed[place], budget=budget, std_dev_kg=budget.std_dev_kg)
         return (LoadClosed(self._closed[place]),) if changed else ()
+
+    @property
+    def closed_states(self) -> tuple[ClosedLoadState, ...]:
+        """The newest closed loads that the parameters in use have measured."""
+        budgets = {**self._before, **{load.number: load.budget for load in self._closed}}
+        known = [number for number in sorted(self._shared) if number in budgets and isfinite(budgets[number].std_dev_kg)]
+        return tuple(ClosedLoadState(n, budgets[n], self._shared[n]) for n in known[-_KEPT_CLOSED:])
+
+    def resume_closed(self, states: Iterable[ClosedLoadState], version: int) -> None:
+        """After `restore`: loads that a run before closed; version: of the parameters in use."""
+        for state in states:
+            if state.shared.version == version:
+                self._before[state.number], self._shared[state.number] = state.budget, state.shared
 
     def widen(self, error_kg: float) -> None:
         """What the open load holds turns out to be less sure: by error_kg at least, one standard deviation, by its parameters."""
@@ -229,14 +257,14 @@ class Loads:
 
     def restore(self, totals: Totals) -> None:
         """Go on from totals that were kept; what passed since was not measured."""
-        self._shared = {}
+        self._shared, self._before = {}, {}
         self.totals = self._at_market(totals)
         self._complete, self._opening = not (totals.load_open and totals.load_kg > 0.0), Opening()
 
     def correct(self, missed: Mapping[int, MissedMass]) -> LoadEvents:
         """Mass that was missed, by load, joins its loads and, where it came since they were reset, the totals; closed loads are
         returned."""
-        events: list[LoadClosed | LoadOpened] = []
+        events: list[LoadClosed | LoadOpened | LoadRestated] = []
         for number, found in missed.items():
             self._shared.pop(number, None)
             totals = self.totals
@@ -282,7 +310,7 @@ class Loads:
         if not self.totals.load_open:
             return ()
         self._closed.append(self._summary(now_s))
-        kept = {load.number for load in self._closed}
+        kept = {load.number for load in self._closed} | set(self._before)
         self._shared = {number: shared for number, shared in self._shared.items() if number in kept}
         return (LoadClosed(self._closed[-1]),)
 

@@ -27,6 +27,7 @@ def snapshot(parts: Parts, windows: int) -> EngineState:
         zero_undo=_zero_undo(parts),
         tickets=learning.ticket_states,
         moisture=parts.flow_meter.moisture.state,
+        closed=parts.loads.closed_states,
     )
 
 
@@ -45,6 +46,7 @@ def restore(parts: Parts, state: EngineState) -> None:
     if state.parameter_version == parameters.version:
         learning.disagreement.restore(state.disagreement, parameters)
         learning.judge_model(weighed=state.calibrator is not None and bool(state.calibrator.weighed))
+        parts.loads.resume_closed(state.closed, parameters.version)
         parts.loads.resume_share(learning.model_error, parameters.version)
         if state.moisture is not None:
             parts.flow_meter.moisture.state = state.moisture

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from yieldmon.engine.health import FaultEvent
 from yieldmon.engine.learning import ParametersChanged
-from yieldmon.engine.loads import LoadClosed, LoadOpened
+from yieldmon.engine.loads import LoadClosed, LoadOpened, LoadRestated
 from yieldmon.engine.plate import SweepEnded
 from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.waveform_reading import NOTHING, WaveformReading
@@ -25,7 +25,7 @@ class ZeroTaken:
     zero_mv: float
 
 
-Event = FaultEvent | LoadOpened | LoadClosed | ParametersChanged | SweepEnded | ZeroTaken
+Event = FaultEvent | LoadOpened | LoadClosed | LoadRestated | ParametersChanged | SweepEnded | ZeroTaken
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,10 +7,12 @@ now, while it is open and once it is closed.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import hypot
+from typing import Any
 
-from yieldmon.engine.budget import FlowBudget
+from yieldmon.engine.budget import FlowBudget, MassBudget
 from yieldmon.engine.quick import maker_of
 from yieldmon.estimation.sweep_model_error import ModelError
 
@@ -53,6 +55,20 @@ class SharedError:
     def parameters_kg(self, error: ModelError) -> float:
         """Standard deviation by the parameters, where the model's error is as sweeps show it now."""
         return self.before_kg + hypot(self.own_kg, error.home * self.per_error_kg, error.away * self.per_error_away_kg)
+
+
+@dataclass(frozen=True, slots=True)
+class ClosedLoadState:
+    """What of a closed load outlives a restart, so that it can be stated anew. budget: of its mass, as stated last."""
+
+    number: int
+    budget: MassBudget
+    shared: SharedError
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> ClosedLoadState:
+        """Inverse of `dataclasses.asdict`. Raises KeyError or TypeError."""
+        return cls(int(data["number"]), MassBudget(**data["budget"]), SharedError(**data["shared"]))
 
 
 _made = maker_of(SharedError)

@@ -12,6 +12,7 @@ from yieldmon.engine.disagreement import DisagreementState, SweepPattern
 from yieldmon.engine.learnt_before import LearntBefore
 from yieldmon.engine.records import CalibratorState, GrainState, PriorState
 from yieldmon.engine.scale_alarm import ScaleAlarmState, ScaleCheck
+from yieldmon.engine.shared_error import ClosedLoadState
 from yieldmon.engine.totals import Totals
 from yieldmon.engine.zero import ZeroState
 
@@ -42,7 +43,8 @@ class TicketState:
 class EngineState:
     """windows: closed so far. sweep_due_in_s and calibration_age_s (None: not known) count from the moment of the snapshot.
     zero_undo: None where there is no zero calibration to take back. tickets: the newest, in the order they were entered.
-    moisture: of the grain for which the parameters hold, None where none was measured."""
+    moisture: of the grain for which the parameters hold, None where none was measured. closed: loads that the parameters in use
+    have measured."""
 
     totals: Totals = field(default_factory=Totals)
     zero: ZeroState | None = None
@@ -57,6 +59,7 @@ class EngineState:
     zero_undo: ZeroUndo | None = None
     tickets: tuple[TicketState, ...] = ()
     moisture: MoistureState | None = None
+    closed: tuple[ClosedLoadState, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """Nested plain dict of numbers, fit for JSON."""
@@ -73,7 +76,14 @@ class EngineState:
 
         A state from before sweeps' patterns, the calibrator's, the scale's alarm or the moisture were kept has none.
         """
-        later: dict[str, Any] = {"calibrator": None, "scale_alarm": {}, "zero_undo": None, "tickets": (), "moisture": None}
+        later: dict[str, Any] = {
+            "calibrator": None,
+            "scale_alarm": {},
+            "zero_undo": None,
+            "tickets": (),
+            "moisture": None,
+            "closed": (),
+        }
         data = {"disagreement": {"patterns": (), "present": False}, **later, **data}
         known = {item.name for item in fields(cls)}
         if set(data) != known:
@@ -98,6 +108,7 @@ class EngineState:
                 "calibrator": calibrator,
                 "scale_alarm": _scale_alarm(data["scale_alarm"]),
                 "tickets": tuple(TicketState(**ticket) for ticket in data["tickets"]),
+                "closed": tuple(ClosedLoadState.from_dict(load) for load in data["closed"]),
                 "moisture": None if data["moisture"] is None else MoistureState(**data["moisture"]),
             }
             return cls(**{**data, **parts, "zero_undo": undo})

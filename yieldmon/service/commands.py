@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from yieldmon.engine.anchors import Weighing
+from yieldmon.engine.loads import LoadClosed, LoadOpened
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.sources import THOUSAND_KERNELS_G
 from yieldmon.errors import InputError
@@ -260,7 +261,7 @@ def _zero_undo(order: _Order) -> Answer:
     except ValueError as error:
         raise InputError("zero --undo", str(error), "an undo after `yieldmon zero`") from error
     journal.happened(events)
-    reported = {event.load.number for event in events} | ({monitor.totals.load_number} if monitor.totals.load_open else set())
+    reported = {event.load.number for event in events if isinstance(event, LoadOpened | LoadClosed)} | ({monitor.totals.load_number} if monitor.totals.load_open else set())
     journal.zero_undone(order.request.who, restored, reported, order.now_s)
     return {"zero": "undone", "restored_kg": sum(missed.kg for missed in restored.values())}
 

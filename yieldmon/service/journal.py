@@ -7,7 +7,7 @@ from typing import Any
 
 from yieldmon.engine.health import FaultEvent
 from yieldmon.engine.learning import ParametersChanged
-from yieldmon.engine.loads import LoadClosed, LoadOpened
+from yieldmon.engine.loads import LoadClosed, LoadOpened, LoadRestated
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.plate import SweepEnded
 from yieldmon.engine.records import WindowRecord
@@ -109,6 +109,8 @@ class Journal:
                 self._fault(event.code.value, event.active, event.detail)
             elif isinstance(event, LoadOpened | LoadClosed):
                 self.loads.measured(event.load, self.field, self.crop)
+            elif isinstance(event, LoadRestated):
+                self.loads.restated(event.number, event.std_dev_kg)
             elif isinstance(event, ParametersChanged):
                 self.parameters.use(event.parameters, event.origin, "", event.reason, self.actions.waiting, event.step)
             elif isinstance(event, SweepEnded):

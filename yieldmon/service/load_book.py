@@ -65,6 +65,12 @@ class LoadBook:
             std_dev_kg=known.std_dev_kg * mass_kg / known.mass_kg if known.std_dev_kg and known.mass_kg > 0.0 else None,
         )
 
+    def restated(self, number: int, std_dev_kg: float) -> None:
+        """A load of an earlier run is known otherwise than it was stated; one that is not known stays so."""
+        known = self._loads.get(number)
+        if known is not None:
+            self._loads[number] = self._new[number] = replace(known, std_dev_kg=finite(std_dev_kg))
+
     def named(self, number: int, field: str | None, crop: str | None) -> None:
         """Other names for a load; None leaves one as it is."""
         known = self._loads[number]
