@@ -153,3 +153,42 @@ def test_a_crop_is_known_however_it_is_typed(typed: str, kept: str, known: bool)
     monitor, journal = started()
     answer = commands.execute({"command": "load-start", "crop": typed}, monitor, journal, 1.7e9)
     assert (answer["crop"], answer["crop_known"], answer["parameters"]["changed"]) == (kept, known, known)
+
+
+@pytest.mark.parametrize("states_crop", [True, False])
+def test_a_crop_of_which_nothing_is_known_takes_no_calibration_away(tmp_path, states_crop: bool) -> None:
+    shipped_corn = parameter_file.load()
+    own = replace(shipped_corn, values={**shipped_corn.values, "friction": 0.22})
+    monitor, journal = started(replace(own, provenance={**own.provenance, "crop": "corn"}) if states_crop else own)
+    load(monitor, journal, "corn")
+    assert not load(monitor, journal, "quinoa")["changed"]
+    assert monitor.estimator.parameters.values == own.values
+    learnt = replace(monitor.estimator.parameters, values={**own.values, "friction": 0.3})
+    monitor.set_estimator(type(monitor.estimator)(monitor.estimator.model, learnt), 0.0)
+    assert load(monitor, journal, "corn")["changed"]
+    assert monitor.estimator.parameters.values == own.values
+    assert monitor.estimator.parameters.covariance.tolist() == own.covariance.tolist()
+    with Store(tmp_path / "s.sqlite") as store:
+        store.commit([journal.batch(monitor, 1.7e9, {})])
+        assert recall(store).of_crop["quinoa"].values["friction"] == 0.3
+    answer = commands.execute({"command": "load-start", "crop": "quinoa"}, monitor, journal, 1.7e9)
+    assert (answer["crop_known"], answer["parameters"]["changed"]) == (True, True)
+    assert monitor.estimator.parameters.values["friction"] == 0.3
+
+
+@pytest.mark.parametrize(
+    ("typed", "meant"),
+    [("cron", "corn"), ("WHEET", "wheat"), ("weat", "wheat"), ("barleyy", "barley"), ("maze", "corn"), ("canolla", "rapeseed")],
+)
+def test_a_slip_of_a_finger_is_no_crop(typed: str, meant: str) -> None:
+    monitor, journal = started()
+    number, before = monitor.totals.load_number, monitor.estimator.parameters
+    with pytest.raises(InputError, match=rf"crop: '{typed}' is no known crop; expected {meant}, or a name that is less like it"):
+        commands.execute({"command": "load-start", "crop": typed}, monitor, journal, 1.7e9)
+    assert (monitor.totals.load_number, journal.crop, monitor.estimator.parameters) == (number, "", before)
+
+
+@pytest.mark.parametrize("name", ["oats", "rye", "popcorn", "triticale", "winter oats", "corn 2", "beans", "spelt", "buckwheat"])
+def test_another_crop_is_no_slip(name: str) -> None:
+    monitor, journal = started()
+    assert commands.execute({"command": "load-start", "crop": name}, monitor, journal, 1.7e9)["crop"] == name

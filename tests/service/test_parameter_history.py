@@ -137,7 +137,6 @@ def test_a_change_of_crop_keeps_what_was_known_and_takes_what_is_known_of_the_ot
     corn = known(1, 800.0)
     assert run.history.change_crop("corn", corn, "corn") is None, "the same crop"
     assert run.history.change_crop("wheat", corn, "") is None, "nobody said whose these are"
-    assert run.history.change_crop("nothing known", corn, "corn") is None
     wheat = run.history.change_crop("wheat", corn, "corn", "anna")
     assert wheat is not None
     assert (wheat.version, wheat.values) == (3, crops()["wheat"].parameters().values)
@@ -148,6 +147,22 @@ def test_a_change_of_crop_keeps_what_was_known_and_takes_what_is_known_of_the_ot
         ("anna", "crop", "what is known of corn is kept"), ("anna", "crop", "what is known of wheat"),
         ("", "crop", "what is known of wheat is kept"), ("", "crop", "what is known of corn"),
     ]  # fmt: skip
+
+
+def test_a_crop_of_which_nothing_is_known_begins_with_a_copy() -> None:
+    run = Run()
+    run.learns(1, 800.0, "file")
+    assert not run.history.keeps("corn")
+    copy = run.history.change_crop("nothing known", known(1, 800.0), "corn")
+    assert copy is not None
+    assert (copy.version, copy.values["density"], copy.provenance["crop"]) == (3, 800.0, "nothing known")
+    corn = run.history.change_crop("corn", replace(copy, values={**copy.values, "density": 900.0}), "nothing known")
+    assert corn is not None
+    assert corn.values["density"] == 800.0
+    assert run.history.keeps("corn")
+    assert run.history.keeps("nothing known")
+    reasons = [a.document["reason"] for a in list(run.log)[1:]]
+    assert reasons[:2] == ["what is known of corn is kept", "nothing known begins with what is known of corn"]
 
 
 def test_an_undo_of_another_crops_update_leaves_those_in_use() -> None:

@@ -44,6 +44,8 @@ _ALIASES = {
     "raps": "rapeseed",
     "sunflowers": "sunflower",
 }
+_SHORTEST_SLIP = 4
+"""Letters; of shorter words many are another crop's."""
 _HEAP_OVER_TEST_WEIGHT = 1.49
 _DENSITY_SD = 0.15
 
@@ -103,6 +105,24 @@ def shipped_name(name: str) -> str | None:
     plain = " ".join(name.lower().replace("_", " ").split())
     found = _ALIASES.get(plain, plain)
     return found if found in crops() else None
+
+
+def misspelt(name: str) -> str | None:
+    """The shipped crop from one of whose names a word is one slip of a finger away: "cron" is "corn"; None: none.
+
+    A slip is a letter left out, added, taken for another, or changed with its neighbour.
+    """
+    word = name.strip().lower()
+    if shipped_name(word) is not None or len(word) < _SHORTEST_SLIP or not word.isalpha():
+        return None
+    return next((shipped_name(known) for known in (*crops(), *_ALIASES) if _one_slip(word, known)), None)
+
+
+def _one_slip(word: str, known: str) -> bool:
+    same = next((at for at, (a, b) in enumerate(zip(word, known, strict=False)) if a != b), min(len(word), len(known)))
+    rest, right = word[same:], known[same:]
+    swapped = rest[1:2] + rest[:1] + rest[2:] == right and rest != right
+    return swapped or rest[1:] == right or rest == right[1:] or rest[1:] == right[1:]
 
 
 def find_crop(name: str) -> Crop | None:

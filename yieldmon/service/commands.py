@@ -13,7 +13,7 @@ from yieldmon.engine.sources import THOUSAND_KERNELS_G
 from yieldmon.errors import InputError
 from yieldmon.estimation.estimators import estimator_of
 from yieldmon.files import ticket_file
-from yieldmon.files.crops import crops, find_crop, shipped_name
+from yieldmon.files.crops import crops, find_crop, misspelt, shipped_name
 from yieldmon.service import ledger, load_names, relearning, ticket_doubt
 from yieldmon.service.assembly import calibration_age_s
 from yieldmon.service.batch import Load, Ticket
@@ -85,14 +85,15 @@ def _load_start(order: _Order) -> Answer:
     weight_g = request.mass_or_none("thousand_kernel_weight_g", *THOUSAND_KERNELS_G, "g")
     if weight_g is not None and monitor.waveform is None:
         raise InputError("thousand_kernel_weight_g", "is of no use", "waveform.enabled: true in the configuration")
-    field, name = request.name("field"), request.name("crop")
-    crop = name and (shipped_name(name) or name.strip())
+    field, crop = request.name("field"), _crop_named(request, journal)
     if weight_g is not None or (crop is not None and crop != journal.crop):
         # What was entered for one crop's kernels does not hold for another's.
         journal.kernel_weight_g = weight_g
     in_use = monitor.estimator.parameters
     # A curve is one grain's: another crop's parameters would not give the flow.
     before = journal.parameters.crop_of(in_use, journal.crop)
+    shipped = crop in crops() and in_use.curve is None
+    known = not crop or shipped or crop == in_use.provenance.get("crop") or journal.parameters.keeps(crop)
     chosen = journal.parameters.change_crop(crop, in_use, journal.crop, request.who) if crop and in_use.curve is None else None
     if chosen is not None:
         monitor.change_crop(estimator_of(monitor.machine, chosen), calibration_age_s(chosen, order.now_s), before, crop or "")
@@ -101,14 +102,26 @@ def _load_start(order: _Order) -> Answer:
     journal.happened(monitor.start_load())
     set_crop(monitor, journal)
     parameters = monitor.estimator.parameters
-    known = not crop or parameters.provenance.get("crop") == crop or (crop in crops() and parameters.curve is None)
+    changed = chosen is not None and known
     return {
         "load": monitor.totals.load_number,
         "field": journal.field,
         "crop": journal.crop,
-        "parameters": {"version": parameters.version, "crop": parameters.provenance.get("crop"), "changed": chosen is not None},
+        "parameters": {"version": parameters.version, "crop": parameters.provenance.get("crop"), "changed": changed},
         "crop_known": known,
     }
+
+
+def _crop_named(request: Request, journal: Journal) -> str | None:
+    """The crop as it is kept, None where the request names none. Raises InputError for a slip of a finger: what is weighed and
+    measured under that name would be lost to the crop that was meant."""
+    name = request.name("crop")
+    if not name:
+        return name
+    meant = None if journal.parameters.keeps(name.strip()) else misspelt(name)
+    if meant is not None:
+        raise InputError("crop", f"{name.strip()!r} is no known crop", f"{meant}, or a name that is less like it")
+    return shipped_name(name) or name.strip()
 
 
 def set_crop(monitor: Monitor, journal: Journal) -> None:
@@ -145,13 +158,13 @@ def _load_correct(order: _Order) -> Answer:
     request, monitor, journal = order.request, order.monitor, order.journal
     first = request.number_of("first_load", "load")
     last = request.number_of("last_load", "load") if request.given("last_load") else first
-    field, name = request.name("field"), request.name("crop")
-    if field is None and not name:
+    field, crop = request.name("field"), _crop_named(request, journal)
+    if field is None and not crop:
         raise InputError("load correct", "names nothing to correct", "a crop or a field")
     if monitor.totals.load_open and first <= monitor.totals.load_number <= last:
         number = monitor.totals.load_number
         raise InputError(f"load {number}", "is still open", "`yieldmon load start` with the right names, then correct this one")
-    wanted = load_names.Correction(_covered(journal, first, last, "load"), field, name and (shipped_name(name) or name.strip()))
+    wanted = load_names.Correction(_covered(journal, first, last, "load"), field, crop)
     return load_names.correct(wanted, monitor, journal, request.who, order.now_s, order.stored)
 
 

@@ -43,8 +43,8 @@ class ParameterHistory:
         return parameters.provenance.get("crop", named) or (_SHIPPED_CROP if self.digest == self._shipped_digest else "")
 
     def change_crop(self, crop: str, in_use: ParameterSet, named: str, who: str = "") -> ParameterSet | None:
-        """The parameters for another crop: what was last known of it, else what is shipped. None where those in use stay: they
-        are this crop's, whose they are is not stated, or nothing is known of this one.
+        """The parameters for another crop: what was last known of it, else what is shipped, else a copy of those in use, which
+        tickets then teach for this crop alone. None where those in use stay: they are its own, or nothing says whose they are.
 
         What is known of the crop before is kept. named: the crop that an operator named last.
         """
@@ -52,14 +52,20 @@ class ParameterHistory:
         if crop == before or not before:
             return None
         known = self.of(crop, in_use, named)
-        if known is None:
-            return None
         kept = replace(in_use, version=self.version + 1, provenance={**in_use.provenance, "crop": before})
         self._of_crop[before] = kept
         self.use(kept, ledgers.CROP, who, f"what is known of {before} is kept")
+        if known is None:
+            chosen = replace(in_use, version=self.version + 1, provenance={**in_use.provenance, "crop": crop})
+            self.use(chosen, ledgers.CROP, who, f"{crop} begins with what is known of {before}")
+            return chosen
         chosen = replace(known, version=self.version + 1)
         self.use(chosen, ledgers.CROP, who, f"what is known of {crop}")
         return chosen
+
+    def keeps(self, crop: str) -> bool:
+        """Whether parameters of this crop were in use before another's."""
+        return crop in self._of_crop
 
     def of(self, crop: str, in_use: ParameterSet, named: str) -> ParameterSet | None:
         """What is known of a crop; None where nothing is. named: the crop that an operator named last."""
