@@ -10,6 +10,7 @@ from yieldmon.engine.budget import FlowBudget
 from yieldmon.engine.flow import Flow
 from yieldmon.engine.loads import LoadClosed, LoadRestated, Loads
 from yieldmon.engine.settings import EngineSettings
+from yieldmon.engine.since_zero import MissedMass
 from yieldmon.engine.state import EngineState
 from yieldmon.estimation.sweep_model_error import NO_ERROR, ModelError
 from yieldmon.frames import EstimateQuality
@@ -89,6 +90,41 @@ def test_the_open_load_is_restated_after_a_restart() -> None:
     harvest(loads, 10)
     loads.restate(SHOWN, 1)
     assert loads.totals.load_budget.parameters_kg == pytest.approx(hypot(3.5, 0.04 * 700.0))
+
+
+@pytest.mark.parametrize("error", [NO_ERROR, SHOWN], ids=["no error of the model", "one that sweeps had shown"])
+def test_what_a_load_shares_is_known_again_after_a_restart(error: ModelError) -> None:
+    before = Loads(EngineSettings())
+    harvest(before, 60)
+    before.restate(error, 1)
+    stated_kg = before.totals.load_budget.parameters_kg
+    loads = Loads(EngineSettings())
+    loads.restore(before.totals)
+    loads.resume_share(error, 1)
+    loads.restate(error, 1)
+    assert loads.totals.load_budget.parameters_kg == pytest.approx(stated_kg)
+    loads.restate(NO_ERROR, 1)
+    assert loads.totals.load_budget.parameters_kg == pytest.approx(3.0)
+
+
+@pytest.mark.parametrize("is_open", [True, False])
+@pytest.mark.parametrize("what", ["corrected", "widened"])
+def test_what_was_found_out_of_one_load_otherwise_is_not_restated(what: str, is_open: bool) -> None:
+    loads = Loads(EngineSettings())
+    harvest(loads, 60)
+    if what == "widened":
+        loads.widen(90.0)
+    if not is_open:
+        loads.start(60.0)
+        harvest(loads, 10)
+    if what == "corrected":
+        loads.correct({1: MissedMass(kg=60.0)})
+    before = loads.all[0].budget.parameters_kg
+    assert before == pytest.approx(90.0 if what == "widened" else 3.3)
+    loads.restate(SHOWN, 1)
+    assert loads.all[0].budget.parameters_kg == before
+    if not is_open:
+        assert loads.all[1].budget.parameters_kg == pytest.approx(hypot(0.5, 4.0)), "another load is"
 
 
 def test_a_budget_that_is_not_known_stays_so() -> None:
