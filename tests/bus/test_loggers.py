@@ -263,3 +263,27 @@ def test_a_harvest_measures_the_same_from_any_logger(tmp_path: Path, harvest: Pa
     assert len(tables[0]) == len(tables[1]) >= 20
     np.testing.assert_allclose(tables[1]["mass_flow_kg_s"], tables[0]["mass_flow_kg_s"], rtol=2e-4, atol=1e-3)
     np.testing.assert_allclose(tables[1]["time_s"], tables[0]["time_s"], atol=2e-4)
+
+
+@pytest.mark.parametrize("base", ["hex", "dec"])
+def test_times_of_vector_since_the_line_before(tmp_path: Path, base: str) -> None:
+    identifier = {"hex": "18FF1380x", "dec": "419369856x"}[base]
+    rows = [
+        "date Wed Jul 1 10:00:00.000 am 2026",
+        f"base {base}  timestamps relative",
+        "internal events logged",
+        "Begin Triggerblock Wed Jul 1 10:00:00.000 am 2026",
+        "   0.000000 Start of measurement",
+        f"   0.250000 1  {identifier}       Rx   d 2 01 02",
+        "   0.500000 CAN 1 Status:chip status error active",
+        f"   1.000000 1  {identifier}       Rx   d 2 01 03",
+        f"   0.000001 1  {identifier}       Rx   d 2 01 04",
+        "End TriggerBlock",
+    ]
+    path = tmp_path / "drive.asc"
+    path.write_text("\n".join(rows) + "\n")
+    assert [(m.timestamp, m.arbitration_id, m.data[1]) for m in read_log(path)] == [
+        (0.25, 0x18FF1380, 2), (1.75, 0x18FF1380, 3), (1.750001, 0x18FF1380, 4),
+    ]  # fmt: skip
+    path.write_text("\n".join(rows).replace("relative", "absolute") + "\n")
+    assert [m.timestamp for m in read_log(path)] == [0.25, 1.0, 0.000001]

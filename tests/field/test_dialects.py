@@ -49,11 +49,23 @@ def looks_right(table: HarvestTable) -> None:
         (OFFICE, "utf-16", [1, 1, 0]),
         (GERMAN, "cp1252", None),
         (GERMAN, "utf-8", None),
+        (GERMAN.replace("[t/ha]", "[dt/ha]").replace("0,5468", "5,468"), "utf-8", None),
+        (SPANISH.replace("(kg/ha)", "(q/ha)").replace("546.8", "5.468"), "utf-8", [1, 1, 0]),
         (SPANISH, "utf-8", [1, 1, 0]),
         (SPANISH, "cp1252", [1, 1, 0]),
         (SPANISH.replace("working", "in Betrieb").replace("raised", "NA"), "utf-8", [np.nan] * 3),
     ],
-    ids=["office", "office utf-16", "german windows", "german utf-8", "spanish utf-8", "spanish windows", "strange states"],
+    ids=[
+        "office",
+        "office utf-16",
+        "german windows",
+        "german utf-8",
+        "decitonnes",
+        "quintals",
+        "spanish utf-8",
+        "spanish windows",
+        "strange states",
+    ],
 )
 def test_texts(content: str, encoding: str, down: list[float] | None, tmp_path: Path) -> None:
     path = tmp_path / "field.csv"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import replace
+from math import radians
 from pathlib import Path
 
 import pytest
@@ -11,7 +12,7 @@ import pytest
 from yieldmon.errors import InputError
 from yieldmon.service import configuration
 from yieldmon.service.configuration import Configuration
-from yieldmon.service.mapping_check import RATE_TOLERANCE, QuantitySeen, notes, problems, seen_in
+from yieldmon.service.mapping_check import RATE_TOLERANCE, QuantitySeen, notes, problems, remarks, seen_in
 
 DBC = """\
 VERSION ""
@@ -137,6 +138,44 @@ def test_values_that_an_input_cannot_have_are_said(decoded: tuple[float, float],
     ((where, problem, expected),) = problems(config, seen, "a.log")
     assert (where, problem) == ("a.log: elevator_speed", told)
     assert expected == "values that it can have; look at signal, unit, scale and range"
+
+
+@pytest.mark.parametrize(
+    ("low_deg", "high_deg", "wrong"),
+    [(1.22, 1.23, True), (35.1, 35.2, False), (34.0, 34.9, True), (30.0, 70.0, False), (94.9, 95.0, False), (95.1, 96.0, True)],
+)
+def test_a_plate_that_is_never_at_an_angle_of_the_machine_is_a_mistake(
+    low_deg: float, high_deg: float, wrong: bool, tmp_path: Path
+) -> None:
+    config = load(tmp_path)
+    turning = replace(
+        config, machine=replace(config.machine, min_plate_angle_rad=radians(40.0), max_plate_angle_rad=radians(90.0))
+    )
+    seen = impact(config) | {
+        "plate_angle": QuantitySeen("deg", 9, 9, 10.0, low_deg, high_deg, 0.1, (low_deg,), (low_deg, high_deg))
+    }
+    told = problems(turning, seen, "a.log")
+    assert [where for where, _, _ in told] == ["a.log: plate_angle"] * wrong
+    assert all(expected.startswith("angles from 40 to 90 deg") for _, _, expected in told)
+
+
+@pytest.mark.parametrize(
+    ("name", "unit", "low", "high", "said"),
+    [
+        ("elevator_speed", "rpm", 6.4, 6.7, True),
+        ("elevator_speed", "rpm", 0.0, 400.0, False),
+        ("elevator_speed", "rpm", 900.0, 950.0, True),
+        ("moisture", "%", 0.14, 0.16, True),
+        ("moisture", "%", 0.0, 14.0, False),
+    ],
+)
+def test_what_is_doubtful_is_said(name: str, unit: str, low: float, high: float, said: bool, tmp_path: Path) -> None:
+    config = load(tmp_path)
+    seen = impact(config) | {name: QuantitySeen(unit, 9, 9, 10.0, low, high, 0.1, (low,), (low, high))}
+    told = remarks(config, seen)
+    assert len(told) == said
+    assert all(text.startswith(f"{name} is never ") for text in told)
+    assert problems(config, seen, "a.log") == []
 
 
 OUTPUTS = """\

@@ -298,3 +298,25 @@ def test_a_cell_in_a_wrong_unit_is_found(factor: float, tmp_path: Path, capsys: 
         assert main(["check-config", str(path)]) == 0
     else:
         assert "machine.yaml: sensor: gain_n_per_mv" in said(capsys, path)
+
+
+@pytest.mark.parametrize(("speed_rpm", "valid"), [(40, False), (249, False), (250, True), (400, True), (599, True), (600, False)])
+def test_a_constant_speed_is_one_at_which_flow_is_measured(
+    speed_rpm: int, valid: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "c.yaml"
+    path.write_text(f"signals:\n  elevator_speed: {{value: {speed_rpm}}}\n")
+    if valid:
+        assert main(["check-config", str(path)]) == 0
+    else:
+        assert f"signals.elevator_speed.value: {speed_rpm}; expected 250 to 599 rpm" in said(capsys, path)
+
+
+@pytest.mark.parametrize("unit", ["RPM", "U/min", "Rpm"])
+def test_a_unit_is_known_however_a_maker_spells_it(unit: str, tmp_path: Path) -> None:
+    (tmp_path / "own.dbc").write_text(
+        f'VERSION ""\nNS_ :\nBS_:\nBU_: N\nBO_ 300 Shaft: 2 N\n SG_ Turns : 0|16@1+ (0.5,0) [0|0] "{unit}" N\n'
+    )
+    path = tmp_path / "c.yaml"
+    path.write_text("signals:\n  elevator_speed: {dbc: own.dbc, message: Shaft, signal: Turns}\n")
+    assert main(["check-config", str(path)]) == 0

@@ -7,15 +7,17 @@ Log format (``-l``, ``-L``)::
     (1436509052.249713) can0 123#R8                             remote frame, with or without its length
     (1436509052.249713) can0 20000004#0001000000000000 R        error frame; trailing R (received) or T (transmitted)
 
-Screen format with absolute or relative times (``-t a``, ``-t z``)::
+Screen format with absolute or relative times (``-t a``, ``-t z``), or with the date (``-t A``, taken as UTC)::
 
     (1436509052.249713)  can0  18FF1380   [8]  01 02 03 04 05 06 07 08
     (1436509052.249713)  can0  RX - -  20000004   [8]  00 01 00 00 00 00 00 00   ERRORFRAME
+    (2015-07-10 06:17:32.249713)  can0  18FF1380   [8]  01 02 03 04 05 06 07 08
 """
 
 from __future__ import annotations
 
 import re
+from datetime import UTC, datetime
 
 import can
 
@@ -30,7 +32,8 @@ _LOG_LINE = re.compile(
     r"(?:_[0-9A-Fa-f])?(?:\s+(?P<direction>[RrTt]))?"
 )
 _SCREEN_LINE = re.compile(
-    r"\((?P<time>\d{1,12}\.\d{1,9})\)\s+(?P<channel>\S+)\s+(?:(?P<direction>[RT])X\s+\S\s+\S\s+)?"
+    r"\((?:(?P<date>\d{4}-\d\d-\d\d \d\d:\d\d:\d\d)(?P<part>\.\d{1,9})|(?P<time>\d{1,12}\.\d{1,9}))\)\s+"
+    r"(?P<channel>\S+)\s+(?:(?P<direction>[RT])X\s+\S\s+\S\s+)?"
     r"(?P<id>[0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})\s+\[0?(?P<length>\d{1,2})\]"
     r"(?:\s+(?P<remote>remote request)|(?P<data>(?:\s+[0-9A-Fa-f]{2})*))(?:\s+'.*')?(?:\s+ERRORFRAME)?"
 )
@@ -77,20 +80,29 @@ def _log_message(match: re.Match[str]) -> can.Message | None:
         return None
     is_remote = match["remote"] is not None
     length = int(match["remote"] or 0) if is_remote else len(data)
-    return _message(match, data, length, is_remote=is_remote, is_fd=is_fd, flags=flags)
+    return _message(match, float(match["time"]), data, length, is_remote=is_remote, is_fd=is_fd, flags=flags)
 
 
 def _screen_message(match: re.Match[str]) -> can.Message | None:
     data = bytes.fromhex(match["data"] or "")
     length = int(match["length"])
     is_remote = match["remote"] is not None
-    if length not in _FD_LENGTHS or (not is_remote and len(data) != length):
+    time_s = float(match["time"]) if match["date"] is None else _clock_s(match["date"], match["part"])
+    if time_s is None or length not in _FD_LENGTHS or (not is_remote and len(data) != length):
         return None
-    return _message(match, data, length, is_remote=is_remote, is_fd=len(data) > CLASSIC_BYTES)
+    return _message(match, time_s, data, length, is_remote=is_remote, is_fd=len(data) > CLASSIC_BYTES)
+
+
+def _clock_s(date: str, part: str) -> float | None:
+    try:
+        whole_s = int(datetime.strptime(date, "%Y-%m-%d %H:%M:%S").replace(tzinfo=UTC).timestamp())
+    except ValueError:
+        return None
+    return float(f"{whole_s}{part}")
 
 
 def _message(
-    match: re.Match[str], data: bytes, length: int, *, is_remote: bool, is_fd: bool, flags: int = 0
+    match: re.Match[str], time_s: float, data: bytes, length: int, *, is_remote: bool, is_fd: bool, flags: int = 0
 ) -> can.Message | None:
     can_id = int(match["id"], 16)
     is_extended = len(match["id"]) > 3
@@ -98,7 +110,7 @@ def _message(
     if can_id & ~(ERROR_FLAG | LARGEST_EXTENDED_ID) or (not is_extended and can_id > LARGEST_STANDARD_ID):
         return None
     return can.Message(
-        timestamp=float(match["time"]),
+        timestamp=time_s,
         channel=match["channel"],
         arbitration_id=can_id & LARGEST_EXTENDED_ID,
         is_extended_id=is_extended and not is_error,

@@ -19,6 +19,7 @@ from yieldmon.bus.loggers import canedge, kvaser, savvycan
 from yieldmon.bus.loggers.busmaster import Busmaster, begins
 from yieldmon.bus.loggers.fields import Parser
 from yieldmon.bus.loggers.peak import Trace
+from yieldmon.bus.loggers.vector import Times
 from yieldmon.errors import InputError
 
 #: By their ending; candump's is the first.
@@ -57,6 +58,7 @@ def read_stream(stream: io.BufferedReader, path: Path, suffix: str, notes: LogNo
         case ".csv":
             return _read_csv(lines, notes)
         case _:
+            lines.rewritten = Times()
             return _read_with_python_can(lines, suffix)
 
 
@@ -68,13 +70,15 @@ def is_candump(stream: io.BufferedReader) -> bool:
 class _Lines:
     """Line by line what a text reader of python-can may see; damaged bytes never reach it.
 
-    Stands in for an open text file: iterable, with close(). `number` is the line handed out last, from 1.
+    Stands in for an open text file: iterable, with close(). `number` is the line handed out last, from 1; `rewritten` makes of
+    each sound line the one to hand out.
     """
 
     def __init__(self, stream: io.BufferedReader, path: Path, notes: LogNotes) -> None:
         self.number = 0
         self.damaged = False
         self.resume_with: str | None = None
+        self.rewritten: Callable[[str], str] = str
         self._stream = stream
         self._path = path
         self._notes = notes
@@ -97,7 +101,7 @@ class _Lines:
                 self.damage(given_up)
                 raise StopIteration
             if problem is None:
-                return raw.decode("utf-8", errors="replace").rstrip("\r\n")
+                return self.rewritten(raw.decode("utf-8", errors="replace").rstrip("\r\n"))
             self.damage(problem)
 
     def close(self) -> None:

@@ -82,6 +82,7 @@ def _held_against(
     if incomplete:
         notes.append(f"{incomplete} messages of several frames lack one and are not used")
     problems += mapping_check.problems(loaded, found, log)
+    notes += mapping_check.remarks(loaded, found)
     return mapping_check.as_json(found), notes, [InputError(*problem) for problem in problems]
 
 

@@ -115,7 +115,8 @@ def _spare_sources(sources: Sequence[Path], out: Path, formats: Sequence[str]) -
 def _read(paths: list[Path], options: ReadOptions, progress: sources.Progress) -> HarvestTable:
     tables = []
     for path in paths:
-        progress(f"reading {path}")
+        if sys.stderr.isatty():
+            progress(f"reading {path}")
         table = sources.read(path, options)
         tables.append(table)
         for source in table.sources:

@@ -283,7 +283,9 @@ def _line(document: ProcessSummary, units: Units) -> str:
         lines.append("faults: " + ", ".join(f"{code} {count} x" for code, count in document["faults"].items()))
     lines += record_lines(document)
     if not document["windows"]:
-        lines.append("no mass: no whole second passes between the frames' times, as in a log of a recorder without a clock")
+        lines.append(
+            "no mass: no whole second passes between the frames' times, as of a recorder without a clock, or candump -td"
+        )
     elif not document["zero_known"] and document.get("missing", {}).get("elevator speed", 0.0) > _MOSTLY:
         lines.append(
             "no mass: no frame reports the elevator's speed, and without it there is no zero; what the log holds is shown by "

@@ -85,6 +85,7 @@ def crop(name: str) -> Crop | None:
 
 _SHORT_TON_KG = LB_PER_SHORT_TON * KG_PER_LB
 _MASS = {"kg": 1.0, "g": 1e-3, "t": 1e3, "lb": KG_PER_LB, "lbs": KG_PER_LB, "mg": 1e-6, "ton": _SHORT_TON_KG, "tonne": 1e3}
+_MASS |= {"dt": 100.0, "q": 100.0}  # decitonne (German) and quintal (French, Italian, Spanish), both 100 kg
 _LENGTH = {"m": 1.0, "cm": 0.01, "mm": 1e-3, "ft": M_PER_FT, "in": M_PER_IN, "km": 1e3, "mi": M_PER_MI, "inch": M_PER_IN}
 _TIME = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "min": 60.0, "h": 3600.0, "hr": 3600.0, "d": S_PER_DAY}
 _AREA = {"m2": 1.0, "ha": M2_PER_HA, "ac": M2_PER_ACRE, "acre": M2_PER_ACRE}

@@ -26,6 +26,10 @@ SPEEDS_RPM = (300.0, 400.0, 500.0)
 RATE_TOLERANCE = 0.05
 """Relative difference of a stated sample rate from the recorded one that is a problem."""
 _FIRST = 5
+_ANGLE_MARGIN_DEG = 5.0
+"""Beyond the machine's range, for a park position and a rough zero of the angle."""
+_LEAST_MOISTURE_PCT = 1.0
+"""No grain is drier."""
 _WORTH_SAYING_PCT = 0.1
 _SPEED_BAND = np.linspace(0.98, 1.02, 9)
 """A loaded elevator turns up to this share off its stated speed: enough to fold a harmonic onto 0."""
@@ -189,6 +193,7 @@ def problems(configuration: Configuration, seen: dict[str, QuantitySeen], log: s
                 "values that it can have; look at signal, unit, scale and range" if entry.values else "frames that are mapped"
             )
             found.append((f"{log}: {name}", f"{what}: {instead}".rstrip() if instead else what, expected))
+    found += _angle_problems(configuration.machine, seen, log)
     sensor = configuration.machine.sensor
     most_mv = configuration.engine.windows.plausible_full_scales * sensor.full_scale_mv
     for number, source in enumerate(configuration.signals.sources.impact):
@@ -199,6 +204,33 @@ def problems(configuration: Configuration, seen: dict[str, QuantitySeen], log: s
         if rate_hz is not None and abs(rate_hz / source.rate_hz - 1.0) > RATE_TOLERANCE:
             where = f"{log}: {_impact_name(number)}"
             found.append((where, f"{rate_hz:.4g} samples per second", f"{source.rate_hz:g}, as mapped"))
+    return found
+
+
+def _angle_problems(machine: Machine, seen: dict[str, QuantitySeen], log: str) -> list[tuple[str, str, str]]:
+    """Of a plate that is never near an angle that it can have."""
+    entry = seen.get("plate_angle")
+    if entry is None or entry.low is None or entry.high is None:
+        return []
+    least, most = degrees(machine.min_plate_angle_rad), degrees(machine.max_plate_angle_rad)
+    if entry.low <= most + _ANGLE_MARGIN_DEG and entry.high >= least - _ANGLE_MARGIN_DEG:
+        return []
+    expected = f"angles from {least:g} to {most:g} deg, as the machine file says; look at unit, scale and offset"
+    return [(f"{log}: plate_angle", f"{entry.low:.6g} to {entry.high:.6g} deg", expected)]
+
+
+def remarks(configuration: Configuration, seen: dict[str, QuantitySeen]) -> list[str]:
+    """What is doubtful in a recording, a sentence each: it may be a recording of that kind, or a mistaken unit."""
+    found, machine = [], configuration.machine
+    speed, moisture = seen.get("elevator_speed"), seen.get("moisture")
+    least, most = machine.min_elevator_speed_rad_s / RPM, machine.max_elevator_speed_rad_s / RPM
+    if speed is not None and speed.low is not None and speed.high is not None and (speed.high < least or speed.low > most):
+        found.append(
+            f"elevator_speed is never between {least:.0f} and {most:.0f} rpm, where flow is measured: if the machine harvested, "
+            "look at unit, scale and ratio"
+        )
+    if moisture is not None and moisture.high is not None and moisture.high < _LEAST_MOISTURE_PCT:
+        found.append(f'moisture is never above {moisture.high:.3g} %: if it comes as a share of 1, unit: "1" makes it per cent')
     return found
 
 

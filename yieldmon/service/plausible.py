@@ -1,4 +1,4 @@
-"""A force cell held against the machine that it is on: gain and full scale in units that were mistaken are far from it."""
+"""A force cell and a constant speed held against their machine: figures in units that were mistaken are far from it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files.crops import crops
-from yieldmon.physics.machine import Machine
+from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.service.configuration import Configuration
 
@@ -15,10 +15,11 @@ _NEARLY_FULL = 0.99
 _MOST_OVER_FULL = 10.0
 """Full scale over the force of full paddles, at most; of a cell that resolves grain it is 2 to 7."""
 _ANGLES = 9
+_ROUNDING = 1e-6
 
 
 def implausible(configuration: Configuration) -> list[tuple[str, str, str]]:
-    """What cannot be of the force cell.
+    """What cannot be of the force cell, or of an elevator whose speed is given as a constant.
 
     Parameters
     ----------
@@ -27,10 +28,20 @@ def implausible(configuration: Configuration) -> list[tuple[str, str, str]]:
     Returns
     -------
     list of tuple of str
-        (where, problem, expected); empty for a cell that can be.
+        (where, problem, expected); empty for figures that can be.
     """
-    found = cell_problem(configuration.machine, configuration.parameters)
-    return [] if found is None else [(f"{configuration.machine_path}: sensor", *found)]
+    machine, problems = configuration.machine, []
+    found = cell_problem(machine, configuration.parameters)
+    if found is not None:
+        problems.append((f"{configuration.machine_path}: sensor", *found))
+    speed_rpm = configuration.signals.sources.fixed.get("elevator_speed")
+    low_rpm, high_rpm = machine.min_elevator_speed_rad_s / RPM, machine.max_elevator_speed_rad_s / RPM
+    if speed_rpm is not None and not low_rpm - _ROUNDING <= speed_rpm <= high_rpm + _ROUNDING:
+        expected = (
+            f"{low_rpm:.0f} to {high_rpm:.0f} rpm of the upper shaft, as the machine file says: no flow is measured at others"
+        )
+        problems.append((f"{configuration.path}: signals.elevator_speed.value", f"{speed_rpm:g}", expected))
+    return problems
 
 
 def cell_problem(machine: Machine, known: ParameterSet) -> tuple[str, str] | None:

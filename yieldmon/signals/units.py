@@ -25,9 +25,15 @@ FACTORS: Mapping[str, Mapping[str, float]] = {
 """Unit of a quantity -> unit on the bus -> factor."""
 
 
+_IN_ANY_CASE = ("rpm", "deg", "degree", "degrees", "percent", "kph", "mph", "km/h", "degC")
+"""Those of which no other case means anything else, as mg and Mg do."""
+_SPELLINGS = {unit.lower(): unit for unit in _IN_ANY_CASE} | {"u/min": "rpm", "km/hr": "km/h", "kmh": "km/h"}
+
+
 def factor(quantity_unit: str, unit: str) -> float | None:
     """What a value in `unit` is multiplied with; None for a unit that is none of this quantity."""
-    return FACTORS[quantity_unit].get(unit.strip())
+    known, plain = FACTORS[quantity_unit], unit.strip()
+    return known.get(plain, known.get(_SPELLINGS.get(plain.lower(), plain)))
 
 
 def accepted(quantity_unit: str) -> str:
