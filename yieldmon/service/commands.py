@@ -274,7 +274,8 @@ def _zero_undo(order: _Order) -> Answer:
     except ValueError as error:
         raise InputError("zero --undo", str(error), "an undo after `yieldmon zero`") from error
     journal.happened(events)
-    reported = {event.load.number for event in events if isinstance(event, LoadOpened | LoadClosed)} | ({monitor.totals.load_number} if monitor.totals.load_open else set())
+    reported = {event.load.number for event in events if isinstance(event, LoadOpened | LoadClosed)}
+    reported |= {monitor.totals.load_number} if monitor.totals.load_open else set()
     journal.zero_undone(order.request.who, restored, reported, order.now_s)
     return {"zero": "undone", "restored_kg": sum(missed.kg for missed in restored.values())}
 
