@@ -12,6 +12,7 @@ import pytest
 
 from tests.service.bench import running, wait_for
 from tests.service.test_tickets_after_restart import TRUE, Season, ask
+from yieldmon.cli import main as cli
 from yieldmon.cli._records import back, taken_back
 from yieldmon.files import parameter_file
 from yieldmon.service.store import Store
@@ -246,3 +247,70 @@ def test_a_parameter_file_undone_gives_the_tickets_after_it_to_the_one_before(tm
         assert left(season, bench)["values"]["density"] != pytest.approx(900.0, rel=0.01)
         # It teaches again from the file before, so it is among those that an undo of it reaches.
         assert ask(season.folder, "ticket", "undo", "2")["undone"] > version
+
+
+def together(season: Season, bench, *, kill_after: int | None) -> None:
+    """All tickets within one second. kill_after: seconds after which the daemon is gone, with what the store had then."""
+    for number, factor in RIGHT:
+        weighed_kg = factor * season.masses[number]
+        ask(season.folder, "ticket", str(number), f"{weighed_kg}kg", "--std-dev", f"{0.002 * weighed_kg}kg")
+    if kill_after is None:
+        settle(season, bench)
+        return
+    if kill_after:
+        bench.play(kill_after, 0.0)
+        bench.played()
+
+
+def led_to(season: Season) -> list[list[int]]:
+    with Store(season.folder / "yieldmon.sqlite") as store:
+        return [a.document["tickets"] for a in store.actions() if a.kind == "parameters" and a.document["origin"] == "ticket"]
+
+
+def test_tickets_entered_together_all_teach_one_version_each(never, tmp_path) -> None:
+    season = Season(tmp_path / "a")
+    with running(season.folder) as bench:
+        season.harvest(bench)
+        together(season, bench, kill_after=None)
+        same(left(season, bench), never)
+        first = led_to(season)
+        assert first[0] == [1]
+        assert [max(numbers) for numbers in first] == [1, 2, 3]
+        answer = ask(season.folder, "calibrations", "undo", str(versions_of(season, 1)[0]))
+        assert (answer["silenced"], answer["learnt_again"]) == ([1], [2, 3])
+
+
+@pytest.mark.parametrize("seconds", [0, 1, 2, 3])
+def test_a_kill_between_tickets_entered_together_loses_none_and_doubles_none(seconds: int, never, tmp_path) -> None:
+    season, killed = Season(tmp_path / "a"), tmp_path / "killed"
+    killed.mkdir()
+    with running(season.folder) as bench:
+        season.harvest(bench)
+        together(season, bench, kill_after=seconds)
+        for file in Path(season.folder).glob("yieldmon.sqlite*"):
+            shutil.copy(file, killed / file.name)
+        settle(season, bench)
+        season.now_s = bench.now_s
+    season.folder = killed
+    with running(killed, start_s=season.now_s + 60.0) as bench:
+        bench.play(3, 0.0)
+        bench.played()
+        same(left(season, bench), never)
+        assert [max(numbers) for numbers in led_to(season)] == [1, 2, 3]
+
+
+def test_a_ticket_that_is_still_to_teach_says_so(tmp_path, capsys) -> None:
+    season = Season(tmp_path / "a")
+    with running(season.folder) as bench:
+        season.harvest(bench)
+        together(season, bench, kill_after=0)
+        states = [row["state"] for row in ask(season.folder, "ticket", "list")["tickets"]]
+        assert states == ["to teach"] * 3
+        settle(season, bench)
+        states = [row["state"] for row in ask(season.folder, "ticket", "list")["tickets"]]
+        assert states == ["taught version 2", "taught version 3", "taught version 4"]
+        ask(season.folder, "ticket", "undo", "2")
+        assert ask(season.folder, "ticket", "list")["tickets"][1]["state"] == "undone"
+        capsys.readouterr()
+        assert cli.main(["ticket", "list", "--socket", str(season.folder / "yieldmon.sock")]) == 0
+        assert "taught version 2" in capsys.readouterr().out

@@ -93,12 +93,12 @@ def _listed(args: argparse.Namespace) -> int:
         (
             str(t["number"]), when(t["time_s"]), t["who"] or "-",
             str(t["first_load"]) if t["first_load"] == t["last_load"] else f"{t['first_load']}-{t['last_load']}",
-            units.mass(t["measured_mass_kg"]), units.mass(t["weighed_mass_kg"]), undone(t["undone_s"], t["undone_by"]),
-            t["note"] or "-",
+            units.mass(t["measured_mass_kg"]), units.mass(t["weighed_mass_kg"]), t.get("state", "-"),
+            undone(t["undone_s"], t["undone_by"]), t["note"] or "-",
         )
         for t in answer["tickets"]
     )  # fmt: skip
-    show(("ticket", "entered", "by", "loads", "measured", "weighed", "undone", "note"), rows)
+    show(("ticket", "entered", "by", "loads", "measured", "weighed", "state", "undone", "note"), rows)
     return 0
 
 

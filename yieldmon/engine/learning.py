@@ -45,13 +45,14 @@ _FORCES_HOLD = frozenset({SweepAbort.FLOW_CHANGED, SweepAbort.SPEED_CHANGED, Swe
 class ParametersChanged:
     """Other parameters from now on. origin: "sweep", "ticket" (a reference mass alone), "kernels" or "drift"; reason: one
     sentence; step: see `records.CalibrationOutcome`. moisture_pct: of the grain for which they hold, nan where it is not known;
-    None: as measured now."""
+    None: as measured now. taught: number and weighed mass, kg, of the loads whose tickets were handed over for it."""
 
     parameters: ParameterSet
     origin: str
     reason: str
     step: CalibrationStep | None = None
     moisture_pct: float | None = None
+    taught: tuple[tuple[int, float], ...] = ()
 
 
 class Learning:
@@ -448,10 +449,13 @@ class Learning:
             self._masses_new, self._waiting = False, []
             self._compare()
             return ()
-        self._waiting = _after_first_ticket(self._waiting)
+        waited, self._waiting = self._waiting, _after_first_ticket(self._waiting)
         self._masses_new = bool(self._waiting)
         anchors = tuple(anchor for anchor in self.anchors if anchor not in self._waiting)
-        return self._take(self.calibrator.weigh(record, anchors, self.estimator))
+        changed = self._take(self.calibrator.weigh(record, anchors, self.estimator))
+        handed = waited[: len(waited) - len(self._waiting)]
+        taught = tuple((anchor.load_number, anchor.reference_kg) for anchor in handed)
+        return tuple(replace(change, taught=taught) for change in changed)
 
     def _follow_drift(self, record: WindowRecord) -> tuple[ParametersChanged, ...]:
         """Between lessons the parameters go on as the lessons together say that they drift."""

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from math import isclose
 from typing import Any
 
+from yieldmon.engine.learning import ParametersChanged
 from yieldmon.errors import InputError
 from yieldmon.files.ticket_file import RELATIVE_STD_DEV
 from yieldmon.service import ledger as ledgers
@@ -199,6 +201,23 @@ class ActionLog:
             for number in action.document.get("tickets", ())
         }
 
+    def teaching(self, change: ParametersChanged) -> list[int]:
+        """Numbers of the tickets that a change of the parameters rests on: those handed over for it, of several entered together
+        one with each change; after them those that have taught already and whose loads are still to be measured again."""
+        learnt = self._learnt
+        return [number for number in self.waiting if number in learnt or self._is_of(number, change.taught)]
+
+    def _is_of(self, number: int, taught: Sequence[tuple[int, float]]) -> bool:
+        ticket = self._tickets[number - 1]
+        return isclose(
+            sum(kg for load, kg in taught if ticket.first_load <= load <= ticket.last_load), ticket.weighed_mass_kg, rel_tol=1e-6
+        )
+
+    @property
+    def to_teach(self) -> frozenset[int]:
+        """Numbers of the tickets in the queue to teach the parameters in use, one with each second."""
+        return frozenset(self.waiting) - set(self._learnt)
+
     @property
     def unfinished(self) -> tuple[int, ...]:
         """Numbers of the tickets that wait or whose loads are being measured again, which a restart has to go on with."""
@@ -260,8 +279,21 @@ class ActionLog:
         return ledgers.ledger(self._tickets, self._actions)
 
     def ticket_table(self) -> list[dict[str, Any]]:
-        """All tickets, with who entered them and who took them back."""
-        return ledgers.ticket_rows(self._tickets, self._actions)
+        """All tickets, with who entered them and who took them back, and what became of each."""
+        rows = ledgers.ticket_rows(self._tickets, self._actions)
+        return [row | {"state": self._state_of(int(row["number"]), undone=row["undone_s"] is not None)} for row in rows]
+
+    def _state_of(self, number: int, *, undone: bool) -> str:
+        standing = [v for v, a in sorted(self.updates.items()) if v not in self.undone_versions]
+        led = next((v for v in standing if number in self.updates[v].document.get("tickets", ())), None)
+        waits_for = next((crop for crop, kept in self._of_crop.items() if number in kept), None)
+        if undone:
+            return "undone"
+        if waits_for is not None:
+            return f"to teach {waits_for}"
+        if number in self.to_teach:
+            return "to teach"
+        return "corrects its load" if led is None else f"taught version {led}"
 
     def take(self) -> tuple[tuple[Ticket, ...], tuple[Action, ...]]:
         """Those that no batch has brought yet; they count as brought."""

@@ -112,7 +112,7 @@ class Journal:
             elif isinstance(event, LoadRestated):
                 self.loads.restated(event.number, event.std_dev_kg)
             elif isinstance(event, ParametersChanged):
-                self.parameters.use(event.parameters, event.origin, "", event.reason, self.actions.waiting, event.step)
+                self.parameters.use(event.parameters, event.origin, "", event.reason, self.actions.teaching(event), event.step)
             elif isinstance(event, SweepEnded):
                 self._new_sweeps.append(event)
 
