@@ -13,7 +13,7 @@ LB, FT, INCH, MILE = Exact("0.45359237"), Exact("0.3048"), Exact("0.0254"), Exac
 ACRE = 43560 * FT**2
 MASS = {
     "kg": Exact(1), "g": Exact(1, 1000), "mg": Exact(1, 10**6), "t": Exact(1000), "tonne": Exact(1000), "lb": LB, "lbs": LB,
-    "ton": 2000 * LB,
+    "ton": 2000 * LB, "dt": Exact(100), "q": Exact(100),
 }  # fmt: skip
 LENGTH = {
     "m": Exact(1), "cm": Exact(1, 100), "mm": Exact(1, 1000), "km": Exact(1000), "ft": FT, "in": INCH, "inch": INCH, "mi": MILE,
