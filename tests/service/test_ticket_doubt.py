@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from math import log
 
+import numpy as np
 import pytest
 
 from tests.service.bench import running
@@ -77,3 +78,45 @@ def test_the_last_ticket_in_short_tons_is_asked_about_raises_the_alarm_and_is_me
         assert "ScaleDisagrees" in [fault["code"] for fault in bench.daemon.snapshot["faults"]]
         assert enter(1.0) == ""
         assert "ScaleDisagrees" not in [fault["code"] for fault in bench.daemon.snapshot["faults"]]
+
+
+SLIPS = {
+    "none": (1.0, 0.0), "pounds as kilograms": (2.20462, 0.0), "kilograms as pounds": (0.453592, 0.0),
+    "a digit lost": (0.1, 0.0), "a digit doubled": (11.0, 0.0), "the truck's tare": (1.0, 9_000.0), "short tons": (1.10231, 0.0),
+}  # fmt: skip
+ASKED = {"pounds as kilograms", "kilograms as pounds", "a digit lost", "a digit doubled", "the truck's tare"}
+
+
+@pytest.mark.parametrize("slip", list(SLIPS))
+def test_of_a_machine_never_weighed_gross_slips_are_asked_about_and_right_tickets_hardly(slip: str) -> None:
+    """Loads of 6 to 12 t on machines off by 20 % (1 sd): an own generator of slips."""
+    rng, asked = np.random.default_rng(771_03), 0
+    for _ in range(400):
+        known_kg = rng.uniform(6_000.0, 12_000.0)
+        true_kg = known_kg * np.exp(0.2 * rng.standard_normal())
+        factor, more_kg = SLIPS[slip]
+        weighed_kg = factor * true_kg + more_kg
+        found = combined([(weighed_kg, (log(weighed_kg / known_kg), 0.03))], weighed_before=False)
+        covered = [Load(7, "", "wheat", 1.0, 2.0, known_kg, None)]
+        asked += bool(ticket_doubt.question(weighed_kg, found, covered, {7: known_kg}, set()))
+    assert asked > 0.6 * 400 if slip in ASKED else asked < 0.08 * 400
+
+
+def test_the_first_ticket_says_that_it_decides_alone_and_the_second_that_the_first_may_be_wrong(tmp_path, capsys) -> None:
+    season = Season(tmp_path / "a")
+    with running(season.folder) as bench:
+        season.harvest(bench)
+
+        def enter(load: int, factor: float) -> str:
+            words = ["ticket", str(load), f"{factor * TRUE * season.masses[load]}kg"]
+            assert cli.main([*words, "--socket", str(season.folder / "yieldmon.sock")]) == 0
+            bench.play(2, 0.0)
+            bench.played()
+            return capsys.readouterr().err
+
+        assert "the first ticket, it sets the scale by itself (" in enter(2, 1.4)
+        assert "by one ticket alone, until a second confirms it" in bench.daemon.monitor.outcome.reason
+        second = enter(3, 1.0)
+        assert "sets the scale by itself" not in second
+        assert "or ticket 1, the only one before it, is the wrong one (`yieldmon ticket undo 1`)" in second
+        assert "by one ticket alone" not in bench.daemon.monitor.outcome.reason

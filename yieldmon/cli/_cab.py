@@ -92,6 +92,8 @@ def said(request: Mapping[str, Any], answer: Mapping[str, Any]) -> str:
             change_pct = 100.0 * (answer["factor"] - 1.0)
             taken = f"ticket for load {answer['first_load']} taken: {change_pct:+.1f} % against what was measured"
             doubt = f"; {answer['question']}: is it right?" if answer.get("question") else ""
+            if answer.get("sets_scale_pct") is not None:
+                doubt += "; the first, it sets the scale by itself: weigh a second load"
             return f"{taken}{doubt}" if answer["anchor"] else f"{taken}; no reference: {answer['why_no_anchor']}"
         case "zero":
             return "the zero is being taken; keep the elevator running empty; `yieldmon zero --undo` takes it back"

@@ -60,6 +60,13 @@ def run(args: argparse.Namespace) -> int:
     doubt = answer.get("question") or (f"{off_pct:+.0f} % is a lot" if abs(off_pct) > UNLIKELY_PCT else "")
     if doubt:
         print(f"yieldmon: {which}: {doubt}; if it is a slip, enter the right mass as another ticket", file=sys.stderr)
+    alone = answer.get("sets_scale_pct")
+    if alone is not None:
+        print(
+            f"yieldmon: {which}: the first ticket, it sets the scale by itself ({alone:+.1f} %); compare it with the slip, and "
+            "weigh a second load, which confirms or contradicts it",
+            file=sys.stderr,
+        )
     if args.json:
         print_json(answer)
     else:

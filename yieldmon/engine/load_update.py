@@ -87,7 +87,8 @@ class LoadUpdate:
             reason = " ".join(found.sentences)
         else:
             curve = curve_sentence(found) if _is_another(found) else ""
-            reason = "; ".join(filter(None, (reason, curve, wrong_ticket_sentence(found))))
+            alone = "by one ticket alone, until a second confirms it" if len(counted) == 1 else ""
+            reason = "; ".join(filter(None, (reason, alone, curve, wrong_ticket_sentence(found))))
         scale = ScaleReport(found.scale_sd, found.scale_sd, float(np.log(found.scale)), True, ())
         known, wide = found.parameter_set, widened(prior, self.load_settings)
         names = (*(n for n in prior.covariance_names if n in known.covariance_names),)

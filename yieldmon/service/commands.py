@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from math import exp
 from typing import Any
 
 from yieldmon.engine.anchors import Weighing
@@ -194,7 +195,9 @@ def _ticket(order: _Order) -> Answer:
     ticket = Ticket(order.now_s, first, last, weighed_kg, measured_kg, request.name("note") or "")
     why_not = ticket_file.unit_slip(weighed_kg, measured_kg) or why_no_reference(monitor, journal, covered, order.stored)
     shares = weighings(covered, ticket, std_dev_kg)
-    question = _question(ticket, [] if why_not else shares, order, covered)
+    departs = None if why_not else _departure(shares, order)
+    question = _question(ticket, departs, order, covered)
+    first_moves = exp(departs.ln) - 1.0 if departs is not None and departs.first and not journal.actions.to_teach else None
     if not why_not:
         for load_number, mass_kg, share_std_dev_kg in shares:
             monitor.ticket(load_number, mass_kg, share_std_dev_kg)
@@ -211,20 +214,46 @@ def _ticket(order: _Order) -> Answer:
         "anchor": not why_not,
         "why_no_anchor": why_not,
         "question": question,
+        "sets_scale_pct": None if first_moves is None else 100.0 * first_moves,
     }
 
 
-def _question(ticket: Ticket, shares: Sequence[Weighing], order: _Order, covered: Sequence[Load]) -> str:
-    """See ticket_doubt. shares: of the loads, where they are to teach."""
+def _departure(shares: Sequence[Weighing], order: _Order) -> ticket_doubt.Departure | None:
+    """Of a ticket with these shares of loads; None where there is no number."""
     found = [(mass_kg, order.monitor.ticket_departure(number, mass_kg, sd_kg)) for number, mass_kg, sd_kg in shares]
     parts = [(mass_kg, part) for mass_kg, part in found if part is not None]
     if not parts or len(parts) != len(shares):
+        return None
+    return ticket_doubt.combined(
+        parts,
+        weighed_before=bool(order.monitor.counted_loads),
+        only_one=bool(_only_tickets(order, [number for number, _, _ in shares])),
+    )
+
+
+def _only_tickets(order: _Order, covered: Sequence[int]) -> list[int]:
+    """Standing tickets for all the loads whose tickets have counted, where these loads are others: a single weighing has set the
+    scale."""
+    counted = order.monitor.counted_loads
+    if counted & set(covered):
+        return []
+    standing = order.journal.actions.ledger.tickets.items()
+    return [n for n, t in standing if counted and counted <= set(range(t.first_load, t.last_load + 1))]
+
+
+def _question(ticket: Ticket, departs: ticket_doubt.Departure | None, order: _Order, covered: Sequence[Load]) -> str:
+    """See ticket_doubt."""
+    if departs is None:
         return ""
     known = order.journal.actions.ledger
     known_kg = {load.number: load.mass_kg * known.factors.get(load.number, 1.0) for load in order.journal.loads}
     weighed = {n for t in known.tickets.values() for n in range(t.first_load, t.last_load + 1)}
-    departs = ticket_doubt.combined(parts, weighed_before=bool(order.monitor.counted_loads))
-    return ticket_doubt.question(ticket.weighed_mass_kg, departs, covered, known_kg, weighed)
+    asked = ticket_doubt.question(ticket.weighed_mass_kg, departs, covered, known_kg, weighed)
+    alone = _only_tickets(order, [load.number for load in covered])
+    # A scale that one ticket alone has set is no better than that ticket.
+    if not (asked and alone):
+        return asked
+    return f"{asked}; or ticket {alone[-1]}, the only one before it, is the wrong one (`yieldmon ticket undo {alone[-1]}`)"
 
 
 def _tickets(order: _Order) -> Answer:

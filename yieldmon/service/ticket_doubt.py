@@ -38,24 +38,38 @@ _FAR_SDS, _LIKE_SDS, _NEARER = 3.0, 2.0, 3.0
 nearer."""
 _GROSS_SDS, _GROSS_LN = 4.0, log(1.25)
 """From which a ticket is asked about though nothing known explains it."""
+_FIRST_SDS, _SECOND_SDS = 2.0, 2.5
+"""In place of both where no ticket has counted, as it sets the scale alone, and where a single one has, which it checks."""
+_TARES_KG = (3_000.0, 20_000.0)
+"""Of trucks and trailers."""
 
 
 @dataclass(frozen=True)
 class Departure:
-    """ln of a ticket over the mass that its loads are known to hold, and the standard deviation of that."""
+    """ln of a ticket over the mass that its loads are known to hold, and the standard deviation of that. first, second: no ticket
+    has counted for these parameters, or a single one."""
 
     ln: float
     std_dev: float
+    first: bool = False
+    second: bool = False
+
+    def beyond(self, sds: float, least_ln: float = 0.0) -> bool:
+        """Whether it is further off than so many deviations and so much, or than a first or second ticket may be."""
+        if self.first or self.second:
+            return abs(self.ln) > (_FIRST_SDS if self.first else _SECOND_SDS) * self.std_dev
+        return abs(self.ln) > sds * self.std_dev and abs(self.ln) > least_ln
 
 
-def combined(parts: Sequence[tuple[float, tuple[float, float]]], *, weighed_before: bool) -> Departure:
-    """Of a ticket for several loads. parts: each load's share of the mass with what its own weighing departs by. weighed_before:
-    a ticket has counted for these parameters."""
+def combined(parts: Sequence[tuple[float, tuple[float, float]]], *, weighed_before: bool, only_one: bool = False) -> Departure:
+    """Of a ticket for several loads. parts: each load's share of the mass with what its own weighing departs by. weighed_before,
+    only_one: a ticket has counted for these parameters, and a single one."""
     whole = sum(share for share, _ in parts)
     # The parameters are off alike for all of them.
     shares = [(share / whole, ln, sd) for share, (ln, sd) in parts]
     std_dev = max(sum(w * sd for w, _, sd in shares), _LEAST_SD)
-    return Departure(sum(w * ln for w, ln, _ in shares), std_dev if weighed_before else hypot(std_dev, _UNWEIGHED_SD))
+    ln = sum(w * ln for w, ln, _ in shares)
+    return Departure(ln, std_dev, second=only_one) if weighed_before else Departure(ln, hypot(std_dev, _UNWEIGHED_SD), first=True)
 
 
 def question(
@@ -66,9 +80,12 @@ def question(
     covered: its loads. known_kg: of each load, by number. weighed: loads with a ticket of their own.
     """
     slips = _explaining(found, covered, known_kg, weighed)
-    if not slips and not (abs(found.ln) > _GROSS_SDS * found.std_dev and abs(found.ln) > _GROSS_LN):
+    if not slips and not found.beyond(_GROSS_SDS, _GROSS_LN):
         return ""
     expected_kg = weighed_kg * exp(-found.ln)
+    tare_kg = weighed_kg - expected_kg
+    if not slips and _TARES_KG[0] <= tare_kg <= _TARES_KG[1]:
+        slips = [(weighed_kg / expected_kg, f"the truck's own {_mass(tare_kg)} is on it")]
     more = "more" if found.ln > 0.0 else "less"
     off = f"{100.0 * abs(exp(found.ln) - 1.0):.1f} % {more} than the {_mass(expected_kg)} +- {100.0 * found.std_dev:.1f} %"
     what = " or ".join(f"{words} (then {_mass(weighed_kg / factor)})" for factor, words in slips)
@@ -79,7 +96,7 @@ def _explaining(
     found: Departure, covered: Sequence[Load], known_kg: Mapping[int, float], weighed: set[int]
 ) -> list[tuple[float, str]]:
     """The factors that explain a ticket, each with how it came in words: units before others, at most two."""
-    if abs(found.ln) <= _FAR_SDS * found.std_dev:
+    if not found.beyond(_FAR_SDS):
         return []
     near = min(_LIKE_SDS * found.std_dev, abs(found.ln) / _NEARER)
     each = [*_UNITS, *sorted(_slips(covered, known_kg, weighed), key=lambda slip: abs(found.ln - log(slip[0])))]
