@@ -4,12 +4,14 @@
     python -m studies.coverage --machines 4               # quicker
     python -m studies.coverage --only slip lively --out F
     python -m studies.coverage --fixed                    # sizes fixed, the shipped parameters as they are
+    python -m studies.coverage --causes --only clean      # what loads' stated deviations and errors are made of
 
 z = (published - true) / published standard deviation. Flow: every second from 4 kg/s. Load: every load of a minute. An error that
 all seconds of a run share is one draw, however long the run: so every run is a machine of its own, whose parameters are the
 shipped ones with an error drawn from their covariance, and whose effect has a size drawn from a distribution. Rows "after"
 count from the first whole sweep (sweeps) or the first ticket (slip) on: what nothing has shown yet, no budget can hold. Rows
-"load_posted" are all loads as they are stated at the end of the run, when sweeps have shown what they show.
+"load_posted" are all loads as they are stated at the end of the run, when sweeps have shown what they show. Behind sd stands the
+range in which 90 % of it lie when the machines are drawn again: what few machines leave open.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ import argparse
 import json
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -28,7 +30,9 @@ from numpy.typing import NDArray
 
 from yieldmon import frames as bus
 from yieldmon.engine.faults import FaultCode
+from yieldmon.engine.loads import LoadSummary
 from yieldmon.engine.plate import SweepEnded
+from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.results import events_in, frames_in, records_in
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.frames import SweepState
@@ -37,6 +41,7 @@ from yieldmon.plant.combine import VirtualCombine
 from yieldmon.plant.effects import ChainSlip, Effects, MoistureDependence, PlateFriction
 from yieldmon.plant.profiles import FlowProfile, Oscillating, Steady
 from yieldmon.plant.scenario import Crop, Scenario
+from yieldmon.plant.sensor import SensorSettings
 from yieldmon.resources import shipped
 from yieldmon.service import configuration
 from yieldmon.service.assembly import build_monitor
@@ -46,7 +51,10 @@ FIRST_SEED = 41000
 EMPTY_S = 8.0
 LOAD_S = 60.0
 LEAST_KG_S = 4.0
-LINE = "{scenario:>10} {of:>11}: {count} z of {machines}, mean {mean:+.2f}, sd {sd:.2f}, {within_1:.0%} / {within_2:.0%}"
+LINE = (
+    "{scenario:>10} {of:>11}: {count} z of {machines}, mean {mean:+.2f}, sd {sd:.2f} ({sd_range[0]:.2f} to {sd_range[1]:.2f}), "
+    "rms {rms:.2f}, {within_1:.0%} / {within_2:.0%}"
+)
 SETTLING_S = 15.0
 """Of harvest, before the first second that counts."""
 
@@ -59,6 +67,7 @@ class Sizes:
     slip: float = 0.0
     moisture: MoistureDependence | None = None
     scatter_pct: float = 7.0
+    noise_mv: float = SensorSettings().noise_mv
     variation_pct: float = 1.5
     variation_time_s: float = 20.0
     moisture_pct: float = 15.0
@@ -167,7 +176,10 @@ def scenario_of(sizes: Sizes, duration_s: float) -> Scenario:
         pieces += [Steady(kind="steady", duration_s=duration_s, flow_kg_s=11.0)]
     flow = FlowProfile(pieces=pieces, variation_pct=sizes.variation_pct, variation_time_s=sizes.variation_time_s, smoothing_s=0.7)
     crop = Crop(moisture_pct=sizes.moisture_pct, end_moisture_pct=sizes.end_moisture_pct)
-    return Scenario(duration_s=duration_s, crop=crop, effects=sizes.effects, flow=flow, paddle_scatter_pct=sizes.scatter_pct)
+    return Scenario(
+        duration_s=duration_s, crop=crop, effects=sizes.effects, flow=flow, paddle_scatter_pct=sizes.scatter_pct,
+        sensor=SensorSettings(noise_mv=sizes.noise_mv),
+    )  # fmt: skip
 
 
 def parameters_of(shipped_set: ParameterSet, rng: np.random.Generator) -> ParameterSet:
@@ -178,21 +190,42 @@ def parameters_of(shipped_set: ParameterSet, rng: np.random.Generator) -> Parame
     return replace(shipped_set, values={**shipped_set.values, **moved})
 
 
-def one(case: Case, duration_s: float, seed: int, *, fixed: bool) -> Found:
-    """One run with the shipped configuration. fixed: the shipped parameters and the case's fixed sizes."""
-    settings = configuration.load(shipped("config/yieldmon.yaml"))
-    rng = np.random.default_rng((seed, 16))
-    sizes = case.fixed if fixed else case.drawn(rng)
-    parameters = settings.parameters if fixed else parameters_of(settings.parameters, rng)
+@dataclass(frozen=True)
+class Load:
+    """Of one run. first, last: of its records. true_kg: that struck the plate meanwhile. closed: as it was stated at its end."""
+
+    first: int
+    last: int
+    end_s: float
+    true_kg: float
+    closed: LoadSummary
+
+
+@dataclass(frozen=True)
+class Harvest:
+    """A run: records, loads by number as they closed and as they are stated at its end, the combine, when the first whole sweep
+    or the ticket came (inf: never), and whether the alarm of scale was shown."""
+
+    records: list[WindowRecord]
+    loads: dict[int, Load]
+    posted: dict[int, LoadSummary]
+    combine: VirtualCombine
+    delay_s: float
+    known_s: float
+    alarm: bool
+
+
+def harvest(loaded: configuration.Configuration, parameters: ParameterSet, sizes: Sizes, duration_s: float, seed: int) -> Harvest:
+    """One run of a machine with the shipped configuration."""
     every_s = sizes.sweep_every_s
-    sweep = replace(settings.engine.sweep, enabled=every_s > 0.0, first_after_s=every_s or 600.0, interval_s=every_s or 1800.0)
-    monitor = build_monitor(replace(settings.engine, sweep=sweep), settings.machine, parameters, settings.calibrator)
+    sweep = replace(loaded.engine.sweep, enabled=every_s > 0.0, first_after_s=every_s or 600.0, interval_s=every_s or 1800.0)
+    monitor = build_monitor(replace(loaded.engine, sweep=sweep), loaded.machine, parameters, loaded.calibrator)
     scenario = scenario_of(sizes, duration_s)
-    combine = VirtualCombine(scenario, settings.machine, seed)
-    records, ends = [], np.arange(EMPTY_S - 1.0, duration_s, LOAD_S)
-    loads: list[tuple[float, float]] = []
-    true_of: dict[int, float] = {}
-    delay_s = 0.5 * settings.machine.pattern_length_m / settings.machine.paddle_speed_m_s(scenario.elevator.speed_rpm * RPM)
+    combine = VirtualCombine(scenario, loaded.machine, seed)
+    records: list[WindowRecord] = []
+    ends = np.arange(EMPTY_S - 1.0, duration_s, LOAD_S)
+    loads: dict[int, Load] = {}
+    delay_s = 0.5 * loaded.machine.pattern_length_m / loaded.machine.paddle_speed_m_s(scenario.elevator.speed_rpm * RPM)
     alarm, known_s = False, np.inf
     for number, end_s in enumerate((*ends.tolist(), duration_s)):
         for frame in combine.frames_until(end_s):
@@ -206,24 +239,51 @@ def one(case: Case, duration_s: float, seed: int, *, fixed: bool) -> Found:
             known_s = min(known_s, frame.time_s) if ended else known_s
         load, alarm = monitor.open_load, alarm or monitor.faults.is_active(FaultCode.SCALE_DISAGREES)
         if number and load is not None and load.measured_kg > 100.0:
-            times = np.array([records[-round(LOAD_S)].time_s - 1.0, records[-1].time_s]) - delay_s
+            first = len(records) - round(LOAD_S)
+            times = np.array([records[first].time_s - 1.0, records[-1].time_s]) - delay_s
             if end_s - times[0] < LOAD_S + 2.0 and number <= ends.size - 1:
                 true_kg = float(np.diff(combine.delivered_kg(times))[0])
                 # A load that was open when it became known is reported as well.
-                true_of[load.number] = true_kg
-                loads.append((end_s, (load.measured_kg - true_kg) / load.std_dev_kg))
+                loads[load.number] = Load(first, len(records), end_s, true_kg, load)
                 if sizes.weighs and number == 1:
                     monitor.ticket(load.number, true_kg, 0.002 * true_kg)
                     known_s = end_s + 1.0
         monitor.start_load()
-    time_s = np.array([r.time_s for r in records])
-    true = combine.delivered_kg(time_s - delay_s) - combine.delivered_kg(np.maximum(time_s - delay_s - 1.0, 0.0))
-    flow, sd = (np.array([getattr(r, name) for r in records]) for name in ("mass_flow_kg_s", "std_dev_kg_s"))
+    posted = {load.number: load for load in monitor.loads}
+    return Harvest(records, loads, posted, combine, delay_s, known_s, alarm)
+
+
+def drawn(case: Case, loaded: configuration.Configuration, seed: int, *, fixed: bool = False) -> tuple[Sizes, ParameterSet]:
+    """What the machine of a seed does, and its parameters. fixed: the shipped ones and the case's fixed sizes."""
+    rng = np.random.default_rng((seed, 16))
+    if fixed:
+        return case.fixed, loaded.parameters
+    sizes = case.drawn(rng)
+    return sizes, parameters_of(loaded.parameters, rng)
+
+
+def one(case: Case, duration_s: float, seed: int, *, fixed: bool) -> Found:
+    """One run with the shipped configuration. fixed: as in `drawn`."""
+    loaded = configuration.load(shipped("config/yieldmon.yaml"))
+    sizes, parameters = drawn(case, loaded, seed, fixed=fixed)
+    run = harvest(loaded, parameters, sizes, duration_s, seed)
+    time_s = np.array([r.time_s for r in run.records])
+    true = run.combine.delivered_kg(time_s - run.delay_s) - run.combine.delivered_kg(np.maximum(time_s - run.delay_s - 1.0, 0.0))
+    flow, sd = (np.array([getattr(r, name) for r in run.records]) for name in ("mass_flow_kg_s", "std_dev_kg_s"))
     counts = (true >= LEAST_KG_S) & np.isfinite(flow) & (time_s > EMPTY_S + SETTLING_S)
-    z, load_z = (flow - true) / sd, np.array([value for _, value in loads])
-    after = np.array([at > known_s for at, _ in loads], dtype=bool)
-    posted = [(k.measured_kg - true_of[k.number]) / k.std_dev_kg for k in monitor.loads if k.number in true_of]
-    return Found(z[counts], load_z, z[counts & (time_s > known_s)], load_z[after], np.array(posted), alarm)
+    z = (flow - true) / sd
+    load_z = np.array([(load.closed.measured_kg - load.true_kg) / load.closed.std_dev_kg for load in run.loads.values()])
+    after = np.array([load.end_s > run.known_s for load in run.loads.values()], dtype=bool)
+    posted = [(k.measured_kg - run.loads[n].true_kg) / k.std_dev_kg for n, k in run.posted.items() if n in run.loads]
+    return Found(z[counts], load_z, z[counts & (time_s > run.known_s)], load_z[after], np.array(posted), run.alarm)
+
+
+def sd_range(runs: Sequence[NDArray[np.float64]]) -> tuple[float, float]:
+    """Range of 90 % of the standard deviation: machines drawn again, with all their values (bootstrap)."""
+    rng, runs = np.random.default_rng(0), [run for run in runs if run.size]
+    found = [float(np.concatenate([runs[k] for k in rng.integers(len(runs), size=len(runs))]).std()) for _ in range(400)]
+    low, high = np.percentile(found, [5.0, 95.0])
+    return float(low), float(high)
 
 
 def row(name: str, runs: list[NDArray[np.float64]]) -> dict[str, Any]:
@@ -232,6 +292,7 @@ def row(name: str, runs: list[NDArray[np.float64]]) -> dict[str, Any]:
     return {
         "of": name, "machines": sum(run.size > 0 for run in runs), "count": int(values.size),
         "mean": round(float(values.mean()), 2), "sd": round(float(values.std()), 2),
+        "sd_range": [round(end, 2) for end in sd_range(runs)],
         "rms": round(float(np.sqrt(np.mean(values**2))), 2),
         "within_1": round(float(np.mean(np.abs(values) <= 1.0)), 3), "within_2": round(float(np.mean(np.abs(values) <= 2.0)), 3),
     }  # fmt: skip
@@ -244,10 +305,17 @@ def main() -> int:
     parser.add_argument("--duration", type=float, default=190.0, help="of a run, s (default: %(default)s)")
     parser.add_argument("--only", nargs="+", choices=[case.name for case in CASES], default=[case.name for case in CASES])
     parser.add_argument("--fixed", action="store_true", help="sizes fixed and the shipped parameters, in place of machines drawn")
+    parser.add_argument("--causes", action="store_true", help="errors and stated deviations of loads, as they closed, by cause")
     parser.add_argument("--out", type=Path, default=FOLDER / "results.json")
     args = parser.parse_args()
     commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False).stdout.strip()
     rows: list[dict[str, Any]] = []
+    if args.causes:
+        from studies.coverage.causes import table
+
+        for case in (case for case in CASES if case.name in args.only):
+            print(table(case, args.duration, range(args.first, args.first + args.machines)), flush=True)
+        return 0
     for case in (case for case in CASES if case.name in args.only):
         runs = [one(case, args.duration, args.first + k, fixed=args.fixed) for k in range(args.machines)]
         for what in ("flow", "load", "flow_after", "load_after", "load_posted"):
