@@ -11,7 +11,8 @@ all seconds of a run share is one draw, however long the run: so every run is a 
 shipped ones with an error drawn from their covariance, and whose effect has a size drawn from a distribution. Rows "after"
 count from the first whole sweep (sweeps) or the first ticket (slip) on: what nothing has shown yet, no budget can hold. Rows
 "load_posted" are all loads as they are stated at the end of the run, when sweeps have shown what they show. Behind sd stands the
-range in which 90 % of it lie when the machines are drawn again: what few machines leave open.
+range in which 90 % of it lie when the machines are drawn again: what few machines leave open. Rows "together" are of all
+scenarios of the command.
 """
 
 from __future__ import annotations
@@ -310,6 +311,7 @@ def main() -> int:
     args = parser.parse_args()
     commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False).stdout.strip()
     rows: list[dict[str, Any]] = []
+    together: dict[str, list[NDArray[np.float64]]] = {}
     if args.causes:
         from studies.coverage.causes import table
 
@@ -323,9 +325,13 @@ def main() -> int:
             if any(part.size for part in values):
                 rows.append({"scenario": case.name, **row(what, values)})
                 print(LINE.format(**rows[-1]), flush=True)
+                together[what] = [*together.get(what, []), *values]
         if case.fixed.weighs:
             rows[-1]["alarm"] = [run.alarm for run in runs]
             print(f"{case.name:>10} alarm after the first ticket: {sum(run.alarm for run in runs)} of {len(runs)}", flush=True)
+    for what in ("flow", "load", "load_posted") if len(args.only) > 1 else ():
+        rows.append({"scenario": "together", **row(what, together[what])})
+        print(LINE.format(**rows[-1]), flush=True)
     found = {"commit": commit, "first_seed": args.first, "machines": args.machines, "duration_s": args.duration}
     args.out.write_text(json.dumps({**found, "fixed": args.fixed, "rows": rows}, indent=1) + "\n", encoding="utf-8")
     return 0

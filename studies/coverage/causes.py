@@ -1,9 +1,9 @@
 """What a load's stated standard deviation is made of, and what its error is.
 
-Stated: the causes of the load's budget, as it is at the end of the run. Of the error: the parameters' part is what changes when the
-load's forces are read with the parameters that the machine has (the shipped set); the zero's, when they are taken from the true
-zero besides; noise, when the same harvest has no scatter of the paddles and no electrical noise; the rest is the model's, that of
-the plate's motion and of the ends of the load.
+Stated: the causes of the load's budget, as it is at the end of the run. Of the error: the parameters' part is what changes when
+the load's forces are read with the parameters that the machine has (the shipped set); the zero's, when they are taken from the
+true zero besides; noise, when the same harvest has no scatter of the paddles and no electrical noise; the rest is the model's,
+that of the plate's motion and of the ends of the load.
 """
 
 from __future__ import annotations
