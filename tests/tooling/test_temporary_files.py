@@ -1,0 +1,37 @@
+"""Where tools/test puts the temporary files of a part."""
+
+from __future__ import annotations
+
+import runpy
+from pathlib import Path
+
+import pytest
+
+TOOL = Path(__file__).resolve().parents[2] / "tools" / "test"
+
+
+@pytest.mark.parametrize(
+    ("in_memory", "elsewhere", "bytes_needed", "used"),
+    [(True, False, 1, True), (False, False, 1, False), (True, True, 1, False), (True, False, 1 << 62, False)],
+    ids=["in memory", "a part that is about the disk", "a place of the caller's own", "without room"],
+)
+def test_files_are_in_memory_while_the_part_runs(
+    in_memory: bool, elsewhere: bool, bytes_needed: int, used: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tool = runpy.run_path(str(TOOL))
+    monkeypatch.delenv("TMPDIR", raising=False)
+    if elsewhere:
+        monkeypatch.setenv("TMPDIR", "/elsewhere")
+    with tool["temporary_files"](tool["Part"]("unit", ("true",), in_memory=in_memory), tmp_path, bytes_needed) as folder:
+        assert [Path(place).parent for place in folder.values()] == [tmp_path] * used
+        assert set(folder) <= {"TMPDIR"}
+        for place in folder.values():
+            (Path(place) / "left.sqlite").write_text("by a test")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_place_that_is_not_there_is_not_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    tool = runpy.run_path(str(TOOL))
+    monkeypatch.delenv("TMPDIR", raising=False)
+    with tool["temporary_files"](tool["Part"]("unit", ("true",), in_memory=True), tmp_path / "none", 1) as folder:
+        assert folder == {}
