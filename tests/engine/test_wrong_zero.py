@@ -215,3 +215,38 @@ def test_under_a_wrong_zero_the_tank_scale_keeps_the_mass_and_an_undo_does_not_c
     assert not target.loads[-1].complete
     ask(target, "zero-undo")
     assert target.totals.load_kg == pytest.approx(true_kg, rel=0.03)
+
+
+@pytest.mark.parametrize("wrong", [True, False])
+def test_a_load_under_a_suspect_zero_is_no_reference_and_the_one_after_the_undo_is(wrong: bool) -> None:
+    frames, target = BENCH.frames(140), monitor()
+
+    def until(time_s: float) -> None:
+        done_s = target.records[-1].time_s if target.records else 0.0  # type: ignore[attr-defined]
+        feed(target, run_of([f for f in frames if done_s <= f.time_s - 0.1 < time_s]))
+
+    until(1040.0)
+    if wrong:
+        ask(target, "zero", force=True)
+    until(1055.0)
+    target.start_load()
+    until(1080.0)
+    assert target.open_load is not None
+    assert target.open_load.complete is not wrong
+    if wrong:
+        ask(target, "zero-undo")
+    target.start_load()
+    until(1100.0)
+    assert target.open_load.complete
+
+
+def test_operating_states_of_a_day() -> None:
+    """Learning a zero is a state of its own, also where the operator asks for another one."""
+    target = monitor()
+    feed(target, run_of(Bench(flow=lambda t: 12.0 if 1010.0 <= t < 1020.0 else 0.0, noise_mv=1.0).frames(30)))
+    target.calibrate_zero(despite_signs=True)
+    feed(target, run_of(Bench(noise_mv=1.0, start_s=1030.0).frames(15)))
+    states = [record.operating_state.name for record in target.records]  # type: ignore[attr-defined]
+    shown = [state for number, state in enumerate(states) if number == 0 or state != states[number - 1]]
+    assert shown == ["ZEROING", "NOT_HARVESTING", "HARVESTING", "NOT_HARVESTING", "ZEROING", "NOT_HARVESTING"]
+    assert states[29:].count("ZEROING") in {9, 10}
