@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from yieldmon.errors import InputError
 from yieldmon.service import schema
-from yieldmon.service.batch import Batch, FaultEvent, Load, ParameterVersion, SweepRecord, Ticket
+from yieldmon.service.batch import Action, Batch, FaultEvent, Load, ParameterVersion, Step, SweepRecord, Ticket
 from yieldmon.service.retention import Retention
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.store import Store
@@ -90,6 +90,55 @@ def test_a_batch_committed_again_counts_once(path):
         store.commit([batch(1), batch(2), batch(3)])
         assert [s.number for s in store.seconds()] == [1, 2, 3]
         assert store.loads()[0].mass_kg == 30.0
+
+
+def rows_of(store: Store) -> list[object]:
+    kinds = (store.seconds, store.loads, store.sweeps, store.parameter_versions, store.faults, store.tickets, store.actions)
+    return [*(list(kind()) for kind in kinds), store.steps(), store.counters(), store.state(), store.last_batch()]
+
+
+@pytest.mark.parametrize("in_part", [False, True])
+def test_no_row_of_any_kind_is_written_again(path, in_part):
+    """A commit whose outcome was unclear is repeated, also row by row."""
+    whole = batch(
+        1, sweeps=(SweepRecord(1.7e9, "UPDATED", "", {}),), parameter_versions=(ParameterVersion(1, 1.7e9, "file", {}),),
+        faults=(FaultEvent(1.7e9, "FRAMES_LOST", True),), tickets=(Ticket(1.7e9, 1, 1, 9000.0, 9100.0),),
+        actions=(Action(1, 1.7e9, "ticket", "anna", {}),), steps=(Step(1, 1.7e9, {}),), counters={"samples_lost": 4},
+    )  # fmt: skip
+    with Store(path) as store:
+        store.commit([whole])
+        before = rows_of(store)
+        assert all(before[:8])
+        for _ in range(2):
+            assert (store.commit_in_part(whole) if in_part else store.commit([whole])) == ([] if in_part else None)
+            assert rows_of(store) == before
+        assert store.commit_in_part(batch(2)) == []
+        assert [s.number for s in store.seconds()] == [1, 2]
+        store.commit([batch(1), batch(2)])
+        assert [s.number for s in store.seconds()] == [1, 2]
+
+
+SLIP = Ticket(1.7e9, 1, 2, 9000.0, 9100.0, "gate")
+
+
+@pytest.mark.parametrize(
+    ("changes", "tickets"),
+    [
+        ({}, 1),
+        ({"measured_mass_kg": 9200.0}, 1),
+        ({"time_s": 1.7e9 + 1.0}, 2),
+        ({"first_load": 2}, 2),
+        ({"last_load": 3}, 2),
+        ({"weighed_mass_kg": 9001.0}, 2),
+        ({"note": "yard"}, 2),
+    ],
+    ids=["the same", "measured again since", "later", "of other loads", "of more loads", "of another mass", "of another scale"],
+)
+def test_a_ticket_that_is_handed_on_to_a_store_made_anew_is_entered_once(path, changes, tickets):
+    with Store(path) as store:
+        store.commit([batch(1, tickets=(SLIP,))])
+        store.commit([batch(2, tickets=(replace(SLIP, **changes),))])
+        assert len(store.tickets()) == tickets
 
 
 @settings(max_examples=40, deadline=None)
