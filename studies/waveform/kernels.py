@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from yieldmon.estimation.kernel_noise import KernelImpulse, KernelNoiseSettings, expected_sd, kernel_impulse
+from studies.waveform.kernel_reach import expected_impulse
+from yieldmon.estimation.kernel_noise import KernelImpulse, KernelNoiseSettings, kernel_impulse
 from yieldmon.estimation.spectral_density import Density
 
 Array = NDArray[np.float64]
@@ -379,7 +380,7 @@ def report(seed: int) -> dict[str, Any]:
         band = KernelNoiseSettings(low_hz=200.0, high_hz=800.0)
         for cell in CELLS_S:
             # 60 s of harvest at 8 kg/s: mean force 73 N, a kernel's impulse 3.6 mN s.
-            reach = expected_sd(
+            reach = expected_impulse(
                 mean_force_n=73.0,
                 impulse_n_s=3.6e-3,
                 quiet_n2_hz=QUIET_N2_HZ,

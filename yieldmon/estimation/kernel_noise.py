@@ -17,8 +17,8 @@ import numpy as np
 from yieldmon.physics.numerics import Array
 
 from .band_evenness import uneven_sd
-from .noise_gain import CONTACT_HZ, power_gain, power_gain_and_aliases
-from .spectral_density import Density, expected_averages, frequencies_hz, in_pulses
+from .noise_gain import CONTACT_HZ, power_gain_and_aliases
+from .spectral_density import Density
 
 CLEAR_OF_ALIASES = 0.4
 """Share of the sampling rate up to which what the sampler folds back is small beside what is there."""
@@ -111,7 +111,6 @@ class KernelFlow:
 
     mass_flow_kg_s: float
     relative_sd: float
-    random_sd: float
 
 
 def kernel_impulse(
@@ -249,35 +248,4 @@ def kernel_flow(
     s = settings or KernelNoiseSettings()
     flow = s.bias * mean_force_n * kernel_mass_kg / found.impulse_n_s
     whole = float(np.sqrt(found.relative_sd**2 + (s.bias_sd / s.bias) ** 2 + kernel_mass_sd**2))
-    return KernelFlow(flow, whole, found.random_sd)
-
-
-def expected_sd(
-    *,
-    mean_force_n: float,
-    impulse_n_s: float,
-    quiet_n2_hz: float,
-    cell_response_s: float,
-    sample_interval_s: float,
-    duration_s: float,
-    settings: KernelNoiseSettings | None = None,
-    segment: int = 256,
-    crest: float = 1.0,
-) -> KernelImpulse:
-    """What a sensor would reach: `kernel_impulse` on the densities that are to be expected, with a white background.
-
-    crest: as of `in_pulses`.
-    """
-    frequency = frequencies_hz(segment, sample_interval_s)
-    averages = expected_averages(duration_s, sample_interval_s, segment=segment)
-    ground = np.full(frequency.size, quiet_n2_hz)
-    averaged = settings.averaged if settings is not None else True
-    shown = ground + mean_force_n * impulse_n_s * power_gain(frequency, cell_response_s, sample_interval_s, averaged=averaged)
-    return kernel_impulse(
-        in_pulses(Density(frequency, shown, averages), crest),
-        Density(frequency, ground, averages),
-        mean_force_n,
-        cell_response_s=cell_response_s,
-        sample_interval_s=sample_interval_s,
-        settings=settings,
-    )
+    return KernelFlow(flow, whole)

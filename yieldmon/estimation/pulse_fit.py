@@ -97,12 +97,12 @@ class WaveBatch:
 class _Priors:
     """Standard deviations and precisions of the priors of windows side by side.
 
-    free: (n,), the parameters that are fitted, f of them; sd: (m, n); precision: (m, f, f).
+    free: (n,), the parameters that are fitted, f of them; sd: (m, n); precision: (m, f, f). flow_sd: as given.
     """
 
     def __init__(self, pulses: PulseModel, patterns: Array, flow_sd: float | None = None) -> None:
         """flow_sd: of ln volume flow, in place of the settings'."""
-        own = pulses.own_scatter
+        own, self.flow_sd = pulses.own_scatter, flow_sd
         self.sd = np.tile(pulses.prior_sd(1.0), (len(patterns), 1))
         if flow_sd is not None:
             self.sd[:, FLOW] = flow_sd
@@ -239,7 +239,8 @@ def _results(
     if not known.all():
         # What has no value must not reach the inverses.
         rows = np.flatnonzero(known)
-        kept = _results(pulses, shown.at(rows), theta[rows], at.at(rows), converged[rows], _Priors(pulses, shown.patterns[rows]))
+        of_rows = _Priors(pulses, shown.patterns[rows], priors.flow_sd)
+        kept = _results(pulses, shown.at(rows), theta[rows], at.at(rows), converged[rows], of_rows)
         fits = iter(kept)
         return [next(fits) if good else no_estimate(pulses, row) for good, row in zip(known.tolist(), theta, strict=True)]
     variance = shown.random + pulses.lasting_variance(at.envelope)

@@ -1,0 +1,40 @@
+"""What kernel noise would give behind a sensor, before anything is measured."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from yieldmon.estimation.kernel_noise import KernelImpulse, KernelNoiseSettings, kernel_impulse
+from yieldmon.estimation.noise_gain import power_gain
+from yieldmon.estimation.spectral_density import Density, expected_averages, frequencies_hz, in_pulses
+
+
+def expected_impulse(
+    *,
+    mean_force_n: float,
+    impulse_n_s: float,
+    quiet_n2_hz: float,
+    cell_response_s: float,
+    sample_interval_s: float,
+    duration_s: float,
+    settings: KernelNoiseSettings | None = None,
+    segment: int = 256,
+    crest: float = 1.0,
+) -> KernelImpulse:
+    """What a sensor would reach: `kernel_impulse` on the densities that are to be expected, with a white background.
+
+    crest: as of `in_pulses`.
+    """
+    frequency = frequencies_hz(segment, sample_interval_s)
+    averages = expected_averages(duration_s, sample_interval_s, segment=segment)
+    ground = np.full(frequency.size, quiet_n2_hz)
+    averaged = settings.averaged if settings is not None else True
+    shown = ground + mean_force_n * impulse_n_s * power_gain(frequency, cell_response_s, sample_interval_s, averaged=averaged)
+    return kernel_impulse(
+        in_pulses(Density(frequency, shown, averages), crest),
+        Density(frequency, ground, averages),
+        mean_force_n,
+        cell_response_s=cell_response_s,
+        sample_interval_s=sample_interval_s,
+        settings=settings,
+    )
