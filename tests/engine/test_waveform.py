@@ -514,3 +514,31 @@ def test_channels_that_lie_apart_widen_what_is_stated() -> None:
         assert FaultCode.WAVEFORM_CONTRADICTS not in last.faults
         stated.append(last.std_dev_kg_s / last.mass_flow_kg_s)
     assert stated[1] > 1.3 * stated[0]
+
+
+def by_kernels(**elevator: float) -> Monitor:
+    """After 48 s of grain whose kernels a cell of 0.2 ms shows."""
+    pieces = [{"kind": "steady", "duration_s": 12, "flow_kg_s": 0}, {"kind": "steady", "duration_s": 48, "flow_kg_s": FLOW_KG_S}]
+    kernels, sensor = {"noise_ratio": 1.2}, {"response_s": 2e-4}
+    values = {"duration_s": 60, "flow": {"pieces": pieces}, "kernels": kernels, "sensor": sensor, "elevator": elevator}
+    waveform = replace(WaveformSettings(), shape=LAW, enabled=True, thousand_kernel_weight_g=350.0, quiet_windows=2)
+    engine = replace(EngineSettings(), sweep=replace(SweepSettings(), enabled=False), waveform=waveform)
+    monitor = Monitor(engine, FAST, OpenLoop(ForwardModel(FAST, PARAMETERS.effects), PARAMETERS))
+    for frame in VirtualCombine(from_mapping(values, "test"), seed=8).frames_until(60.0):
+        monitor.feed(frame)
+    return monitor
+
+
+def test_a_chain_that_jerks_widens_what_kernel_noise_states() -> None:
+    """Between the speeds that are reported; pulses out of place pass for kernels, by which the flow is a third too low."""
+    even, jerking = (by_kernels(noise_pct=pct, noise_time_s=s).waveform for pct, s in ((0.3, 2.0), (1.5, 0.1)))
+    assert even is not None
+    assert jerking is not None
+    assert even.kernels is KernelVerdict.USED
+    assert even.kernels_kg_s == pytest.approx(FLOW_KG_S, rel=0.15)
+    assert even.kernels_std_dev_kg_s < 0.14 * even.kernels_kg_s
+    if jerking.kernels is KernelVerdict.USED:
+        assert jerking.kernels_kg_s < 0.8 * FLOW_KG_S
+        assert abs(np.log(jerking.kernels_kg_s / FLOW_KG_S)) < 2.0 * jerking.kernels_std_dev_kg_s / jerking.kernels_kg_s
+    else:
+        assert "does the chain jerk" in jerking.kernels_reason

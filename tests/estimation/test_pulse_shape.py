@@ -290,7 +290,11 @@ def test_pulses_that_creep_and_differ_leave_only_their_noise(late_turns: float, 
     shown = force(phase, 1.0 + spread * drawn[0], late_turns * drawn[1], 1.0 + wider * drawn[2]) + noise
     fine = 5.0 + (np.arange(512) + 0.5) / 512
     mean = FoldedPattern(force(fine, np.ones(82), np.zeros(82), np.ones(82)), np.zeros(512), np.full(512, 100.0), 100.0)
-    plain, own = residual(shown, phase, mean), residual_of_pulses(shown, phase, mean, spacings)
+    plain, (own, late) = residual(shown, phase, mean), residual_of_pulses(shown, phase, mean, spacings)
+    if late_turns > 0.0:
+        # The first pulse that the samples hold as a whole is the fifth of those that were made.
+        assert np.corrcoef(late, drawn[1][4 : 4 + late.size])[0, 1] > 0.99
+        assert np.std(late) == pytest.approx(late_turns * np.std(drawn[1]), rel=0.15)
     assert np.std(own) == pytest.approx(np.std(noise), rel=0.06)
     assert bool(np.std(plain) > 1.5 * np.std(noise)) is (late_turns > 0.0 or spread > 0.0 or wider > 0.0)
 

@@ -12,11 +12,13 @@ from yieldmon.engine.measurement import Reading
 from yieldmon.engine.records import FlowEstimator
 from yieldmon.engine.settings import WaveformSettings
 from yieldmon.engine.windows import Trace
-from yieldmon.estimation import noise_by_phase, spectral_density
+from yieldmon.estimation import noise_by_phase, pulse_times, spectral_density
 from yieldmon.estimation.kernel_noise import CLEAR_OF_ALIASES, KernelImpulse, KernelNoiseSettings, kernel_impulse
 from yieldmon.estimation.noise_by_phase import PhaseNoise
+from yieldmon.estimation.noise_gain import power_gain
 from yieldmon.estimation.noise_scatter import excess_scatter
-from yieldmon.estimation.pattern_fold import residual_of_pulses
+from yieldmon.estimation.pattern_fold import FoldedPattern, residual_of_pulses
+from yieldmon.estimation.pulse_times import PulseTimes
 from yieldmon.estimation.running_pulses import RunningPulses
 from yieldmon.estimation.spectral_density import Density
 from yieldmon.physics.machine import Machine
@@ -37,10 +39,11 @@ _EVERY, _FEW = 5, 20
 
 @dataclass(frozen=True, slots=True)
 class _Noise:
-    """Of one window with grain; flow_kg_s: by the mean force, of the estimator in use. by_phase: of every fifth window."""
+    """Of one window with grain; flow_kg_s: by the mean force, of the estimator in use. by_phase, times: of every fifth window."""
 
     density: Density
     by_phase: PhaseNoise | None
+    times: PulseTimes | None
     force_n: float
     plate_angle_rad: float
     speed_rad_s: float
@@ -143,6 +146,7 @@ class KernelChannel:
             settings=self.noise,
             steady_share=self._steady_share(interval_s),
             scatter=excess_scatter(densities, self._empty_noise(), sizes, low_hz=low_hz, high_hz=high_hz),
+            misplaced=self._misplaced(interval_s),
         )
 
     def _steady_share(self, interval_s: float) -> float:
@@ -163,6 +167,24 @@ class KernelChannel:
             high_hz=high_hz,
         ).share
 
+    def _misplaced(self, interval_s: float) -> float:
+        """What of the windows' noise beyond the empty machine's pulses out of place have left."""
+        shown = [(noise.times, noise) for noise in self._loaded if noise.times is not None]
+        if not shown:
+            return 0.0
+        empty, (low_hz, high_hz) = self._empty_noise(), self._band_hz(interval_s)
+        band = (empty.frequency_hz >= low_hz) & (empty.frequency_hz <= high_hz)
+        if not band.any():
+            return 0.0
+        # Both signs of the frequency.
+        spacing_hz = 2.0 * float(empty.frequency_hz[1] - empty.frequency_hz[0])
+        gain = power_gain(
+            empty.frequency_hz[band], self._machine.sensor.response_s, interval_s, averaged=self._settings.samples_averaged
+        )
+        power = [spacing_hz * float((noise.density.density - empty.density)[band].sum()) for _, noise in shown]
+        felt_n = spacing_hz * float(gain.sum()) * sum(noise.force_n for _, noise in shown)
+        return pulse_times.misplaced_share([times for times, _ in shown], sum(power) / felt_n, power)
+
     def _band_hz(self, interval_s: float) -> tuple[float, float]:
         return self.noise.low_hz, min(self.noise.high_hz, CLEAR_OF_ALIASES / interval_s)
 
@@ -179,16 +201,27 @@ class KernelChannel:
         if like is None or changed:
             return
         mean, own = like
-        left = residual_of_pulses(force_n, trace.phase, mean, self._machine.paddle_spacings_m)
+        left, late_turns = residual_of_pulses(force_n, trace.phase, mean, self._machine.paddle_spacings_m)
         crest = mean.mean_n.size * float(mean.mean_n @ mean.mean_n) / float(mean.mean_n.sum()) ** 2
         shown = spectral_density.in_pulses(spectral_density.density(left, trace.interval_s, segment=SEGMENT), crest)
         shown = replace(shown, density=shown.density / (1.0 + own))
-        by_phase = self._by_phase(left / (1.0 + own) ** 0.5, force_n, trace) if self._until_by_phase == 0 else None
+        by_phase = times = None
+        if self._until_by_phase == 0:
+            by_phase = self._by_phase(left / (1.0 + own) ** 0.5, force_n, trace)
+            times = self._times(late_turns, mean, window.speed_rad_s, trace.interval_s)
         self._until_by_phase = (self._until_by_phase - 1) % _BY_PHASE_EVERY
         moisture_pct = reading.inputs.fresh["moisture"]
         self._heard += 1
         self._loaded.append(
-            _Noise(shown, by_phase, reading.force_n, window.plate_angle_rad, window.speed_rad_s, moisture_pct, flow_kg_s)
+            _Noise(shown, by_phase, times, reading.force_n, window.plate_angle_rad, window.speed_rad_s, moisture_pct, flow_kg_s)
+        )
+
+    def _times(self, late_turns: Array, mean: FoldedPattern, speed_rad_s: float, interval_s: float) -> PulseTimes:
+        low_hz, high_hz = self._band_hz(interval_s)
+        pattern_s = self._machine.pattern_length_m / self._machine.paddle_speed_m_s(speed_rad_s)
+        pulses = len(self._machine.paddle_spacings_m)
+        return pulse_times.pulse_times(
+            late_turns, mean.mean_n, pulses=pulses, pattern_s=pattern_s, low_hz=low_hz, high_hz=high_hz
         )
 
     def _by_phase(self, left_n: Array, force_n: Array, trace: Trace) -> PhaseNoise:

@@ -123,6 +123,7 @@ def kernel_impulse(
     settings: KernelNoiseSettings | None = None,
     steady_share: float = 0.0,
     scatter: float = 0.0,
+    misplaced: float = 0.0,
 ) -> KernelImpulse:
     """Impulse of one kernel from densities measured while harvesting and while empty.
 
@@ -139,6 +140,9 @@ def kernel_impulse(
         of it counts as a deviation.
     scatter : float
         Relative standard deviation of windows' noise beyond chance (`noise_scatter.excess_scatter`); it counts as a deviation.
+    misplaced : float
+        What of the noise beyond `quiet` may be of pulses out of place (`pulse_times.misplaced_share`); it counts as a deviation,
+        since a pulse's own time is taken off as far as it shows.
 
     Returns
     -------
@@ -183,7 +187,7 @@ def kernel_impulse(
         frequency_hz=frequency,
         cell_response_s=cell_response_s,
     )
-    uneven = float(np.hypot(uneven, scatter))
+    uneven = float(np.hypot(np.hypot(uneven, scatter), misplaced))
     lasting = float(np.hypot(np.hypot(background, cell), uneven))
     total = float(np.hypot(random, lasting))
     if total <= s.largest_sd:
@@ -219,7 +223,8 @@ _CAUSES = {
     KernelVerdict.BACKGROUND: "noise that is not the kernels': of the empty machine, or between the pulses",
     KernelVerdict.SLOW_CELL: "the cell's response, which is not known well enough",
     KernelVerdict.UNEVEN: (
-        "noise that is not even over the band, or over time, as that of kernels is (is sensor.response_s right? a paddle bent?)"
+        "noise that is not even over the band, or over time, as that of kernels is, or pulses out of place (is sensor.response_s "
+        "right? a paddle bent? does the chain jerk?)"
     ),
 }
 

@@ -126,7 +126,7 @@ def residual(samples_n: Array, phase: Array, folded: FoldedPattern) -> Array:
     return np.asarray(samples_n - _between((folded.mean_n,), phase)[0])
 
 
-def residual_of_pulses(samples_n: Array, phase: Array, folded: FoldedPattern, spacings_m: Sequence[float]) -> Array:
+def residual_of_pulses(samples_n: Array, phase: Array, folded: FoldedPattern, spacings_m: Sequence[float]) -> tuple[Array, Array]:
     """Samples less the mean pattern, of which each paddle's pulse has a size, a time and a width of its own.
 
     Paddles are not loaded alike, a heavier load arrives for longer, and the phase creeps by tenths of a millisecond: what that
@@ -141,6 +141,13 @@ def residual_of_pulses(samples_n: Array, phase: Array, folded: FoldedPattern, sp
         With a sample in every bin.
     spacings_m : sequence
         Of the paddles in the pattern.
+
+    Returns
+    -------
+    ndarray (n,)
+        What is left, N.
+    ndarray (p,)
+        How late each pulse comes that the window's ends do not cut, in turns of the pattern.
     """
     mean_n, step = folded.mean_n, float(phase[-1] - phase[0]) / max(phase.size - 1, 1)
     # Over a sample's time: a sample is a mean over it, and bins that are finer only add their own noise.
@@ -165,7 +172,8 @@ def residual_of_pulses(samples_n: Array, phase: Array, folded: FoldedPattern, sp
     starts, counts = ends[:-1], ends[1:] - ends[:-1]
     sizes = _sizes_of_changes(np.add.reduceat(rows[_FIRST] * rows[_SECOND], starts, axis=1))
     sizes[:, counts < _LEAST_OF_A_PULSE] = 0.0
-    return np.asarray(left - np.einsum("ij,ij->j", rows[:3], np.repeat(sizes, counts, axis=1)))
+    left = np.asarray(left - np.einsum("ij,ij->j", rows[:3], np.repeat(sizes, counts, axis=1)))
+    return left, np.asarray(-sizes[1, 1:-1])
 
 
 def _sizes_of_changes(products: Array) -> Array:

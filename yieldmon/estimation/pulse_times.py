@@ -1,0 +1,101 @@
+"""What pulses that come early or late leave in the noise of kernels.
+
+The phase of the paddle pattern comes from a few speeds a second and from spacings that are taken for exact. A chain that jerks or
+a paddle that is bent puts pulses out of place, and what is then left of them looks like kernels. How far they are out of place
+shows in their own times, of which the kernels explain a part.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from yieldmon.physics.numerics import Array
+
+_LEAST_PULSES = 20
+
+
+@dataclass(frozen=True, slots=True)
+class PulseTimes:
+    """Of one window.
+
+    Attributes
+    ----------
+    late_s : ndarray (p,)
+        Each pulse's time after that of the mean pulse.
+    by_kernels_s_n : float
+        Variance of such a time by chance for each newton second of a kernel's impulse, s/N.
+    steepness_n2_s2 : float
+        Mean square of the mean pulse's slope within the band, N^2/s^2: times the variance of the pulses' times it is what they
+        leave there.
+    """
+
+    late_s: Array
+    by_kernels_s_n: float
+    steepness_n2_s2: float
+
+
+def pulse_times(late_turns: Array, mean_n: Array, *, pulses: int, pattern_s: float, low_hz: float, high_hz: float) -> PulseTimes:
+    """The times of a window's pulses, and what they stand for.
+
+    Parameters
+    ----------
+    late_turns : ndarray (p,)
+        In turns of the pattern, of whole pulses (`pattern_fold.residual_of_pulses`).
+    mean_n : ndarray (b,)
+        Mean pulses over the pattern, N.
+    pulses : int
+        Of the pattern.
+    pattern_s : float
+        In which the pattern passes.
+    low_hz, high_hz : float
+        Ends of the band.
+
+    Returns
+    -------
+    PulseTimes
+
+    Source: least squares of a shift under noise whose density follows the force (Campbell's theorem, locally).
+    """
+    bins = mean_n.size
+    waves = np.fft.rfft(mean_n) / bins
+    frequency = np.arange(waves.size) / pattern_s
+    # Beyond the band there is little but the chance of the mean.
+    slopes = np.where(frequency <= high_hz, 2.0j * np.pi * frequency * waves, 0.0)
+    within = (frequency >= low_hz) & (frequency <= high_hz)
+    steepness = 2.0 * float((np.abs(slopes[within]) ** 2).sum())
+    squares = np.fft.irfft(slopes, bins) ** 2 * bins**2
+    step_s, whole = pattern_s / bins, float(squares.sum())
+    felt = float((np.maximum(mean_n, 0.0) * squares).sum())
+    by_kernels = pulses * felt / (whole**2 * step_s) if whole > 0.0 else 0.0
+    return PulseTimes(late_turns * pattern_s, by_kernels, steepness)
+
+
+def misplaced_share(windows: Sequence[PulseTimes], impulse_n_s: float, power_n2: Sequence[float]) -> float:
+    """Share of the noise in the band that pulses out of place have left there.
+
+    Parameters
+    ----------
+    windows : sequence of PulseTimes (w,)
+    impulse_n_s : float
+        Of a kernel, as the noise says it.
+    power_n2 : sequence of float (w,)
+        Mean square in the band beyond the empty machine's, of each window.
+
+    Returns
+    -------
+    float
+        0 where kernels explain the pulses' times, with fewer than twenty pulses, and without noise.
+    """
+    whole = float(sum(power_n2))
+    pulses = sum(window.late_s.size for window in windows)
+    if pulses < _LEAST_PULSES or not whole > 0.0:
+        return 0.0
+    left = 0.0
+    scatter = sum(float(((window.late_s - window.late_s.mean()) ** 2).sum()) for window in windows if window.late_s.size)
+    for window in windows:
+        beyond = scatter / (pulses - len(windows)) - impulse_n_s * window.by_kernels_s_n
+        left += max(beyond, 0.0) * window.steepness_n2_s2
+    return left / whole
