@@ -3,6 +3,7 @@
     python -m studies.waveform information --draws 1000   # Fisher information, and the estimator's scatter
     python -m studies.waveform identifiability            # what mean, contrast, waveform, kernels and a sweep determine
     python -m studies.waveform fill                       # volume flow from discrete-element pulses, loads and angles left out
+    python -m studies.waveform many-heaps                 # the same of trains of several heaps, which the campaign lacks
     python -m studies.waveform attempts                   # what limits that
     python -m studies.waveform edges                      # the same with pulses of loads and angles around those judged
     python -m studies.waveform kernels                    # kernel noise in discrete-element forces
@@ -126,6 +127,12 @@ def _between(args: argparse.Namespace) -> Any:
     return fill.between()
 
 
+def _many_heaps(args: argparse.Namespace) -> Any:
+    from studies.waveform import fill
+
+    return fill.many_heaps()
+
+
 def _daemon_season(args: argparse.Namespace) -> Any:
     from studies.waveform import daemon_season
 
@@ -171,6 +178,7 @@ _PARTS = {
     "pictures": _pictures, "season": _season, "daemon-season": _daemon_season, "verdicts": _verdicts, "shape": _shape,
     "pack": _pack, "edges": _edges, "teaching": _teaching, "heaps": _heaps, "scheduling": _scheduling, "between": _between,
     "identifiability": _identifiability, "season-causes": _season_causes, "noise-by-force": _noise_by_force,
+    "many-heaps": _many_heaps,
 }  # fmt: skip
 
 

@@ -34,6 +34,8 @@ FOLDER = Path(__file__).resolve().parent
 EDGES = FOLDER / "edge_forces.csv.gz"
 BETWEEN = FOLDER / "between_forces.csv.gz"
 BETWEEN_SEED = "411"
+MANY = FOLDER / "many_heaps_forces.csv.gz"
+MANY_SEEDS = ("601", "602", "603", "604")
 FORCES = FOLDER / "kernel_forces.npz"
 OTHER_RPM = 400.0
 ANGLES_DEG = (40.0, 55.0, 70.0, 80.0, 90.0)
@@ -212,6 +214,52 @@ def between(model_error: float = 0.1) -> dict[str, Any]:
             "pulses": [[*row[3:], round(100.0 * row[0], 1)] for row in rows],
         }
     return found
+
+
+def many_heaps(model_error: float = 0.1) -> dict[str, Any]:
+    """Pulses of `MANY`, heaps that the reference campaign lacks, judged by the law without their load and angle.
+
+    A train of one heap repeats that heap's own shape for ever; a window holds some fifty paddles with a heap each. So beside each
+    heap by itself the train of their mean pulse is judged.
+    """
+    files = {seed: histories(MANY, seed) for seed in MANY_SEEDS}
+    keys = list(files[MANY_SEEDS[0]])
+    found: dict[str, Any] = {"heaps": {seed: len(held) for seed, held in files.items() if held}}
+    for indexed in (True, False):
+        judge, rows, errors = Judge(model_error, indexed, pooled=True), [], []
+        for rpm, friction, load, angle in keys:
+            flow = volume_flow_m3_s(load, rpm)
+            waves = [
+                wave(held[rpm, friction, load, angle], rpm, angle)
+                for held in files.values()
+                if (rpm, friction, load, angle) in held
+            ]
+            mean = replace(waves[0], amplitudes_n=np.mean([w.amplitudes_n for w in waves], axis=0))
+            seen = [
+                judge.estimate(w, rpm, friction, load, angle) for w in (judge.waves[rpm, friction, load, angle], *waves, mean)
+            ]
+            off = [float(np.log(one.volume_flow_m3_s / flow)) for one in seen]
+            errors.append(
+                (off[0], float(np.mean(np.abs(off[1:-1]))), float(np.max(np.abs(off[1:-1]))), off[-1], seen[-1].relative_sd)
+            )
+            rows.append([rpm, friction, load, angle, *np.round(100.0 * np.array(off), 1).tolist(), not seen[-1].outside])
+        table = np.abs(np.array(errors))
+        found["index" if indexed else "no index"] = {
+            "cells": len(rows),
+            "reference_heap_mean_largest_pct": _mean_and_largest(table[:, 0]),
+            "single_heaps_mean_largest_pct": [
+                round(100.0 * float(table[:, 1].mean()), 1),
+                round(100.0 * float(table[:, 2].max()), 1),
+            ],
+            "mean_of_heaps_mean_largest_pct": _mean_and_largest(table[:, 3]),
+            "mean_of_heaps_rms_error_over_sd": round(float(np.sqrt(np.mean((table[:, 3] / table[:, 4]) ** 2))), 2),
+            "pulses": rows,
+        }
+    return found
+
+
+def _mean_and_largest(size: Array) -> list[float]:
+    return [round(100.0 * float(size.mean()), 1), round(100.0 * float(size.max()), 1)]
 
 
 def report(model_error: float) -> dict[str, Any]:
