@@ -147,7 +147,8 @@ def residual_of_pulses(samples_n: Array, phase: Array, folded: FoldedPattern, sp
     ndarray (n,)
         What is left, N.
     ndarray (p,)
-        How late each pulse comes that the window's ends do not cut, in turns of the pattern.
+        How late each pulse comes that the window's ends do not cut and that is half of the mean pulse or more, in turns of the
+        pattern.
     """
     mean_n, step = folded.mean_n, float(phase[-1] - phase[0]) / max(phase.size - 1, 1)
     # Over a sample's time: a sample is a mean over it, and bins that are finer only add their own noise.
@@ -173,7 +174,8 @@ def residual_of_pulses(samples_n: Array, phase: Array, folded: FoldedPattern, sp
     sizes = _sizes_of_changes(np.add.reduceat(rows[_FIRST] * rows[_SECOND], starts, axis=1))
     sizes[:, counts < _LEAST_OF_A_PULSE] = 0.0
     left = np.asarray(left - np.einsum("ij,ij->j", rows[:3], np.repeat(sizes, counts, axis=1)))
-    return left, np.asarray(-sizes[1, 1:-1])
+    whole = sizes[:, 1:-1]
+    return left, -whole[1, whole[0] > _HALF_MISSING]
 
 
 def _sizes_of_changes(products: Array) -> Array:
@@ -199,6 +201,8 @@ _ZERO = np.zeros(1, dtype=np.intp)
 _TINY = 1e-150
 _LEAST_DETERMINANT = 1e-6
 """Of the three changes' normal equations, each change scaled to one, below which a pulse's own are not separated."""
+_HALF_MISSING = -0.5
+"""Change of a pulse's size from which on there is too little of it to have a time."""
 _LEAST_OF_A_PULSE = 12
 """Samples of a pulse that determine its size and time; of one cut off by the window's ends fewer may be left."""
 

@@ -15,6 +15,10 @@ import numpy as np
 from yieldmon.physics.numerics import Array
 
 _LEAST_PULSES = 20
+_SD_OF_MEDIAN = 1.4826
+"""Standard deviation of a Gaussian over the median of its sizes."""
+_MOST_BLURRED = 3.0
+"""Exponent up to which a mean of pulses out of place is made as steep as they are; beyond, its own chance would be."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,14 +31,15 @@ class PulseTimes:
         Each pulse's time after that of the mean pulse.
     by_kernels_s_n : float
         Variance of such a time by chance for each newton second of a kernel's impulse, s/N.
-    steepness_n2_s2 : float
-        Mean square of the mean pulse's slope within the band, N^2/s^2: times the variance of the pulses' times it is what they
-        leave there.
+    frequency_hz, steepness_n2_s2 : ndarray (k,)
+        Mean square of the mean pulse's slope at the frequencies of the band: times the variance of the pulses' times it is what
+        they leave there.
     """
 
     late_s: Array
     by_kernels_s_n: float
-    steepness_n2_s2: float
+    frequency_hz: Array
+    steepness_n2_s2: Array
 
 
 def pulse_times(late_turns: Array, mean_n: Array, *, pulses: int, pattern_s: float, low_hz: float, high_hz: float) -> PulseTimes:
@@ -64,17 +69,20 @@ def pulse_times(late_turns: Array, mean_n: Array, *, pulses: int, pattern_s: flo
     frequency = np.arange(waves.size) / pattern_s
     # Beyond the band there is little but the chance of the mean.
     slopes = np.where(frequency <= high_hz, 2.0j * np.pi * frequency * waves, 0.0)
-    within = (frequency >= low_hz) & (frequency <= high_hz)
-    steepness = 2.0 * float((np.abs(slopes[within]) ** 2).sum())
+    within = (frequency > 0.0) & (frequency >= low_hz) & (frequency <= high_hz)
+    steepness = 2.0 * np.abs(slopes[within]) ** 2
     squares = np.fft.irfft(slopes, bins) ** 2 * bins**2
     step_s, whole = pattern_s / bins, float(squares.sum())
     felt = float((np.maximum(mean_n, 0.0) * squares).sum())
     by_kernels = pulses * felt / (whole**2 * step_s) if whole > 0.0 else 0.0
-    return PulseTimes(late_turns * pattern_s, by_kernels, steepness)
+    return PulseTimes(late_turns * pattern_s, by_kernels, frequency[within], steepness)
 
 
 def misplaced_share(windows: Sequence[PulseTimes], impulse_n_s: float, power_n2: Sequence[float]) -> float:
     """Share of the noise in the band that pulses out of place have left there.
+
+    Where most of them are out of place, as by a chain that jerks, their mean is less steep than they are, by a Gaussian of the
+    scatter of the middle half; a few, as of a bent paddle, do not blur it.
 
     Parameters
     ----------
@@ -93,9 +101,17 @@ def misplaced_share(windows: Sequence[PulseTimes], impulse_n_s: float, power_n2:
     pulses = sum(window.late_s.size for window in windows)
     if pulses < _LEAST_PULSES or not whole > 0.0:
         return 0.0
+    away = np.concatenate([window.late_s - np.median(window.late_s) for window in windows if window.late_s.size])
+    most = (_SD_OF_MEDIAN * float(np.median(np.abs(away)))) ** 2 * pulses / max(pulses - len(windows), 1)
     left = 0.0
-    scatter = sum(float(((window.late_s - window.late_s.mean()) ** 2).sum()) for window in windows if window.late_s.size)
     for window in windows:
-        beyond = scatter / (pulses - len(windows)) - impulse_n_s * window.by_kernels_s_n
-        left += max(beyond, 0.0) * window.steepness_n2_s2
+        turned_s = 2.0 * np.pi * window.frequency_hz
+        by_chance = impulse_n_s * window.by_kernels_s_n
+        # Of a pulse far out of place no more is left than it and the mean pulse hold.
+        apart = np.mean(2.0 - 2.0 * np.cos(turned_s[:, None] * away), axis=1) / turned_s**2
+        sharpened = np.exp(np.minimum(max(most - by_chance, 0.0) * turned_s**2, _MOST_BLURRED))
+        left += max(
+            float((window.steepness_n2_s2 * (apart - by_chance)).sum()),
+            max(most - by_chance, 0.0) * float((window.steepness_n2_s2 * sharpened).sum()),
+        )
     return left / whole
