@@ -14,7 +14,7 @@ from scipy import stats
 from studies.hidden_effects import generator
 from tests.discrepancy.conftest import GRAIN, START
 from yieldmon.cli.diagnose import print_text
-from yieldmon.discrepancy import adoption, detectability, diagnosis, experiment, gap, report
+from yieldmon.discrepancy import adoption, detectability, diagnosis, diagnosis_result, experiment, gap, report
 from yieldmon.discrepancy.candidates import Signature
 from yieldmon.discrepancy.diagnosis_document import to_document
 from yieldmon.discrepancy.fit import LAW_SD, Fit, Parameter, fit
@@ -601,7 +601,7 @@ def test_a_gap_that_is_not_there_is_not_closed_by_nothing(clean_found) -> None:
 def test_held_out_rows_within_their_scatter_decide_nothing(offset_found, capsys) -> None:
     found = offset_found
     assert re.search(r"rows kept aside F = [0-9.]+ \([0-9.]+ to [0-9.]+\) before and", report.summary(found))
-    held = replace(found.held_out, closed_pct=diagnosis.share_closed_pct(before=1.0, after=0.9, floor=1.1))
+    held = replace(found.held_out, closed_pct=diagnosis_result.share_closed_pct(before=1.0, after=0.9, floor=1.1))
     assert "no smaller" not in report.summary(found)
     worse = replace(found.held_out, closed_pct=-12.0)
     assert "before and" in (said := report.summary(replace(found, held_out=worse)))

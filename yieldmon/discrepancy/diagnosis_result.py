@@ -1,0 +1,191 @@
+"""What a diagnosis is asked, and what it finds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yieldmon.documents.diagnose import Verdict
+
+from .choice import Choice
+from .experiment import Plan
+from .fit import Fit
+from .gap import Region
+from .noise import Noise
+from .observations import Rows
+from .policy import Policy
+from .proof import Proof, Share
+from .stopgap import Correction
+
+
+@dataclass(frozen=True)
+class Options:
+    """How `diagnose` works.
+
+    Parameters
+    ----------
+    form : {"auto", "restitution", "exchange"}
+        Of the impact: one restitution, or k1 and k2.
+    hold_out : str
+        Rows that are sealed away until the end: "cells", "trials", "none", or a column and value such as "plate_angle_deg=70".
+    without : tuple of str
+        Effects taken out of the library.
+    keep_effects : bool
+        The model has the effects that the parameters name, at their values, instead of none.
+    seed : int
+    policy : Policy
+        When an effect is named.
+
+    Examples
+    --------
+    >>> api.Options(hold_out="none").form
+    'auto'
+    """
+
+    form: str = "auto"
+    hold_out: str = "cells"
+    without: tuple[str, ...] = ()
+    keep_effects: bool = False
+    seed: int = 1
+    policy: Policy = field(default_factory=Policy)
+
+
+DEFAULT = Options()
+
+
+@dataclass(frozen=True)
+class Measure:
+    """How far model and rows are apart: rms in the reading's unit; the two lack-of-fit numbers only where they apply."""
+
+    rms: float
+    rms_over_max_pct: float
+    lack_of_fit_f: float | None
+    p_value: float | None
+
+
+def share_closed_pct(before: float, after: float, floor: float) -> float | None:
+    """Share of a gap (rms before and after, of noise alone) that is closed, %; None where there is none above the noise."""
+    return 100.0 * (before - after) / (before - floor) if before > floor else None
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """The sealed rows, opened once: how many, before and after, the noise floor, and 100 (before - after) / (before - floor);
+    None where these rows miss no more than they scatter, so that there is no gap to close."""
+
+    rows: int
+    before: Measure
+    after: Measure
+    noise_floor_rms: float
+    closed_pct: float | None
+    closed_interval_pct: tuple[float, float] | None = None
+    """95 %: what the same rows' noise and the model's own error leave open."""
+    f_interval: tuple[tuple[float, float], tuple[float, float]] | None = None
+    """95 % intervals of the lack of fit before and after."""
+    share: Share | None = None
+
+
+@dataclass(frozen=True)
+class Examination:
+    """The verdict and its proof, without what is made of them: `sealed` and `outlier` mark rows, shape (rows,)."""
+
+    form: str
+    noise: Noise
+    choice: Choice
+    held_out: HeldOut | None
+    sealed: NDArray[np.bool_]
+    outlier: NDArray[np.bool_]
+    notes: tuple[str, ...]
+    proof: Proof | None = None
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """All that `diagnose` found.
+
+    Parameters
+    ----------
+    options : Options
+    form : str
+        Of the impact: "restitution" or "exchange".
+    noise : Noise
+        Of the rows.
+    outliers : int
+        Rows that are left out.
+    choice : Choice
+        Steps, candidates and confidence; fitted to the unsealed rows alone.
+    base, best : Fit
+        Without and with the effects that are named; fitted to every row but outliers.
+    leading : Fit, optional
+        The same with the leading candidates, where the verdict is "unknown" in spite of them.
+    rows : Rows
+    sealed : ndarray of bool
+        (n,) rows that were held out.
+    before, after : Measure
+        Gap between model and rows without and with the effects.
+    with_leading : Measure, optional
+        The same with the leading candidates.
+    held_out : HeldOut, optional
+        The same on the sealed rows; None where there are none.
+    noise_floor_rms : float
+        In the reading's unit.
+    regions, remaining : tuple of Region
+        Where the model misses, before and after.
+    plan : Plan
+        The next experiment.
+    minimum_detectable : dict of str to float
+        Smallest size of each effect that these rows would show.
+    undetectable : tuple of str
+        Effects that these rows would not show at any size within physical bounds; none that is named or tied.
+    correction : Correction, optional
+        A stopgap for the remaining gap.
+    notes : tuple of str
+
+    Examples
+    --------
+    See `diagnose`.
+    """
+
+    options: Options
+    form: str
+    noise: Noise
+    outliers: int
+    choice: Choice
+    base: Fit
+    best: Fit
+    rows: Rows
+    sealed: NDArray[np.bool_]
+    before: Measure
+    after: Measure
+    held_out: HeldOut | None
+    noise_floor_rms: float
+    regions: tuple[Region, ...]
+    remaining: tuple[Region, ...]
+    plan: Plan
+    minimum_detectable: dict[str, float]
+    undetectable: tuple[str, ...]
+    correction: Correction | None
+    notes: tuple[str, ...] = field(default=())
+    leading: Fit | None = None
+    with_leading: Measure | None = None
+
+    @property
+    def verdict(self) -> Verdict:
+        """ "effect", "none" or "unknown"."""
+        return self.choice.verdict
+
+    @property
+    def fitted_rows(self) -> str:
+        """The rows that `before`, `after` and `with_leading` are fitted to and judged on."""
+        return f"all {len(self.rows) - self.outliers} rows"
+
+    @property
+    def closed_pct(self) -> float | None:
+        """Share of the gap closed on held-out rows; on all rows where none were held out. None: no effect, or no gap there."""
+        if self.verdict != "effect":
+            return None
+        if self.held_out is not None:
+            return self.held_out.closed_pct
+        return share_closed_pct(self.before.rms, self.after.rms, self.noise_floor_rms)

@@ -1,0 +1,119 @@
+"""The published model fitted to the rows of a diagnosis, and what makes the rows themselves doubtful."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from yieldmon.errors import InputError
+from yieldmon.estimation import angle_lines
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.priors import EXCHANGED, at_bound_sentence
+from yieldmon.physics.numerics import Array
+
+from .fit import Fit, Frame, base_frame, fit_base
+from .gap import change_with_load
+from .noise import Noise
+from .observations import Rows, cells
+
+_SAME = 0.01
+"""p value from which readings at one angle and speed are the same at every load."""
+_SURE = 0.999
+"""Power from which a change with load would have shown."""
+
+
+@dataclass(frozen=True)
+class Published:
+    """The published model on the rows of a diagnosis; form: "restitution" or "exchange"; notes: what is to be said of the fit."""
+
+    form: str
+    base: Fit
+    notes: tuple[str, ...]
+
+    @property
+    def frame(self) -> Frame:
+        """What the fits that follow share."""
+        return self.base.frame
+
+
+def fit_published(
+    rows: Rows, noise: Noise, parameters: ParameterSet, *, form: str, keep_effects: bool, name: str = "table"
+) -> Published:
+    """Fit the published model to rows.
+
+    Parameters
+    ----------
+    rows : Rows
+        Those that are not sealed.
+    noise : Noise
+        Of the rows.
+    parameters : ParameterSet
+        Of the present model: what is not fitted.
+    form : {"auto", "restitution", "exchange"}
+        Of the impact; "auto": the restitution, or k1 and k2 where the parameters have these, the reading is of no SI unit, or
+        the restitution ends at its bound.
+    keep_effects : bool
+        See `Options`.
+    name : str
+        Of the table, for errors.
+
+    Returns
+    -------
+    Published
+
+    Raises
+    ------
+    InputError
+        For too few conditions, or loads that no paddle of this machine can hold.
+    """
+    grouped = cells(rows)
+    sd = noise.of_cells(grouped)
+    impact = form
+    if form == "auto":
+        impact = "exchange" if "k1" in parameters.values or not rows.si else "restitution"
+    frame = base_frame(grouped, sd, parameters, impact, keep_effects=keep_effects)
+    if len(frame.base) + 3 > len(grouped):
+        raise InputError(name, f"has {len(grouped)} distinct conditions to fit", f"at least {len(frame.base) + 3}")
+    notes: list[str] = []
+    try:
+        base = fit_base(frame)
+        if form == "auto" and impact == "restitution" and "restitution" in base.at_bound:
+            notes.append(EXCHANGED)
+            impact = "exchange"
+            base = fit_base(base_frame(grouped, sd, parameters, impact, keep_effects=keep_effects))
+    except ValueError as error:
+        raise InputError(name, str(error), "loads that a paddle of this machine can hold") from error
+    for p in base.parameters:
+        if p.name in base.at_bound:
+            value = base.values[p.name]
+            notes.append(at_bound_sentence(p.name, "lower" if value < 0.5 * (p.lower + p.upper) else "upper", value))
+    return Published(impact, base, tuple(notes))
+
+
+def check_load(base: Fit, noise: Noise, name: str) -> None:
+    """Raises InputError where readings do not change with load, though the model's change would have shown."""
+    change, power = change_with_load(base, noise)
+    if change.p_value >= _SAME and power > _SURE:
+        raise InputError(
+            name,
+            f"has readings that do not change with load beyond their scatter (F = {change.f:.2f}, p = {change.p_value:.1g})",
+            "readings of these loads; the right columns?",
+        )
+
+
+def angles_asked(rows: Rows, published: Published, noise: Noise, parameters: ParameterSet, *, keep_effects: bool) -> str:
+    """A question where the model explains the rows far better with plate angles from another line, "" where it does not.
+
+    rows, noise, parameters, keep_effects: as `published` was fitted with.
+    """
+
+    def misfit(found: Fit, measured: Rows) -> float:
+        away = found.predict(measured) - measured.value
+        return float(np.sqrt(np.mean(away**2)) / np.max(np.abs(measured.value)))
+
+    def refit(plate_angle_rad: Array) -> float:
+        turned = replace(rows, plate_angle_rad=plate_angle_rad)
+        return misfit(fit_published(turned, noise, parameters, form=published.form, keep_effects=keep_effects).base, turned)
+
+    return angle_lines.question(rows.plate_angle_rad, misfit(published.base, rows), refit)
