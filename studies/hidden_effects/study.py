@@ -13,7 +13,8 @@ import numpy as np
 
 from yieldmon.discrepancy import diagnosis
 from yieldmon.discrepancy.candidates import library
-from yieldmon.discrepancy.fit import Fit, fit, predictions
+from yieldmon.discrepancy.fit import Fit, fit
+from yieldmon.discrepancy.frame import predictions
 from yieldmon.files import parameter_file
 
 from . import baselines, cases

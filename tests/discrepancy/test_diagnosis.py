@@ -17,7 +17,8 @@ from yieldmon.cli.diagnose import print_text
 from yieldmon.discrepancy import adoption, detectability, diagnosis, diagnosis_result, experiment, gap, report
 from yieldmon.discrepancy.candidates import Signature
 from yieldmon.discrepancy.diagnosis_document import to_document
-from yieldmon.discrepancy.fit import LAW_SD, Fit, Parameter, fit
+from yieldmon.discrepancy.fit import LAW_SD, Fit, fit
+from yieldmon.discrepancy.frame import Parameter
 from yieldmon.discrepancy.noise import Noise
 from yieldmon.discrepancy.observations import Rows, with_cells
 from yieldmon.discrepancy.policy import Policy

@@ -9,17 +9,18 @@ import pytest
 from scipy import stats
 from scipy.optimize import least_squares
 
-from yieldmon.discrepancy import candidates, crossvalidation, fit, gap, noise, observations
+from yieldmon.discrepancy import base_fit, candidates, crossvalidation, fit, gap, noise, observations
+from yieldmon.discrepancy.frame import Frame, predictions
 from yieldmon.physics.effects import registry
 from yieldmon.physics.machine import RPM
 
 
 @pytest.fixture
-def frame(make_rows, start) -> fit.Frame:
+def frame(make_rows, start) -> Frame:
     rows = make_rows({"zero_offset": 3.0})
     cells = observations.cells(rows)
     found, _ = noise.estimate(rows)
-    return fit.base_frame(cells, found.of_cells(cells), start, "restitution")
+    return base_fit.base_frame(cells, found.of_cells(cells), start, "restitution")
 
 
 def test_it_is_the_minimum_that_scipy_finds(frame) -> None:
@@ -27,7 +28,7 @@ def test_it_is_the_minimum_that_scipy_finds(frame) -> None:
     names = [p.name for p in ours.parameters]
 
     def residual(x: np.ndarray) -> np.ndarray:
-        return (np.real(fit.predictions(frame, ("zero_offset",), dict(zip(names, x, strict=True)))) - frame.cells.mean) / frame.sd
+        return (np.real(predictions(frame, ("zero_offset",), dict(zip(names, x, strict=True)))) - frame.cells.mean) / frame.sd
 
     scale = [p.scale for p in ours.parameters]
     bounds = ([p.lower for p in ours.parameters], [p.upper for p in ours.parameters])
@@ -43,13 +44,13 @@ def test_it_finds_the_hidden_values(frame) -> None:
 
 
 def test_laid_out_prediction_is_the_row_by_row_one(frame) -> None:
-    fitted = fit.fit_base(frame.with_cells(frame.cells, frame.sd))
+    fitted = base_fit.fit_base(frame.with_cells(frame.cells, frame.sd))
     np.testing.assert_allclose(fitted.residual * frame.sd + frame.cells.mean, fitted.predict(frame.cells.conditions()), rtol=1e-5)
 
 
 def test_bounds_hold(frame) -> None:
     narrow = replace(frame, base=tuple(replace(p, upper=0.1, start=0.05) if p.name == "friction" else p for p in frame.base))
-    fitted = fit.fit_base(narrow)
+    fitted = base_fit.fit_base(narrow)
     assert fitted.values["friction"] <= 0.1
     assert "friction" in fitted.at_bound
 
@@ -82,7 +83,7 @@ def test_hidden_values_lie_within_their_standard_deviations(make_rows, start, na
         rows = make_rows({name: size}, seed=seed, speeds_rpm=(400.0,), noise=0.02)
         found, odd = noise.estimate(rows)
         cells = observations.cells(rows.take(~odd))
-        frame = fit.base_frame(cells, found.of_cells(cells), start, "restitution")
+        frame = base_fit.base_frame(cells, found.of_cells(cells), start, "restitution")
         fitted = fit.fit(frame, (name,))
         errors.append((fitted.x[-1] - size) / np.sqrt(fitted.covariance()[-1, -1]))
     # Chi-square of 8: 0.5 % on either side.
@@ -111,7 +112,7 @@ def test_the_f_ratio_has_its_distribution_where_the_rows_state_unlike_sigmas(mak
         rows = replace(exact, value=exact.value + sigma * rng.standard_normal(len(exact)), sigma=sigma)
         found, _ = noise.estimate(rows)
         cells = observations.cells(rows)
-        frame = fit.base_frame(cells, found.of_cells(cells), start, "restitution")
+        frame = base_fit.base_frame(cells, found.of_cells(cells), start, "restitution")
         p_values.append(gap.lack_of_fit(fit.fit(frame, ()), found).p_value)
     assert stats.kstest(p_values, "uniform").pvalue > 0.01
 
@@ -123,7 +124,7 @@ def test_the_f_ratio_has_its_distribution_under_a_full_bootstrap(make_rows, star
         rows = make_rows(seed=seed, speeds_rpm=(400.0,))
         found, odd = noise.estimate(rows)
         cells = observations.cells(rows.take(~odd))
-        frame = fit.base_frame(cells, found.of_cells(cells), start, "restitution")
+        frame = base_fit.base_frame(cells, found.of_cells(cells), start, "restitution")
         p_values.append(gap.lack_of_fit(fit.fit(frame, ()), found).p_value)
     assert stats.kstest(p_values, "uniform").pvalue > 0.01
     assert np.mean(np.array(p_values) < 0.05) <= 0.15
@@ -133,8 +134,8 @@ def test_where_finds_the_region_and_its_sign(make_rows, start) -> None:
     rows = make_rows(alter=lambda f, angle, speed, flow: f * np.where((angle > 1.1) & (angle < 1.3) & (flow > 4.0), 0.9, 1.0))
     found, _ = noise.estimate(rows)
     cells = observations.cells(rows)
-    frame = fit.base_frame(cells, found.of_cells(cells), start, "restitution")
-    regions = gap.where(fit.fit_base(frame), found, np.random.default_rng(0))
+    frame = base_fit.base_frame(cells, found.of_cells(cells), start, "restitution")
+    regions = gap.where(base_fit.fit_base(frame), found, np.random.default_rng(0))
     assert regions[0].p_value < 0.01
     assert np.degrees(regions[0].plate_angle_rad) == pytest.approx([70.0, 70.0])
     assert regions[0].mean_error_pct == pytest.approx(8.0, abs=3.5)
@@ -154,9 +155,9 @@ def test_where_shows_the_regime_that_is_wrong_and_not_what_recalibration_makes_o
     rows = make_rows(alter=lambda force, angle, speed, flow: force * np.where(wrong(angle, speed, flow), 0.88, 1.0))
     found, _ = noise.estimate(rows)
     cells = observations.cells(rows)
-    frame = fit.base_frame(cells, found.of_cells(cells), start, "restitution")
+    frame = base_fit.base_frame(cells, found.of_cells(cells), start, "restitution")
     shown = np.zeros(len(cells), dtype=bool)
-    for region in gap.where(fit.fit_base(frame), found, np.random.default_rng(0)):
+    for region in gap.where(base_fit.fit_base(frame), found, np.random.default_rng(0)):
         shown[list(region.cells)] = True
     truly = wrong(cells.plate_angle_rad, cells.elevator_speed_rad_s, cells.load)
     assert 2.0 * np.count_nonzero(truly & shown) / (truly.sum() + shown.sum()) > 0.9
@@ -168,7 +169,7 @@ def test_where_is_silent_on_clean_data(make_rows, start) -> None:
         rows = make_rows(seed=100 + seed, speeds_rpm=(400.0,))
         found, _ = noise.estimate(rows)
         cells = observations.cells(rows)
-        frame = fit.base_frame(cells, found.of_cells(cells), start, "restitution")
+        frame = base_fit.base_frame(cells, found.of_cells(cells), start, "restitution")
         alarms += bool(gap.where(fit.fit(frame, ()), found, np.random.default_rng(seed)))
     assert alarms <= 2
 

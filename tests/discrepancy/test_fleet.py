@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from yieldmon.discrepancy.fit import effect_parameters
 from yieldmon.discrepancy.fleet import examine
 from yieldmon.discrepancy.force_change import ForceChange, Guess, Visible
+from yieldmon.discrepancy.frame import effect_parameters
 from yieldmon.discrepancy.lattice import Lattice, lay
 from yieldmon.discrepancy.policy import Policy
 from yieldmon.estimation.home_flow import AwayVisits

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from yieldmon.discrepancy.fit import Frame, predictions
+from yieldmon.discrepancy.frame import Frame, predictions
 from yieldmon.discrepancy.lattice import lay, reference_force_n, with_force
 from yieldmon.estimation.home_flow import AwayVisits
 from yieldmon.files import parameter_file

@@ -12,7 +12,8 @@ from yieldmon.physics.effects import laws, registry
 from yieldmon.physics.grain import evenly
 from yieldmon.physics.numerics import Array, real
 
-from .fit import Fit, Frame, Parameter, effect_parameters, fit, fit_all, predictions
+from .fit import Fit, fit, fit_all
+from .frame import Frame, Parameter, effect_parameters, predictions
 from .noise import Noise
 
 #: Sizes at which a signature is drawn, in typical sizes from the null value.

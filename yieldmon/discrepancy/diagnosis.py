@@ -20,7 +20,8 @@ from .confidence import calibrated, doubted, shipped
 from .detectability import minimum_detectable, size_seen
 from .diagnosis_result import DEFAULT, Diagnosis, Examination, HeldOut, Measure, Options
 from .experiment import plan
-from .fit import Fit, Frame, fit
+from .fit import Fit, fit
+from .frame import Frame
 from .gap import lack_of_fit, noise_floor, row_rms, where
 from .noise import Noise, estimate
 from .proof import Proof, prove

@@ -7,103 +7,26 @@ bootstraps work in the tangent plane.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from yieldmon.estimation import model_error
 from yieldmon.estimation.least_squares import levenberg_marquardt
-from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.physics.effects import get_effect
-from yieldmon.physics.grain import GRAIN, GrainParameter, evenly, fitted
 from yieldmon.physics.model import Conditions, ForwardModel
-from yieldmon.physics.numerics import COMPLEX_STEP, AnyArray, Array, real
+from yieldmon.physics.numerics import COMPLEX_STEP, Array, real
 
-from .observations import Cells, Rows
+from .frame import Frame, Parameter, effect_parameters, predictions
+from .observations import Rows
 
-SEARCH_NODES = 8
-"""Order of the quadrature in a search: within 2e-4 of the largest reading for every effect (8e-6 for most)."""
-FINAL_NODES = 12
-"""The same for what is reported."""
 LAW_SD = 0.1
 """Relative standard deviation of an effect's law about the one that is written, smooth over angle, load and speed."""
 LAW_DEGREE = 2
 """Total degree of the polynomial in angle, load and speed by which it may differ."""
 MOST_SEEN = 1.0
 """The law's error is of no more than this multiple of what recalibration leaves of the effect's change."""
-_FLOW_STEPS = 3
-_REFERENCE_FORCE_N = 60.0
-"""Largest force of a table in N for which the effects' own bounds in N are meant."""
-
-
-@dataclass(frozen=True)
-class Parameter:
-    """A free parameter: start is the published value, or the null of an effect."""
-
-    name: str
-    lower: float
-    upper: float
-    start: float
-    scale: float
-    unit: str = ""
-    typical: float = 0.0
-    prior_sd: float = np.inf
-
-
-@dataclass(frozen=True)
-class Following:
-    """Loads that follow the parameters: at the home angle they give the force that was measured there.
-
-    Tickets fix the gain: whatever the parameters, the force at home at the reference flow is the known one, `reference_n`. Flows
-    are those of the known parameters, with which the search begins.
-
-    elevator_speed_rad_s, moisture_pct: (settings + 1, 1), mass_flow_kg_s: (settings + 1, flows); the last row is the reference.
-    share: force at home over that at the reference, (settings, flows). power: d ln(force) / d ln(flow) there. place: of each of
-    the layout's cells in the flattened (settings, flows).
-    """
-
-    elevator_speed_rad_s: Array
-    moisture_pct: Array
-    mass_flow_kg_s: Array
-    share: Array
-    power: Array
-    reference_n: float
-    place: NDArray[np.int64]
-
-
-@dataclass(frozen=True)
-class Frame:
-    """What every fit to one set of cells shares: cells, their sd (of a mean), base parameters and fixed ones.
-
-    unit: size of the reading's unit relative to SI (1 for N and kg m/s), which stretches the bounds of effects that are stated in
-    the reading's unit.
-    """
-
-    cells: Cells
-    sd: Array
-    base: tuple[Parameter, ...]
-    fixed: Mapping[str, float]
-    unit: float
-    nodes: int = SEARCH_NODES
-    model_error: float = model_error.FLOOR
-    following: Following | None = None
-    """Flows by the parameters (restitution follows as well, and is no base parameter); None: the cells' own."""
-
-    @property
-    def known(self) -> tuple[str, ...]:
-        """Effects that belong to the model from the start, their parameters among the fixed ones."""
-        return tuple(sorted({name.partition(".")[0] for name in self.fixed if "." in name}))
-
-    def with_cells(self, cells: Cells, sd: Array) -> Frame:
-        """The same questions about other cells, worked out as they are reported."""
-        return replace(self, cells=cells, sd=sd, nodes=FINAL_NODES)
-
-    @property
-    def groups(self) -> list[NDArray[np.int64]]:
-        """Plate angles and loads to leave out whole."""
-        return model_error.groups_of(self.cells.plate_angle_rad, self.cells.load)
 
 
 @dataclass(frozen=True)
@@ -268,71 +191,6 @@ class Fit:
             return real(np.asarray(evaluate(conditions, self.values, overfull="nan")))
 
 
-def effect_parameters(effect: str, unit: float) -> tuple[Parameter, ...]:
-    """Free parameters of an effect, with bounds in the reading's unit where the effect is stated in it."""
-    known = get_effect(effect)
-    out = []
-    for p in known.parameters:
-        stretch = 1.0
-        if known.unit_follows_response:
-            stretch = 1.0 / unit if p.unit.startswith("1/") else unit
-        out.append(
-            Parameter(
-                f"{effect}.{p.name}",
-                p.lower * stretch,
-                p.upper * stretch,
-                p.null * stretch,
-                abs(p.typical - p.null) * stretch,
-                p.unit,
-                p.typical * stretch,
-                p.prior_sd * stretch,
-            )
-        )
-    return tuple(out)
-
-
-def predictions(frame: Frame, effects: Iterable[str], values: Mapping[str, ArrayLike]) -> Array:
-    """Prediction for each cell of the frame, shape (..., cells); values are numbers or carry leading axes of shape (..., 1)."""
-    cells = frame.cells
-    model = ForwardModel(cells.rows.machine, (*frame.known, *effects), nodes=frame.nodes)
-    evaluate = model.force if cells.rows.of == "force" else model.paddle_momentum
-    grid = cells.layout
-    conditions = Conditions(
-        grid.plate_angle_rad, grid.elevator_speed_rad_s, moisture_pct=grid.moisture_pct, **{cells.rows.load_name: grid.load}
-    )
-    spread = {
-        name: np.asarray(v)[..., None] if np.ndim(v) else np.asarray(v) for name, v in (dict(frame.fixed) | dict(values)).items()
-    }
-    with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
-        if frame.following is not None:
-            flow, gain = _followed(model, frame.following, spread)
-            out = gain * np.asarray(evaluate(replace(conditions, mass_flow_kg_s=flow), spread, overfull="nan"))
-        else:
-            out = np.asarray(evaluate(conditions, spread, overfull="nan"))
-    return np.asarray(out.reshape(*out.shape[:-2], -1)[..., grid.place])
-
-
-def _followed(model: ForwardModel, following: Following, values: Mapping[str, AnyArray]) -> tuple[AnyArray, AnyArray]:
-    """Flow of each of the layout's cells, and the gain by which the force at the reference is the known one.
-
-    Newton's steps in ln(flow) with a real slope: the last ones carry complex parts along, so that derivatives follow too.
-    """
-    home = model.machine.home_plate_angle_rad
-    throw = model.throw(home, following.elevator_speed_rad_s, values, following.moisture_pct)
-    passes, flow = throw.passes_per_s, np.asarray(following.mass_flow_kg_s)
-    load: AnyArray = flow[:-1]
-    for _ in range(_FLOW_STEPS):
-        last = np.broadcast_to(flow[-1:], (*load.shape[:-2], 1, flow.shape[-1]))
-        force = throw.momentum(np.concatenate((load, last), axis=-2) / passes) * passes
-        reference = force[..., -1:, :1]
-        step = following.share * reference / force[..., :-1, :]
-        load = load * real(step) ** (1.0 / following.power)
-        if np.iscomplexobj(step):
-            load = load * (1.0 + 1j * np.imag(step) / (real(step) * following.power))
-    flat = load.reshape(*load.shape[:-2], -1)
-    return flat[..., following.place], following.reference_n / reference
-
-
 def fit(
     frame: Frame,
     effects: Iterable[str],
@@ -387,72 +245,3 @@ def fit_all(
             continue
         out.append(Fit(effects, parameters, theta, 2.0 * float(cost), residual, jacobian, frame))
     return out
-
-
-def base_frame(cells: Cells, sd: Array, parameters: ParameterSet, form: str, *, keep_effects: bool = False) -> Frame:
-    """Frame for the published model in `form` ("restitution" or "exchange"); friction and density free, the shape ratio fixed.
-
-
-    keep_effects: effects that the parameters speak of belong to the model, at their values. Bounds and starts are the registry's.
-    """
-    top = float(np.max(np.abs(cells.mean)))
-    force = top if cells.rows.of == "force" else top * float(np.median(_passes(cells)))
-    unit = 1.0 if cells.rows.si else force / _REFERENCE_FORCE_N
-    given = parameters.values
-    base = tuple(_base(GRAIN[name], unit) for name in fitted(form))
-    others = {b.name for b in base}
-    held = {p.name: float(given[p.name]) for p in GRAIN.values() if not p.form and p.name in given and p.name not in others}
-    kept = {name: float(value) for name, value in given.items() if keep_effects and "." in name}
-    return Frame(cells, sd, base, held | kept, unit)
-
-
-def fit_base(frame: Frame, effects: tuple[str, ...] = ()) -> Fit:
-    """Best of several starts over friction and density; raises ValueError when the loads overfill every admissible paddle."""
-    first = {p.name: p.start for p in frame.base}
-    densities = (*evenly("density", 3), GRAIN["density"].search[1])
-    starts = [first] + [first | {"friction": f, "density": d} for f in evenly("friction", 3) for d in densities]
-    found = []
-    for start in starts:
-        linear = _solve_gain(frame, effects, start)
-        if linear is not None:
-            found.append(linear)
-    if not found:
-        raise ValueError("the loads overfill the paddles at every admissible density")
-    found.sort(key=lambda pair: pair[0])
-    fits = [f for f in fit_all(frame, effects, [start for _, start in found[:3]]) if f is not None]
-    return min(fits, key=lambda f: f.chi2)
-
-
-def _solve_gain(frame: Frame, effects: tuple[str, ...], start: dict[str, float]) -> tuple[float, dict[str, float]] | None:
-    """chi2 and start with the best gain (1 + e, or k1 and k2) at this friction and density; the reading is linear in it."""
-    if frame.following is not None:
-        residual = (real(predictions(frame, effects, start)) - frame.cells.mean) / frame.sd
-        return (float(residual @ residual), start) if np.all(np.isfinite(residual)) else None
-    y = frame.cells.mean / frame.sd
-    if "restitution" in start:
-        unit = real(predictions(frame, effects, start | {"restitution": 0.0})) / frame.sd
-        if not (np.all(np.isfinite(unit)) and unit @ unit > 0.0):
-            return None
-        gain = float(np.clip((unit @ y) / (unit @ unit), 1.0, 2.0))
-        return float(np.sum((gain * unit - y) ** 2)), start | {"restitution": gain - 1.0}
-    first = real(predictions(frame, effects, start | {"k1": 1.0, "k2": 0.0})) / frame.sd
-    second = real(predictions(frame, effects, start | {"k1": 0.0, "k2": 1.0})) / frame.sd
-    columns = np.stack((first, second), axis=-1)
-    if not np.all(np.isfinite(columns)):
-        return None
-    gains = np.linalg.lstsq(columns, y, rcond=None)[0]
-    limits = {p.name: (p.lower, p.upper) for p in frame.base}
-    gains = np.array([np.clip(g, *limits[n]) for g, n in zip(gains, ("k1", "k2"), strict=True)])
-    return float(np.sum((columns @ gains - y) ** 2)), start | {"k1": float(gains[0]), "k2": float(gains[1])}
-
-
-def _base(known: GrainParameter, unit: float) -> Parameter:
-    """Where it starts is the registry's matter, so that no verdict depends on the parameters that one begins with."""
-    stretch = unit if known.follows_response else 1.0
-    low, high = known.search
-    return Parameter(known.name, low * stretch, high * stretch, known.typical * stretch, known.step * stretch, known.unit)
-
-
-def _passes(cells: Cells) -> Array:
-    machine = cells.rows.machine
-    return machine.passes_per_s(cells.elevator_speed_rad_s)

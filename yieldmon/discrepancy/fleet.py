@@ -14,10 +14,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from .base_fit import fit_base
 from .candidates import library
 from .choice import Choice
-from .fit import Frame, fit_base
 from .force_change import Visible
+from .frame import Frame
 from .lattice import Lattice
 from .machine_comparison import Comparison, Own
 from .noise import Noise

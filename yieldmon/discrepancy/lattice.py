@@ -19,7 +19,8 @@ from yieldmon.physics.machine import SAME_ANGLE_RAD, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.numerics import Array, real
 
-from .fit import FINAL_NODES, Following, Frame, base_frame
+from .base_fit import base_frame
+from .frame import FINAL_NODES, Following, Frame
 from .observations import Rows, cells
 
 _ERROR = 0.01

@@ -16,8 +16,9 @@ from yieldmon.physics.numerics import Array, real
 
 from .candidates import lawful, library
 from .detectability import POWER_80
-from .fit import LAW_DEGREE, LAW_SD, Fit, Frame, predictions
+from .fit import LAW_DEGREE, LAW_SD, Fit
 from .force_change import ForceChange, Guess, Visible, force_change, visible_size
+from .frame import Frame, predictions
 from .gains import LargestGains, Residual
 from .grain_scatter import GRAIN_SD, grain_scatter
 from .lattice import Lattice

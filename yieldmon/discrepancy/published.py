@@ -12,7 +12,9 @@ from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.priors import EXCHANGED, at_bound_sentence
 from yieldmon.physics.numerics import Array
 
-from .fit import Fit, Frame, base_frame, fit_base
+from .base_fit import base_frame, fit_base
+from .fit import Fit
+from .frame import Frame
 from .gap import change_with_load
 from .noise import Noise
 from .observations import Rows, cells

@@ -1,0 +1,156 @@
+"""The question that every fit to one set of cells shares, and the model's prediction for these cells."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from yieldmon.estimation import model_error
+from yieldmon.physics.effects import get_effect
+from yieldmon.physics.model import Conditions, ForwardModel
+from yieldmon.physics.numerics import AnyArray, Array, real
+
+from .observations import Cells
+
+SEARCH_NODES = 8
+"""Order of the quadrature in a search: within 2e-4 of the largest reading for every effect (8e-6 for most)."""
+FINAL_NODES = 12
+"""The same for what is reported."""
+_FLOW_STEPS = 3
+"""Newton's steps from the known parameters' flows."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A free parameter: start is the published value, or the null of an effect."""
+
+    name: str
+    lower: float
+    upper: float
+    start: float
+    scale: float
+    unit: str = ""
+    typical: float = 0.0
+    prior_sd: float = np.inf
+
+
+@dataclass(frozen=True)
+class Following:
+    """Loads that follow the parameters: at the home angle they give the force that was measured there.
+
+    Tickets fix the gain: whatever the parameters, the force at home at the reference flow is the known one, `reference_n`. Flows
+    are those of the known parameters, with which the search begins.
+
+    elevator_speed_rad_s, moisture_pct: (settings + 1, 1), mass_flow_kg_s: (settings + 1, flows); the last row is the reference.
+    share: force at home over that at the reference, (settings, flows). power: d ln(force) / d ln(flow) there. place: of each of
+    the layout's cells in the flattened (settings, flows).
+    """
+
+    elevator_speed_rad_s: Array
+    moisture_pct: Array
+    mass_flow_kg_s: Array
+    share: Array
+    power: Array
+    reference_n: float
+    place: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What every fit to one set of cells shares: cells, their sd (of a mean), base parameters and fixed ones.
+
+    unit: size of the reading's unit relative to SI (1 for N and kg m/s), which stretches the bounds of effects that are stated in
+    the reading's unit.
+    """
+
+    cells: Cells
+    sd: Array
+    base: tuple[Parameter, ...]
+    fixed: Mapping[str, float]
+    unit: float
+    nodes: int = SEARCH_NODES
+    model_error: float = model_error.FLOOR
+    following: Following | None = None
+    """Flows by the parameters (restitution follows as well, and is no base parameter); None: the cells' own."""
+
+    @property
+    def known(self) -> tuple[str, ...]:
+        """Effects that belong to the model from the start, their parameters among the fixed ones."""
+        return tuple(sorted({name.partition(".")[0] for name in self.fixed if "." in name}))
+
+    def with_cells(self, cells: Cells, sd: Array) -> Frame:
+        """The same questions about other cells, worked out as they are reported."""
+        return replace(self, cells=cells, sd=sd, nodes=FINAL_NODES)
+
+    @property
+    def groups(self) -> list[NDArray[np.int64]]:
+        """Plate angles and loads to leave out whole."""
+        return model_error.groups_of(self.cells.plate_angle_rad, self.cells.load)
+
+
+def effect_parameters(effect: str, unit: float) -> tuple[Parameter, ...]:
+    """Free parameters of an effect, with bounds in the reading's unit where the effect is stated in it."""
+    known = get_effect(effect)
+    out = []
+    for p in known.parameters:
+        stretch = 1.0
+        if known.unit_follows_response:
+            stretch = 1.0 / unit if p.unit.startswith("1/") else unit
+        out.append(
+            Parameter(
+                f"{effect}.{p.name}",
+                p.lower * stretch,
+                p.upper * stretch,
+                p.null * stretch,
+                abs(p.typical - p.null) * stretch,
+                p.unit,
+                p.typical * stretch,
+                p.prior_sd * stretch,
+            )
+        )
+    return tuple(out)
+
+
+def predictions(frame: Frame, effects: Iterable[str], values: Mapping[str, ArrayLike]) -> Array:
+    """Prediction for each cell of the frame, shape (..., cells); values are numbers or carry leading axes of shape (..., 1)."""
+    cells = frame.cells
+    model = ForwardModel(cells.rows.machine, (*frame.known, *effects), nodes=frame.nodes)
+    evaluate = model.force if cells.rows.of == "force" else model.paddle_momentum
+    grid = cells.layout
+    conditions = Conditions(
+        grid.plate_angle_rad, grid.elevator_speed_rad_s, moisture_pct=grid.moisture_pct, **{cells.rows.load_name: grid.load}
+    )
+    spread = {
+        name: np.asarray(v)[..., None] if np.ndim(v) else np.asarray(v) for name, v in (dict(frame.fixed) | dict(values)).items()
+    }
+    with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
+        if frame.following is not None:
+            flow, gain = _followed(model, frame.following, spread)
+            out = gain * np.asarray(evaluate(replace(conditions, mass_flow_kg_s=flow), spread, overfull="nan"))
+        else:
+            out = np.asarray(evaluate(conditions, spread, overfull="nan"))
+    return np.asarray(out.reshape(*out.shape[:-2], -1)[..., grid.place])
+
+
+def _followed(model: ForwardModel, following: Following, values: Mapping[str, AnyArray]) -> tuple[AnyArray, AnyArray]:
+    """Flow of each of the layout's cells, and the gain by which the force at the reference is the known one.
+
+    Newton's steps in ln(flow) with a real slope: the last ones carry complex parts along, so that derivatives follow too.
+    """
+    home = model.machine.home_plate_angle_rad
+    throw = model.throw(home, following.elevator_speed_rad_s, values, following.moisture_pct)
+    passes, flow = throw.passes_per_s, np.asarray(following.mass_flow_kg_s)
+    load: AnyArray = flow[:-1]
+    for _ in range(_FLOW_STEPS):
+        last = np.broadcast_to(flow[-1:], (*load.shape[:-2], 1, flow.shape[-1]))
+        force = throw.momentum(np.concatenate((load, last), axis=-2) / passes) * passes
+        reference = force[..., -1:, :1]
+        step = following.share * reference / force[..., :-1, :]
+        load = load * real(step) ** (1.0 / following.power)
+        if np.iscomplexobj(step):
+            load = load * (1.0 + 1j * np.imag(step) / (real(step) * following.power))
+    flat = load.reshape(*load.shape[:-2], -1)
+    return flat[..., following.place], following.reference_n / reference
