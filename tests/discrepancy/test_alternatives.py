@@ -71,7 +71,7 @@ def test_the_angle_whose_rows_are_off_is_found(make_rows, start, error) -> None:
     wrong = fit(base.frame, ("plate_angle_offset",), base.values)
     steps = (Step("plate_angle_offset", (), (), 1.0, "plate_angle_offset"),)
     search = Search(base=base, noise=noise, effects=(), rng=np.random.default_rng(1), policy=LAST_RULES)
-    assert "an error of the rows at 60 deg alone" in search.against(wrong, steps)
+    assert "an error of the rows at 60 deg alone" in search.objections.against(wrong, steps)
 
 
 def test_one_angle_does_not_stand_in_for_an_effect_that_acts_on_all(make_rows, start) -> None:
@@ -95,7 +95,7 @@ def test_true_effects_need_each_other_whatever_their_laws(make_rows, start) -> N
     assert min(n.gain for n in found) > chosen_from_all(COST)
     # Not even where effects that undo each other at all would have to be earned.
     search = Search(base=base, noise=noise, effects=(), rng=np.random.default_rng(1), policy=Policy(most_undone=-1.0))
-    assert search.against(both, (Step("zero_offset", (), (), 1.0, "zero_offset"),)) == ""
+    assert search.objections.against(both, (Step("zero_offset", (), (), 1.0, "zero_offset"),)) == ""
 
 
 @pytest.mark.parametrize(
@@ -120,7 +120,7 @@ def test_an_effect_that_only_corrects_the_law_of_another_is_none(make_rows, star
     assert by_effect["speed_dependent_shape"].evidence < 0.0 < by_effect["zero_offset"].evidence
     assert by_effect["speed_dependent_shape"].gain < chosen_from_all(COST) < by_effect["zero_offset"].gain
     search = Search(base=base, noise=noise, effects=(), rng=np.random.default_rng(1), policy=policy)
-    assert says in search.against(both, (Step("zero_offset", (), (), 1.0, "zero_offset"),))
+    assert says in search.objections.against(both, (Step("zero_offset", (), (), 1.0, "zero_offset"),))
 
 
 def test_one_effect_has_no_others_whose_law_could_differ(make_rows, start) -> None:
@@ -142,7 +142,7 @@ def test_one_effect_far_ahead_may_have_another_shape_of_its_law(make_rows, start
     steps = (Step("zero_offset", (), (), 1.0, "zero_offset", margin=margin),)
     policy = Policy(own_law_share=share, unexplained_share=0.3)
     search = Search(base=base, noise=noise, effects=(), rng=np.random.default_rng(1), policy=policy)
-    assert ("something else is missing" in search.against(alone, steps)) == refused
+    assert ("something else is missing" in search.objections.against(alone, steps)) == refused
     seen = Choice("effect", base, alone, lack_of_fit(base, noise), lack_of_fit(alone, noise), steps, (), 0.0)
     notes = diagnosis_notes.of_own_law(seen, noise, policy)
     assert [n.startswith("zero_offset leaves a gap (F = ") for n in notes] == ([] if refused else [True])
@@ -154,7 +154,7 @@ def test_no_other_shape_of_a_wrong_law_explains(make_rows, start) -> None:
     steps = (Step("stream_spread", (), (), 1.0, "stream_spread", margin=1e3),)
     policy = Policy(own_law_share=1.0, unexplained_share=1.0)
     search = Search(base=base, noise=noise, effects=(), rng=np.random.default_rng(1), policy=policy)
-    assert "something else is missing" in search.against(wrong, steps)
+    assert "something else is missing" in search.objections.against(wrong, steps)
 
 
 def test_own_error_of_the_model_is_no_gap_of_a_law(make_rows, start) -> None:
@@ -180,7 +180,7 @@ def test_own_error_of_the_model_is_no_excess_that_an_effect_far_ahead_leaves(mak
     most = (alone.chi2 - alone.dof - 0.5 * own) / (base.chi2 - base.dof)
     policy = Policy(gap_p=0.0, unexplained_share=most, unexplained_f=1e9)
     search = Search(base=base, noise=noise, effects=(), rng=np.random.default_rng(1), policy=policy)
-    found = search.against(alone, (Step("zero_offset", (), (), 1.0, "zero_offset", margin=margin),))
+    found = search.objections.against(alone, (Step("zero_offset", (), (), 1.0, "zero_offset", margin=margin),))
     assert ("of the excess is left" in found) == refused
 
 

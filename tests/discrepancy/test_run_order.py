@@ -51,7 +51,7 @@ def against(rows: Rows, start, effect: str) -> str:
     base, noise = published(rows, start)
     named = fit(base.frame, (effect,), base.values)
     search = Search(base=base, noise=noise, effects=(), rng=np.random.default_rng(1), policy=LAST_RULES)
-    return search.against(named, (Step(effect, (), (), 1.0, effect),))
+    return search.objections.against(named, (Step(effect, (), (), 1.0, effect),))
 
 
 @pytest.mark.parametrize(

@@ -212,7 +212,7 @@ def test_a_cause_leaves_no_gap_and_a_small_share(published, left_f, excess, says
     base, noise = published({"zero_offset": 4.0})
     current = _scaled(fit(base.frame, ("zero_offset",), base.values), left_f)
     steps = (Step("zero_offset", (), (), 1.0, "zero_offset"),)
-    found = search(base, noise, excess=excess).against(current, steps)
+    found = search(base, noise, excess=excess).objections.against(current, steps)
     assert says in found
     assert bool(found) == bool(says)
 
@@ -225,7 +225,7 @@ def test_one_bad_cell_does_not_refute_a_cause(published, cells, says) -> None:
     residual[list(cells)] = 12.0
     current = replace(sound, residual=residual, chi2=float(residual @ residual))
     steps = (Step("zero_offset", (), (), 1.0, "zero_offset"),)
-    found = search(base, noise, excess=1e5).against(current, steps)
+    found = search(base, noise, excess=1e5).objections.against(current, steps)
     assert says in found
     assert bool(found) == bool(says)
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from yieldmon.errors import InputError
@@ -26,12 +24,10 @@ from .gap import lack_of_fit, noise_floor, row_rms, where
 from .noise import Noise, estimate
 from .proof import Proof, prove
 from .sealed_rows import open_sealed
-from .selection import choose
+from .selection import Progress, choose
 from .stopgap import correction
 
 __all__ = ["Diagnosis", "Examination", "HeldOut", "Measure", "Options", "conclude", "diagnose", "diagnose_rows", "examine"]
-
-Progress = Callable[[str, float], None]
 
 
 def diagnose(

@@ -15,7 +15,7 @@ from yieldmon.documents.diagnose import Verdict
 from yieldmon.physics.effects import family_of
 from yieldmon.physics.numerics import Array
 
-from .alternatives import chosen_from_all, needed, one_angle_off
+from .alternatives import needed
 from .candidates import (
     Score,
     errors,
@@ -29,17 +29,18 @@ from .candidates import (
     score,
     signature,
 )
-from .choice import Candidate, Choice, Step, rows_searched
+from .choice import Candidate, Choice, Step
 from .crossvalidation import grouped_error
 from .fit import Fit, fit
-from .gap import lack_of_fit, lack_of_fit_but_one
-from .merit import by_own_error, by_weight, far_ahead, left_by_own_law, merit, misfit
+from .gap import lack_of_fit
+from .merit import by_weight, left_by_own_law, merit, misfit
 from .noise import Noise
+from .objections import Objections
 from .pairs import screen
 from .policy import DEFAULT, Policy
-from .run_order import is_asked, of_order, speeds_in_turn
 
 Progress = Callable[[str, float], None]
+"""Called with the step in progress and the share done, 0 to 1."""
 Places = dict[str, tuple[Candidate, ...]]
 """The candidates last seen in the place of each effect, beside the present others."""
 
@@ -81,9 +82,9 @@ class Search:
     policy: Policy = DEFAULT
 
     @property
-    def excess(self) -> float:
-        """Chi-square of the published model above its degrees of freedom."""
-        return max(self.base.chi2 - self.base.dof, 1e-9)
+    def objections(self) -> Objections:
+        """What speaks against the effects found."""
+        return Objections(base=self.base, noise=self.noise, policy=self.policy)
 
     def run(self, report: Progress) -> Choice:
         """The whole search."""
@@ -116,80 +117,12 @@ class Search:
             verdict: Verdict = "unknown" if base_gap.p_value < self.policy.gap_p else "none"
             return Choice(verdict, self.base, self.base, base_gap, base_gap, (), looked_at, p_any)
         current, steps, rivals = self.prune_ambiguous(current, order, places, p_any)
-        against = self.against(current, steps)
+        against = self.objections.against(current, steps)
         if against and (fewer := self.without_unneeded(current, p_any)) is not None:
             (current, steps, rivals), against = fewer, ""
         verdict = "unknown" if against else "effect"
         gap = lack_of_fit(current, self.noise)
         return Choice(verdict, self.base, current, base_gap, gap, steps, looked_at, p_any, rivals, against)
-
-    def against(self, current: Fit, steps: Sequence[Step]) -> str:
-        """What speaks against calling the steps of a fit the cause; "" where nothing does."""
-        tied = 1 + len(steps[0].equivalent)
-        if tied > self.policy.largest_class:
-            return f"{tied} effects explain these rows alike"
-        gap = lack_of_fit(current, self.noise)
-        # Beside rivals that are hardly worse, an effect has to explain what the model's own error may have made as well.
-        owned = by_own_error(current) if far_ahead(current, steps, self.policy) else 0.0
-        left = (current.chi2 - current.dof - owned) / self.excess
-        searched = rows_searched(current)
-        other_law = left_by_own_law(current, steps, self.noise, self.excess, self.policy)
-        refuted = gap.p_value < self.policy.gap_p and not other_law
-        if refuted and lack_of_fit_but_one(current, self.noise)[0].p_value < self.policy.gap_p:
-            why = "something else is missing, or stands in its place"
-            return f"F = {gap.f:.2f} is left with it {searched} (p = {gap.p_value:.1g}): {why}"
-        if left > self.policy.unexplained_share:
-            most = 100.0 * self.policy.unexplained_share
-            return f"{100.0 * left:.1f} % of the excess is left with it {searched}, more than {most:.0f} %"
-        if not other_law and self._unexplained(current):
-            return f"F = {gap.f:.2f} is left with it {searched}, more than what its law may be off explains"
-        return self._other_laws(current) or self._of_one_angle(current) or self._of_order(current)
-
-    def _other_laws(self, current: Fit) -> str:
-        """Why other laws of the others may be at work instead of one of several effects; "" where none may."""
-        scale = misfit([current])
-        each = needed(current, scale, self.policy.per_parameter)
-        if not each:
-            return ""
-        weakest = min(each, key=lambda one: one.evidence)
-        if weakest.evidence < self.policy.least_evidence:
-            name = family_of(weakest.effect)
-            return f"another law of the other effects is as likely as {name} (-2 log evidence {weakest.evidence:.1f})"
-        least = chosen_from_all(self.policy.per_parameter)
-        gain = min(one.gain for one in each)
-        if current.undone > self.policy.most_undone and gain < least:
-            return (
-                f"{100.0 * current.undone:.0f} % of what these effects change they undo among themselves, as terms of a series "
-                f"do, and other laws would serve (chi-square {max(gain, 0.0):.0f} worse, where {least:.0f} are needed)"
-            )
-        return ""
-
-    def _of_one_angle(self, current: Fit) -> str:
-        """Why the rows of a single plate angle may be what is wrong; "" where they are not."""
-        scale = misfit([current])
-        alone = one_angle_off(self.base, scale, self.policy.per_parameter)
-        if alone is None:
-            return "rows of one plate angle cannot separate an effect from an error that all of them share"
-        if alone.merit > merit(current, scale, self.policy) + self.policy.tie:
-            return ""
-        at = f"{np.degrees(alone.plate_angle_rad):.0f} deg"
-        return f"an error of the rows at {at} alone explains the gap as well"
-
-    def _of_order(self, current: Fit) -> str:
-        """Why the order in which the rows were measured may be at work in the place of an effect; "" where it may not."""
-        if not is_asked(current.frame.cells.rows):
-            return ""
-        scale = misfit([current])
-        most = merit(current, scale, self.policy) + self.policy.tie
-        for effect in current.effects:
-            without = fit(current.frame, tuple(e for e in current.effects if e != effect), current.values)
-            other = of_order(without, scale, self.policy.per_parameter) if without is not None else None
-            if other is not None and other.merit <= most:
-                rows = current.frame.cells.rows
-                how = "the table has its rows speed by speed" + ("" if not speeds_in_turn(rows) else " in each trial")
-                how = "`time_s` shows" if rows.timed else how
-                return f"{other.what} explains the rows as well as {family_of(effect)} ({how})"
-        return ""
 
     def candidates(
         self,
@@ -247,9 +180,9 @@ class Search:
         groups = current.frame.cells.groups()
         before = float(np.mean(list(grouped_error(current, groups).values()) or [np.nan]))
         first = not current.effects
-        incomplete = self._incomplete(current)
+        incomplete = self.objections.incomplete(current)
         level = self.policy.first_p if first or incomplete else self.policy.next_p
-        least = self.policy.least_share * self.excess
+        least = self.policy.least_share * self.objections.excess
         if incomplete:
             least = min(least, self.policy.least_of_rest * (current.chi2 - current.dof))
         out = []
@@ -263,19 +196,6 @@ class Search:
     def _others(self, current: Fit) -> tuple[str, ...]:
         present = {family_of(e) for e in current.effects}
         return tuple(e for e in self.effects if e not in present)
-
-    def _unexplained(self, current: Fit) -> bool:
-        """Whether what is left is significant, and too much to call the gap explained, whatever the effects' laws are."""
-        gap = lack_of_fit(current, self.noise, laws=False)
-        family = lack_of_fit(current, self.noise)
-        most = max(self.policy.unexplained_f, self.policy.unexplained_of_f * lack_of_fit(self.base, self.noise).f)
-        much = family.f > most or current.chi2 - current.dof > self.policy.unexplained_share * self.excess
-        return gap.p_value < self.policy.gap_p and much
-
-    def _incomplete(self, current: Fit) -> bool:
-        """Whether the data refute that nothing is missing any more."""
-        gap = lack_of_fit(current, self.noise)
-        return gap.f > self.policy.complete_f and gap.p_value < self.policy.gap_p
 
     def _better_pair(
         self, looked_at: Sequence[Candidate], leader: str, good: Sequence[Candidate]
@@ -375,8 +295,8 @@ class Search:
             fewer = fit(current.frame, kept, current.values)
             if fewer is None:
                 break
-            refuted = self._incomplete(fewer) or self._unexplained(fewer)
-            if refuted and not left_by_own_law(fewer, steps, self.noise, self.excess, self.policy):
+            refuted = self.objections.incomplete(fewer) or self.objections.unexplained(fewer)
+            if refuted and not left_by_own_law(fewer, steps, self.noise, self.objections.excess, self.policy):
                 break
             current, order, places = self._exchange(fewer, kept, {})
             steps, rivals = self._steps(current, by_weight(current, order), places, p_any)
@@ -395,7 +315,7 @@ class Search:
             return None
         fewer, found, places = self._exchange(fewer, kept, {})
         steps, rivals = self._steps(fewer, by_weight(fewer, found), places, p_any)
-        return None if self.against(fewer, steps) else (fewer, steps, rivals)
+        return None if self.objections.against(fewer, steps) else (fewer, steps, rivals)
 
     def refined(self, found: Sequence[Candidate], name: str, current: Fit) -> tuple[Candidate, ...]:
         """The candidates for the place of `name`; those that miss a tie by little are fitted from other starts."""
