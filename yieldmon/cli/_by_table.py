@@ -12,31 +12,26 @@ from typing import Any
 
 import numpy as np
 
-from yieldmon.cli import _named_files, _outputs, _provenance, model_options
+from yieldmon.cli import _named_files, _outputs, _provenance, _table_model, model_options
 from yieldmon.cli._json import print_document, print_json
-from yieldmon.documents.calibrate import CalibrationDocument, ComparedModel
+from yieldmon.cli._table_report import report, text
+from yieldmon.documents.calibrate import ComparedModel
 from yieldmon.errors import InputError
 from yieldmon.estimation import empirical, identifiability
-from yieldmon.estimation.calibration import calibrate, default_start, profile_curves
-from yieldmon.estimation.calibration_result import CONFIDENCE, Calibration
+from yieldmon.estimation.calibration import calibrate, profile_curves
+from yieldmon.estimation.calibration_result import Calibration
 from yieldmon.estimation.measurements import Measurements, copied_rows
 from yieldmon.estimation.moisture import fit as fit_moisture_map
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.priors import EXCHANGED, Prior
 from yieldmon.estimation.stop_gap import sentence, with_stop_gap
 from yieldmon.files import digests, moisture_file, parameter_file, table, whole_file
-from yieldmon.physics.effects import get_effect
-from yieldmon.physics.grain import fitted
 from yieldmon.physics.machine import Machine
-from yieldmon.physics.model import EXCHANGE_FORM, RESTITUTION_FORM, ForwardModel
-from yieldmon.physics.stages import GRAVITY_M_S2
-from yieldmon.repeats import repeated
+from yieldmon.physics.model import ForwardModel
 
 PROGRESS_AFTER_S = 2.0
 MAP_NAME = "moisture-map.yaml"
 """Of `--by-moisture`, in the folder of its parameter files."""
-_CONSTANTS = ("gravity.acceleration_m_s2",)
-"""Parameters of effects that no table is to move, unless --free names them."""
 
 
 def run(args: argparse.Namespace) -> int:
@@ -109,78 +104,6 @@ def _read(args: argparse.Namespace, machine: Machine) -> tuple[table.Table, Meas
     return data, model_options.at_plate_angle(rows, args.plate_angle, data)
 
 
-def report(result: Calibration, data: table.Table, rows: Measurements) -> CalibrationDocument:
-    """The result as plain data."""
-    return {
-        "file": data.path,
-        "rows": result.residuals.rows,
-        "response_unit": result.parameter_set.response_unit,
-        "parameters": {
-            p.name: {
-                "value": p.value,
-                "standard_error": p.standard_error,
-                "std_dev": result.parameter_set.standard_deviation(p.name),
-                "interval": list(p.interval),
-                "confidence": CONFIDENCE,
-                "at_bound": p.at_bound or None,
-                "open_below": p.open_below,
-                "open_above": p.open_above,
-                "determined": p.determined,
-            }
-            for p in result.parameters
-        },
-        "fixed": {k: v for k, v in result.parameter_set.values.items() if k not in result.names},
-        "correlation": {"names": list(result.names), "matrix": result.correlation.tolist()},
-        "residual": {
-            "rms": result.residuals.rms,
-            "rms_over_max_pct": result.residuals.rms_over_max_pct,
-            "pure_error_sd": result.residuals.pure_error_sd,
-            "pure_error_dof": result.residuals.pure_error_dof,
-            "pure_error_over_max_pct": 100.0 * result.residuals.pure_error_sd / float(np.max(np.abs(rows.momentum))),
-            "lack_of_fit_f": result.residuals.lack_of_fit_f,
-            "lack_of_fit_p": result.residuals.lack_of_fit_p,
-            "outlier_rows": [i + 1 for i in result.residuals.outlier_rows],
-        },
-        "starts": result.starts,
-        "basins": [{"starts": b.starts, "relative_cost": b.relative_cost, "values": list(b.values)} for b in result.basins],
-        "notes": list(result.sentences),
-    }
-
-
-def text(document: CalibrationDocument) -> str:
-    """The report for people."""
-    unit = document["response_unit"]
-    lines = [f"{document['file']}: {document['rows']} rows, {document['starts']} starts"]
-    lines.append(f"{'parameter':<34}{'value':>13}{'std error':>13}   {100 * CONFIDENCE:.0f} % interval")
-    for name, p in document["parameters"].items():
-        low, high = p["interval"]
-        ends = f"{'<' if p['open_below'] else ''}{low:.6g} .. {high:.6g}{'>' if p['open_above'] else ''}"
-        mark = f"  at its {p['at_bound']} bound" if p["at_bound"] else ""
-        lines.append(f"{name:<34}{p['value']:>13.6g}{p['standard_error']:>13.3g}   {ends}{mark}")
-    lines += [f"{name:<34}{value:>13.6g}        fixed" for name, value in document["fixed"].items()]
-    r = document["residual"]
-    per = "kg m/s" if unit == "N" else unit
-    lines.append(f"residual rms {r['rms']:.4g} {per}, {r['rms_over_max_pct']:.3g} % of the largest reading")
-    if r["pure_error_dof"]:
-        lines.append(
-            f"replicates scatter by {r['pure_error_sd']:.4g} {per} ({r['pure_error_over_max_pct']:.3g} %); lack of fit "
-            f"F = {r['lack_of_fit_f']:.3g}, p = {r['lack_of_fit_p']:.2g}"
-        )
-    lines.append("basins (starts): " + ", ".join(f"{b['starts']} at {b['relative_cost']:.4g} x" for b in document["basins"]))
-    lines += [f"- {sentence}" for sentence in document["notes"]]
-    if "comparison" in document:
-        lines.append(f"{'load from reading, each load left out in turn':<48}{'rms/max %':>11}{'mean %':>9}{'worst %':>9}")
-        lines += [
-            f"{row['model']:<48}{row['rms_over_max_pct']:>11.3g}{row['mean_abs_pct']:>9.3g}{row['max_abs_pct']:>9.3g}"
-            for row in document["comparison"]
-        ]
-    if "identifiability" in document:
-        lines += ["identifiability:", *(f"- {sentence}" for sentence in document["identifiability"]["sentences"])]
-    if "written" in document:
-        lines.append(f"written: {document['written']}")
-    return "\n".join(lines)
-
-
 def _fit(args: argparse.Namespace, machine: Machine, data: table.Table, rows: Measurements) -> Calibration:
     """The fit that the arguments ask for; with the exchange coefficients where 1 + e, unasked for, ends at its physical bound.
 
@@ -209,65 +132,27 @@ def _with_copies_named(result: Calibration, data: table.Table, rows: Measurement
 
 
 def _fit_form(
-    args: argparse.Namespace, machine: Machine, data: table.Table, rows: Measurements, asked: str | None
+    args: argparse.Namespace, machine: Machine, data: table.Table, rows: Measurements, impact: str | None
 ) -> Calibration:
-    known = _named_files.parameters(args.prior, "--prior") if args.prior is not None else None
-    # Without a word about effects the prior's belong to the model: left out, its other parameters would stand for them.
-    effects = [name.strip() for name in args.effects.split(",") if name.strip()]
-    if not effects and known is not None:
-        effects = list(known.effects)
-    scaled = data.reading == model_options.RESPONSE and args.response_scale is None
-    impact = asked or ("exchange" if scaled else "restitution")
-    form = RESTITUTION_FORM if impact == "restitution" else EXCHANGE_FORM
-    if scaled and impact == "restitution":
-        raise InputError(
-            "--impact restitution", "cannot carry the scale of a `response`", "--impact exchange, or --response-scale S"
-        )
-    try:
-        for name in effects:
-            get_effect(name)
-        model = ForwardModel(machine, effects)
-    except ValueError as error:
-        raise InputError("--effects", str(error)) from error
-    fixed = model_options.assignments(args.fix, "--fix")
-    for name, value in fixed.items():
-        model_options.check_parameter(name, value, "--fix")
-    start = default_start(model, rows, form, dict(known.values if known is not None else {}) | fixed)
-    unknown = [name for name in fixed if name not in start]
-    if unknown:
-        raise InputError("--fix", f"{unknown[0]} is not in this model", f"one of {', '.join(start)}")
-    given = set(known.values) if known is not None else set()
-    held = {n for n in model.effect_parameters if n in _CONSTANTS or (not args.effects and n in given)}
-    free = [n for n in (*fitted(impact), *model.effect_parameters) if n not in fixed and n not in held]
-    if "gravity.acceleration_m_s2" in held and "gravity.acceleration_m_s2" not in given | set(fixed):
-        start["gravity.acceleration_m_s2"] = GRAVITY_M_S2
-    if args.free is not None:
-        free = [name.strip() for name in args.free.split(",") if name.strip()]
-        if twice := repeated(free):
-            raise InputError("--free", f"names {twice[0]} twice", "each parameter once")
-        wrong = [n for n in free if n not in start]
-        if wrong or set(free) & set(fixed):
-            raise InputError("--free", f"is {args.free!r}", f"some of {', '.join(n for n in start if n not in fixed)}")
-    if not free:
-        raise InputError("--fix", "leaves nothing to fit", "at least one parameter that is free")
+    asked = _table_model.asked(args, machine, data, rows, impact)
     try:
         with progress_bar("calibrating") as progress:
             result = calibrate(
-                model,
+                asked.model,
                 rows,
-                start,
-                free,
-                prior=Prior.of(known, free) if known is not None else None,
-                bounds=_bounds(args.bounds),
+                asked.start,
+                asked.free,
+                prior=Prior.of(asked.prior, asked.free) if asked.prior is not None else None,
+                bounds=_table_model.bounds(args.bounds),
                 starts=args.starts,
                 rng=np.random.default_rng(args.seed),
                 robust=args.robust,
-                response_unit=model_options.RESPONSE if scaled else "N",
+                response_unit=model_options.RESPONSE if asked.scaled else "N",
                 progress=progress,
             )
     except ValueError as error:
         raise InputError(data.path, str(error)) from error
-    return replace(result, parameter_set=_with_provenance(result.parameter_set, args, data, known))
+    return replace(result, parameter_set=_with_provenance(result.parameter_set, args, data, asked.prior))
 
 
 def _with_stop_gap(machine: Machine, rows: Measurements, result: Calibration) -> ParameterSet:
@@ -293,22 +178,6 @@ def _with_provenance(
         facts["parent"] = f"{prior.name} sha256 {digests.of_file(prior)}"
         facts["parent_version"] = str(parent.version)
     return replace(fitted, provenance=facts, version=1 if parent is None else parent.version + 1)
-
-
-def _bounds(texts: list[str]) -> dict[str, tuple[float, float]]:
-    out = {}
-    for given in texts:
-        name, _, limits = given.partition("=")
-        low, colon, high = limits.partition(":")
-        if not colon:
-            raise InputError("--bounds", f"is {given!r}", "NAME=LOW:HIGH")
-        first, last = model_options.finite(low, f"--bounds {name}"), model_options.finite(high, f"--bounds {name}")
-        if first >= last:
-            raise InputError(f"--bounds {name}", f"is {limits}", "the lower end first")
-        model_options.check_parameter(name, first, "--bounds")
-        model_options.check_parameter(name, last, "--bounds")
-        out[name] = (first, last)
-    return out
 
 
 def _by_moisture(args: argparse.Namespace, machine: Machine, data: table.Table, rows: Measurements) -> int:
@@ -352,7 +221,7 @@ def _profiles(args: argparse.Namespace, result: Calibration, machine: Machine, r
         rows,
         result,
         prior=Prior.of(known, result.names) if known is not None else None,
-        bounds=_bounds(args.bounds),
+        bounds=_table_model.bounds(args.bounds),
         robust=args.robust,
     )
     canvas.save(profiles.draw(curves), out)
@@ -369,7 +238,7 @@ def _compare(args: argparse.Namespace, result: Calibration, machine: Machine, ro
             part,
             dict(result.parameter_set.values),
             result.names,
-            bounds=_bounds(args.bounds),
+            bounds=_table_model.bounds(args.bounds),
             starts=1,
             robust=args.robust,
             intervals=False,
