@@ -11,7 +11,7 @@ from yieldmon.frames import MASS_FLOW, NOT_AVAILABLE, Frame
 from yieldmon.network.identifier import ADDRESS_CLAIMED, REQUEST, Identifier
 from yieldmon.network.name import Name
 from yieldmon.physics.machine import Machine
-from yieldmon.service.link import WAITS_S, NetworkLink
+from yieldmon.service.network_link import WAITS_S, NetworkLink
 from yieldmon.service.service_sections import Network
 
 CODEC = Codec()
