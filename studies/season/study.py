@@ -16,7 +16,7 @@ from scipy.interpolate import RectBivariateSpline
 from studies.facility import facility
 from studies.season.combines import AS_MODELLED, Combine
 from studies.season.season import Season, SeasonSettings
-from yieldmon.engine.closed_loop_calibrator import FOLLOWED_KG
+from yieldmon.engine.parameter_knowledge import FOLLOWED_KG
 from yieldmon.engine.settings import SweepSettings
 from yieldmon.estimation.admission import LARGEST_MODEL_ERROR, allowing_for, refusal
 from yieldmon.estimation.angle_pattern import with_pattern
