@@ -163,7 +163,7 @@ class Conclusion:
             self._parts.since_zero.add_scale(number, missed_kg)
             loads.correct({number: MissedMass().plus(missed_kg, None, area_known=True)})
         if totals.load_open:
-            learning.measured(totals.load_number, reading, flow, mass_kg)
+            learning.tickets.measured(totals.load_number, reading, flow, mass_kg)
 
     def _restate(self, model_error: ModelError, contradiction: ScaleCheck | None) -> LoadEvents:
         """Loads are as unsure as sweeps, and the open one as a weighed mass, have just shown them to be. Before: the model's
