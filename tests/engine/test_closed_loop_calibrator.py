@@ -22,7 +22,8 @@ from yieldmon.engine.loads import LoadSummary
 from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.state import EngineState
-from yieldmon.engine.sweep import PlateReading, SweepMachine, SweepWindow
+from yieldmon.engine.sweep import SweepMachine
+from yieldmon.engine.sweep_inputs import PlateReading, SweepWindow
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
 from yieldmon.estimation.drift_rates import DriftRates
 from yieldmon.estimation.load_pattern import EFFECT as LOAD_PATTERN

@@ -15,7 +15,7 @@ from yieldmon.engine.faults import FaultCode
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.records import CalibrationOutcome, CalibratorState, FlowEstimator, WindowRecord
 from yieldmon.engine.settings import EngineSettings, SweepSettings
-from yieldmon.engine.sweep import SweepAbort
+from yieldmon.engine.sweep_inputs import SweepAbort
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.frames import EstimateQuality, Frame, SweepState
 from yieldmon.resources import shipped

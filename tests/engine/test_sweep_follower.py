@@ -18,7 +18,7 @@ from yieldmon.engine.records import CalibrationOutcome
 from yieldmon.engine.results import events_in, frames_in
 from yieldmon.engine.runs import run_of
 from yieldmon.engine.settings import EngineSettings
-from yieldmon.engine.sweep import SweepAbort
+from yieldmon.engine.sweep_inputs import SweepAbort
 from yieldmon.frames import ActuatorState, Frame, SweepState
 
 NOTHING_NEW = CalibrationOutcome(None, "nothing new")

@@ -9,7 +9,8 @@ import pytest
 
 from yieldmon.engine.plate_commands import PlateDemand
 from yieldmon.engine.settings import PlateSettings, SweepSettings
-from yieldmon.engine.sweep import PlateReading, SweepAbort, SweepMachine, SweepWindow
+from yieldmon.engine.sweep import SweepMachine
+from yieldmon.engine.sweep_inputs import PlateReading, SweepAbort, SweepWindow
 from yieldmon.frames import ActuatorState, CommandMode, SweepState
 
 S, A = SweepState, ActuatorState

@@ -20,7 +20,7 @@ from yieldmon.engine.records import FlowEstimator, Second, record_of
 from yieldmon.engine.results import Event, Result, WindowResult, ZeroTaken
 from yieldmon.engine.scale_alarm import ScaleCheck
 from yieldmon.engine.since_zero import NO_LOAD, KeptSecond, MissedMass
-from yieldmon.engine.sweep import SweepWindow, support_start_s
+from yieldmon.engine.sweep_inputs import SweepWindow, support_start_s
 from yieldmon.engine.waveform_reading import NOTHING, WaveformReading
 from yieldmon.estimation.sweep_model_error import ModelError
 from yieldmon.frames import OperatingState

@@ -17,7 +17,8 @@ from yieldmon.engine.loads import LoadSummary
 from yieldmon.engine.records import CalibrationOutcome, CalibrationStep, FlowEstimator, SelfCalibrator, WindowRecord
 from yieldmon.engine.scale_alarm import ScaleAlarm, as_stated, name_of
 from yieldmon.engine.settings import EngineSettings
-from yieldmon.engine.sweep import SweepAbort, SweepMachine
+from yieldmon.engine.sweep import SweepMachine
+from yieldmon.engine.sweep_inputs import SweepAbort
 from yieldmon.engine.sweep_windows import SweepWindows
 from yieldmon.engine.ticket_book import TicketBook
 from yieldmon.engine.ticket_check import departure_of

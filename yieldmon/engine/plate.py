@@ -8,8 +8,9 @@ from math import degrees
 from yieldmon.engine.plate_commands import RELEASE, PlateCommander
 from yieldmon.engine.quick import maker_of
 from yieldmon.engine.settings import EngineSettings
-from yieldmon.engine.sweep import PlateReading, SweepMachine
+from yieldmon.engine.sweep import SweepMachine
 from yieldmon.engine.sweep_follower import SweepFollower
+from yieldmon.engine.sweep_inputs import PlateReading
 from yieldmon.frames import ActuatorState, CommandMode, SweepState, Value
 from yieldmon.physics.machine import Machine
 

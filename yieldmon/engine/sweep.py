@@ -8,83 +8,22 @@ RETURNING                              on the way home after an abort, or becaus
 
 from __future__ import annotations
 
-from collections import deque
-from dataclasses import dataclass
-from enum import StrEnum
-from math import degrees, isfinite, log
+from math import isfinite, log
 
 from yieldmon.engine.plate_commands import GO_HOME, RELEASE, PlateDemand
-from yieldmon.engine.quick import maker_of
 from yieldmon.engine.settings import PlateSettings, SweepSettings
-from yieldmon.engine.windows import Window
+from yieldmon.engine.steady_home import SteadyHome, spread
+from yieldmon.engine.sweep_inputs import PlateReading, SweepAbort, SweepWindow, plate_trouble
 from yieldmon.frames import ActuatorState, CommandMode, SweepState
-from yieldmon.physics.machine import Machine
 
-
-class SweepAbort(StrEnum):
-    """Why a sweep ended early."""
-
-    NOT_FOLLOWING = "the plate did not reach the commanded angle in time"
-    NOT_SETTLING = "plate or signal did not settle"
-    FEEDBACK_STALE = "no usable plate feedback"
-    ACTUATOR_FAULT = "the actuator reports a fault"
-    MANUAL = "the plate is held by hand or by another controller"
-    FLOW_CHANGED = "the flow changed"
-    SPEED_CHANGED = "the elevator speed changed"
-    NOT_MEASURED = "flow was not measured"
-    OPERATOR = "operator"
-    FORCE_DOES_NOT_FOLLOW = "the force does not follow the angle that the plate reports"
-
-
-@dataclass(frozen=True, slots=True)
-class PlateReading:
-    """The plate at one instant of engine time. angle_deg is nan while the feedback is stale."""
-
-    time_s: float
-    angle_deg: float
-    state: ActuatorState
-
-
-@dataclass(frozen=True, slots=True)
-class SweepWindow:
-    """A closed window as the sweep sees it.
-
-    support_start_s: engine time of the earliest sample with weight. flow_kg_s: nan where it was not measured. whole: no part of
-    it is missing or doubtful. still: the plate rested throughout. trend: see `windows.Window`.
-    """
-
-    end_s: float
-    support_start_s: float
-    flow_kg_s: float
-    force_n: float
-    speed_rad_s: float
-    angle_deg: float
-    whole: bool
-    still: bool
-    trend: float
-
-    @classmethod
-    def of(
-        cls, window: Window, support_start_s: float, flow_kg_s: float, force_n: float, whole: bool, still: bool
-    ) -> SweepWindow:
-        """From a window and what was made of it."""
-        return _sweep_window(
-            window.end_s, support_start_s, flow_kg_s, force_n, window.speed_rad_s, degrees(window.plate_angle_rad), whole, still,
-            window.trend,
-        )  # fmt: skip
-
-
-_sweep_window = maker_of(SweepWindow)
-
-
-def support_start_s(window: Window, machine: Machine, max_ramp_s: float) -> float:
-    """Engine time of the earliest sample with weight in a window: its near edge reaches into the window before, s."""
-    chain = window.speed_rad_s * machine.sprocket_pitch_radius_m
-    ramp_s = min(max_ramp_s, machine.pattern_length_m / chain) if chain > 0.0 else max_ramp_s
-    return window.start_s - ramp_s
-
-
+HOME_TOLERANCES = 2.0
+"""Of the plate's own tolerance, how far from home it may rest."""
 _ACTUATOR_REASONS = (SweepAbort.NOT_FOLLOWING, SweepAbort.FORCE_DOES_NOT_FOLLOW)
+"""Ends after which the plate counts as not following until a movement arrives."""
+RESTING = frozenset({SweepState.IDLE, SweepState.WAITING, SweepState.ABORTED, SweepState.UPDATED, SweepState.NOT_LEARNED})
+"""States in which the plate is not driven."""
+VISITING = frozenset({SweepState.MOVING, SweepState.SETTLING, SweepState.MEASURING})
+"""States of a sweep under way."""
 
 
 def sweep_sequence(angles_deg: tuple[float, ...], home_deg: float, home_every: int) -> tuple[float, ...]:
@@ -95,12 +34,6 @@ def sweep_sequence(angles_deg: tuple[float, ...], home_deg: float, home_every: i
         if number % home_every == 0 or number == len(angles_deg):
             sequence.append(home_deg)
     return tuple(sequence)
-
-
-RESTING = frozenset({SweepState.IDLE, SweepState.WAITING, SweepState.ABORTED, SweepState.UPDATED, SweepState.NOT_LEARNED})
-"""States in which the plate is not driven."""
-VISITING = frozenset({SweepState.MOVING, SweepState.SETTLING, SweepState.MEASURING})
-"""States of a sweep under way."""
 
 
 class SweepMachine:
@@ -137,8 +70,7 @@ class SweepMachine:
         self._home_try_s = float("-inf")
         self._settled_s = 0.0
         self._measured = 0
-        self._flows: deque[float] = deque(maxlen=settings.steady_windows)
-        self._speeds: deque[float] = deque(maxlen=settings.steady_windows)
+        self._home = SteadyHome(settings)
         self._base_flow = float("nan")
         self._base_speed = float("nan")
         self._seen: list[tuple[float, float]] = []
@@ -180,7 +112,7 @@ class SweepMachine:
     def could_begin(self, now_s: float) -> bool:
         """Whether the next sweep of the schedule is due, and flow and elevator speed at home are steady."""
         due = self.state in RESTING and self._due_s is not None and now_s >= self._due_s
-        return due and self._steady_at_home()
+        return due and self._home.steady
 
     def decline(self, now_s: float, reason: str) -> None:
         """The sweep that is due is not worth making; the next one is due an interval later."""
@@ -218,8 +150,8 @@ class SweepMachine:
         """Whether a plate that never moved explains the whole sweep: the force is steadier than the flow made from it."""
         if any(flow <= 0.0 or force <= 0.0 for flow, force in self._seen):
             return False
-        flow_spread = _spread([log(flow) for flow, _ in self._seen])
-        force_spread = _spread([log(force) for _, force in self._seen])
+        flow_spread = spread([log(flow) for flow, _ in self._seen])
+        force_spread = spread([log(force) for _, force in self._seen])
         limits = self._settings
         least, share = limits.feedback_plausibility_flow_spread, limits.feedback_plausibility_force_ratio
         return flow_spread > least and force_spread < share * flow_spread
@@ -253,13 +185,10 @@ class SweepMachine:
         """A window closed. Returns the sweep step that it counts for, or -1."""
         good = window.whole and isfinite(window.flow_kg_s)
         if self.state in RESTING:
-            at_home = abs(window.angle_deg - self._home_deg) <= 2.0 * self._plate.at_target_tolerance_deg
-            if good and window.still and at_home:
-                self._flows.append(window.flow_kg_s)
-                self._speeds.append(window.speed_rad_s)
+            if good and window.still and self._is_home(window.angle_deg):
+                self._home.add(window)
             else:
-                self._flows.clear()
-                self._speeds.clear()
+                self._home.clear()
             return -1
         if not self.visiting or self.completed:
             return -1
@@ -308,11 +237,7 @@ class SweepMachine:
 
     def _found_away(self, plate: PlateReading) -> bool:
         """At rest away from home for long, and not driven by others: left there by a sweep that could not end well."""
-        away = (
-            isfinite(plate.angle_deg)
-            and plate.state is ActuatorState.IDLE
-            and abs(plate.angle_deg - self._home_deg) > 2.0 * self._plate.at_target_tolerance_deg
-        )
+        away = isfinite(plate.angle_deg) and plate.state is ActuatorState.IDLE and not self._is_home(plate.angle_deg)
         if not away:
             self._away_s = None
             return False
@@ -322,29 +247,15 @@ class SweepMachine:
         return rested and plate.time_s - self._home_try_s >= self._settings.home_retry_s
 
     def _ready(self, plate: PlateReading) -> bool:
-        if plate_trouble(plate) is not None:
-            return False
-        if abs(plate.angle_deg - self._home_deg) > 2.0 * self._plate.at_target_tolerance_deg:
-            return False
-        return self._steady_at_home()
-
-    def _steady_at_home(self) -> bool:
-        settings = self._settings
-        if len(self._flows) < settings.steady_windows:
-            return False
-        return steady(self._flows, settings.min_flow_kg_s, settings.steady_cv) and steady(
-            self._speeds, 0.0, 0.5 * settings.speed_change
-        )
+        return plate_trouble(plate) is None and self._is_home(plate.angle_deg) and self._home.steady
 
     def _start(self, plate: PlateReading) -> None:
         self.sweep_id += 1
         self._requested = False
         self.abort_reason = None
-        self._base_flow = sum(self._flows) / len(self._flows)
-        self._base_speed = sum(self._speeds) / len(self._speeds)
+        self._base_flow, self._base_speed = self._home.means
         self._seen = []
-        self._flows.clear()
-        self._speeds.clear()
+        self._home.clear()
         self.step = -1
         self._next_step(plate.time_s, plate.angle_deg)
 
@@ -386,19 +297,16 @@ class SweepMachine:
         now = plate.time_s
         if abs(plate.angle_deg - self._home_deg) <= self._plate.at_target_tolerance_deg:
             self.not_following = self.not_following and self.abort_reason in _ACTUATOR_REASONS
-            self._enter(SweepState.ABORTED if self.abort_reason else SweepState.IDLE)
-            return RELEASE
-        if plate.state is ActuatorState.MANUAL:
+        elif plate.state is ActuatorState.MANUAL:
             # Not fought; once the hand is gone the plate is found away from home and taken there.
             self._home_try_s = float("-inf")
-            self._enter(SweepState.ABORTED if self.abort_reason else SweepState.IDLE)
-            return RELEASE
-        if now > self._deadline_s:
+        elif now > self._deadline_s:
             self.not_following = True
             self._home_try_s = now
-            self._enter(SweepState.ABORTED if self.abort_reason else SweepState.IDLE)
-            return RELEASE
-        return GO_HOME
+        else:
+            return GO_HOME
+        self._enter(SweepState.ABORTED if self.abort_reason else SweepState.IDLE)
+        return RELEASE
 
     def _abort(self, now_s: float, reason: SweepAbort) -> None:
         wait = min(self._settings.interval_s, self._settings.backoff_s * 2.0 ** min(self._aborts, 30))
@@ -417,36 +325,13 @@ class SweepMachine:
             return self._return(plate)
         return PlateDemand(CommandMode.GO_TO_ANGLE, self.sequence[self.step])
 
+    def _is_home(self, angle_deg: float) -> bool:
+        """Whether the plate rests at home, as far as its feedback can tell."""
+        return abs(angle_deg - self._home_deg) <= HOME_TOLERANCES * self._plate.at_target_tolerance_deg
+
     def _on_target(self, plate: PlateReading) -> bool:
         return abs(plate.angle_deg - self.sequence[self.step]) <= self._plate.at_target_tolerance_deg
 
     def _enter(self, state: SweepState) -> None:
         self.state = state
         self._away_s = None
-
-
-def plate_trouble(plate: PlateReading) -> SweepAbort | None:
-    """Why no sweep can go on with a plate that reads like this; None where it can."""
-    if not isfinite(plate.angle_deg):
-        return SweepAbort.FEEDBACK_STALE
-    if plate.state is ActuatorState.MANUAL:
-        return SweepAbort.MANUAL
-    if plate.state is ActuatorState.FAULT:
-        return SweepAbort.ACTUATOR_FAULT
-    return None
-
-
-def steady(values: deque[float], least: float, limit_cv: float) -> bool:
-    """Whether the mean is at least `least` and above 0, and the standard deviation over it at most limit_cv."""
-    mean = sum(values) / len(values)
-    if not mean > 0.0 or mean < least:
-        return False
-    return _spread(list(values)) <= limit_cv * mean
-
-
-def _spread(values: list[float]) -> float:
-    """Standard deviation, 0 for fewer than two values."""
-    if len(values) < 2:
-        return 0.0
-    mean = sum(values) / len(values)
-    return float((sum((value - mean) ** 2 for value in values) / (len(values) - 1)) ** 0.5)

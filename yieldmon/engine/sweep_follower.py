@@ -10,16 +10,8 @@ from collections import deque
 from itertools import groupby
 
 from yieldmon.engine.settings import PlateSettings, SweepSettings
-from yieldmon.engine.sweep import (
-    RESTING,
-    PlateReading,
-    SweepAbort,
-    SweepMachine,
-    SweepWindow,
-    plate_trouble,
-    steady,
-    sweep_sequence,
-)
+from yieldmon.engine.sweep import HOME_TOLERANCES, RESTING, SweepMachine, sweep_sequence
+from yieldmon.engine.sweep_inputs import PlateReading, SweepAbort, SweepWindow, plate_trouble
 from yieldmon.frames import ActuatorState, SweepState
 
 _LEAST_ANGLES = 3
@@ -33,7 +25,7 @@ class SweepFollower(SweepMachine):
 
     def __init__(self, settings: SweepSettings, plate: PlateSettings, home_deg: float) -> None:
         super().__init__(settings, plate, home_deg)
-        self._tolerance_deg = 2.0 * plate.at_target_tolerance_deg
+        self._tolerance_deg = HOME_TOLERANCES * plate.at_target_tolerance_deg
         self._configured = _stops(sweep_sequence(settings.angles_deg, home_deg, settings.home_every))
         self._before: deque[SweepWindow] = deque(maxlen=settings.windows_per_step)
         self._stop_deg = float("nan")
@@ -74,7 +66,7 @@ class SweepFollower(SweepMachine):
             if good and window.still and at_home:
                 self._note(window)
                 return -1
-            begins = not (window.still and at_home) and self._ready_to_follow()
+            begins = not (window.still and at_home) and self._settings.enabled and self._home.steady
             if not begins:
                 self._forget()
                 return -1
@@ -94,30 +86,18 @@ class SweepFollower(SweepMachine):
         return self.step if usable else -1
 
     def _note(self, window: SweepWindow) -> None:
-        self._flows.append(window.flow_kg_s)
-        self._speeds.append(window.speed_rad_s)
+        self._home.add(window)
         self._before.append(window)
 
     def _forget(self) -> None:
-        self._flows.clear()
-        self._speeds.clear()
+        self._home.clear()
         self._before.clear()
-
-    def _ready_to_follow(self) -> bool:
-        settings = self._settings
-        return (
-            settings.enabled
-            and len(self._flows) == settings.steady_windows
-            and steady(self._flows, settings.min_flow_kg_s, settings.steady_cv)
-            and steady(self._speeds, 0.0, 0.5 * settings.speed_change)
-        )
 
     def _begin(self) -> None:
         self.sweep_id += 1
         self.abort_reason = None
         self.not_following = False
-        self._base_flow = sum(self._flows) / len(self._flows)
-        self._base_speed = sum(self._speeds) / len(self._speeds)
+        self._base_flow, self._base_speed = self._home.means
         self._seen = [(w.flow_kg_s, w.force_n) for w in self._before]
         self._forget()
         self.sequence, self.step, self._measured = (self._home_deg,), 0, 0

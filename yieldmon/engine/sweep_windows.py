@@ -7,7 +7,8 @@ from math import isfinite
 
 from yieldmon.engine.disagreement import Disagreement
 from yieldmon.engine.records import WindowRecord
-from yieldmon.engine.sweep import SweepAbort, SweepMachine
+from yieldmon.engine.sweep import SweepMachine
+from yieldmon.engine.sweep_inputs import SweepAbort
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.machine import SAME_ANGLE_RAD
 
