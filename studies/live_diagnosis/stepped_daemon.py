@@ -21,6 +21,7 @@ from yieldmon.frames import Frame
 from yieldmon.plant.combine import VirtualCombine
 from yieldmon.service import configuration
 from yieldmon.service.daemon import Daemon
+from yieldmon.service.patience import Patience
 
 _PATIENCE_S = 60.0
 
@@ -105,7 +106,8 @@ class _CountingDaemon(Daemon):
         environment: Mapping[str, str],
         bus_factory: Callable[[], can.BusABC],
     ) -> None:
-        super().__init__(configured, reload, environment=environment, bus_factory=bus_factory, silence_s=math.inf)
+        patience = Patience(silence_s=math.inf)
+        super().__init__(configured, reload, environment=environment, bus_factory=bus_factory, patience=patience)
         self.taken = 0
         self.submitted = 0
         self.reload_count = 0

@@ -26,6 +26,7 @@ from tests.service.bench import CODEC, START_S, traffic  # noqa: E402
 from yieldmon.service import configuration  # noqa: E402
 from yieldmon.service.batch import Batch  # noqa: E402
 from yieldmon.service.daemon import Daemon  # noqa: E402
+from yieldmon.service.patience import Patience  # noqa: E402
 from yieldmon.service.store import Store  # noqa: E402
 
 #: As long as a slow drive takes for a transaction, so that kills fall between the two.
@@ -91,7 +92,7 @@ def live(folder: Path, seconds: int, broken: str = "") -> None:
         loaded,
         environment=environment,
         bus_factory=lambda: can.Bus(interface="virtual", channel="life"),
-        silence_s=float("inf"),
+        patience=Patience(silence_s=float("inf")),
     )
     daemon._open_store = lambda: TellingStore(loaded.store_path, loaded.retention)  # type: ignore[method-assign]
     daemon.writer._open_store = daemon._open_store

@@ -50,6 +50,7 @@ from yieldmon.service.control_client import ask
 from yieldmon.service.control_protocol import ControlError
 from yieldmon.service.daemon import Daemon
 from yieldmon.service.journal import Journal
+from yieldmon.service.patience import Patience
 from yieldmon.service.quiet_log import QuietLog
 
 _PATIENCE_S = 120.0
@@ -295,7 +296,7 @@ def journal_fails(rng: random.Random) -> None:
         def bus() -> can.BusABC:
             return can.Bus(interface="virtual", channel=channel)
 
-        made = Daemon(configuration.load(folder / "c.yaml"), bus_factory=bus, silence_s=float("inf"))
+        made = Daemon(configuration.load(folder / "c.yaml"), bus_factory=bus, patience=Patience(silence_s=float("inf")))
         peer = can.Bus(interface="virtual", channel=channel, preserve_timestamps=True)
         sent = [encoded(frame) for frame in traffic(START_S, rng.randint(7, 10), 0.0)]
 

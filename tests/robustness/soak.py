@@ -32,9 +32,9 @@ from typing import Any
 from tests.robustness.soak_machine import CYCLE_S, EXPECTED_FAULTS, STUCK_EVERY, MachineOnBus
 from yieldmon.service import configuration
 from yieldmon.service.batch import Batch
-from yieldmon.service.bus_time import SILENCE_S
 from yieldmon.service.control_client import ask
 from yieldmon.service.daemon import Daemon
+from yieldmon.service.patience import Patience
 from yieldmon.service.retention import Retention
 from yieldmon.service.store import Store
 
@@ -148,7 +148,7 @@ def live(folder: Path, hours: float, real_time: bool) -> dict[str, object]:
         load,
         environment=environment,
         bus_factory=machine.open_bus,
-        silence_s=SILENCE_S if real_time else math.inf,
+        patience=Patience() if real_time else Patience(silence_s=math.inf),
     )
     machine.backlog = lambda: daemon.receiver.waiting + 20 * daemon.writer.health().pending
     witness = Witness()

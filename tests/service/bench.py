@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import functools
 import itertools
 import math
@@ -12,7 +13,6 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import can
 import pytest
@@ -22,12 +22,15 @@ from yieldmon.bus.codec import Codec
 from yieldmon.frames import NOT_AVAILABLE, Frame
 from yieldmon.service import configuration
 from yieldmon.service.daemon import Daemon
+from yieldmon.service.patience import Patience
 from yieldmon.service.writer import StoreWriter
 
 CODEC = Codec()
 START_S = 1_760_000_000.0
 ZERO_MV = 120.0
 PATIENCE_S = 120.0
+UNHURRIED = Patience(silence_s=math.inf, store_s=PATIENCE_S, reload_s=PATIENCE_S, command_s=PATIENCE_S, stop_s=60.0)
+"""For machines that other tests keep busy, and traffic that is not sent in real time."""
 _channels = itertools.count()
 
 
@@ -163,20 +166,14 @@ def running(
     text: str = "",
     notify: socket.socket | None = None,
     start_s: float = START_S,
-    silence_s: float = math.inf,
     socketcan: str | None = None,
     state: Path | None = None,
-    stop_writing_s: float = 60.0,
-    reading_s: float = PATIENCE_S,
-    store_patience_s: float = PATIENCE_S,
-    answers_within_s: float = PATIENCE_S,
-    **how: Any,
+    **patience: float,
 ) -> Iterator[Bench]:
     """A running daemon whose state lies in `state` or `folder`, with the configuration `text` in folder/c.yaml.
 
-    On a virtual bus, or on the SocketCAN interface that its configuration then has to name. A stop waits stop_writing_s for the
-    disk, which other tests may keep busy. A configuration that is read anew has reading_s, the store at the start
-    store_patience_s, a command answers_within_s. how: what else the daemon is given.
+    On a virtual bus, or on the SocketCAN interface that its configuration then has to name. patience: where it is another than
+    `UNHURRIED`.
     """
     channel = socketcan or f"service-{next(_channels)}"
     path = folder / "c.yaml"
@@ -193,14 +190,9 @@ def running(
         load,
         environment=environment,
         bus_factory=None if socketcan else lambda: can.Bus(interface="virtual", channel=channel),
-        silence_s=silence_s,
         # A claim takes half a second.
         network_clock=time.monotonic if socketcan else lambda: 20.0 * time.monotonic(),
-        stop_writing_s=stop_writing_s,
-        reading_s=reading_s,
-        store_patience_s=store_patience_s,
-        answers_within_s=answers_within_s,
-        **how,
+        patience=dataclasses.replace(UNHURRIED, **patience),
     )
     if socketcan:
         peer = can.Bus(interface="socketcan", channel=channel)

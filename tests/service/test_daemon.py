@@ -25,10 +25,10 @@ from yieldmon.cli import main as cli
 from yieldmon.files import parameter_file
 from yieldmon.frames import EstimateQuality, Frame
 from yieldmon.service import configuration
-from yieldmon.service.bus_time import SILENCE_S
 from yieldmon.service.command_queue import CommandQueue
 from yieldmon.service.control_protocol import ControlError
 from yieldmon.service.journal import Journal
+from yieldmon.service.patience import Patience
 from yieldmon.service.store import Store
 from yieldmon.service.writer import StoreWriter
 
@@ -101,7 +101,7 @@ def test_faults_on_the_bus_in_status_and_in_the_store(tmp_path):
 
 
 def test_a_silent_bus_is_reported(tmp_path):
-    with running(tmp_path, "bus: {idle_after_s: 0.5}", silence_s=SILENCE_S) as bench:
+    with running(tmp_path, "bus: {idle_after_s: 0.5}", silence_s=Patience().silence_s) as bench:
         wait_for(lambda: any(s["SensorMissing"] for s in bench.published(frames.YIELD_MONITOR_STATUS)), "SensorMissing")
         assert {flow["EstimateQuality"] for flow in bench.published(frames.MASS_FLOW)} == {EstimateQuality.NOT_AVAILABLE}
 
@@ -355,8 +355,7 @@ def test_what_is_answered_is_in_the_store(tmp_path, monkeypatch):
         assert gate.wait(PATIENCE_S)
         commit(store, batches)
 
-    monkeypatch.setattr("yieldmon.service.daemon.TELLING_S", PATIENCE_S)
-    with running(tmp_path) as bench:
+    with running(tmp_path, written_s=PATIENCE_S) as bench:
         bench.play(2, EMPTY_MV)
         bench.played()
         assert bench.daemon.writer.wait_until_written(PATIENCE_S)

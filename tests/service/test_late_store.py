@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.service.bench import PATIENCE_S, START_S, Bench, encoded, running, traffic, wait_for
+from tests.service.bench import PATIENCE_S, START_S, UNHURRIED, Bench, encoded, running, traffic, wait_for
 from yieldmon.engine.budget import FlowBudget
 from yieldmon.engine.totals import Totals
 from yieldmon.errors import InputError
@@ -98,7 +98,7 @@ def folder(before, tmp_path) -> Path:
 @contextlib.contextmanager
 def without_store(folder: Path, **how) -> Iterator[Bench]:
     """A daemon that has begun without the store."""
-    with running(folder, start_s=NEXT_S, store_patience_s=0.01, **how) as bench:
+    with running(folder, start_s=NEXT_S, store_s=0.01, **how) as bench:
         yield bench
 
 
@@ -111,8 +111,7 @@ def test_frames_of_a_start_that_waits_for_the_disk_are_measured_afterwards(folde
     path = folder / "c.yaml"
     environment = {"STATE_DIRECTORY": str(folder), "RUNTIME_DIRECTORY": str(folder)}
     made = Daemon(
-        configuration.load(path, environment), environment=environment, bus_factory=bus, silence_s=float("inf"),
-        store_patience_s=PATIENCE_S, stop_writing_s=PATIENCE_S,
+        configuration.load(path, environment), environment=environment, bus_factory=bus, patience=UNHURRIED,
     )  # fmt: skip
     peer, thread = bus(), threading.Thread(target=made.run)
     thread.start()
@@ -211,7 +210,7 @@ def test_a_stop_while_the_start_waits_for_the_disk_ends_it(folder, disk):
     environment = {"STATE_DIRECTORY": str(folder), "RUNTIME_DIRECTORY": str(folder)}
     made = Daemon(
         configuration.load(folder / "c.yaml", environment), environment=environment,
-        bus_factory=lambda: can.Bus(interface="virtual", channel="late-stop"), store_patience_s=PATIENCE_S,
+        bus_factory=lambda: can.Bus(interface="virtual", channel="late-stop"), patience=UNHURRIED,
     )  # fmt: skip
     codes: list[int] = []
     thread = threading.Thread(target=lambda: codes.append(made.run()))

@@ -9,7 +9,7 @@ from pathlib import Path
 import can
 import pytest
 
-from tests.service.bench import CODEC, START_S, Bench, retry_writing_soon, running, traffic, wait_for
+from tests.service.bench import CODEC, START_S, UNHURRIED, Bench, retry_writing_soon, running, traffic, wait_for
 from yieldmon import frames
 from yieldmon.errors import InputError
 from yieldmon.service import configuration
@@ -94,7 +94,7 @@ def test_two_daemons_on_one_bus_both_say_so(tmp_path):
             loaded,
             environment=environment,
             bus_factory=lambda: can.Bus(interface="virtual", channel=first.peer.channel_id),
-            silence_s=float("inf"),
+            patience=UNHURRIED,
         )
         other = Bench(second, can.Bus(interface="virtual", channel="nobody listens"))
         other.start()

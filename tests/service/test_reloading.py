@@ -48,7 +48,7 @@ def test_measuring_goes_on_while_a_configuration_is_read(tmp_path, monkeypatch):
 
 def test_a_configuration_that_cannot_be_read_in_time_is_refused(tmp_path, monkeypatch, caplog):
     """Each time anew, and without a thread for each of any number of tries."""
-    with running(tmp_path, reading_s=0.05) as bench:
+    with running(tmp_path, reload_s=0.05) as bench:
         disk = HangingDisk(monkeypatch)
         notes = []
         try:
@@ -89,7 +89,7 @@ def test_a_reading_may_take_twenty_seconds(later_s, due, monkeypatch):
     now_s = 100.0
     monkeypatch.setattr(reloading, "monotonic", lambda: now_s)
     released = threading.Event()
-    of_disk = Reloading(lambda: released.wait(PATIENCE_S))
+    of_disk = Reloading(lambda: released.wait(PATIENCE_S), limit_s=PATIENCE_S)
     assert (of_disk.under_way, of_disk.due()) == (False, False)
     of_disk.begin()
     now_s += later_s

@@ -13,8 +13,8 @@ import pytest
 
 from tests.service.bench import PATIENCE_S, Bench, running, wait_for
 from yieldmon.service import metrics, quiet_log
-from yieldmon.service.daemon import STOP_WRITING_S
 from yieldmon.service.journal import Journal
+from yieldmon.service.patience import Patience
 from yieldmon.service.store import Store
 from yieldmon.service.transmit import Transmitter
 
@@ -231,7 +231,7 @@ def test_the_time_limit_of_a_stop_is_kept_by_a_disk_that_hangs(tmp_path: Path, m
         gate.wait(PATIENCE_S)
         commit(store, batches)
 
-    with running(tmp_path, stop_writing_s=STOP_WRITING_S) as bench:
+    with running(tmp_path, stop_s=Patience().stop_s) as bench:
         bench.play(2, 0.0)
         bench.played()
         monkeypatch.setattr(Store, "commit", hang)

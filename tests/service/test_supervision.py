@@ -14,7 +14,7 @@ import pytest
 from tests.service.bench import PATIENCE_S, Bench, running, wait_for
 from yieldmon.files import parameter_file
 from yieldmon.files.machine_file import load as load_machine
-from yieldmon.service import control, daemon, metrics, supervision
+from yieldmon.service import command_loads, control, metrics, supervision
 from yieldmon.service.control import ControlServer
 from yieldmon.service.control_client import ask
 from yieldmon.service.control_protocol import ControlError
@@ -197,7 +197,7 @@ def test_the_prometheus_file_is_written_again_after_a_thread_that_died(tmp_path:
 
 def test_a_disk_that_holds_up_tickets_leaves_status_its_answer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     gate = threading.Event()
-    monkeypatch.setattr(daemon, "of_path", lambda path, numbers: gate.wait(PATIENCE_S) and ())
+    monkeypatch.setattr(command_loads, "of_path", lambda path, numbers: gate.wait(PATIENCE_S) and ())
     reported: list[str] = []
 
     def ticket() -> None:

@@ -66,7 +66,7 @@ class BusNode:
         silence_s: float,
         clock: Callable[[], float],
     ) -> None:
-        """bus_factory: opens the bus, by default the configured one. silence_s: see SILENCE_S. clock: times the network's
+        """bus_factory: opens the bus, by default the configured one. silence_s: see `Patience`. clock: times the network's
         protocols."""
         settings = configuration.document.bus
         codec = Codec()

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-#: With no frame of ours for this long the engine's time goes on by the monotonic clock, this much behind it, so that frames
-#: still on their way are not late.
-SILENCE_S = 0.15
+#: How far the engine's time stays behind the monotonic clock by which it goes on, so that frames still on their way are not late.
 _DELAY_S = 0.1
 
 
@@ -12,7 +10,7 @@ class BusTime:
     """When the last frame came, and how far the engine's time may go on without one."""
 
     def __init__(self, silence_s: float, idle_after_s: float, now_s: float) -> None:
-        """silence_s: see SILENCE_S. idle_after_s: a bus without any frame since the start counts as idle after this time. now_s:
+        """silence_s: see `Patience`. idle_after_s: a bus without any frame since the start counts as idle after this time. now_s:
         monotonic time."""
         self._silence_s = silence_s
         self._idle_from_s = now_s + idle_after_s

@@ -12,9 +12,6 @@ from yieldmon.errors import InputError
 from yieldmon.service.control_protocol import Answer, ControlError
 from yieldmon.service.reference_loads import StoredLoad
 
-#: How long a command waits for the engine.
-PATIENCE_S = 5.0
-
 
 @dataclass(frozen=True)
 class Job:
@@ -28,7 +25,8 @@ class Job:
 class CommandQueue:
     """`ask` is called on any thread, `carry_out` on the engine's."""
 
-    def __init__(self, patience_s: float = PATIENCE_S) -> None:
+    def __init__(self, patience_s: float) -> None:
+        """patience_s: how long a command waits for the engine."""
         self._jobs: queue.SimpleQueue[Job] = queue.SimpleQueue()
         self._patience_s = patience_s
 

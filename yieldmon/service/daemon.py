@@ -24,27 +24,26 @@ from yieldmon.bus.receiver import BusEvent, Receiver
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.results import Result, records_in
-from yieldmon.errors import InputError
 from yieldmon.service import commands
 from yieldmon.service.assembly import monitor_of
 from yieldmon.service.bus_node import BusNode
-from yieldmon.service.bus_time import SILENCE_S
-from yieldmon.service.command_queue import PATIENCE_S, CommandQueue, Job
+from yieldmon.service.command_loads import CommandLoads
+from yieldmon.service.command_queue import CommandQueue, Job
 from yieldmon.service.configuration import Configuration
 from yieldmon.service.control import ControlServer
 from yieldmon.service.control_protocol import Answer, ControlError
 from yieldmon.service.identity import this_computer
 from yieldmon.service.journal import Journal
-from yieldmon.service.late_store import KEPT_FRAMES, STORE_ANSWERS_WITHIN_S, KeptInput, StoreReading, without_sweeps_for
+from yieldmon.service.late_store import KeptInput, StoreReading, without_sweeps_for
 from yieldmon.service.memory import Memory, choose_parameters
 from yieldmon.service.metrics import MetricsFile
 from yieldmon.service.notify import ServiceManager
 from yieldmon.service.ownership import Ownership
+from yieldmon.service.patience import DEFAULT, Patience
 from yieldmon.service.posting import Poster
 from yieldmon.service.recovery import Recovery, recover
-from yieldmon.service.reference_loads import StoredLoad, of_path, of_standing_tickets
 from yieldmon.service.reload_check import at_next_start, usable_now
-from yieldmon.service.reloading import READING_S, Reloading
+from yieldmon.service.reloading import Reloading
 from yieldmon.service.reloads import Reloads
 from yieldmon.service.resumption import resume, successor
 from yieldmon.service.rows import SecondRow
@@ -59,12 +58,6 @@ _log = logging.getLogger(__name__)
 _LAST_ROWS = 10
 #: From this age on what `status` says is marked as stale.
 _STALE_S = 5.0
-#: Requests that may read the store at the same time.
-_READ_AT_ONCE = 2
-#: How long an answer waits for the disk to have what was entered.
-TELLING_S = 2.0
-#: How long a stop waits for the disk; with the other steps it is over within 5 s.
-STOP_WRITING_S = 1.5
 
 
 class Daemon:
@@ -77,31 +70,25 @@ class Daemon:
         *,
         environment: Mapping[str, str] = os.environ,
         bus_factory: Callable[[], can.BusABC] | None = None,
-        silence_s: float = SILENCE_S,
         network_clock: Callable[[], float] = monotonic,
-        stop_writing_s: float = STOP_WRITING_S,
-        reading_s: float = READING_S,
-        store_patience_s: float = STORE_ANSWERS_WITHIN_S,
-        kept_frames: int = KEPT_FRAMES,
-        answers_within_s: float = PATIENCE_S,
+        patience: Patience = DEFAULT,
     ) -> None:
         """reload: reads the configuration anew, on a thread of its own; raises InputError when it cannot be used. bus_factory:
-        opens the bus, by default the configured one. silence_s: see SILENCE_S; infinite for traffic not sent in real time.
-        network_clock: times the address claim and what else the network's protocols time. stop_writing_s: see STOP_WRITING_S.
-        reading_s: how long `reload` may take. store_patience_s: see STORE_ANSWERS_WITHIN_S.
-        kept_frames: see KEPT_FRAMES. answers_within_s: how long a command waits for the engine."""
+        opens the bus, by default the configured one. network_clock: times the address claim and what else the network's protocols
+        time."""
         self.configuration = configuration
         self._at_start = configuration
         self._manager = ServiceManager(environment)
-        self._reloads = Reloads(Reloading(reload, reading_s))
-        self._bus = BusNode(configuration, bus_factory=bus_factory, silence_s=silence_s, clock=network_clock)
+        self._reloads = Reloads(Reloading(reload, patience.reload_s))
+        self._bus = BusNode(configuration, bus_factory=bus_factory, silence_s=patience.silence_s, clock=network_clock)
         self._receiver, self._transmitter = self._bus.receiver, self._bus.transmitter
-        self._stop_writing_s = stop_writing_s
+        self._patience = patience
         self.started = threading.Event()
         """Set once frames are taken and commands answered."""
         # Plain flags: a signal handler runs between any two instructions of this thread, where it may hold any lock.
         self._stop_wanted = self._reload_wanted = False
-        self._commands = CommandQueue(answers_within_s)
+        self._commands = CommandQueue(patience.command_s)
+        self._command_loads = CommandLoads(patience.written_s)
         self._rows: deque[SecondRow] = deque(maxlen=_LAST_ROWS)
         self._record: WindowRecord | None = None
         """Of the last window of the monitor in use."""
@@ -116,11 +103,9 @@ class Daemon:
         self._replacements = 0
         self._computer = this_computer()
         self._supervisors: list[Supervisor] = []
-        self._reading = threading.BoundedSemaphore(_READ_AT_ONCE)
-        self._store_patience_s = store_patience_s
         self._reading_store: StoreReading | None = None
         """Until the store has been read; from then on batches go to it."""
-        self._kept = KeptInput(kept_frames)
+        self._kept = KeptInput(patience.kept_frames)
 
     @property
     def monitor(self) -> Monitor:
@@ -176,7 +161,7 @@ class Daemon:
         self._receiver.start()
         try:
             self._reading_store = reading = StoreReading(self._take_store)
-            reading.wait(self._store_patience_s, lambda: self._stop_wanted)
+            reading.wait(self._patience.store_s, lambda: self._stop_wanted)
             if not reading.done and self._stop_wanted:
                 _log.error("%s: the disk has not answered since the start", self.configuration.store_path)
                 self._receiver.stop()
@@ -215,7 +200,7 @@ class Daemon:
             if self._reading_store is not None:
                 lost_kg = self._monitor.totals.total_kg
                 _log.error("the disk has not answered since the start; %.1f kg measured since then are in no store", lost_kg)
-            elif not self._writer.stop(self._stop_writing_s):
+            elif not self._writer.stop(self._patience.stop_s):
                 _log.error("the disk hangs; %d batches are not written", self._writer.health().pending)
             elif self._fill_new_store():
                 # The last batches went into a new store, which lacks what an earlier one was given.
@@ -427,27 +412,10 @@ class Daemon:
             return self._status()
         if self._reading_store is not None:
             raise ControlError("the disk has not answered since the start, so the store is not known yet; nothing was done")
-        answer = self._commands.ask(request, self._stored(request))
-        if request["command"] not in commands.QUERIES and not self._writer.wait_until_written(TELLING_S):
+        answer = self._commands.ask(request, self._command_loads.of(request, self.configuration.store_path))
+        if request["command"] not in commands.QUERIES and not self._writer.wait_until_written(self._patience.written_s):
             _log.warning("%s: done, and not in the store yet", request["command"])
         return answer
-
-    def _stored(self, request: Mapping[str, Any]) -> Sequence[StoredLoad]:
-        """Loads that a command needs, read here and not on the engine's thread, which must not wait for a disk."""
-        numbers, teaches_again = commands.ticketed_loads(request), request["command"] in commands.TEACH_AGAIN
-        if not numbers and not teaches_again:
-            return ()
-        if not self._reading.acquire(timeout=TELLING_S):
-            # Requests that a hanging disk holds up must not take the place of all others.
-            raise ControlError("the disk does not answer; nothing was done")
-        try:
-            path = self.configuration.store_path
-            return of_standing_tickets(path, numbers) if teaches_again else of_path(path, numbers)
-        except InputError as error:
-            _log.warning("loads of an earlier run cannot be read: %s", error)
-            return ()
-        finally:
-            self._reading.release()
 
     def _do_commands(self) -> None:
         def execute(job: Job) -> Answer:

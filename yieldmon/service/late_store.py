@@ -15,13 +15,9 @@ from yieldmon.frames import Frame
 from yieldmon.service.memory import Memory
 from yieldmon.service.recovery import Recovery
 
-#: How long a start waits for the store; frames are kept meanwhile, and measured afterwards.
-STORE_ANSWERS_WITHIN_S = 20.0
 _LOOK_EVERY_S = 0.1
 #: After what was measured again, before the first sweep.
 _REST_S = 60.0
-#: Kept beyond that for as long as the disk does not answer: three minutes of nominal traffic, 25 MB.
-KEPT_FRAMES = 50_000
 
 
 class StoreReading:

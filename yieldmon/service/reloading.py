@@ -13,8 +13,6 @@ from yieldmon.service.configuration import Configuration
 
 _log = logging.getLogger(__name__)
 
-#: For a configuration and the files that it names to be read: a pipe alone may take 5 s.
-READING_S = 20.0
 #: Readings that may hang at the same time: each keeps a thread for as long as its disk does.
 _HANG_AT_MOST = 3
 
@@ -30,7 +28,7 @@ class Reloading:
         How long a reading may take.
     """
 
-    def __init__(self, read: Callable[[], Configuration] | None, limit_s: float = READING_S) -> None:
+    def __init__(self, read: Callable[[], Configuration] | None, limit_s: float) -> None:
         self._read = read
         self._limit_s = limit_s
         self._reading: Future[Configuration] | None = None

@@ -1,0 +1,40 @@
+"""How long the daemon waits for what may never come."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, kw_only=True)
+class Patience:
+    """Times are seconds.
+
+    Parameters
+    ----------
+    silence_s : float
+        With no frame of ours for this long the engine's time goes on by the monotonic clock; infinite for traffic that is not
+        sent in real time.
+    store_s : float
+        A start waits so long for the store; then measuring begins without it.
+    kept_frames : int
+        Frames kept for a store that answers later: three minutes of nominal traffic, 25 MB.
+    reload_s : float
+        Reading the configuration and the files that it names anew may take so long; a pipe alone takes up to 5 s.
+    command_s : float
+        A command waits so long for the engine.
+    written_s : float
+        An answer waits so long for the disk to have what was entered.
+    stop_s : float
+        A stop waits so long for the disk; with its other steps it is over within 5 s.
+    """
+
+    silence_s: float = 0.15
+    store_s: float = 20.0
+    kept_frames: int = 50_000
+    reload_s: float = 20.0
+    command_s: float = 5.0
+    written_s: float = 2.0
+    stop_s: float = 1.5
+
+
+DEFAULT = Patience()
