@@ -22,6 +22,8 @@ _ALSO = {"paddle_momentum_kg_m_s": "momentum_kg_m_s"}
 """Columns under the names that `predict` gives them."""
 _AGREE = 0.01
 """Relative difference of two columns that say the same."""
+_TEXTS = ("trial", "group")
+"""Columns whose cells are no numbers."""
 _SHOWN_COLUMNS = 5
 """Of those that are not known."""
 _LIMITS = {
@@ -241,25 +243,26 @@ def load(path: str | Path, *, need_load: bool = True, used: str | None = None) -
     if len(set(names.values())) < len(names):
         raise InputError(f"{where}: header", f"has {', '.join(_ALSO)} under both its names", "one of them")
     load_name, reading = _roles(list(names.values()), where, need_load)
-    columns: dict[str, Array] = {}
-    texts: dict[str, tuple[str, ...]] = {}
-    notes = list(source.notes)
-    unknown: list[str] = []
-    for name, role in names.items():
-        if name in ("trial", "group"):
-            texts[name] = source.column(name)
-        elif role in _LIMITS or role in READINGS:
-            columns[role] = _numbers(source, name)
-        else:
-            texts[name] = source.column(name)
-            if name != used:
-                unknown.append(name)
-    if unknown:
-        shown = ", ".join(map(repr, unknown[:_SHOWN_COLUMNS])) + (", ..." if len(unknown) > _SHOWN_COLUMNS else "")
-        one = len(unknown) == 1
-        notes.append(
-            f"{where}: column{'' if one else 's'} {shown} {'is' if one else 'are'} not known and {'is' if one else 'are'} ignored"
-        )
+    numeric = {name: role for name, role in names.items() if name not in _TEXTS and (role in _LIMITS or role in READINGS)}
+    columns = {role: _numbers(source, name) for name, role in numeric.items()}
+    texts = {name: source.column(name) for name in names if name not in numeric}
+    _check_columns(columns, source)
+    ignored = _ignored([name for name in texts if name not in (*_TEXTS, used)], where)
+    return Table(where, source.sha256, load_name, reading, columns, texts, (*source.notes, *ignored), source.lines)
+
+
+def _ignored(unknown: list[str], where: str) -> tuple[str, ...]:
+    """A note on the columns that are not known, if any are."""
+    if not unknown:
+        return ()
+    shown = ", ".join(map(repr, unknown[:_SHOWN_COLUMNS])) + (", ..." if len(unknown) > _SHOWN_COLUMNS else "")
+    plural, are = ("", "is") if len(unknown) == 1 else ("s", "are")
+    return (f"{where}: column{plural} {shown} {are} not known and {are} ignored",)
+
+
+def _check_columns(columns: dict[str, Array], source: delimited.TextTable) -> None:
+    """Raises InputError for a place that is not known, and for a column in another unit than its name says."""
+    where = source.path
     missing = np.flatnonzero(np.isnan(columns["plate_angle_deg"]))
     if missing.size:
         raise InputError(source.where(int(missing[0]), "plate_angle_deg"), "is unknown", "an angle in degrees")
@@ -278,7 +281,6 @@ def load(path: str | Path, *, need_load: bool = True, used: str | None = None) -
     if np.any(speeds < LEAST_SPEED_RPM):
         slowest = f"is {float(np.nanmin(speeds)):g}"
         raise InputError(f"{where}: elevator_speed_rpm", slowest, f"{LEAST_SPEED_RPM:g} rpm or more, of the upper shaft")
-    return Table(where, source.sha256, load_name, reading, columns, texts, tuple(notes), source.lines)
 
 
 def _roles(header: list[str], where: str, need_load: bool) -> tuple[str | None, str]:

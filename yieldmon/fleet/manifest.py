@@ -98,25 +98,14 @@ def load(source: str) -> Manifest:
 
 def _of_table(source: str) -> Manifest:
     table = delimited.read(source)
-    for name in _REQUIRED:
-        if name not in table.header:
-            raise InputError(f"{source}: header", f"has no column {name}", ", ".join(_REQUIRED))
-    unknown = [name for name in table.header if name not in (*_REQUIRED, *_OPTIONAL)]
-    if unknown:
-        raise InputError(f"{source}: header", f"has {unknown[0]}", ", ".join((*_REQUIRED, *_OPTIONAL)))
+    _check_header(table, source)
     logs: dict[tuple[str, str], list[str]] = {}
     others: dict[tuple[str, str], tuple[str, ...]] = {}
     seen: set[str] = set()
     refused: list[InputError] = []
     for row in range(len(table.rows)):
         machine, day = (_name(table.column(name)[row], table.where(row, name)) for name in ("machine", "day"))
-        log = table.column("log")[row]
-        path = _beside(source, log)
-        if not log:
-            raise InputError(table.where(row, "log"), "is empty", "the name of a log")
-        if path in seen:
-            raise InputError(table.where(row, "log"), f"names {log} a second time", "each log once")
-        seen.add(path)
+        path = _log_path(table, row, source, seen)
         rest = tuple(table.column(name)[row] if name in table.header else "" for name in _OPTIONAL)
         key = machine, day
         if others.setdefault(key, rest) != rest:
@@ -124,7 +113,7 @@ def _of_table(source: str) -> Manifest:
         if _may_be_read(path):
             logs.setdefault(key, []).append(path)
         else:
-            refused.append(InputError(table.where(row, "log"), f"{log} is no file", "a log"))
+            refused.append(InputError(table.where(row, "log"), f"{table.column('log')[row]} is no file", "a log"))
     if not logs:
         raise refused[0] if refused else InputError(source, "has no row", "a row for each log")
     found = []
@@ -132,6 +121,27 @@ def _of_table(source: str) -> Manifest:
         config, tickets = (_beside(source, name) if name else "" for name in others[key][:2])
         found.append(Partition(*key, tuple(logs[key]), config, tickets, others[key][2]))
     return Manifest(tuple(found), refused=tuple(refused))
+
+
+def _check_header(table: delimited.TextTable, source: str) -> None:
+    for name in _REQUIRED:
+        if name not in table.header:
+            raise InputError(f"{source}: header", f"has no column {name}", ", ".join(_REQUIRED))
+    unknown = [name for name in table.header if name not in (*_REQUIRED, *_OPTIONAL)]
+    if unknown:
+        raise InputError(f"{source}: header", f"has {unknown[0]}", ", ".join((*_REQUIRED, *_OPTIONAL)))
+
+
+def _log_path(table: delimited.TextTable, row: int, source: str, seen: set[str]) -> str:
+    """Of the log that a row names, which joins those seen."""
+    log = table.column("log")[row]
+    if not log:
+        raise InputError(table.where(row, "log"), "is empty", "the name of a log")
+    path = _beside(source, log)
+    if path in seen:
+        raise InputError(table.where(row, "log"), f"names {log} a second time", "each log once")
+    seen.add(path)
+    return path
 
 
 def _beside(source: str, name: str) -> str:

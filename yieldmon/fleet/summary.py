@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from math import sqrt
 from typing import Any
@@ -137,46 +137,71 @@ def _doubtful(days: Rows, overlapping: Sequence[Overlap], samples: Mapping[_Log,
     """Days whose mass may be too small, for damage or want of a zero, or too large, for a log or time that is counted twice."""
     found: Rows = []
     overlap = {(e.machine, e.day, e.log): (e.machine, e.other_day, e.other_log) for e in overlapping}
-    first_samples: dict[tuple[str, str], _Log] = {}
-    first: dict[str, str] = {}
-    digests: dict[_Log, str] = {}
+    repeats = _Repeats(samples, overlap)
     for row in days:
-        where = {"machine": row["machine"], "day": row["day"]}
-        try:
-            damages = [str(text) for text in json.loads(row["damages"] or "[]")]
-            logs = [(str(name), str(digest)) for name, digest in json.loads(row["logs"] or "[]")]
-        except (TypeError, ValueError, RecursionError) as error:
-            problem = f"provenance of {row['machine']} {row['day']} is damaged"
-            raise InputError(address, problem, "a dataset that `yieldmon fleet run` wrote") from error
-        if damages:
-            more = f" (and {len(damages) - 1} more)" if len(damages) > 1 else ""
-            found.append({**where, "problem": f"damaged: {damages[0]}{more}"})
-        if off_by_days(row["day"], row["start_s"]):
-            begin = datetime.fromtimestamp(min(row["start_s"], LATEST_DATE_S), UTC).date().isoformat()
-            found.append({**where, "problem": f"{row['first_log']} begins on {begin} by its clock"})
-        if row["seconds"] and not row["zero_known"]:
-            found.append({**where, "problem": f"no zero of the sensor is known, so none of the {row['seconds']} s has a flow"})
-        for name, digest in logs:
-            log = row["machine"], row["day"], name
-            if content := samples.get(log):
-                earlier = first_samples.setdefault((row["machine"], content), log)
-                if earlier != log and digests[earlier] != digest and overlap.get(log) != earlier:
-                    problem = f"{name} holds the samples of {earlier[1]} {earlier[2]} at other times, and they are counted again"
-                    found.append({**where, "problem": problem})
-            digests[row["machine"], row["day"], name] = digest
-            if digest == _OF_NOTHING:
-                continue
-            if digest in first:
-                found.append({**where, "problem": f"{name} holds the same as {first[digest]}, and is counted again"})
-            first.setdefault(digest, f"{row['machine']} {row['day']} {name}")
+        damages, logs = _provenance(row, address)
+        problems = [*_of_one_day(row, damages), *repeats.of_day(row["machine"], row["day"], logs)]
+        found += [{"machine": row["machine"], "day": row["day"], "problem": problem} for problem in problems]
     for each in overlapping:
-        own, other = digests.get((each.machine, each.day, each.log)), digests.get((each.machine, each.other_day, each.other_log))
+        own = repeats.digests.get((each.machine, each.day, each.log))
+        other = repeats.digests.get((each.machine, each.other_day, each.other_log))
         if own is None or own != other:
             with_ = each.other_log if each.other_day == each.day else f"{each.other_day} {each.other_log}"
             same = f"{each.seconds} s with {each.mass_kg:.1f} kg"
             problem = f"{each.log} has {same} at times that {with_} has too, and they are counted again"
             found.append({"machine": each.machine, "day": each.day, "problem": problem})
     return found
+
+
+def _provenance(row: Mapping[str, Any], address: str) -> tuple[list[str], list[tuple[str, str]]]:
+    """Damages of a day's logs, and its logs with their digests. Raises InputError where they cannot be read."""
+    try:
+        damages = [str(text) for text in json.loads(row["damages"] or "[]")]
+        logs = [(str(name), str(digest)) for name, digest in json.loads(row["logs"] or "[]")]
+    except (TypeError, ValueError, RecursionError) as error:
+        problem = f"provenance of {row['machine']} {row['day']} is damaged"
+        raise InputError(address, problem, "a dataset that `yieldmon fleet run` wrote") from error
+    return damages, logs
+
+
+def _of_one_day(row: Mapping[str, Any], damages: Sequence[str]) -> Iterator[str]:
+    """What is wrong with a day by itself."""
+    if damages:
+        more = f" (and {len(damages) - 1} more)" if len(damages) > 1 else ""
+        yield f"damaged: {damages[0]}{more}"
+    if off_by_days(row["day"], row["start_s"]):
+        begin = datetime.fromtimestamp(min(row["start_s"], LATEST_DATE_S), UTC).date().isoformat()
+        yield f"{row['first_log']} begins on {begin} by its clock"
+    if row["seconds"] and not row["zero_known"]:
+        yield f"no zero of the sensor is known, so none of the {row['seconds']} s has a flow"
+
+
+class _Repeats:
+    """Logs that hold what another holds, day by day; overlap: by log, the one whose times it shares."""
+
+    def __init__(self, samples: Mapping[_Log, str], overlap: Mapping[_Log, _Log]) -> None:
+        self._samples = samples
+        self._overlap = overlap
+        self._first: dict[str, str] = {}
+        """By digest."""
+        self._first_samples: dict[tuple[str, str], _Log] = {}
+        """By machine and what the samples are known by."""
+        self.digests: dict[_Log, str] = {}
+
+    def of_day(self, machine: str, day: str, logs: Sequence[tuple[str, str]]) -> Iterator[str]:
+        """What of a day's logs, (name, digest), was there before."""
+        for name, digest in logs:
+            log = machine, day, name
+            if content := self._samples.get(log):
+                earlier = self._first_samples.setdefault((machine, content), log)
+                if earlier != log and self.digests[earlier] != digest and self._overlap.get(log) != earlier:
+                    yield f"{name} holds the samples of {earlier[1]} {earlier[2]} at other times, and they are counted again"
+            self.digests[log] = digest
+            if digest == _OF_NOTHING:
+                continue
+            if digest in self._first:
+                yield f"{name} holds the same as {self._first[digest]}, and is counted again"
+            self._first.setdefault(digest, f"{machine} {day} {name}")
 
 
 def _by_machine(rows: Iterable[dict[str, Any]]) -> dict[str, Rows]:

@@ -30,6 +30,7 @@ _log = logging.getLogger(__name__)
 
 #: Commits that a kill may leave unnoted: those that waited for the medium.
 _UNNOTED_AT_MOST = 60
+_ANOTHERS = "the totals may be another machine's"
 #: Between two tries to read a medium that gives back nothing: one that has just been plugged in may answer the next time.
 _ANSWERS_WITHIN_S = 1.0
 
@@ -54,16 +55,7 @@ def recover(path: Path, retention: Retention, open_store: Callable[[], Store], c
     `detach_hard_links`.
     """
     refuse_stranger(path)
-    notes: list[str] = []
-    try:
-        make_way(beside(path))
-        rescue.finish(path)
-        if shared := detach_hard_links(path):
-            notes.append(shared)
-        if strange := detach_foreign_journal(path):
-            notes.append(strange)
-    except OSError as error:
-        _log.error("%s: %s", path, error)
+    notes = _made_ready(path)
     for without in rescue.GIVEN_UP:
         try:
             found = _remember(path, retention, open_store, without, notes)
@@ -75,21 +67,43 @@ def recover(path: Path, retention: Retention, open_store: Callable[[], Store], c
         memory, identity, written_on, made = found
         last_batch = memory.last_batch
         missing = witnessed(path) - last_batch
+        notes += _doubts(last_batch, missing)
         if missing > 0:
-            notes.append(f"its last {missing} commits are missing")
             # Numbers go on, or an older copy put back later would look like the newer one.
-            memory = replace(memory, last_batch=memory.last_batch + missing)
-        elif 0 < last_batch + missing < last_batch - _UNNOTED_AT_MOST:
-            notes.append(f"it has {-missing} commits more than were made here: the totals may be another machine's")
+            memory = replace(memory, last_batch=last_batch + missing)
         if are_two(identity, witnessed_store(path)):
-            notes.append("it is another store than was written here: the totals may be another machine's")
+            notes.append(f"it is another store than was written here: {_ANOTHERS}")
         if are_two(computer, written_on):
-            notes.append("it was last written on another computer: the totals may be another machine's")
+            notes.append(f"it was last written on another computer: {_ANOTHERS}")
         for note in notes:
             _log.error("%s: %s", path, note)
         note_beginning(path)
         return Recovery(memory, "; ".join(notes), last_batch, made)
     raise StoreError(f"{path}: cannot be used, nor can a new one in its place")
+
+
+def _made_ready(path: Path) -> list[str]:
+    """What an interrupted rescue, links and another store's journal left is cleared away; what was done is returned."""
+    notes: list[str] = []
+    try:
+        make_way(beside(path))
+        rescue.finish(path)
+        if shared := detach_hard_links(path):
+            notes.append(shared)
+        if strange := detach_foreign_journal(path):
+            notes.append(strange)
+    except OSError as error:
+        _log.error("%s: %s", path, error)
+    return notes
+
+
+def _doubts(last_batch: int, missing: int) -> list[str]:
+    """What the number of commits says against a store; missing: commits made here that it lacks, below 0 where it has more."""
+    if missing > 0:
+        return [f"its last {missing} commits are missing"]
+    if 0 < last_batch + missing < last_batch - _UNNOTED_AT_MOST:
+        return [f"it has {-missing} commits more than were made here: {_ANOTHERS}"]
+    return []
 
 
 def _remember(

@@ -92,6 +92,9 @@ _EXPECTED = {
 }
 
 
+_OF_PLATE = ("plate_angle", "actuator_state")
+
+
 def signal_map(
     content: Mapping[str, Any], path: Path, machine: Machine, fixed_plate_deg: float | None
 ) -> tuple[SignalMap, tuple[Path, ...]]:
@@ -104,22 +107,14 @@ def signal_map(
     for quantity, entries in content.items():
         where = f"{path}: signals.{quantity}"
         check_quantity(str(quantity), where)
-        if fixed_plate_deg is not None and quantity in ("plate_angle", "actuator_state"):
-            if entries is None:
-                continue
-            raise InputError(where, "is bound though plate.fixed_angle_deg is set", "one of the two")
-        if entries is None:
+        if entries is not None:
+            if fixed_plate_deg is not None and quantity in _OF_PLATE:
+                raise InputError(where, "is bound though plate.fixed_angle_deg is set", "one of the two")
+            bindings += _bindings(str(quantity), entries, where)
+        elif fixed_plate_deg is None or quantity not in _OF_PLATE:
             if quantity in IMPACT or quantity in _NEEDED:
                 raise InputError(where, "null", f"{_NEEDED.get(quantity, 'a signal')}: without it nothing is measured")
             off.add(str(quantity))
-            continue
-        several = isinstance(entries, list)
-        if several and quantity not in IMPACT:
-            raise InputError(where, "a list", "one signal; only impact_voltage and impact_force take a list")
-        if several and not entries:
-            raise InputError(where, "an empty list", "the signal of at least one impact sensor")
-        for number, entry in enumerate(entries if several else [entries]):
-            bindings.append(_binding(str(quantity), entry, f"{where}[{number}]" if several else where))
     if len({binding.quantity for binding in bindings if binding.is_impact}) > 1:
         raise InputError(f"{path}: signals", "binds impact_voltage and impact_force", "one of the two")
     read = database_reader(path)
@@ -145,6 +140,17 @@ def database_reader(path: Path) -> Callable[[str], dict[str, MessageBits]]:
         return load_messages(database_path(name, path))
 
     return read
+
+
+def _bindings(quantity: str, entries: Any, where: str) -> list[Binding]:
+    """Of one quantity, which may be a list for impact sensors."""
+    if not isinstance(entries, list):
+        return [_binding(quantity, entries, where)]
+    if quantity not in IMPACT:
+        raise InputError(where, "a list", "one signal; only impact_voltage and impact_force take a list")
+    if not entries:
+        raise InputError(where, "an empty list", "the signal of at least one impact sensor")
+    return [_binding(quantity, entry, f"{where}[{number}]") for number, entry in enumerate(entries)]
 
 
 def _binding(quantity: str, entry: Any, where: str) -> Binding:

@@ -98,22 +98,38 @@ def check(binding: Binding) -> None:
         raise binding.refuse("message", "is missing", "the name of a message in the DBC, or a constant `value`")
     if not binding.signals:
         raise binding.refuse("signal", "is missing", "the name of a signal of that message")
-    if not binding.is_impact:
-        if len(binding.signals) > 1:
-            raise binding.refuse("signals", f"{len(binding.signals)} signals", "one `signal`; only impact samples have several")
-        of_samples = {key: getattr(binding, key) for key in ("rate_hz", "counter", "status")}
-        of_samples["time_constant_s"] = binding.time_constant_s or None
-        for key, given in of_samples.items():
-            if given is not None:
-                raise binding.refuse(key, repr(given), "no such key here; it belongs to impact samples")
-    elif binding.rate_hz is None:
-        raise binding.refuse("rate_hz", "is missing", f"samples per second, {MIN_RATE_HZ:g} to {MAX_RATE_HZ:g} Hz")
-    elif not MIN_RATE_HZ <= binding.rate_hz <= MAX_RATE_HZ:
-        expected = f"{MIN_RATE_HZ:g} to {MAX_RATE_HZ:g} Hz: no other rate serves an impact sensor"
-        raise binding.refuse("rate_hz", f"{binding.rate_hz:g} Hz", expected)
-    _check_effect(binding)
+    if binding.is_impact:
+        _check_rate(binding)
+    else:
+        _check_no_samples(binding)
+    if binding.scale == 0.0:
+        raise binding.refuse("scale", "0", "a factor other than 0")
+    if binding.pulses_per_turn is not None:
+        _check_no_effect_on_pulses(binding)
+    _check_values(binding)
+    if binding.low is not None and binding.high is not None and not binding.is_impact:
+        _check_range(binding, binding.low, binding.high)
     if binding.pulses_per_turn is not None and binding.quantity != "elevator_speed":
         raise binding.refuse("pulses_per_turn", f"{binding.pulses_per_turn:g}", "no such key here; it belongs to elevator_speed")
+
+
+def _check_rate(binding: Binding) -> None:
+    if binding.rate_hz is None:
+        raise binding.refuse("rate_hz", "is missing", f"samples per second, {MIN_RATE_HZ:g} to {MAX_RATE_HZ:g} Hz")
+    if not MIN_RATE_HZ <= binding.rate_hz <= MAX_RATE_HZ:
+        expected = f"{MIN_RATE_HZ:g} to {MAX_RATE_HZ:g} Hz: no other rate serves an impact sensor"
+        raise binding.refuse("rate_hz", f"{binding.rate_hz:g} Hz", expected)
+
+
+def _check_no_samples(binding: Binding) -> None:
+    """No key of an impact sensor's samples."""
+    if len(binding.signals) > 1:
+        raise binding.refuse("signals", f"{len(binding.signals)} signals", "one `signal`; only impact samples have several")
+    of_samples = {key: getattr(binding, key) for key in ("rate_hz", "counter", "status")}
+    of_samples["time_constant_s"] = binding.time_constant_s or None
+    for key, given in of_samples.items():
+        if given is not None:
+            raise binding.refuse(key, repr(given), "no such key here; it belongs to impact samples")
 
 
 def _check_constant(binding: Binding, value: str) -> None:
@@ -125,28 +141,32 @@ def _check_constant(binding: Binding, value: str) -> None:
         raise binding.refuse("value", value, "either a constant value or a message and signal")
 
 
-def _check_effect(binding: Binding) -> None:
-    """No key without an effect, and none that leaves no value."""
-    if binding.scale == 0.0:
-        raise binding.refuse("scale", "0", "a factor other than 0")
+def _check_no_effect_on_pulses(binding: Binding) -> None:
+    """A counter of pulses becomes rpm and nothing else."""
     refused = {"offset": binding.offset != 0.0, "range": binding.low is not None, "values": bool(binding.values)}
     for key, present in refused.items():
-        if present and binding.pulses_per_turn is not None:
+        if present:
             raise binding.refuse(key, "is given together with pulses_per_turn", "no such key for a counter of pulses")
-    if binding.pulses_per_turn is not None and binding.unit is not None and factor("rpm", binding.unit) != 1.0:
+    if binding.unit is not None and factor("rpm", binding.unit) != 1.0:
         raise binding.refuse("unit", repr(binding.unit), "no unit or rpm, which a counter of pulses becomes")
-    if binding.is_impact:
-        if binding.values:
-            raise binding.refuse("values", repr(dict(binding.values))[:60], "no such key here; it belongs to states")
+
+
+def _check_values(binding: Binding) -> None:
+    """Codes are for states alone, and are those that the state has."""
+    if not binding.values:
         return
-    quantity = QUANTITIES[binding.quantity]
-    if binding.values and quantity.unit:
+    quantity = None if binding.is_impact else QUANTITIES[binding.quantity]
+    if quantity is None or quantity.unit:
         raise binding.refuse("values", repr(dict(binding.values))[:60], "no such key here; it belongs to states")
     for code in binding.values.values():
         if not quantity.usable(float(code)):
             raise binding.refuse("values", f"the code {code}", f"codes of {binding.quantity}: {quantity.meaning}")
-    if binding.low is not None and binding.high is not None:
-        share = (binding.high - binding.low) / _LOOKS
-        if not any(quantity.usable(binding.low + share * step) for step in range(_LOOKS + 1)):
-            given = f"[{binding.low:g}, {binding.high:g}]"
-            raise binding.refuse("range", given, f"values that {binding.quantity} can have, {quantity.unit}".rstrip(" ,"))
+
+
+def _check_range(binding: Binding, low: float, high: float) -> None:
+    """Some value of the range is one that the quantity can have."""
+    quantity = QUANTITIES[binding.quantity]
+    share = (high - low) / _LOOKS
+    if not any(quantity.usable(low + share * step) for step in range(_LOOKS + 1)):
+        given = f"[{low:g}, {high:g}]"
+        raise binding.refuse("range", given, f"values that {binding.quantity} can have, {quantity.unit}".rstrip(" ,"))

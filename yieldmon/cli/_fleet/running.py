@@ -8,7 +8,7 @@ import sys
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -37,37 +37,21 @@ _Configured = tuple[Configuration, str]
 
 def run(args: argparse.Namespace) -> int:
     """Exit code 0 when all that is in the source is in the dataset, 1 when something of it could not be used."""
-    if not 0 <= args.workers <= 1024:
-        raise InputError("--workers", f"is {args.workers}", "a whole number from 0 to 1024")
-    if args.scheduler and args.adaptive:
-        raise InputError(
-            "--adaptive", "is given together with --scheduler", "one of them; a cluster elsewhere has its own adaptation"
-        )
+    _check_options(args)
     found = manifest.load(args.source)
     for path in found.left_out:
         _say(f"{path}: left out, holds no log of a day (MACHINE/DAY/LOGS)")
     dataset = Dataset(args.out)
     configurations = _configurations(found.partitions, args)
-    if args.strict:
-        unusable = [*found.refused, *(each for each in configurations.values() if isinstance(each, InputError))]
-        if unusable:
-            raise unusable[0]
+    unusable = [*found.refused, *(each for each in configurations.values() if isinstance(each, InputError))]
+    if args.strict and unusable:
+        raise unusable[0]
     looked_at = _with_copies(found.partitions)
     partitions = [partition for partition in looked_at if len(partition.copies) < len(partition.logs)]
     token = dataset.begin()
     if not found.refused:
         _say_what_is_left(dataset, found.partitions)
-    outcomes: list[Outcome] = []
-    tasks = []
-    for partition in partitions:
-        configured = configurations[partition.config]
-        if isinstance(configured, InputError):
-            # By the name of its folder, as it is called on each machine that runs this.
-            folder = Path(partition.config).parent
-            outcomes.append(refused(partition, dataset, token, by_name(str(configured), {str(folder): folder.name})))
-            continue
-        whole = replace(partition, crop=partition.crop or configured[0].parameters.provenance.get("crop", "") or args.crop)
-        tasks.append(Task(whole, dataset.address, token, *configured, software()))
+    tasks, outcomes = _tasks(partitions, configurations, dataset, token, args.crop)
     try:
         with _interrupted_once(), _progress([task.partition for task in tasks]) as advance:
 
@@ -91,6 +75,36 @@ def run(args: argparse.Namespace) -> int:
     else:
         print("\n".join(map(plain, _lines_of(document))), file=sys.stderr)
     return 1 if document["poisoned"] or document["left"] else 0
+
+
+def _check_options(args: argparse.Namespace) -> None:
+    if not 0 <= args.workers <= 1024:
+        raise InputError("--workers", f"is {args.workers}", "a whole number from 0 to 1024")
+    if args.scheduler and args.adaptive:
+        raise InputError(
+            "--adaptive", "is given together with --scheduler", "one of them; a cluster elsewhere has its own adaptation"
+        )
+
+
+def _tasks(
+    partitions: Sequence[Partition],
+    configurations: Mapping[str, _Configured | InputError],
+    dataset: Dataset,
+    token: str,
+    crop: str,
+) -> tuple[list[Task], list[Outcome]]:
+    """What is to be measured, and the outcomes of days whose configuration cannot be used; crop: of days that name none."""
+    tasks, outcomes = list[Task](), list[Outcome]()
+    for partition in partitions:
+        configured = configurations[partition.config]
+        if isinstance(configured, InputError):
+            # By the name of its folder, as it is called on each machine that runs this.
+            folder = Path(partition.config).parent
+            outcomes.append(refused(partition, dataset, token, by_name(str(configured), {str(folder): folder.name})))
+            continue
+        whole = replace(partition, crop=partition.crop or configured[0].parameters.provenance.get("crop", "") or crop)
+        tasks.append(Task(whole, dataset.address, token, *configured, software()))
+    return tasks, outcomes
 
 
 def _say(line: str) -> None:

@@ -45,13 +45,7 @@ _WORDS = dict.fromkeys(("on", "down", "true", "yes", "working", "in work", "harv
 def assemble(raw: Raw, where: str, kind: str, options: ReadOptions) -> HarvestTable:
     """The table. Raises InputError where a quantity that every map needs can neither be read nor follows."""
     crop = options.crop or _crop_name(raw)
-    values: dict[str, Array] = {}
-    for quantity, column in raw.columns.items():
-        of = QUANTITIES[quantity].kind
-        if of in (*FACTORS, "state") and column.name in raw.numbers:
-            has_unit = column.unit and of not in ("none", "state")
-            scale = factor(column.unit, of, f"{where}: {column.name}", crop) if has_unit else 1.0
-            values[quantity] = raw.numbers[column.name] * scale
+    values = _numbers(raw, where, crop)
     header = raw.columns.get("header")
     strange: tuple[str, ...] = ()
     if header is not None and header.name in raw.texts:
@@ -68,6 +62,24 @@ def assemble(raw: Raw, where: str, kind: str, options: ReadOptions) -> HarvestTa
     columns, limits = plausible({"time_s": time} | {_TABLE_NAMES[q]: v for q, v in values.items() if q in _TABLE_NAMES})
     if "header_down" in columns:
         columns["header_down"] = _down(columns["header_down"])
+    source = Source(where, kind, raw.count, raw.skipped, notes=(*raw.notes, *notes, *strange, *_backwards(time), *limits))
+    return build(columns, _labels(raw, options), source, unix_time=unix_time, default_flow_s=raw.default_flow_s)
+
+
+def _numbers(raw: Raw, where: str, crop: str) -> dict[str, Array]:
+    """Columns of numbers by quantity, in the quantities' own units."""
+    values: dict[str, Array] = {}
+    for quantity, column in raw.columns.items():
+        of = QUANTITIES[quantity].kind
+        if of in (*FACTORS, "state") and column.name in raw.numbers:
+            has_unit = column.unit and of not in ("none", "state")
+            scale = factor(column.unit, of, f"{where}: {column.name}", crop) if has_unit else 1.0
+            values[quantity] = raw.numbers[column.name] * scale
+    return values
+
+
+def _labels(raw: Raw, options: ReadOptions) -> dict[str, Label]:
+    """Columns of texts; what the options say of the whole file comes first."""
     labels = {
         name: raw.texts[raw.columns[name].name] for name in LABELS if name in raw.columns and raw.columns[name].name in raw.texts
     }
@@ -76,8 +88,7 @@ def assemble(raw: Raw, where: str, kind: str, options: ReadOptions) -> HarvestTa
     for name, text in (("crop", options.crop), ("field", options.field)):
         if text:
             labels[name] = Label.constant(text, raw.count)
-    source = Source(where, kind, raw.count, raw.skipped, notes=(*raw.notes, *notes, *strange, *_backwards(time), *limits))
-    return build(columns, labels, source, unix_time=unix_time, default_flow_s=raw.default_flow_s)
+    return labels
 
 
 def _down(state: Array) -> Array:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 import unicodedata
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from yieldmon.errors import InputError
 from yieldmon.field.units import FACTORS, factor, is_unit_of, plain_unit
@@ -174,8 +174,28 @@ def columns_of(
     InputError
         For a quantity or name that does not exist, or a column without a unit.
     """
-    out: dict[str, Column] = {}
+    out = _given_columns(names, given, units, where)
     notes = []
+    lacking: dict[str, str] = {}
+    found = [(name, *split_unit(name)) for name in names]
+    for quantity in QUANTITIES:
+        if quantity not in out:
+            column = _named_column(quantity, found, units, lacking)
+            if column is not None and quantity == "moisture" and not column.unit:
+                column = replace(column, unit="%")
+                notes.append(f"{column.name} is taken as %")
+            if column is not None:
+                out[quantity] = column
+    _check_useful(out, lacking, names, where)
+    notes += [f"{name} has no unit and is not used" for name in lacking if name not in {column.name for column in out.values()}]
+    return out, tuple(notes)
+
+
+def _given_columns(
+    names: Sequence[str], given: Mapping[str, tuple[str, str]], units: Mapping[str, str], where: str
+) -> dict[str, Column]:
+    """Those of a person's map."""
+    out: dict[str, Column] = {}
     for quantity, (name, unit) in given.items():
         if quantity not in QUANTITIES:
             raise InputError("--column", f"names the quantity {quantity!r}", f"one of {', '.join(QUANTITIES)}")
@@ -183,34 +203,36 @@ def columns_of(
             raise InputError(where, f"has no column {name!r}", f"one of {', '.join(names[:30])}")
         _require_unit_of(quantity, unit)
         out[quantity] = Column(name, quantity, unit or units.get(name, "") or split_unit(name)[1])
-    lacking: dict[str, str] = {}
-    found = [(name, *split_unit(name)) for name in names]
-    for quantity, facts in QUANTITIES.items():
-        if quantity in out:
+    return out
+
+
+def _named_column(
+    quantity: str, found: Sequence[tuple[str, str, str]], units: Mapping[str, str], lacking: dict[str, str]
+) -> Column | None:
+    """The first column that is called as a quantity, None where none is; one without a unit that it needs joins `lacking`.
+
+    found: each column's name, the name without its unit, and the unit.
+    """
+    facts = QUANTITIES[quantity]
+    # What has a unit is no text: load_kg is a mass, not a load's name.
+    fits = [row for row in found if not (facts.kind == "text" and row[2])]
+    for wanted in facts.names:
+        named = next(((name, unit) for name, bare, unit in fits if _is_called(wanted, name, bare)), None)
+        if named is None:
             continue
-        for wanted in facts.names:
-            # What has a unit is no text: load_kg is a mass, not a load's name.
-            fits = [row for row in found if not (facts.kind == "text" and row[2])]
-            named = next(((name, unit) for name, bare, unit in fits if _is_called(wanted, name, bare)), None)
-            if named is None:
-                continue
-            unit = units.get(named[0], "") or (named[1] if is_unit_of(named[1], facts.kind) else "")
-            if facts.kind not in ("text", "date", "state", "none") and not unit and quantity not in _NEEDS_NO_UNIT:
-                lacking.setdefault(named[0], quantity)
-                continue
-            if quantity == "moisture" and not unit:
-                unit = "%"
-                notes.append(f"{named[0]} is taken as %")
-            out[quantity] = Column(named[0], quantity, unit)
-            break
-    if ("flow" not in out and "yield" not in out) or (
-        "width" not in out and any(plain_name(n) in QUANTITIES["width"].names for n in lacking)
-    ):
-        if lacking:
-            first, quantity = next(iter(lacking.items()))
-            raise InputError(
-                where, f"states no known unit for {', '.join(lacking)}", f"--column {quantity}={first}:UNIT and so on"
-            )
-        raise InputError(where, f"has no column of flow or yield among {', '.join(names[:20])}", "--column flow=NAME:UNIT")
-    notes += [f"{name} has no unit and is not used" for name in lacking if name not in {column.name for column in out.values()}]
-    return out, tuple(notes)
+        unit = units.get(named[0], "") or (named[1] if is_unit_of(named[1], facts.kind) else "")
+        if unit or facts.kind in ("text", "date", "state", "none") or quantity in _NEEDS_NO_UNIT:
+            return Column(named[0], quantity, unit)
+        lacking.setdefault(named[0], quantity)
+    return None
+
+
+def _check_useful(out: Mapping[str, Column], lacking: Mapping[str, str], names: Sequence[str], where: str) -> None:
+    """Raises InputError where there is no flow, or a width of no known unit."""
+    width_lacks = "width" not in out and any(plain_name(name) in QUANTITIES["width"].names for name in lacking)
+    if not width_lacks and ("flow" in out or "yield" in out):
+        return
+    if lacking:
+        first, quantity = next(iter(lacking.items()))
+        raise InputError(where, f"states no known unit for {', '.join(lacking)}", f"--column {quantity}={first}:UNIT and so on")
+    raise InputError(where, f"has no column of flow or yield among {', '.join(names[:20])}", "--column flow=NAME:UNIT")
