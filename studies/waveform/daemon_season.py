@@ -15,7 +15,6 @@ configuration are those by which what is not known of density and restitution gr
 
 from __future__ import annotations
 
-import json
 import subprocess
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -24,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from studies.waveform.fill import FOLDER
+from studies.waveform.season import bias_slope
 from yieldmon.engine.calibrator_settings import CalibratorSettings
 from yieldmon.engine.closed_loop_calibrator import ClosedLoopCalibrator
 from yieldmon.engine.monitor import Monitor
@@ -86,12 +85,6 @@ def scenario(rng: np.random.Generator, restitution: float, density: float, durat
         "flow": {"pieces": [{"kind": "steady", "duration_s": 16.0, "flow_kg_s": 0.0}, harvest]},
         "kernels": kernels, "sensor": {"response_s": CELL_S},
     }  # fmt: skip
-
-
-def bias_slope() -> float:
-    """d ln(b) / d restitution in discrete elements."""
-    rows = json.loads((FOLDER / "kernels.json").read_text())["by_restitution"]
-    return float(np.polyfit([r["restitution"] for r in rows], np.log([r["ratio"] for r in rows]), 1)[0])
 
 
 def _calibrator(test_weight: bool) -> CalibratorSettings:

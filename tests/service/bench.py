@@ -6,6 +6,7 @@ import contextlib
 import dataclasses
 import functools
 import itertools
+import json
 import math
 import socket
 import threading
@@ -13,12 +14,14 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import can
 import pytest
 
 from yieldmon import frames
 from yieldmon.bus.codec import Codec
+from yieldmon.cli import main as cli
 from yieldmon.frames import NOT_AVAILABLE, Frame
 from yieldmon.service import configuration
 from yieldmon.service.daemon import Daemon
@@ -153,6 +156,13 @@ class Bench:
         self.peer.shutdown()
         if self.failure:
             raise self.failure[0]
+
+
+def ask(folder: Path, capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, Any]:
+    """The answer to a command as `yieldmon WORDS --json` prints it."""
+    assert cli.main([*words, "--socket", str(folder / "yieldmon.sock"), "--json"]) == 0
+    answer: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return answer
 
 
 def retry_writing_soon(monkeypatch: pytest.MonkeyPatch) -> None:

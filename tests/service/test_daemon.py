@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import errno
-import json
 import os
 import re
 import socket
@@ -19,7 +18,7 @@ import can
 import pytest
 
 from tests.schema_check import problems
-from tests.service.bench import CODEC, PATIENCE_S, START_S, ZERO_MV, running, wait_for
+from tests.service.bench import CODEC, PATIENCE_S, START_S, ZERO_MV, ask, running, wait_for
 from yieldmon import frames
 from yieldmon.cli import main as cli
 from yieldmon.files import parameter_file
@@ -421,11 +420,6 @@ def test_an_interface_that_goes_and_comes_back(tmp_path):
         bench.played()
         with suppress(IndexError):
             assert bench.rows[-1]["coverage"] == 1.0
-
-
-def ask(tmp_path, capsys, *words: str) -> dict:
-    assert cli.main([*words, "--socket", str(tmp_path / "yieldmon.sock"), "--json"]) == 0
-    return json.loads(capsys.readouterr().out)
 
 
 def test_loads_tickets_and_names(tmp_path, capsys):

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.service.bench import START_S, running, wait_for
+from tests.service.bench import START_S, ask, running, wait_for
 from yieldmon.cli import main as cli
 from yieldmon.engine.curve_states import aligned
 from yieldmon.engine.records import CalibrationStep
@@ -266,11 +266,6 @@ def test_grain_after_a_loads_end_is_not_posted_with_it(tmp_path) -> None:
         found.append(posting.of_store(path, MACHINE, 2, None, DAY_S + 60.0))
     assert found[0] == pytest.approx(found[1])
     assert abs(found[0][1] - 1.0) > 0.005
-
-
-def ask(tmp_path, capsys, *words: str) -> dict:
-    assert cli.main([*words, "--socket", str(tmp_path / "yieldmon.sock"), "--json"]) == 0
-    return json.loads(capsys.readouterr().out)
 
 
 def test_the_daemon_posts_after_a_ticket_lists_who_entered_it_and_takes_it_back(tmp_path, capsys) -> None:

@@ -26,6 +26,7 @@ from yieldmon.physics.numerics import Array
 from yieldmon.plots import alignment, canvas, curves, errors, flow, parameters, published, residuals, sensitivity, sweeps
 from yieldmon.service import recorded
 from yieldmon.service.batch import Load, Ticket
+from yieldmon.service.reprocessing import column
 from yieldmon.service.rows import SecondRow
 from yieldmon.units import Units
 
@@ -143,10 +144,6 @@ def _units(args: argparse.Namespace) -> Units:
     return units_of(args.units, crop=args.crop)
 
 
-def _column(rows: list[SecondRow], name: str) -> Array:
-    return np.array([np.nan if (value := getattr(row, name)) is None else value for row in rows], dtype=float)
-
-
 def _seconds(path: str) -> list[SecondRow]:
     rows = recorded.read_seconds(path)
     if not rows:
@@ -173,7 +170,7 @@ def _beside(truth: tuple[Array, Array, Array], rows: list[SecondRow]) -> tuple[A
     """The truth in the record's time: a simulated log counts from --start-time, its truth from 0."""
     time_s = truth[0]
     if time_s[-1] < rows[0].time_s or time_s[0] > rows[-1].time_s:
-        time_s = time_s + alignment.shift_s(_column(rows, "time_s"), _column(rows, "mass_flow_kg_s"), time_s, truth[1])
+        time_s = time_s + alignment.shift_s(column(rows, "time_s"), column(rows, "mass_flow_kg_s"), time_s, truth[1])
     return time_s, truth[1], truth[2]
 
 
@@ -185,8 +182,8 @@ def _flow(args: argparse.Namespace) -> Figure:
         with recorded.opened(Path(args.record)) as store:
             weighed = _weighed(store.loads(), store.tickets())
     names = ("time_s", "mass_flow_kg_s", "std_dev_kg_s", "total_kg")
-    time_s, rate, spread, total = (_column(rows, name) for name in names)
-    factory = _column(rows, "factory_mass_flow_kg_s")
+    time_s, rate, spread, total = (column(rows, name) for name in names)
+    factory = column(rows, "factory_mass_flow_kg_s")
     return flow.draw(time_s, rate, spread, total, truth=truth, weighed=weighed, factory_kg_s=factory, units=_units(args))
 
 
@@ -202,13 +199,13 @@ def _weighed(loads: list[Load], tickets: list[Ticket]) -> list[tuple[float, floa
 def _errors(args: argparse.Namespace) -> Figure:
     rows = _seconds(args.record)
     time_s, rate, _ = _beside(_truth(args.truth), rows)
-    seconds = np.floor(_column(rows, "time_s"))
+    seconds = np.floor(column(rows, "time_s"))
     true = np.interp(seconds, time_s, rate, left=np.nan, right=np.nan)
     edges = model_options.numbers(args.bands, "--bands")
     if len(edges) < 2 or np.any(np.diff(edges) <= 0.0):
         raise InputError("--bands", f"is {' '.join(args.bands)!r}", "two or more rising numbers")
     edge = errors.at_edges(seconds, time_s, rate)
-    measured = _column(rows, "mass_flow_kg_s")
+    measured = column(rows, "mass_flow_kg_s")
     edge &= np.isfinite(measured)
     measured[edge] = np.nan
     return errors.draw(true, measured, edges, units=_units(args), left_out=int(np.count_nonzero(edge)))
@@ -219,7 +216,7 @@ def _sweeps(args: argparse.Namespace) -> Figure:
     if not any(row.sweep_id for row in rows):
         raise InputError(args.record, "holds no sweep", "a record with at least one")
     names = ("time_s", "plate_angle_deg", "force_n", "force_std_dev_n", "mass_flow_kg_s")
-    columns = {name: _column(rows, name) for name in names}
+    columns = {name: column(rows, name) for name in names}
     sweep_id = np.array([row.sweep_id for row in rows])
     usable = np.array([bool(row.usable_for_calibration) for row in rows])
     return sweeps.draw(sweep_id, usable, **columns, units=_units(args))

@@ -20,7 +20,7 @@ from yieldmon.physics.numerics import Array
 from yieldmon.units import KG_PER_LB, KG_PER_T, LB_PER_SHORT_TON
 
 _KG_PER_SHORT_TON = LB_PER_SHORT_TON * KG_PER_LB
-_UNITS = (
+UNIT_SLIPS = (
     (1.0 / KG_PER_LB, "pounds were taken for kilograms"),
     (KG_PER_LB, "kilograms were taken for pounds"),
     (KG_PER_T / _KG_PER_SHORT_TON, "short tons were taken for tonnes"),
@@ -101,7 +101,7 @@ def _of_one(weighed_kg: Array, names: Sequence[str]) -> Iterator[Slip]:
         one = np.eye(count)[k]
         for std_dev, likely in _ANY:
             yield Slip((k,), none, std_dev**2 * one, likely, "")
-        for factor, what in _UNITS if count >= _LEAST_OF_SEVERAL else _UNITS[:-1]:
+        for factor, what in UNIT_SLIPS if count >= _LEAST_OF_SEVERAL else UNIT_SLIPS[:-1]:
             yield Slip((k,), np.log(factor) * one, none, _OF_UNIT, what)
         meant = list(_digits(float(weighed_kg[k])))
         for other_kg in meant:

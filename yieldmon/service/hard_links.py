@@ -20,7 +20,7 @@ from yieldmon.errors import reason
 from yieldmon.files.whole_file import sync
 from yieldmon.service.in_the_way import make_way
 from yieldmon.service.ownership import OccupiedError
-from yieldmon.service.store_names import kept, parts
+from yieldmon.service.store_names import file_state, kept, parts
 
 _log = logging.getLogger(__name__)
 
@@ -68,11 +68,11 @@ def detach_hard_links(path: Path, rest: Callable[[float], None] = sleep) -> str:
     try:
         # Whoever has closed it may have written the journal into the file.
         shared = [part for part in shared if part.exists()]
-        before = [_state(part) for part in shared]
+        before = [file_state(part) for part in shared]
         end_s = monotonic() + _COPYING_S
         for part in shared:
             _copy(part, end_s)
-        if before != [_state(part) for part in shared] or _holder(path) is not None:
+        if before != [file_state(part) for part in shared] or _holder(path) is not None:
             raise _occupied(path, names, _holder(path))
         for part in shared:
             _scratch(part).replace(part)
@@ -95,11 +95,6 @@ def _remove_scratch(path: Path) -> None:
         with suppress(OSError):
             make_way([scratch])
             scratch.unlink(missing_ok=True)
-
-
-def _state(part: Path) -> tuple[int, int]:
-    found = part.stat()
-    return found.st_mtime_ns, found.st_size
 
 
 def _names(path: Path) -> int:

@@ -8,10 +8,7 @@ from yieldmon.estimation.estimators import estimator_of
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import ForwardModel
-from yieldmon.service.weighed_loads import MeasuredLoad, force_columns
-
-_LEAST_SHARE = 0.9
-"""Of a load's mass that must rest on a known force, angle and speed."""
+from yieldmon.service.weighed_loads import LEAST_KNOWN_SHARE, MeasuredLoad, force_columns
 
 
 def load_factor(load: MeasuredLoad, parameters: ParameterSet, machine: Machine) -> float | None:
@@ -40,7 +37,7 @@ def load_factor(load: MeasuredLoad, parameters: ParameterSet, machine: Machine) 
     ]
     columns = np.concatenate(parts, axis=1)
     duration, force, angle, speed, moisture, mass = columns[:, np.isfinite(columns[0]) & (columns[0] > 0.0)]
-    if not mass.sum() > _LEAST_SHARE * load.mass_kg:
+    if not mass.sum() > LEAST_KNOWN_SHARE * load.mass_kg:
         return None
     model = ForwardModel(machine, parameters.effects)
     known = np.isfinite(moisture) if model.needs_moisture else np.full(mass.shape, fill_value=True)
@@ -49,6 +46,6 @@ def load_factor(load: MeasuredLoad, parameters: ParameterSet, machine: Machine) 
         inputs = (column[known] for column in (force, angle, speed, moisture))
         flow[known] = estimator_of(machine, parameters, model).invert(*inputs)
     measured = np.isfinite(flow)
-    if not np.sum(mass[measured]) > _LEAST_SHARE * load.mass_kg:
+    if not np.sum(mass[measured]) > LEAST_KNOWN_SHARE * load.mass_kg:
         return None
     return float(np.sum(duration[measured] * flow[measured]) / np.sum(mass[measured]))

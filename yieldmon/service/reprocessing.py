@@ -53,7 +53,7 @@ def measured_again(
     """
     model = ForwardModel(machine, parameters.effects)
     force, noise, angle, speed, moisture, zero = (
-        _column(rows, name)
+        column(rows, name)
         for name in ("force_n", "force_std_dev_n", "plate_angle_deg", "elevator_speed_rpm", "moisture_pct", "zero_mv")
     )
     counted = np.array([row.mass_kg > 0.0 for row in rows], dtype=bool)
@@ -112,7 +112,8 @@ def loads_of_rows(
     return [{"load": number, "before_kg": was, "after_kg": now} for number, (was, now) in sorted(masses.items())]
 
 
-def _column(rows: Sequence[SecondRow], name: str) -> Array:
+def column(rows: Sequence[SecondRow], name: str) -> Array:
+    """A column of rows, shape (rows,); nan where it is not known."""
     return np.array([np.nan if (v := getattr(row, name)) is None else v for row in rows], dtype=float)
 
 

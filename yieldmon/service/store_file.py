@@ -17,7 +17,7 @@ from yieldmon.service import schema
 from yieldmon.service.checksums import row_checksum
 from yieldmon.service.folders import where_sqlite_writes
 from yieldmon.service.store_errors import StoreError
-from yieldmon.service.store_names import SQLITE_MAGIC, parts, witness_path
+from yieldmon.service.store_names import SQLITE_MAGIC, file_state, parts, witness_path
 
 _LARGEST_VALUE_BYTES = 16 * 1024 * 1024
 _DEFENSIVE = 1010
@@ -209,7 +209,7 @@ def _opened(path: Path, how: str) -> tuple[sqlite3.Connection, int, int, list[tu
 def _copied(path: Path, folder: Path, why: InputError) -> Path:
     """The file and its journal in another folder, both of one moment. Raises why where a writer goes on changing them."""
     for _ in range(_COPIES):
-        before = [_state(part) for part in parts(path)[:2]]
+        before = [file_state(part) for part in parts(path)[:2]]
         try:
             for part in parts(path)[:2]:
                 if not part.is_file() or (part != path and part.is_symlink()):
@@ -217,14 +217,9 @@ def _copied(path: Path, folder: Path, why: InputError) -> Path:
                 shutil.copyfile(part, folder / part.name)
         except OSError as error:
             raise why from error
-        if before == [_state(part) for part in parts(path)[:2]]:
+        if before == [file_state(part) for part in parts(path)[:2]]:
             return folder / path.name
     raise why
-
-
-def _state(path: Path) -> tuple[int, int]:
-    found = path.stat()
-    return found.st_mtime_ns, found.st_size
 
 
 #: Tables are plain data. The one view that stores have had is not read; triggers run nowhere, since nothing is written.

@@ -43,6 +43,12 @@ def repaired_path(path: Path) -> Path:
     return path.with_name(f"{path.name}.mended")
 
 
+def file_state(path: Path) -> tuple[int, int]:
+    """When a file was changed last, ns, and its size, bytes: it is another one where these differ. Raises OSError."""
+    found = path.stat()
+    return found.st_mtime_ns, found.st_size
+
+
 def beside(path: Path) -> tuple[Path, ...]:
     """The files that are made beside a store while it is in use."""
     return (*parts(path)[1:], witness_path(path))

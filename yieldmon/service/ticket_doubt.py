@@ -11,18 +11,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import exp, hypot, log
 
+from yieldmon.estimation.ticket_slips import UNIT_SLIPS
 from yieldmon.files.crops import crops, find_crop
 from yieldmon.service.batch import Load
-from yieldmon.units import KG_PER_LB, KG_PER_T, LB_PER_SHORT_TON
+from yieldmon.units import KG_PER_LB
 
-_KG_PER_SHORT_TON = LB_PER_SHORT_TON * KG_PER_LB
-_UNITS = (
-    (1.0 / KG_PER_LB, "pounds were taken for kilograms"),
-    (KG_PER_LB, "kilograms were taken for pounds"),
-    (KG_PER_T / _KG_PER_SHORT_TON, "short tons were taken for tonnes"),
-    (_KG_PER_SHORT_TON / KG_PER_T, "tonnes were taken for short tons"),
-)
-"""Ticket over the load's mass."""
 _BUSHELS_LN = 0.2
 """Of two crops' bushels that may be taken for each other."""
 _NAMED = 2
@@ -99,7 +92,7 @@ def _explaining(
     if not found.beyond(_FAR_SDS):
         return []
     near = min(_LIKE_SDS * found.std_dev, abs(found.ln) / _NEARER)
-    each = [*_UNITS, *sorted(_slips(covered, known_kg, weighed), key=lambda slip: abs(found.ln - log(slip[0])))]
+    each = [*UNIT_SLIPS, *sorted(_slips(covered, known_kg, weighed), key=lambda slip: abs(found.ln - log(slip[0])))]
     return [slip for slip in each if abs(found.ln - log(slip[0])) < near][:_NAMED]
 
 

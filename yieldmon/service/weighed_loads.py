@@ -32,7 +32,7 @@ from yieldmon.service.log_copies import refuse_copies
 from yieldmon.service.recorded import is_store_not_log, opened, parameter_sets
 from yieldmon.service.rows import SecondRow
 
-_LEAST_SHARE = 0.9
+LEAST_KNOWN_SHARE = 0.9
 """Of a load's mass that must rest on a known force, angle and speed."""
 _KEPT_SWEEPS = 20
 
@@ -219,11 +219,11 @@ def _weighed(name: str, ticket: WeighedTicket, covered: Sequence[MeasuredLoad], 
     columns = np.concatenate(parts, axis=1)
     counted = columns[:, np.isfinite(columns[0]) & (columns[0] > 0.0)]
     kept_kg = float(counted[5].sum())
-    if kept_kg < _LEAST_SHARE * total_kg:
+    if kept_kg < LEAST_KNOWN_SHARE * total_kg:
         raise InputError(
             ticket.where,
             f"of load {name} only {100.0 * kept_kg / total_kg:.0f} % rests on a known force, angle and speed",
-            f"{100.0 * _LEAST_SHARE:.0f} %; a load measured whole",
+            f"{100.0 * LEAST_KNOWN_SHARE:.0f} %; a load measured whole",
         )
     duration, force, angle, speed, moisture, _ = counted
     # The little that no force stands for is taken to go with the rest.
