@@ -30,7 +30,7 @@ _KINDS = {
 }
 
 
-def require_file(path: object, expected: str, *, or_pipe: bool = False) -> None:
+def require_file(path: str | Path, expected: str, *, or_pipe: bool = False) -> None:
     """For what is read several times, or at any length: neither can be done with a device, a pipe or a socket.
 
     Parameters
@@ -88,7 +88,7 @@ def opened(path: Path) -> BinaryIO:
     return os.fdopen(descriptor, "rb")
 
 
-def why_no_file(path: object) -> str:
+def why_no_file(path: str | Path) -> str:
     """What is wrong with a path that is not a file's: nothing is there, or something else.
 
     >>> why_no_file("/no/such"), why_no_file("/dev/null")
@@ -141,7 +141,7 @@ def content(path: str, most_bytes: int, patience_s: float) -> bytes:
         os.close(descriptor)
 
 
-def read_whole(path: object, expected: str, most_bytes: int) -> bytes:
+def read_whole(path: str | Path, expected: str, most_bytes: int) -> bytes:
     """A file's content, or a pipe's: a device or a pipe may have no end.
 
     Parameters

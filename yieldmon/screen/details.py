@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from rich.text import Text
 
-from yieldmon.bus.layout import MessageLayout
+from yieldmon.bus.layout import MessageLayout, SignalLayout
 from yieldmon.frames import Frame, Unusable
 
 from . import values
@@ -48,8 +48,8 @@ def card(row: Row, layout: MessageLayout | None, frame: Frame | None, width: int
     return lines
 
 
-def _end(signal: object, value: float) -> str:
-    return str(value) if isinstance(value, int) else values.number(signal, value)  # type: ignore[arg-type]
+def _end(signal: SignalLayout, value: float) -> str:
+    return str(value) if isinstance(value, int) else values.number(signal, value)
 
 
 def _columns(cells: list[tuple[str, str, str]], width: int) -> list[Text]:

@@ -19,6 +19,7 @@ from yieldmon.frames import (
     PLATE_ACTUATOR_FEEDBACK,
     SELF_CALIBRATION_STATUS,
     YIELD_MONITOR_STATUS,
+    Frame,
     Value,
 )
 from yieldmon.units import UNKNOWN, Units
@@ -229,10 +230,9 @@ def _fixed(value: Value, digits: int) -> str:
     return f"{value:.{digits}f}" if isinstance(value, int | float) else UNKNOWN
 
 
-def _sweep(frame: object) -> str:
-    signals = getattr(frame, "signals", None)
-    if signals is None:
+def _sweep(frame: Frame | None) -> str:
+    if frame is None:
         return UNKNOWN
-    state, progress = signals["SweepState"], signals["SweepProgress"]
+    state, progress = frame.signals["SweepState"], frame.signals["SweepProgress"]
     name = values.code_name("SweepState", state)
     return f"{name} {progress:.0f} %" if isinstance(progress, int | float) and progress > 0 else name

@@ -50,7 +50,7 @@ class Question:
     kind: str = "number"
     low: float = 0.0
     high: float = 0.0
-    default: object = None
+    default: float | str | None = None
     drawing: str = ""
 
     def applies(self, answers: Mapping[str, Any]) -> bool:
@@ -68,7 +68,9 @@ def bolted(answers: Mapping[str, Any]) -> bool:
     return low is not None and low == answers.get("max_plate_angle_deg")
 
 
-def _number(key: str, text: str, unit: str, low: float, high: float, default: object = None, drawing: str = "") -> Question:
+def _number(
+    key: str, text: str, unit: str, low: float, high: float, default: float | str | None = None, drawing: str = ""
+) -> Question:
     return Question(key, text, unit, "number", low, high, default, drawing)
 
 
