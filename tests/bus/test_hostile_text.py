@@ -36,8 +36,8 @@ for module in pkgutil.walk_packages(yieldmon.__path__, "yieldmon."):
             for part in one if isinstance(one, tuple) else (one,):
                 if isinstance(part, re.Pattern):
                     found[part.pattern] = part
-from yieldmon.files.strict_yaml import _StrictLoader
-for entries in _StrictLoader.yaml_implicit_resolvers.values():
+from yieldmon.files.strict_yaml import StrictLoader
+for entries in StrictLoader.yaml_implicit_resolvers.values():
     for _, pattern in entries:
         found[pattern.pattern] = pattern
 assert len(found) >= 6, sorted(map(str, found))

@@ -10,6 +10,7 @@ import can
 import numpy as np
 import pytest
 
+from tests.bus.log_files import read
 from yieldmon.bus.loading import load_frames
 from yieldmon.bus.log_notes import LogNotes
 from yieldmon.bus.logs import read_log
@@ -36,11 +37,6 @@ BUSMASTER = """***BUSMASTER Ver 1.6.4***
 ***{base}***
 ***{mode} MODE***
 """
-
-
-def read(path: Path) -> tuple[list[can.Message], LogNotes]:
-    notes = LogNotes(on_damage=lambda damage: None)
-    return list(read_log(path, notes)), notes
 
 
 def written(tmp_path: Path, name: str, text: str) -> Path:

@@ -15,6 +15,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.bus.log_files import read, write
 from tests.extras import MF4
 from tests.file_limit import files_end_at
 from yieldmon.bus.candump import parse_line
@@ -45,13 +46,6 @@ def sample_log() -> list[can.Message]:
     ]
 
 
-def write(path: Path, messages: list[can.Message]) -> Path:
-    with writing(path) as writer:
-        for message in messages:
-            writer.on_message_received(message)
-    return path
-
-
 def essence(messages) -> list[tuple]:
     return [(m.arbitration_id, m.is_extended_id, m.is_remote_frame, m.is_error_frame, bytes(m.data)) for m in messages]
 
@@ -63,11 +57,6 @@ def refusal(path: Path, messages: list[can.Message], notes: LogNotes) -> str:
     except InputError as error:
         return str(error)
     return ""
-
-
-def read(path: Path) -> tuple[list[can.Message], LogNotes]:
-    notes = LogNotes(on_damage=lambda damage: None)
-    return list(read_log(path, notes)), notes
 
 
 @pytest.mark.parametrize("packed", [False, True], ids=["plain", "gzipped"])

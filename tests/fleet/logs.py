@@ -40,3 +40,8 @@ def tree(folder: Path, machines: int = 2, days: int = 2) -> Path:
         for day in range(days):
             write(folder / f"m{machine}" / f"2026-10-{day + 1:02d}" / "a.log", 50.0 + 5.0 * day + 20.0 * machine)
     return folder
+
+
+def dataset_files(out: Path) -> dict[str, bytes]:
+    """All files of a dataset."""
+    return {path.relative_to(out).as_posix(): path.read_bytes() for path in sorted(out.rglob("*")) if path.is_file()}

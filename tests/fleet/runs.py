@@ -1,4 +1,4 @@
-"""Tasks of a tree of logs, and the files of a dataset."""
+"""Tasks of a tree of logs."""
 
 from __future__ import annotations
 
@@ -21,7 +21,3 @@ def tasks(source: Path, out: Path) -> list[Task]:
     return [
         Task(partition, dataset.address, token, LOADED, HASH, software()) for partition in manifest.load(str(source)).partitions
     ]
-
-
-def files(out: Path) -> dict[str, bytes]:
-    return {path.relative_to(out).as_posix(): path.read_bytes() for path in sorted(out.rglob("*")) if path.is_file()}

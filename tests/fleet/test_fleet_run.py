@@ -15,7 +15,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from tests.fleet import logs
-from tests.fleet.runs import LOADED, files, tasks
+from tests.fleet.logs import dataset_files
+from tests.fleet.runs import LOADED, tasks
 from yieldmon.cli.main import main
 from yieldmon.errors import InputError
 from yieldmon.fleet import manifest
@@ -31,7 +32,7 @@ def test_command_measures_and_skips(tree: Path, measured: Path, tmp_path: Path, 
         document = json.loads(printed.out)
         assert (document["done"], document["skipped"], document["failed"]) == (done, skipped, 0)
         assert "dashboard: http://" in printed.err
-    made, same = files(tmp_path / "out"), files(measured)
+    made, same = dataset_files(tmp_path / "out"), dataset_files(measured)
     assert {name: made[name] for name in made} == {name: same[name] for name in same if name != "_run"}
 
 
@@ -73,7 +74,7 @@ def test_what_changed_is_measured_again(tree: Path, measured: Path, tmp_path: Pa
     outcome = work(first)
     assert outcome.status == (LEFT if what == "software" else DONE)
     assert work(second).status == SKIPPED
-    before, after = ({n: b for n, b in files(d).items() if n.startswith(first.partition.name)} for d in (measured, out))
+    before, after = ({n: b for n, b in dataset_files(d).items() if n.startswith(first.partition.name)} for d in (measured, out))
     assert (before == after) is (what == "software")
 
 
@@ -90,7 +91,7 @@ def test_poisoned_logs_are_named_and_the_rest_goes_on(
         assert {(item["partition"], item["where"]) for item in document["poisoned"]} == {
             ("machine=m0/day=2026-10-01", "b.log"), ("machine=m1/day=2026-10-01", "machine=m1/day=2026-10-01"),
         }  # fmt: skip
-    made, same = files(out), files(measured)
+    made, same = dataset_files(out), dataset_files(measured)
     for name in ("machine=m0/day=2026-10-01/records.parquet", "machine=m0/day=2026-10-02/loads.parquet"):
         assert made[name] == same[name]
     assert not (out / "machine=m1" / "day=2026-10-01").exists()
@@ -101,12 +102,12 @@ def test_poisoned_logs_are_named_and_the_rest_goes_on(
     logs.write(source / "m1" / "2026-10-01" / "a.log", 70.0)
     (source / "m0" / "2026-10-01" / "b.log").unlink()
     assert main(["fleet", "run", str(source), "--out", str(out), "--workers", "0"]) == 0
-    assert files(out) == {name: content for name, content in same.items() if name != "_run"}
+    assert dataset_files(out) == {name: content for name, content in same.items() if name != "_run"}
 
 
 def test_remains_of_killed_runs_go(tree: Path, measured: Path, tmp_path: Path) -> None:
     out = shutil.copytree(measured, tmp_path / "out")
-    whole = files(measured)
+    whole = dataset_files(measured)
     (out / "_temporary" / "x").mkdir(parents=True)
     (out / "_temporary" / "x" / "records.parquet").write_bytes(b"half")
     (out / "machine=m0" / "day=2026-10-01" / "records-1.parquet").write_bytes(b"stray")
@@ -115,16 +116,16 @@ def test_remains_of_killed_runs_go(tree: Path, measured: Path, tmp_path: Path) -
     (out / "machine=m7" / "day=1" / "loads.parquet").write_bytes(b"half")
     assert [work(task).status for task in tasks(tree, out)] == [SKIPPED, DONE, SKIPPED, SKIPPED]
     Dataset(str(out)).end((out / "_run").read_text())
-    assert files(out) == {name: content for name, content in whole.items() if name != "_run"}
+    assert dataset_files(out) == {name: content for name, content in whole.items() if name != "_run"}
 
 
 def test_a_run_that_was_taken_over_writes_nothing(tree: Path, tmp_path: Path) -> None:
     old, *_ = tasks(tree, tmp_path / "out")
     Dataset(str(tmp_path / "out")).begin()
-    before = files(tmp_path / "out")
+    before = dataset_files(tmp_path / "out")
     with pytest.raises(Superseded):
         work(old)
-    assert files(tmp_path / "out") == before
+    assert dataset_files(tmp_path / "out") == before
 
 
 def test_loads_and_tickets(tmp_path: Path) -> None:
@@ -276,7 +277,7 @@ def test_nothing_is_written_over_what_is_no_dataset(tree: Path, tmp_path: Path) 
 def test_kill_at_any_instant_leaves_whole_partitions(tree: Path, measured: Path, tmp_path: Path) -> None:
     """kill -9 of the process that works, at random instants; the next run makes good what is missing."""
     out, chance, context = tmp_path / "out", random.Random(7), multiprocessing.get_context("fork")
-    whole = {name: content for name, content in files(measured).items() if name != "_run"}
+    whole = {name: content for name, content in dataset_files(measured).items() if name != "_run"}
     for _ in range(8):
         todo = tasks(tree, out)
         worker = context.Process(target=_all, args=(todo,))
@@ -284,7 +285,7 @@ def test_kill_at_any_instant_leaves_whole_partitions(tree: Path, measured: Path,
         time.sleep(chance.uniform(0.05, 0.8))
         worker.kill()
         worker.join()
-        made = files(out)
+        made = dataset_files(out)
         there = {path.rpartition("/")[0] for path in made if path.endswith(MARK)}
         for path, content in made.items():
             if path.startswith("machine="):
@@ -292,7 +293,7 @@ def test_kill_at_any_instant_leaves_whole_partitions(tree: Path, measured: Path,
                 assert content == whole[path]
     _all(tasks(tree, out))
     Dataset(str(out)).end((out / "_run").read_text())
-    assert files(out) == whole
+    assert dataset_files(out) == whole
 
 
 def _all(todo: list[Task]) -> None:

@@ -17,7 +17,8 @@ import pytest
 
 from tests.file_limit import files_end_at
 from tests.fleet import logs
-from tests.fleet.runs import files, tasks
+from tests.fleet.logs import dataset_files
+from tests.fleet.runs import tasks
 from yieldmon import api
 from yieldmon.bus.log_writing import writing
 from yieldmon.cli.main import main
@@ -33,7 +34,7 @@ Run = Callable[[], tuple[int, dict[str, Any], str]]
 
 
 def whole(out: Path) -> dict[str, bytes]:
-    return {name: content for name, content in files(out).items() if name != "_run"}
+    return {name: content for name, content in dataset_files(out).items() if name != "_run"}
 
 
 @pytest.fixture
@@ -99,13 +100,13 @@ def test_a_read_only_medium_leaves_the_day_and_what_is_there(small: tuple[Path, 
     anew("size=10m")
     first, second, *_ = tasks(tree, place / "out")
     assert work(first).status == DONE
-    before = files(place / "out")
+    before = dataset_files(place / "out")
     anew("ro")
     outcomes = [work(first), work(second)]
     assert [outcome.status for outcome in outcomes] == [LEFT, LEFT]
     assert all("Read-only file system; expected a place on a medium that takes writing" in each.why_left for each in outcomes)
     anew("rw")
-    assert files(place / "out") == before
+    assert dataset_files(place / "out") == before
     assert [work(first).status, work(second).status] == [SKIPPED, DONE]
 
 

@@ -19,6 +19,7 @@ from collections import Counter
 from pathlib import Path
 
 from tests.fleet import logs
+from tests.fleet.logs import dataset_files
 from yieldmon.fleet.dataset import MARK
 
 _WORKERS = 2
@@ -79,11 +80,6 @@ class Cluster:
             self.kill(name)
 
 
-def content(out: Path) -> dict[str, bytes]:
-    """All files of a dataset."""
-    return {path.relative_to(out).as_posix(): path.read_bytes() for path in sorted(out.rglob("*")) if path.is_file()}
-
-
 def main(arguments: list[str]) -> int:
     """Exit code 0 when the disturbed run made the same dataset."""
     parser = argparse.ArgumentParser(
@@ -130,7 +126,7 @@ def _run(args: argparse.Namespace, folder: Path) -> int:
                 break
     finally:
         cluster.stop()
-    expected, found = content(undisturbed), content(out)
+    expected, found = dataset_files(undisturbed), dataset_files(out)
     differ = [path for path in expected if found.get(path) != expected[path]]
     orphans = [path for path in found if path not in expected]
     marks = sum(path.endswith(f"/{MARK}") for path in found)

@@ -32,6 +32,8 @@ CODEC = Codec()
 START_S = 1_760_000_000.0
 ZERO_MV = 120.0
 PATIENCE_S = 120.0
+EMPTY_MV, GRAIN_MV = 0.0, 60.0
+"""Above the zero: an empty elevator, and grain."""
 UNHURRIED = Patience(silence_s=math.inf, store_s=PATIENCE_S, reload_s=PATIENCE_S, command_s=PATIENCE_S, stop_s=60.0)
 """For machines that other tests keep busy, and traffic that is not sent in real time."""
 _channels = itertools.count()
@@ -156,6 +158,13 @@ class Bench:
         self.peer.shutdown()
         if self.failure:
             raise self.failure[0]
+
+
+def warm_up(bench: Bench) -> None:
+    """Zero learnt, then grain for a few seconds."""
+    bench.play(14, EMPTY_MV)
+    bench.play(6, GRAIN_MV)
+    bench.played()
 
 
 def ask(folder: Path, capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, Any]:

@@ -10,12 +10,12 @@ from pathlib import Path
 import can
 import pytest
 
+from tests.bus.log_files import write
 from tests.extras import MF4
 from tests.plant_sweeps import window
 from tests.service.bench import CODEC, START_S, ZERO_MV, running, traffic
 from yieldmon import frames
 from yieldmon.bus.codec import Codec
-from yieldmon.bus.log_writing import writing
 from yieldmon.bus.logs import read_log
 from yieldmon.cli import main as cli
 from yieldmon.engine.results import PlateCommand, Result, WindowResult
@@ -47,14 +47,6 @@ def messages(duration_s: float = DURATION_S) -> list[can.Message]:
         message.channel = "can0"
         message.timestamp = round(message.timestamp, 6)
     return found
-
-
-def write(path: Path, frames: list[can.Message]) -> Path:
-    """A log by python-can."""
-    with writing(path) as logger:
-        for message in frames:
-            logger.on_message_received(message)
-    return path
 
 
 @pytest.fixture(scope="module")

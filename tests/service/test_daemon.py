@@ -18,7 +18,19 @@ import can
 import pytest
 
 from tests.schema_check import problems
-from tests.service.bench import CODEC, PATIENCE_S, START_S, ZERO_MV, ask, running, wait_for
+from tests.service.bench import (
+    CODEC,
+    EMPTY_MV,
+    GRAIN_MV,
+    PATIENCE_S,
+    START_S,
+    ZERO_MV,
+    ask,
+    retry_writing_soon,
+    running,
+    wait_for,
+    warm_up,
+)
 from yieldmon import frames
 from yieldmon.cli import main as cli
 from yieldmon.files import parameter_file
@@ -30,15 +42,6 @@ from yieldmon.service.journal import Journal
 from yieldmon.service.patience import Patience
 from yieldmon.service.store import Store
 from yieldmon.service.writer import StoreWriter
-
-EMPTY_MV, GRAIN_MV = 0.0, 60.0
-
-
-def warm_up(bench) -> None:
-    """Zero learnt, then grain for a few seconds."""
-    bench.play(14, EMPTY_MV)
-    bench.play(6, GRAIN_MV)
-    bench.played()
 
 
 def test_measures_publishes_and_stores(tmp_path):
@@ -141,11 +144,11 @@ def test_bad_frames_are_counted_and_stop_nothing(tmp_path):
 
 
 def test_store_failing_is_a_fault_and_measuring_goes_on(tmp_path, monkeypatch):
+    retry_writing_soon(monkeypatch)
     with running(tmp_path) as bench:
         bench.play(3, EMPTY_MV)
         bench.played()
         wait_for(lambda: bench.daemon.writer.health().pending == 0, "the first seconds in the store")
-        monkeypatch.setattr(bench.daemon.writer, "_retry_s", 0.05)
         blocker = sqlite3.connect(tmp_path / "yieldmon.sqlite", isolation_level=None)
         blocker.execute("BEGIN IMMEDIATE")
         bench.play(2, EMPTY_MV)

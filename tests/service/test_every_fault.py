@@ -16,7 +16,7 @@ import can
 import numpy as np
 import pytest
 
-from tests.service.bench import CODEC, ZERO_MV, Bench, encoded, retry_writing_soon, running, traffic, wait_for
+from tests.service.bench import CODEC, EMPTY_MV, GRAIN_MV, ZERO_MV, Bench, encoded, retry_writing_soon, running, traffic, wait_for
 from yieldmon import frames
 from yieldmon.engine.faults import FAULTS, FaultCode
 from yieldmon.engine.totals import Totals
@@ -28,7 +28,6 @@ from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.service.store import Store
 
-EMPTY_MV, GRAIN_MV = 0.0, 60.0
 HOME_DEG, FLOW_KG_S = 70.0, 3.0
 SHIPPED = parameter_file.load()
 COMMAND_ID = CODEC.layouts[frames.PLATE_ACTUATOR_COMMAND].frame_id

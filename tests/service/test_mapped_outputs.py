@@ -13,13 +13,12 @@ import can
 import cantools
 import pytest
 
-from tests.service.bench import CODEC, START_S, Bench, running, traffic, wait_for
+from tests.service.bench import CODEC, EMPTY_MV, GRAIN_MV, START_S, Bench, running, traffic, wait_for
 from yieldmon import frames
 from yieldmon.frames import Frame
 from yieldmon.service.control_client import ask
 
 HOME_DEG, AWAY_DEG = 70.0, 60.0
-EMPTY_MV, GRAIN_MV = 0.0, 60.0
 SWEEP = """bus: {transmit_max_age_s: 60}
 sweep: {min_flow_kg_s: 0.1, steady_cv: 1.0, angles_deg: [60], home_every: 1, move_margin_s: 5, windows_per_step: 2,
         steady_windows: 3, first_after_s: 100000, interval_s: 100000}

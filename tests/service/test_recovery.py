@@ -9,7 +9,19 @@ from pathlib import Path
 import can
 import pytest
 
-from tests.service.bench import CODEC, START_S, UNHURRIED, Bench, retry_writing_soon, running, traffic, wait_for
+from tests.service.bench import (
+    CODEC,
+    EMPTY_MV,
+    GRAIN_MV,
+    START_S,
+    UNHURRIED,
+    Bench,
+    retry_writing_soon,
+    running,
+    traffic,
+    wait_for,
+    warm_up,
+)
 from yieldmon import frames
 from yieldmon.errors import InputError
 from yieldmon.service import configuration
@@ -20,8 +32,6 @@ from yieldmon.service.retention import DEFAULT_RETENTION
 from yieldmon.service.store import Store
 from yieldmon.service.store_errors import StoreError
 
-EMPTY_MV, GRAIN_MV = 0.0, 60.0
-
 
 def daemon_on(folder: Path, text: str = "") -> Daemon:
     path = folder / "other.yaml"
@@ -29,12 +39,6 @@ def daemon_on(folder: Path, text: str = "") -> Daemon:
     environment = {"STATE_DIRECTORY": str(folder), "RUNTIME_DIRECTORY": str(folder)}
     bus = can.Bus(interface="virtual", channel=f"other {folder}")
     return Daemon(configuration.load(path, environment), environment=environment, bus_factory=lambda: bus)
-
-
-def warm_up(bench: Bench) -> None:
-    bench.play(14, EMPTY_MV)
-    bench.play(6, GRAIN_MV)
-    bench.played()
 
 
 @pytest.mark.parametrize("step_s", [3 * 3600.0, -3 * 3600.0, -1.5, 90.0], ids=["forward", "back", "a little back", "a gap"])

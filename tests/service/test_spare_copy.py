@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.service.bench import START_S, retry_writing_soon, running, wait_for
+from tests.service.bench import EMPTY_MV, GRAIN_MV, START_S, retry_writing_soon, running, wait_for
 from tests.service.test_store import second
 from yieldmon.engine.state import EngineState
 from yieldmon.engine.totals import Totals
@@ -26,7 +26,6 @@ from yieldmon.service.spare_copy import spare_copy
 from yieldmon.service.store import Store
 from yieldmon.service.store_errors import StoreError
 
-EMPTY_MV, GRAIN_MV = 0.0, 60.0
 _GET_FLAGS, _SET_FLAGS, _IMMUTABLE = 0x80086601, 0x40086602, 0x10
 """FS_IOC_GETFLAGS, FS_IOC_SETFLAGS and FS_IMMUTABLE_FL of linux/fs.h."""
 

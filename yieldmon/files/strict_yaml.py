@@ -85,14 +85,14 @@ def _resolvers() -> dict[str, list[tuple[str, re.Pattern[str]]]]:
 _Rules.yaml_implicit_resolvers = _resolvers()
 
 
-class _StrictLoader(_Rules, yaml.SafeLoader):
+class StrictLoader(_Rules, yaml.SafeLoader):
     """Over PyYAML's own parser."""
 
 
 def _fast_loader() -> type[yaml.SafeLoader | yaml.CSafeLoader]:
     """Over libyaml, which is several times faster, where PyYAML comes with it."""
     if not yaml.__with_libyaml__:
-        return _StrictLoader
+        return StrictLoader
 
     class FastLoader(_Rules, yaml.CSafeLoader):
         def __init__(self, stream: str) -> None:
@@ -115,7 +115,7 @@ def _construct_number(_: Any, node: yaml.ScalarNode) -> int | float:
 
 _FastLoader = _fast_loader()
 for _number in ("int", "float"):
-    for _loader in (_StrictLoader, _FastLoader):
+    for _loader in (StrictLoader, _FastLoader):
         _loader.add_constructor(f"tag:yaml.org,2002:{_number}", _construct_number)
 _PLAIN = re.compile(r"[ -~\n]*")
 """Characters that both readers take alike."""
@@ -173,7 +173,7 @@ def parse(text: str, where: str) -> Any:
         with contextlib.suppress(yaml.YAMLError):
             return yaml.load(text, Loader=_FastLoader)  # noqa: S506 - a SafeLoader with less
     try:
-        return yaml.load(text, Loader=_StrictLoader)  # noqa: S506 - the same
+        return yaml.load(text, Loader=StrictLoader)  # noqa: S506 - the same
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line = f"{where}:{mark.line + 1}" if mark is not None else where
