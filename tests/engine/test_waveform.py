@@ -447,7 +447,7 @@ def test_a_reload_keeps_the_noise_that_was_heard_where_machine_and_settings_stay
     machine = before.machine if same else replace(before.machine, paddle_spacings_m=(0.18635,))
     after = Monitor(before.settings, machine, OpenLoop(ForwardModel(machine, PARAMETERS.effects), PARAMETERS))
     after.restore(before.snapshot())
-    after.take_noise_of(before)
+    after.take_over(before, tickets=False)
     later = [frame._replace(time_s=frame.time_s + 5.0) for frame in struck(2e-4) if frame.time_s > 27.0]
     seen = [r.kernel_verdict for frame in later for r in records_in(after.feed(frame))]
     assert (KernelVerdict.USED in seen) is same

@@ -10,6 +10,7 @@ import pytest
 from tests.service.bench import PATIENCE_S, running, wait_for
 from yieldmon.errors import InputError
 from yieldmon.service import configuration, reloading
+from yieldmon.service.patience import Patience
 from yieldmon.service.reloading import Reloading
 
 
@@ -89,7 +90,7 @@ def test_a_reading_may_take_twenty_seconds(later_s, due, monkeypatch):
     now_s = 100.0
     monkeypatch.setattr(reloading, "monotonic", lambda: now_s)
     released = threading.Event()
-    of_disk = Reloading(lambda: released.wait(PATIENCE_S), limit_s=PATIENCE_S)
+    of_disk = Reloading(lambda: released.wait(PATIENCE_S), limit_s=Patience().reload_s)
     assert (of_disk.under_way, of_disk.due()) == (False, False)
     of_disk.begin()
     now_s += later_s

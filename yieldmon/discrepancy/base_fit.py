@@ -33,37 +33,37 @@ def base_frame(cells: Cells, sd: Array, parameters: ParameterSet, form: str, *, 
     return Frame(cells, sd, base, held | kept, unit)
 
 
-def fit_base(frame: Frame, effects: tuple[str, ...] = ()) -> Fit:
+def fit_base(frame: Frame) -> Fit:
     """Best of several starts over friction and density; raises ValueError when the loads overfill every admissible paddle."""
     first = {p.name: p.start for p in frame.base}
     densities = (*evenly("density", 3), GRAIN["density"].search[1])
     starts = [first] + [first | {"friction": f, "density": d} for f in evenly("friction", 3) for d in densities]
     found = []
     for start in starts:
-        linear = _solve_gain(frame, effects, start)
+        linear = _solve_gain(frame, start)
         if linear is not None:
             found.append(linear)
     if not found:
         raise ValueError("the loads overfill the paddles at every admissible density")
     found.sort(key=lambda pair: pair[0])
-    fits = [f for f in fit_all(frame, effects, [start for _, start in found[:3]]) if f is not None]
+    fits = [f for f in fit_all(frame, (), [start for _, start in found[:3]]) if f is not None]
     return min(fits, key=lambda f: f.chi2)
 
 
-def _solve_gain(frame: Frame, effects: tuple[str, ...], start: dict[str, float]) -> tuple[float, dict[str, float]] | None:
+def _solve_gain(frame: Frame, start: dict[str, float]) -> tuple[float, dict[str, float]] | None:
     """chi2 and start with the best gain (1 + e, or k1 and k2) at this friction and density; the reading is linear in it."""
     if frame.following is not None:
-        residual = (real(predictions(frame, effects, start)) - frame.cells.mean) / frame.sd
+        residual = (real(predictions(frame, (), start)) - frame.cells.mean) / frame.sd
         return (float(residual @ residual), start) if np.all(np.isfinite(residual)) else None
     y = frame.cells.mean / frame.sd
     if "restitution" in start:
-        unit = real(predictions(frame, effects, start | {"restitution": 0.0})) / frame.sd
+        unit = real(predictions(frame, (), start | {"restitution": 0.0})) / frame.sd
         if not (np.all(np.isfinite(unit)) and unit @ unit > 0.0):
             return None
         gain = float(np.clip((unit @ y) / (unit @ unit), 1.0, 2.0))
         return float(np.sum((gain * unit - y) ** 2)), start | {"restitution": gain - 1.0}
-    first = real(predictions(frame, effects, start | {"k1": 1.0, "k2": 0.0})) / frame.sd
-    second = real(predictions(frame, effects, start | {"k1": 0.0, "k2": 1.0})) / frame.sd
+    first = real(predictions(frame, (), start | {"k1": 1.0, "k2": 0.0})) / frame.sd
+    second = real(predictions(frame, (), start | {"k1": 0.0, "k2": 1.0})) / frame.sd
     columns = np.stack((first, second), axis=-1)
     if not np.all(np.isfinite(columns)):
         return None

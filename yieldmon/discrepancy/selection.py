@@ -39,6 +39,8 @@ from .objections import Objections
 from .pairs import screen
 from .policy import DEFAULT, Policy
 
+_DRAWS = 400
+"""Samples of the chosen model by which its stability is told."""
 Progress = Callable[[str, float], None]
 """Called with the step in progress and the share done, 0 to 1."""
 Places = dict[str, tuple[Candidate, ...]]
@@ -333,12 +335,12 @@ class Search:
             out.append(c)
         return tuple(sorted(out, key=lambda c: merit(c.fit, scale, self.policy)))
 
-    def _stability(self, chosen: Fit, rivals: Sequence[Fit], tied: Sequence[bool], draws: int = 400) -> float:
+    def _stability(self, chosen: Fit, rivals: Sequence[Fit], tied: Sequence[bool]) -> float:
         """Share of samples of the chosen model, its errors drawn anew, in which it or one tied with it is still the best."""
         if not rivals:
             return 1.0
         ratio = np.sqrt(max(chosen.integrated[0] / max(chosen.dof, 1), 1.0))
-        z = ratio * errors(chosen, self.noise, self.rng, draws)
+        z = ratio * errors(chosen, self.noise, self.rng, _DRAWS)
         scores: list[Array] = []
         for rival in (chosen, *rivals):
             tangent = rival.tangent()

@@ -19,7 +19,7 @@ from yieldmon.engine.faults import FaultCode
 from yieldmon.engine.loads import LoadEvents, LoadSummary
 from yieldmon.engine.parts import Parts
 from yieldmon.engine.records import CalibrationOutcome, FlowEstimator, SelfCalibrator
-from yieldmon.engine.restart import remember_tickets, restore, snapshot
+from yieldmon.engine.restart import remember_tickets, restore, snapshot, take_over
 from yieldmon.engine.results import Result
 from yieldmon.engine.runs import FrameRun
 from yieldmon.engine.settings import EngineSettings
@@ -306,37 +306,19 @@ class Monitor:
         """
         remember_tickets(self._parts, tickets)
 
-    def take_tickets_of(self, before: Monitor) -> None:
-        """After `restore` from the monitor that measured until now: its tickets.
+    def take_over(self, before: Monitor, *, tickets: bool) -> None:
+        """After `restore` from the monitor that measured until now: what of it no state carries.
+
+        A zero calibration under way, what was measured since the last one, and the noise heard of grain and of no grain.
 
         Parameters
         ----------
         before : Monitor
+            Of another machine or other settings of the waveform no noise is taken.
+        tickets : bool
+            Its tickets too.
         """
-        self._parts.learning.take_tickets_of(before._parts.learning)
-
-    def take_zero_of(self, before: Monitor) -> None:
-        """After `restore` from the monitor that measured until now: a zero calibration under way, and what was measured since.
-
-        Parameters
-        ----------
-        before : Monitor
-        """
-        parts, known = self._parts, before._parts
-        parts.since_zero.add(known.since_zero.seconds)
-        parts.measurement.zero.go_on_with(known.measurement.zero)
-
-    def take_noise_of(self, before: Monitor) -> None:
-        """After `restore` from the monitor that measured until now: the noise that it heard, of grain and empty.
-
-        Parameters
-        ----------
-        before : Monitor
-            With another machine or other settings of the waveform nothing is taken.
-        """
-        own, known = self._parts.waveform, before._parts.waveform
-        if own is not None and known is not None:
-            own.go_on_with(known)
+        take_over(self._parts, before._parts, tickets=tickets)
 
     def teach_again(
         self, load_numbers: Sequence[int], again: Sequence[Weighing], learnt: Sequence[int] | None = None, crop: str = ""

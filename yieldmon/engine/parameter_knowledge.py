@@ -124,9 +124,9 @@ class ParameterKnowledge:
         step = replace(step, before=before, covariance_before=start.joint, transition=step.transition * carry)
         return Carried(later, step)
 
-    def stated(self, used: ParameterSet, carried: Carried, total_kg: float) -> ParameterSet:
-        """The parameters in use as far as they are known now, the size of steady rates being unknown; carried: as `now` gave it."""
-        return as_stated(carried.drifting.parameters, self._spread_at(used, carried, total_kg))
+    def stated(self, used: ParameterSet, later: Carried, total_kg: float) -> ParameterSet:
+        """The parameters in use as far as they are known now, the size of steady rates being unknown; later: as `now` gave it."""
+        return as_stated(later.drifting.parameters, self._spread_at(used, later, total_kg))
 
     def bias(self, used: ParameterSet, step: Advance, total_kg: float) -> CommonBias | None:
         """The bias of kernel noise as it is now; None where its covariance with these parameters is not known."""

@@ -1,4 +1,4 @@
-"""What of the parts is to outlive a restart: into an `EngineState`, and back."""
+"""What of the parts is to outlive a restart: into an `EngineState`, and back; and what a reload carries over beside it."""
 
 from __future__ import annotations
 
@@ -69,6 +69,16 @@ def remember_tickets(parts: Parts, tickets: Sequence[TicketState]) -> None:
             learning.remember_tickets(masses, waiting)
         else:
             learning.tickets.remember(masses, waiting, crop)
+
+
+def take_over(parts: Parts, before: Parts, *, tickets: bool) -> None:
+    """What of the parts that measured until now no state carries; see `Monitor.take_over`."""
+    parts.since_zero.add(before.since_zero.seconds)
+    parts.measurement.zero.go_on_with(before.measurement.zero)
+    if parts.waveform is not None and before.waveform is not None:
+        parts.waveform.go_on_with(before.waveform)
+    if tickets:
+        parts.learning.take_tickets_of(before.learning)
 
 
 def _zero_undo(parts: Parts) -> ZeroUndo | None:

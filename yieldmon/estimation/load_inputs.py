@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 
 from yieldmon.physics.numerics import Array
 
+_GROUPS = 12
+"""Of windows of like force, into which those of one angle and speed are condensed at most."""
+
 
 @dataclass(frozen=True, slots=True)
 class LoadSettings:
@@ -72,15 +75,15 @@ class WeighedLoad:
         """Relative standard deviation of the measured mass, where the parameters are right."""
         return float(np.hypot(load_error, self.noise_sd))
 
-    def condensed(self, groups: int = 12) -> WeighedLoad:
-        """Windows of like force, at like angle and speed, replaced by their mean: at most `groups` for each angle and speed."""
+    def condensed(self) -> WeighedLoad:
+        """Windows of like force, at like angle and speed, replaced by their mean: at most `_GROUPS` for each angle and speed."""
         key = np.stack((np.round(self.plate_angle_rad / np.radians(2.0)), np.round(np.log(self.elevator_speed_rad_s) / 0.03)))
         _, place = np.unique(key, axis=1, return_inverse=True)
         parts: list[NDArray[np.intp]] = []
         for value in np.unique(place):
             here = np.flatnonzero(place.ravel() == value)
             order = here[np.argsort(self.force_n[here], kind="stable")]
-            parts += [p for p in np.array_split(order, min(groups, order.size)) if self.duration_s[p].sum() > 0.0]
+            parts += [p for p in np.array_split(order, min(_GROUPS, order.size)) if self.duration_s[p].sum() > 0.0]
 
         def mean(column: Array) -> Array:
             return np.array([np.average(column[p], weights=self.duration_s[p]) for p in parts])

@@ -206,14 +206,11 @@ class Navigation:
 
     Parameters
     ----------
-    order : mapping
-        Parameter groups of each quantity, the best first.
     timeout_s : float
         Age beyond which a reading counts as absent.
     """
 
-    def __init__(self, order: Mapping[Quantity, tuple[int, ...]] = ORDER, timeout_s: float = TIMEOUT_S) -> None:
-        self._order = order
+    def __init__(self, timeout_s: float = TIMEOUT_S) -> None:
         self._timeout_s = timeout_s
         self._latest: dict[tuple[Quantity, int], Reading] = {}
 
@@ -231,8 +228,8 @@ class Navigation:
         return self._latest.get((quantity, group))
 
     def best(self, quantity: Quantity, now_s: float) -> Reading | None:
-        """The reading to use at now_s: the first source in the order that has one no older than the timeout."""
-        for group in self._order.get(quantity, ()):
+        """The reading to use at now_s: the first source in `ORDER` that has one no older than the timeout."""
+        for group in ORDER.get(quantity, ()):
             reading = self._latest.get((quantity, group))
             if reading is not None and 0.0 <= now_s - reading.time_s <= self._timeout_s:
                 return reading

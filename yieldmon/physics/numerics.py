@@ -129,11 +129,14 @@ def chebyshev_points(count: int) -> Array:
     return 0.5 * (1.0 - np.cos(np.pi * np.arange(count) / (count - 1)))
 
 
+_ROOT_POINTS = 24
+"""At which a root is bracketed."""
+
+
 def first_root(
     function: Callable[[AnyArray], AnyArray],
     upper: AnyArray,
     *,
-    points: int = 24,
     refinements: int = 1,
     unperturbed: Callable[[AnyArray], AnyArray] | None = None,
 ) -> AnyArray:
@@ -146,14 +149,14 @@ def first_root(
     unperturbed: the function without perturbations, where it has some.
     """
     search = unperturbed or function
-    end, grid = real(upper), chebyshev_points(points)
+    end, grid = real(upper), chebyshev_points(_ROOT_POINTS)
     over_grid = search(end * grid)
     f = real(over_grid)
     positive = f >= 0.0
     right = positive.argmax(axis=-1)[..., None]
     left = np.maximum(right - 1, 0)
     a, b = end * grid[left], end * grid[right]
-    rows, flat = np.arange(right.size).reshape(right.shape), f.reshape(-1, points)
+    rows, flat = np.arange(right.size).reshape(right.shape), f.reshape(-1, _ROOT_POINTS)
     fa, fb = flat[rows, left], flat[rows, right]
     found = fb >= 0.0
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -31,15 +31,15 @@ class Journal:
     now on. kernel_weight_g: of a thousand kernels, as an operator entered it.
     """
 
-    def __init__(self, memory: Memory, configured: ParameterSet, field: str = "", crop: str = "", *, now_s: float) -> None:
+    def __init__(self, memory: Memory, configured: ParameterSet, *, now_s: float) -> None:
         """memory: what the store holds. configured: the parameters as their file has them. now_s: Unix time."""
         self.actions = ActionLog(
             memory.tickets, memory.actions, now_s, memory.unfinished_tickets, memory.unfinished_tickets_of_crop
         )
         self.parameters = ParameterHistory(memory, configured, self.actions)
         self.loads = LoadBook(memory.loads)
-        self.field = memory.field or field
-        self.crop = memory.crop or crop
+        self.field = memory.field
+        self.crop = memory.crop
         self.kernel_weight_g = memory.kernel_weight_g
         self._batch = memory.last_batch
         self._second = memory.last_second

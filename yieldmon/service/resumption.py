@@ -61,10 +61,7 @@ def successor(
     if fresh is not None:
         since_kg = grain_since_kg(fresh, loads, state.totals, now_s)
         monitor.set_estimator(monitor.estimator, state.calibration_age_s, since_kg)
-    monitor.take_zero_of(before)
-    monitor.take_noise_of(before)
+    monitor.take_over(before, tickets=fresh is None)
     if before.sweep.requested or before.sweep.visiting:
         monitor.request_sweep()
-    if fresh is None:
-        monitor.take_tickets_of(before)
     return monitor

@@ -54,16 +54,10 @@ _MOST_GROUPS = 1 << 18
 
 
 class SideInputs:
-    """Adds frames for the engine to those of the DBC, message by message or block by block, with the same result.
+    """Adds frames for the engine to those of the DBC, message by message or block by block, with the same result."""
 
-    Parameters
-    ----------
-    factory : FactoryMonitor, optional
-        Layouts of factory monitors; the shipped ones by default.
-    """
-
-    def __init__(self, factory: FactoryMonitor | None = None) -> None:
-        self._factory = factory if factory is not None else FactoryMonitor()
+    def __init__(self) -> None:
+        self._factory = FactoryMonitor()
         identities = sorted(self._factory.identifiers)
         self._factory_broadcast = np.array([i for i in identities if is_broadcast(i >> 8)], np.uint32)
         self._factory_addressed = np.array([i for i in identities if not is_broadcast(i >> 8)], np.uint32)
