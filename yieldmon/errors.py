@@ -6,10 +6,6 @@ import errno
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 NO_ROOM = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 """What only writing can meet, and a write's error does not name its file."""
@@ -95,7 +91,7 @@ def system_text(error: BaseException) -> str:
     return " ".join(f"{text}; expected {expected}".split()) if expected else " ".join(text.split())
 
 
-def no_room_to_unpack(path: str | Path, error: OSError) -> InputError:
+def no_room_to_unpack(path: str | os.PathLike[str], error: OSError) -> InputError:
     """What is to be said where a file is unpacked into the system's folder for temporary files, which is full."""
     import tempfile
 
@@ -153,7 +149,7 @@ _REMEDIES = {
 
 
 @contextmanager
-def reading(path: str | Path, expected: str) -> Iterator[None]:
+def reading(path: str | os.PathLike[str], expected: str) -> Iterator[None]:
     """An OSError while a file is read becomes an InputError that names the file and what was expected of it."""
     try:
         yield
