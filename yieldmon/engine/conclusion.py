@@ -145,7 +145,7 @@ class Conclusion:
         """Hold the window's mass against the tank scale, which keeps the mass while the zero is doubted."""
         loads, learning, doubted = self._parts.loads, self._parts.learning, self._parts.measurement.zero.suspect
         totals = loads.totals
-        missed_kg = learning.weighed(
+        missed_kg = learning.match_tank_scale(
             reading.window,
             reading.inputs,
             flow,

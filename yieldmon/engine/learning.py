@@ -171,7 +171,7 @@ class Learning:
         if self.calibration_age_s is not None:
             self.calibration_age_s += seconds
 
-    def weighed(
+    def match_tank_scale(
         self,
         window: Window,
         inputs: InputSnapshot,
