@@ -124,7 +124,7 @@ class TicketBook:
         self._waiting.append(ticket)
 
     def hand_over(self) -> tuple[ReferenceMass, ...]:
-        """The first ticket that waits goes to the calibrator; with it the others of one that covers several loads. Returns them."""
+        """The first ticket that waits, and the others of one that covers several loads, go to the calibrator; these."""
         waited, self._waiting = self._waiting, _after_first_ticket(self._waiting)
         return tuple(waited[: len(waited) - len(self._waiting)])
 
