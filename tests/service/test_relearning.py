@@ -314,3 +314,32 @@ def test_a_ticket_that_is_still_to_teach_says_so(tmp_path, capsys) -> None:
         capsys.readouterr()
         assert cli.main(["ticket", "list", "--socket", str(season.folder / "yieldmon.sock")]) == 0
         assert "taught version 2" in capsys.readouterr().out
+
+
+def test_the_owner_is_told_what_a_correction_and_a_second_ticket_leave(tmp_path, capsys) -> None:
+    """The wrong crop since days: the closed load shows its own names, the next one is still of the wrong crop; a ticket twice."""
+    season = Season(tmp_path / "a")
+    with running(season.folder) as bench:
+        bench.play(14, 0.0)
+        bench.played()
+        for words in (["load", "start", "--crop", "wheat"], ["load", "stop"]):
+            ask(season.folder, *words)
+            if words[1] == "start":
+                bench.play(5, 80.0)
+                bench.played()
+        bench.play(2, 0.0)
+        bench.played()
+        socket = ["--socket", str(season.folder / "yieldmon.sock")]
+        number = ask(season.folder, "load", "list")["loads"][-1]["number"]
+        capsys.readouterr()
+        assert cli.main(["load", "correct", str(number), "--crop", "corn", *socket]) == 0
+        assert "the next load is still wheat: `yieldmon load start --crop corn` if it is not" in capsys.readouterr().out
+        assert ask(season.folder, "status")["load"]["crop"] == "corn"
+        mass_kg = ask(season.folder, "load", "list")["loads"][-1]["mass_kg"]
+        assert cli.main(["ticket", str(number), f"{mass_kg}kg", *socket]) == 0
+        assert "stood for it" not in capsys.readouterr().err
+        assert cli.main(["ticket", str(number), f"{mass_kg}kg", *socket]) == 0
+        told = capsys.readouterr().err
+        assert "ticket 1 stood for it; the newer one counts (`yieldmon ticket undo 2` if it is for another load)" in told
+        ask(season.folder, "load", "start", "--crop", "corn")
+        assert ask(season.folder, "status")["load"]["crop"] == "corn"

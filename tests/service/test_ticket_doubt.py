@@ -76,7 +76,9 @@ def test_the_last_ticket_in_short_tons_is_asked_about_raises_the_alarm_and_is_me
         assert "as if short tons were taken for tonnes" in asked
         assert asked.rstrip().endswith("if it is a slip, enter the right mass as another ticket")
         assert "ScaleDisagrees" in [fault["code"] for fault in bench.daemon.snapshot["faults"]]
-        assert enter(1.0) == ""
+        mended = enter(1.0)
+        assert mended.startswith("yieldmon: load 5: ticket 3 stood for it; the newer one counts")
+        assert mended.count("\n") == 1
         assert "ScaleDisagrees" not in [fault["code"] for fault in bench.daemon.snapshot["faults"]]
 
 

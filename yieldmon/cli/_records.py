@@ -91,6 +91,8 @@ def corrected(answer: Mapping[str, Any]) -> str:
     if taught := answer.get("learnt_again"):
         parts.append(f"ticket {_listed(taught)} teaches {answer['crop']}")
     parts += [f"ticket {row['ticket']} teaches nothing: {row['why']}" for row in answer.get("not_learnt_again", ())]
+    if goes_on := answer.get("goes_on"):
+        parts.append(f"the next load is still {goes_on}: `yieldmon load start --crop {answer['crop']}` if it is not")
     return "; ".join(parts)
 
 

@@ -60,6 +60,13 @@ def run(args: argparse.Namespace) -> int:
     doubt = answer.get("question") or (f"{off_pct:+.0f} % is a lot" if abs(off_pct) > UNLIKELY_PCT else "")
     if doubt:
         print(f"yieldmon: {which}: {doubt}; if it is a slip, enter the right mass as another ticket", file=sys.stderr)
+    if replaced := answer.get("replaces"):
+        numbers = ", ".join(map(str, replaced))
+        print(
+            f"yieldmon: {which}: ticket {numbers} stood for it; the newer one counts (`yieldmon ticket undo {answer['ticket']}` "
+            "if it is for another load)",
+            file=sys.stderr,
+        )
     alone = answer.get("sets_scale_pct")
     if alone is not None:
         print(

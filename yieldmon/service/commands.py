@@ -166,7 +166,10 @@ def _load_correct(order: _Order) -> Answer:
         number = monitor.totals.load_number
         raise InputError(f"load {number}", "is still open", "`yieldmon load start` with the right names, then correct this one")
     wanted = load_names.Correction(_covered(journal, first, last, "load"), field, crop)
-    return load_names.correct(wanted, monitor, journal, request.who, order.now_s, order.stored)
+    answer = load_names.correct(wanted, monitor, journal, request.who, order.now_s, order.stored)
+    goes_on = journal.crop_in_use(monitor.estimator.parameters)
+    newest = not monitor.totals.load_open and last >= monitor.totals.load_number
+    return answer | {"goes_on": goes_on if newest and crop and goes_on and goes_on.lower() != crop.lower() else ""}
 
 
 def _loads(order: _Order) -> Answer:
@@ -201,6 +204,7 @@ def _ticket(order: _Order) -> Answer:
     if not why_not:
         for load_number, mass_kg, share_std_dev_kg in shares:
             monitor.ticket(load_number, mass_kg, share_std_dev_kg)
+    replaces = [n for n, t in journal.actions.ledger.tickets.items() if t.first_load <= last and t.last_load >= first]
     number = journal.actions.ticket(ticket, request.who, std_dev_kg, is_reference=not why_not)
     return {
         "crop": covered[-1].crop,
@@ -214,6 +218,7 @@ def _ticket(order: _Order) -> Answer:
         "anchor": not why_not,
         "why_no_anchor": why_not,
         "question": question,
+        "replaces": replaces,
         "sets_scale_pct": None if first_moves is None else 100.0 * first_moves,
     }
 

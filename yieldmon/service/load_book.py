@@ -29,6 +29,11 @@ class LoadBook:
         """In order of their numbers."""
         return iter([self._loads[number] for number in sorted(self._loads)])
 
+    def names(self, number: int) -> tuple[str, str] | None:
+        """Field and crop of a load; None where it is not known."""
+        known = self._loads.get(number)
+        return None if known is None else (known.field, known.crop)
+
     def measured(self, summary: LoadSummary, field: str, crop: str) -> None:
         """A load as the monitor has it now. field, crop: for one that is not known yet."""
         known = self._loads.get(summary.number)

@@ -122,11 +122,14 @@ def _now(rows: tuple[SecondRow, ...]) -> StatusNow:
 
 
 def _load(totals: Totals, journal: Journal) -> StatusLoad:
+    # A closed load may have been given other names than the next one is to have.
+    names = None if totals.load_open else journal.loads.names(totals.load_number)
+    field, crop = (journal.field, journal.crop) if names is None else names
     return {
         "number": totals.load_number,
         "open": totals.load_open,
-        "field": journal.field,
-        "crop": journal.crop,
+        "field": field,
+        "crop": crop,
         "mass_kg": totals.load_kg,
         "contested_mass_kg": totals.load_contested_kg,
         "std_dev_kg": finite(totals.load_budget.std_dev_kg),
