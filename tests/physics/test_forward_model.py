@@ -231,3 +231,20 @@ def test_zero_offset_adds_the_same_force_everywhere() -> None:
     conditions = Conditions(np.radians([40.0, 65.0, 90.0]), speed, mass_flow_kg_s=flow)
     offset = np.real(model.force(conditions, dict(GRAIN, **{"zero_offset.force_n": 2.5})) - MODEL.force(conditions, GRAIN))
     assert offset == pytest.approx(2.5, rel=1e-12)
+
+
+@pytest.mark.parametrize(("lowest", "highest", "limit"), [(1.95, 2.05, 2e-8), (1.0, 2.2, 1e-6), (1.0, 4.0, 5e-5)])
+def test_the_default_order_of_the_quadrature_is_as_right_as_stated(lowest: float, highest: float, limit: float) -> None:
+    rng, count = np.random.default_rng(7), 4000
+    parameters = {
+        "friction": rng.uniform(0.0, 1.0, count),
+        "density": 1100.0,
+        "shape_ratio": rng.uniform(lowest, highest, count),
+        "restitution": 0.5,
+    }
+    full_kg = 0.5 * parameters["shape_ratio"] * 1100.0 * MACHINE.paddle_width_m * MACHINE.paddle_length_m**2
+    at = Conditions(
+        np.radians(rng.uniform(40.0, 90.0, count)), 400.0 * np.pi / 30.0, paddle_mass_kg=rng.uniform(0.001, 0.99, count) * full_kg
+    )
+    here, fine = (ForwardModel(MACHINE, **order).paddle_momentum(at, parameters) for order in ({}, {"nodes": 200}))
+    assert np.max(np.abs(here / fine - 1.0)) < limit

@@ -1,8 +1,9 @@
 """A throw: heaps of any load at one setting, through the four stages and the effects that act on them.
 
 Source: "Self-Calibrating Mass Flow Sensor" (Univ. of Illinois / Deere), chapter 8. Evaluated by Gauss-Legendre quadrature over
-the paddle's rotation at release, split where grain begins to pass below the plate; exact to rounding at the default order for
-ordinary loads.
+the paddle's rotation at release, split where grain begins to pass below the plate. At the default order the momentum is right to
+1e-8 with a shape ratio of 2, and to 5e-5 with ratios up to 4: worst for a thin heap whose inner surface is nearly square to the
+paddle, where the heap's width rises like a square root.
 """
 
 from __future__ import annotations
