@@ -101,17 +101,20 @@ def misplaced_share(windows: Sequence[PulseTimes], impulse_n_s: float, power_n2:
     pulses = sum(window.late_s.size for window in windows)
     if pulses < _LEAST_PULSES or not whole > 0.0:
         return 0.0
-    away = np.concatenate([window.late_s - np.median(window.late_s) for window in windows if window.late_s.size])
-    most = (_SD_OF_MEDIAN * float(np.median(np.abs(away)))) ** 2 * pulses / max(pulses - len(windows), 1)
-    left = 0.0
-    for window in windows:
+    away = [window.late_s - np.median(window.late_s) for window in windows if window.late_s.size]
+    middle = float(np.median(np.abs(np.concatenate(away))))
+    most = (_SD_OF_MEDIAN * middle) ** 2 * pulses / max(pulses - len(windows), 1)
+    parts = []
+    for window, own in zip((window for window in windows if window.late_s.size), away, strict=True):
         turned_s = 2.0 * np.pi * window.frequency_hz
         by_chance = impulse_n_s * window.by_kernels_s_n
         # Of a pulse far out of place no more is left than it and the mean pulse hold.
-        apart = np.mean(2.0 - 2.0 * np.cos(turned_s[:, None] * away), axis=1) / turned_s**2
+        apart = np.mean(2.0 - 2.0 * np.cos(turned_s[:, None] * own), axis=1) / turned_s**2
         sharpened = np.exp(np.minimum(max(most - by_chance, 0.0) * turned_s**2, _MOST_BLURRED))
-        left += max(
-            float((window.steepness_n2_s2 * (apart - by_chance)).sum()),
-            max(most - by_chance, 0.0) * float((window.steepness_n2_s2 * sharpened).sum()),
+        parts.append(
+            (
+                float((window.steepness_n2_s2 * (apart - by_chance)).sum()),
+                max(most - by_chance, 0.0) * float((window.steepness_n2_s2 * sharpened).sum()),
+            )
         )
-    return left / whole
+    return max(map(sum, zip(*parts, strict=True))) / whole
