@@ -139,6 +139,32 @@ def test_a_long_failure_keeps_one_row_of_a_load(disk):
         assert store.loads() == list(batch(100).loads)
 
 
+def test_of_what_waits_too_long_only_the_records_are_dropped(disk):
+    """Rows of every other kind, each second one of each; of a counter the newest value of the last batch that has it."""
+    writer = StoreWriter(disk.open, 3)
+    for number in range(1, 13):
+        now_s = 1.7e9 + number
+        writer.submit(
+            batch(
+                number, sweeps=(SweepRecord(now_s, "UPDATED", "", {}),),
+                parameter_versions=(ParameterVersion(number, now_s, "", {}),), faults=(FaultEvent(now_s, "FRAMES_LOST", True),),
+                tickets=(Ticket(now_s, number, number, 9000.0, 9100.0),),
+                actions=(Action(number, now_s, "zero", "", {}),), steps=(Step(number, now_s, {}),),
+                counters={"samples_lost": number, f"only_in_{number}": 1},
+            )
+        )  # fmt: skip
+    writer.start()
+    writer.stop()
+    assert writer.health().records_dropped == 9
+    times = [1.7e9 + number for number in range(1, 13)]
+    with Store(disk.path) as store:
+        assert [row.number for row in store.seconds()] == [10, 11, 12]
+        for kept in (store.sweeps(), store.parameter_versions(), store.faults(), store.tickets(), store.actions(), store.steps()):
+            assert [row.time_s for row in kept] == times
+        assert store.counters() == {"samples_lost": 12, **{f"only_in_{number}": 1 for number in range(1, 13)}}
+        assert store.state() == batch(12).state
+
+
 def test_stopping_tries_once_more(disk):
     writer = StoreWriter(disk.open, 100, retry_s=60.0)
     disk.broken.set()
