@@ -78,6 +78,7 @@ def run(args: argparse.Namespace) -> int:
     else:
         units = units_of(args.units, answer.get("units", "metric"), answer.get("crop", ""))
         print(f"load {answer['load']} complete: {units.mass_with_bushels(answer['mass_kg'])}")
+        print("yieldmon: grain until the next `yieldmon load start` counts in the total alone", file=sys.stderr)
     return 0
 
 
