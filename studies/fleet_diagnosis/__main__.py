@@ -186,10 +186,11 @@ def record(draw: int, found: FleetDiagnosis, seed: int = SEED) -> dict[str, Any]
 
     return {
         "draw": draw, "shared": shared, "own": own,
-        "model": [[item.effect, item.confidence, dict(item.values)] for item in found.model],
+        "model": [[item.effect, item.confidence, dict(item.values), list(item.equivalent)] for item in found.model],
         "machines": {name: [verdict.verdict, *([item.effect, *item.equivalent] for item in verdict.named)]
                      for name, verdict in said.items()},
         "shared_named": [item.effect for item in found.model] == [shared],
+        "shared_in_tie": len(found.model) == 1 and found.model[0].may_be(shared),
         "shared_among_named": shared in [item.effect for item in found.model],
         "own_named": {name: own_named(name, effect) for name, effect in own.items()},
         "named_elsewhere": [name for name in said if name not in own],
@@ -230,9 +231,11 @@ def report(records: Sequence[dict[str, Any]]) -> bool:
     others = (MACHINES - SINGLE) * len(records)
     wrong = sum(len(found["named_elsewhere"]) for found in records)
     shared = sum(found["shared_named"] for found in records)
+    in_tie = [found["shared_in_tie"] for found in records if "shared_in_tie" in found]
     whole = [found["shared_named"] and all(found["own_named"].values()) and not found["named_elsewhere"] for found in records]
     print(
-        f"{len(records)} draws: the shared effect, and no other, is the model's in {shared}, among the model's in "
+        f"{len(records)} draws: the shared effect, and no other, is the model's in {shared}, it or one tied with it in "
+        f"{sum(in_tie)} of the {len(in_tie)} that record ties, among the model's in "
         f"{sum(found['shared_among_named'] for found in records)}; own effects named (or tied) at their machine {sum(own)} of "
         f"{len(own)}; named at a machine without one {wrong} of {others}; all right in {sum(whole)}"
     )
