@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import runpy
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -34,4 +36,16 @@ def test_a_place_that_is_not_there_is_not_used(tmp_path: Path, monkeypatch: pyte
     tool = runpy.run_path(str(TOOL))
     monkeypatch.delenv("TMPDIR", raising=False)
     with tool["temporary_files"](tool["Part"]("unit", ("true",), in_memory=True), tmp_path / "none", 1) as folder:
+        assert folder == {}
+
+
+def test_a_place_where_no_program_may_run_is_not_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    tool = runpy.run_path(str(TOOL))
+    monkeypatch.delenv("TMPDIR", raising=False)
+    real = os.statvfs(tmp_path)
+    mounted = SimpleNamespace(
+        f_frsize=real.f_frsize, f_blocks=real.f_blocks, f_bfree=real.f_bfree, f_bavail=real.f_bavail, f_flag=os.ST_NOEXEC
+    )
+    monkeypatch.setattr(os, "statvfs", lambda _path: mounted)
+    with tool["temporary_files"](tool["Part"]("unit", ("true",), in_memory=True), tmp_path, 1) as folder:
         assert folder == {}
