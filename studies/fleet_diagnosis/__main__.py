@@ -185,7 +185,7 @@ def record(draw: int, found: FleetDiagnosis, seed: int = SEED) -> dict[str, Any]
         return name in said and said[name].verdict == "effect" and said[name].named[0].may_be(effect)
 
     return {
-        "draw": draw, "shared": shared, "own": own,
+        "draw": draw, "shared": shared, "own": own, "shared_verdict": found.shared,
         "model": [[item.effect, item.confidence, dict(item.values), list(item.equivalent)] for item in found.model],
         "machines": {name: [verdict.verdict, *([item.effect, *item.equivalent] for item in verdict.named)]
                      for name, verdict in said.items()},

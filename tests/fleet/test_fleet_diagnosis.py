@@ -18,7 +18,7 @@ from yieldmon.errors import InputError
 from yieldmon.files import machine_file, parameter_file
 from yieldmon.fleet import tables
 from yieldmon.fleet.dataset import Dataset
-from yieldmon.fleet.diagnosis import MachineSweeps, MachineVerdict, diagnose, sweeps_of
+from yieldmon.fleet.diagnosis import FleetDiagnosis, MachineSweeps, MachineVerdict, Named, SharedVerdict, diagnose, sweeps_of
 from yieldmon.physics.machine import Machine
 from yieldmon.service import sweep_table
 from yieldmon.service.batch import Batch, ParameterVersion
@@ -58,6 +58,39 @@ def test_what_one_machine_shows_beside_the_others_is_its_own() -> None:
 def test_what_all_machines_show_is_none_ones_own() -> None:
     found = diagnose([sweeps(f"m{i}", STRONG, seed=10 + i) for i in range(4)], ALIKE_ONLY)
     assert named(found.machines) == {}
+    assert (found.shared, found.model) == ("unknown", ())
+
+
+def test_machines_that_the_model_describes_share_no_effect() -> None:
+    assert diagnose([sweeps(f"m{i}", NONE, seed=60 + i) for i in range(3)], ALIKE_ONLY).shared == "none"
+
+
+LEVER = Named("lever_arm", ("paddle_wear",), 0.6)
+CROWDED = Named("plate_friction", ("a", "b", "c", "d", "e"), 0.8)
+
+
+@pytest.mark.parametrize(
+    ("shared", "model", "candidates", "said"),
+    [
+        ("effect", (LEVER, CROWDED), (), "the model lacks lever_arm or paddle_wear\nthe model lacks something that 6 effects"),
+        ("unknown", (), (LEVER,), "not certain enough to be named; the nearest: lever_arm or paddle_wear\n"),
+        ("unknown", (), (), "not certain enough to be named; no known effect explains it\n"),
+        ("none", (), (), "no effect is shared by all machines\n"),
+        ("not compared", (), (), "what machines share is not known"),
+    ],
+)
+def test_what_is_said_of_all_machines(
+    shared: SharedVerdict, model: tuple[Named, ...], candidates: tuple[Named, ...], said: str,
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    found = FleetDiagnosis(shared, model, candidates, (MachineVerdict("m0", "none"),))
+    monkeypatch.setattr("yieldmon.cli._fleet.diagnose.sweeps_of", lambda _dataset: ())
+    monkeypatch.setattr("yieldmon.cli._fleet.diagnose.diagnose", lambda _machines, each: found)
+    assert main(["fleet", "diagnose", "season", "--workers", "1"]) == 0
+    assert said in capsys.readouterr().out
+    assert main(["fleet", "diagnose", "season", "--workers", "1", "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert (document["shared"], len(document["model"]), len(document["candidates"])) == (shared, len(model), len(candidates))
 
 
 def test_a_gain_that_the_tickets_know_is_no_effect() -> None:
@@ -79,10 +112,13 @@ def test_machines_of_another_geometry_and_with_too_few_sweeps_are_not_judged() -
     other = replace(MACHINE, plate_length_m=0.9 * MACHINE.plate_length_m)
     fleet = [sweeps(f"m{i}", NONE, seed=30 + i) for i in range(3)]
     fleet += [sweeps("other", NONE, seed=33, machine=other), replace(fleet[0], name="short", days=(fleet[0].days[0][:60],))]
-    said = {v.name: (v.verdict, v.judged) for v in diagnose(fleet, ALIKE_ONLY).machines}
+    found = diagnose(fleet, ALIKE_ONLY)
+    said = {v.name: (v.verdict, v.judged) for v in found.machines}
     assert said["other"] == ("fewer than 3 machines of its geometry", False)
     assert said["short"] == ("needs 40 visits away from home at 3 angles", False)
     assert [said[f"m{i}"] for i in range(3)] == [("none", True)] * 3
+    assert found.shared == "none"
+    assert diagnose(fleet[:2], ALIKE_ONLY).shared == diagnose([], ALIKE_ONLY).shared == "not compared"
 
 
 @pytest.mark.slow

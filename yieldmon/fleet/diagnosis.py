@@ -10,6 +10,7 @@ import json
 import statistics
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -29,6 +30,9 @@ from yieldmon.physics.model import ForwardModel
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.sweep_table import away_of_seconds
 
+SharedVerdict = Literal["effect", "unknown", "none", "not compared"]
+_ORDER: tuple[SharedVerdict, ...] = get_args(SharedVerdict)
+"""Of several geometries the verdict is the first of these that one of them has."""
 _SECONDS = "SELECT * FROM {} WHERE usable_for_calibration = 1 ORDER BY number"
 _LEAST_ANGLES = 3
 """Away from home."""
@@ -79,10 +83,17 @@ class MachineVerdict:
 
 @dataclass(frozen=True)
 class FleetDiagnosis:
-    """model: effects that all machines show; machines: what is each one's own, alike ones with the verdict none; visible_from:
-    what an effect of one machine's own has to be to show, of the geometry with most machines."""
+    """What machines share and what each has for itself.
 
+    shared: whether the model lacks an effect for all machines; unknown: they all show something, and no effect is certain enough
+    to be named; not compared: too few could be. model: those effects; candidates: what comes nearest to a name where shared is
+    unknown. machines: what is each one's own, alike ones with the verdict none. visible_from: what an effect of one machine's
+    own has to be to show, of the geometry with most machines.
+    """
+
+    shared: SharedVerdict
     model: tuple[Named, ...]
+    candidates: tuple[Named, ...]
     machines: tuple[MachineVerdict, ...]
     visible_from: tuple[Visible, ...] = ()
 
@@ -109,15 +120,20 @@ def diagnose(machines: Sequence[MachineSweeps], policy: Policy = POLICY, each: M
         Machines in the order given; effects of the geometry with most machines first.
     """
     groups = [_Group(tuple(group), policy) for group in sorted(_alike(machines), key=len, reverse=True)]
-    verdicts: dict[str, MachineVerdict] = {}
-    model: dict[str, Named] = {}
-    visible_from: tuple[Visible, ...] = ()
-    for shared, own, visible in each(_of_geometry, groups):
-        verdicts |= {verdict.name: verdict for verdict in own}
-        visible_from = visible_from or visible
-        for item in shared:
-            model.setdefault(item.effect, item)
-    return FleetDiagnosis(tuple(model.values()), tuple(verdicts[m.name] for m in machines), visible_from)
+    answers = list(each(_of_geometry, groups))
+    verdicts = {verdict.name: verdict for answer in answers for verdict in answer.own}
+    shared = min((answer.shared for answer in answers), key=_ORDER.index, default=_ORDER[-1])
+    nearest: dict[str, Named] = {}
+    for item in (item for answer in answers if answer.shared == shared for item in answer.nearest):
+        nearest.setdefault(item.effect, item)
+    found, none = tuple(nearest.values()), ()
+    return FleetDiagnosis(
+        shared,
+        found if shared == "effect" else none,
+        found if shared == "unknown" else none,
+        tuple(verdicts[m.name] for m in machines),
+        next((answer.visible_from for answer in answers if answer.visible_from), none),
+    )
 
 
 @dataclass(frozen=True)
@@ -128,23 +144,30 @@ class _Group:
     policy: Policy
 
 
-_Answer = tuple[tuple[Named, ...], tuple[MachineVerdict, ...], tuple[Visible, ...]]
+class _Answer(NamedTuple):
+    """nearest: effects that are named, or come nearest to it."""
+
+    shared: SharedVerdict
+    nearest: tuple[Named, ...]
+    own: tuple[MachineVerdict, ...]
+    visible_from: tuple[Visible, ...] = ()
 
 
 def _of_geometry(group: _Group) -> _Answer:
     if "restitution" not in group.machines[0].parameters.values:
-        return (), tuple(MachineVerdict(m.name, "parameters without restitution") for m in group.machines), ()
+        own_verdicts = tuple(MachineVerdict(m.name, "parameters without restitution") for m in group.machines)
+        return _Answer("not compared", (), own_verdicts)
     sweeps = {m.name: away_of_seconds(m.days, m.machine, m.parameters) for m in group.machines}
     usable = [m for m in group.machines if _says_enough(sweeps[m.name])]
     why = f"needs {_LEAST_VISITS} visits away from home at {_LEAST_ANGLES} angles"
     own = {m.name: MachineVerdict(m.name, why) for m in group.machines}
     if len(usable) < LEAST_MACHINES:
         own |= {m.name: MachineVerdict(m.name, f"fewer than {LEAST_MACHINES} machines of its geometry") for m in usable}
-        return (), tuple(own.values()), ()
+        return _Answer("not compared", (), tuple(own.values()))
     found = examine(_lattice(usable, sweeps), np.random.default_rng(_SEED), group.policy)
     for name, one in found.own.items():
         own[name] = _verdict(name, one, group.policy, differs=name in found.deviating)
-    return _named(found.shared), tuple(own.values()), found.visible_from
+    return _Answer(found.shared.verdict, _nearest(found.shared), tuple(own.values()), found.visible_from)
 
 
 def _alike(machines: Sequence[MachineSweeps]) -> list[list[MachineSweeps]]:
@@ -181,9 +204,7 @@ def _lattice(group: Sequence[MachineSweeps], sweeps: Mapping[str, Sequence[AwayV
     return lay(machine, with_force(model, common, force, flow, moisture), flow, laid)
 
 
-def _named(choice: Choice) -> tuple[Named, ...]:
-    if choice.verdict != "effect":
-        return ()
+def _nearest(choice: Choice) -> tuple[Named, ...]:
     return tuple(
         Named(
             step.added, tuple(step.equivalent), step.confidence,

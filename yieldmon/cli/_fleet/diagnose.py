@@ -9,7 +9,7 @@ from typing import Any
 
 from yieldmon.cli._json import print_document
 from yieldmon.errors import InputError
-from yieldmon.fleet.diagnosis import FleetDiagnosis, MachineVerdict, Named, diagnose, sweeps_of
+from yieldmon.fleet.diagnosis import POLICY, FleetDiagnosis, MachineVerdict, Named, diagnose, sweeps_of
 
 
 def run(args: argparse.Namespace) -> int:
@@ -25,7 +25,9 @@ def run(args: argparse.Namespace) -> int:
 
 def _document(found: FleetDiagnosis) -> dict[str, Any]:
     return {
+        "shared": found.shared,
         "model": [_named(item) for item in found.model],
+        "candidates": [_named(item) for item in found.candidates],
         "machines": [_verdict(item) for item in found.machines],
         "visible_from": [
             {"name": v.effect, "parameter": v.parameter, "size": v.size if isfinite(v.size) else None, "unit": v.unit}
@@ -48,8 +50,7 @@ def _named(item: Named) -> dict[str, Any]:
 
 
 def _text(document: dict[str, Any]) -> str:
-    lines = [f"the model lacks {_words(item)}" for item in document["model"]]
-    lines = lines or ["no effect is shared by all machines"]
+    lines = _shared_lines(document)
     for item in document["machines"]:
         if item["verdict"] == "none":
             continue
@@ -58,6 +59,18 @@ def _text(document: dict[str, Any]) -> str:
     alike = sum(item["verdict"] == "none" for item in document["machines"])
     lines.append(f"{alike} of {len(document['machines'])} machines show no effect of their own")
     return "\n".join([*lines, *_visible_lines(document["visible_from"])])
+
+
+def _shared_lines(document: dict[str, Any]) -> list[str]:
+    """What the model lacks for all machines."""
+    if document["shared"] == "effect":
+        return [f"the model lacks {_words(item)}" for item in document["model"]]
+    if document["shared"] == "unknown":
+        nearest = ", with ".join(_words(item) for item in document["candidates"])
+        least = f"the nearest: {nearest}" if nearest else "no known effect explains it"
+        return [f"the model lacks something that all machines show and that is not certain enough to be named; {least}"]
+    none = {"none": "no effect is shared by all machines"}
+    return [none.get(document["shared"], "what machines share is not known: too few of one geometry could be compared")]
 
 
 def _visible_lines(visible_from: list[dict[str, Any]]) -> list[str]:
@@ -70,4 +83,7 @@ def _visible_lines(visible_from: list[dict[str, Any]]) -> list[str]:
 
 
 def _words(named: dict[str, Any]) -> str:
+    count = 1 + len(named["equivalent"])
+    if count > POLICY.largest_class:
+        return f"something that {count} effects explain alike, {named['name']} among them"
     return " or ".join([named["name"], *named["equivalent"]])
