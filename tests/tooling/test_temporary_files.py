@@ -25,10 +25,10 @@ def test_files_are_in_memory_while_the_part_runs(
     if elsewhere:
         monkeypatch.setenv("TMPDIR", "/elsewhere")
     with tool["temporary_files"](tool["Part"]("unit", ("true",), in_memory=in_memory), tmp_path, bytes_needed) as folder:
-        assert [Path(place).parent for place in folder.values()] == [tmp_path] * used
-        assert set(folder) <= {"TMPDIR"}
-        for place in folder.values():
-            (Path(place) / "left.sqlite").write_text("by a test")
+        assert (folder is not None) == used
+        if folder is not None:
+            assert folder.parent == tmp_path
+            (folder / "left.sqlite").write_text("by a test")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -36,7 +36,7 @@ def test_a_place_that_is_not_there_is_not_used(tmp_path: Path, monkeypatch: pyte
     tool = runpy.run_path(str(TOOL))
     monkeypatch.delenv("TMPDIR", raising=False)
     with tool["temporary_files"](tool["Part"]("unit", ("true",), in_memory=True), tmp_path / "none", 1) as folder:
-        assert folder == {}
+        assert folder is None
 
 
 def test_a_place_where_no_program_may_run_is_not_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -48,4 +48,16 @@ def test_a_place_where_no_program_may_run_is_not_used(tmp_path: Path, monkeypatc
     )
     monkeypatch.setattr(os, "statvfs", lambda _path: mounted)
     with tool["temporary_files"](tool["Part"]("unit", ("true",), in_memory=True), tmp_path, 1) as folder:
-        assert folder == {}
+        assert folder is None
+
+
+def test_a_sockets_path_is_no_longer_than_where_pytest_puts_it() -> None:
+    tool = runpy.run_path(str(TOOL))
+    folder = tool["MEMORY"] / "y12345678"
+    command, variables = tool["in_folder"](("pytest",), folder)
+    assert command[0] == "pytest"
+    place = command[1].removeprefix("--basetemp=")
+    assert Path(place).parent == folder
+    assert len(place) <= len("/tmp/pytest-of-root/pytest-0")
+    assert variables == {"TMPDIR": str(folder)}
+    assert tool["in_folder"](("pytest",), None) == (("pytest",), {})
