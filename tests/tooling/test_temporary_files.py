@@ -28,6 +28,7 @@ def test_files_are_in_memory_while_the_part_runs(
         assert (folder is not None) == used
         if folder is not None:
             assert folder.parent == tmp_path
+            assert folder.stat().st_mode & 0o777 == 0o755
             (folder / "left.sqlite").write_text("by a test")
     assert list(tmp_path.iterdir()) == []
 
