@@ -8,6 +8,8 @@ from yieldmon.units import S_PER_DAY
 
 SERIAL_DAY_OF_1970 = 25_569.0
 """1 January 1970 as spreadsheets and PEAK's programs count days: those since 30 December 1899."""
+EARLIEST_BUS_TIME_S = 1e8
+"""Bus times up to this (1973) count from a recorder's start and are no dates; those above are Unix times."""
 
 
 def moment(time_s: float) -> datetime:

@@ -10,9 +10,6 @@ from yieldmon import utc
 from yieldmon.files import digests
 from yieldmon.files.table import Table
 
-_UNIX_S = 1e8
-"""Bus times above this are Unix times."""
-
 
 def today() -> str:
     """Date and time by this machine's clock, in UTC."""
@@ -26,7 +23,7 @@ def of_table(data: Table) -> dict[str, str]:
 
 def of_loads(sources: Sequence[str], tickets: str | Path, until_s: float | None = None) -> dict[str, str]:
     """Of logs or stores of weighed loads and a table of their tickets. until_s: Unix time of the end of the last load, s."""
-    known = until_s is not None and until_s > _UNIX_S
+    known = until_s is not None and until_s > utc.EARLIEST_BUS_TIME_S
     until = {"loads_until": utc.text(utc.moment(until_s))} if known and until_s is not None else {}
     return until | {
         "data": ", ".join(Path(source).name for source in sources),

@@ -15,9 +15,6 @@ from yieldmon import utc
 from yieldmon.engine.anchors import ReferenceMass
 from yieldmon.engine.settings import FaultSettings
 
-_UNIX_S = 1e8
-"""Bus times above this are Unix times."""
-
 
 @dataclass(frozen=True, slots=True)
 class ScaleCheck:
@@ -125,6 +122,6 @@ def _probability(p_value: float) -> str:
 
 
 def _moment(time_s: float) -> str:
-    if not isfinite(time_s) or time_s < _UNIX_S:
+    if not isfinite(time_s) or time_s < utc.EARLIEST_BUS_TIME_S:
         return f"bus time {time_s:.0f} s"
     return utc.moment(time_s).strftime("%Y-%m-%d %H:%M UTC")

@@ -6,11 +6,11 @@ import re
 from datetime import UTC, datetime, timedelta
 from urllib.parse import quote, unquote
 
+from yieldmon.utc import EARLIEST_BUS_TIME_S
+
 _MOST_BYTES = 200
 """Of a name as a folder's."""
 
-EARLIEST_DATE_S = 1e8
-"""Bus time before this (1973) counts from a recorder's start and is no date: two logs that begin so share no time."""
 _ISO_DATE = re.compile(r"((?:19|20)\d\d)-?([01]\d)-?([0-3]\d)(?!\d)")
 _MOST_DAYS = 30
 """Between the date that a day is called by and its first second: a folder may hold the logs of a week, named by its end."""
@@ -48,7 +48,7 @@ def off_by_days(day: str, start_s: float | None) -> bool:
     start_s: Unix time. False for names that do not begin with a date, and for times that count from a recorder's start.
     """
     found = _ISO_DATE.match(day)
-    if found is None or start_s is None or start_s <= EARLIEST_DATE_S:
+    if found is None or start_s is None or start_s <= EARLIEST_BUS_TIME_S:
         return False
     try:
         called = datetime.fromisoformat("-".join(found.groups())).replace(tzinfo=UTC)

@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yieldmon.fleet import tables
-from yieldmon.fleet.names import EARLIEST_DATE_S
 from yieldmon.fleet.querying import Query
+from yieldmon.utc import EARLIEST_BUS_TIME_S
 
 _LOGS = f"""
 SELECT machine, day, name, first_number, last_number, least(start_s, end_s) AS from_s, greatest(start_s, end_s) AS to_s FROM loads
-WHERE kind = '{tables.LOG}' AND seconds > 0 AND least(start_s, end_s) > {EARLIEST_DATE_S} ORDER BY machine, day, first_number
+WHERE kind = '{tables.LOG}' AND seconds > 0 AND least(start_s, end_s) > {EARLIEST_BUS_TIME_S} ORDER BY machine, day, first_number
 """
 _COLUMNS = ("number", "time_s", "duration_s", "mass_kg")
 _SECONDS = f"SELECT {', '.join(_COLUMNS)} FROM {{}}"

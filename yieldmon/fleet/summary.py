@@ -12,9 +12,10 @@ from typing import Any
 from yieldmon.engine.faults import FaultCode
 from yieldmon.errors import InputError
 from yieldmon.fleet import tables
-from yieldmon.fleet.names import EARLIEST_DATE_S, LATEST_DATE_S, in_order, off_by_days
+from yieldmon.fleet.names import LATEST_DATE_S, in_order, off_by_days
 from yieldmon.fleet.overlaps import Overlap, overlaps
 from yieldmon.fleet.querying import Query, opened
+from yieldmon.utc import EARLIEST_BUS_TIME_S
 
 Rows = list[dict[str, Any]]
 _TABLES = (tables.PROVENANCE, tables.FAULTS, tables.SWEEPS, tables.PARAMETERS, tables.LOADS, tables.RECORDS)
@@ -115,7 +116,7 @@ def _in_order(rows: Rows) -> Rows:
     """Days by machine and then by date, where a machine's logs hold it, else by name with numbers in it as such."""
     ordered: Rows = []
     for days in _by_machine(rows).values():
-        dated = all((row["start_s"] or 0.0) > EARLIEST_DATE_S and not off_by_days(row["day"], row["start_s"]) for row in days)
+        dated = all((row["start_s"] or 0.0) > EARLIEST_BUS_TIME_S and not off_by_days(row["day"], row["start_s"]) for row in days)
         ordered += sorted(days, key=lambda row: (row["start_s"] if dated else 0.0, in_order(row["day"])))
     return ordered
 

@@ -9,9 +9,6 @@ from yieldmon.engine.totals import Totals
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.service.batch import Load
 
-_UNIX_S = 1e8
-"""Bus times above this are Unix times."""
-
 
 def grain_since_kg(parameters: ParameterSet, loads: Iterable[Load], totals: Totals, now_s: float) -> float:
     """Mass of the loads after the time that the provenance gives, by the share of their time; 0 where it gives none.
@@ -39,7 +36,7 @@ def grain_since_kg(parameters: ParameterSet, loads: Iterable[Load], totals: Tota
     for load in loads:
         is_open = totals.load_open and load.number == totals.load_number
         mass_kg, end_s = (totals.load_kg, now_s) if is_open else (load.mass_kg, load.ended_s)
-        if load.started_s is None or end_s is None or not _UNIX_S < load.started_s <= end_s:
+        if load.started_s is None or end_s is None or not utc.EARLIEST_BUS_TIME_S < load.started_s <= end_s:
             continue
         if load.started_s >= since_s:
             found += mass_kg
