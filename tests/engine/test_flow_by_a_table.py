@@ -8,7 +8,7 @@ from math import hypot, inf, isnan, nan, nextafter, radians, sqrt
 
 import numpy as np
 import pytest
-from engine_bench import MACHINE, ForceProportional, angle_factor
+from engine_bench import MACHINE, N_PER_KG_S, ForceProportional, angle_factor
 from numpy.typing import ArrayLike
 from test_measurement_by_a_table import HOME_RAD, Seconds
 
@@ -140,7 +140,7 @@ class SameAtAnyAngle(ForceProportional):
         force_std_dev_n: ArrayLike = 0.0,
         moisture_pct: ArrayLike | None = None,
     ) -> FlowEstimate:
-        rate, away = np.asarray(force_n) / 4.0, np.abs(np.asarray(plate_angle_rad) - HOME_RAD)
+        rate, away = np.asarray(force_n) / N_PER_KG_S, np.abs(np.asarray(plate_angle_rad) - HOME_RAD)
         return FlowEstimate(rate, 0.8 + 20.0 * away, np.full(rate.shape, int(OK)))
 
 
@@ -154,7 +154,7 @@ class KnowsHomeAlone(ForceProportional):
         force_std_dev_n: ArrayLike = 0.0,
         moisture_pct: ArrayLike | None = None,
     ) -> FlowEstimate:
-        rate = np.where(np.abs(np.asarray(plate_angle_rad) - HOME_RAD) < 1e-9, np.asarray(force_n) / 4.0, nan)
+        rate = np.where(np.abs(np.asarray(plate_angle_rad) - HOME_RAD) < 1e-9, np.asarray(force_n) / N_PER_KG_S, nan)
         return FlowEstimate(rate, 0.05 * rate, np.where(np.isfinite(rate), int(OK), int(FlowStatus.NOT_AVAILABLE)))
 
 

@@ -14,9 +14,9 @@ import numpy as np
 
 from yieldmon.physics.numerics import Array
 
+from .gaussian import SD_PER_MAD
+
 _LEAST_PULSES = 20
-_SD_OF_MEDIAN = 1.4826
-"""Standard deviation of a Gaussian over the median of its sizes."""
 _MOST_BLURRED = 3.0
 """Exponent up to which a mean of pulses out of place is made as steep as they are; beyond, its own chance would be."""
 
@@ -103,7 +103,7 @@ def misplaced_share(windows: Sequence[PulseTimes], impulse_n_s: float, power_n2:
         return 0.0
     away = [window.late_s - np.median(window.late_s) for window in windows if window.late_s.size]
     middle = float(np.median(np.abs(np.concatenate(away))))
-    most = (_SD_OF_MEDIAN * middle) ** 2 * pulses / max(pulses - len(windows), 1)
+    most = (SD_PER_MAD * middle) ** 2 * pulses / max(pulses - len(windows), 1)
     parts = []
     for window, own in zip((window for window in windows if window.late_s.size), away, strict=True):
         turned_s = 2.0 * np.pi * window.frequency_hz

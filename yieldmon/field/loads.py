@@ -24,7 +24,7 @@ UNKNOWN_SCALE_SD = 0.03
 """Relative standard deviation of a single load's factor about the field's, where fewer than three loads are weighed."""
 ALL = "all"
 """As the machine of a ticket: all that have a load of this name."""
-_COLUMNS = "columns load,weighed_kg[,sd_kg][,machine]"
+_COLUMNS = "load,weighed_kg[,sd_kg][,machine]"
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ def read_tickets(path: Path) -> list[Ticket]:
     InputError
         Naming file and row.
     """
-    wanted = "CSV with load,weighed_kg[,sd_kg][,machine]"
+    wanted = f"CSV with {_COLUMNS}"
     try:
         text = bounded.read_whole(path, wanted, LARGEST_BYTES).decode("utf-8-sig")
         lines = [line for line in bounded.split(text, str(path), wanted) if line.strip(" \t,;")]
@@ -80,7 +80,7 @@ def read_tickets(path: Path) -> list[Ticket]:
         raise InputError(str(path), "has no tickets", "at least one row")
     names = {str(name).strip().lower(): name for name in rows[0]} if rows else {}
     if rows and not {"load", "weighed_kg"} <= set(names):
-        raise InputError(f"{path}: first row", f"names {', '.join(map(str, rows[0]))[:80]}", _COLUMNS)
+        raise InputError(f"{path}: first row", f"names {', '.join(map(str, rows[0]))[:80]}", f"columns {_COLUMNS}")
     tickets = []
     for number, row in enumerate(rows, 1):
         try:
@@ -88,7 +88,7 @@ def read_tickets(path: Path) -> list[Ticket]:
             sd_text = row.get(names.get("sd_kg", ""))
             sd = _mass(sd_text) if sd_text and sd_text.strip() else ticket_file.RELATIVE_STD_DEV * weighed
         except (TypeError, ValueError):
-            raise InputError(f"{path}: row {number}", "has no mass in kg", _COLUMNS) from None
+            raise InputError(f"{path}: row {number}", "has no mass in kg", f"columns {_COLUMNS}") from None
         load = (row.get(names["load"]) or "").strip()
         if not (load and 0 < weighed < 1e9 and 0 <= sd < 1e9):
             raise InputError(
