@@ -23,8 +23,9 @@ def of_table(data: Table) -> dict[str, str]:
 
 def of_loads(sources: Sequence[str], tickets: str | Path, until_s: float | None = None) -> dict[str, str]:
     """Of logs or stores of weighed loads and a table of their tickets. until_s: Unix time of the end of the last load, s."""
-    known = until_s is not None and until_s > utc.EARLIEST_BUS_TIME_S
-    until = {"loads_until": utc.text(utc.moment(until_s))} if known and until_s is not None else {}
+    until = {}
+    if until_s is not None and until_s > utc.EARLIEST_BUS_TIME_S:
+        until["loads_until"] = utc.text(utc.moment(until_s))
     return until | {
         "data": ", ".join(Path(source).name for source in sources),
         "tickets": Path(tickets).name,

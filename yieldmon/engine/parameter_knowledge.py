@@ -164,7 +164,7 @@ class ParameterKnowledge:
         bias = self.bias(used, came.step, at.total_kg) if drifting is came.drifting else None
         whole = came.drifting.joint.shape == came.step.covariance_after.shape
         spread = self._spread_at(used, came, at.total_kg) if whole else None
-        self._hold_from(at, used)
+        self._supersede(used, at)
         if not outcome.updated:
             # The moisture map or the drift alone has moved the values; the new prior is what is known.
             now = carried(drifting, replace(before, version=used.version + 1))
@@ -191,7 +191,7 @@ class ParameterKnowledge:
     def take_kernel_lesson(self, taught: Taught, used: ParameterSet, known: ParameterSet, at: Instant, came: Carried) -> None:
         """A lesson of kernel noise has led from the parameters used until now to those known; came: as `now` gave it."""
         spread = drift_spread.taught(self._spread_at(used, came, at.total_kg), taught.errors)
-        self._hold_from(at, used)
+        self._supersede(used, at)
         self._hold(replace(taught.drifting, parameters=known), taught.bias, spread)
 
     def use(self, before: ParameterSet | None, used: ParameterSet, harvested_kg: float) -> None:
@@ -221,7 +221,7 @@ class ParameterKnowledge:
             self._placed = used
         self._outside = None
 
-    def _hold_from(self, at: Instant, before: ParameterSet) -> None:
+    def _supersede(self, before: ParameterSet, at: Instant) -> None:
         """What is known holds from now on, and since when the parameters before it held is remembered."""
         self._past = remembered(self._past, before, self._at.time_s, self._at.total_kg)
         self._at = at
