@@ -38,6 +38,8 @@ _SHORT_PASS_WIDTHS = 3.0
 _FENCE = 3.0
 _LOCAL_NEIGHBOURS = 24
 _LOCAL_SD = 4.0
+_LEAST_SPREAD = 0.02
+"""Relative robust standard deviation that a second's yield has at least: even ground would make errors of rounding outliers."""
 _MIN_NEW_SHARE = 0.5
 _JUMP_TIMES = 3.0
 _CHUNK = 100_000
@@ -356,7 +358,7 @@ def _parts(at: Context) -> list[Index]:
 
 
 def local_outliers(x_m: Array, y_m: Array, amount: Array, among: Flags) -> Flags:
-    """Rows whose value is over LOCAL_SD robust standard deviations off the median of their neighbours."""
+    """Rows whose value is over `_LOCAL_SD` robust standard deviations off the median of their neighbours."""
     out = np.zeros(len(x_m), bool)
     rows = np.flatnonzero(among)
     if len(rows) < 4 * _LOCAL_NEIGHBOURS:
@@ -371,8 +373,7 @@ def local_outliers(x_m: Array, y_m: Array, amount: Array, among: Flags) -> Flags
         middle[first : first + _CHUNK] = np.partition(values[near[:, 1:]], half, axis=1)[:, half]
     off = amount[rows] - middle
     spread = SD_PER_MAD * float(np.median(np.abs(off - np.median(off))))
-    if spread > 0:
-        out[rows] = np.abs(off) > _LOCAL_SD * spread
+    out[rows] = np.abs(off) > _LOCAL_SD * np.maximum(spread, _LEAST_SPREAD * np.abs(middle))
     return out
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from yieldmon.errors import InputError
 from yieldmon.field.plane import Sites
@@ -58,7 +59,7 @@ def assemble(raw: Raw, where: str, kind: str, options: ReadOptions) -> HarvestTa
         values["width"] = np.full(raw.count, options.width_m)
     if "width" not in values:
         raise InputError(where, "has no working width", "--width M")
-    _derive(values, time, values.get("section"), where)
+    _derive(values, time, raw.machine_of_row, where)
     columns, limits = plausible({"time_s": time} | {_TABLE_NAMES[q]: v for q, v in values.items() if q in _TABLE_NAMES})
     if "header_down" in columns:
         columns["header_down"] = _down(columns["header_down"])
@@ -127,14 +128,14 @@ def _backwards(time: Array) -> tuple[str, ...]:
     return (f"time runs backwards {number} times",) if number else ()
 
 
-def _derive(values: dict[str, Array], time: Array, section: Array | None, where: str) -> None:
-    """Interval, way and flow from what is there."""
+def _derive(values: dict[str, Array], time: Array, machine: NDArray[np.int32], where: str) -> None:
+    """Interval, way and flow from what is there, between rows of one machine and section."""
     count = len(time)
-    lane = np.zeros(count) if section is None else np.nan_to_num(section)
-    order = np.lexsort((np.arange(count), time, lane))
+    section = np.nan_to_num(values.get("section", np.zeros(count)))
+    order = np.lexsort((np.arange(count), time, section, machine))
     before = np.full(count, -1)
     before[order[1:]] = order[:-1]
-    joined = (before >= 0) & (lane == lane[before])
+    joined = (before >= 0) & (section == section[before]) & (machine == machine[before])
     step = np.where(joined, time - time[before], np.nan)
     usual = float(np.median(step[step > 0])) if (step > 0).any() else 1.0
     steady = (step >= 0) & (step <= GAP_INTERVALS * usual)

@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from yieldmon.field.table import Array, Label, Skipped
 
 from .naming import Column
@@ -35,3 +38,10 @@ class Raw:
     skipped: tuple[Skipped, ...] = ()
     notes: tuple[str, ...] = ()
     default_flow_s: float = 0.0
+
+    @property
+    def machine_of_row(self) -> NDArray[np.int32]:
+        """Number of the machine that made each row, (count,): one of several follows rows of its own."""
+        column = self.columns.get("machine")
+        label = None if column is None else self.texts.get(column.name)
+        return np.zeros(self.count, np.int32) if label is None else label.codes

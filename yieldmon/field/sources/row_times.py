@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 
 from yieldmon.errors import InputError
 from yieldmon.field.plane import Sites
@@ -49,16 +50,27 @@ def row_times(raw: Raw, values: Mapping[str, Array], options: ReadOptions, where
         return _in_order(raw.count, values, where, f"{column.name} holds days and no times")
     if "interval" in values or "section" in values:
         return time_s, unix, tuple(notes)
-    even_s, step_s = clocks.evened(time_s, values.get("distance", _apart_m(values)))
+    even_s, step_s = time_s.copy(), 0.0
+    for rows in _of_machines(raw):
+        way_m = values["distance"][rows] if "distance" in values else _apart_m(values, rows)
+        even_s[rows], own_step_s = clocks.evened(time_s[rows], way_m)
+        step_s = max(step_s, own_step_s)
     if step_s:
         notes.append(f"{column.name} counts in steps of {step_s:.2g} s, more coarsely than the rows follow: times are evened out")
     return even_s, unix, tuple(notes)
 
 
-def _apart_m(values: Mapping[str, Array]) -> Array:
-    """From each row to the one before it."""
-    plane = Sites.about(values["longitude"], values["latitude"])
-    x, y = plane.to_m(values["longitude"], values["latitude"])
+def _of_machines(raw: Raw) -> list[NDArray[np.intp]]:
+    """The rows of each machine, in the order of the file."""
+    machine = raw.machine_of_row
+    return [np.flatnonzero(machine == number) for number in np.unique(machine).tolist()]
+
+
+def _apart_m(values: Mapping[str, Array], rows: NDArray[np.intp] | slice = slice(None)) -> Array:
+    """From each of these rows to the one before it."""
+    longitude, latitude = values["longitude"][rows], values["latitude"][rows]
+    plane = Sites.about(longitude, latitude)
+    x, y = plane.to_m(longitude, latitude)
     return np.hypot(np.diff(x, prepend=np.nan), np.diff(y, prepend=np.nan))
 
 

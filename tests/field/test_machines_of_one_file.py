@@ -1,0 +1,79 @@
+"""Rows of several machines, by name, in one file: each stands for its own machine's time and way."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from yieldmon.cli import main as cli
+
+from .synthetic import EARTH_M_DEG
+
+SECONDS, PASS_S, SPEED_M_S, WIDTH_M = 600, 100, 1.5, 6.0
+FLOWS_KG_S = {"north": 10.0, "south": 8.0}
+
+
+def rows(*, late_s: float = 0.0, step_s: float = 1.0, clock_s: float = 0.0) -> list[tuple[float, str, str]]:
+    """(time, machine, line) of even ground, to and fro; the second machine logs late_s after the first. clock_s: what the clock
+    counts in, 0: exactly."""
+    found = []
+    for number, (machine, flow) in enumerate(FLOWS_KG_S.items()):
+        for second in np.arange(0.0, SECONDS, step_s):
+            lane, along = divmod(second, PASS_S)
+            way_m = SPEED_M_S * (along if lane % 2 == 0 else PASS_S - along)
+            east = way_m / (EARTH_M_DEG * np.cos(np.radians(51.0)))
+            north = 51.0 + (2000.0 * number + WIDTH_M * lane) / EARTH_M_DEG
+            time_s = second + number * late_s
+            shown_s = time_s if not clock_s else clock_s * np.floor(time_s / clock_s)
+            place = f"{8.0 + east:.8f},{north:.8f}"
+            found.append((time_s, machine, f"{shown_s:.2f},{place},{flow},{SPEED_M_S},{WIDTH_M},{machine}"))
+    return found
+
+
+def mapped(capsys: pytest.CaptureFixture[str], lines: list[str]) -> tuple[dict[str, Any], str]:
+    head = "time (s),longitude,latitude,mass flow (kg/s),speed (m/s),width (m),machine"
+    Path("h.csv").write_text("\n".join([head, *lines, ""]))
+    assert cli.main(["map", "h.csv", "--out", "unused", "--products", "none", "--json"]) == 0
+    said = capsys.readouterr()
+    return json.loads(said.out), said.err
+
+
+@pytest.fixture(autouse=True)
+def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.mark.parametrize("order", ["time", "machine"])
+@pytest.mark.parametrize(
+    "of",
+    [{}, {"late_s": 0.5}, {"late_s": 0.5, "step_s": 1.25, "clock_s": 1.0}],
+    ids=["in the same seconds", "half a second later", "by a clock of whole seconds"],
+)
+def test_no_mass_is_lost_between_two_machines(of: dict[str, float], order: str, capsys: pytest.CaptureFixture[str]) -> None:
+    found = rows(**of)
+    document, said = mapped(capsys, [line for _, _, line in (sorted(found) if order == "time" else found)])
+    assert document["mass_kg"]["integrated"] == pytest.approx(SECONDS * sum(FLOWS_KG_S.values()), rel=0.003)
+    assert "taken together" not in said
+
+
+def test_fast_logs_of_two_machines_are_taken_together_machine_by_machine(capsys: pytest.CaptureFixture[str]) -> None:
+    document, said = mapped(capsys, [line for _, _, line in sorted(rows(step_s=0.2, late_s=0.1))])
+    assert document["mass_kg"]["integrated"] == pytest.approx(SECONDS * sum(FLOWS_KG_S.values()), rel=0.003)
+    assert f"6000 rows 0.2 s apart are taken together to {2 * SECONDS} of a second" in said
+
+
+def test_even_ground_has_no_local_outlier(capsys: pytest.CaptureFixture[str]) -> None:
+    document, _ = mapped(capsys, [line for _, _, line in rows()])
+    assert "local outlier" not in document["points_by_reason"]
+    assert document["mass_kg"]["kept"] > 0.9 * document["mass_kg"]["integrated"]
+
+
+def test_what_stands_out_on_even_ground_is_one(capsys: pytest.CaptureFixture[str]) -> None:
+    lines = [line for _, _, line in rows()]
+    lines[250] = lines[250].replace(",10.0,", ",13.0,")
+    document, _ = mapped(capsys, lines)
+    assert document["points_by_reason"]["local outlier"] >= 1
