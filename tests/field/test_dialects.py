@@ -314,3 +314,13 @@ def test_no_moisture_is_0(tmp_path: Path) -> None:
     table = read_logged(logged([str(n) for n in range(LOGGED)], moisture="0"), tmp_path)
     assert np.isnan(table["moisture_pct"]).all()
     assert any("moisture_pct" in note for note in table.sources[0].notes)
+
+
+def test_a_german_log_by_flow_names_its_machine_and_load(tmp_path: Path) -> None:
+    path = tmp_path / "drusch.csv"
+    head = "Längengrad;Breitengrad;Zeit;Durchfluss [t/h];Geschwindigkeit [km/h];Arbeitsbreite [m];Maschine;Ladung"
+    rows = [f"-92,1;39,0000{1800 * k:04d};2013-09-23T12:00:0{k}Z;3,6;7,2;9,144;4711;Hof 3" for k in range(3)]
+    path.write_text("\n".join([head, *rows, ""]), encoding="utf-8")
+    table = sources.read(path, ReadOptions())
+    assert table["flow_kg_s"] == pytest.approx([1.0, 1.0, 1.0])
+    assert (table.labels["machine"].names, table.labels["load"].names) == (("4711",), ("Hof 3",))

@@ -38,7 +38,8 @@ QUANTITIES: Mapping[str, Quantity] = {
     "flow": Quantity(
         "mass_flow",
         _names(
-            "flow massflow grainflow cropflow cropflowm cropflwm cropflw flowrate massflowrate flowmass durchsatz flujo debit"
+            "flow massflow grainflow cropflow cropflowm cropflwm cropflw flowrate massflowrate flowmass durchsatz durchfluss "
+            "massenstrom flujo fluxo debit"
         ),
     ),
     "flow_sd": Quantity("mass_flow", _names("flowsd massflowsd stddev flowstddev")),
@@ -77,9 +78,11 @@ QUANTITIES: Mapping[str, Quantity] = {
     "pass": Quantity("none", _names("pass passnumber passnum")),
     "section": Quantity("none", _names("section sectionid")),
     "field": Quantity("text", _names("field fieldname schlag lote parcelle")),
-    "load": Quantity("text", _names("load loadname loadnumber")),
+    "load": Quantity("text", _names("load loadname loadnumber ladung fuhre carga")),
     "crop": Quantity("text", _names("crop grain cropname frucht kultur cultivo cultura culture")),
-    "machine": Quantity("text", _names("machine serial serialnumber machineid combine")),
+    "machine": Quantity(
+        "text", _names("machine serial serialnumber machineid machinename combine maschine mahdrescher maquina moissonneuse")
+    ),
     "product": Quantity("text", _names("product variety hybrid")),
 }
 _NEEDS_NO_UNIT = ("longitude", "latitude", "time", "moisture", "heading")
