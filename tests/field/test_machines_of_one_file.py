@@ -14,6 +14,7 @@ from yieldmon.cli import main as cli
 from .synthetic import EARTH_M_DEG
 
 SECONDS, PASS_S, SPEED_M_S, WIDTH_M = 600, 100, 1.5, 6.0
+HEAD = "time (s),longitude,latitude,mass flow (kg/s),speed (m/s),width (m),machine"
 FLOWS_KG_S = {"north": 10.0, "south": 8.0}
 
 
@@ -34,8 +35,7 @@ def rows(*, late_s: float = 0.0, step_s: float = 1.0, clock_s: float = 0.0) -> l
     return found
 
 
-def mapped(capsys: pytest.CaptureFixture[str], lines: list[str]) -> tuple[dict[str, Any], str]:
-    head = "time (s),longitude,latitude,mass flow (kg/s),speed (m/s),width (m),machine"
+def mapped(capsys: pytest.CaptureFixture[str], lines: list[str], head: str = HEAD) -> tuple[dict[str, Any], str]:
     Path("h.csv").write_text("\n".join([head, *lines, ""]))
     assert cli.main(["map", "h.csv", "--out", "unused", "--products", "none", "--json"]) == 0
     said = capsys.readouterr()
@@ -58,6 +58,15 @@ def test_no_mass_is_lost_between_two_machines(of: dict[str, float], order: str, 
     document, said = mapped(capsys, [line for _, _, line in (sorted(found) if order == "time" else found)])
     assert document["mass_kg"]["integrated"] == pytest.approx(SECONDS * sum(FLOWS_KG_S.values()), rel=0.003)
     assert "taken together" not in said
+
+
+@pytest.mark.parametrize("order", ["time", "machine"])
+def test_without_times_rows_follow_those_of_their_machine(order: str, capsys: pytest.CaptureFixture[str]) -> None:
+    found = rows()
+    lines = [line.partition(",")[2] for _, _, line in (sorted(found) if order == "time" else found)]
+    document, said = mapped(capsys, lines, HEAD.partition(",")[2])
+    assert document["mass_kg"]["integrated"] == pytest.approx(SECONDS * sum(FLOWS_KG_S.values()))
+    assert "rows are taken as one second apart" in said
 
 
 def test_fast_logs_of_two_machines_are_taken_together_machine_by_machine(capsys: pytest.CaptureFixture[str]) -> None:

@@ -44,10 +44,10 @@ def row_times(raw: Raw, values: Mapping[str, Array], options: ReadOptions, where
     """
     column = raw.columns.get("time") or _dated_column(raw)
     if column is None:
-        return _in_order(raw.count, values, where, "has no time")
+        return _in_order(raw, values, where, "has no time")
     time_s, unix, notes = _of_column(column, raw, options, where)
     if unix and clocks.days_only(time_s):
-        return _in_order(raw.count, values, where, f"{column.name} holds days and no times")
+        return _in_order(raw, values, where, f"{column.name} holds days and no times")
     if "interval" in values or "section" in values:
         return time_s, unix, tuple(notes)
     even_s, step_s = time_s.copy(), 0.0
@@ -74,10 +74,12 @@ def _apart_m(values: Mapping[str, Array], rows: NDArray[np.intp] | slice = slice
     return np.hypot(np.diff(x, prepend=np.nan), np.diff(y, prepend=np.nan))
 
 
-def _in_order(count: int, values: Mapping[str, Array], where: str, why: str) -> tuple[Array, bool, tuple[str, ...]]:
-    """A clock for rows that have none: as far apart as their intervals are long, else a second."""
+def _in_order(raw: Raw, values: Mapping[str, Array], where: str, why: str) -> tuple[Array, bool, tuple[str, ...]]:
+    """A clock for each machine's rows that have none: as far apart as their intervals are long, else a second."""
+    of_machines = _of_machines(raw)
     if "distance" in values:
-        apart_m, driven_m = (float(np.nanmedian(np.append(way, 0.0))) for way in (_apart_m(values), values["distance"]))
+        ways_m = np.concatenate([_apart_m(values, rows) for rows in of_machines]), values["distance"]
+        apart_m, driven_m = (float(np.nanmedian(np.append(way_m, 0.0))) for way_m in ways_m)
         if apart_m > _OUT_OF_ORDER * driven_m > 0:
             problem = f"{why}, and its rows are not in the order driven ({apart_m:.1f} m apart, {driven_m:.1f} m driven)"
             raise InputError(where, problem, "--column time=NAME:UNIT, or the rows as they were logged")
@@ -85,8 +87,11 @@ def _in_order(count: int, values: Mapping[str, Array], where: str, why: str) -> 
     if interval_s is not None and np.isfinite(interval_s).all() and (interval_s > 0).all():
         step, apart = interval_s, "one after another at their intervals"
     else:
-        step, apart = np.ones(count), "one second apart"
-    return np.cumsum(step) - step, False, (f"{why}: rows are taken as {apart}, in the order of the file",)
+        step, apart = np.ones(raw.count), "one second apart"
+    time_s = np.zeros(raw.count)
+    for rows in of_machines:
+        time_s[rows] = np.cumsum(step[rows]) - step[rows]
+    return time_s, False, (f"{why}: rows are taken as {apart}, in the order of the file",)
 
 
 def _of_column(column: Column, raw: Raw, options: ReadOptions, where: str) -> tuple[Array, bool, list[str]]:
