@@ -27,8 +27,10 @@ class PulseTimes:
 
     Attributes
     ----------
-    late_s : ndarray (p,)
-        Each pulse's time after that of the mean pulse.
+    away_s : ndarray (p,)
+        Each pulse's time after the median of them.
+    left_n2 : float
+        Mean square that pulses so far from the mean pulse leave in the band.
     by_kernels_s_n : float
         Variance of such a time by chance for each newton second of a kernel's impulse, s/N.
     frequency_hz, steepness_n2_s2 : ndarray (k,)
@@ -36,7 +38,8 @@ class PulseTimes:
         they leave there.
     """
 
-    late_s: Array
+    away_s: Array
+    left_n2: float
     by_kernels_s_n: float
     frequency_hz: Array
     steepness_n2_s2: Array
@@ -75,7 +78,12 @@ def pulse_times(late_turns: Array, mean_n: Array, *, pulses: int, pattern_s: flo
     step_s, whole = pattern_s / bins, float(squares.sum())
     felt = float((np.maximum(mean_n, 0.0) * squares).sum())
     by_kernels = pulses * felt / (whole**2 * step_s) if whole > 0.0 else 0.0
-    return PulseTimes(late_turns * pattern_s, by_kernels, frequency[within], steepness)
+    late_s = late_turns * pattern_s
+    away_s = late_s - np.median(late_s) if late_s.size else late_s
+    turned_s = 2.0 * np.pi * frequency[within]
+    # Of a pulse far out of place no more is left than it and the mean pulse hold.
+    apart_s2 = (2.0 - 2.0 * np.cos(turned_s[:, None] * away_s)).sum(axis=1) / (max(away_s.size, 1) * turned_s**2)
+    return PulseTimes(away_s, float((steepness * apart_s2).sum()), by_kernels, frequency[within], steepness)
 
 
 def misplaced_share(windows: Sequence[PulseTimes], impulse_n_s: float, power_n2: Sequence[float]) -> float:
@@ -98,23 +106,19 @@ def misplaced_share(windows: Sequence[PulseTimes], impulse_n_s: float, power_n2:
         0 where kernels explain the pulses' times, with fewer than twenty pulses, and without noise.
     """
     whole = float(sum(power_n2))
-    pulses = sum(window.late_s.size for window in windows)
+    pulses = sum(window.away_s.size for window in windows)
     if pulses < _LEAST_PULSES or not whole > 0.0:
         return 0.0
-    away = [window.late_s - np.median(window.late_s) for window in windows if window.late_s.size]
-    middle = float(np.median(np.abs(np.concatenate(away))))
+    middle = float(np.median(np.abs(np.concatenate([window.away_s for window in windows]))))
     most = (SD_PER_MAD * middle) ** 2 * pulses / max(pulses - len(windows), 1)
-    parts = []
-    for window, own in zip((window for window in windows if window.late_s.size), away, strict=True):
-        turned_s = 2.0 * np.pi * window.frequency_hz
+    apart_n2 = blurred_n2 = 0.0
+    for window in windows:
+        if not window.away_s.size:
+            continue
         by_chance = impulse_n_s * window.by_kernels_s_n
-        # Of a pulse far out of place no more is left than it and the mean pulse hold.
-        apart = np.mean(2.0 - 2.0 * np.cos(turned_s[:, None] * own), axis=1) / turned_s**2
-        sharpened = np.exp(np.minimum(max(most - by_chance, 0.0) * turned_s**2, _MOST_BLURRED))
-        parts.append(
-            (
-                float((window.steepness_n2_s2 * (apart - by_chance)).sum()),
-                max(most - by_chance, 0.0) * float((window.steepness_n2_s2 * sharpened).sum()),
-            )
-        )
-    return max(map(sum, zip(*parts, strict=True))) / whole
+        apart_n2 += window.left_n2 - by_chance * float(window.steepness_n2_s2.sum())
+        beyond = most - by_chance
+        if beyond > 0.0:
+            sharpened = np.exp(np.minimum(beyond * (2.0 * np.pi * window.frequency_hz) ** 2, _MOST_BLURRED))
+            blurred_n2 += beyond * float((window.steepness_n2_s2 * sharpened).sum())
+    return max(apart_n2, blurred_n2) / whole
