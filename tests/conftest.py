@@ -1,5 +1,5 @@
-"""One thread of linear algebra per process, asammdf imported only where it is used, a garbage collector
-that leaves alone what the collection of tests made, and logging as it was before each test."""
+"""One thread of linear algebra per process, asammdf imported only where it is used, property tests with fixed examples, a
+garbage collector that leaves alone what the collection of tests made, and logging as it was before each test."""
 
 from __future__ import annotations
 
@@ -20,6 +20,18 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 # While modules are imported and tests are made nearly everything stays.
 gc.disable()
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_configure(config: pytest.Config) -> None:
+    """Property tests take the same examples in each run; new ones: --hypothesis-profile random."""
+    if not config.pluginmanager.has_plugin("hypothesispytest"):
+        return  # the virtual machine's tests do without it
+    from hypothesis import settings
+
+    settings.register_profile("fixed", derandomize=True, print_blob=True)
+    settings.register_profile("random", derandomize=False, print_blob=True)
+    settings.load_profile("fixed")
 
 
 def pytest_collection_finish() -> None:

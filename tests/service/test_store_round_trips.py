@@ -22,7 +22,7 @@ DOCUMENTS = st.dictionaries(TEXT, NUMBERS | TEXT | st.booleans() | st.none() | s
 OPTIONAL = st.none() | NUMBERS
 LOADS = st.builds(
     Load, number=SMALL, field=TEXT, crop=TEXT, started_s=OPTIONAL, ended_s=OPTIONAL, mass_kg=NUMBERS, dry_mass_kg=OPTIONAL,
-    area_m2=OPTIONAL,
+    area_m2=OPTIONAL, std_dev_kg=OPTIONAL,
 )  # fmt: skip
 EVENTS = {
     "sweeps": st.builds(SweepRecord, NUMBERS, TEXT, TEXT, DOCUMENTS),
@@ -64,6 +64,15 @@ def test_rows_of_every_kind_come_back(tmp_path: Path, first: dict, then: dict, c
         loads = {load.number: load for load in [*first["loads"], *then["loads"]]}
         assert store.loads() == [loads[number] for number in sorted(loads)]
         assert (store.counters(), store.state(), store.last_batch()) == (counters, state, 2)
+
+
+@pytest.mark.parametrize("then", [{"area_m2": None}, {"std_dev_kg": None}, {"area_m2": 12.0, "std_dev_kg": None}])
+def test_a_load_that_is_in_a_batch_twice_is_kept_as_in_its_last_row(tmp_path: Path, then: dict[str, float | None]) -> None:
+    first = Load(7, "field", "corn", 1.7e9, None, 100.0, None, area_m2=10.0, std_dev_kg=2.0)
+    last = replace(first, **then)
+    with Store(tmp_path / "s") as store:
+        store.commit([batch(1, loads=(first, last))])
+        assert store.loads() == [last]
 
 
 VALUES = {float: NUMBERS, int: st.integers(0, 2**31), str: TEXT}

@@ -96,9 +96,11 @@ def _write_rows(database: sqlite3.Connection, batch: Batch) -> None:
     executemany = database.executemany
     executemany(_INSERT_SECOND, (_summed("second", astuple(row)) for row in batch.seconds))
     executemany(_UPSERT_LOAD, (_summed("load", astuple(load)[:-2]) for load in batch.loads))
+    # A load that is in the batch twice counts as it is in its last row.
+    loads = {load.number: load for load in batch.loads}.values()
     for table, upsert, values in (
-        ("load_area", _UPSERT_AREA, [(load.number, load.area_m2) for load in batch.loads]),
-        ("load_std_dev", _UPSERT_STD_DEV, [(load.number, load.std_dev_kg) for load in batch.loads]),
+        ("load_area", _UPSERT_AREA, [(load.number, load.area_m2) for load in loads]),
+        ("load_std_dev", _UPSERT_STD_DEV, [(load.number, load.std_dev_kg) for load in loads]),
     ):
         # What is not known any more has no row either.
         executemany(f"DELETE FROM {table} WHERE number = ?", ((number,) for number, value in values if value is None))
