@@ -16,6 +16,7 @@
     python -m studies.waveform teaching --seeds 30        # the same where kernel noise teaches the parameters
     python -m studies.waveform daemon-season --seeds 30 --seed 17001 --out F.json   # through the monitor, with kernels; goes on
     python -m studies.waveform season-causes              # what the errors of those seasons come from, by regression
+    python -m studies.waveform season-bound               # the best that mean force and shape can do in those seasons
     python -m studies.waveform noise-by-force             # noise of kernels along the pulse of discrete elements
     python -m studies.waveform shape --out F.yaml         # the law of those pulses, with its range (config/pulse-shape.yaml)
     python -m studies.waveform pack LEDGER... --out F.npz # a campaign's forces at 10 kHz
@@ -152,6 +153,12 @@ def _season_causes(args: argparse.Namespace) -> Any:
     return season_causes.report()
 
 
+def _season_bound(args: argparse.Namespace) -> Any:
+    from studies.waveform import season_bound
+
+    return season_bound.report()
+
+
 def _noise_by_force(args: argparse.Namespace) -> Any:
     from studies.waveform import kernels
 
@@ -178,7 +185,7 @@ _PARTS = {
     "pictures": _pictures, "season": _season, "daemon-season": _daemon_season, "verdicts": _verdicts, "shape": _shape,
     "pack": _pack, "edges": _edges, "teaching": _teaching, "heaps": _heaps, "scheduling": _scheduling, "between": _between,
     "identifiability": _identifiability, "season-causes": _season_causes, "noise-by-force": _noise_by_force,
-    "many-heaps": _many_heaps,
+    "many-heaps": _many_heaps, "season-bound": _season_bound,
 }  # fmt: skip
 
 

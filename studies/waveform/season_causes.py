@@ -7,6 +7,7 @@ made in the order of `daemon_season.season`; what the first weighed load and eac
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -23,24 +24,49 @@ CAUSES = (
 GOAL_PCT = 2.0
 
 
-def _draws(seed: int) -> tuple[Array, Array, list[float]]:
-    """Signs of the drift of restitution and density, draws of the calibration, and of the weighings."""
+@dataclass(frozen=True)
+class Draws:
+    """What a season drew.
+
+    Attributes
+    ----------
+    signs : ndarray (2,)
+        Of the drift of restitution and of density.
+    calibration : ndarray (3,)
+        Of what `CALIBRATED_SD` names, in its deviations.
+    weighings : list of float
+        Of the kernels' weight, in its deviations, the calibration's first.
+    flows_kg_s : ndarray (LOADS,)
+        Of the loads.
+    """
+
+    signs: Array
+    calibration: Array
+    weighings: list[float]
+    flows_kg_s: Array
+
+
+def draws(seed: int) -> Draws:
+    """What `daemon_season.season` draws from a seed."""
     rng = np.random.default_rng(seed)
     signs = rng.choice([-1.0, 1.0], size=2)
     calibration = np.array([float(rng.standard_normal()) for _ in CALIBRATED_SD])
     weighings = [float(rng.standard_normal())]
     _load(rng)
     rng.standard_normal()
+    flows = []
     for n in range(LOADS):
         if n and n % WEIGHT_LOADS == 0:
             weighings.append(float(rng.standard_normal()))
-        _load(rng)
-    return signs, calibration, weighings
+        flows.append(_load(rng))
+    return Draws(signs, calibration, weighings, np.array(flows))
 
 
-def _load(rng: np.random.Generator) -> None:
-    scenario(rng, 0.5, 1000.0, 1.0, 0.0)
+def _load(rng: np.random.Generator) -> float:
+    """Flow of one, kg/s."""
+    ground = scenario(rng, 0.5, 1000.0, 1.0, 0.0)
     rng.integers(1 << 30)
+    return float(ground["flow"]["pieces"][1]["flow_kg_s"])
 
 
 def report() -> dict[str, Any]:
@@ -51,7 +77,8 @@ def report() -> dict[str, Any]:
     seasons = json.loads(FILE.read_text())["seasons"]
     rows, errors = [], []
     for row in seasons:
-        signs, calibration, weighings = _draws(row["seed"])
+        drawn = draws(row["seed"])
+        signs, calibration, weighings = drawn.signs, drawn.calibration, drawn.weighings
         if signs.tolist() != row["signs"]:
             raise ValueError(f"seed {row['seed']}: drew {signs.tolist()}, the season has {row['signs']}")
         bias = np.log(row["kernel_bias"] * (1.0 + WEIGHT_SD * weighings[0]))
