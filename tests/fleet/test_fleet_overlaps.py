@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -12,8 +11,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from tests.fleet.sealing import seal
 from yieldmon.fleet import tables
-from yieldmon.fleet.overlaps import Overlap, overlaps
+from yieldmon.fleet.overlaps import Overlap, Overlaps, overlaps
 from yieldmon.fleet.querying import opened
 
 Log = tuple[str, list[tuple[float, float, float]]]
@@ -36,7 +36,7 @@ def day(dataset: Path, name: str, logs: list[Log]) -> None:
             "start_s": min(ends) - 1.0, "end_s": max(ends), "seconds": len(found), "measured_kg": 0.0,
         })  # fmt: skip
     tables.write(tables.LOADS, rows, folder / "loads.parquet")
-    (folder / "_COMMITTED").write_text(json.dumps({"key": "k", "files": {}, "poisoned": []}))
+    seal(folder)
 
 
 def drawn(rng: np.random.Generator, begin_s: float) -> list[tuple[float, float, float]]:
@@ -74,21 +74,46 @@ def by_all_pairs(days: dict[str, list[Log]]) -> list[Overlap]:
     return found
 
 
+def again_by_all_pairs(days: dict[str, list[Log]], pairs: list[Overlap]) -> dict[tuple[str, str, str], float]:
+    """Of each log the mass that logs before it have too, a second once."""
+    logs = {(name, log): seconds for name, found in days.items() for log, seconds in found}
+    found: dict[tuple[str, str, str], float] = {}
+    for where in dict.fromkeys((pair.day, pair.log) for pair in pairs):
+        before = [logs[o.other_day, o.other_log] for o in pairs if (o.day, o.log) == where]
+        middles = [(end - 0.5 * duration, mass) for end, duration, mass in logs[where]]
+        again = [m for t, m in middles if any(end - d < t <= end for seconds in before for end, d, _ in seconds)]
+        found["m", *where] = sum(again)
+    return found
+
+
+def test_a_time_that_three_logs_have_counts_once(tmp_path: Path) -> None:
+    seconds = [(1.7e9 + second, 1.0, 5.0) for second in range(1, 11)]
+    day(tmp_path, "d10", [("a.log", seconds), ("b.log", seconds[5:])])
+    day(tmp_path, "d9", [("c.log", [*seconds[3:], (1.7e9 + 11.0, 1.0, 5.0)])])
+    with opened(str(tmp_path), (tables.LOADS,)) as query:
+        assert overlaps(query).again_kg == {("m", "d10", "b.log"): 25.0, ("m", "d9", "c.log"): 35.0}
+        assert overlaps(query, {("m", "d9"): 0, ("m", "d10"): 1}).again_kg == {
+            ("m", "d10", "a.log"): 35.0,
+            ("m", "d10", "b.log"): 25.0,
+        }
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_overlaps_are_those_of_all_pairs_of_seconds(seed: int, tmp_path: Path) -> None:
     days = drawn_days(tmp_path, seed, 1.7e9)
     with opened(str(tmp_path), (tables.LOADS,)) as query:
-        said = overlaps(query)
-    expected = by_all_pairs(days)
+        found = overlaps(query)
+    said, expected = found.pairs, by_all_pairs(days)
     assert {(o.day, o.other_day) for o in expected} == {("d1", "d1"), ("d2", "d1"), ("d3", "d1")}
     assert [(o.day, o.log, o.other_day, o.other_log, o.seconds) for o in said] == [
         (o.day, o.log, o.other_day, o.other_log, o.seconds) for o in expected
     ]
     assert [o.mass_kg for o in said] == pytest.approx([o.mass_kg for o in expected])
+    assert found.again_kg == pytest.approx(again_by_all_pairs(days, expected))
 
 
 def test_times_that_are_no_dates_say_nothing_of_one_another(tmp_path: Path) -> None:
     """As those of .asc files, which begin at 0 each."""
     drawn_days(tmp_path, 0, 0.0)
     with opened(str(tmp_path), (tables.LOADS,)) as query:
-        assert overlaps(query) == []
+        assert overlaps(query) == Overlaps((), {})

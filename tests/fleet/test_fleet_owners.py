@@ -288,8 +288,10 @@ def test_days_that_the_source_has_no_longer_are_named(tree: Path, tmp_path: Path
     assert "machine=m0: 1 days are in" in said
     assert "machine=m1" not in said
     assert main(["fleet", "report", str(tmp_path / "out"), "--json"]) == 0
-    [doubt] = json.loads(capsys.readouterr().out)["doubtful"]
-    assert doubt["problem"] == f"a.log holds the same as m0 {DAY} a.log, and is counted again"
+    found = json.loads(capsys.readouterr().out)
+    [doubt] = found["doubtful"]
+    assert doubt["problem"] == f"a.log holds the same as m0 {DAY} a.log; the sums leave it out"
+    assert [(day["machine"], day["mass_kg"] > 0.0) for day in found["days"]] == [("m0", True), ("m1", True), ("new name", False)]
 
 
 @pytest.mark.parametrize("when", ["while Dask is imported", "at work"])

@@ -154,6 +154,26 @@ def test_loads_and_tickets(tmp_path: Path) -> None:
     assert [name for name, _ in json.loads(known["logs"])] == ["a.log", "b.log.gz", "c.log"]
 
 
+def test_a_ticket_over_logs_of_the_same_time_is_held_against_their_mass_once(tmp_path: Path) -> None:
+    """Two recorders on one machine; of logs that begin at 0 each, nothing is known."""
+    text = logs.text(60.0)
+    later = text.splitlines(keepends=True)[len(text.splitlines()) // 2 :]
+    for name, epoch_s in (("dated", 0.0), ("from 0", logs.START_S)):
+        day = tmp_path / "tree" / "m" / name
+        day.mkdir(parents=True)
+        for log, lines in (("1.log", text.splitlines(keepends=True)), ("2.log", later)):
+            times = (f"({float(line[1:18]) - epoch_s:017.6f})" for line in lines)
+            (day / log).write_text("".join(time + line[19:] for time, line in zip(times, lines, strict=True)))
+        (day / "tickets.csv").write_text("load,weighed_kg\n1-2,24\n")
+    for task in tasks(tmp_path / "tree", tmp_path / "out"):
+        assert work(task).status == DONE
+        rows = pq.ParquetFile(tmp_path / "out" / task.partition.name / "loads.parquet").read().to_pylist()
+        of = {row["name"]: row["measured_kg"] for row in rows if row["kind"] != "load"}
+        assert min(of.values()) > 15.0
+        both = of["1.log"] if task.partition.day == "dated" else of["1.log"] + of["2.log"]
+        assert of["1-2"] == pytest.approx(both, rel=0.02)
+
+
 def test_logs_outside_the_folders_of_days_are_named(tmp_path: Path) -> None:
     """Whose mass would be missed by nobody; tables and databases may be of another kind, and are left out."""
     inside = {"m 0/d1/a.log"}

@@ -14,11 +14,12 @@ whole, the mark is the last object. Nothing of a time or a host is written: the 
 
 from __future__ import annotations
 
+import hashlib
 import json
 import shutil
 import tempfile
 import uuid
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -71,10 +72,25 @@ class Dataset:
         self._files, self._root = filesystem_of(address)
         self._local = not is_remote(address) or address.startswith("file://")
 
-    def begin(self) -> str:
+    def begin(self, planned: Collection[str] | None = None, say: Callable[[InputError], None] = lambda problem: None) -> str:
         """Take the dataset over for a new run, which gets a token, and remove what runs that were killed left behind.
 
-        Raises InputError for a folder that holds something else, or links to places elsewhere.
+        Parameters
+        ----------
+        planned : collection of str
+            Names of the partitions that the run is to measure. Of the damaged ones only these are removed: the logs of others may
+            be kept elsewhere. None: all of them.
+        say : callable
+            Called with what is wrong of a damaged partition that stays.
+
+        Returns
+        -------
+        str
+
+        Raises
+        ------
+        InputError
+            The folder holds something else, or links to places elsewhere; another run began meanwhile.
         """
         self._files.invalidate_cache()
         self._refuse_foreign()
@@ -82,8 +98,15 @@ class Dataset:
         self._files.makedirs(self._root, exist_ok=True)
         token = uuid.uuid4().hex
         self._put(_RUN, token.encode())
-        self._clean()
+        try:
+            self._clean(token, planned, say)
+        except Superseded:
+            raise self.taken_over() from None
         return token
+
+    def taken_over(self) -> InputError:
+        """What the earlier of two runs ends with."""
+        return InputError(self.address, "was taken over by another `fleet run`", "one run at a time")
 
     def withdraw_failures(self, names: Collection[str], token: str) -> None:
         """Remove what is noted of partitions that are there after all, as from the same inputs."""
@@ -112,6 +135,15 @@ class Dataset:
         """The partition of that name, None where it is not there. Raises InputError where its mark is damaged."""
         content = self._read(f"{name}/{MARK}")
         return None if content is None else Commit(name, self._mark(f"{name}/{MARK}", content))
+
+    def check(self, commit: Commit, table: str) -> None:
+        """Raises InputError where a table is not what the partition's mark says: some damage of a table still reads as one."""
+        name = f"{table}.parquet"
+        content, listed = self._read(f"{commit.name}/{name}"), commit.content["files"].get(name)
+        if content is None or listed is None:
+            raise _damaged(f"{self._root}/{commit.name}/{name}", "is missing")
+        if hashlib.sha256(content).hexdigest() != listed["sha256"]:
+            raise _damaged(f"{self._root}/{commit.name}/{name}", "is not what its mark says")
 
     def names(self) -> list[str]:
         """The partitions' names, of which `commit_of` says whether they are whole."""
@@ -257,22 +289,42 @@ class Dataset:
                 if part.is_symlink():
                     raise InputError(str(part), "is a link", "a file or folder of the dataset's own; remove the link")
 
-    def _clean(self) -> None:
+    def _clean(self, token: str, planned: Collection[str] | None, say: Callable[[InputError], None]) -> None:
         """Remove what no mark names."""
         self._remove(_TEMPORARY)
         for name in self._partitions():
+            # What a run that began meanwhile is about to write is not whole yet.
+            self.require(token)
+            sizes = self._sizes(name)
             try:
                 commit = self.commit_of(name)
-            except InputError:
-                # Measured again.
-                commit = None
-            kept = {MARK, *commit.content["files"]} if commit is not None else set()
-            for path in self._files.ls(f"{self._root}/{name}", detail=False):
-                child = path.rstrip("/").rpartition("/")[2]
-                if child not in kept:
-                    self._remove(f"{name}/{child}")
-            if commit is None:
+                kept = {MARK, *commit.content["files"]} if commit is not None else set[str]()
+                if commit is not None:
+                    self._check_sizes(commit, sizes)
+            except InputError as error:
+                if planned is not None and name not in planned:
+                    say(error)
+                    continue
+                kept = set()
+            for child in {*sizes} - kept:
+                self._remove(f"{name}/{child}")
+            if not kept:
                 self._remove(name)
+
+    def _sizes(self, name: str) -> dict[str, int]:
+        """Of what is in a partition's folder, bytes."""
+        try:
+            entries = self._files.ls(f"{self._root}/{name}", detail=True)
+        except FileNotFoundError:
+            return {}
+        return {entry["name"].rstrip("/").rpartition("/")[2]: int(entry.get("size") or 0) for entry in entries}
+
+    def _check_sizes(self, commit: Commit, sizes: Mapping[str, int]) -> None:
+        for file, entry in commit.content["files"].items():
+            if file not in sizes:
+                raise _damaged(f"{self._root}/{commit.name}/{file}", "is missing")
+            if sizes[file] != entry.get("bytes", sizes[file]):
+                raise _damaged(f"{self._root}/{commit.name}/{file}", "is not what its mark says")
 
     def _read(self, name: str) -> bytes | None:
         try:
@@ -323,5 +375,6 @@ def _checked(where: str, content: bytes, fields: Mapping[str, type]) -> dict[str
     return found
 
 
-def _damaged(where: str) -> InputError:
-    return InputError(where, "is damaged", "what `fleet run` wrote; it measures the day again")
+def _damaged(where: str, problem: str = "is damaged") -> InputError:
+    expected = "what `fleet run` wrote; it measures the day again while its logs are in the source, else remove the day's folder"
+    return InputError(where, problem, expected)

@@ -28,11 +28,13 @@ from yieldmon.files.ticket_file import WeighedTicket
 from yieldmon.finite import finite
 from yieldmon.fleet import tables
 from yieldmon.fleet.identity import Identity
+from yieldmon.fleet.overlaps import within
 from yieldmon.service import log_record
 from yieldmon.service.bulk_processing import EndOfLog, Stretch
 from yieldmon.service.configuration import Configuration
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.tables import open_table
+from yieldmon.utc import EARLIEST_BUS_TIME_S
 
 _SAMPLES_BYTES = 16
 
@@ -178,7 +180,7 @@ def measure(
             usable = [log for log in usable if log not in faulty]
             poisoned += [Poisoned(names[log], by_name(str(problem), names)) for log, problem in faulty.items()]
     rows = _log_rows(taken, names)
-    covered, unmatched = _ticket_rows(rows, tickets, list(names.values()))
+    covered, unmatched = _ticket_rows(rows, tickets, list(names.values()), taken.rows)
     tables.write(tables.LOADS, [*_load_rows(monitor), *rows, *covered], folder / "loads.parquet")
     start_s = taken.rows[0][0] if taken.rows else float("nan")
     first = _parameter_rows(configured.parameters, start_s, "file", "as configured")
@@ -286,8 +288,11 @@ def _load_rows(monitor: Monitor) -> list[dict[str, Any]]:
     ]  # fmt: skip
 
 
-def _ticket_rows(logs: Sequence[dict[str, Any]], path: str, given: Sequence[str]) -> tuple[list[dict[str, Any]], list[Poisoned]]:
-    """Rows of what tickets cover, and tickets that nothing fits. given: all logs of the partition, in order."""
+def _ticket_rows(
+    logs: Sequence[dict[str, Any]], path: str, given: Sequence[str], seconds: Sequence[tuple[float, float, float]]
+) -> tuple[list[dict[str, Any]], list[Poisoned]]:
+    """Rows of what tickets cover, and tickets that nothing fits. given: all logs of the partition, in order; seconds:
+    end, duration and mass of each."""
     if not path:
         return [], []
     called = {path: Path(path).name}
@@ -309,10 +314,26 @@ def _ticket_rows(logs: Sequence[dict[str, Any]], path: str, given: Sequence[str]
         rows.append({
             "kind": tables.TICKET, "name": name, "first_number": covered[0]["first_number"],
             "last_number": covered[-1]["last_number"], "start_s": covered[0]["start_s"], "end_s": covered[-1]["end_s"],
-            "seconds": sum(row["seconds"] for row in covered), "measured_kg": sum(row["measured_kg"] for row in covered),
+            "seconds": sum(row["seconds"] for row in covered), "measured_kg": _mass_kg(covered, seconds),
             "weighed_kg": ticket.mass_kg, "weighed_std_dev_kg": ticket.std_dev_kg,
         })  # fmt: skip
     return rows, unmatched
+
+
+def _mass_kg(covered: Sequence[dict[str, Any]], seconds: Sequence[tuple[float, float, float]]) -> float:
+    """Of logs together; seconds at times that a log before them has too count once."""
+    total_kg, before = 0.0, np.empty((0, 3))
+    for row in covered:
+        dated = row["start_s"] is not None and min(row["start_s"], row["end_s"]) > EARLIEST_BUS_TIME_S
+        if len(covered) == 1 or not dated:
+            total_kg += row["measured_kg"]
+            continue
+        own = np.reshape(np.asarray(seconds[row["first_number"] - 1 : row["last_number"]], dtype=float), (-1, 3))
+        new = own[~within(own, before)]
+        total_kg += row["measured_kg"] if len(new) == len(own) else float(new[:, 2].sum())
+        before = np.concatenate([before, new])
+        before = before[np.argsort(before[:, 0], kind="stable")]
+    return total_kg
 
 
 def _covered(ticket: WeighedTicket, given: Sequence[str]) -> Sequence[str]:

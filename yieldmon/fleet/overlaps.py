@@ -3,7 +3,7 @@ recorders' logs that overlap."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -35,39 +35,56 @@ class Overlap:
     mass_kg: float
 
 
-def overlaps(query: Query) -> list[Overlap]:
+@dataclass(frozen=True, slots=True)
+class Overlaps:
+    """pairs: by machine, and by day and place of the earlier log. again_kg: by machine, day and name of a log, its mass of
+    seconds at times that logs before it have too, each second once."""
+
+    pairs: tuple[Overlap, ...]
+    again_kg: Mapping[tuple[str, str, str], float]
+
+
+def overlaps(query: Query, order: Mapping[tuple[str, str], int] | None = None) -> Overlaps:
     """The pairs of logs in which grain of the same time is counted in both.
 
     Parameters
     ----------
     query : Query
         Over the loads and the records. Records are read of logs only whose first and last times overlap.
+    order : dict
+        Place of each machine's day among the others; None: by name.
 
     Returns
     -------
-    list of Overlap
-        By machine, and by day and place of the earlier log.
+    Overlaps
     """
     by_machine: dict[str, list[dict[str, Any]]] = {}
     for row in query.rows(_LOGS):
         by_machine.setdefault(row["machine"], []).append(row)
-    found = []
+    found, again_kg = list[Overlap](), dict[tuple[str, str, str], float]()
     for logs in by_machine.values():
+        if order is not None:
+            logs.sort(key=lambda log: order[log["machine"], log["day"]])
         days = _Days(query)
         meeting = _meeting(logs)
         last = {logs[place]["day"]: (first, second) for first, second in meeting for place in (first, second)}
+        seconds_again: dict[int, NDArray[np.bool_]] = {}
+        last_before = {second: first for first, second in meeting}
         for first, second in meeting:
             ours, theirs = (days.seconds(logs[place]) for place in (first, second))
-            again = _within(theirs, ours)
+            again = within(theirs, ours)
             mass_kg = float(theirs[again, 2].sum())
-            if mass_kg > 0.0 and ours[_within(ours, theirs), 2].sum() > 0.0:
-                log, other = logs[second], logs[first]
+            log, other = logs[second], logs[first]
+            if mass_kg > 0.0 and ours[within(ours, theirs), 2].sum() > 0.0:
                 where = log["machine"], log["day"], log["name"], other["day"], other["name"]
                 found.append(Overlap(*where, int(again.sum()), mass_kg))
+                seconds_again[second] = again | seconds_again.get(second, np.False_)
+            if last_before[second] == first and second in seconds_again:
+                again_kg[log["machine"], log["day"], log["name"]] = float(theirs[seconds_again.pop(second), 2].sum())
             for day in {logs[first]["day"], logs[second]["day"]}:
                 if last[day] == (first, second):
                     days.forget(day)
-    return found
+    return Overlaps(tuple(found), again_kg)
 
 
 def _meeting(logs: Sequence[dict[str, Any]]) -> list[tuple[int, int]]:
@@ -118,8 +135,18 @@ def _in_order(rows: NDArray[np.float64]) -> NDArray[np.float64]:
     return rows if np.all(order[1:] >= order[:-1]) else rows[np.argsort(order, kind="stable")]
 
 
-def _within(those: NDArray[np.float64], these: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which of those seconds have their middle in one of these, shape (n,)."""
+def within(those: NDArray[np.float64], these: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which of those seconds have their middle in one of these.
+
+    Parameters
+    ----------
+    those, these : ndarray, shape (n, m), (k, m)
+        End and duration of each second, s, and what else; these in the order of their ends.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+    """
     middles = those[:, 0] - 0.5 * those[:, 1]
     at = np.searchsorted(these[:, 0], middles)
     begins = np.append(these[:, 0] - these[:, 1], np.inf)

@@ -37,8 +37,11 @@ class Query:
         return {name: np.ma.filled(column, np.nan) if np.ma.isMaskedArray(column) else column for name, column in found.items()}
 
     def of_partition(self, table: str, machine: str, day: str) -> str:
-        """A table of one partition, to stand behind FROM: without a look at the files of all others, as a view takes."""
-        located = _located(self.dataset, self._by_place[machine, day], table)
+        """A table of one partition, to stand behind FROM: without a look at the files of all others, as a view takes.
+        Raises InputError where it is damaged."""
+        commit = self._by_place[machine, day]
+        self.dataset.check(commit, table)
+        located = _located(self.dataset, commit, table)
         return f"read_parquet({_quoted(located)}, hive_partitioning=false)"
 
     def table(self, statement: str, values: Sequence[Any] = ()) -> Any:
@@ -66,7 +69,8 @@ def opened(address: str, wanted: Sequence[str] = tables.TABLES) -> Iterator[Quer
     address : str
         Of the dataset.
     wanted : sequence of str
-        Tables that are asked for: of each, files are looked at before the first query.
+        Tables that are asked for: of each, files are looked at before the first query, and of all but the records, which are
+        large, the hashes.
 
     Yields
     ------
@@ -75,7 +79,7 @@ def opened(address: str, wanted: Sequence[str] = tables.TABLES) -> Iterator[Quer
     Raises
     ------
     InputError
-        There is no dataset, or nothing is committed in it.
+        There is no dataset, nothing is committed in it, or a table is not what its mark says.
     """
     import duckdb
 
@@ -89,6 +93,8 @@ def opened(address: str, wanted: Sequence[str] = tables.TABLES) -> Iterator[Quer
         if dataset.filesystem is not None:
             database.register_filesystem(dataset.filesystem)
         for table in wanted:
+            for commit in commits if table != tables.RECORDS else ():
+                dataset.check(commit, table)
             paths = [_located(dataset, commit, table) for commit in commits]
             listed = ", ".join(_quoted(path) for path in paths)
             kinds = "{'machine': VARCHAR, 'day': VARCHAR}"

@@ -19,7 +19,7 @@ from typing import Any
 
 from yieldmon.errors import InputError
 from yieldmon.fleet import preloading
-from yieldmon.fleet.dataset import Superseded
+from yieldmon.fleet.dataset import Dataset, Superseded
 from yieldmon.fleet.worker import Outcome, Task, failed, left, there, work
 
 _RETRIES = 2
@@ -207,4 +207,4 @@ def _answer(future: Any, task: Task) -> Outcome:
     except OSError as error:
         return left(task, error)
     except Superseded:
-        raise InputError(task.dataset, "was taken over by another `fleet run`", "one run at a time") from None
+        raise Dataset(task.dataset).taken_over() from None

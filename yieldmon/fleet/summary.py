@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from math import sqrt
 from typing import Any
@@ -42,6 +42,7 @@ _PARAMETERS = """
 SELECT machine, name, day, arg_max(value, (coalesce(time_s, 0), version)) AS value,
   arg_max(std_dev, (coalesce(time_s, 0), version)) AS std_dev FROM parameters GROUP BY ALL ORDER BY machine, name, day
 """
+_LOG_MASSES = f"SELECT machine, day, name, measured_kg FROM loads WHERE kind = '{tables.LOG}'"
 _TICKETS = """
 SELECT machine, day, name, measured_kg, weighed_kg, 100 * (measured_kg / weighed_kg - 1) AS error_pct FROM loads
 WHERE kind = 'ticket' AND weighed_kg > 0 ORDER BY machine, day, name
@@ -65,7 +66,7 @@ def summarise(address: str) -> dict[str, Any]:
     dict
         totals; machines, by name; days, by machine and day; tickets; failed and poisoned; doubtful: damaged logs, days without a
         zero, clocks that contradict a day's name, logs that are there twice, and logs of a machine that overlap in time or hold
-        the same samples at other times.
+        the same samples at other times. Masses are without what is there twice; counted_again_kg is what that is.
 
     Raises
     ------
@@ -82,7 +83,10 @@ def summarise(address: str) -> dict[str, Any]:
         )
         failed = query.dataset.failures()
         poisoned = _poisoned(query)
-        overlapping = overlaps(query)
+        overlapping = overlaps(query, places)
+        measured_kg = {(row["machine"], row["day"], row["name"]): row["measured_kg"] for row in query.rows(_LOG_MASSES)}
+    doubtful, repeated = _doubtful(days, overlapping.pairs, _samples(query), address)
+    _leave_out(days, {**overlapping.again_kg, **{log: measured_kg.get(log) or 0.0 for log in repeated}})
     by_day: dict[tuple[str, str], dict[str, int]] = {}
     for row in faults:
         by_day.setdefault((row["machine"], row["day"]), {})[row["code"]] = row["count"]
@@ -92,7 +96,8 @@ def summarise(address: str) -> dict[str, Any]:
         "dataset": address,
         "totals": {
             "machines": len(machines), "machine_days": len(days), "hours": sum(row["seconds"] for row in days) / 3600.0,
-            "mass_kg": sum(row["total_mass_kg"] for row in days), "tickets": _errors(tickets),
+            "mass_kg": sum(row["mass_kg"] for row in days),
+            "counted_again_kg": sum(row["counted_again_kg"] for row in days), "tickets": _errors(tickets),
             "software": sorted({f"{row['software_version']} ({row['source_sha256'][:12]})" for row in days}),
             "parameter_hashes": len({row["parameters_sha256"] for row in days}),
         },
@@ -100,7 +105,7 @@ def summarise(address: str) -> dict[str, Any]:
         "days": [
             {
                 "machine": row["machine"], "day": row["day"], "crop": row["crop"], "zero_known": row["zero_known"],
-                "hours": row["seconds"] / 3600.0, "mass_kg": row["total_mass_kg"],
+                "hours": row["seconds"] / 3600.0, "mass_kg": row["mass_kg"], "counted_again_kg": row["counted_again_kg"],
                 "faults": by_day.get((row["machine"], row["day"]), {}),
             }
             for row in days
@@ -108,7 +113,7 @@ def summarise(address: str) -> dict[str, Any]:
         "tickets": tickets,
         "failed": failed,
         "poisoned": poisoned,
-        "doubtful": _doubtful(days, overlapping, _samples(query), address),
+        "doubtful": doubtful,
     }  # fmt: skip
 
 
@@ -134,14 +139,28 @@ def _samples(query: Query) -> dict[_Log, str]:
     }
 
 
-def _doubtful(days: Rows, overlapping: Sequence[Overlap], samples: Mapping[_Log, str], address: str) -> Rows:
-    """Days whose mass may be too small, for damage or want of a zero, or too large, for a log or time that is counted twice."""
+def _leave_out(days: Rows, again_kg: Mapping[_Log, float]) -> None:
+    """Give each day the mass of what is there twice, of its logs, and its mass without that."""
+    by_day: dict[tuple[str, str], float] = {}
+    for (machine, day, _), mass_kg in again_kg.items():
+        by_day[machine, day] = by_day.get((machine, day), 0.0) + mass_kg
+    for row in days:
+        row["counted_again_kg"] = by_day.get((row["machine"], row["day"]), 0.0)
+        row["mass_kg"] = max(row["total_mass_kg"] - row["counted_again_kg"], 0.0)
+
+
+def _doubtful(days: Rows, overlapping: Sequence[Overlap], samples: Mapping[_Log, str], address: str) -> tuple[Rows, list[_Log]]:
+    """Days whose mass may be too small, for damage or want of a zero, or that hold a log or time that is there twice; and the
+    logs that are there twice as a whole."""
     found: Rows = []
-    overlap = {(e.machine, e.day, e.log): (e.machine, e.other_day, e.other_log) for e in overlapping}
-    repeats = _Repeats(samples, overlap)
+    repeated: list[_Log] = []
+    pairs = {((e.machine, e.day, e.log), (e.machine, e.other_day, e.other_log)) for e in overlapping}
+    repeats = _Repeats(samples, pairs)
     for row in days:
         damages, logs = _provenance(row, address)
-        problems = [*_of_one_day(row, damages), *repeats.of_day(row["machine"], row["day"], logs)]
+        of_day = list(repeats.of_day(row["machine"], row["day"], logs))
+        repeated += [log for log, _ in of_day]
+        problems = [*_of_one_day(row, damages), *(problem for _, problem in of_day)]
         found += [{"machine": row["machine"], "day": row["day"], "problem": problem} for problem in problems]
     for each in overlapping:
         own = repeats.digests.get((each.machine, each.day, each.log))
@@ -149,9 +168,9 @@ def _doubtful(days: Rows, overlapping: Sequence[Overlap], samples: Mapping[_Log,
         if own is None or own != other:
             with_ = each.other_log if each.other_day == each.day else f"{each.other_day} {each.other_log}"
             same = f"{each.seconds} s with {each.mass_kg:.1f} kg"
-            problem = f"{each.log} has {same} at times that {with_} has too, and they are counted again"
+            problem = f"{each.log} has {same} at times that {with_} has too; the sums leave them out"
             found.append({"machine": each.machine, "day": each.day, "problem": problem})
-    return found
+    return found, repeated
 
 
 def _provenance(row: Mapping[str, Any], address: str) -> tuple[list[str], list[tuple[str, str]]]:
@@ -178,30 +197,30 @@ def _of_one_day(row: Mapping[str, Any], damages: Sequence[str]) -> Iterator[str]
 
 
 class _Repeats:
-    """Logs that hold what another holds, day by day; overlap: by log, the one whose times it shares."""
+    """Logs that hold what another holds, day by day; overlapping: pairs that share times, the later first."""
 
-    def __init__(self, samples: Mapping[_Log, str], overlap: Mapping[_Log, _Log]) -> None:
+    def __init__(self, samples: Mapping[_Log, str], overlapping: Collection[tuple[_Log, _Log]]) -> None:
         self._samples = samples
-        self._overlap = overlap
+        self._overlapping = overlapping
         self._first: dict[str, str] = {}
         """By digest."""
         self._first_samples: dict[tuple[str, str], _Log] = {}
         """By machine and what the samples are known by."""
         self.digests: dict[_Log, str] = {}
 
-    def of_day(self, machine: str, day: str, logs: Sequence[tuple[str, str]]) -> Iterator[str]:
-        """What of a day's logs, (name, digest), was there before."""
+    def of_day(self, machine: str, day: str, logs: Sequence[tuple[str, str]]) -> Iterator[tuple[_Log, str]]:
+        """What of a day's logs, (name, digest), was there before, and a line on it."""
         for name, digest in logs:
             log = machine, day, name
             if content := self._samples.get(log):
                 earlier = self._first_samples.setdefault((machine, content), log)
-                if earlier != log and self.digests[earlier] != digest and self._overlap.get(log) != earlier:
-                    yield f"{name} holds the samples of {earlier[1]} {earlier[2]} at other times, and they are counted again"
+                if earlier != log and self.digests[earlier] != digest and (log, earlier) not in self._overlapping:
+                    yield log, f"{name} holds the samples of {earlier[1]} {earlier[2]} at other times; the sums leave it out"
             self.digests[log] = digest
             if digest == _OF_NOTHING:
                 continue
             if digest in self._first:
-                yield f"{name} holds the same as {self._first[digest]}, and is counted again"
+                yield log, f"{name} holds the same as {self._first[digest]}; the sums leave it out"
             self._first.setdefault(digest, f"{machine} {day} {name}")
 
 
@@ -227,7 +246,8 @@ def _machine(name: str, days: Rows, faults: Rows, sweeps: Rows, parameters: Rows
         "last_day": days[-1]["day"],
         "crops": sorted({row["crop"] for row in days if row["crop"]}),
         "hours": sum(row["seconds"] for row in days) / 3600.0,
-        "mass_kg": sum(row["total_mass_kg"] for row in days),
+        "mass_kg": sum(row["mass_kg"] for row in days),
+        "counted_again_kg": sum(row["counted_again_kg"] for row in days),
         "days_without_zero": [row["day"] for row in days if not row["zero_known"]],
         "faults": codes,
         "model_disagrees": [row["day"] for row in faults if row["code"] == disagrees],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
@@ -14,6 +15,7 @@ from yieldmon.fleet.filesystem import local_copies
 from yieldmon.fleet.identity import Identity, Software, inputs_sha256, software
 from yieldmon.fleet.manifest import Partition
 from yieldmon.fleet.measuring import Poisoned, by_name, measure, write_provenance
+from yieldmon.fleet.tables import TABLES
 from yieldmon.repeats import repeated
 from yieldmon.service.configuration import Configuration
 
@@ -121,7 +123,8 @@ def there(task: Task) -> Outcome | None:
 @dataclass(frozen=True)
 class _Inputs:
     """What a partition is to be measured from, on this machine. folder: to work in; names: of all logs, by path; hashes: name and
-    SHA-256 of those that are measured, usable: their paths; unreadable: name and reason."""
+    SHA-256 of those that are measured, usable: their paths; unreadable: name and reason; states: of each file, by path, before
+    it was read."""
 
     folder: Path
     names: dict[str, str]
@@ -130,6 +133,11 @@ class _Inputs:
     unreadable: list[tuple[str, InputError]]
     tickets: str
     identity: Identity
+    states: dict[str, tuple[int, int] | None]
+
+    def changed(self) -> list[str]:
+        """Names of the files that were written to since they were first looked at, as by a transfer that goes on."""
+        return [self.names.get(path, Path(path).name) for path, before in self.states.items() if _written(path) != before]
 
 
 @contextmanager
@@ -142,6 +150,7 @@ def _inputs(task: Task, dataset: Dataset) -> Iterator[_Inputs]:
         logs = paths[: len(partition.logs)]
         tickets = paths[-1] if partition.tickets else ""
         names = dict(zip(logs, _names(partition.logs), strict=True))
+        written = {path: _written(path) for path in paths}
         repeated = dict(partition.copies)
         # What is not measured is part of the inputs too: a log that can be read again is measured again.
         states = [(names[p], _COPY if log in repeated else _state(p)) for p, log in zip(logs, partition.logs, strict=True)]
@@ -155,12 +164,20 @@ def _inputs(task: Task, dataset: Dataset) -> Iterator[_Inputs]:
         )
         identity = Identity(task.software, task.parameters_sha256, inputs)
         usable = [path for path in logs if names[path] in measurable]
-        yield _Inputs(folder, names, hashes, usable, unreadable, tickets, identity)
+        yield _Inputs(folder, names, hashes, usable, unreadable, tickets, identity, written)
 
 
 def _skipped(task: Task, dataset: Dataset, inputs: _Inputs) -> Outcome | None:
-    commit = dataset.commit_of(task.partition.name)
-    if commit is None or commit.key != inputs.identity.key:
+    try:
+        commit = dataset.commit_of(task.partition.name)
+        if commit is None or commit.key != inputs.identity.key:
+            return None
+        for table in TABLES:
+            dataset.check(commit, table)
+    except InputError as error:
+        if of_the_computer(error) is not None:
+            raise
+        # Damaged: measured again.
         return None
     poisoned = tuple(Poisoned(**item) for item in commit.content["poisoned"])
     return Outcome(task.partition.name, SKIPPED, poisoned=poisoned, damages=tuple(commit.content.get("damages", ())))
@@ -181,7 +198,11 @@ def _measured(task: Task, dataset: Dataset) -> Outcome:
         try:
             measured = measure(inputs.usable, inputs.tickets, partition.crop, task.configured, output, names)
         except InputError as error:
+            if inputs.changed():
+                return _still_written(task, dataset, inputs)
             raise InputError(by_name(error.where, names), by_name(error.problem, names), error.expected) from error
+        if inputs.changed():
+            return _still_written(task, dataset, inputs)
         left_out = tuple(Poisoned(name, by_name(str(error), names)) for name, error in unreadable)
         measured = replace(measured, poisoned=left_out + measured.poisoned)
         write_provenance(measured, identity, inputs.hashes, task.configured, output)
@@ -194,6 +215,21 @@ def _measured(task: Task, dataset: Dataset) -> Outcome:
         dataset.commit(partition.name, output, content, task.token)
         damages = tuple(document["damages"])
         return Outcome(partition.name, DONE, document["frames"], document["windows"], measured.poisoned, damages)
+
+
+def _still_written(task: Task, dataset: Dataset, inputs: _Inputs) -> Outcome:
+    dataset.require(task.token)
+    why = f"{inputs.changed()[0]} was written to while it was measured; expected files whose transfer is complete"
+    return Outcome(task.partition.name, LEFT, why_left=why)
+
+
+def _written(path: str) -> tuple[int, int] | None:
+    """Size and time of the last write; None where there is no file."""
+    try:
+        found = os.stat(path)
+    except OSError:
+        return None
+    return found.st_size, found.st_mtime_ns
 
 
 def _state(log: str) -> str | InputError:

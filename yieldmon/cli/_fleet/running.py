@@ -48,7 +48,8 @@ def run(args: argparse.Namespace) -> int:
         raise unusable[0]
     looked_at = _with_copies(found.partitions)
     partitions = [partition for partition in looked_at if len(partition.copies) < len(partition.logs)]
-    token = dataset.begin()
+    usable = {partition.name for partition in partitions if not isinstance(configurations[partition.config], InputError)}
+    token = dataset.begin(usable, lambda problem: _say(f"{problem}"))
     if not found.refused:
         _say_what_is_left(dataset, found.partitions)
     tasks, outcomes = _tasks(partitions, configurations, dataset, token, args.crop)

@@ -1,0 +1,131 @@
+"""Days of a dataset that were damaged, or whose logs change while they are read: no other figure without a word, and nothing goes
+that cannot be measured again."""
+
+from __future__ import annotations
+
+import random
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from tests.fleet import logs
+from tests.fleet.logs import dataset_files
+from tests.fleet.runs import tasks
+from yieldmon.cli.main import main
+from yieldmon.errors import InputError
+from yieldmon.fleet import worker
+from yieldmon.fleet.comparison import compare
+from yieldmon.fleet.dataset import MARK, Dataset
+from yieldmon.fleet.summary import summarise
+from yieldmon.fleet.tables import RECORDS, TABLES
+from yieldmon.fleet.worker import DONE, LEFT, SKIPPED, work
+
+DAY = "machine=m0/day=2026-10-01"
+
+
+def flip(path: Path, seed: int) -> None:
+    """One bit of a file."""
+    chance, content = random.Random(f"{path.name} {seed}"), bytearray(path.read_bytes())
+    content[chance.randrange(len(content))] ^= 1 << chance.randrange(8)
+    path.write_bytes(content)
+
+
+@pytest.mark.parametrize("table", [table for table in TABLES if table != RECORDS])
+def test_a_flipped_bit_is_no_other_figure(measured: Path, tmp_path: Path, table: str) -> None:
+    """Parquet's pages have no checksums: a flip in a sum is a sum."""
+    data = shutil.copytree(measured, tmp_path / "data")
+    path = data / DAY / f"{table}.parquet"
+    whole = path.read_bytes()
+    for seed in range(20):
+        flip(path, seed)
+        with pytest.raises(InputError, match=f"{table}.parquet: is not what its mark says; expected what `fleet run` wrote"):
+            summarise(str(data))
+        path.write_bytes(whole)
+
+
+def test_a_flipped_bit_is_no_difference_of_two_releases(measured: Path, tmp_path: Path) -> None:
+    data = shutil.copytree(measured, tmp_path / "data")
+    flip(data / DAY / "records.parquet", 0)
+    mark = data / DAY / MARK
+    mark.write_text(mark.read_text().replace('"sha256": "', '"sha256": "0', 1))
+    with pytest.raises(InputError, match=r"is not what its mark says"):
+        compare(str(data), str(measured))
+
+
+def cut(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-10])
+
+
+def flipped(path: Path) -> None:
+    flip(path, 1)
+
+
+@pytest.mark.parametrize("harm", [cut, Path.unlink, flipped])
+@pytest.mark.parametrize("file", ["records.parquet", "loads.parquet", MARK])
+def test_a_damaged_day_is_measured_again(
+    tree: Path, measured: Path, tmp_path: Path, file: str, harm: Callable[[Path], None]
+) -> None:
+    data = shutil.copytree(measured, tmp_path / "data")
+    harm(data / DAY / file)
+    found = tasks(tree, data)
+    assert sorted(work(task).status for task in found) == [DONE, *[SKIPPED] * 3]
+    Dataset(str(data)).end(found[0].token)
+    assert {**dataset_files(data), "_run": b""} == {**dataset_files(measured), "_run": b""}
+
+
+@pytest.mark.parametrize("harm", [cut, Path.unlink])
+@pytest.mark.parametrize("file", ["records.parquet", "loads.parquet", MARK])
+def test_a_damaged_day_stays_where_its_logs_are_gone(
+    tree: Path, measured: Path, tmp_path: Path, file: str, harm: Callable[[Path], None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Finished months are kept out of the source; what of them can be read is all there is."""
+    if (file, harm) == (MARK, Path.unlink):
+        pytest.skip("a day without a mark was never whole")
+    data, source = shutil.copytree(measured, tmp_path / "data"), shutil.copytree(tree, tmp_path / "tree")
+    shutil.rmtree(source / "m0" / "2026-10-01")
+    harm(data / DAY / file)
+    before = dataset_files(data / DAY)
+    assert main(["fleet", "run", str(source), "--out", str(data), "--workers", "0"]) == 0
+    assert dataset_files(data / DAY) == before
+    said = [line for line in capsys.readouterr().err.splitlines() if f"{DAY}/{file}: is " in line]
+    assert len(said) == 1
+    assert main(["fleet", "report", str(data)]) == 2
+    assert f"{DAY}/{file}" in capsys.readouterr().err
+
+
+def test_a_log_that_grows_while_it_is_read_leaves_the_day(tree: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is measured would not be what the mark says it is from."""
+    log = logs.write(tmp_path / "tree" / "m" / "1" / "a.log")
+    whole = log.read_bytes()
+    log.write_bytes(whole[: len(whole) // 2])
+    measure = worker.measure
+
+    def meanwhile(*arguments: object) -> object:
+        log.write_bytes(whole)
+        return measure(*arguments)  # type: ignore[arg-type]
+
+    [task] = tasks(tmp_path / "tree", tmp_path / "out")
+    with monkeypatch.context() as patched:
+        patched.setattr(worker, "measure", meanwhile)
+        outcome = work(task)
+    assert (outcome.status, outcome.poisoned) == (LEFT, ())
+    assert outcome.why_left == "a.log was written to while it was measured; expected files whose transfer is complete"
+    assert Dataset(task.dataset).names() == []
+    assert work(task).status == DONE
+
+
+def test_the_earlier_of_two_runs_that_begin_together_removes_nothing_of_the_other(measured: Path, tmp_path: Path) -> None:
+    data = shutil.copytree(measured, tmp_path / "data")
+    cut(data / DAY / MARK)
+    half = data / "machine=m1" / "day=2026-10-03" / "records.parquet"
+
+    def other_begins(problem: InputError) -> None:
+        Dataset(str(data)).begin((), lambda problem: None)
+        half.parent.mkdir()
+        half.write_bytes(b"as an object store has it before the mark")
+
+    with pytest.raises(InputError, match="was taken over by another `fleet run`"):
+        Dataset(str(data)).begin((), other_begins)
+    assert half.exists()
