@@ -82,15 +82,18 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
+_MASSES = ("mass_kg", "std_dev_kg", "dry_mass_kg", "posted_mass_kg", "ticket_mass_kg", "corrected_mass_kg")
+
+
 def _rows(loads: list[dict[str, Any]], system: str) -> tuple[list[str], list[list[str]]]:
     """Heads and rows of all loads; yields where the area is known, by the corrected mass."""
     units = units_of(system)
     mass, area = units.mass_unit, units.area_unit
-    masses = (f"{name} {mass.name}" for name in ("measured", "dry", "again", "ticket", "corrected"))
+    masses = (f"{name} {mass.name}" for name in ("measured", "±", "dry", "again", "ticket", "corrected"))
     heads = ["load", "field", "crop", *masses, f"area {area.name}", "yield"]
     rows = []
     for load in loads:
-        found = (load[key] for key in ("mass_kg", "dry_mass_kg", "posted_mass_kg", "ticket_mass_kg", "corrected_mass_kg"))
+        found = (load[key] for key in _MASSES)
         cells = [UNKNOWN if kg is None else f"{mass.of(kg):,.0f}" for kg in found]
         cells.append(UNKNOWN if load["area_m2"] is None else f"{area.of(load['area_m2']):,.2f}")
         known = units_of(system, crop=load["crop"])

@@ -335,6 +335,11 @@ class ClosedLoopCalibrator:
         """See records.SelfCalibrator."""
         return self._crops.counted
 
+    @property
+    def doubted(self) -> frozenset[str]:
+        """See records.SelfCalibrator."""
+        return self._crops.doubted
+
     def forget(
         self, load_numbers: frozenset[int], estimator: FlowEstimator, counted: Sequence[ReferenceMass] | None = None
     ) -> None:

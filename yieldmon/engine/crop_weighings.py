@@ -43,6 +43,12 @@ class CropWeighings:
         before = (name for crop in self._earlier.values() for name in crop.weighed)
         return frozenset((*(load.name for weighings in known for load in weighings.counted), *before))
 
+    @property
+    def doubted(self) -> frozenset[str]:
+        """Names of the loads that contradict those that count, one of a crop."""
+        now = (weighings.doubted_name for weighings in (self.current, *self._others.values()))
+        return frozenset({*now, *(crop.doubted for crop in self._earlier.values())} - {""})
+
     def forget(self, names: Container[str]) -> None:
         """Loads of these names were not weighed as they were said to be."""
         for weighings in (self.current, *self._others.values()):

@@ -80,7 +80,18 @@ class Learning:
     def counted_loads(self) -> frozenset[int]:
         """See `Monitor.counted_loads`."""
         counted = frozenset() if self.calibrator is None else self.calibrator.counted
-        return frozenset(ticket.load_number for ticket in self.tickets.of_any_crop if name_of(ticket) in counted)
+        return self._ticketed(counted)
+
+    @property
+    def doubted_loads(self) -> frozenset[int]:
+        """See `Monitor.doubted_loads`."""
+        return self._ticketed(frozenset() if self.calibrator is None else self.calibrator.doubted)
+
+    def _ticketed(self, names: frozenset[str]) -> frozenset[int]:
+        """Loads of these names that have a ticket."""
+        if not names:
+            return frozenset()
+        return frozenset(ticket.load_number for ticket in self.tickets.of_any_crop if name_of(ticket) in names)
 
     def teach_again(
         self,

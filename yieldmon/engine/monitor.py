@@ -351,6 +351,11 @@ class Monitor:
         return self._parts.learning.counted_loads
 
     @property
+    def doubted_loads(self) -> frozenset[int]:
+        """Loads whose tickets contradict those and wait until another agrees with them, of any crop."""
+        return self._parts.learning.doubted_loads
+
+    @property
     def masses_wait(self) -> bool:
         """Whether a reference mass is still to update the parameters."""
         return self._parts.learning.masses_wait

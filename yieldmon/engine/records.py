@@ -383,6 +383,10 @@ class SelfCalibrator(Protocol):
     def counted(self) -> frozenset[str]:
         """Names of the weighed loads that count, of any crop."""
 
+    @property
+    def doubted(self) -> frozenset[str]:
+        """Names of those that contradict them and wait until another agrees with them, of any crop."""
+
     def forget(
         self, load_numbers: frozenset[int], estimator: FlowEstimator, counted: Sequence[ReferenceMass] | None = None
     ) -> None:

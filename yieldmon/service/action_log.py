@@ -11,6 +11,7 @@ from yieldmon.errors import InputError
 from yieldmon.files.ticket_file import RELATIVE_STD_DEV
 from yieldmon.service import ledger as ledgers
 from yieldmon.service.batch import Action, Ticket
+from yieldmon.service.ticket_states import ticket_states
 
 
 class ActionLog:
@@ -136,9 +137,8 @@ class ActionLog:
 
     @property
     def silenced(self) -> frozenset[int]:
-        """Numbers of the tickets whose lesson was taken back by the version: they correct their loads and teach no more."""
-        undos = (action for action in self._actions if action.kind == ledgers.PARAMETERS_UNDO)
-        return frozenset(int(number) for action in undos for number in action.document.get("tickets", ()))
+        """As `ledger.silenced`."""
+        return ledgers.silenced(self._actions)
 
     def not_learnt_after(self, number: int) -> tuple[int, ...]:
         """Numbers of the standing tickets after one, of the parameter file in use, that were handed to the calibration and led to
@@ -278,22 +278,17 @@ class ActionLog:
         """Tickets and postings that stand."""
         return ledgers.ledger(self._tickets, self._actions)
 
-    def ticket_table(self) -> list[dict[str, Any]]:
-        """All tickets, with who entered them and who took them back, and what became of each."""
+    def ticket_table(self, doubted_loads: Collection[int] = ()) -> list[dict[str, Any]]:
+        """All tickets, with who entered them and who took them back, and what became of each. doubted_loads: those whose tickets
+        contradict the ones that count."""
         rows = ledgers.ticket_rows(self._tickets, self._actions)
-        return [row | {"state": self._state_of(int(row["number"]), undone=row["undone_s"] is not None)} for row in rows]
-
-    def _state_of(self, number: int, *, undone: bool) -> str:
-        standing = [v for v, a in sorted(self.updates.items()) if v not in self.undone_versions]
-        led = next((v for v in standing if number in self.updates[v].document.get("tickets", ())), None)
-        waits_for = next((crop for crop, kept in self._of_crop.items() if number in kept), None)
-        if undone:
-            return "undone"
-        if waits_for is not None:
-            return f"to teach {waits_for}"
-        if number in self.to_teach:
-            return "to teach"
-        return "corrects its load" if led is None else f"taught version {led}"
+        states = ticket_states(
+            self.ledger,
+            self._actions,
+            to_teach={number: "" for number in self.to_teach} | {n: crop for crop, kept in self._of_crop.items() for n in kept},
+            doubted_loads=doubted_loads,
+        )
+        return [row | {"state": states.get(row["number"], "undone")} for row in rows]
 
     def take(self) -> tuple[tuple[Ticket, ...], tuple[Action, ...]]:
         """Those that no batch has brought yet; they count as brought."""

@@ -262,7 +262,7 @@ def _question(ticket: Ticket, departs: ticket_doubt.Departure | None, order: _Or
 
 
 def _tickets(order: _Order) -> Answer:
-    return {"tickets": order.journal.actions.ticket_table()}
+    return {"tickets": order.journal.actions.ticket_table(order.monitor.doubted_loads)}
 
 
 def _ticket_undo(order: _Order) -> Answer:

@@ -153,6 +153,7 @@ class Journal:
             "kernel_weight_g": self.kernel_weight_g,
             "faults": sorted(self._faults),
             "unfinished_tickets": list(self.actions.unfinished),
+            "doubted_loads": sorted(monitor.doubted_loads),
             "unfinished_tickets_of_crop": {crop: list(kept) for crop, kept in self.actions.unfinished_of_crop.items()},
         }
 

@@ -132,6 +132,12 @@ def recropped(actions: Iterable[Action]) -> set[int]:
     }
 
 
+def silenced(actions: Iterable[Action]) -> frozenset[int]:
+    """Numbers of the tickets whose lesson was taken back by the version: they correct their loads and teach no more."""
+    undos = (action for action in actions if action.kind == PARAMETERS_UNDO)
+    return frozenset(int(number) for action in undos for number in action.document.get("tickets", ()))
+
+
 def undone_versions(actions: Iterable[Action]) -> set[int]:
     """Versions of the parameters that were taken back, with those that followed on them."""
     return {

@@ -19,6 +19,7 @@ from yieldmon.bus.sqlite_log import is_log
 from yieldmon.errors import InputError, brief
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import parameter_file
+from yieldmon.service.action_log import ActionLog
 from yieldmon.service.ledger import LoadRecord
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.store import Store
@@ -153,6 +154,14 @@ def opened(path: Path) -> Iterator[Store]:
         sound = "a sound store: a daemon puts it right when it starts"
         expected = sound if isinstance(error, StoreDamagedError) else "a daemon's store"
         raise InputError(str(path), str(error).removeprefix(f"{path}: "), expected) from error
+
+
+def ticket_table(store: Store) -> list[dict[str, Any]]:
+    """All tickets of a store, as the daemon that wrote it last would list them."""
+    state = store.state() or {}
+    waiting, of_crop = state.get("unfinished_tickets", ()), state.get("unfinished_tickets_of_crop", {})
+    log = ActionLog(store.tickets(), store.actions(), 0.0, waiting, of_crop)
+    return log.ticket_table(state.get("doubted_loads", ()))
 
 
 def parameter_sets(store: Store) -> dict[int, ParameterSet]:

@@ -23,8 +23,7 @@ from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.numerics import Array
 from yieldmon.service import sweep_table
-from yieldmon.service.ledger import ticket_rows
-from yieldmon.service.recorded import last_parameters, opened
+from yieldmon.service.recorded import last_parameters, opened, ticket_table
 from yieldmon.service.store import Store
 from yieldmon.service.store_file import read_only
 
@@ -119,7 +118,7 @@ class History:
                     "sweeps": [asdict(sweep) for sweep in reversed(store.sweeps(_SWEEPS))],
                     "parameters": _parameters(store, path),
                     "faults": [asdict(fault) for fault in reversed(store.faults(_FAULTS))],
-                    "tickets": ticket_rows(store.tickets(), store.actions())[::-1],
+                    "tickets": ticket_table(store)[::-1],
                 }
 
     def points(self, path: Path, day: str = "", load: int | None = None) -> bytes:

@@ -47,6 +47,7 @@ function tickets(rows) {
     [`Weighed, ${units.mass.name}`, (ticket) => mass(ticket.weighed_mass_kg), true],
     [`Measured, ${units.mass.name}`, (ticket) => mass(ticket.measured_mass_kg), true],
     ["Difference, %", (ticket) => number(100 * (ticket.weighed_mass_kg / ticket.measured_mass_kg - 1), 2), true],
+    ["State", (ticket) => ticket.state],
     ["Entered by", (ticket) => ticket.who || "-"], ["Note", (ticket) => ticket.note || "-"],
     ["Undone", (ticket) => (ticket.undone_s === null ? "-" : `${time(ticket.undone_s)} ${ticket.undone_by}`.trim())],
   ], rows);
