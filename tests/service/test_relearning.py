@@ -15,6 +15,7 @@ from tests.service.test_tickets_after_restart import TRUE, Season, ask
 from yieldmon.cli import main as cli
 from yieldmon.cli._records import back, taken_back
 from yieldmon.files import parameter_file
+from yieldmon.service import recorded
 from yieldmon.service.store import Store
 
 RIGHT = ((2, TRUE), (3, 1.003 * TRUE), (4, 0.998 * TRUE))
@@ -343,3 +344,88 @@ def test_the_owner_is_told_what_a_correction_and_a_second_ticket_leave(tmp_path,
         assert "ticket 1 stood for it; the newer one counts (`yieldmon ticket undo 2` if it is for another load)" in told
         ask(season.folder, "load", "start", "--crop", "corn")
         assert ask(season.folder, "status")["load"]["crop"] == "corn"
+
+
+def _harvest_on(season: Season, bench) -> float:
+    """Another load; its mass as measured, kg."""
+    ask(season.folder, "load", "start")
+    bench.play(4, 80.0)
+    bench.play(2, 0.0)
+    bench.played()
+    ask(season.folder, "load", "stop")
+    bench.play(2, 0.0)
+    bench.played()
+    return ask(season.folder, "load", "list")["loads"][-1]["mass_kg"]
+
+
+@pytest.fixture(scope="module")
+def untaught_kg(tmp_path_factory) -> float:
+    """Of such a load, where no ticket has taught."""
+    season = Season(tmp_path_factory.mktemp("untaught") / "a")
+    with running(season.folder) as bench:
+        season.harvest(bench)
+        return _harvest_on(season, bench)
+
+
+@pytest.mark.parametrize("undo", [("ticket", "undo", "1"), ("calibrations", "undo", "2")])
+@pytest.mark.parametrize("restart", [False, True])
+def test_loads_measured_by_what_was_taken_back_are_measured_again(undo, restart: bool, untaught_kg: float, tmp_path) -> None:
+    season = Season(tmp_path / "a")
+    with contextlib.ExitStack() as stack:
+        bench = stack.enter_context(running(season.folder))
+        season.harvest(bench)
+        enter(season, bench, [(2, 1.3)])
+        settle(season, bench)
+        measured_kg = _harvest_on(season, bench)
+        assert measured_kg > 1.05 * untaught_kg, "by the wrong ticket's parameters"
+        if restart:
+            season.now_s = bench.now_s
+            stack.close()
+            bench = stack.enter_context(running(season.folder, start_s=season.now_s + 60.0))
+            bench.play(2, 0.0)
+            bench.played()
+        assert ask(season.folder, *undo)["undone"] == 2
+
+        def corrected_kg() -> float:
+            bench.play(1, 0.0)
+            bench.played()
+            return ask(season.folder, "load", "list")["loads"][-1]["corrected_mass_kg"]
+
+        wait_for(lambda: corrected_kg() != measured_kg, "the load measured again")
+        assert corrected_kg() == pytest.approx(untaught_kg, rel=0.01)
+
+
+def test_each_ticket_says_what_became_of_it(tmp_path, capsys) -> None:
+    """A list of the daemon, and of its store for the page, before and after a restart."""
+    season = Season(tmp_path / "a")
+
+    def states() -> list[str]:
+        found = [row["state"] for row in ask(season.folder, "ticket", "list")["tickets"]]
+        with Store.reading(season.folder / "yieldmon.sqlite") as store:
+            assert [row["state"] for row in recorded.ticket_table(store)] == found
+        return found
+
+    doubted = "contradicts those before it, teaches when another agrees"
+    with running(season.folder) as bench:
+        season.harvest(bench)
+        enter(season, bench, [*RIGHT, (5, 0.8 * TRUE)])
+        settle(season, bench)
+        assert states() == ["taught version 2", "taught version 3", "taught version 4", doubted]
+        season.now_s = bench.now_s
+    with running(season.folder, start_s=season.now_s + 60.0) as bench:
+        bench.play(2, 0.0)
+        bench.played()
+        assert states()[3] == doubted
+        assert cli.main(["load", "list", "--socket", str(season.folder / "yieldmon.sock")]) == 0
+        heads, *rows = (line.split() for line in capsys.readouterr().out.splitlines())
+        assert heads[3:7] == ["measured", "kg", "±", "kg"]
+        kept = {str(row["number"]): row["std_dev_kg"] for row in ask(season.folder, "load", "list")["loads"]}
+        assert [row[4] for row in rows[1:]] == [f"{kept[row[0]]:,.0f}" for row in rows[1:]]
+        enter(season, bench, [(5, TRUE)])
+        settle(season, bench)
+        assert states()[3:] == ["replaced by ticket 5", "taught version 5"]
+        ask(season.folder, "calibrations", "undo", "5")
+        ask(season.folder, "ticket", "undo", "1")
+        settle(season, bench)
+        found = states()
+        assert (found[0], found[4]) == ("undone", "corrects its load, teaches no more")

@@ -131,6 +131,7 @@ def test_loads_tickets_sweeps_and_faults(daemon: StandIn) -> None:
     ]  # fmt: skip
     assert [one["document"]["angles_deg"] for one in found["sweeps"]] == [[60.0, 70.0]]
     assert [(one["number"], one["note"], one["undone_s"]) for one in found["tickets"]] == [(1, "scale", None)]
+    assert [one["state"] for one in found["tickets"]] == ["corrects its load"]
     assert [(one["code"], one["active"]) for one in found["faults"]] == [("FramesLost", True)]
 
 

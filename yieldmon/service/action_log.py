@@ -24,8 +24,9 @@ class ActionLog:
         now_s: float,
         unfinished: Sequence[int] = (),
         of_crop: Mapping[str, Sequence[int]] | None = None,
+        restored: Sequence[int] = (),
     ) -> None:
-        """tickets, actions: as the store has them. now_s: Unix time. unfinished, of_crop: as the run before had them."""
+        """tickets, actions: as the store has them. now_s: Unix time. unfinished, of_crop, restored: as a run before had them."""
         self.now_s = now_s
         """Unix time of an action of which nothing else is said."""
         known = range(1, len(tickets) + 1)
@@ -33,6 +34,10 @@ class ActionLog:
         """Numbers of the tickets that are to update the parameters, or did and whose loads are not measured again yet."""
         self._of_crop = {crop: [number for number in kept if number in known] for crop, kept in (of_crop or {}).items()}
         """Numbers of those that are to update the parameters of another crop than the present one, by its name."""
+        self._restored: list[int] = list(restored)
+        """Versions that an undo brought back and with which the loads that were measured since are still to be measured again;
+        the first `_restoring` of them are being taken."""
+        self._restoring = 0
         self._taken: tuple[int, ...] = ()
         self._taken_before = 0
         """Number of the first action after the tickets were taken."""
@@ -213,6 +218,25 @@ class ActionLog:
             sum(kg for load, kg in taught if ticket.first_load <= load <= ticket.last_load), ticket.weighed_mass_kg, rel_tol=1e-6
         )
 
+    def bring_back(self, version: int) -> None:
+        """An undo brought this version back: loads that were measured with what it took back are to be measured again."""
+        self._restored.append(version)
+
+    @property
+    def restored(self) -> tuple[int, ...]:
+        """Versions that an undo brought back and with which loads are still to be measured again, for a restart to go on with."""
+        return tuple(self._restored)
+
+    @property
+    def restored_waits(self) -> bool:
+        """Whether there is one for `take_restored`."""
+        return len(self._restored) > self._restoring
+
+    def take_restored(self) -> tuple[tuple[int, ...], int]:
+        """No ticket, and the first of `restored`. Where nothing comes of it, it is taken again after the next undo."""
+        self._restoring = len(self._restored)
+        return (), self._restored[0]
+
     @property
     def to_teach(self) -> frozenset[int]:
         """Numbers of the tickets in the queue to teach the parameters in use, one with each second."""
@@ -232,6 +256,8 @@ class ActionLog:
         """Loads were measured again with the parameters of this version, after these tickets. factors: by load number; none where
         nothing came of it. Loads that were given another crop meanwhile keep what that crop's parameters measured."""
         self._taken = ()
+        if not tickets:
+            self._restored, self._restoring = [waiting for waiting in self._restored if waiting != version], 0
         recropped = ledgers.recropped(action for action in self._actions if action.number >= self._taken_before)
         factors = {number: factor for number, factor in factors.items() if number not in recropped}
         if not factors:
@@ -285,7 +311,7 @@ class ActionLog:
         states = ticket_states(
             self.ledger,
             self._actions,
-            to_teach={number: "" for number in self.to_teach} | {n: crop for crop, kept in self._of_crop.items() for n in kept},
+            to_teach=dict.fromkeys(self.to_teach, "") | {n: crop for crop, kept in self._of_crop.items() for n in kept},
             doubted_loads=doubted_loads,
         )
         return [row | {"state": states.get(row["number"], "undone")} for row in rows]

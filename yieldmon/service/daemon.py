@@ -430,15 +430,20 @@ class Daemon:
             job.answer.set_result({**answer, "units": self.configuration.document.units})
 
     def _post(self) -> None:
-        """After a ticket updated the parameters, the last days' loads are measured again; what comes of it goes to the store."""
+        """After a ticket updated the parameters, or an undo brought others back, the last days' loads are measured again; what
+        comes of it goes to the store."""
         posted = self._poster.take()
         if posted is not None:
             self._journal.actions.posted(posted.tickets, posted.version, posted.factors)
             if posted.factors:
                 self._commit()
-        if self._journal.actions.waiting and not self._monitor.masses_wait and not self._poster.busy:
+        actions = self._journal.actions
+        if (actions.restored_waits or actions.waiting) and not self._monitor.masses_wait and not self._poster.busy:
             totals, now_s = self._monitor.totals, self._monitor.bus_time_s
-            tickets, version = self._journal.actions.take_waiting(self._monitor.estimator.parameters.version)
+            # First what an undo brought back: what tickets teach after it counts.
+            back = actions.restored_waits
+            in_use = self._monitor.estimator.parameters.version
+            tickets, version = actions.take_restored() if back else actions.take_waiting(in_use)
             open_load = totals.load_number if totals.load_open else None
             self._poster.start(self._monitor.machine, tickets, version, open_load, now_s)
 

@@ -34,7 +34,12 @@ class Journal:
     def __init__(self, memory: Memory, configured: ParameterSet, *, now_s: float) -> None:
         """memory: what the store holds. configured: the parameters as their file has them. now_s: Unix time."""
         self.actions = ActionLog(
-            memory.tickets, memory.actions, now_s, memory.unfinished_tickets, memory.unfinished_tickets_of_crop
+            memory.tickets,
+            memory.actions,
+            now_s,
+            memory.unfinished_tickets,
+            memory.unfinished_tickets_of_crop,
+            memory.restored_versions,
         )
         self.parameters = ParameterHistory(memory, configured, self.actions)
         self.loads = LoadBook(memory.loads)
@@ -153,6 +158,7 @@ class Journal:
             "kernel_weight_g": self.kernel_weight_g,
             "faults": sorted(self._faults),
             "unfinished_tickets": list(self.actions.unfinished),
+            "restored_versions": list(self.actions.restored),
             "doubted_loads": sorted(monitor.doubted_loads),
             "unfinished_tickets_of_crop": {crop: list(kept) for crop, kept in self.actions.unfinished_of_crop.items()},
         }

@@ -56,6 +56,8 @@ class Memory:
     """Numbers of those that are still to update the parameters, or whose loads are still to be measured again."""
     unfinished_tickets_of_crop: Mapping[str, tuple[int, ...]] = field_of(default_factory=dict)
     """Those that are to update the parameters of a crop that is not harvested now, by its name."""
+    restored_versions: tuple[int, ...] = ()
+    """Versions that an undo brought back and with which loads are still to be measured again."""
     since_zero: tuple[KeptSecond, ...] = ()
     """Seconds since the operator's last zero calibration, where that can be undone."""
     ticketed: tuple[StoredLoad, ...] = ()
@@ -94,6 +96,7 @@ def recall(store: Store) -> Memory:
             unfinished_tickets_of_crop={
                 str(crop): tuple(map(int, kept)) for crop, kept in dict(document.get("unfinished_tickets_of_crop", {})).items()
             },
+            restored_versions=tuple(map(int, document.get("restored_versions", ()))),
             since_zero=_since_zero(store, actions, engine.totals.first_load) if engine.zero_undo is not None else (),
             ticketed=_ticketed(store, engine),
         )

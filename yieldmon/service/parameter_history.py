@@ -108,9 +108,11 @@ class ParameterHistory:
         earlier = replace(self._versions[before], version=self.version + 1)
         if of_now:
             self.use(earlier, "undo", who, f"version {version} undone: as version {before}")
+            self._actions.bring_back(earlier.version)
             return earlier, ""
         kept = self._of_crop[crop] = replace(earlier, provenance={**earlier.provenance, "crop": crop})
         self.use(kept, "undo", who, f"version {version} of {crop} undone: as version {before}")
+        self._actions.bring_back(kept.version)
         chosen = replace(in_use, version=self.version + 1, provenance={**in_use.provenance, "crop": now})
         self.use(chosen, ledgers.CROP, who, f"what is known of {now}")
         return chosen, crop

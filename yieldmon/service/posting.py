@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -26,7 +26,7 @@ from yieldmon.estimation.steady_drift import Advance, DriftingParameters, learn,
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.numerics import Array
 from yieldmon.service.batch import Step
-from yieldmon.service.ledger import recropped
+from yieldmon.service.ledger import recropped, undone_versions
 from yieldmon.service.load_factor import load_factor
 from yieldmon.service.recorded import opened, parameter_sets
 from yieldmon.service.rows import SecondRow
@@ -160,19 +160,34 @@ def factors(
     return out
 
 
-def of_store(path: Path, machine: Machine, version: int, open_load: int | None, now_s: float) -> dict[int, float]:
-    """The factors of a store's loads of the last days, by the parameters of `version`. now_s: bus time. Raises InputError."""
+def of_store(
+    path: Path, machine: Machine, version: int, open_load: int | None, now_s: float, *, undone_only: bool = False
+) -> dict[int, float]:
+    """The factors of a store's loads of the last days, by the parameters of `version`; what a version that was taken back has
+    measured since they came is measured again with them. now_s: bus time. undone_only: nothing else is. Raises InputError."""
     out: dict[int, float] = {}
     with opened(path) as store:
         sets = parameter_sets(store)
         if version not in sets:
             raise InputError(str(path), f"has no parameters of version {version}", "a store that is being written")
-        known, loads = timeline(store.steps(), sets[version], sets), store.loads()
-        renamed, crop = recropped(store.actions()), sets[version].provenance.get("crop")
+        known, loads, actions = timeline(store.steps(), sets[version], sets), store.loads(), store.actions()
+        gone = _taken_back(undone_versions(actions), known, sets)
+        known = replace(known, versions=known.versions | gone)
+        renamed, crop = recropped(actions), sets[version].provenance.get("crop")
         of_crop = {load.number: load.crop == crop for load in loads if load.number in renamed}
         for rows in _newest_loads(store, begins(known, now_s), open_load):
-            out |= factors(loads_of(of_loads(rows, loads), sets), known, machine, of_crop)
+            measured = loads_of(of_loads(rows, loads), sets)
+            if undone_only:
+                measured = tuple(load for load in measured if any(row.parameter_version in gone for row in load.seconds))
+            out |= factors(measured, known, machine, of_crop)
     return out
+
+
+def _taken_back(undone: Collection[int], known: Timeline, sets: Mapping[int, ParameterSet]) -> frozenset[int]:
+    """Versions after the timeline's first one that were taken back, of its crop where they say theirs."""
+    crop, first = known.parameters.provenance.get("crop"), min(known.versions)
+    later = {version: sets[version].provenance.get("crop") for version in undone if version > first and version in sets}
+    return frozenset(version for version, of in later.items() if of is None or crop is None or of == crop)
 
 
 def begins(known: Timeline, now_s: float) -> float:
@@ -200,7 +215,7 @@ def whole(rows: Sequence[SecondRow], begin_s: float, open_load: int | None, olde
 
 @dataclass(frozen=True)
 class Posted:
-    """The factors that came of tickets, or why there are none."""
+    """The factors that came of tickets, of an undo where there are none, or why there are no factors."""
 
     tickets: tuple[int, ...]
     version: int
@@ -224,7 +239,7 @@ class Poster:
         return self._thread is not None
 
     def start(self, machine: Machine, tickets: tuple[int, ...], version: int, open_load: int | None, now_s: float) -> None:
-        """Begin a job; not while busy. Without room for a thread there is none, which is said."""
+        """Begin a job; not while busy. tickets: none after an undo. Without room for a thread there is none, which is said."""
         thread = threading.Thread(
             target=self._work, args=(machine, tickets, version, open_load, now_s), name="posting", daemon=True
         )
@@ -245,7 +260,7 @@ class Poster:
     def _work(self, machine: Machine, tickets: tuple[int, ...], version: int, open_load: int | None, now_s: float) -> None:
         try:
             self._written(_WRITING_S)
-            found = of_store(self._path, machine, version, open_load, now_s)
+            found = of_store(self._path, machine, version, open_load, now_s, undone_only=not tickets)
             self._done = Posted(tickets, version, found)
         except Exception as error:  # noqa: BLE001 - what was measured stays, and measuring goes on
             _log.error("the loads could not be measured again: %s", error)

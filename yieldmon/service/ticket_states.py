@@ -8,6 +8,7 @@ from yieldmon.service import ledger as ledgers
 from yieldmon.service.batch import Action, Ticket
 
 _CORRECTS = "corrects its load"
+_CONTRADICTS = "contradicts those before it, teaches when another agrees"
 
 
 def ticket_states(
@@ -42,12 +43,12 @@ def ticket_states(
         elif number in silenced:
             state = "corrects its load, teaches no more"
         elif any(load in doubted_loads for load in _loads_of(ticket)):
-            state = "contradicts those before it, teaches when another agrees"
+            state = _CONTRADICTS
         else:
             state = _CORRECTS
         if number not in counting:
             replaced = f"replaced by ticket {', '.join(map(str, sorted(counting)))}"
-            state = replaced if state == _CORRECTS else f"{state}, {replaced}"
+            state = replaced if state in (_CORRECTS, _CONTRADICTS) else f"{state}, {replaced}"
         states[number] = state
     return states
 
@@ -61,7 +62,7 @@ def _taught(actions: Sequence[Action]) -> dict[int, int]:
         if action.kind == ledgers.PARAMETERS and int(action.document["version"]) not in gone
         for number in action.document.get("tickets", ())
     )
-    return {number: version for number, version in sorted(led, reverse=True)}
+    return dict(sorted(led, reverse=True))
 
 
 def _loads_of(ticket: Ticket) -> range:
