@@ -86,3 +86,70 @@ def test_what_stands_out_on_even_ground_is_one(capsys: pytest.CaptureFixture[str
     lines[250] = lines[250].replace(",10.0,", ",13.0,")
     document, _ = mapped(capsys, lines)
     assert document["points_by_reason"]["local outlier"] >= 1
+
+
+UNNAMED = HEAD.rpartition(",")[0]
+
+
+def unnamed(line: str) -> str:
+    return line.rpartition(",")[0]
+
+
+@pytest.mark.parametrize("order", ["time", "machine"])
+@pytest.mark.parametrize(
+    "of",
+    [{}, {"late_s": 0.5}, {"step_s": 0.2, "late_s": 0.1}, {"late_s": 0.5, "step_s": 1.25, "clock_s": 1.0}],
+    ids=["in the same seconds", "half a second later", "five rows a second", "by a clock of whole seconds"],
+)
+def test_machines_without_names_are_taken_apart_by_their_places(
+    of: dict[str, float], order: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = rows(**of)
+    document, said = mapped(capsys, [unnamed(line) for _, _, line in (sorted(found) if order == "time" else found)], UNNAMED)
+    assert document["mass_kg"]["integrated"] == pytest.approx(SECONDS * sum(FLOWS_KG_S.values()), rel=0.003)
+    points = [one["points"] for one in document["delay"]["machines"]]
+    assert len(points) == 2
+    assert points[0] == pytest.approx(points[1], rel=0.01)
+    assert "taken apart by their places, as machines 1" in said
+
+
+def test_three_machines_without_names_are_taken_apart(capsys: pytest.CaptureFixture[str]) -> None:
+    third = [(time, "west", line.replace(",8.", ",8.05", 1)) for time, machine, line in rows() if machine == "north"]
+    document, _ = mapped(capsys, [unnamed(line) for _, _, line in sorted([*rows(), *third])], UNNAMED)
+    assert document["mass_kg"]["integrated"] == pytest.approx(SECONDS * (10.0 + 8.0 + 10.0), rel=0.003)
+    assert len(document["delay"]["machines"]) == 3
+
+
+def test_an_hour_that_a_clock_shows_twice_is_harvested_twice(capsys: pytest.CaptureFixture[str]) -> None:
+    again = [
+        (time, machine, f"{time - SECONDS / 2:.2f}{line[line.index(',') :]}")
+        for time, machine, line in rows()
+        if machine == "north" and time >= SECONDS / 2
+    ]
+    before = [row for row in rows() if row[1] == "north" and row[0] < SECONDS / 2]
+    document, _ = mapped(capsys, [unnamed(line) for _, _, line in (*before, *again)], UNNAMED)
+    assert document["mass_kg"]["integrated"] == pytest.approx(SECONDS * 10.0, rel=0.003)
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_each_machine_stands_for_time_at_its_own_rate(named: bool, capsys: pytest.CaptureFixture[str]) -> None:
+    both = [row for row in rows() if row[1] == "north"] + [row for row in rows(step_s=5.0) if row[1] == "south"]
+    lines = [line if named else unnamed(line) for _, _, line in sorted(both)]
+    document, _ = mapped(capsys, lines, HEAD if named else UNNAMED)
+    assert document["mass_kg"]["integrated"] == pytest.approx(SECONDS * sum(FLOWS_KG_S.values()), rel=0.003)
+    assert document["area_ha"] == pytest.approx(2 * SECONDS * SPEED_M_S * WIDTH_M / 1e4, rel=0.02)
+
+
+def test_a_log_whose_rate_was_changed_keeps_its_mass(capsys: pytest.CaptureFixture[str]) -> None:
+    north = [row for row in rows() if row[1] == "north" and row[0] < 300.0]
+    slow = [row for row in rows(step_s=5.0) if row[1] == "north" and row[0] >= 300.0]
+    document, _ = mapped(capsys, [unnamed(line) for _, _, line in (*north, *slow)], UNNAMED)
+    # The first slow row comes one second after the last fast one.
+    assert document["mass_kg"]["integrated"] == pytest.approx((SECONDS - 4.0) * 10.0, rel=0.003)
+    assert document["area_ha"] == pytest.approx(SECONDS * SPEED_M_S * WIDTH_M / 1e4, rel=0.02)
+
+
+def test_a_pause_is_no_row_that_lasts_so_long(capsys: pytest.CaptureFixture[str]) -> None:
+    north = [row for row in rows() if row[1] == "north" and not 200.0 <= row[0] < 300.0]
+    document, _ = mapped(capsys, [unnamed(line) for _, _, line in north], UNNAMED)
+    assert document["mass_kg"]["integrated"] == pytest.approx((SECONDS - 100.0) * 10.0, rel=0.003)

@@ -1,23 +1,103 @@
-"""Rows of two combines under one name: places that leap to and fro faster than a machine drives."""
+"""Rows of several combines under one name: places that leap to and fro faster than a machine drives."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from math import hypot, inf
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .plane import Sites
-from .table import Array, HarvestTable
+from .table import Array, HarvestTable, Label
 
 _FASTEST_M_S, _BESIDE_M = 5.0, 5.0
 """Of a combine at work, and metres beside it, within which a row goes on from the one before."""
-_LONGEST_GAP_S, _LONGEST_GAP = 3.0, 4.0
+_LONGEST_GAP_S, _LONGEST_GAP = 12.0, 4.0
 """Between two rows of a track, s and usual intervals: the longer of them."""
-_LEAST_TRACK = 4
+_LEAST_ROWS = 4
 """Rows that go on one after another, from which they are a machine's way and no wrong places."""
 _LEAST_TURNS, _LEAST_SHARE = 20, 0.05
-"""Changes from one track to the other, and share of the rows on the lesser one, from which two machines made them."""
+"""Changes from one machine to another, and a machine's share of the rows, from which several made them."""
+
+
+@dataclass
+class _Stretch:
+    """Rows that go on one after another along a way."""
+
+    rows: list[int]
+    time_s: float
+    x_m: float
+    y_m: float
+
+
+def machines_apart(time_s: Array, x_m: Array, y_m: Array) -> NDArray[np.int32] | None:
+    """Which of several machines made each row, by their places alone.
+
+    Parameters
+    ----------
+    time_s, x_m, y_m : array, shape (n,)
+        Of rows that bear one machine's name, in the order of the file; NaN where not known.
+
+    Returns
+    -------
+    array of int32, shape (n,), or None
+        Number of the machine from 0; a row without time or place has that of the row before it. None where one machine explains
+        the rows.
+    """
+    placed = np.flatnonzero(np.isfinite(time_s) & np.isfinite(x_m) & np.isfinite(y_m))
+    order = placed[np.argsort(time_s[placed], kind="stable")]
+    found, turns = _followed(time_s[order], x_m[order], y_m[order])
+    if not turns:
+        return None
+    of_row = np.full(len(time_s), -1, np.int32)
+    of_row[order] = found
+    # Wrong places belong to the machine that was there last; rows without a place to that of the row before them in the file.
+    of_row[order] = _filled(of_row[order])
+    return _filled(of_row)
+
+
+def _filled(codes: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Codes with -1 as the one before; the first ones as the first that is known."""
+    known = np.maximum.accumulate(np.where(codes >= 0, np.arange(len(codes)), -1))
+    first = int(np.argmax(codes >= 0))
+    filled: NDArray[np.int32] = codes[np.where(known >= 0, known, first)]
+    return filled
+
+
+def apart(table: HarvestTable) -> HarvestTable:
+    """The table of one source with a machine's name for each of several whose rows are mixed under one name, and a note on it."""
+    if len(table.sources) != 1 or not len(table) or np.nan_to_num(table["section"]).any():
+        return table
+    plane = Sites.about(table["longitude_deg"], table["latitude_deg"])
+    x, y = plane.to_m(table["longitude_deg"], table["latitude_deg"])
+    label, note = machine_names(table["time_s"], x, y, table.labels["machine"])
+    if not note:
+        return table
+    source = replace(table.sources[0], notes=(*table.sources[0].notes, note))
+    return replace(table, labels={**table.labels, "machine": label}, sources=(source,))
+
+
+def machine_names(time_s: Array, x_m: Array, y_m: Array, machine: Label) -> tuple[Label, str]:
+    """Names of the machines that made rows, where several have one name a name for each; and a note, empty where none has."""
+    names: list[str] = []
+    codes = np.zeros(len(time_s), np.int32)
+    said: list[str] = []
+    for code in np.unique(machine.codes).tolist():
+        rows = np.flatnonzero(machine.codes == code)
+        name, parts = machine.names[code], machines_apart(time_s[rows], x_m[rows], y_m[rows])
+        codes[rows] = len(names) + (0 if parts is None else parts)
+        if parts is None:
+            names.append(name)
+            continue
+        made = [f"{name} {number}".strip() for number in range(1, int(parts.max()) + 2)]
+        names += made
+        said += [f"{one} ({number} rows)" for one, number in zip(made, np.bincount(parts).tolist(), strict=True)]
+    if not said:
+        return machine, ""
+    note = f"rows of several machines are mixed under one name: taken apart by their places, as machines {', '.join(said)}"
+    return Label(codes, tuple(names)), note
 
 
 def with_note(table: HarvestTable) -> tuple[HarvestTable, bool]:
@@ -33,7 +113,7 @@ def with_note(table: HarvestTable) -> tuple[HarvestTable, bool]:
 
 
 def mixed_loads(table: HarvestTable) -> dict[int, int]:
-    """Loads in which two machines took turns under one name.
+    """Loads in which several machines took turns under one name.
 
     Parameters
     ----------
@@ -42,7 +122,7 @@ def mixed_loads(table: HarvestTable) -> dict[int, int]:
     Returns
     -------
     dict of int to int
-        Code of the load -> how often its rows leap from one machine's track to the other's and on along it.
+        Code of the load -> how often its rows leap from one machine's track to another's and on along it.
     """
     time, load = table["time_s"], table.labels["load"].codes
     placed = np.isfinite(table["longitude_deg"]) & np.isfinite(table["latitude_deg"]) & np.isfinite(time)
@@ -57,42 +137,60 @@ def mixed_loads(table: HarvestTable) -> dict[int, int]:
     ends = np.flatnonzero(np.diff(group[order])) + 1
     found: dict[int, int] = {}
     for rows in np.split(order, ends):
-        turns = _turns(time[rows], x[rows], y[rows])
+        _, turns = _followed(time[rows], x[rows], y[rows])
         if turns:
             found[int(load[rows[0]])] = found.get(int(load[rows[0]]), 0) + turns
     return found
 
 
-def _turns(time_s: Array, x_m: Array, y_m: Array) -> int:
-    """How often these rows, by time, change between two tracks; 0 where one track explains them."""
+def _followed(time_s: Array, x_m: Array, y_m: Array) -> tuple[NDArray[np.int32], int]:
+    """Machine of each row, by time, -1 for wrong places; and how often the rows change between machines, 0 where one made them."""
+    of_row = np.full(len(time_s), -1, np.int32)
     gap = np.diff(time_s)
     usual_s = float(np.median(gap[gap > 0])) if np.any(gap > 0) else 0.0
     longest_s = max(_LONGEST_GAP_S, _LONGEST_GAP * usual_s)
     leaps = (np.hypot(np.diff(x_m), np.diff(y_m)) > _FASTEST_M_S * gap + _BESIDE_M) & (gap <= longest_s)
     if leaps.sum() < _LEAST_TURNS:
-        return 0
-    return _between_tracks(time_s.tolist(), x_m.tolist(), y_m.tolist(), longest_s)
+        return of_row, 0
+    stretches = _stretches(time_s.tolist(), x_m.tolist(), y_m.tolist(), longest_s)
+    machines = _machines([one for one in stretches if len(one.rows) >= _LEAST_ROWS], time_s, x_m, y_m)
+    kept = [rows for rows in machines if len(rows) >= _LEAST_SHARE * len(time_s)]
+    for number, rows in enumerate(kept):
+        of_row[rows] = number
+    by_time = of_row[of_row >= 0]
+    turns = int(np.count_nonzero(np.diff(by_time)))
+    return of_row, turns if len(kept) > 1 and turns >= _LEAST_TURNS else 0
 
 
-def _between_tracks(time_s: list[float], x_m: list[float], y_m: list[float], longest_s: float) -> int:
-    """A row goes on along the track whose last place it can have come from, the nearer one of two; else it begins a track in
-    place of the older one."""
-    last = [(time_s[0], x_m[0], y_m[0]), (-inf, 0.0, 0.0)]
-    whole, run = [1, 0], [1, 0]
-    turns = current = 0
-    for t, east, north in zip(time_s[1:], x_m[1:], y_m[1:], strict=True):
-        near: list[tuple[float, int]] = []
-        for which, (then, east_before, north_before) in enumerate(last):
-            away = hypot(east - east_before, north - north_before)
-            if t - then <= longest_s and away <= _FASTEST_M_S * (t - then) + _BESIDE_M:
-                near.append((away, which))
-        if near:
-            which = min(near)[1]
-            turns += which != current and min(run) >= _LEAST_TRACK
-            run[which] += 1
-            whole[which] += run[which] >= _LEAST_TRACK
+def _stretches(time_s: list[float], x_m: list[float], y_m: list[float], longest_s: float) -> list[_Stretch]:
+    """A row goes on along the stretch whose last place it can have come from, the nearest one; else it begins one."""
+    found: list[_Stretch] = []
+    alive: list[_Stretch] = []
+    for row, (time, east, north) in enumerate(zip(time_s, x_m, y_m, strict=True)):
+        alive = [one for one in alive if time - one.time_s <= longest_s]
+        nearest, least_m = None, inf
+        for one in alive:
+            away_m = hypot(east - one.x_m, north - one.y_m)
+            if away_m < least_m and away_m <= _FASTEST_M_S * (time - one.time_s) + _BESIDE_M:
+                nearest, least_m = one, away_m
+        if nearest is None:
+            nearest = _Stretch([], time, east, north)
+            found.append(nearest)
+            alive.append(nearest)
+        nearest.rows.append(row)
+        nearest.time_s, nearest.x_m, nearest.y_m = time, east, north
+    return found
+
+
+def _machines(stretches: Sequence[_Stretch], time_s: Array, x_m: Array, y_m: Array) -> list[list[int]]:
+    """Rows of as few machines as made these stretches, none of them two at a time: each by the one that is free and next to it."""
+    machines: list[list[int]] = []
+    for stretch in sorted(stretches, key=lambda one: (time_s[one.rows[0]], one.rows[0])):
+        first = stretch.rows[0]
+        free = [rows for rows in machines if time_s[rows[-1]] <= time_s[first] and rows[-1] < first]
+        if free:
+            last = min(free, key=lambda rows: hypot(x_m[first] - x_m[rows[-1]], y_m[first] - y_m[rows[-1]]))
+            last += stretch.rows
         else:
-            which = 0 if last[0][0] <= last[1][0] else 1
-            run[which] = 1
-        current, last[which] = which, (t, east, north)
-    return turns if turns >= _LEAST_TURNS and min(whole) >= _LEAST_SHARE * len(time_s) else 0
+            machines.append(list(stretch.rows))
+    return machines

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
 from .plane import Sites
 from .table import Array, HarvestTable
@@ -20,6 +21,8 @@ Flags = NDArray[Any]
 MIN_SPEED_M_S = 0.3
 """Below it a yield is not defined and a heading is noise."""
 _HEADING_SPAN = 2
+_USUAL_ROWS = 41
+"""About a row, of which the median step is the usual one."""
 GAP_INTERVALS = 3.0
 """So many usual intervals without a step are a gap."""
 FAR_S = 10_000.0
@@ -161,7 +164,8 @@ def tracks(table: HarvestTable) -> Tracks:
     step_time, step_stream = time[order][first], stream[order][first]
     interval_s = np.nan_to_num(mean(table["interval_s"]))
     gap = np.diff(step_time)
-    usual_s = _usual_s(step_time, step_stream)
+    starts = np.diff(step_stream, prepend=-1) != 0
+    usual_s = usual_steps(np.diff(step_time, prepend=np.nan), starts)
     step_x, step_y = mean(x), mean(y)
     breaks = (np.diff(step_stream) != 0) | (gap > GAP_INTERVALS * np.maximum(usual_s[1:], 1e-3)) | ~np.isfinite(gap)
     run = np.cumsum(np.r_[False, breaks])[:count]
@@ -204,12 +208,36 @@ def _interval(time_s: Array, stream: Index) -> float:
     return float(np.median(positive)) if positive.size else 1.0
 
 
-def _usual_s(time_s: Array, stream: Index) -> Array:
-    """The interval of each step's own stream, s."""
-    first = np.flatnonzero(np.diff(stream, prepend=-1))
-    ends = np.append(first[1:], len(stream))
-    usual = [_interval(time_s[start:end], stream[start:end]) for start, end in zip(first.tolist(), ends.tolist(), strict=True)]
-    return np.repeat(usual, ends - first)
+def usual_steps(step_s: Array, begins: Flags) -> Array:
+    """The usual step about each row: a log may change its rate, and a longer step within a rate is a gap.
+
+    Parameters
+    ----------
+    step_s : array, shape (n,)
+        Time since the row before, in order of stream and time.
+    begins : array of bool, shape (n,)
+        Rows that begin a stream.
+
+    Returns
+    -------
+    array, shape (n,)
+        Median of the positive steps among the 41 nearest of the same stream, s; 1 where a stream has none.
+
+    Examples
+    --------
+    >>> usual_steps(np.r_[np.nan, np.ones(50), 60.0, np.full(50, 5.0)], np.arange(102) == 0)[[0, 10, 51, 101]].tolist()
+    [1.0, 1.0, 5.0, 5.0]
+    """
+    out = np.ones(len(step_s))
+    first = np.flatnonzero(begins | (np.arange(len(step_s)) == 0))
+    for begin, end in zip(first.tolist(), [*first[1:].tolist(), len(step_s)], strict=True):
+        own = step_s[begin + 1 : end]
+        positive = np.flatnonzero(own > 0)
+        if positive.size:
+            usual = median_filter(own[positive], min(_USUAL_ROWS, 2 * positive.size - 1), mode="mirror")
+            nearest = np.searchsorted(positive, np.arange(end - begin) - 1).clip(0, positive.size - 1)
+            out[begin:end] = usual[nearest]
+    return out
 
 
 def _spread_unknown(time_s: Array) -> Array:

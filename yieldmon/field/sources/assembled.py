@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from yieldmon.errors import InputError
+from yieldmon.field.mixed import machine_names
 from yieldmon.field.plane import Sites
 from yieldmon.field.table import LABELS, Array, HarvestTable, Label, Source, build
-from yieldmon.field.tracks import GAP_INTERVALS
+from yieldmon.field.tracks import GAP_INTERVALS, usual_steps
 from yieldmon.field.units import FACTORS, factor
 from yieldmon.field.units import crop as known_crop
 
 from .delimited import number
-from .naming import QUANTITIES
+from .naming import QUANTITIES, Column
 from .options import ReadOptions
 from .positions import plausible
 from .raw_table import Raw
-from .row_times import row_times
+from .row_times import ColumnTimes, column_times, row_times
 
 _TABLE_NAMES = {
     "longitude": "longitude_deg",
@@ -53,8 +55,9 @@ def assemble(raw: Raw, where: str, kind: str, options: ReadOptions) -> HarvestTa
         values["header"], strange = _states(raw.texts[header.name], header.name)
     if "longitude" not in values or "latitude" not in values:
         raise InputError(where, "has no longitude and latitude", "--column longitude=NAME --column latitude=NAME")
-    time, unix_time, notes = row_times(raw, values, options, where)
-    time = np.where(np.isfinite(time), time, np.nan)
+    said = column_times(raw, options, where)
+    raw = _machines_apart(raw, values, said)
+    time, unix_time, notes = row_times(raw, values, said, where)
     if options.width_m is not None:
         values["width"] = np.full(raw.count, options.width_m)
     if "width" not in values:
@@ -65,6 +68,23 @@ def assemble(raw: Raw, where: str, kind: str, options: ReadOptions) -> HarvestTa
         columns["header_down"] = _down(columns["header_down"])
     source = Source(where, kind, raw.count, raw.skipped, notes=(*raw.notes, *notes, *strange, *_backwards(time), *limits))
     return build(columns, _labels(raw, options), source, unix_time=unix_time, default_flow_s=raw.default_flow_s)
+
+
+def _machines_apart(raw: Raw, values: Mapping[str, Array], said: ColumnTimes) -> Raw:
+    """With a name of its own for each of several machines whose rows are mixed: intervals and ways are those of one."""
+    if said.time_s is None or "section" in values:
+        return raw
+    column = raw.columns.get("machine")
+    label = None if column is None else raw.texts.get(column.name)
+    places, _ = plausible({"longitude_deg": values["longitude"], "latitude_deg": values["latitude"]})
+    plane = Sites.about(places["longitude_deg"], places["latitude_deg"])
+    x_m, y_m = plane.to_m(places["longitude_deg"], places["latitude_deg"])
+    named, note = machine_names(said.time_s, x_m, y_m, label or Label.constant("", raw.count))
+    if not note:
+        return raw
+    name = " machine"
+    columns = {**raw.columns, "machine": Column(name, "machine", "")}
+    return replace(raw, columns=columns, texts={**raw.texts, name: named}, notes=(*raw.notes, note))
 
 
 def _numbers(raw: Raw, where: str, crop: str) -> dict[str, Array]:
@@ -137,7 +157,8 @@ def _derive(values: dict[str, Array], time: Array, machine: NDArray[np.int32], w
     before[order[1:]] = order[:-1]
     joined = (before >= 0) & (section == section[before]) & (machine == machine[before])
     step = np.where(joined, time - time[before], np.nan)
-    usual = float(np.median(step[step > 0])) if (step > 0).any() else 1.0
+    usual = np.empty(count)
+    usual[order] = usual_steps(step[order], ~joined[order])
     steady = (step >= 0) & (step <= GAP_INTERVALS * usual)
     if "interval" not in values:
         values["interval"] = np.where(steady, step, usual)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,41 +24,74 @@ _OUT_OF_ORDER = 1.5
 """Rows lie this many times further apart than was driven between them where they are in another order."""
 
 
-def row_times(raw: Raw, values: Mapping[str, Array], options: ReadOptions, where: str) -> tuple[Array, bool, tuple[str, ...]]:
+@dataclass(frozen=True)
+class ColumnTimes:
+    """What a column says of the rows' times.
+
+    Parameters
+    ----------
+    time_s : array, shape (n,), or None
+        As the column has them, NaN where it has none; None where no column has times.
+    unix : bool
+        Whether they are Unix time.
+    notes : tuple of str
+        What was taken for granted; without times, why there are none.
+    name : str
+        Of the column.
+    """
+
+    time_s: Array | None
+    unix: bool
+    notes: tuple[str, ...]
+    name: str = ""
+
+
+def column_times(raw: Raw, options: ReadOptions, where: str) -> ColumnTimes:
+    """The times in a file's columns of times and days. Raises InputError for times of which none can be read."""
+    column = raw.columns.get("time") or _dated_column(raw)
+    if column is None:
+        return ColumnTimes(None, False, ("has no time",))
+    time_s, unix, notes = _of_column(column, raw, options, where)
+    if unix and clocks.days_only(time_s):
+        return ColumnTimes(None, False, (f"{column.name} holds days and no times",))
+    lost = int(np.isnan(time_s).sum())
+    if lost:
+        notes.append(f"{column.name} holds no time that can be read in {lost} of {raw.count} rows")
+    return ColumnTimes(np.where(np.isfinite(time_s), time_s, np.nan), unix, tuple(notes), column.name)
+
+
+def row_times(raw: Raw, values: Mapping[str, Array], said: ColumnTimes, where: str) -> tuple[Array, bool, tuple[str, ...]]:
     """Time of each row, s, whether it is Unix time, and what was taken for granted.
 
     Parameters
     ----------
     raw : Raw
-        As read.
+        As read, each machine's rows under its own name.
     values : mapping of str to array, shape (n,)
         Quantity -> values in SI: longitude and latitude, interval and distance where the file has them.
-    options : ReadOptions
-        Of the map.
+    said : ColumnTimes
+        What the file's columns say.
     where : str
         Place for errors.
 
     Raises
     ------
     InputError
-        For times that cannot be read, and for rows without times that are not in the order in which they were driven.
+        For rows without times that are not in the order in which they were driven.
     """
-    column = raw.columns.get("time") or _dated_column(raw)
-    if column is None:
-        return _in_order(raw, values, where, "has no time")
-    time_s, unix, notes = _of_column(column, raw, options, where)
-    if unix and clocks.days_only(time_s):
-        return _in_order(raw, values, where, f"{column.name} holds days and no times")
+    if said.time_s is None:
+        return _in_order(raw, values, where, said.notes[0])
+    notes = list(said.notes)
     if "interval" in values or "section" in values:
-        return time_s, unix, tuple(notes)
-    even_s, step_s = time_s.copy(), 0.0
+        return said.time_s, said.unix, tuple(notes)
+    even_s, step_s = said.time_s.copy(), 0.0
     for rows in _of_machines(raw):
         way_m = values["distance"][rows] if "distance" in values else _apart_m(values, rows)
-        even_s[rows], own_step_s = clocks.evened(time_s[rows], way_m)
+        even_s[rows], own_step_s = clocks.evened(said.time_s[rows], way_m)
         step_s = max(step_s, own_step_s)
     if step_s:
-        notes.append(f"{column.name} counts in steps of {step_s:.2g} s, more coarsely than the rows follow: times are evened out")
-    return even_s, unix, tuple(notes)
+        notes.append(f"{said.name} counts in steps of {step_s:.2g} s, more coarsely than the rows follow: times are evened out")
+    return even_s, said.unix, tuple(notes)
 
 
 def _of_machines(raw: Raw) -> list[NDArray[np.intp]]:
