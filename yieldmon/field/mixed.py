@@ -144,7 +144,7 @@ def mixed_loads(table: HarvestTable) -> dict[int, int]:
 
 
 def _followed(time_s: Array, x_m: Array, y_m: Array) -> tuple[NDArray[np.int32], int]:
-    """Machine of each row, by time, -1 for wrong places; and how often the rows change between machines, 0 where one made them."""
+    """Machine of each row, by time, -1 for wrong places; and how often the rows change between machines, 0 for one machine."""
     of_row = np.full(len(time_s), -1, np.int32)
     gap = np.diff(time_s)
     usual_s = float(np.median(gap[gap > 0])) if np.any(gap > 0) else 0.0
@@ -183,7 +183,7 @@ def _stretches(time_s: list[float], x_m: list[float], y_m: list[float], longest_
 
 
 def _machines(stretches: Sequence[_Stretch], time_s: Array, x_m: Array, y_m: Array) -> list[list[int]]:
-    """Rows of as few machines as made these stretches, none of them two at a time: each by the one that is free and next to it."""
+    """Rows of as few machines as made these stretches, none two at a time: each by the next one that is free."""
     machines: list[list[int]] = []
     for stretch in sorted(stretches, key=lambda one: (time_s[one.rows[0]], one.rows[0])):
         first = stretch.rows[0]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Sequence
 from datetime import UTC, date, datetime
 
 import numpy as np
@@ -16,6 +14,7 @@ from yieldmon.units import S_PER_DAY
 _UNIX_S = (631_152_000.0, 4_102_444_800.0)
 """1990 and 2100."""
 _WEEK_S = 7.0 * S_PER_DAY
+_LATE_S = 600.0
 _GAP_STEPS = 3.0
 """Times the usual step: a longer one is a gap."""
 _LEAST_STEADY = 0.9
@@ -25,12 +24,17 @@ _ROUNDED = 0.1
 _EVENED_ROWS = 11
 _LEAST_STEP_S = 0.01
 """No monitor logs more often."""
+_FINEST_S = 0.002
+"""Usual step below which numbers are no seconds."""
+_LEAST_DIGITS, _DAY_IN_DIGITS = 100, 240_000.0
+"""Different times from which on digits tell whether they are hours, minutes and seconds, and the day's end in such digits."""
 
 
 def unwrapped(time_s: Array) -> tuple[Array, tuple[str, ...]]:
     """A clock of the day or the GPS week that goes on over midnight or the week's end, and a note for each time it did.
 
-    A step back by more than half the clock's round is the round's end; any other step stays.
+    A step back by more than half the clock's round is the round's end, and one that leads back over it within ten minutes is a
+    row that came late; any other step stays.
 
     >>> unwrapped(np.array([86398.0, 86399.0, 0.0, 1.0]))[0]
     array([86398., 86399., 86400., 86401.])
@@ -49,8 +53,10 @@ def unwrapped(time_s: Array) -> tuple[Array, tuple[str, ...]]:
         back = steps < -0.5 * round_s
         if highest >= round_s or not back.any():
             continue
-        values = values + np.concatenate(([0.0], np.cumsum(np.where(back, round_s, 0.0))))
-        notes.append(f"the clock starts again at {name}, {int(back.sum())} times")
+        late = (steps > round_s - _LATE_S) & (np.cumsum(back) > 0)
+        rounds = np.cumsum(back.astype(int) - late)
+        values = values + round_s * np.concatenate(([0.0], np.maximum(rounds, 0)))
+        notes.append(f"the clock starts again at {name}, {int(back.sum() - late.sum())} times")
         break
     out[known] = values
     return out, tuple(notes)
@@ -88,6 +94,42 @@ def is_serial_days(numbers: Array, *, in_days: bool) -> bool:
     return in_days or bool((steps > 0).any() and np.median(steps[steps > 0]) < _LEAST_STEP_S)
 
 
+def is_day_fraction(numbers: Array) -> bool:
+    """Whether numbers are times of the day as spreadsheets count days, without the date.
+
+    >>> is_day_fraction(np.array([0.47525, 0.47527])), is_day_fraction(np.array([0.0, 1.0]))
+    (True, False)
+    """
+    known = numbers[np.isfinite(numbers)]
+    steps = np.diff(known)
+    inside = known.size > 1 and known.min() >= 0.0 and known.max() <= 1.0
+    return bool(inside and (steps > 0).any() and np.median(steps[steps > 0]) < _LEAST_STEP_S)
+
+
+def too_fine_s(time_s: Array) -> float:
+    """The usual step of times whose steps are shorter than any log's, s; 0 where they are not."""
+    steps = np.diff(np.unique(time_s[np.isfinite(time_s)]))
+    usual = float(np.median(steps)) if steps.size else 0.0
+    return usual if 0.0 < usual < _FINEST_S else 0.0
+
+
+def of_digits(numbers: Array) -> Array | None:
+    """Seconds of the day of times that are written as digits, such as 135012.5 for 13:50:12.5; None for any other numbers.
+
+    >>> of_digits(np.array([135959.0, 140000.0] * 60)) is None, of_digits(np.array([85.0] * 120)) is None
+    (True, True)
+    """
+    known = np.unique(numbers[np.isfinite(numbers)])
+    if known.size < _LEAST_DIGITS or known.min() < 0 or known.max() >= _DAY_IN_DIGITS or known.max() < 1e4:
+        return None
+    minute, second = np.floor(numbers / 100.0) % 100.0, numbers % 100.0
+    with np.errstate(invalid="ignore"):
+        if (minute >= 60.0).any() or (second >= 60.0).any() or np.unique(minute[np.isfinite(minute)]).size < 2:
+            return None
+    of_day: Array = np.floor(numbers / 1e4) * 3600.0 + minute * 60.0 + second
+    return of_day
+
+
 def of_serial_days(days: Array) -> Array:
     """Unix time of dates as spreadsheets count days, to the millisecond.
 
@@ -109,7 +151,7 @@ def days_only(time_s: Array) -> bool:
 
 
 def evened(time_s: Array, way_m: Array) -> tuple[Array, float]:
-    """Times of a clock that counts more coarsely than the log, evened out over 11 rows; and its step, s, 0 for any other clock.
+    """Times of a clock that counts more coarsely than the log, evened out over 11 rows or its step; and that step, s.
 
     Steps that come of rounding differ while the ways driven in them do not; where a log's steps really differ, so do the ways.
 
@@ -135,7 +177,9 @@ def evened(time_s: Array, way_m: Array) -> tuple[Array, float]:
         steady = (step >= 0) & (step <= _GAP_STEPS * usual) & np.isfinite(way_m)
     if np.count_nonzero(steady) < _LEAST_STEADY * len(step):
         return time_s, 0.0
-    off_s, off_m = (values[steady] - uniform_filter1d(values[steady], _EVENED_ROWS) for values in (step, way_m))
+    # So many rows that the clock's own steps do not show.
+    over = max(_EVENED_ROWS, 2 * round(len(step) / max(int((step > 0).sum()), 1) / 2) + 1)
+    off_s, off_m = (values[steady] - uniform_filter1d(values[steady], over) for values in (step, way_m))
     speed = float(way_m[steady].sum() / step[steady].sum())
     followed = float(off_s @ off_m) / max(float(off_s @ off_s), 1e-300)
     if float(np.std(off_s)) < _ROUNDED * usual or followed > 0.5 * speed:
@@ -144,9 +188,28 @@ def evened(time_s: Array, way_m: Array) -> tuple[Array, float]:
     begins = np.flatnonzero(~steady)
     for begin, end in zip(begins.tolist(), [*begins[1:].tolist(), len(step)], strict=True):
         if end - begin > 2:
-            line = np.linspace(time_s[begin], time_s[end - 1], end - begin)
-            out[begin:end] = line + uniform_filter1d(time_s[begin:end] - line, _EVENED_ROWS, mode="nearest")
+            own = time_s[begin:end]
+            out[begin:end] = _between_ticks(own) if over > _EVENED_ROWS else _smoothed(own)
     return out, float(positive.min())
+
+
+def _smoothed(time_s: Array) -> Array:
+    line = np.linspace(time_s[0], time_s[-1], len(time_s))
+    even: Array = line + uniform_filter1d(time_s - line, _EVENED_ROWS, mode="nearest")
+    return even
+
+
+def _between_ticks(time_s: Array) -> Array:
+    """Times of a clock that many rows share: right where it ticks, even between, and before the first and after the last tick."""
+    ticks = np.flatnonzero(np.diff(time_s) > 0) + 1
+    if len(ticks) < 2:
+        return time_s
+    rows = np.arange(len(time_s))
+    even: Array = np.interp(rows, ticks, time_s[ticks])
+    step_s = float(time_s[ticks[-1]] - time_s[ticks[0]]) / float(ticks[-1] - ticks[0])
+    outside = np.minimum(rows - ticks[0], 0) + np.maximum(rows - ticks[-1], 0)
+    even += step_s * outside
+    return even
 
 
 def dated(time_s: Array, first: date) -> Array:
@@ -157,57 +220,3 @@ def dated(time_s: Array, first: date) -> Array:
     midnight = datetime(first.year, first.month, first.day, tzinfo=UTC).timestamp()
     unix: Array = time_s + midnight - np.floor(time_s[known[0]] / S_PER_DAY) * S_PER_DAY
     return unix
-
-
-_COUNT = re.compile(r"[+-]?(?:\d{1,7}|\d{9,13}|\d{15,})(?:\.\d*)?|[+-]?\d+\.\d*")
-"""What is no date: digits only, but for those of a day (8) and of a day with its time (14)."""
-_FORMATS = (
-    "%m/%d/%Y %I:%M:%S %p",
-    "%m/%d/%Y %H:%M:%S",
-    "%Y/%m/%d %H:%M:%S",
-    "%d.%m.%Y %H:%M:%S",
-    "%Y%m%d%H%M%S",
-    "%m/%d/%Y %H:%M",
-)
-
-
-def parsed(texts: Sequence[str]) -> tuple[Array, str]:
-    """Unix times of ISO 8601 or other dated texts, NaN where one cannot be read; and a note on what was taken for granted."""
-    count = len(texts)
-    out = np.full(count, np.nan)
-    seen: dict[str, float] = {}
-    zone_missing = False
-    chosen: str | None = None
-    for row, text in enumerate(texts):
-        if text not in seen:
-            moment, chosen = _moment(text, chosen)
-            if moment is not None and moment.tzinfo is None:
-                zone_missing, moment = True, utc.in_utc(moment)
-            try:
-                seen[text] = np.nan if moment is None else moment.timestamp()
-            except (OverflowError, ValueError, OSError):
-                seen[text] = np.nan
-        out[row] = seen[text]
-    notes = []
-    if zone_missing:
-        notes.append("times without a zone are taken as UTC")
-    if chosen is not None and chosen.startswith("%m/"):
-        notes.append("dates are read as month/day/year")
-    return out, "; ".join(notes)
-
-
-def _moment(text: str, chosen: str | None) -> tuple[datetime | None, str | None]:
-    plain = text.strip()
-    if _COUNT.fullmatch(plain):
-        # A count of seconds also reads as year, month, day and hour without anything between them.
-        return None, chosen
-    try:
-        return datetime.fromisoformat(plain), chosen
-    except ValueError:
-        pass
-    for pattern in (chosen, *_FORMATS) if chosen else _FORMATS:
-        try:
-            return datetime.strptime(plain, str(pattern)), str(pattern)
-        except ValueError:
-            continue
-    return None, chosen

@@ -14,12 +14,13 @@ from yieldmon.field.table import Array, Label
 from yieldmon.field.units import FACTORS, factor, plain_unit
 from yieldmon.units import S_PER_DAY
 
-from . import clocks
+from . import clocks, written_times
 from .naming import Column
 from .options import ReadOptions
 from .raw_table import Raw
 
 _LOOKED_AT = 100
+_MOST_REPEAT = 0.6
 _OUT_OF_ORDER = 1.5
 """Rows lie this many times further apart than was driven between them where they are in another order."""
 
@@ -82,7 +83,7 @@ def row_times(raw: Raw, values: Mapping[str, Array], said: ColumnTimes, where: s
     if said.time_s is None:
         return _in_order(raw, values, where, said.notes[0])
     notes = list(said.notes)
-    if "interval" in values or "section" in values:
+    if "section" in values or ("interval" in values and not _repeats(said.time_s, raw)):
         return said.time_s, said.unix, tuple(notes)
     even_s, step_s = said.time_s.copy(), 0.0
     for rows in _of_machines(raw):
@@ -92,6 +93,12 @@ def row_times(raw: Raw, values: Mapping[str, Array], said: ColumnTimes, where: s
     if step_s:
         notes.append(f"{said.name} counts in steps of {step_s:.2g} s, more coarsely than the rows follow: times are evened out")
     return even_s, said.unix, tuple(notes)
+
+
+def _repeats(time_s: Array, raw: Raw) -> bool:
+    """Whether most rows have the time of the row before: a clock that counts more coarsely than the rows follow."""
+    same = sum(int((np.diff(time_s[rows]) == 0).sum()) for rows in _of_machines(raw))
+    return same > _MOST_REPEAT * len(time_s)
 
 
 def _of_machines(raw: Raw) -> list[NDArray[np.intp]]:
@@ -129,27 +136,93 @@ def _in_order(raw: Raw, values: Mapping[str, Array], where: str, why: str) -> tu
 
 
 def _of_column(column: Column, raw: Raw, options: ReadOptions, where: str) -> tuple[Array, bool, list[str]]:
+    place = f"{where}: {column.name}"
+    midnight_s, day_note = _midnights(column, raw)
     if column.name in raw.texts:
-        label = _with_day(raw, raw.texts[column.name])
-        times, note = clocks.parsed(label.names)
+        label = raw.texts[column.name]
+        dated, note = _dated(label, raw)
         numbers = _as_numbers(label)
         # Of counts of seconds some read as dates.
-        counted = plain_unit(column.unit) in FACTORS["time"] or (np.isfinite(numbers).all() and not np.isfinite(times).all())
-        if np.isfinite(times).any() and not counted:
-            return times[label.codes], True, [note] if note else []
+        counted = plain_unit(column.unit) in FACTORS["time"] or (np.isfinite(numbers).all() and not np.isfinite(dated).all())
+        if np.isfinite(dated).any() and not counted:
+            return dated, True, [note] if note else []
+        of_day = written_times.seconds_of_day(label.names)[label.codes]
+        if not counted and np.isfinite(of_day).sum() > np.isfinite(numbers).sum():
+            return _of_day(of_day, midnight_s, raw, options, [day_note])
         if not np.isfinite(numbers).any():
-            raise InputError(f"{where}: {column.name}", f"is {label.names[0][:40]!r}", "ISO 8601 times, or seconds")
+            raise InputError(place, f"is {label.names[0][:40]!r}", "ISO 8601 times, or seconds")
     else:
         numbers = raw.numbers[column.name]
-    s_per_unit = factor(column.unit, "time", f"{where}: {column.name}") if column.unit else 1.0
+    return _of_numbers(column, numbers, midnight_s, raw, options, [day_note], place)
+
+
+def _of_numbers(
+    column: Column, numbers: Array, midnight_s: Array | None, raw: Raw, options: ReadOptions, notes: list[str], place: str
+) -> tuple[Array, bool, list[str]]:
+    s_per_unit = factor(column.unit, "time", place) if column.unit else 1.0
     if clocks.is_serial_days(numbers, in_days=s_per_unit == S_PER_DAY):
         return clocks.of_serial_days(numbers), True, [f"{column.name} is taken as a spreadsheet's days, 1 for 1 January 1900"]
+    if not column.unit and clocks.is_day_fraction(numbers):
+        note = f"{column.name} is taken as a spreadsheet's time of the day, 0.5 for noon"
+        return _of_day(np.round(numbers * S_PER_DAY, 3), midnight_s, raw, options, [note, *notes])
+    digits = None if column.unit else clocks.of_digits(numbers)
+    if digits is not None:
+        note = f"{column.name} is taken as hours, minutes and seconds in digits, 135012 for 13:50:12"
+        return _of_day(digits, midnight_s, raw, options, [note, *notes])
     numbers, time_unit = clocks.of_unix(numbers * s_per_unit)
+    if (step := clocks.too_fine_s(numbers)) > 0:
+        raise InputError(place, f"has steps of {step:.2g} s", f"--column time={column.name}:UNIT, one of s, ms, min, h, d")
     unix = bool(time_unit) or "unix" in column.name.lower()
-    out, notes = clocks.unwrapped(numbers)
-    if options.first_date is not None and not unix:
-        return clocks.dated(out, options.first_date), True, list(notes)
-    return out, unix, [*notes] if column.unit else [*notes, f"{column.name} is taken as {time_unit or 'seconds'}"]
+    said = [] if column.unit else [f"{column.name} is taken as {time_unit or 'seconds'}"]
+    if unix:
+        return numbers, True, said
+    return _of_day(numbers, midnight_s, raw, options, [*notes, *said])
+
+
+def _of_day(
+    clock_s: Array, midnight_s: Array | None, raw: Raw, options: ReadOptions, notes: list[str]
+) -> tuple[Array, bool, list[str]]:
+    """A clock without a date, with the day of each row or else going on over midnight, each machine's for itself."""
+    known = clock_s[np.isfinite(clock_s)]
+    if midnight_s is not None and known.size and known.min() >= 0.0 and known.max() <= S_PER_DAY:
+        return midnight_s + clock_s, True, [note for note in notes if note]
+    out = clock_s.copy()
+    for rows in _of_machines(raw):
+        out[rows], more = clocks.unwrapped(clock_s[rows])
+        notes = [*notes, *(note for note in more if note not in notes)]
+        if options.first_date is not None:
+            out[rows] = clocks.dated(out[rows], options.first_date)
+    return out, options.first_date is not None, [note for note in notes if note]
+
+
+def _midnights(column: Column, raw: Raw) -> tuple[Array | None, str]:
+    """Where each row's day begins, Unix time, and what was taken for granted; None without a column of days beside the times."""
+    day = raw.columns.get("day")
+    if day is None or day.name == column.name:
+        return None, ""
+    if day.name in raw.texts:
+        label = raw.texts[day.name]
+        found, note = written_times.parsed([written_times.without_midnight(name) for name in label.names])
+        days_s = found[label.codes]
+    else:
+        days_s, note = (raw.numbers[day.name] if day.unit == "s" else np.array([np.nan])), ""
+    if not np.isfinite(days_s).all() or (days_s % S_PER_DAY != 0).any():
+        return None, ""
+    return days_s, note
+
+
+def _dated(label: Label, raw: Raw) -> tuple[Array, str]:
+    """Times with their date, or with the day that stands in a column of its own; NaN where they have none."""
+    times, note = written_times.parsed(label.names)
+    if np.isfinite(times).any():
+        return times[label.codes], note
+    day = raw.columns.get("day")
+    if day is None or day.name not in raw.texts or raw.texts[day.name] is label:
+        return times[label.codes], note
+    dates = raw.texts[day.name].text().tolist()
+    both = Label.of([f"{written_times.without_midnight(a)} {b}" for a, b in zip(dates, label.text().tolist(), strict=True)])
+    times, note = written_times.parsed(both.names)
+    return times[both.codes], note
 
 
 def _dated_column(raw: Raw) -> Column | None:
@@ -157,17 +230,8 @@ def _dated_column(raw: Raw) -> Column | None:
     day = raw.columns.get("day")
     if day is None or day.name not in raw.texts:
         return None
-    times, _ = clocks.parsed(raw.texts[day.name].names[:_LOOKED_AT])
+    times, _ = written_times.parsed(raw.texts[day.name].names[:_LOOKED_AT])
     return day if (times[np.isfinite(times)] % S_PER_DAY != 0).any() else None
-
-
-def _with_day(raw: Raw, time: Label) -> Label:
-    """Times of the day with the day that stands in a column of its own."""
-    day = raw.columns.get("day")
-    if day is None or day.name not in raw.texts or raw.texts[day.name] is time:
-        return time
-    dates = raw.texts[day.name]
-    return Label.of([f"{a} {b}" for a, b in zip(dates.text().tolist(), time.text().tolist(), strict=True)])
 
 
 def _as_numbers(label: Label) -> Array:
