@@ -58,7 +58,8 @@ def as_pattern(pattern: str) -> Callable[[datetime], str]:
 @pytest.mark.parametrize(
     "pattern",
     ["%d/%m/%Y %H:%M:%S", "%d/%m/%Y %I:%M:%S %p", "%d-%m-%Y %H:%M:%S", "%d.%m.%y %H:%M:%S", "%m/%d/%y %H:%M:%S", "%H:%M:%S",
-     "%I:%M:%S %p", "%m/%d/%Y %I:%M:%S %p", "%d-%b-%Y %H:%M:%S", "%d. %B %Y %H:%M:%S", "%Y/%m/%d %H:%M:%S", "%Y-%m-%d %H:%M:%S UTC"],
+     "%I:%M:%S %p", "%m/%d/%Y %I:%M:%S %p", "%d-%b-%Y %H:%M:%S", "%d. %B %Y %H:%M:%S", "%Y/%m/%d %H:%M:%S",
+     "%Y-%m-%d %H:%M:%S UTC"],
 )  # fmt: skip
 def test_a_harvest_over_midnight_is_one_of_ten_minutes(pattern: str, capsys: pytest.CaptureFixture[str]) -> None:
     document, notes = mapped(capsys, as_pattern(pattern))
