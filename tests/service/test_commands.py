@@ -41,6 +41,7 @@ class Told:
     estimator = SimpleNamespace(parameters=parameter_file.load())
 
     counted_loads = frozenset()
+    scale_counted = False
 
     def ticket_departure(self, *ticket: float) -> None:
         """Not known."""

@@ -7,9 +7,13 @@ from math import log
 import numpy as np
 import pytest
 
-from tests.service.bench import running
-from tests.service.test_tickets_after_restart import TRUE, Season
+from tests.service.bench import START_S, encoded, running
+from tests.service.test_tickets_after_restart import TRUE, Season, ask
 from yieldmon.cli import main as cli
+from yieldmon.files import machine_file
+from yieldmon.plant.combine import VirtualCombine
+from yieldmon.plant.scenario import from_mapping
+from yieldmon.resources import shipped
 from yieldmon.service import ticket_doubt
 from yieldmon.service.batch import Load
 from yieldmon.service.ticket_doubt import Departure, combined
@@ -122,3 +126,29 @@ def test_the_first_ticket_says_that_it_decides_alone_and_the_second_that_the_fir
         assert "sets the scale by itself" not in second
         assert "or ticket 1, the only one before it, is the wrong one (`yieldmon ticket undo 1`)" in second
         assert "by one ticket alone" not in bench.daemon.monitor.outcome.reason
+
+
+def test_where_a_tank_scale_has_taught_no_ticket_is_said_to_decide_alone(tmp_path, capsys) -> None:
+    passes = {"kind": "stop-and-go", "flow_kg_s": 12, "pass_s": 60, "headland_s": 20, "unload_every": 3, "unload_s": 20}
+    pieces = [{"kind": "steady", "duration_s": 20, "flow_kg_s": 0}, {**passes, "duration_s": 400}]
+    scenario = {"duration_s": 420, "effects": {"gravity": "on"}, "flow": {"pieces": pieces}}
+    combine = VirtualCombine(from_mapping(scenario, "test"), machine_file.load(shipped("config/machines/sprocket-8.yaml")), 1)
+    with running(tmp_path, "bus: {transmit_max_age_s: 60}\nsweep: {enabled: false}") as bench:
+
+        def harvest(until_s: float) -> None:
+            for frame in combine.frames_until(until_s):
+                bench.peer.send(encoded(frame._replace(time_s=frame.time_s + START_S)))
+            bench.now_s = START_S + until_s
+            bench.played()
+
+        harvest(30.0)
+        ask(tmp_path, "load", "start")
+        harvest(380.0)
+        ask(tmp_path, "load", "stop")
+        assert bench.daemon.monitor.scale_counted
+        weighed_kg = 1.3 * ask(tmp_path, "load", "list")["loads"][-1]["mass_kg"]
+        capsys.readouterr()
+        assert cli.main(["ticket", "2", f"{weighed_kg:.0f}kg", "--socket", str(tmp_path / "yieldmon.sock")]) == 0
+        told = capsys.readouterr().err
+        assert "sets the scale by itself" not in told
+        assert "% more than the" in told

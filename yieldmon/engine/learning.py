@@ -83,6 +83,12 @@ class Learning:
         return self._ticketed(counted)
 
     @property
+    def scale_counted(self) -> bool:
+        """See `Monitor.scale_counted`."""
+        counted = frozenset() if self.calibrator is None else self.calibrator.counted
+        return any(name_of(anchor) in counted for anchor in self._scale.anchors)
+
+    @property
     def doubted_loads(self) -> frozenset[int]:
         """See `Monitor.doubted_loads`."""
         return self._ticketed(frozenset() if self.calibrator is None else self.calibrator.doubted)

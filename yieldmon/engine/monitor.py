@@ -351,6 +351,11 @@ class Monitor:
         return self._parts.learning.counted_loads
 
     @property
+    def scale_counted(self) -> bool:
+        """Whether masses of the tank scale are among what tickets are held against."""
+        return self._parts.learning.scale_counted
+
+    @property
     def doubted_loads(self) -> frozenset[int]:
         """Loads whose tickets contradict those and wait until another agrees with them, of any crop."""
         return self._parts.learning.doubted_loads

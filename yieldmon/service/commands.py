@@ -231,7 +231,7 @@ def _departure(shares: Sequence[Weighing], order: _Order) -> ticket_doubt.Depart
         return None
     return ticket_doubt.combined(
         parts,
-        weighed_before=bool(order.monitor.counted_loads),
+        weighed_before=bool(order.monitor.counted_loads) or order.monitor.scale_counted,
         only_one=bool(_only_tickets(order, [number for number, _, _ in shares])),
     )
 
@@ -240,7 +240,7 @@ def _only_tickets(order: _Order, covered: Sequence[int]) -> list[int]:
     """Standing tickets for all the loads whose tickets have counted, where these loads are others: a single weighing has set the
     scale."""
     counted = order.monitor.counted_loads
-    if counted & set(covered):
+    if counted & set(covered) or order.monitor.scale_counted:
         return []
     standing = order.journal.actions.ledger.tickets.items()
     return [n for n, t in standing if counted and counted <= set(range(t.first_load, t.last_load + 1))]
