@@ -294,7 +294,8 @@ def _line(document: ProcessSummary, units: Units) -> str:
     elif not document["zero_known"]:
         lines.append(
             "no mass: the log begins in grain, with no stretch of the elevator running empty, so there is no zero; --zero-mv "
-            "gives a known one, as the table of an earlier log or `yieldmon status` has it"
+            "gives a known one, as the table of an earlier log or `yieldmon status` has it; if it begins empty, `yieldmon "
+            "check-config CONFIG --log LOG` says whether the samples can be a force"
         )
     return "\n".join(lines)
 

@@ -31,6 +31,12 @@ _ANGLE_MARGIN_DEG = 5.0
 _LEAST_MOISTURE_PCT = 1.0
 """No grain is drier."""
 _WORTH_SAYING_PCT = 0.1
+_SMOOTH_HZ = 400.0
+"""From which on a paddle's pulse has many samples."""
+_JUMPING, _LEAST_STEPS = 0.15, 200
+"""Share of the range from one sample to the next that is none of a pulse's (0.1 at most), of so many samples."""
+_LEAST_SHARE = 0.25
+"""Of the full scale, below 0: a cell that pulls."""
 _SPEED_BAND = np.linspace(0.98, 1.02, 9)
 """A loaded elevator turns up to this share off its stated speed: enough to fold a harmonic onto 0."""
 _FORCES_N = np.geomspace(5.0, 500.0, 24)
@@ -39,7 +45,8 @@ _FORCES_N = np.geomspace(5.0, 500.0, 24)
 @dataclass(frozen=True)
 class QuantitySeen:
     """A quantity in a recording, in its own unit: samples or values and how many were usable, values per second, range, the
-    longest time without one, s, the first values, and the range of all that was decoded. None where there is nothing to say."""
+    longest time without one, s, the first values, the range of all that was decoded, and how far one value is from the next.
+    None where there is nothing to say."""
 
     unit: str
     values: int
@@ -50,6 +57,8 @@ class QuantitySeen:
     largest_gap_s: float | None
     first: tuple[float, ...]
     decoded: tuple[float, float] | None
+    step_share: float | None = None
+    """Median difference between one value and the next over the range of most of them."""
 
 
 def aliasing_pct(configuration: Configuration) -> dict[str, float]:
@@ -176,7 +185,15 @@ def _summary(name: str, parts: list[tuple[Array, Array, Array]]) -> QuantitySeen
         largest_gap_s=float(np.diff(at).max()) if good.size > 1 else None,
         first=tuple(good[:_FIRST].tolist()),
         decoded=(float(finite.min()), float(finite.max())) if finite.size else None,
+        step_share=_step_share(good),
     )
+
+
+def _step_share(values: Array) -> float | None:
+    if values.size < _LEAST_STEPS:
+        return None
+    low, high = np.percentile(values, (1.0, 99.0))
+    return float(np.median(np.abs(np.diff(values))) / (high - low)) if high > low else None
 
 
 def problems(configuration: Configuration, seen: dict[str, QuantitySeen], log: str) -> list[tuple[str, str, str]]:
@@ -221,7 +238,7 @@ def _angle_problems(machine: Machine, seen: dict[str, QuantitySeen], log: str) -
 
 def remarks(configuration: Configuration, seen: dict[str, QuantitySeen]) -> list[str]:
     """What is doubtful in a recording, a sentence each: it may be a recording of that kind, or a mistaken unit."""
-    found, machine = [], configuration.machine
+    found, machine = _impact_remarks(configuration, seen), configuration.machine
     speed, moisture = seen.get("elevator_speed"), seen.get("moisture")
     least, most = machine.min_elevator_speed_rad_s / RPM, machine.max_elevator_speed_rad_s / RPM
     if speed is not None and speed.low is not None and speed.high is not None and (speed.high < least or speed.low > most):
@@ -231,6 +248,27 @@ def remarks(configuration: Configuration, seen: dict[str, QuantitySeen]) -> list
         )
     if moisture is not None and moisture.high is not None and moisture.high < _LEAST_MOISTURE_PCT:
         found.append(f'moisture is never above {moisture.high:.3g} %: if it comes as a share of 1, unit: "1" makes it per cent')
+    return found
+
+
+def _impact_remarks(configuration: Configuration, seen: dict[str, QuantitySeen]) -> list[str]:
+    found, full_mv = [], configuration.machine.sensor.full_scale_mv
+    for number, source in enumerate(configuration.signals.sources.impact):
+        name = _impact_name(number)
+        entry = seen[name]
+        if entry.low is None or entry.high is None:
+            continue
+        if entry.high > full_mv or entry.low < -_LEAST_SHARE * full_mv:
+            found.append(
+                f"{name} goes from {entry.low:.6g} to {entry.high:.6g} mV; a cell of {full_mv:g} mV (full_scale_mv of the "
+                "machine file) counts as saturated from there on: look at unit, scale, sign and byte order (@0 or @1 in the DBC)"
+            )
+        wide = entry.high - entry.low > 0.5 * full_mv
+        if wide and source.rate_hz >= _SMOOTH_HZ and entry.step_share is not None and entry.step_share > _JUMPING:
+            found.append(
+                f"{name} jumps by {100.0 * entry.step_share:.0f} % of its range from one sample to the next, as no force does: "
+                "look at start bit, byte order (@0 or @1 in the DBC) and sign of its signal"
+            )
     return found
 
 
@@ -246,4 +284,4 @@ def _instead(configuration: Configuration, name: str, log: str) -> str | None:
 
 def as_json(seen: dict[str, QuantitySeen]) -> dict[str, Any]:
     """For `--json`."""
-    return {name: asdict(entry) for name, entry in seen.items()}
+    return {name: {key: value for key, value in asdict(entry).items() if key != "step_share"} for name, entry in seen.items()}

@@ -13,6 +13,9 @@ _CHANNELS = re.compile(r"(input|chan(nel)?|ch|ain|port)_?\d+", re.IGNORECASE)
 """Numbered signals of one frame that are sensors of their own, not samples of one."""
 _GUESS = "ratio: 0.2"
 _EXCITATION = "scale: 5"
+_COUNTS = "scale: 0.1"
+_FAST_HZ, _MOST_NAMELESS = 9.0, 6
+"""Rate from which on frames without a DBC may be an impact sensor's, and how many are named."""
 TELLING = ("manufacturer_code", "function", "function_instance", "ecu_instance", "identity_number")
 """Fields of a NAME that identify a node, as `source` of a mapping takes them."""
 
@@ -28,7 +31,7 @@ def mapping_text(survey: Survey, paths: Mapping[str, str]) -> str:
     impact = sorted((name for name in IMPACT if name in candidates), key=lambda name: -candidates[name][0].score)
     wanted = [*impact[:1], *(name for name in QUANTITIES if name in candidates)]
     if not impact:
-        lines.append("  # impact_voltage: nothing on this bus looks like an impact sensor; see docs/guide/wiring.md")
+        lines += _no_impact(survey)
     used: set[tuple[str, str]] = set()
     for quantity in wanted:
         free = [c for c in candidates[quantity] if (c.message, c.signal) not in used]
@@ -37,6 +40,8 @@ def mapping_text(survey: Survey, paths: Mapping[str, str]) -> str:
         entries = list(dict.fromkeys(entry for one in free for entry in _entries(one, paths, candidates)))[:4]
         if any(_GUESS in entry for entry in entries):
             lines.append("  # The ratio is a guess: turns of the elevator's upper shaft per turn of the measured one.")
+        if any(_COUNTS in entry for entry in entries):
+            lines.append("  # The scale is a guess: mV per count; with `offset` where counts fall as the force rises.")
         if any(_EXCITATION in entry for entry in entries):
             lines.append("  # The scale is a guess: volts that feed the bridge.")
         if free[0].weak:
@@ -46,6 +51,23 @@ def mapping_text(survey: Survey, paths: Mapping[str, str]) -> str:
             lines.append(f"  {quantity}: {entries.pop(0)}")
         lines += [f"  # or {quantity}: {entry}" for entry in entries]
     return "\n".join(lines if any(line[2:3] != "#" for line in lines[3:]) else [*lines[:2], "signals: {}", *lines[3:]]) + "\n"
+
+
+def _no_impact(survey: Survey) -> list[str]:
+    """Comments on where an impact sensor may be: frames of no DBC and of no group of J1939 with a name of its own."""
+    lines = ["  # impact_voltage: nothing on this bus looks like an impact sensor; see docs/guide/wiring.md"]
+    fast = [m for m in survey.messages if m.dbc is None and (m.rate_hz or 0.0) >= _FAST_HZ and _is_makers_own(m.group)]
+    if fast:
+        fast.sort(key=lambda message: -(message.rate_hz or 0.0))
+        shown = ", ".join(f"0x{m.identifier:X} ({m.rate_hz:.4g} Hz)" for m in fast[:_MOST_NAMELESS])
+        lines.append(f"  # By their rate these could be one: {shown}.")
+        lines.append("  # Name their signals in a DBC, such as examples/wiring/analog_module.dbc, and run this again with --dbc.")
+    return lines
+
+
+def _is_makers_own(group: int | None) -> bool:
+    """Whether what a group means is its maker's to say: 11-bit identifiers, Proprietary A, A2 and B."""
+    return group is None or group in (0xEF00, 0x1EF00) or group & 0xFF00 == 0xFF00
 
 
 def _samples(found: Candidate, candidates: Mapping[str, Sequence[Candidate]]) -> list[str]:
@@ -80,7 +102,7 @@ def _entries(found: Candidate, paths: Mapping[str, str], candidates: Mapping[str
         if found.quantity in IMPACT:
             keys.append(f"rate_hz: {found.rate_hz:.4g}")
     if found.quantity in IMPACT and not found.unit:
-        keys += ["unit: counts", "scale: 0.1"]
+        keys += ["unit: counts", _COUNTS]
     if found.quantity in IMPACT and found.unit == "mV/V":
         keys.append(_EXCITATION)
     if found.not_available:
