@@ -14,16 +14,20 @@ from numpy.typing import NDArray
 
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.numerics import Array
+from yieldmon.physics.throw import Throw
 
 from .density_and_gain import DENSITY, gain_names, moved, shifted
 from .load_inputs import LoadSettings, WeighedLoad
 from .load_pattern import following
 from .open_loop import invert_force
 from .parameters import ParameterSet
+from .recent import Recent
 
 _ITERATIONS = 12
 _SETTLED = 1e-5
 _STEP = 1e-4
+_RECENT = 64
+"""Results that are kept of each kind: fits without a load begin where others were."""
 _SIGNIFICANT = 0.01
 """Probability by chance below which loads speak against a fit."""
 
@@ -78,8 +82,11 @@ class LoadProblem:
         self.law = self._law()
         """(n, n) covariance of the loads' ln errors by what the model's force leaves of the machine's."""
         self.held, self.prior = self._coordinates()
-        self._flow: tuple[ParameterSet, Array, Array] | None = None
-        """What `flow` gave last, and for which parameters."""
+        self._throw: Throw | None = None
+        """The last one."""
+        self._flows: Recent[tuple[Array, Array]] = Recent(_RECENT)
+        self.at_step: Recent[tuple[Array, Array]] = Recent(_RECENT)
+        """ln of measured over weighed mass and its slopes, by a step's bytes."""
         self._fits: dict[tuple[bytes, int], LoadFit] = {}
         """Fits from the start, by active loads and directions."""
 
@@ -101,11 +108,12 @@ class LoadProblem:
 
     def flow(self, known: ParameterSet) -> tuple[Array, Array]:
         """Mass flow of every window with these parameters, nan above a full paddle, and d(force)/d(flow) there."""
-        if self._flow is None or self._flow[0] is not known:
-            moisture = None if self.moisture is None else self.moisture[:, None]
-            throw = self.model.throw(self.angle[:, None], self.speed[:, None], known.values, moisture)
-            self._flow = known, *invert_force(throw, self.force)
-        return self._flow[1:]
+        return self._flows.of(tuple(known.values.items()), lambda: self._inverted(known))
+
+    def _inverted(self, known: ParameterSet) -> tuple[Array, Array]:
+        moisture = None if self.moisture is None else self.moisture[:, None]
+        self._throw = self.model.throw(self.angle[:, None], self.speed[:, None], known.values, moisture, like=self._throw)
+        return invert_force(self._throw, self.force)
 
     def total(self, flow: Array) -> Array:
         """(n,) kg of each load."""

@@ -92,6 +92,18 @@ class _Curve:
 
 
 @dataclass(frozen=True)
+class _Tickets:
+    """How the tickets of n loads may be wrong: (s,) slips, none first, and their `ln_priors`; their (s, n) shifts; the (g, n, n)
+    covariances that they share, and which is whose, (s,)."""
+
+    slips: tuple[Slip, ...]
+    ln_priors: Array
+    shifts: Array
+    covariances: Array
+    of_covariance: NDArray[np.intp]
+
+
+@dataclass(frozen=True)
 class _Mixture:
     """Over all combinations, in the model that is linear about a step; of_slip: (h,) probabilities, no wrong ticket first; along:
     (h,) expected place on a slip's common direction, in its standard deviations."""
@@ -134,8 +146,9 @@ def average(problem: LoadProblem, active: NDArray[np.bool_], near: Array | None 
     with np.errstate(divide="ignore", invalid="ignore"):
         factor = np.min((problem.weighed / problem.mass(problem.given))[active])
     wrong, curves = slips(problem.weighed[active], names, all_off=bool(factor > _ALL_OFF)), _curves(problem)
+    tickets = _tickets(wrong, int(active.sum()))
     for _ in range(_ITERATIONS):
-        wanted = _mixture(problem, active, step, error, slope, wrong, curves).step
+        wanted = _mixture(problem, active, step, error, slope, tickets, curves).step
         change = np.clip(wanted - step, -_MOST_STEP, _MOST_STEP)
         for _ in range(8):
             after, after_slope = _slopes(problem, step + change)
@@ -147,7 +160,7 @@ def average(problem: LoadProblem, active: NDArray[np.bool_], near: Array | None 
         step, error, slope = step + change, after, after_slope
         if float(np.max(np.abs(change))) < _SETTLED:
             break
-    found = _mixture(problem, active, step, error, slope, wrong, curves)
+    found = _mixture(problem, active, step, error, slope, tickets, curves)
     held = problem.held_slopes(placed(problem.start, step))
     whole = _with_held(problem, active, slope, held, found.covariance, found.scatter)
     strain = float(np.sqrt(step @ np.linalg.solve(_prior(problem, _FREE[-1][0] * _WEIGHT_SD), step)))
@@ -213,6 +226,10 @@ def _begin(problem: LoadProblem) -> Array | None:
 
 
 def _slopes(problem: LoadProblem, step: Array) -> tuple[Array, Array]:
+    return problem.at_step.of(step.tobytes(), lambda: _slopes_at(problem, step))
+
+
+def _slopes_at(problem: LoadProblem, step: Array) -> tuple[Array, Array]:
     known = placed(problem.start, step)
     flow, by_flow = problem.flow(known)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -222,25 +239,28 @@ def _slopes(problem: LoadProblem, step: Array) -> tuple[Array, Array]:
         return error, problem.slopes(beside, flow, by_flow, (size,) * step.size)
 
 
+def _tickets(wrong: Sequence[Slip], count: int) -> _Tickets:
+    right = Slip((), np.zeros(count), np.zeros(count), 1.0 - sum(slip.prior for slip in wrong), "")
+    every = (right, *wrong)
+    covariances, of_covariance = np.unique(np.array([slip.covariance for slip in every]), axis=0, return_inverse=True)
+    shifts = np.array([slip.shift for slip in every])
+    return _Tickets(every, np.log([slip.prior for slip in every]), shifts, covariances, of_covariance.ravel())
+
+
 def _mixture(
     problem: LoadProblem,
     active: NDArray[np.bool_],
     step: Array,
     error: Array,
     slope: Array,
-    wrong: Sequence[Slip],
+    tickets: _Tickets,
     curves: Sequence[_Curve],
 ) -> _Mixture:
     """Mean and covariance of the step over all combinations in the model that is linear about `step`."""
     h, target = slope[active], slope[active] @ step - error[active]
-    count, size = target.size, step.size
-    right = Slip((), np.zeros(count), np.zeros(count), 1.0 - sum(slip.prior for slip in wrong), "")
-    every = (right, *wrong)
-    # Slips of one covariance share a matrix: (g, n, n), and which is whose, (s,).
-    covariances, of_covariance = np.unique(np.array([slip.covariance for slip in every]), axis=0, return_inverse=True)
-    of_covariance = of_covariance.ravel()
-    shifted = target - np.array([slip.shift for slip in every])
-    priors = np.log([slip.prior for slip in every])
+    size = step.size
+    every, covariances, of_covariance, priors = tickets.slips, tickets.covariances, tickets.of_covariance, tickets.ln_priors
+    shifted = target - tickets.shifts
     combinations = [(curve, scatter, probable) for curve in curves for scatter, probable in _SCATTERS]
     logs, steps = np.empty((len(combinations), len(every))), np.empty((len(combinations), len(every), size))
     after = np.empty((len(combinations), len(covariances), size, size))

@@ -148,6 +148,7 @@ class ForwardModel:
         plate_position_m: ArrayLike | None = None,
         *,
         miss_rotation_rad: AnyArray | None = None,
+        like: Throw | None = None,
     ) -> Throw:
         """All that does not depend on the load, worked out once; see `Throw`.
 
@@ -158,6 +159,8 @@ class ForwardModel:
         parameters : mapping of str to array_like
         miss_rotation_rad : ndarray, optional
             That of another throw at these settings, rad.
+        like : Throw, optional
+            Of this model. What it has found is used where grain moves the same: where density, gain or the reading differ only.
 
         Returns
         -------
@@ -176,6 +179,7 @@ class ForwardModel:
             moisture_pct,
             plate_position_m,
             miss_rotation_rad=miss_rotation_rad,
+            like=like,
         )
 
     def paddle_momentum(self, conditions: Conditions, parameters: Parameters, *, overfull: str = "raise") -> AnyArray:

@@ -28,6 +28,22 @@ Parameters = Mapping[str, ArrayLike]
 """Name -> value: friction, density (kg/m3), shape_ratio, restitution or k1 and k2, and `effect.parameter` for effects."""
 
 
+_MOST_KEPT = 1 << 18
+"""Values of an array, a tenth of those of a path, up to which it is kept."""
+
+
+@dataclass(slots=True)
+class _Path:
+    """How the grain of heaps leaves the paddle, whatever their mass, and meets the plate where no effect alters that."""
+
+    rotation_rad: AnyArray
+    width_rad: AnyArray
+    flow: release.Outflow
+    opening_rad: AnyArray
+    at_tip: tuple[AnyArray, AnyArray, AnyArray, AnyArray]
+    meeting: flight.Meeting | None = None
+
+
 @dataclass(frozen=True)
 class ThrowModel:
     """What all throws of one machine share.
@@ -72,8 +88,10 @@ class Throw:
         plate_position_m: ArrayLike | None = None,
         *,
         miss_rotation_rad: AnyArray | None = None,
+        like: Throw | None = None,
     ) -> None:
-        """miss_rotation_rad: that of these settings, where another throw has found it."""
+        """miss_rotation_rad: that of these settings, where another throw has found it. like: a throw of the same model; how grain
+        moves is kept from it where only density, gain or the reading differ."""
         self._model = model
         self._values = _effect_values(model.effects, parameters)
         machine = model.machine
@@ -104,7 +122,14 @@ class Throw:
         self.setting = setting
         self._heap_scale_kg = setting.density * machine.paddle_width_m * setting.paddle_length_m**2
         self._slides = release.slides_of(setting)
-        self.miss_rotation_rad = self._find_miss_rotation() if miss_rotation_rad is None else miss_rotation_rad
+        self._paths: dict[bytes, _Path] = {}
+        """Of grain over a grid of the load curve; kept for throws that are like this one."""
+        self._keeps = like is not None
+        if like is not None and miss_rotation_rad is None and _move_alike(setting, like.setting):
+            miss_rotation_rad = like.miss_rotation_rad
+            if _equal(setting.shape_ratio, like.setting.shape_ratio):
+                self._paths = like._paths
+        self.miss_rotation_rad: AnyArray = self._find_miss_rotation() if miss_rotation_rad is None else miss_rotation_rad
         """At which grain starts to miss the plate, with the node axis."""
 
     @property
@@ -134,8 +159,16 @@ class Throw:
         mass = self.offered_along_curve(q)
         if self._model.alters_load:
             return mass, self.momentum(mass)
-        inner = 1.0 - np.asarray(q)[..., None]
-        reading = self._read(self._jet(Load(mass[..., None], mass[..., None]), inner))
+        q = np.asarray(q)
+        inner = 1.0 - q[..., None]
+        load = Load(mass[..., None], mass[..., None])
+        if not self._keeps or q.ndim != 1:
+            return mass, self._read(self._jet(load, inner)).momentum_kg_m_s[..., 0]
+        key = q.tobytes()
+        path = self._paths.get(key) or self._path(inner)
+        reading = self._read(self._jet(load, inner, path), path)
+        if path.rotation_rad.size <= _MOST_KEPT:
+            self._paths[key] = path
         return mass, reading.momentum_kg_m_s[..., 0]
 
     def offered_along_curve(self, q: AnyArray) -> AnyArray:
@@ -153,8 +186,8 @@ class Throw:
         inner = settling.inner_radius(load.paddle_mass_kg / self._heap_scale_kg, self.setting.shape_ratio)
         return self._read(self._jet(load, inner))
 
-    def _read(self, jet: Jet) -> Reading:
-        arrival = self._arrival(jet)
+    def _read(self, jet: Jet, path: _Path | None = None) -> Reading:
+        arrival = self._arrival(jet, path)
         impulse = self._alter("impulse", impact.strike(arrival, self.setting))
         reading: Reading = self._alter("reading", impact.read(impulse, self.setting))
         return reading
@@ -170,7 +203,7 @@ class Throw:
         load: Load = self._alter("load", Load(offered_mass_kg, offered_mass_kg))
         return load
 
-    def _jet(self, load: Load, inner: AnyArray) -> Jet:
+    def _path(self, inner: AnyArray) -> _Path:
         setting = self.setting
         # Grain released after LATEST leaves the tip heading back; where misses do not count, nothing after them does.
         limit = np.full(1, LATEST_ROTATION_RAD) if self._model.misses else self.miss_rotation_rad
@@ -184,13 +217,24 @@ class Throw:
             width = np.concatenate((width, rest * weights), axis=-1)
         flow = release.outflow(tau, setting, self._slides[0])
         psi = settling.opening_angle(flow.release_radius, inner, setting.shape_ratio)
-        mass = self._heap_scale_kg * width * flow.inward_rate * flow.release_radius * psi
-        x, y, vx, vy = release.at_tip(flow, setting)
-        jet: Jet = self._alter("jet", Jet(load, inner, flow.release_radius, mass, tau, x, y, vx, vy))
+        return _Path(tau, width, flow, psi, release.at_tip(flow, setting))
+
+    def _jet(self, load: Load, inner: AnyArray, path: _Path | None = None) -> Jet:
+        path = self._path(inner) if path is None else path
+        flow = path.flow
+        mass = self._heap_scale_kg * path.width_rad * flow.inward_rate * flow.release_radius * path.opening_rad
+        jet: Jet = self._alter("jet", Jet(load, inner, flow.release_radius, mass, path.rotation_rad, *path.at_tip))
         return jet
 
-    def _arrival(self, jet: Jet) -> Arrival:
-        meeting = flight.meet_plate(jet.x_m, jet.y_m, jet.vx_m_s, jet.vy_m_s, self.setting)
+    def _arrival(self, jet: Jet, path: _Path | None = None) -> Arrival:
+        at_tip = jet.x_m, jet.y_m, jet.vx_m_s, jet.vy_m_s
+        # An effect on release may have altered what the path has.
+        known = path if path is not None and all(a is b for a, b in zip(at_tip, path.at_tip, strict=True)) else None
+        meeting = known.meeting if known is not None else None
+        if meeting is None:
+            meeting = flight.meet_plate(*at_tip, self.setting)
+        if known is not None:
+            known.meeting = meeting
         share: AnyArray = np.ones(1)
         if self._model.misses:
             share = np.repeat([1.0, 0.0], self._model.nodes)
@@ -213,29 +257,48 @@ class Throw:
         fewer, place = _frictions_once(self.setting)
         if place is None:
             return _miss_rotation(self.setting, self._slides)
-        return _miss_rotation(fewer, release.slides_of(fewer))[..., place, :]
+        return np.take(_miss_rotation(fewer, release.slides_of(fewer)), place, axis=-self.setting.friction.ndim)
 
 
 def _frictions_once(setting: Setting) -> tuple[Setting, NDArray[np.intp] | None]:
-    """The setting with each of several frictions (k, 1) once, and where each is; None where nothing is gained.
+    """The setting with each of several frictions, (k, 1) or (k, 1, 1), once, and where each is; None where nothing is gained.
 
     Of all that sets of parameters differ by, only friction changes at which rotation grain starts to miss the plate.
     """
     friction = setting.friction
-    if friction.ndim != 2 or perturbed(friction):
+    axes = friction.ndim
+    if axes < 2 or friction.size != friction.shape[0] or perturbed(friction):
         return setting, None
-    others = (
+    # Not numpy.unique, which costs more than the few values that there usually are.
+    frictions = friction.ravel().tolist()
+    once = sorted(set(frictions))
+    others = _moving(setting)
+    if len(once) == len(frictions) or any(v is not None and v.ndim >= axes and v.shape[-axes] > 1 for v in others):
+        return setting, None
+    place = {value: index for index, value in enumerate(once)}
+    fewer = replace(setting, friction=np.array(once).reshape(-1, *friction.shape[1:]))
+    return fewer, np.array([place[value] for value in frictions])
+
+
+def _moving(setting: Setting) -> tuple[AnyArray | None, ...]:
+    """What, beside friction, decides how grain moves from the paddle to the plate."""
+    return (
         setting.plate_angle_rad, setting.elevator_speed_rad_s, setting.paddle_length_m, setting.plate_pivot_x_m,
         setting.plate_pivot_y_m, setting.gravity_m_s2, setting.release_angle_rad, setting.radial_speed,
         setting.steady_drag_m_s,
     )  # fmt: skip
-    # Not numpy.unique, which costs more than the few values that there usually are.
-    frictions = friction[:, 0].tolist()
-    once = sorted(set(frictions))
-    if len(once) == len(frictions) or any(value is not None and value.ndim > 1 and value.shape[-2] > 1 for value in others):
-        return setting, None
-    place = {value: index for index, value in enumerate(once)}
-    return replace(setting, friction=np.array(once)[:, None]), np.array([place[value] for value in frictions])
+
+
+def _move_alike(setting: Setting, other: Setting) -> bool:
+    """Whether grain moves the same in both, bit for bit; not said of perturbed ones."""
+    if setting.perturbed or other.perturbed:
+        return False
+    pairs = zip((setting.friction, *_moving(setting)), (other.friction, *_moving(other)), strict=True)
+    return all(a is b or (a is not None and b is not None and _equal(a, b)) for a, b in pairs)
+
+
+def _equal(a: AnyArray, b: AnyArray) -> bool:
+    return a.dtype == b.dtype and np.array_equal(a, b)
 
 
 def _miss_rotation(setting: Setting, slides: tuple[release.Slide, Setting, release.Slide]) -> AnyArray:
