@@ -199,7 +199,7 @@ _TABLE = (
         "The zero-load voltage is far from its first value or was taken despite signs of grain, or the plate reads below empty.",
         "Flow is corrected for a drift; a zero taken with grain on the plate makes flow and mass too small.",
         "Undo a wrong zero (yieldmon zero --undo); else clean the plate and calibrate the zero with the elevator empty. "
-        "Of a new sensor, the sign may be wrong: a negative scale in its mapping.",
+        "A new sensor's sign may be wrong (negative scale).",
         lambda o: _if(o.reading.zero_drifted),
     ),
     FaultDefinition(
