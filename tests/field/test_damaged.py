@@ -102,12 +102,13 @@ def test_rows_that_are_no_rows_are_reported(corn: Path, tmp_path: Path) -> None:
     lines = corn.read_text().splitlines()[:300]
     lines[10] = "a,b,c"
     lines[20] = lines[20].replace(",", ",x", 1)
+    wrong = lines[20].split(",")[1]
     path = tmp_path / "field.txt"
     path.write_text("\n".join(lines))
     table = sources.read(path, ReadOptions())
     assert len(table) == 298
     assert [(one.part, one.why) for one in table.sources[0].skipped] == [
-        ("row 11", "fewer than 10 fields"), ("row 21", "a field that is not a number"),
+        ("row 11", "fewer than 10 fields"), ("row 21", f"a field that is not a number, such as '{wrong}'"),
     ]  # fmt: skip
 
 

@@ -24,6 +24,7 @@ from yieldmon.units import (
     M_PER_IN,
     M_PER_MI,
     M_S_PER_KMH,
+    M_S_PER_KNOT,
     M_S_PER_MPH,
     S_PER_DAY,
 )
@@ -105,12 +106,14 @@ FACTORS: dict[str, dict[str, float]] = {
     "area": _AREA,  # m2
     "mass_flow": _ratios(_MASS, _TIME),  # kg/s
     "mass_per_area": _ratios(_MASS, _AREA),  # kg/m2
-    "speed": _ratios(_LENGTH, _TIME) | {"km/h": M_S_PER_KMH, "kmh": M_S_PER_KMH, "mph": M_S_PER_MPH},  # m/s
+    "speed": _ratios(_LENGTH, _TIME)
+    | {"km/h": M_S_PER_KMH, "kmh": M_S_PER_KMH, "mph": M_S_PER_MPH}
+    | dict.fromkeys(("kn", "kt", "kts", "knot", "knots"), M_S_PER_KNOT),  # m/s
     "percent": _PERCENT,  # %
     "angle": _ANGLE,  # deg
     "none": {"": 1.0},
 }
-_BUSHELS = ("bu/ac", "bu/acre", "bu/ha", "bu/h", "bu/s")
+BUSHELS = ("bu/ac", "bu/acre", "bu/ha", "bu/h", "bu/hr", "bu/s")
 _OF_BUSHELS = ("mass_per_area", "mass_flow")
 
 
@@ -133,7 +136,12 @@ def is_unit_of(unit: str, kind: str) -> bool:
     >>> is_unit_of("bu/ac", "mass_per_area"), is_unit_of("m", "mass_flow")
     (True, False)
     """
-    return kind not in FACTORS or unit in FACTORS[kind] or (unit in _BUSHELS and kind in _OF_BUSHELS)
+    return kind not in FACTORS or unit in FACTORS[kind] or (unit in BUSHELS and kind in _OF_BUSHELS)
+
+
+def is_bushels(unit: str, kind: str) -> bool:
+    """Whether a unit is one of bushels, of a kind of quantity that has such."""
+    return plain_unit(unit) in BUSHELS and kind in _OF_BUSHELS
 
 
 def factor(unit: str, kind: str, where: str, crop_name: str = "") -> float:
@@ -159,7 +167,7 @@ def factor(unit: str, kind: str, where: str, crop_name: str = "") -> float:
     known = FACTORS[kind]
     if plain in known:
         return known[plain]
-    if plain in _BUSHELS and kind in _OF_BUSHELS:
+    if plain in BUSHELS and kind in _OF_BUSHELS:
         of = crop(crop_name)
         if of is None:
             names = ", ".join(known_crops())

@@ -13,10 +13,11 @@ from yieldmon.field.mixed import machine_names
 from yieldmon.field.plane import Sites
 from yieldmon.field.table import LABELS, Array, HarvestTable, Label, Source, build
 from yieldmon.field.tracks import GAP_INTERVALS, usual_steps
-from yieldmon.field.units import FACTORS, factor
+from yieldmon.field.units import FACTORS, factor, is_bushels
 from yieldmon.field.units import crop as known_crop
 
 from .delimited import number
+from .driven import ways_checked
 from .naming import QUANTITIES, Column
 from .options import ReadOptions
 from .positions import plausible
@@ -39,16 +40,21 @@ _TABLE_NAMES = {
     "pass": "pass_number",
     "section": "section",
 }
-_WORDS = dict.fromkeys(("on", "down", "true", "yes", "working", "in work", "harvesting", "active"), 1.0) | dict.fromkeys(
-    ("off", "up", "false", "no", "not working", "raised", "inactive"), 0.0
-)
+_WORDS = dict.fromkeys(
+    ("on", "down", "true", "yes", "y", "working", "in work", "harvesting", "active", "lowered", "header down", "header on", "an",
+     "ein", "ja", "unten", "abgesenkt", "arbeitet", "in arbeit", "si", "sí", "sim", "oui", "abajo", "bajo", "bas", "abaixado"),
+    1.0,
+) | dict.fromkeys(
+    ("off", "up", "false", "no", "n", "not working", "raised", "inactive", "header up", "header off", "aus", "nein", "oben",
+     "angehoben", "nicht in arbeit", "não", "nao", "non", "arriba", "alto", "haut", "levantado"),
+    0.0,
+)  # fmt: skip
 """What files call a header that is at work, or not."""
 
 
 def assemble(raw: Raw, where: str, kind: str, options: ReadOptions) -> HarvestTable:
     """The table. Raises InputError where a quantity that every map needs can neither be read nor follows."""
-    crop = options.crop or _crop_name(raw)
-    values = _numbers(raw, where, crop)
+    values, of_crops = _numbers(raw, where, options.crop)
     header = raw.columns.get("header")
     strange: tuple[str, ...] = ()
     if header is not None and header.name in raw.texts:
@@ -62,11 +68,14 @@ def assemble(raw: Raw, where: str, kind: str, options: ReadOptions) -> HarvestTa
         values["width"] = np.full(raw.count, options.width_m)
     if "width" not in values:
         raise InputError(where, "has no working width", "--width M")
+    ways = ways_checked(raw, values, time)
     _derive(values, time, raw.machine_of_row, where)
     columns, limits = plausible({"time_s": time} | {_TABLE_NAMES[q]: v for q, v in values.items() if q in _TABLE_NAMES})
     if "header_down" in columns:
         columns["header_down"] = _down(columns["header_down"])
-    source = Source(where, kind, raw.count, raw.skipped, notes=(*raw.notes, *notes, *strange, *_backwards(time), *limits))
+    source = Source(
+        where, kind, raw.count, raw.skipped, notes=(*raw.notes, *of_crops, *ways, *notes, *strange, *_backwards(time), *limits)
+    )
     return build(columns, _labels(raw, options), source, unix_time=unix_time, default_flow_s=raw.default_flow_s)
 
 
@@ -87,16 +96,41 @@ def _machines_apart(raw: Raw, values: Mapping[str, Array], said: ColumnTimes) ->
     return replace(raw, columns=columns, texts={**raw.texts, name: named}, notes=(*raw.notes, note))
 
 
-def _numbers(raw: Raw, where: str, crop: str) -> dict[str, Array]:
-    """Columns of numbers by quantity, in the quantities' own units."""
+def _numbers(raw: Raw, where: str, crop: str) -> tuple[dict[str, Array], tuple[str, ...]]:
+    """Columns of numbers by quantity, in the quantities' own units; and a note where bushels are of several crops.
+
+    crop: of rows whose own is not known, for bushels.
+    """
     values: dict[str, Array] = {}
+    notes: tuple[str, ...] = ()
     for quantity, column in raw.columns.items():
         of = QUANTITIES[quantity].kind
-        if of in (*FACTORS, "state") and column.name in raw.numbers:
-            has_unit = column.unit and of not in ("none", "state")
-            scale = factor(column.unit, of, f"{where}: {column.name}", crop) if has_unit else 1.0
-            values[quantity] = raw.numbers[column.name] * scale
-    return values
+        if of not in (*FACTORS, "state") or column.name not in raw.numbers:
+            continue
+        place = f"{where}: {column.name}"
+        scale: float | Array = 1.0
+        if is_bushels(column.unit, of):
+            scale, notes = _bushels(raw, column, of, place, crop)
+        elif column.unit and of not in ("none", "state"):
+            scale = factor(column.unit, of, place)
+        values[quantity] = raw.numbers[column.name] * scale
+    return values, notes
+
+
+def _bushels(raw: Raw, column: Column, kind: str, place: str, crop: str) -> tuple[Array, tuple[str, ...]]:
+    """SI per bushel of each row's own crop, of `crop` where that is not known; and a note where there are several."""
+    named = raw.columns.get("crop", raw.columns.get("product"))
+    label = None if named is None else raw.texts.get(named.name)
+    label = Label.constant("", raw.count) if label is None else label
+    there = np.unique(label.codes).tolist()
+    own = {code: label.names[code] if known_crop(label.names[code]) is not None or not crop else crop for code in there}
+    scale = np.full(len(label.names), np.nan)
+    for code, name in own.items():
+        scale[code] = factor(column.unit, kind, place, name)
+    other = sorted({name for name in own.values() if crop and known_crop(name) != known_crop(crop)})
+    several = len(set(own.values())) > 1
+    said = (f"{column.name}: bushels are those of each row's own crop ({', '.join(sorted(set(own.values())))})",)
+    return scale[label.codes], said if several or other else ()
 
 
 def _labels(raw: Raw, options: ReadOptions) -> dict[str, Label]:
@@ -119,12 +153,6 @@ def _down(state: Array) -> Array:
         odd = np.mod(state, 2) >= 1
     coded = known.any() and (state[known] > 0).all() and odd[known].any() and not odd[known].all()
     return np.where(known, (odd if coded else state > 0).astype(float), np.nan)
-
-
-def _crop_name(raw: Raw) -> str:
-    column = raw.columns.get("crop", raw.columns.get("product"))
-    label = None if column is None else raw.texts.get(column.name)
-    return label.names[0] if label is not None and len(label.names) == 1 else ""
 
 
 def _states(label: Label, name: str) -> tuple[Array, tuple[str, ...]]:

@@ -21,6 +21,9 @@ BLOCK_ROWS = 50_000
 _UNKNOWN = frozenset({"", "-", "na", "n/a", "nan", "null", "none", "?"})
 _NAMED = 5
 _COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?")
+_THOUSANDS = {mark: re.compile(rf"[+-]?\d{{1,3}}(?:[{mark}]\d{{3}})+(?:[{sign}]\d*)?") for mark, sign in ((",", "."), (".", ","))}
+"""Numbers with a mark between their thousands, by that mark."""
+_SPACES = re.compile(r"(?<=\d)[ \u00a0\u202f'\u2019](?=\d{3}(?!\d))")
 
 
 @dataclass(frozen=True)
@@ -37,9 +40,11 @@ class Rows:
 class _Bad:
     count: int = 0
     first: list[int] = field(default_factory=list)
+    example: str = ""
 
-    def add(self, row: int) -> None:
+    def add(self, row: int, example: str = "") -> None:
         self.count += 1
+        self.example = self.example or example
         if len(self.first) < _NAMED:
             self.first.append(row)
 
@@ -48,7 +53,8 @@ class _Bad:
             return ()
         more = f" and {self.count - len(self.first)} more" if self.count > len(self.first) else ""
         plural = "rows" if self.count > 1 else "row"
-        return (Skipped(f"{plural} {', '.join(map(str, self.first))}{more}", why),)
+        example = f", such as {self.example[:40]!r}" if self.example else ""
+        return (Skipped(f"{plural} {', '.join(map(str, self.first))}{more}", why + example),)
 
 
 def encoding_of(head: bytes) -> str:
@@ -189,12 +195,38 @@ def _block_numbers(
         return block, {column: np.fromiter((float(cell(row, column)) for row in block), float, len(block)) for column in numbers}
     except ValueError:
         pass
+    marks = {column: _mark_of_thousands([row[column] for row in block if column < len(row)], decimal_comma) for column in numbers}
+
+    def value(row: list[str], column: int) -> float:
+        text = _SPACES.sub("", row[column].strip()) if column < len(row) else ""
+        mark = marks[column]
+        if mark and _THOUSANDS[mark].fullmatch(text):
+            text = text.replace(mark, "")
+        return number(text.replace(",", ".") if decimal_comma else text)
+
     good, values = [], []
     for line, row in zip(lines, block, strict=True):
+        found: list[float] = []
         try:
-            values.append([number(cell(row, column)) for column in numbers])
-            good.append(row)
+            for column in numbers:
+                found.append(value(row, column))
         except ValueError:
-            wrong.add(line)
+            wrong.add(line, row[numbers[len(found)]])
+            continue
+        values.append(found)
+        good.append(row)
     table = np.array(values, dtype=float).reshape(len(values), len(numbers))
     return good, {column: table[:, place] for place, column in enumerate(numbers)}
+
+
+def _mark_of_thousands(cells: Sequence[str], decimal_comma: bool) -> str:
+    """The mark between the thousands of a column's numbers; empty where nothing tells that they have one.
+
+    >>> _mark_of_thousands(["6,675.2", "987.0"], False), _mark_of_thousands(["7,123", "7,5"], False)
+    (',', '')
+    """
+    mark, sign = (".", ",") if decimal_comma else (",", ".")
+    marked = [cell.strip() for cell in cells if mark in cell]
+    if not marked or not all(_THOUSANDS[mark].fullmatch(cell) for cell in marked):
+        return ""
+    return mark if any(sign in cell or cell.count(mark) > 1 for cell in cells) else ""

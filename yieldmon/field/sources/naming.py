@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from yieldmon.errors import InputError
-from yieldmon.field.units import FACTORS, factor, is_unit_of, plain_unit
+from yieldmon.field.units import BUSHELS, FACTORS, factor, is_unit_of, plain_unit
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,10 @@ QUANTITIES: Mapping[str, Quantity] = {
     "latitude": Quantity("angle", _names("latitude lat y ycoord latitud breitengrad")),
     "time": Quantity(
         "date",
-        _names("isotime timeutc utctime time timestamp datetime gpstime unixtime uhrzeit zeit zeitstempel hora heure"),
+        _names(
+            "isotime timeutc utctime time timestamp datetime datetimeutc dateandtime gpstime unixtime datumuhrzeit datumzeit "
+            "dateheure dateetheure fechahora fechayhora datahora dataehora uhrzeit zeit zeitstempel zeitpunkt hora heure"
+        ),
     ),
     "day": Quantity("text", _names("date gpsdate utcdate dateutc datum fecha data")),
     "flow": Quantity(
@@ -64,8 +67,9 @@ QUANTITIES: Mapping[str, Quantity] = {
     "width": Quantity(
         "length",
         _names(
-            "width swath swathwidth swthwdth swthwidth workingwidth headerwidth swthwdthm arbeitsbreite "
-            "anchodetrabajo ancho largeur largura"
+            "width swath swathwidth swthwdth swthwidth workingwidth headerwidth swthwdthm cuttingwidth arbeitsbreite "
+            "schnittbreite breite anchodetrabajo anchodecorte ancho largeurdetravail largeurdecoupe largeur larguradetrabalho "
+            "larguradecorte largura"
         ),
     ),
     "heading": Quantity("angle", _names("heading head course track trackdeg bearing kurs rumbo")),
@@ -120,7 +124,7 @@ def split_unit(name: str) -> tuple[str, str]:
     (('Flow', 'lb/s'), ('mass_flow', 'kg/s'), ('Yld Mass(Wet)', 'lb/ac'))
     """
     found = _BRACKETS.search(name)
-    if found and any(plain_unit(found[1]) in kind for kind in (*FACTORS.values(), ("bu/ac", "bu/ha", "bu/acre"))):
+    if found and any(plain_unit(found[1]) in kind for kind in (*FACTORS.values(), BUSHELS)):
         return name[: found.start()].strip(), plain_unit(found[1])
     lower = name.lower()
     for word, unit in _UNIT_WORDS:
@@ -189,6 +193,8 @@ def columns_of(
                 notes.append(f"{column.name} is taken as %")
             if column is not None:
                 out[quantity] = column
+    if "flow" not in out and "yield" in out and "dry" in plain_name(out["yield"].name):
+        notes.append(f"{out['yield'].name} is of dried grain: so are the masses")
     _check_useful(out, lacking, names, where)
     notes += [f"{name} has no unit and is not used" for name in lacking if name not in {column.name for column in out.values()}]
     return out, tuple(notes)
