@@ -36,7 +36,9 @@ DEFINED: dict[str, dict[str, Exact]] = {
     "area": AREA,
     "mass_flow": over(MASS, TIME),
     "mass_per_area": over(MASS, AREA),
-    "speed": over(LENGTH, TIME) | {"km/h": Exact(1000, 3600), "kmh": Exact(1000, 3600), "mph": MILE / 3600},
+    "speed": over(LENGTH, TIME)
+    | {"km/h": Exact(1000, 3600), "kmh": Exact(1000, 3600), "mph": MILE / 3600}
+    | dict.fromkeys(("kn", "kt", "kts", "knot", "knots"), Exact(1852, 3600)),
     "percent": dict.fromkeys(("%", "pct", "prcnt", "percent"), Exact(1)) | {"ppm": Exact(100, 10**6), "fraction": Exact(100)},
     "angle": dict.fromkeys(("deg", "arcdeg", "degrees"), Exact(1)),
     "none": {"": Exact(1)},
@@ -57,7 +59,7 @@ def test_each_unit_is_what_it_is_defined_as(kind: str) -> None:
 def test_bushels_are_a_crops_weight(name: str) -> None:
     bushel = BUSHEL_LB[name] * LB
     areas = {f"bu/{unit}": float(bushel / AREA[unit]) for unit in ("ac", "acre", "ha")}
-    flows = {f"bu/{unit}": float(bushel / TIME[unit]) for unit in ("h", "s")}
+    flows = {f"bu/{unit}": float(bushel / TIME[unit]) for unit in ("h", "hr", "s")}
     for kind, units, others in (("mass_per_area", areas, flows), ("mass_flow", flows, areas)):
         assert {unit: factor(unit, kind, "f.csv", name) for unit in units} == pytest.approx(units, rel=1e-12)
         for unit in others:

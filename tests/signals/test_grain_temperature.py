@@ -37,11 +37,11 @@ def probe(at_s: float, degc: float) -> can.Message:
     )
 
 
-def recorded(folder: Path, conditions: list[can.Message], settings: str) -> list[str]:
+def recorded(folder: Path, conditions: list[can.Message], settings: str, maker: str = MAKER) -> list[str]:
     """The column of the seconds after the first two."""
     log, configuration, codec = folder / "a.log", folder / "y.yaml", Codec()
     configuration.write_text(settings)
-    (folder / "maker.dbc").write_text(MAKER)
+    (folder / "maker.dbc").write_text(maker)
     messages = list(conditions)
     for k in range(250 * SECONDS):
         at_s = BEGIN_S + 0.004 * k
@@ -81,3 +81,12 @@ def test_of_a_probe_with_a_dbc_of_its_own(tmp_path: Path) -> None:
     found = recorded(tmp_path, reported, MAPPED)
     assert found
     assert [float(value) for value in found] == pytest.approx([18.25] * len(found))
+
+
+@pytest.mark.parametrize("unit", ["K", "degK", "°F", "deg F"])
+def test_a_dbc_s_unit_converts_by_itself(unit: str, tmp_path: Path) -> None:
+    maker, degc = (MAKER, 18.25) if "K" in unit else (MAKER.replace("(0.01,0) [0|600]", "(0.018,-459.67) [-460|620]"), 18.25)
+    reported = [probe(BEGIN_S + 0.5 * k, degc) for k in range(2 * SECONDS)]
+    settings = "signals:\n  grain_temperature: {dbc: maker.dbc, message: Probe, signal: Temperature}\n"
+    found = recorded(tmp_path, reported, settings, maker.replace('"K"', f'"{unit}"'))
+    assert [float(value) for value in found] == pytest.approx([degc] * len(found), abs=1e-6)

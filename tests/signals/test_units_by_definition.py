@@ -7,7 +7,7 @@ from math import pi
 
 import pytest
 
-from yieldmon.signals.units import FACTORS, accepted, factor
+from yieldmon.signals.units import FACTORS, accepted, factor, zero
 
 LB_KG, G_N, MILE_M, NAUTICAL_MILE_M = Exact("0.45359237"), Exact("9.80665"), Exact("1609.344"), Exact(1852)
 #: 231 cubic inches to a gallon; the US bushel has 2150.42 cubic inches.
@@ -15,7 +15,8 @@ BUSHEL_M3 = Exact("2150.42") * Exact("0.0254") ** 3
 TURN = 2.0 * pi
 
 DEFINED: dict[str, dict[str, float | Exact]] = {
-    "rpm": {**dict.fromkeys(("rpm", "1/min", "min-1", "r/min"), 1), "rad/s": 60.0 / TURN, "Hz": 60, "1/s": 60, "rev/s": 60},
+    "rpm": {**dict.fromkeys(("rpm", "1/min", "min-1", "r/min"), 1), "rad/s": 60.0 / TURN, "Hz": 60, "1/s": 60, "rev/s": 60,
+        "deg/s": Exact(60, 360)},
     "deg": {**dict.fromkeys(("deg", "°", "degree", "degrees"), 1), "rad": 360.0 / TURN, "mrad": 0.36 / TURN},
     "%": {"%": 1, "percent": 1, "1": 100, "ppm": Exact(100, 10**6)},
     "kg/m3": {
@@ -23,12 +24,13 @@ DEFINED: dict[str, dict[str, float | Exact]] = {
     },
     "g": {"g": 1, "kg": 1000, "mg": Exact(1, 1000)},
     "kg": {"kg": 1, "t": 1000, "g": Exact(1, 1000), "lb": LB_KG},
-    "km/h": {"km/h": 1, "kph": 1, "m/s": Exact(3600, 1000), "mph": MILE_M / 1000, "kn": NAUTICAL_MILE_M / 1000},
+    "km/h": {"km/h": 1, "kph": 1, "m/s": Exact(3600, 1000), "mph": MILE_M / 1000, "kn": NAUTICAL_MILE_M / 1000,
+        "ft/s": Exact("0.3048") * 3600 / 1000},
     "kg/s": {
         "kg/s": 1, "g/s": Exact(1, 10**3), "mg/s": Exact(1, 10**6), "t/h": Exact(1000, 3600), "kg/h": Exact(1, 3600),
         "lb/s": LB_KG,
     },
-    "degC": {"degC": 1, "°C": 1, "C": 1},
+    "degC": {"degC": 1, "°C": 1, "C": 1, **dict.fromkeys(("degF", "°F", "F"), Exact(100, 180)), "K": 1},
     "mV": {"mV": 1, "V": 1000, "uV": Exact(1, 1000), "mV/V": 1, "counts": 1},
     "N": {"N": 1, "kN": 1000, "daN": 10, "mN": Exact(1, 1000), "kgf": G_N, "lbf": LB_KG * G_N},
     "min": {"min": 1, "s": Exact(1, 60), "h": 60, "d": 24 * 60},
@@ -55,3 +57,23 @@ def test_a_unit_of_another_quantity_is_none() -> None:
         "kg, t, g, lb",
         "no unit",
     )
+
+
+@pytest.mark.parametrize(("unit", "water_freezes", "water_boils"), [
+    ("°F", 32.0, 212.0), ("degF", 32.0, 212.0), ("deg F", 32.0, 212.0), ("fahrenheit", 32.0, 212.0), ("F", 32.0, 212.0),
+    ("K", 273.15, 373.15), ("kelvin", 273.15, 373.15), ("degK", 273.15, 373.15), ("°C", 0.0, 100.0), ("Â°C", 0.0, 100.0),
+    ("Degrees C", 0.0, 100.0), ("Unit_DegreCelsi", 0.0, 100.0),
+])  # fmt: skip
+def test_temperatures_have_a_zero_of_their_own(unit: str, water_freezes: float, water_boils: float) -> None:
+    per_unit = factor("degC", unit)
+    assert per_unit is not None
+    assert [at * per_unit + zero("degC", unit) for at in (water_freezes, water_boils)] == pytest.approx([0.0, 100.0], abs=1e-9)
+
+
+@pytest.mark.parametrize(("quantity", "spelt", "as_defined"), [
+    ("rpm", "rev/min", "rpm"), ("rpm", "R/min", "rpm"), ("rpm", "Unit_MinutInver", "rpm"), ("km/h", "km / h", "km/h"),
+    ("km/h", "m/sec", "m/s"), ("km/h", "knots", "kn"), ("km/h", "Unit_KiloMeterPerHour", "km/h"), ("deg", "radians", "rad"),
+    ("mV", "Volts", "V"), ("N", "Unit_KiloNewto", "kN"), ("kg", "LBS", "lb"), ("%", "Unit_PerCent", "%"),
+])  # fmt: skip
+def test_spellings_of_published_databases(quantity: str, spelt: str, as_defined: str) -> None:
+    assert factor(quantity, spelt) == factor(quantity, as_defined)

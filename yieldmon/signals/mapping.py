@@ -18,7 +18,7 @@ from yieldmon.network.assembly import MAX_BYTES
 from yieldmon.physics.machine import Machine
 from yieldmon.signals.binding import IMPACT, Binding, Source, check, named_message
 from yieldmon.signals.extraction import Extraction
-from yieldmon.signals.units import accepted, factor
+from yieldmon.signals.units import accepted, factor, zero
 
 Pages = tuple[tuple[Extraction, tuple[int, ...]], ...]
 Load = Callable[[str], Mapping[str, MessageBits]]
@@ -115,7 +115,7 @@ def build(
     for binding in bindings:
         check(binding)
         if binding.value is not None:
-            constants[binding.quantity] = binding.value * _unit_factor(binding, "")
+            constants[binding.quantity] = binding.value * _unit_factor(binding, "") + _zero(binding, "")
             continue
         messages = load(binding.dbc or "")
         message = _message(binding, messages)
@@ -249,6 +249,12 @@ def _unit_factor(binding: Binding, unit_of_dbc: str) -> float:
     return found
 
 
+def _zero(binding: Binding, unit_of_dbc: str) -> float:
+    """The quantity at 0 of the binding's unit, which differs from 0 for °F and K."""
+    wanted = IMPACT[binding.quantity] if binding.is_impact else QUANTITIES[binding.quantity].unit
+    return zero(wanted, binding.unit if binding.unit is not None else unit_of_dbc)
+
+
 def _extraction(binding: Binding, signal: SignalBits, into: float = 1.0) -> Extraction:
     """Of a value in the quantity's unit times `into`."""
     absent = frozenset(_raw(binding, signal, "not_available", raw) for raw in binding.not_available)
@@ -259,7 +265,7 @@ def _extraction(binding: Binding, signal: SignalBits, into: float = 1.0) -> Extr
     return Extraction(
         bits=signal,
         scale=signal.scale * binding.scale * found,
-        offset=(signal.offset * binding.scale + binding.offset) * found,
+        offset=(signal.offset * binding.scale + binding.offset) * found + _zero(binding, signal.unit) * into,
         low=float("-inf") if binding.low is None else binding.low * into,
         high=float("inf") if binding.high is None else binding.high * into,
         not_available=absent,

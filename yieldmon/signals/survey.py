@@ -20,7 +20,7 @@ from yieldmon.signals.binding import IMPACT, MIN_RATE_HZ
 from yieldmon.signals.extraction import Extraction
 from yieldmon.signals.group_names import group_name
 from yieldmon.signals.long_messages import LongMessages, Numbers, Whole, numbers
-from yieldmon.signals.units import factor
+from yieldmon.signals.units import factor, zero
 
 _MOST_IDENTIFIERS = 10_000
 """A hostile node may send any identifier; those beyond are only counted."""
@@ -367,7 +367,7 @@ def _impact_score(quantity: str, rate_hz: float, signal: SignalSeen, named: floa
 
 def _slow_score(quantity: str, rate_hz: float, signal: SignalSeen, named: bool, message_named: bool) -> float:
     found = factor(QUANTITIES[quantity].unit, signal.bits.unit) if signal.bits.unit else None
-    if found is None or not QUANTITIES[quantity].usable(signal.last * found):
+    if found is None or not QUANTITIES[quantity].usable(signal.last * found + zero(QUANTITIES[quantity].unit, signal.bits.unit)):
         return 0.0
     if not (named or message_named):
         elsewhere = any(re.search(_HINTS[other], signal.bits.name, re.IGNORECASE) for other in _HINTS if other != quantity)

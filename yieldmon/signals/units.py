@@ -8,15 +8,25 @@ from math import pi
 from yieldmon.units import KG_PER_LB, N_PER_KGF
 
 FACTORS: Mapping[str, Mapping[str, float]] = {
-    "rpm": {"rpm": 1.0, "1/min": 1.0, "min-1": 1.0, "r/min": 1.0, "rad/s": 30.0 / pi, "Hz": 60.0, "1/s": 60.0, "rev/s": 60.0},
+    "rpm": {
+        "rpm": 1.0,
+        "1/min": 1.0,
+        "min-1": 1.0,
+        "r/min": 1.0,
+        "rad/s": 30.0 / pi,
+        "Hz": 60.0,
+        "1/s": 60.0,
+        "rev/s": 60.0,
+        "deg/s": 1.0 / 6.0,
+    },
     "deg": {"deg": 1.0, "°": 1.0, "degree": 1.0, "degrees": 1.0, "rad": 180.0 / pi, "mrad": 0.18 / pi},
     "%": {"%": 1.0, "percent": 1.0, "1": 100.0, "ppm": 1e-4},
     "kg/m3": {"kg/m3": 1.0, "kg/m^3": 1.0, "kg/m³": 1.0, "g/l": 1.0, "g/L": 1.0, "kg/hl": 10.0, "lb/bu": 12.8718},
     "g": {"g": 1.0, "kg": 1000.0, "mg": 1e-3},
     "kg": {"kg": 1.0, "t": 1000.0, "g": 1e-3, "lb": KG_PER_LB},
-    "km/h": {"km/h": 1.0, "kph": 1.0, "m/s": 3.6, "mph": 1.609344, "kn": 1.852},
+    "km/h": {"km/h": 1.0, "kph": 1.0, "m/s": 3.6, "mph": 1.609344, "kn": 1.852, "ft/s": 1.09728},
     "kg/s": {"kg/s": 1.0, "g/s": 1e-3, "mg/s": 1e-6, "t/h": 1 / 3.6, "kg/h": 1 / 3600, "lb/s": KG_PER_LB},
-    "degC": {"degC": 1.0, "°C": 1.0, "C": 1.0},
+    "degC": {"degC": 1.0, "°C": 1.0, "C": 1.0, "degF": 5.0 / 9.0, "°F": 5.0 / 9.0, "F": 5.0 / 9.0, "K": 1.0},
     "mV": {"mV": 1.0, "V": 1000.0, "uV": 1e-3, "mV/V": 1.0, "counts": 1.0},
     "N": {"N": 1.0, "kN": 1000.0, "daN": 10.0, "mN": 1e-3, "kgf": N_PER_KGF, "lbf": 4.4482216},
     "min": {"min": 1.0, "s": 1 / 60, "h": 60.0, "d": 1440.0},
@@ -25,15 +35,67 @@ FACTORS: Mapping[str, Mapping[str, float]] = {
 """Unit of a quantity -> unit on the bus -> factor."""
 
 
-_IN_ANY_CASE = ("rpm", "deg", "degree", "degrees", "percent", "kph", "mph", "km/h", "degC")
+ZEROS: Mapping[str, Mapping[str, float]] = {
+    "degC": dict.fromkeys(("degF", "°F", "F"), -32.0 * 5.0 / 9.0) | {"K": -273.15},
+}
+"""Unit of a quantity -> unit on the bus -> what its 0 is in the quantity's own; 0 for those that are not here."""
+
+_IN_ANY_CASE = ("rpm", "deg", "degree", "degrees", "percent", "kph", "mph", "km/h", "degC", "degF", "deg/s", "ft/s")
 """Those of which no other case means anything else, as mg and Mg do."""
-_SPELLINGS = {unit.lower(): unit for unit in _IN_ANY_CASE} | {"u/min": "rpm", "km/hr": "km/h", "kmh": "km/h"}
+_SPELT = {
+    "rpm": "r/min u/min umin upm rev/min revs/min turns/min unit_minutinver unit_revpermin",
+    "deg": "degs unit_degreofarc unit_degreeofarc",
+    "rad": "radian radians unit_radian",
+    "deg/s": "deg/sec degree/s degrees/s degrees/sec degrees/second",
+    "%": "pct unit_percent",
+    "km/h": "km/hr kmh kilometer/hour unit_kilometerperhour",
+    "m/s": "m/sec meter/s meters/s meters/sec unit_meterpersecond unit_meterpersecon unit_meterpersec",
+    "mph": "miles/h mi/h miles/hour",
+    "kn": "knot knots kt kts",
+    "degC": "celsius cel degreec degreesc degreescelsius degreecelsius unit_degrecelsi unit_degreecelsius",
+    "degF": "fahrenheit degreef degreesf degreesfahrenheit unit_degrefahre",
+    "K": "kelvin degk",
+    "kg": "kilogram kilograms unit_kilogram",
+    "lb": "lbs pound pounds",
+    "V": "volt volts vdc unit_volt",
+    "mV": "millivolt millivolts unit_millivolt",
+    "kN": "kilonewton unit_kilonewto unit_kilonewton",
+    "N": "newton newtons unit_newto unit_newton",
+    "Hz": "hertz unit_hertz",
+    "lb/s": "lbs/s lb/sec lbs/sec",
+    "kg/s": "kg/sec",
+    "t/h": "t/hr",
+}
+_SPELLINGS = {unit.lower(): unit for unit in _IN_ANY_CASE} | {
+    word: unit for unit, words in _SPELT.items() for word in words.split()
+}
+
+
+def _known(quantity_unit: str, unit: str) -> str | None:
+    """A unit of a quantity as the tables spell it; None for one that is none."""
+    # A degree sign in UTF-8 that a program read as Latin-1 has a letter before it; some take the sign of Spanish ordinals.
+    known, plain = FACTORS[quantity_unit], unit.strip().replace("Â", "").replace("º", "°")
+    if plain in known:
+        return plain
+    word = "".join(plain.lower().split())
+    spelt = _SPELLINGS.get(word, _SPELLINGS.get(word.replace("°", "deg"), plain))
+    return spelt if spelt in known else None
 
 
 def factor(quantity_unit: str, unit: str) -> float | None:
     """What a value in `unit` is multiplied with; None for a unit that is none of this quantity."""
-    known, plain = FACTORS[quantity_unit], unit.strip()
-    return known.get(plain, known.get(_SPELLINGS.get(plain.lower(), plain)))
+    known = _known(quantity_unit, unit)
+    return None if known is None else FACTORS[quantity_unit][known]
+
+
+def zero(quantity_unit: str, unit: str) -> float:
+    """What is added then: the quantity at 0 of the unit. 0 for a unit that is none of this quantity.
+
+    >>> [round(212.0 * factor("degC", name) + zero("degC", name), 6) for name in ("°F", "degF", "deg C")]
+    [100.0, 100.0, 212.0]
+    """
+    known = _known(quantity_unit, unit)
+    return 0.0 if known is None else ZEROS.get(quantity_unit, {}).get(known, 0.0)
 
 
 def accepted(quantity_unit: str) -> str:
