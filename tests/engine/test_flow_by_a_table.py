@@ -16,13 +16,14 @@ from yieldmon.engine.flow import Circumstances, Estimate, Flow, FlowMeter
 from yieldmon.engine.flow_filter import FlowFilter
 from yieldmon.engine.measurement import Reading
 from yieldmon.engine.settings import EngineSettings
+from yieldmon.estimation.angle_error import NO_ERROR, NODES_RAD, AngleError
 from yieldmon.estimation.open_loop import FlowEstimate, FlowStatus
-from yieldmon.estimation.sweep_model_error import ModelError
 from yieldmon.frames import EstimateQuality
 
 SETTINGS = replace(EngineSettings(), sweep=replace(EngineSettings().sweep, max_std_dev_factor=3.0))
 GAIN_N_PER_MV = MACHINE.sensor.gain_n_per_mv
 Q, OK = EstimateQuality, FlowStatus.OK
+OF_THE_MODEL = AngleError.of(np.diag(np.linspace(0.02, 0.01, NODES_RAD.size)) ** 2, HOME_RAD)
 CALM = Circumstances(sweeping=False, calibration_old=False)
 FULL = SETTINGS.windows.full_coverage
 
@@ -93,11 +94,11 @@ def test_without_an_estimate_the_reading_says_why() -> None:
 @pytest.mark.parametrize("away", [False, True], ids=["at home", "away"])
 @pytest.mark.parametrize("own", [0.3, None], ids=["noise stated", "noise by the force"])
 @pytest.mark.parametrize("drift_sd", [0.0, 0.02])
-@pytest.mark.parametrize("error", [ModelError(), ModelError(0.01, 0.03)], ids=["no error", "error of the model"])
+@pytest.mark.parametrize("error", [NO_ERROR, OF_THE_MODEL], ids=["no error", "error of the model"])
 @pytest.mark.parametrize("since_zero_s", [0.0, 3600.0])
 @pytest.mark.parametrize("moisture_pct", [nan, 15.0])
 def test_the_standard_deviation_is_the_sum_of_its_causes(
-    away: bool, own: float | None, drift_sd: float, error: ModelError, since_zero_s: float, moisture_pct: float
+    away: bool, own: float | None, drift_sd: float, error: AngleError, since_zero_s: float, moisture_pct: float
 ) -> None:
     of = reading(**({"plate_angle_rad": HOME_RAD - 0.1} if away else {}))
     fresh = {**of.inputs.fresh, "moisture": moisture_pct}
@@ -108,7 +109,7 @@ def test_the_standard_deviation_is_the_sum_of_its_causes(
     kg_s_per_n, factor = noise / 1.5, 3.0 if away else 1.0
     of_force = of.force_n * kg_s_per_n
     covariance = factor * hypot(sqrt(0.8**2 - noise**2), drift_sd * of_force)
-    model = hypot(error.home, error.away if away else 0.0) * of_force
+    model = error.at(of.window.plate_angle_rad) * of_force
     zero = hypot(0.2, sqrt(since_zero_s / 3600.0)) * GAIN_N_PER_MV * kg_s_per_n
     moisture = 15.0 * 0.02 * 2.0 if isnan(moisture_pct) else 0.0
     assert (found.noise_kg_s, found.covariance_kg_s) == pytest.approx((factor * noise, covariance))

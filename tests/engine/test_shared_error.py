@@ -2,8 +2,9 @@
 
 import json
 from dataclasses import replace
-from math import hypot, isnan, nan
+from math import hypot, isnan, nan, radians
 
+import numpy as np
 import pytest
 
 from yieldmon.engine.budget import FlowBudget
@@ -12,20 +13,29 @@ from yieldmon.engine.loads import LoadClosed, LoadRestated, Loads
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.since_zero import MissedMass
 from yieldmon.engine.state import EngineState
-from yieldmon.estimation.sweep_model_error import NO_ERROR, ModelError
+from yieldmon.estimation.angle_error import NO_ERROR, NODES_RAD, AngleError
 from yieldmon.frames import EstimateQuality
 from yieldmon.service.batch import Load
 from yieldmon.service.load_book import LoadBook
 
 BUDGET = FlowBudget(noise_kg_s=0.3, parameters_kg_s=0.05, covariance_kg_s=0.05, per_error_kg_s=10.0)
 FLOW = Flow(10.0, BUDGET.std_dev_kg_s, EstimateQuality.OK, 80.0, 2.0, budget=BUDGET)
-SHOWN = ModelError(0.04, 0.1)
+HOME_RAD, AWAY_RAD = radians(70.0), radians(40.0)
 
 
-def harvest(loads: Loads, seconds: int, version: int = 1, *, at_home: bool = True) -> None:
+def one_cause(at_home: float, at_40_deg: float) -> AngleError:
+    """One cause of unknown sign that changes the force by so much at home and at 40 deg."""
+    change = np.interp(NODES_RAD, [AWAY_RAD, HOME_RAD], [at_40_deg, at_home])
+    return AngleError.of(np.outer(change, change), HOME_RAD)
+
+
+SHOWN = one_cause(0.04, 0.14)
+
+
+def harvest(loads: Loads, seconds: int, version: int = 1, angle_rad: float = HOME_RAD, error: AngleError = NO_ERROR) -> None:
     for _ in range(seconds):
         loads.totals = loads.totals.with_mass(10.0, None, BUDGET, 1.0)
-        loads.share(10.0, FLOW, version, at_home=at_home)
+        loads.share(10.0, FLOW, version, angle_rad, error)
 
 
 def test_a_load_that_closed_before_a_sweep_is_as_unsure_as_the_sweep_shows() -> None:
@@ -33,7 +43,7 @@ def test_a_load_that_closed_before_a_sweep_is_as_unsure_as_the_sweep_shows() -> 
     harvest(loads, 60)
     loads.start(60.0)
     harvest(loads, 20)
-    harvest(loads, 10, at_home=False)
+    harvest(loads, 10, angle_rad=AWAY_RAD)
     first, second = loads.all
     assert first.budget.parameters_kg == pytest.approx(3.0)
     events = loads.restate(SHOWN, 1)
@@ -41,7 +51,7 @@ def test_a_load_that_closed_before_a_sweep_is_as_unsure_as_the_sweep_shows() -> 
     first, second = loads.all
     assert first.budget.parameters_kg == pytest.approx(hypot(3.0, 0.04 * 600.0))
     assert first.std_dev_kg == pytest.approx(first.budget.std_dev_kg)
-    assert second.budget.parameters_kg == pytest.approx(hypot(1.5, 0.04 * 300.0, 0.1 * 100.0))
+    assert second.budget.parameters_kg == pytest.approx(hypot(1.5, 0.04 * 200.0 + 0.14 * 100.0))
     total = loads.totals.total_budget
     assert total.parameters_kg == pytest.approx(first.budget.parameters_kg + second.budget.parameters_kg)
     # A later sweep that shows less is the better judge.
@@ -81,26 +91,44 @@ def test_a_reset_total_does_not_hold_the_loads_before() -> None:
     assert loads.totals.total_budget.parameters_kg == pytest.approx(hypot(0.5, 4.0))
 
 
+def test_an_error_of_one_cause_has_its_signs_in_a_load() -> None:
+    loads = Loads(EngineSettings())
+    harvest(loads, 30)
+    harvest(loads, 30, angle_rad=AWAY_RAD)
+    loads.restate(one_cause(0.05, -0.05), 1)
+    assert loads.all[0].budget.parameters_kg == pytest.approx(3.0)
+
+
+def test_what_is_shown_before_a_load_counts_in_it_as_in_one_that_closed_before() -> None:
+    before, after = Loads(EngineSettings()), Loads(EngineSettings())
+    for loads, error in ((before, NO_ERROR), (after, SHOWN)):
+        harvest(loads, 30, error=error)
+        harvest(loads, 30, angle_rad=AWAY_RAD, error=error)
+    before.restate(SHOWN, 1)
+    assert after.totals.load_budget == before.totals.load_budget
+    assert after.totals.total_budget.parameters_kg == pytest.approx(before.totals.total_budget.parameters_kg)
+
+
 def test_the_open_load_is_restated_after_a_restart() -> None:
     before = Loads(EngineSettings())
     harvest(before, 60)
     loads = Loads(EngineSettings())
     loads.restore(before.totals)
-    loads.resume_share(NO_ERROR, 1)
+    loads.resume_share(NO_ERROR, 1, HOME_RAD)
     harvest(loads, 10)
     loads.restate(SHOWN, 1)
     assert loads.totals.load_budget.parameters_kg == pytest.approx(hypot(3.5, 0.04 * 700.0))
 
 
 @pytest.mark.parametrize("error", [NO_ERROR, SHOWN], ids=["no error of the model", "one that sweeps had shown"])
-def test_what_a_load_shares_is_known_again_after_a_restart(error: ModelError) -> None:
+def test_what_a_load_shares_is_known_again_after_a_restart(error: AngleError) -> None:
     before = Loads(EngineSettings())
     harvest(before, 60)
     before.restate(error, 1)
     stated_kg = before.totals.load_budget.parameters_kg
     loads = Loads(EngineSettings())
     loads.restore(before.totals)
-    loads.resume_share(error, 1)
+    loads.resume_share(error, 1, HOME_RAD)
     loads.restate(error, 1)
     assert loads.totals.load_budget.parameters_kg == pytest.approx(stated_kg)
     loads.restate(NO_ERROR, 1)
@@ -131,7 +159,7 @@ def test_a_budget_that_is_not_known_stays_so() -> None:
     loads = Loads(EngineSettings())
     unknown = replace(FLOW, budget=FlowBudget(nan, nan, covariance_kg_s=nan, per_error_kg_s=0.0))
     loads.totals = loads.totals.with_mass(10.0, None, unknown.budget, 1.0)
-    loads.share(10.0, unknown, 1, at_home=True)
+    loads.share(10.0, unknown, 1, HOME_RAD)
     loads.restate(SHOWN, 1)
     assert isnan(loads.totals.load_budget.std_dev_kg)
 
@@ -143,7 +171,7 @@ def resumed(before: Loads, version: int = 1) -> Loads:
     loads = Loads(EngineSettings())
     loads.restore(state.totals)
     loads.resume_closed(state.closed, version)
-    loads.resume_share(NO_ERROR, version)
+    loads.resume_share(NO_ERROR, version, HOME_RAD)
     return loads
 
 
@@ -151,10 +179,10 @@ def test_a_load_that_closed_before_a_restart_is_restated_as_without_it() -> None
     before = Loads(EngineSettings())
     harvest(before, 60)
     before.start(60.0)
-    harvest(before, 30, at_home=False)
+    harvest(before, 30, angle_rad=AWAY_RAD)
     before.stop(90.0)
     loads = resumed(before)
-    (without,), events = before.restate(ModelError(0.0, 0.1), 1), loads.restate(ModelError(0.0, 0.1), 1)
+    (without,), events = before.restate(one_cause(0.0, 0.1), 1), loads.restate(one_cause(0.0, 0.1), 1)
     assert isinstance(without, LoadClosed)
     assert events == (LoadRestated(2, pytest.approx(without.load.std_dev_kg)),)
     before.restate(SHOWN, 1)
@@ -165,6 +193,18 @@ def test_a_load_that_closed_before_a_restart_is_restated_as_without_it() -> None
     again = resumed(loads)
     assert again.restate(SHOWN, 1) == ()
     assert {event.number for event in again.restate(NO_ERROR, 1) if isinstance(event, LoadRestated)} == {1, 2}
+
+
+def test_a_load_that_was_kept_without_its_angles_stays_as_stated() -> None:
+    before = Loads(EngineSettings())
+    harvest(before, 60)
+    before.start(60.0)
+    document = EngineState(totals=before.totals, closed=before.closed_states).as_dict()
+    (load,) = document["closed"]
+    load["shared"] = {"version": 1, "before_kg": 0.0, "own_kg": 3.0, "per_error_kg": 600.0, "per_error_away_kg": 0.0}
+    loads = Loads(EngineSettings())
+    loads.resume_closed(EngineState.from_dict(json.loads(json.dumps(document))).closed, 1)
+    assert loads.restate(SHOWN, 1) == ()
 
 
 def test_other_parameters_after_a_restart_leave_it_as_stated() -> None:

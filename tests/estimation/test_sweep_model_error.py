@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from yieldmon.estimation.angle_error import NO_ERROR, NODES_RAD, AngleError
 from yieldmon.estimation.misfit import ReducedSweep
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.estimation.sweep_model_error import NO_ERROR, ModelError, model_error
+from yieldmon.estimation.sweep_model_error import model_error
 from yieldmon.files import parameter_file
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
@@ -34,7 +35,7 @@ def _sweep(change: np.ndarray, seed: int) -> ReducedSweep:
     return ReducedSweep(ANGLES, log_force, np.full(ANGLES.size, SD), FLOW_KG_S, SPEED_RAD_S)
 
 
-def _found(change: np.ndarray, seeds: range, known: ParameterSet = PARAMETERS) -> ModelError:
+def _found(change: np.ndarray, seeds: range, known: ParameterSet = PARAMETERS) -> AngleError:
     return model_error(MODEL, known, [_sweep(change, seed) for seed in seeds], tolerance=0.005)
 
 
@@ -45,7 +46,7 @@ def test_without_sweeps_nothing_is_reported() -> None:
 def test_a_machine_that_follows_the_model_is_widened_by_less_than_its_parameters_are_unsure() -> None:
     found = [_found(np.zeros(6), range(seed, seed + 2)) for seed in range(100, 140, 2)]
     assert np.mean([error.home for error in found]) < 0.004
-    assert np.median([error.away for error in found]) < 0.01
+    assert np.median([max(map(error.at, ANGLES)) for error in found]) < 0.01
 
 
 @pytest.mark.parametrize("coefficient", [0.1, 0.2, 0.3])
@@ -54,7 +55,42 @@ def test_friction_on_the_plate_is_covered(coefficient: float) -> None:
     change = np.log(1.0 + coefficient / np.tan(ANGLES))
     found = _found(change, range(4))
     assert 0.5 < abs(change[3]) / found.home < 2.0
-    assert found.away > 0.5 * np.sqrt(np.mean(np.delete(change - change[3], 3) ** 2))
+    for angle, by in zip(ANGLES[:-1], change[:-1], strict=True):
+        assert 0.4 < abs(by) / found.at(angle) < 2.5, np.degrees(angle)
+    # And of a load half at 40 deg and half at home: of one cause, not of two that are independent.
+    half = np.zeros(NODES_RAD.size)
+    half[[2, 5]] = 0.5
+    assert 0.5 < 0.5 * (change[0] + change[3]) / found.of_sum(half) < 2.0
+
+
+def test_an_error_that_two_angles_share_cancels_where_their_seconds_are_counted_against_each_other() -> None:
+    found = _found(np.log(1.0 + 0.2 / np.tan(ANGLES)), range(4))
+    against = np.zeros(NODES_RAD.size)
+    against[[2, 5]] = 1.0, -1.0
+    assert found.of_sum(against) < 0.8 * np.hypot(found.at(ANGLES[0]), found.at(ANGLES[3]))
+
+
+def test_a_weighed_mass_leaves_what_differs_from_home() -> None:
+    found = _found(np.log(1.0 + 0.2 / np.tan(ANGLES)), range(4))
+    known = found.with_home(0.0, ANGLES[3])
+    against = np.zeros(NODES_RAD.size)
+    against[[2, 5]] = 1.0, -1.0
+    assert known.at(ANGLES[3]) == pytest.approx(0.0, abs=1e-9)
+    assert known.at(ANGLES[0]) == pytest.approx(found.of_sum(against))
+
+
+def test_what_no_effect_of_the_library_makes_is_stated_where_it_was_seen() -> None:
+    """A force that is 8 % off at 50 deg alone."""
+    found = _found(np.array([0.0, 0.08, 0.0, 0.0, 0.0, 0.0]), range(6))
+    assert found.at(ANGLES[1]) > 0.03
+
+
+def test_an_angle_seen_with_noise_alone_is_as_unsure_as_before_it() -> None:
+    """One visit at 40 deg, known to 20 %: the effects that would change the force there by less than that stay possible."""
+    sweep = ReducedSweep(
+        ANGLES[[0, 3]], _log_force(MODEL, PARAMETERS.values)[[0, 3]], np.array([0.2, 0.2]), FLOW_KG_S, SPEED_RAD_S
+    )
+    assert model_error(MODEL, PARAMETERS, [sweep]).at(ANGLES[0]) > 0.03
 
 
 @pytest.mark.parametrize(
@@ -81,5 +117,5 @@ def test_what_the_covariance_explains_is_no_error_of_the_model() -> None:
 
 def test_more_sweeps_raise_the_confidence() -> None:
     change = np.log(1.0 + 0.04 / np.tan(ANGLES))
-    assert _found(change, range(12)).away > 0.0
+    assert _found(change, range(12)).at(ANGLES[0]) > 0.01
     assert _found(change, range(12)).home > _found(np.zeros(6), range(12)).home

@@ -22,7 +22,7 @@ from yieldmon.engine.scale_alarm import ScaleCheck
 from yieldmon.engine.since_zero import NO_LOAD, KeptSecond, MissedMass
 from yieldmon.engine.sweep_inputs import SweepWindow, support_start_s
 from yieldmon.engine.waveform_reading import NOTHING, WaveformReading
-from yieldmon.estimation.sweep_model_error import ModelError
+from yieldmon.estimation.angle_error import AngleError
 from yieldmon.frames import OperatingState
 
 _result = maker_of(WindowResult)
@@ -72,7 +72,8 @@ class Conclusion:
         silent = not (window.samples or reading.speed_rad_s > 0.0)
         mass_kg = loads.count(window, flow, reading.inputs.fresh["moisture"], area_m2, silent)
         self._weigh(reading, flow, mass_kg)
-        loads.share(mass_kg, flow, estimator.parameters.version, at_home=reading.at_home)
+        angle_rad = window.plate_angle_rad if isfinite(window.plate_angle_rad) else parts.machine.home_plate_angle_rad
+        loads.share(mass_kg, flow, estimator.parameters.version, angle_rad, learning.model_error)
         step = sweep.window(self._sweep_window(reading, flow))
         shown = parts.faults.observe_all(conditions(self._observation(reading, flow)), bus_s)
         published = parts.flow_meter.published(flow, plate_rests_at_home=reading.still and reading.at_home)
@@ -165,7 +166,7 @@ class Conclusion:
         if totals.load_open:
             learning.tickets.measured(totals.load_number, reading, flow, mass_kg)
 
-    def _restate(self, model_error: ModelError, contradiction: ScaleCheck | None) -> LoadEvents:
+    def _restate(self, model_error: AngleError, contradiction: ScaleCheck | None) -> LoadEvents:
         """Loads are as unsure as sweeps, and the open one as a weighed mass, have just shown them to be. Before: the model's
         error, and the mass that contradicted."""
         loads, learning = self._parts.loads, self._parts.learning

@@ -10,10 +10,11 @@ import numpy as np
 
 from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.settings import DisagreementSettings
+from yieldmon.estimation.angle_error import NO_ERROR, AngleError
 from yieldmon.estimation.angle_pattern import without_pattern
 from yieldmon.estimation.misfit import NO_MISFIT, Misfit, ReducedSweep, common_misfit, pooled_residuals, reduce_sweep
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.estimation.sweep_model_error import NO_ERROR, ModelError, model_error
+from yieldmon.estimation.sweep_model_error import model_error
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array
@@ -120,7 +121,7 @@ class Disagreement:
         if pattern is not None and usable:
             self._state = replace(self._state, unfinished=(*self._state.unfinished, pattern)[-self._settings.keep_sweeps :])
 
-    def model_error(self, parameters: ParameterSet) -> ModelError:
+    def model_error(self, parameters: ParameterSet) -> AngleError:
         """How far the force by these parameters may be off, by the patterns kept and that of the sweep under way."""
         under_way = () if self._under_way is None else (self._under_way,)
         sweeps = [pattern.reduced() for pattern in (*self._state.patterns, *self._state.unfinished, *under_way)]

@@ -16,8 +16,8 @@ from yieldmon.engine.quick import maker_of
 from yieldmon.engine.records import FlowEstimator
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.windows import Window
+from yieldmon.estimation.angle_error import NO_ERROR, AngleError
 from yieldmon.estimation.open_loop import FlowStatus
-from yieldmon.estimation.sweep_model_error import NO_ERROR, ModelError
 from yieldmon.frames import EstimateQuality
 
 _NAN = float("nan")
@@ -65,7 +65,7 @@ class Circumstances(NamedTuple):
 
     sweeping: bool
     calibration_old: bool
-    model_error: ModelError = NO_ERROR
+    model_error: AngleError = NO_ERROR
     drift_sd: float = 0.0
 
 
@@ -166,7 +166,7 @@ class FlowMeter:
             # Each part by itself: what averages out goes on doing so.
             factor = self._settings.sweep.max_std_dev_factor
             noise, parameters_kg_s = factor * noise, factor * parameters_kg_s
-        error = model_error.home if reading.at_home else hypot(model_error.home, model_error.away)
+        error = model_error.home if reading.at_home else model_error.at(reading.window.plate_angle_rad)
         shared = hypot(parameters_kg_s, error * per_error)
         return _flow_budget(noise, shared, zero_n * per_n, relative * rate, parameters_kg_s, per_error)
 

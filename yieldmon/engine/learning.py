@@ -26,7 +26,6 @@ from yieldmon.engine.windows import Window
 from yieldmon.estimation.admission import refusal
 from yieldmon.estimation.common_bias import KernelLesson
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.estimation.sweep_model_error import ModelError
 from yieldmon.estimation.sweep_worth import OtherChannels
 from yieldmon.frames import EstimateQuality, SweepState
 from yieldmon.physics.machine import Machine
@@ -55,6 +54,7 @@ class Learning:
         self.calibrator = calibrator
         self.disagreement = Disagreement(settings.disagreement, machine)
         self._sweeps = settings.sweep
+        self._home_rad = machine.home_plate_angle_rad
         self._put(estimator, None, weighed=False)
         self.outcome: CalibrationOutcome | None = None
         """What the last whole sweep or weighed mass changed."""
@@ -154,7 +154,7 @@ class Learning:
         parameters = self.estimator.parameters
         found = self.disagreement.model_error(parameters)
         home = 0.0 if self._weighed else max(found.home**2 - parameters.model_error**2, 0.0) ** 0.5
-        self.model_error = ModelError(home, found.away)
+        self.model_error = found.with_home(home, self._home_rad)
         """By what sweeps show; at home beyond the parameters' own model_error, and none once a weighed mass has set the scale."""
 
     def change_grain(self, before: str, now: str, estimator: FlowEstimator | None = None) -> None:

@@ -20,7 +20,7 @@ from yieldmon.engine.shared_error import ClosedLoadState, SharedError
 from yieldmon.engine.since_zero import NO_LOAD, MissedMass
 from yieldmon.engine.totals import Totals, dry_mass
 from yieldmon.engine.windows import Window
-from yieldmon.estimation.sweep_model_error import ModelError
+from yieldmon.estimation.angle_error import NO_ERROR, AngleError
 from yieldmon.frames import EstimateQuality
 
 _NAN = float("nan")
@@ -175,17 +175,18 @@ class Loads:
         self.totals = self.totals.with_mass(mass_kg, dry_kg, flow.budget, seconds, area_m2)
         return mass_kg
 
-    def resume_share(self, error: ModelError, version: int) -> None:
+    def resume_share(self, error: AngleError, version: int, home_rad: float) -> None:
         """After `restore`: the open load was measured with the parameters of this version, which are in use, and its standard
-        deviation holds this error of the model. What of it was measured away from home is not known."""
+        deviation holds this error of the model. What of it was measured away from home, rad, is not known."""
         totals = self.totals
         if totals.load_open and totals.load_kg > 0.0:
             by_error_kg = error.home * totals.load_kg
             own_kg = max(totals.load_budget.parameters_kg**2 - by_error_kg**2, 0.0) ** 0.5
-            self._shared[totals.load_number] = SharedError(version, 0.0, own_kg, totals.load_kg)
+            self._shared[totals.load_number] = SharedError.at(version, own_kg, totals.load_kg, home_rad)
 
-    def share(self, mass_kg: float, flow: Flow, version: int, *, at_home: bool) -> None:
-        """After `count`: what of the window's error all of the load shares. version: of the parameters that measured it."""
+    def share(self, mass_kg: float, flow: Flow, version: int, plate_angle_rad: float, error: AngleError = NO_ERROR) -> None:
+        """After `count`: what of the window's error all of the load shares. version: of the parameters that measured it. error:
+        of the model, at the window's angle and at those of the load before it."""
         totals, number = self.totals, self.totals.load_number
         if not (totals.load_open and mass_kg > 0.0):
             return
@@ -194,9 +195,11 @@ class Loads:
             # What other parameters measured stays as stated.
             self._shared = {n: shared for n, shared in self._shared.items() if shared.version == version}
             known = SharedError(version, totals.load_budget.parameters_kg - flow.budget.parameters_kg_s * seconds)
-        self._shared[number] = known.plus(flow.budget, seconds, at_home=at_home)
+        self._shared[number] = known = known.plus(flow.budget, seconds, plate_angle_rad)
+        if error is not NO_ERROR:
+            self._restated(number, known.parameters_kg(error))
 
-    def restate(self, error: ModelError, version: int) -> LoadEvents:
+    def restate(self, error: AngleError, version: int) -> LoadEvents:
         """Sweeps show another error of the model with these parameters: all loads that these have measured are as unsure as that
         says; closed ones that it changes are returned."""
         events: list[LoadClosed | LoadOpened | LoadRestated] = []

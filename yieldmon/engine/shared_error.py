@@ -14,7 +14,7 @@ from typing import Any
 
 from yieldmon.engine.budget import FlowBudget, MassBudget
 from yieldmon.engine.quick import maker_of
-from yieldmon.estimation.sweep_model_error import ModelError
+from yieldmon.estimation.angle_error import NODES_RAD, AngleError, node_shares
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,32 +29,37 @@ class SharedError:
         Standard deviation by all parameters before those, which stays as it was stated.
     own_kg : float
         By the covariance of these.
-    per_error_kg : float
-        Change of its mass by a relative error of 1 of the force.
-    per_error_away_kg : float
-        Of that what was measured with the plate away from home.
+    per_error_kg : tuple of float
+        Change of its mass by a relative error of 1 of the force at each node of the plate's angle, (nodes,).
     """
 
     version: int
     before_kg: float = 0.0
     own_kg: float = 0.0
-    per_error_kg: float = 0.0
-    per_error_away_kg: float = 0.0
+    per_error_kg: tuple[float, ...] = (0.0,) * NODES_RAD.size
 
-    def plus(self, flow: FlowBudget, seconds: float, *, at_home: bool) -> SharedError:
-        """With `seconds` of a flow more."""
-        changed_kg = flow.per_error_kg_s * seconds
+    def plus(self, flow: FlowBudget, seconds: float, plate_angle_rad: float) -> SharedError:
+        """With `seconds` of a flow more, at a plate angle, rad."""
         return _made(
             self.version,
             self.before_kg,
             self.own_kg + flow.covariance_kg_s * seconds,
-            self.per_error_kg + changed_kg,
-            self.per_error_away_kg + (0.0 if at_home else changed_kg),
+            _with(self.per_error_kg, flow.per_error_kg_s * seconds, plate_angle_rad),
         )
 
-    def parameters_kg(self, error: ModelError) -> float:
+    @classmethod
+    def at(cls, version: int, own_kg: float, per_error_kg: float, plate_angle_rad: float) -> SharedError:
+        """All of it measured at one angle, rad, with parameters of a version; own_kg and per_error_kg as above."""
+        return cls(version, 0.0, own_kg, _with((0.0,) * NODES_RAD.size, per_error_kg, plate_angle_rad))
+
+    def parameters_kg(self, error: AngleError) -> float:
         """Standard deviation by the parameters, where the model's error is as sweeps show it now."""
-        return self.before_kg + hypot(self.own_kg, error.home * self.per_error_kg, error.away * self.per_error_away_kg)
+        return self.before_kg + hypot(self.own_kg, error.of_sum(self.per_error_kg))
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> SharedError:
+        """Inverse of `dataclasses.asdict`. Raises KeyError or TypeError."""
+        return cls(**{**data, "per_error_kg": tuple(map(float, data["per_error_kg"]))})
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +73,16 @@ class ClosedLoadState:
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> ClosedLoadState:
         """Inverse of `dataclasses.asdict`. Raises KeyError or TypeError."""
-        return cls(int(data["number"]), MassBudget(**data["budget"]), SharedError(**data["shared"]))
+        return cls(int(data["number"]), MassBudget(**data["budget"]), SharedError.from_dict(data["shared"]))
+
+
+def _with(at_nodes: tuple[float, ...], more: float, plate_angle_rad: float) -> tuple[float, ...]:
+    """With more at an angle, shared between the nodes on both sides of it."""
+    first, share = node_shares(plate_angle_rad)
+    row = list(at_nodes)
+    row[first] += (1.0 - share) * more
+    row[first + 1] += share * more
+    return tuple(row)
 
 
 _made = maker_of(SharedError)

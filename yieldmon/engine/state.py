@@ -108,7 +108,7 @@ class EngineState:
                 "calibrator": calibrator,
                 "scale_alarm": _scale_alarm(data["scale_alarm"]),
                 "tickets": tuple(TicketState(**ticket) for ticket in data["tickets"]),
-                "closed": tuple(ClosedLoadState.from_dict(load) for load in data["closed"]),
+                "closed": tuple(ClosedLoadState.from_dict(load) for load in data["closed"] if _by_angle(load)),
                 "moisture": None if data["moisture"] is None else MoistureState(**data["moisture"]),
             }
             return cls(**{**data, **parts, "zero_undo": undo})
@@ -118,6 +118,11 @@ class EngineState:
 
 def _zero(data: Mapping[str, Any]) -> ZeroState:
     return ZeroState(**{**data, "vibration_mv": tuple(data.get("vibration_mv", ()))})
+
+
+def _by_angle(load: Mapping[str, Any]) -> bool:
+    """Whether a closed load was kept by plate angle; an older one stays as stated."""
+    return not isinstance(load["shared"]["per_error_kg"], (int, float))
 
 
 def _totals(data: Mapping[str, Any]) -> Totals:

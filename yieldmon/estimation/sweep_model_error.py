@@ -15,11 +15,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from yieldmon.physics.effects import registry
+from yieldmon.physics.effects import Effect, registry
 from yieldmon.physics.machine import SAME_ANGLE_RAD
 from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array
 
+from .angle_error import NO_ERROR, NODES_RAD, AngleError
 from .clusters import cluster
 from .misfit import ReducedSweep
 from .parameters import ParameterSet
@@ -33,19 +34,8 @@ _LAW_ERROR = 0.1
 """By which a law of the library misses the effect that it stands for, as a share of it."""
 _LEAST_PATTERN = 0.5
 """The rms of an effect's pattern over what it changes at home, below which it acts on the scale."""
-_NOT_HIDDEN = ("angle_pattern", "load_pattern", "moisture_dependence")
+_NOT_HIDDEN = ("angle_pattern", "load_pattern", "moisture_dependence", "stop_gap")
 """Effects that stand for no cause, or for one that is seen elsewhere."""
-
-
-@dataclass(frozen=True, slots=True)
-class ModelError:
-    """Relative standard deviation of the model's force: at the home angle, and beside that at the other angles of the sweeps."""
-
-    home: float = 0.0
-    away: float = 0.0
-
-
-NO_ERROR = ModelError()
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +50,7 @@ class _Pattern:
 
 def model_error(
     model: ForwardModel, parameters: ParameterSet, sweeps: Sequence[ReducedSweep], *, tolerance: float = 0.0
-) -> ModelError:
+) -> AngleError:
     """The model's error by what sweeps show.
 
     Parameters
@@ -76,29 +66,63 @@ def model_error(
 
     Returns
     -------
-    ModelError
+    AngleError
+        With what one cause changes at all angles in common: at home, and at the angles of the sweep.
     """
-    from scipy.special import ndtr
-
     known = [s for s in sweeps if not model.needs_moisture or np.isfinite(s.moisture_pct)]
     pattern = _shared_pattern(model, parameters, known, tolerance)
     if pattern is None:
         return NO_ERROR
-    angles = np.append(pattern.plate_angle_rad, model.machine.home_plate_angle_rad)
     at = [
         float(np.mean([getattr(s, name) for s in known])) for name in ("elevator_speed_rad_s", "mass_flow_kg_s", "moisture_pct")
     ]
+    causes = _causes(model, parameters, pattern, at)
+    weights = [np.log(_NONE) + _log_density(pattern.error, pattern.covariance)]
+    weights += [np.log((1.0 - _NONE) / _count(parameters)) + cause.log_density for cause in causes]
+    share = np.exp(np.array(weights) - max(weights))
+    share /= share.sum()
+    moment = sum(
+        (part * cause.square * np.outer(cause.change, cause.change) for part, cause in zip(share[1:], causes, strict=True)),
+        start=np.zeros((NODES_RAD.size, NODES_RAD.size)),
+    )
+    unexplained = pattern.error - sum(
+        (part * cause.size * cause.pattern for part, cause in zip(share[1:], causes, strict=True)), start=0.0 * pattern.error
+    )
+    home_rad = model.machine.home_plate_angle_rad
+    left = _beyond_noise(unexplained, np.diag(pattern.covariance))
+    place = np.argsort(np.append(pattern.plate_angle_rad, home_rad))
+    left = np.interp(NODES_RAD, np.append(pattern.plate_angle_rad, home_rad)[place], np.append(left, 0.0)[place])
+    return AngleError.of(moment + (1.0 - share[0]) * np.outer(left, left), home_rad)
+
+
+@dataclass(frozen=True, slots=True)
+class _Cause:
+    """An effect that may be missing: by how much it changes the force at the nodes for its typical size, and at the pattern's
+    angles against home; what the sweeps say of its size, mean and mean square; ln of the density of what they show."""
+
+    change: Array
+    pattern: Array
+    size: float
+    square: float
+    log_density: float
+
+
+def _causes(model: ForwardModel, parameters: ParameterSet, pattern: _Pattern, at: Sequence[float]) -> list[_Cause]:
+    """Those that change the force over the angle at least half as much as at home. at: speed, flow and moisture of the sweeps."""
+    from scipy.special import ndtr
+
+    home_rad, count = model.machine.home_plate_angle_rad, pattern.error.size
+    angles = np.concatenate((pattern.plate_angle_rad, [home_rad], NODES_RAD))
     without = np.log(force_n(model, parameters.values, angles, *at))
-    weights, squares = [np.log(_NONE) + _log_density(pattern.error, pattern.covariance)], [0.0]
-    missing = [effect for name, effect in registry().items() if name not in (*parameters.effects, *_NOT_HIDDEN)]
-    for effect in missing:
+    found = []
+    for effect in _missing(parameters):
         values = dict(parameters.values) | {f"{effect.name}.{p.name}": p.typical for p in effect.parameters}
         with_it = force_n(model.with_effects((*parameters.effects, effect.name)), values, angles, *at)
         with np.errstate(invalid="ignore", divide="ignore"):
             change = without - np.log(with_it)
-        if not np.all(np.isfinite(change)):
+        if not np.all(np.isfinite(change[: count + 1])):
             continue
-        shape, home = change[:-1] - change[-1], float(change[-1])
+        shape, home = change[:count] - change[count], float(change[count])
         if _rms(shape) < _LEAST_PATTERN * abs(home) or _rms(shape) == 0.0:
             continue
         noise = pattern.covariance + np.diag((_LAW_ERROR * shape) ** 2)
@@ -108,13 +132,25 @@ def model_error(
         first = effect.parameters[0]
         one_sided = first.null in (first.lower, first.upper)
         possible = 2.0 * ndtr(size * np.sqrt(information)) if one_sided else 1.0
-        density = _log_density(pattern.error, noise + np.outer(shape, shape))
-        weights.append(float(np.log((1.0 - _NONE) / len(missing) * max(possible, 1e-300)) + density))
-        squares.append(home**2 * (size**2 + 1.0 / information))
-    share = np.exp(np.array(weights) - max(weights))
-    share /= share.sum()
-    away = float(np.mean(pattern.error**2 - np.diag(pattern.covariance)))
-    return ModelError(float(np.sqrt(share @ squares)), float(np.sqrt(max((1.0 - share[0]) * away, 0.0))))
+        density = _log_density(pattern.error, noise + np.outer(shape, shape)) + float(np.log(max(possible, 1e-300)))
+        known = np.isfinite(change)
+        order = np.argsort(angles[known])
+        at_nodes = np.interp(NODES_RAD, angles[known][order], change[known][order])
+        found.append(_Cause(at_nodes, shape, size, size**2 + 1.0 / information, density))
+    return found
+
+
+def _missing(parameters: ParameterSet) -> list[Effect]:
+    return [effect for name, effect in registry().items() if name not in (*parameters.effects, *_NOT_HIDDEN)]
+
+
+def _count(parameters: ParameterSet) -> int:
+    return len(_missing(parameters))
+
+
+def _beyond_noise(values: Array, variance: Array) -> Array:
+    """What is left of each value when its noise is taken off its square."""
+    return np.sign(values) * np.sqrt(np.maximum(values**2 - variance, 0.0))
 
 
 def _rms(values: Array) -> float:
