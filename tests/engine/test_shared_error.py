@@ -207,6 +207,19 @@ def test_a_load_that_was_kept_without_its_angles_stays_as_stated() -> None:
     assert loads.restate(SHOWN, 1) == ()
 
 
+def test_what_an_open_load_was_measured_at_outlives_a_restart() -> None:
+    before = Loads(EngineSettings())
+    harvest(before, 30)
+    harvest(before, 30, angle_rad=AWAY_RAD)
+    loads = resumed(before)
+    for one in (before, loads):
+        one.restate(SHOWN, 1)
+    assert loads.totals.load_budget == before.totals.load_budget
+    loads.start(60.0)
+    before.start(60.0)
+    assert [load.std_dev_kg for load in loads.all][0] == [load.std_dev_kg for load in before.all][0]
+
+
 def test_other_parameters_after_a_restart_leave_it_as_stated() -> None:
     before = Loads(EngineSettings())
     harvest(before, 60)

@@ -11,7 +11,7 @@ import pytest
 from yieldmon.estimation.angle_error import NO_ERROR, NODES_RAD, AngleError
 from yieldmon.estimation.misfit import ReducedSweep
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.estimation.sweep_model_error import model_error
+from yieldmon.estimation.sweep_model_error import model_error, unswept_error
 from yieldmon.files import parameter_file
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
@@ -22,6 +22,7 @@ MODEL = ForwardModel(Machine(), PARAMETERS.effects)
 ANGLES = np.radians([40.0, 50.0, 60.0, 70.0, 80.0, 90.0])
 FLOW_KG_S, SPEED_RAD_S = 11.0, 400.0 * RPM
 SD = 0.012
+_CALIBRATED = (PARAMETERS.calibrated.mass_flow_kg_s, PARAMETERS.calibrated.elevator_speed_rad_s)
 
 
 def _log_force(model: ForwardModel, values: Mapping[str, float]) -> np.ndarray:
@@ -119,3 +120,16 @@ def test_more_sweeps_raise_the_confidence() -> None:
     change = np.log(1.0 + 0.04 / np.tan(ANGLES))
     assert _found(change, range(12)).at(ANGLES[0]) > 0.01
     assert _found(change, range(12)).home > _found(np.zeros(6), range(12)).home
+
+
+def test_before_any_sweep_it_is_what_sweeps_that_say_nothing_leave() -> None:
+    before = unswept_error(MODEL, PARAMETERS)
+    log_force = _log_force(MODEL, PARAMETERS.values)
+    vague = ReducedSweep(ANGLES, log_force, np.full(ANGLES.size, 3.0), *(np.mean(r) for r in _CALIBRATED))
+    said = model_error(MODEL, PARAMETERS, [vague])
+    assert 0.01 < before.home < 0.1
+    assert said.home == pytest.approx(before.home, rel=0.3)
+
+
+def test_a_whole_sweep_of_a_machine_that_follows_the_model_takes_most_of_it_away() -> None:
+    assert _found(np.zeros(6), range(2)).home < 0.2 * unswept_error(MODEL, PARAMETERS).home

@@ -121,7 +121,10 @@ def test_the_first_ticket_says_that_it_decides_alone_and_the_second_that_the_fir
             return capsys.readouterr().err
 
         assert "the first ticket, it sets the scale by itself (" in enter(2, 1.4)
-        assert "by one ticket alone, until a second confirms it" in bench.daemon.monitor.outcome.reason
+        assert (
+            "by one ticket alone: if it is wrong by 10 %, so is every load, until a second shows it"
+            in bench.daemon.monitor.outcome.reason
+        )
         second = enter(3, 1.0)
         assert "sets the scale by itself" not in second
         assert "or ticket 1, the only one before it, is the wrong one (`yieldmon ticket undo 1`)" in second

@@ -73,7 +73,7 @@ class Conclusion:
         mass_kg = loads.count(window, flow, reading.inputs.fresh["moisture"], area_m2, silent)
         self._weigh(reading, flow, mass_kg)
         angle_rad = window.plate_angle_rad if isfinite(window.plate_angle_rad) else parts.machine.home_plate_angle_rad
-        loads.share(mass_kg, flow, estimator.parameters.version, angle_rad, learning.model_error)
+        loads.share(mass_kg, flow, estimator.parameters.version, angle_rad, learning.load_error)
         step = sweep.window(self._sweep_window(reading, flow))
         shown = parts.faults.observe_all(conditions(self._observation(reading, flow)), bus_s)
         published = parts.flow_meter.published(flow, plate_rests_at_home=reading.still and reading.at_home)
@@ -85,7 +85,7 @@ class Conclusion:
             number = kept.load_number if loads.totals.load_open else NO_LOAD
             parts.since_zero.add((replace(kept, zero_mv=zero_mv, load_number=number),))
         self._zero_mv = record.zero_mv
-        believed = learning.model_error, learning.scale_alarm.state.contradiction
+        believed = learning.load_error, learning.scale_alarm.state.contradiction
         channels = None
         if parts.waveform is not None and parts.settings.sweep.when == "information":
             channels = parts.waveform.channels(window.end_s, estimator)
@@ -170,7 +170,7 @@ class Conclusion:
         """Loads are as unsure as sweeps, and the open one as a weighed mass, have just shown them to be. Before: the model's
         error, and the mass that contradicted."""
         loads, learning = self._parts.loads, self._parts.learning
-        error, found = learning.model_error, learning.scale_alarm.state.contradiction
+        error, found = learning.load_error, learning.scale_alarm.state.contradiction
         restated = loads.restate(error, learning.estimator.parameters.version) if error != model_error else ()
         if found is not None and found is not contradiction:
             loads.widen(abs(found.error_pct) / 100.0 * loads.totals.load_kg)

@@ -14,7 +14,7 @@ from yieldmon.estimation.angle_error import NO_ERROR, AngleError
 from yieldmon.estimation.angle_pattern import without_pattern
 from yieldmon.estimation.misfit import NO_MISFIT, Misfit, ReducedSweep, common_misfit, pooled_residuals, reduce_sweep
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.estimation.sweep_model_error import model_error
+from yieldmon.estimation.sweep_model_error import model_error, unswept_error
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array
@@ -120,6 +120,15 @@ class Disagreement:
         pattern, self._under_way = self._under_way, None
         if pattern is not None and usable:
             self._state = replace(self._state, unfinished=(*self._state.unfinished, pattern)[-self._settings.keep_sweeps :])
+
+    def unswept_error(self, parameters: ParameterSet) -> AngleError:
+        """How far the force by these parameters may be off by what a first sweep may show."""
+        return unswept_error(self._model(parameters), parameters)
+
+    @property
+    def seen(self) -> bool:
+        """Whether any sweep, or a part of one, has been looked at."""
+        return bool(self._state.patterns or self._state.unfinished or self._under_way)
 
     def model_error(self, parameters: ParameterSet) -> AngleError:
         """How far the force by these parameters may be off, by the patterns kept and that of the sweep under way."""

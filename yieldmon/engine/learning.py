@@ -49,12 +49,21 @@ class Learning:
     """The estimator in use, and all that may change it."""
 
     def __init__(
-        self, settings: EngineSettings, machine: Machine, estimator: FlowEstimator, calibrator: SelfCalibrator | None
+        self,
+        settings: EngineSettings,
+        machine: Machine,
+        estimator: FlowEstimator,
+        calibrator: SelfCalibrator | None,
+        *,
+        drives_plate: bool = False,
     ) -> None:
         self.calibrator = calibrator
         self.disagreement = Disagreement(settings.disagreement, machine)
         self._sweeps = settings.sweep
         self._home_rad = machine.home_plate_angle_rad
+        self._sweeps_come = (
+            drives_plate and calibrator is not None and settings.sweep.enabled and settings.sweep.when == "interval"
+        )
         self._put(estimator, None, weighed=False)
         self.outcome: CalibrationOutcome | None = None
         """What the last whole sweep or weighed mass changed."""
@@ -156,6 +165,9 @@ class Learning:
         home = 0.0 if self._weighed else max(found.home**2 - parameters.model_error**2, 0.0) ** 0.5
         self.model_error = found.with_home(home, self._home_rad)
         """By what sweeps show; at home beyond the parameters' own model_error, and none once a weighed mass has set the scale."""
+        unswept = self._sweeps_come and self._sweeps_teach and not (self._weighed or self.disagreement.seen)
+        self.load_error = self.disagreement.unswept_error(parameters) if unswept else self.model_error
+        """That loads and total are stated with: before the first sweep by schedule, what it may show."""
 
     def change_grain(self, before: str, now: str, estimator: FlowEstimator | None = None) -> None:
         """Another crop from now on: weighed masses of the one before teach its parameters alone, when it is back. estimator: in

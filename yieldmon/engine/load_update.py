@@ -87,7 +87,11 @@ class LoadUpdate:
             reason = " ".join(found.sentences)
         else:
             curve = curve_sentence(found) if _is_another(found) else ""
-            alone = "by one ticket alone, until a second confirms it" if len(counted) == 1 else ""
+            alone = (
+                "by one ticket alone: if it is wrong by 10 %, so is every load, until a second shows it"
+                if len(counted) == 1
+                else ""
+            )
             reason = "; ".join(filter(None, (reason, alone, curve, wrong_ticket_sentence(found))))
         scale = ScaleReport(found.scale_sd, found.scale_sd, float(np.log(found.scale)), True, ())
         known, wide = found.parameter_set, widened(prior, self.load_settings)

@@ -179,7 +179,7 @@ class Loads:
         """After `restore`: the open load was measured with the parameters of this version, which are in use, and its standard
         deviation holds this error of the model. What of it was measured away from home, rad, is not known."""
         totals = self.totals
-        if totals.load_open and totals.load_kg > 0.0:
+        if totals.load_open and totals.load_kg > 0.0 and totals.load_number not in self._shared:
             by_error_kg = error.home * totals.load_kg
             own_kg = max(totals.load_budget.parameters_kg**2 - by_error_kg**2, 0.0) ** 0.5
             self._shared[totals.load_number] = SharedError.at(version, own_kg, totals.load_kg, home_rad)
@@ -232,8 +232,10 @@ class Loads:
 
     @property
     def closed_states(self) -> tuple[ClosedLoadState, ...]:
-        """The newest closed loads that the parameters in use have measured."""
+        """The newest loads that the parameters in use have measured, the open one among them."""
         budgets = {**self._before, **{load.number: load.budget for load in self._closed}}
+        if self.totals.load_open:
+            budgets[self.totals.load_number] = self.totals.load_budget
         known = [number for number in sorted(self._shared) if number in budgets and isfinite(budgets[number].std_dev_kg)]
         return tuple(ClosedLoadState(n, budgets[n], self._shared[n]) for n in known[-_KEPT_CLOSED:])
 
@@ -241,7 +243,9 @@ class Loads:
         """After `restore`: loads that a run before closed; version: of the parameters in use."""
         for state in states:
             if state.shared.version == version:
-                self._before[state.number], self._shared[state.number] = state.budget, state.shared
+                self._shared[state.number] = state.shared
+                if not (self.totals.load_open and state.number == self.totals.load_number):
+                    self._before[state.number] = state.budget
 
     def widen(self, error_kg: float) -> None:
         """What the open load holds turns out to be less sure: by error_kg at least, one standard deviation, by its parameters."""

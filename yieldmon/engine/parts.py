@@ -83,7 +83,7 @@ class Parts:
             plate=Plate(settings, machine, driven=drives_plate),
             faults=FaultBook(),
             since_zero=SinceZero(),
-            learning=Learning(settings, machine, estimator, calibrator),
+            learning=Learning(settings, machine, estimator, calibrator, drives_plate=drives_plate),
             publisher=Publisher(windows.min_coverage, ranges),
         )
 

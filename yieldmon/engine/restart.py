@@ -47,7 +47,7 @@ def restore(parts: Parts, state: EngineState) -> None:
         learning.disagreement.restore(state.disagreement, parameters)
         learning.judge_model(weighed=state.calibrator is not None and bool(state.calibrator.weighed))
         parts.loads.resume_closed(state.closed, parameters.version)
-        parts.loads.resume_share(learning.model_error, parameters.version, parts.machine.home_plate_angle_rad)
+        parts.loads.resume_share(learning.load_error, parameters.version, parts.machine.home_plate_angle_rad)
         if state.moisture is not None:
             parts.flow_meter.moisture.state = state.moisture
         learning.scale_alarm.state = state.scale_alarm

@@ -136,12 +136,20 @@ def _by_model(found: LoadCalibration, sweeps: int) -> list[str]:
         out.append(f"held, because weighed loads cannot separate them from the scale: {', '.join(found.held)}.")
     if sweeps and not found.sweeps_used:
         out.append("the sweeps contradict the model or add too little to the loads; they are left out.")
-    if len(found.loads) == 1:
-        out.append("one load alone cannot be checked against others; weigh two more.")
     if found.contradiction is not None:
         out += _contradiction(found.contradiction, bool(found.outliers))
-    out.append(f"a next load like these is expected within {100.0 * found.next_load_sd:.2f} % (one standard deviation).")
+    out += _next_load(found)
     return out
+
+
+def _next_load(found: LoadCalibration) -> list[str]:
+    expected = f"a next load like these is expected within {100.0 * found.next_load_sd:.2f} % (one standard deviation)"
+    if len(found.loads) > 1:
+        return [f"{expected}."]
+    return [
+        "one load alone cannot be checked against others; weigh two more.",
+        f"{expected} if its ticket is right: one that is wrong by 10 % would not show, and every load would be off by as much.",
+    ]
 
 
 def _cause(found: LoadCalibration, name: str) -> str:
@@ -233,9 +241,7 @@ def _another_law(found: LoadCalibration, law: AnotherLaw, sweeps: int) -> list[s
         )
     if sweeps:
         out.append("sweeps of the plate are left out: what they teach rests on the model's curve.")
-    if len(found.loads) == 1:
-        out.append("one load alone cannot be checked against others; weigh two more.")
-    out.append(f"a next load like these is expected within {100.0 * found.next_load_sd:.2f} % (one standard deviation).")
+    out += _next_load(found)
     return out
 
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from yieldmon.physics.effects import Effect, registry
-from yieldmon.physics.machine import SAME_ANGLE_RAD
+from yieldmon.physics.machine import RPM, SAME_ANGLE_RAD
 from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array
 
@@ -36,6 +36,9 @@ _LEAST_PATTERN = 0.5
 """The rms of an effect's pattern over what it changes at home, below which it acts on the scale."""
 _NOT_HIDDEN = ("angle_pattern", "load_pattern", "moisture_dependence", "stop_gap")
 """Effects that stand for no cause, or for one that is seen elsewhere."""
+_MIDDLE = (400.0 * RPM, 10.0, 15.0)
+"""Elevator speed, rad/s, flow, kg/s, and moisture, %, where parameters do not say what they were calibrated over."""
+_NO_MOMENT = np.zeros((NODES_RAD.size, NODES_RAD.size))
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +49,31 @@ class _Pattern:
     plate_angle_rad: Array
     error: Array
     covariance: Array
+
+
+def unswept_error(model: ForwardModel, parameters: ParameterSet) -> AngleError:
+    """The model's error that the first sweep may show: what `model_error` weighs the sweeps' pattern with, before it.
+
+    Parameters
+    ----------
+    model : ForwardModel
+        With the parameters' effects.
+    parameters : ParameterSet
+
+    Returns
+    -------
+    AngleError
+        In the middle of what the parameters were calibrated over.
+    """
+    home_rad = model.machine.home_plate_angle_rad
+    away = NODES_RAD[np.abs(NODES_RAD - home_rad) > SAME_ANGLE_RAD]
+    known = parameters.calibrated
+    ranges = (known.elevator_speed_rad_s, known.mass_flow_kg_s, known.moisture_pct)
+    at = [middle if ends is None else 0.5 * sum(ends) for ends, middle in zip(ranges, _MIDDLE, strict=True)]
+    changes = _changes(model, parameters, away, at)
+    each = (1.0 - _NONE) / _count(parameters)
+    moments = [np.outer(change.at_nodes, change.at_nodes) for change in changes]
+    return AngleError.of(each / (_NONE + each * len(changes)) * sum(moments, start=_NO_MOMENT), home_rad)
 
 
 def model_error(
@@ -76,43 +104,48 @@ def model_error(
     at = [
         float(np.mean([getattr(s, name) for s in known])) for name in ("elevator_speed_rad_s", "mass_flow_kg_s", "moisture_pct")
     ]
-    causes = _causes(model, parameters, pattern, at)
+    causes = [_cause(pattern, change) for change in _changes(model, parameters, pattern.plate_angle_rad, at)]
     weights = [np.log(_NONE) + _log_density(pattern.error, pattern.covariance)]
     weights += [np.log((1.0 - _NONE) / _count(parameters)) + cause.log_density for cause in causes]
     share = np.exp(np.array(weights) - max(weights))
     share /= share.sum()
-    moment = sum(
-        (part * cause.square * np.outer(cause.change, cause.change) for part, cause in zip(share[1:], causes, strict=True)),
-        start=np.zeros((NODES_RAD.size, NODES_RAD.size)),
-    )
-    unexplained = pattern.error - sum(
-        (part * cause.size * cause.pattern for part, cause in zip(share[1:], causes, strict=True)), start=0.0 * pattern.error
-    )
+    moment, unexplained = _NO_MOMENT, pattern.error
+    for part, cause in zip(share[1:], causes, strict=True):
+        moment = moment + part * cause.square * np.outer(cause.change.at_nodes, cause.change.at_nodes)
+        unexplained = unexplained - part * cause.size * cause.change.pattern
     home_rad = model.machine.home_plate_angle_rad
-    left = _beyond_noise(unexplained, np.diag(pattern.covariance))
-    place = np.argsort(np.append(pattern.plate_angle_rad, home_rad))
-    left = np.interp(NODES_RAD, np.append(pattern.plate_angle_rad, home_rad)[place], np.append(left, 0.0)[place])
+    angles = np.append(pattern.plate_angle_rad, home_rad)
+    order = np.argsort(angles)
+    left = np.interp(NODES_RAD, angles[order], np.append(_beyond_noise(unexplained, pattern.covariance), 0.0)[order])
     return AngleError.of(moment + (1.0 - share[0]) * np.outer(left, left), home_rad)
 
 
 @dataclass(frozen=True, slots=True)
-class _Cause:
-    """An effect that may be missing: by how much it changes the force at the nodes for its typical size, and at the pattern's
-    angles against home; what the sweeps say of its size, mean and mean square; ln of the density of what they show."""
+class _Change:
+    """By how much an effect of its typical size changes ln of the force: at the nodes, and at some angles against home.
+    one_sided: it acts in this direction alone."""
 
-    change: Array
+    at_nodes: Array
     pattern: Array
+    one_sided: bool
+
+
+@dataclass(frozen=True, slots=True)
+class _Cause:
+    """What sweeps say of the size of a change that may be missing, mean and mean square, and ln of the density of what they
+    show."""
+
+    change: _Change
     size: float
     square: float
     log_density: float
 
 
-def _causes(model: ForwardModel, parameters: ParameterSet, pattern: _Pattern, at: Sequence[float]) -> list[_Cause]:
-    """Those that change the force over the angle at least half as much as at home. at: speed, flow and moisture of the sweeps."""
-    from scipy.special import ndtr
-
-    home_rad, count = model.machine.home_plate_angle_rad, pattern.error.size
-    angles = np.concatenate((pattern.plate_angle_rad, [home_rad], NODES_RAD))
+def _changes(model: ForwardModel, parameters: ParameterSet, away_rad: Array, at: Sequence[float]) -> list[_Change]:
+    """Of the effects that change the force over the angle at least half as much as at home. away_rad: angles away from home;
+    at: elevator speed, flow and moisture."""
+    count = away_rad.size
+    angles = np.concatenate((away_rad, [model.machine.home_plate_angle_rad], NODES_RAD))
     without = np.log(force_n(model, parameters.values, angles, *at))
     found = []
     for effect in _missing(parameters):
@@ -122,22 +155,28 @@ def _causes(model: ForwardModel, parameters: ParameterSet, pattern: _Pattern, at
             change = without - np.log(with_it)
         if not np.all(np.isfinite(change[: count + 1])):
             continue
-        shape, home = change[:count] - change[count], float(change[count])
-        if _rms(shape) < _LEAST_PATTERN * abs(home) or _rms(shape) == 0.0:
+        pattern, home = change[:count] - change[count], float(change[count])
+        if _rms(pattern) < _LEAST_PATTERN * abs(home) or _rms(pattern) == 0.0:
             continue
-        noise = pattern.covariance + np.diag((_LAW_ERROR * shape) ** 2)
-        information = float(shape @ np.linalg.solve(noise, shape)) + 1.0
-        size = float(shape @ np.linalg.solve(noise, pattern.error)) / information
-        # Of an effect that acts in one direction alone, the other's share of the probability.
-        first = effect.parameters[0]
-        one_sided = first.null in (first.lower, first.upper)
-        possible = 2.0 * ndtr(size * np.sqrt(information)) if one_sided else 1.0
-        density = _log_density(pattern.error, noise + np.outer(shape, shape)) + float(np.log(max(possible, 1e-300)))
         known = np.isfinite(change)
         order = np.argsort(angles[known])
         at_nodes = np.interp(NODES_RAD, angles[known][order], change[known][order])
-        found.append(_Cause(at_nodes, shape, size, size**2 + 1.0 / information, density))
+        first = effect.parameters[0]
+        found.append(_Change(at_nodes, pattern, first.null in (first.lower, first.upper)))
     return found
+
+
+def _cause(seen: _Pattern, change: _Change) -> _Cause:
+    from scipy.special import ndtr
+
+    shape = change.pattern
+    noise = seen.covariance + np.diag((_LAW_ERROR * shape) ** 2)
+    information = float(shape @ np.linalg.solve(noise, shape)) + 1.0
+    size = float(shape @ np.linalg.solve(noise, seen.error)) / information
+    # Of an effect that acts in one direction alone, the other's share of the probability.
+    possible = 2.0 * ndtr(size * np.sqrt(information)) if change.one_sided else 1.0
+    density = _log_density(seen.error, noise + np.outer(shape, shape)) + float(np.log(max(possible, 1e-300)))
+    return _Cause(change, size, size**2 + 1.0 / information, density)
 
 
 def _missing(parameters: ParameterSet) -> list[Effect]:
@@ -148,9 +187,9 @@ def _count(parameters: ParameterSet) -> int:
     return len(_missing(parameters))
 
 
-def _beyond_noise(values: Array, variance: Array) -> Array:
+def _beyond_noise(values: Array, covariance: Array) -> Array:
     """What is left of each value when its noise is taken off its square."""
-    return np.sign(values) * np.sqrt(np.maximum(values**2 - variance, 0.0))
+    return np.sign(values) * np.sqrt(np.maximum(values**2 - np.diag(covariance), 0.0))
 
 
 def _rms(values: Array) -> float:

@@ -1,0 +1,68 @@
+"""Loads before the first sweep are stated with what it may show."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from yieldmon.engine.calibrator_settings import CalibratorSettings
+from yieldmon.engine.closed_loop_calibrator import ClosedLoopCalibrator
+from yieldmon.engine.disagreement import DisagreementState, SweepPattern
+from yieldmon.engine.learning import Learning
+from yieldmon.engine.settings import EngineSettings
+from yieldmon.estimation.angle_error import NO_ERROR
+from yieldmon.estimation.misfit import ReducedSweep
+from yieldmon.estimation.open_loop import OpenLoop
+from yieldmon.files import parameter_file
+from yieldmon.physics.machine import RPM, Machine
+from yieldmon.physics.model import Conditions, ForwardModel
+from yieldmon.resources import shipped
+
+MACHINE = Machine()
+PARAMETERS = parameter_file.load(shipped("config/parameters/corn.yaml"))
+MODEL = ForwardModel(MACHINE, PARAMETERS.effects)
+SETTINGS = EngineSettings()
+
+
+def learning(settings: EngineSettings = SETTINGS, *, drives_plate: bool = True, learns: bool = True) -> Learning:
+    calibrator = ClosedLoopCalibrator(MODEL, CalibratorSettings()) if learns else None
+    return Learning(settings, MACHINE, OpenLoop(MODEL, PARAMETERS), calibrator, drives_plate=drives_plate)
+
+
+def swept(of: Learning) -> Learning:
+    """After one whole sweep of a machine that follows the model."""
+    angles = np.radians([40.0, 50.0, 60.0, 70.0, 80.0, 90.0])
+    force_n = MODEL.force(Conditions(angles, 400.0 * RPM, mass_flow_kg_s=11.0), PARAMETERS.values)
+    sweep = ReducedSweep(angles, np.log(np.asarray(force_n)), np.full(6, 0.01), 11.0, 400.0 * RPM)
+    of.disagreement.restore(DisagreementState((SweepPattern.of(100.0, sweep),)), PARAMETERS)
+    of.judge_model()
+    return of
+
+
+def test_before_the_first_sweep_a_load_is_as_unsure_as_that_may_show() -> None:
+    before, after = learning(), swept(learning())
+    assert before.load_error.home > 0.01
+    assert before.model_error == NO_ERROR, "no second is stated otherwise: rows are not stated anew"
+    assert after.load_error == after.model_error
+    assert after.load_error.home < 0.2 * before.load_error.home
+
+
+@pytest.mark.parametrize(
+    "of",
+    [
+        pytest.param(lambda: learning(replace(SETTINGS, sweep=replace(SETTINGS.sweep, enabled=False))), id="sweeps off"),
+        pytest.param(lambda: learning(replace(SETTINGS, sweep=replace(SETTINGS.sweep, when="information"))), id="by information"),
+        pytest.param(lambda: learning(drives_plate=False), id="of a log"),
+        pytest.param(lambda: learning(learns=False), id="nothing learns"),
+    ],
+)
+def test_where_no_sweep_is_to_come_the_parameters_are_taken_at_their_word(of) -> None:  # type: ignore[no-untyped-def]
+    assert of().load_error == NO_ERROR
+
+
+def test_a_weighed_mass_ends_it() -> None:
+    found = learning()
+    found.judge_model(weighed=True)
+    assert found.load_error == NO_ERROR
