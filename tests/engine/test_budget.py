@@ -36,6 +36,13 @@ def test_noise_averages_out_and_the_rest_does_not(
     assert budget.std_dev_kg == pytest.approx(expected, rel=1e-9, abs=1e-12)
 
 
+def test_an_error_of_a_moving_plate_is_gone_when_it_is_back() -> None:
+    out, home = (FlowBudget(hypot(0.3, 0.4), 0.0, motion_kg_s=sign * 0.4) for sign in (1.0, -1.0))
+    away = EMPTY.plus(out, 1.0).plus(out, 1.0)
+    assert away.std_dev_kg == pytest.approx(hypot(0.3 * sqrt(2.0), 0.8))
+    assert away.plus(home, 1.0).plus(home, 1.0).std_dev_kg == pytest.approx(0.6)
+
+
 def test_a_new_load_begins_without_error() -> None:
     totals = Totals().with_mass(10.0, None, FlowBudget(1.0, 1.0), 1.0).start_load()
     assert totals.load_budget.std_dev_kg == 0.0

@@ -129,6 +129,19 @@ def test_a_plate_that_moves_adds_the_delay_of_its_feedback_to_the_noise() -> Non
     assert flow(replace(of, still=True)).budget.noise_kg_s == pytest.approx(0.3)
 
 
+def test_the_delay_of_its_feedback_is_of_the_other_sign_on_the_way_back() -> None:
+    meter, motion = FlowMeter(SETTINGS, GAIN_N_PER_MV), []
+    for degrees in (70.0, 66.0, 62.0, 66.0, 70.0):
+        at = radians(degrees)
+        of = replace(reading(plate_angle_rad=at, plate_min_rad=at - radians(2.0), plate_max_rad=at + radians(2.0)), still=False)
+        found = meter.flow(of, Estimate(15.0, 0.8, OK, 0.3), ForceProportional(), CALM).budget  # type: ignore[arg-type]
+        factor = 1.0 if of.at_home else SETTINGS.sweep.max_std_dev_factor
+        assert abs(found.motion_kg_s) == pytest.approx(sqrt(found.noise_kg_s**2 - (0.3 * factor) ** 2)) or not motion
+        motion.append(found.motion_kg_s)
+    assert motion[0] == 0.0, "it is not known whence it came"
+    assert motion[1] < 0.0 and motion[2] < 0.0 and motion[3] > 0.0 and motion[4] > 0.0
+
+
 @dataclass
 class SameAtAnyAngle(ForceProportional):
     """A curve: it gives the same flow at any angle, and says how far that may be wrong."""

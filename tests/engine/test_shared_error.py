@@ -217,7 +217,11 @@ def test_what_an_open_load_was_measured_at_outlives_a_restart() -> None:
     assert loads.totals.load_budget == before.totals.load_budget
     loads.start(60.0)
     before.start(60.0)
-    assert [load.std_dev_kg for load in loads.all][0] == [load.std_dev_kg for load in before.all][0]
+    known = {load.number: load.std_dev_kg for load in before.all}
+    events = loads.restate(NO_ERROR, 1)
+    before.restate(NO_ERROR, 1)
+    assert {load.number: load.std_dev_kg for load in before.all} != known
+    assert {e.load.number for e in events if isinstance(e, LoadClosed)} == {1}
 
 
 def test_other_parameters_after_a_restart_leave_it_as_stated() -> None:

@@ -90,15 +90,15 @@ def test_a_correction_changes_each_sum_by_its_own_and_none_below_nothing(missed:
     assert changes(BEGUN, BEGUN.with_missed(missed, in_load=in_load)) == pytest.approx(expected)
 
 
-KNOWN = MassBudget(noise_kg2=9.0, parameters_kg=2.0, zero_kg=1.0, moisture_kg=0.5)
+KNOWN = MassBudget(noise_kg2=9.0, parameters_kg=2.0, zero_kg=1.0, moisture_kg=0.5, motion_kg=-0.25)
 
 
 def test_a_corrected_mass_is_as_sure_in_proportion() -> None:
     before = replace(BEGUN, total_budget=KNOWN, load_budget=KNOWN)
     after = before.with_missed(MissedMass(kg=10.0), in_load=True)
     for budget, factor in ((after.total_budget, 1.01), (after.load_budget, 1.1)):
-        found = (budget.noise_kg2, budget.parameters_kg, budget.zero_kg, budget.moisture_kg)
-        assert found == pytest.approx((9.0 * factor, 2.0 * factor, factor, 0.5 * factor))
+        found = (budget.noise_kg2, budget.parameters_kg, budget.zero_kg, budget.moisture_kg, budget.motion_kg)
+        assert found == pytest.approx((9.0 * factor, 2.0 * factor, factor, 0.5 * factor, -0.25 * factor))
     apart = before.with_missed(MissedMass(kg=10.0), in_load=False)
     assert (apart.load_budget, apart.total_budget) == (KNOWN, after.total_budget)
     fresh = replace(before, load_kg=0.0).with_missed(MissedMass(kg=10.0), in_load=True)
@@ -113,7 +113,7 @@ def test_masses_from_apart_join_the_total_and_an_open_load(is_open: bool) -> Non
     total = {"total_kg": 1000.0, "total_dry_kg": 600.0, "total_unknown_moisture_kg": 300.0, "total_contested_kg": 70.0}
     load = {name.replace("total", "load"): kg for name, kg in total.items()} | {"load_unknown_area_kg": 1000.0}
     assert changes(before, after) == pytest.approx(total | (load if is_open else {}))
-    twice = MassBudget(noise_kg2=18.0, parameters_kg=4.0, zero_kg=2.0, moisture_kg=1.0)
+    twice = MassBudget(noise_kg2=18.0, parameters_kg=4.0, zero_kg=2.0, moisture_kg=1.0, motion_kg=-0.5)
     assert (after.total_budget, after.load_budget) == (twice, twice if is_open else KNOWN)
     assert (after.load_number, after.load_open, after.market_moisture_pct) == (4, is_open, 14.0)
 
@@ -122,7 +122,7 @@ def test_masses_from_apart_join_the_total_and_an_open_load(is_open: bool) -> Non
 def test_the_error_of_mass_is_counted_where_the_mass_is(is_open: bool) -> None:
     before = replace(BEGUN, total_budget=KNOWN, load_budget=KNOWN, load_open=is_open)
     after = before.with_mass(10.0, None, FlowBudget(2.0, 0.5, 0.25, 0.125), 2.0)
-    more = MassBudget(noise_kg2=9.0 + 16.0, parameters_kg=3.0, zero_kg=1.5, moisture_kg=0.75)
+    more = MassBudget(noise_kg2=9.0 + 16.0, parameters_kg=3.0, zero_kg=1.5, moisture_kg=0.75, motion_kg=-0.25)
     assert (after.total_budget, after.load_budget) == (more, more if is_open else KNOWN)
 
 

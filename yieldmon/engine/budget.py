@@ -1,6 +1,7 @@
 """The error budget of mass: what averages out over seconds, and what all seconds of a load share.
 
-Noise of the windows is independent from one to the next: its variances add. Errors of the parameters (scale and model), of the
+Noise of the windows is independent from one to the next: its variances add. While the plate moves the flow
+has another error that goes with the motion, out as much as back: it adds with its sign. Errors of the parameters (scale and model), of the
 zero and of a moisture that the calibration does not follow are the same for neighbouring seconds: their standard deviations add,
 which is right within a load and an upper bound beyond it (JCGM 100:2008, 5.2.2 with correlation 1).
 """
@@ -34,6 +35,9 @@ class FlowBudget:
         Of parameters_kg_s the part that is not the model's error by what sweeps show.
     per_error_kg_s : float
         Change of the flow by a relative error of 1 of the force.
+    motion_kg_s : float
+        Of noise_kg_s the part of a plate that moves, with the sign that it has in this direction: on the way back it is of the
+        other.
     """
 
     noise_kg_s: float = _NAN
@@ -42,6 +46,7 @@ class FlowBudget:
     moisture_kg_s: float = 0.0
     covariance_kg_s: float = 0.0
     per_error_kg_s: float = 0.0
+    motion_kg_s: float = 0.0
 
     @property
     def std_dev_kg_s(self) -> float:
@@ -63,20 +68,24 @@ class MassBudget:
         Variance of what averages out, kg^2.
     parameters_kg, zero_kg, moisture_kg : float
         Standard deviations of what the seconds share, as in FlowBudget.
+    motion_kg : float
+        Of a moving plate, with its sign: all of it has one cause, by which grain strikes later than the plate's angle was read.
     """
 
     noise_kg2: float = 0.0
     parameters_kg: float = 0.0
     zero_kg: float = 0.0
     moisture_kg: float = 0.0
+    motion_kg: float = 0.0
 
     def plus(self, flow: FlowBudget, seconds: float) -> MassBudget:
         """The budget with `seconds` of a flow more."""
         return _made(
-            self.noise_kg2 + (flow.noise_kg_s * seconds) ** 2,
+            self.noise_kg2 + (flow.noise_kg_s * seconds) ** 2 - (flow.motion_kg_s * seconds) ** 2,
             self.parameters_kg + flow.parameters_kg_s * seconds,
             self.zero_kg + flow.zero_kg_s * seconds,
             self.moisture_kg + flow.moisture_kg_s * seconds,
+            self.motion_kg + flow.motion_kg_s * seconds,
         )
 
     def with_more(self, more: MassBudget) -> MassBudget:
@@ -86,6 +95,7 @@ class MassBudget:
             self.parameters_kg + more.parameters_kg,
             self.zero_kg + more.zero_kg,
             self.moisture_kg + more.moisture_kg,
+            self.motion_kg + more.motion_kg,
         )
 
     def minus(self, before: MassBudget) -> MassBudget:
@@ -95,6 +105,7 @@ class MassBudget:
             parameters_kg=max(self.parameters_kg - before.parameters_kg, 0.0),
             zero_kg=max(self.zero_kg - before.zero_kg, 0.0),
             moisture_kg=max(self.moisture_kg - before.moisture_kg, 0.0),
+            motion_kg=self.motion_kg - before.motion_kg,
         )
 
     def of_mass(self, before_kg: float, after_kg: float) -> MassBudget:
@@ -104,7 +115,8 @@ class MassBudget:
         if not before_kg > 0.0:
             return MassBudget.unknown()
         factor = after_kg / before_kg
-        return MassBudget(self.noise_kg2 * factor, self.parameters_kg * factor, self.zero_kg * factor, self.moisture_kg * factor)
+        causes = (self.noise_kg2, self.parameters_kg, self.zero_kg, self.moisture_kg, self.motion_kg)
+        return MassBudget(*(cause * factor for cause in causes))
 
     def with_parameters(self, more_kg: float) -> MassBudget:
         """The budget of a mass whose parameters turn out to be less sure by so much, or surer (below 0)."""
@@ -117,12 +129,12 @@ class MassBudget:
     @property
     def std_dev_kg(self) -> float:
         """All causes together."""
-        return hypot(sqrt(self.noise_kg2), self.parameters_kg, self.zero_kg, self.moisture_kg)
+        return hypot(sqrt(self.noise_kg2), self.parameters_kg, self.zero_kg, self.moisture_kg, self.motion_kg)
 
     @classmethod
     def unknown(cls) -> MassBudget:
         """Of a mass that was accumulated without one."""
-        return cls(_NAN, _NAN, _NAN, _NAN)
+        return cls(_NAN, _NAN, _NAN, _NAN, _NAN)
 
 
 _made = maker_of(MassBudget)

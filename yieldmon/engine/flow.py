@@ -97,6 +97,8 @@ class FlowMeter:
         self._settings = settings
         self._gain_n_per_mv = gain_n_per_mv
         self._filter = FlowFilter(settings.flow_filter)
+        self._angle_rad = _NAN
+        """Of the window before."""
         self.moisture = MoistureReference(settings.budget)
 
     def flow(self, reading: Reading, estimate: Estimate | None, estimator: FlowEstimator, circumstances: Circumstances) -> Flow:
@@ -147,11 +149,14 @@ class FlowMeter:
         settings, parameters = self._settings.budget, estimator.parameters
         noise = _noise(rate, own, reading)
         per_n = noise / reading.force_std_dev_n if reading.force_std_dev_n > 0.0 else _NAN
-        common = max(0.0, std_dev**2 - noise**2) ** 0.5
+        common, motion = max(0.0, std_dev**2 - noise**2) ** 0.5, 0.0
+        angle_rad, before_rad = reading.window.plate_angle_rad, self._angle_rad
+        self._angle_rad = angle_rad
         if not (reading.still or reading.inputs.angle_stale):
             # Of the other sign on the way back.
             late_rad = _late_rad(reading.window, self._settings.windows.max_ramp_s)
-            noise = hypot(noise, _change_by_angle(reading, rate, estimator, late_rad)[0])
+            size = _change_by_angle(reading, rate, estimator, late_rad)[0]
+            noise, motion = hypot(noise, size), size if angle_rad > before_rad else -size if angle_rad < before_rad else 0.0
         zero_n = zero_std_dev_mv(settings, reading.zero_age_s) * self._gain_n_per_mv
         relative = self.moisture.relative_std_dev(
             reading.inputs.fresh["moisture"],
@@ -165,10 +170,10 @@ class FlowMeter:
         if not reading.at_home:
             # Each part by itself: what averages out goes on doing so.
             factor = self._settings.sweep.max_std_dev_factor
-            noise, parameters_kg_s = factor * noise, factor * parameters_kg_s
+            noise, motion, parameters_kg_s = factor * noise, factor * motion, factor * parameters_kg_s
         error = model_error.home if reading.at_home else model_error.at(reading.window.plate_angle_rad)
         shared = hypot(parameters_kg_s, error * per_error)
-        return _flow_budget(noise, shared, zero_n * per_n, relative * rate, parameters_kg_s, per_error)
+        return _flow_budget(noise, shared, zero_n * per_n, relative * rate, parameters_kg_s, per_error, motion)
 
     def _quality(self, reading: Reading, saturated: bool, outside: bool, circumstances: Circumstances) -> EstimateQuality:
         if saturated:
