@@ -1,9 +1,9 @@
 """The error budget of mass: what averages out over seconds, and what all seconds of a load share.
 
-Noise of the windows is independent from one to the next: its variances add. While the plate moves the flow
-has another error that goes with the motion, out as much as back: it adds with its sign. Errors of the parameters (scale and model), of the
-zero and of a moisture that the calibration does not follow are the same for neighbouring seconds: their standard deviations add,
-which is right within a load and an upper bound beyond it (JCGM 100:2008, 5.2.2 with correlation 1).
+Noise of the windows is independent from one to the next: its variances add. While the plate moves the flow has another error that
+goes with the motion, out as much as back: it adds with its sign. Errors of the parameters (scale and model), of the zero and of a
+moisture that the calibration does not follow are the same for neighbouring seconds: their standard deviations add, which is right
+within a load and an upper bound beyond it (JCGM 100:2008, 5.2.2 with correlation 1).
 """
 
 from __future__ import annotations
