@@ -205,3 +205,18 @@ def test_chain_slip_raises_it_at_the_first_ticket_and_it_ends_when_the_scale_is_
 
 def test_nothing_is_raised_without_slip() -> None:
     assert slipping(0.0)[1] == [False, False]
+
+
+@pytest.mark.parametrize(("right_kg", "present"), [(5060.0, False), (4950.0, False), (5270.0, True), (6900.0, True)], ids=str)
+def test_the_right_mass_for_the_load_that_contradicts_is_held_against_what_was_measured_before(
+    right_kg: float, present: bool
+) -> None:
+    """The wrong mass has taught: by now the load is measured with 30 % more."""
+    alarm = ScaleAlarm(FaultSettings())
+    alarm.see([ScaleCheck("load 2", 1.7e9, 6500.0, 5000.0, 100.0)])
+    assert alarm.detail is not None
+    alarm.see([ScaleCheck("load 2", 1.7e9, right_kg, 6500.0, 100.0)])
+    assert (alarm.detail is not None) is present
+    assert alarm.detail is None or alarm.detail.startswith(f"scale: load 2 weighed {right_kg:.0f} kg, measured 5000 kg: ")
+    alarm.see([ScaleCheck("load 3", 1.7e9, 5000.0, 6500.0, 100.0)])
+    assert alarm.detail is not None, "of another load, what the parameters in use make of it counts"

@@ -8,7 +8,7 @@ alarm, the next that agrees with them, or a calibration from outside, ends it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import erfc, hypot, isfinite, sqrt
 
 from yieldmon import utc
@@ -92,12 +92,19 @@ class ScaleAlarm:
         """Masses weighed since the last call, each against the parameters that held before it taught anything."""
         for check in checks:
             state, p_value = self.state, check.p_value
-            if p_value < self._settings.scale_disagrees_p:
+            again = state.contradiction if state.contradiction is not None and state.contradiction.name == check.name else None
+            if again is not None:
+                # Entered anew: what the wrong mass has taught says nothing against the right one.
+                before = replace(check, measured_kg=again.measured_kg, std_dev_kg=again.std_dev_kg)
+                p_value = max(p_value, before.p_value)
+            if p_value >= self._settings.scale_agrees_p:
+                self.state = ScaleAlarmState(agreed=check.name)
+            elif again is not None:
+                self.state = replace(state, contradiction=before)
+            elif p_value < self._settings.scale_disagrees_p:
                 if state.contradiction is None:
                     state = ScaleAlarmState(None, check.start_s, check.name, state.agreed)
                 self.state = ScaleAlarmState(check, state.since_s, state.since, state.agreed)
-            elif p_value >= self._settings.scale_agrees_p:
-                self.state = ScaleAlarmState(agreed=check.name)
 
     def accept(self) -> None:
         """Other parameters have come from outside: what was weighed before says nothing about them."""

@@ -54,12 +54,17 @@ export function time(seconds) {
   return seconds === null ? "-" : new Date(1000 * seconds).toLocaleString("sv").slice(0, 16);
 }
 
+const MOMENT = /^\d{4}-\d\d-\d\d \d\d:\d\d$/;
+
 export function table(element, columns, rows) {
   const head = make("tr");
   for (const [title] of columns) head.append(Object.assign(make("th", title), { scope: "col" }));
   const body = rows.map((row) => {
     const line = make("tr");
-    for (const [, cell, isNumber] of columns) line.append(make("td", String(cell(row)), isNumber ? "number" : ""));
+    for (const [, cell, isNumber] of columns) {
+      const text = String(cell(row));
+      line.append(make("td", text, isNumber ? "number" : MOMENT.test(text) ? "moment" : ""));
+    }
     return line;
   });
   if (!rows.length) {
