@@ -18,6 +18,7 @@ from yieldmon.cli._units import add_units
 from yieldmon.errors import InputError
 from yieldmon.field import harvest, loads, sources, summary
 from yieldmon.field.cleaning import NAMES, NEEDED
+from yieldmon.field.copies import without_copies
 from yieldmon.field.products import FILES, FORMATS, write_products
 from yieldmon.field.sources.options import ReadOptions
 from yieldmon.field.swath import HeaderPlace
@@ -124,7 +125,12 @@ def _read(paths: list[Path], options: ReadOptions, progress: sources.Progress) -
                 print(f"yieldmon: {source.path}: {', '.join(parts)}: {why}; left out", file=sys.stderr)
             for note in source.notes:
                 print(f"yieldmon: {source.path}: {note}", file=sys.stderr)
-    return joined(tables)
+    table = without_copies(joined(tables))
+    said = {source.path: source.skipped for one in tables for source in one.sources}
+    for source in table.sources:
+        for copy in source.skipped[len(said[source.path]) :]:
+            print(f"yieldmon: {source.path}: {copy.part} {copy.why}; left out", file=sys.stderr)
+    return table
 
 
 def _by_reason(skipped: Iterable[Skipped]) -> dict[str, list[str]]:

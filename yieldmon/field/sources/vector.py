@@ -14,6 +14,7 @@ import numpy as np
 
 from yieldmon import bounded
 from yieldmon.errors import InputError, brief
+from yieldmon.field.copies import without_copies
 from yieldmon.field.table import Array, HarvestTable, Label, Skipped, joined
 
 from . import isoxml
@@ -87,14 +88,16 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
     parts, skipped = [], []
     last: InputError | None = None
     for address, name in files:
-        try:
-            parts.append(_layer(path, address, name, options))
-        except InputError as error:
-            last = error
-            skipped.append(Skipped(name, error.problem))
+        for part in _point_layers(address):
+            try:
+                parts.append(_layer(path, address, name, part, options))
+            except InputError as error:
+                last = error
+                skipped.append(Skipped(name if part is None else f"{name}: layer {part}", error.problem))
     if not parts:
         raise last or InputError(str(path), "has no layer of points", "a vector file")
-    table = joined(parts)
+    table = without_copies(joined(parts))
+    skipped += [one for source in table.sources[1:] for one in source.skipped]
     if len(parts) == 1 and not skipped:
         return table
     first = table.sources[0]
@@ -129,8 +132,24 @@ class _Layer:
     said: tuple[str, ...]
 
 
-def _read_layer(address: str, where: str) -> _Layer:
-    """The first layer of points. Raises InputError where there is none."""
+def _point_layers(address: str) -> tuple[str | None, ...]:
+    """Names of a file's layers of points where it has several; None for the only one, or the first layer of any kind."""
+    import pyogrio
+    import pyogrio.errors
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            found = pyogrio.list_layers(address)
+    except (pyogrio.errors.DataSourceError, ValueError, RuntimeError, UnicodeError):
+        # What is wrong is said by the reading itself.
+        return (None,)
+    points = [str(layer) for layer, kind in found if kind is not None and "Point" in kind]
+    return tuple(points) if len(points) > 1 else (None,)
+
+
+def _read_layer(address: str, where: str, part: str | None) -> _Layer:
+    """A layer by name, or the first one of points. Raises InputError where there is none."""
     import pyogrio
     import pyogrio.errors
     import pyogrio.raw
@@ -139,7 +158,7 @@ def _read_layer(address: str, where: str) -> _Layer:
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always")
             layers = pyogrio.list_layers(address)
-            points = [str(layer) for layer, kind in layers if kind is not None and "Point" in kind]
+            points = [part] if part else [str(layer) for layer, kind in layers if kind is not None and "Point" in kind]
             meta, _, geometry, fields = pyogrio.raw.read(address, layer=points[0] if points else 0)
     except (
         pyogrio.errors.DataSourceError,
@@ -162,9 +181,9 @@ def _read_layer(address: str, where: str) -> _Layer:
     return _Layer(tuple(map(str, meta["fields"])), fields, x, y, meta.get("crs"), _warnings([str(one.message) for one in said]))
 
 
-def _layer(path: Path, address: str, name: str, options: ReadOptions) -> HarvestTable:
-    where = f"{path}: {name}" if name != path.name else str(path)
-    layer = _read_layer(address, where)
+def _layer(path: Path, address: str, name: str, part: str | None, options: ReadOptions) -> HarvestTable:
+    where = (f"{path}: {name}" if name != path.name else str(path)) + (f": layer {part}" if part else "")
+    layer = _read_layer(address, where, part)
     sidecar = _metadata(path, name)
     x, y, notes = to_degrees(layer.x, layer.y, layer.crs, options, where)
     usable = [one for one in layer.names if one not in _POSITION]

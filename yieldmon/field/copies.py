@@ -1,0 +1,99 @@
+"""Rows that two sources hold: a harvest that was exported twice, or a day's file beside that of the week, counts once."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .table import Array, HarvestTable, Skipped
+
+_LEAST_ROWS, _LEAST_SHARE = 20, 0.1
+"""Rows of the same time and place, and their share of the smaller source, from which they are the same rows."""
+_PLACE_DEG = 3e-6
+"""Decimals of degrees differ between formats: a third of a metre."""
+_CLOCK_S = 0.01
+_MOST_AT_ONCE = 16
+
+
+def without_copies(table: HarvestTable) -> HarvestTable:
+    """The table with the rows that a source before theirs holds left out, which the later source then says.
+
+    Parameters
+    ----------
+    table : HarvestTable
+        Of several sources.
+    """
+    if len(table.sources) < 2:
+        return table
+    key = _ticks(table["time_s"])
+    placed = np.isfinite(table["longitude_deg"]) & np.isfinite(table["latitude_deg"]) & (key >= 0)
+    sources, again = list(table.sources), np.zeros(len(table), bool)
+    reach = _Reach(table, key, placed)
+    for later in range(1, len(sources)):
+        for former in range(later):
+            if not reach.meet(former, later):
+                continue
+            mine = np.flatnonzero(placed & ~again & (table.source_of_row == later))
+            theirs = np.flatnonzero(placed & ~again & (table.source_of_row == former))
+            same = mine[_held(table, key, mine, theirs)]
+            if len(same) < max(_LEAST_ROWS, _LEAST_SHARE * min(len(mine), len(theirs))):
+                continue
+            again[same] = True
+            left = Skipped(f"{len(same)} rows", f"are those of {sources[former].path}: the same harvest counts once")
+            whole = len(same) >= 0.9 * len(mine)
+            sources[later] = replace(
+                sources[later],
+                skipped=(*sources[later].skipped, left),
+                mass_kg=0.0 if whole and sources[later].mass_kg is not None else sources[later].mass_kg,
+                area_m2=0.0 if whole and sources[later].area_m2 is not None else sources[later].area_m2,
+            )
+    if not again.any():
+        return table
+    return replace(table.take(~again), sources=tuple(sources))
+
+
+class _Reach:
+    """When and where the rows of each source lie."""
+
+    def __init__(self, table: HarvestTable, key: NDArray[np.int64], placed: NDArray[np.bool_]) -> None:
+        source = table.source_of_row[placed]
+        values = (key[placed], table["longitude_deg"][placed], table["latitude_deg"][placed])
+        self._low, self._high = np.full((len(table.sources), 3), np.inf), np.full((len(table.sources), 3), -np.inf)
+        for axis, value in enumerate(values):
+            np.minimum.at(self._low[:, axis], source, value)
+            np.maximum.at(self._high[:, axis], source, value)
+
+    def meet(self, one: int, other: int) -> bool:
+        """Whether two sources have a time and a place in common."""
+        margin = np.array([0.0, _PLACE_DEG, _PLACE_DEG])
+        low, high = np.maximum(self._low[one], self._low[other]), np.minimum(self._high[one], self._high[other])
+        return bool((low <= high + margin).all())
+
+
+def _ticks(time_s: Array) -> NDArray[np.int64]:
+    """Times as whole numbers, -1 for those that are not known."""
+    known = np.isfinite(time_s)
+    first = float(time_s[known].min()) if known.any() else 0.0
+    return np.where(known, np.round((np.where(known, time_s, first) - first) / _CLOCK_S), -1).astype(np.int64)
+
+
+def _held(table: HarvestTable, key: NDArray[np.int64], mine: NDArray[np.intp], theirs: NDArray[np.intp]) -> NDArray[np.bool_]:
+    """Which of `mine` have the time, place and section of one of `theirs`."""
+    order = theirs[np.argsort(key[theirs], kind="stable")]
+    first = np.searchsorted(key[order], key[mine])
+    found = np.zeros(len(mine), bool)
+    section = np.nan_to_num(table["section"])
+    for further in range(_MOST_AT_ONCE):
+        place = first + further
+        inside = place < len(order)
+        row = order[np.minimum(place, max(len(order) - 1, 0))] if len(order) else mine
+        inside &= len(order) > 0
+        same = inside & (key[row] == key[mine]) & (section[row] == section[mine])
+        for name in ("longitude_deg", "latitude_deg"):
+            same &= np.abs(table[name][row] - table[name][mine]) <= _PLACE_DEG
+        found |= same
+        if not (inside & (key[row] == key[mine])).any():
+            break
+    return found
