@@ -349,3 +349,9 @@ def test_no_colour_on_a_real_terminal(log):
     assert b"ElevatorSpeed" in terminal.seen
     codes = {code for found in re.findall(rb"\x1b\[([0-9;]*)m", terminal.seen) for code in found.split(b";")}
     assert not {code for code in codes if code[:1] in (b"3", b"4", b"9") and len(code) > 1}
+
+
+def test_a_key_pressed_while_the_program_starts_counts(log):
+    terminal = Terminal("monitor", str(log), "--speed", "0.2")
+    terminal.press(b"q")
+    assert terminal.exit_code() == 0

@@ -58,7 +58,8 @@ def raw_keys() -> Iterator[None]:
         return
     before = termios.tcgetattr(sys.stdin)
     try:
-        tty.setcbreak(sys.stdin)
+        # Keys pressed while the program was starting stay.
+        tty.setcbreak(sys.stdin, termios.TCSANOW)
         yield
     finally:
         termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)
