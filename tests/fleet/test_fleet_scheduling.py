@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import signal
+import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -188,16 +190,33 @@ def test_workers_are_begun_without_the_terminals_interrupt(monkeypatch: pytest.M
 
 
 def test_workers_begin_without_what_no_partition_needs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """python-can takes asammdf along, and that pandas and sympy: half of what a worker's start took."""
+    """python-can takes asammdf along, and that pandas and sympy: half of what a worker's start took. What all need is imported
+    once, by the process that they are forked from."""
     found: list[Outcome] = []
     monkeypatch.setattr(scheduling, "work", imported)
     task = Task(
         Partition("m", "d", ("a.log",)), str(tmp_path), "", configuration.load(shipped("config/yieldmon.yaml")), "", software()
     )
     run_all([task], Cluster(workers=1), found.append, lambda line: None)
-    assert [outcome.why_left.split() for outcome in found] == [["can"]]
+    assert [set(outcome.why_left.split()) for outcome in found] == [{"can", "numba"}]
+    assert found[0].seconds != os.getpid()
 
 
 def imported(task: Task) -> Outcome:
     """In a worker, which has imported what it takes to measure: what of these is among it."""
-    return Outcome(task.partition.name, DONE, why_left=" ".join({"can", "asammdf", "pandas", "sympy"} & {*sys.modules}))
+    asked = {"can", "numba", "asammdf", "pandas", "sympy"}
+    return Outcome(task.partition.name, DONE, seconds=os.getppid(), why_left=" ".join(asked & {*sys.modules}))
+
+
+PREFORK = """
+import os, sys
+import yieldmon.fleet.prefork
+print(len(os.listdir("/proc/self/task")), {"asammdf", "pandas", "sympy"} & {*sys.modules}, "numba" in sys.modules)
+"""
+
+
+def test_what_workers_are_forked_from_has_one_thread() -> None:
+    """A fork keeps the thread that forks alone, and the locks of all."""
+    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+    said = subprocess.run((sys.executable, "-c", PREFORK), env=environment, capture_output=True, text=True, check=True)
+    assert said.stdout == "1 set() True\n"

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from yieldmon.files import arrow
 from yieldmon.files.plain_text import cell
 from yieldmon.files.whole_file import scratch_for
 
@@ -30,6 +31,7 @@ def write_parquet(path: Path, kind: type, rows: Sequence[Any]) -> None:
     import pyarrow
     import pyarrow.parquet
 
+    arrow.without_pandas()
     types = {bool: pyarrow.bool_(), float: pyarrow.float64(), int: pyarrow.int64(), str: pyarrow.string()}
     schema = pyarrow.schema(
         [

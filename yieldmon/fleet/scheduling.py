@@ -7,6 +7,8 @@ lost: partitions are independent and committed by the workers, so what is not an
 from __future__ import annotations
 
 import logging
+import multiprocessing
+import os
 import signal
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -27,6 +29,7 @@ _RETRIES = 2
 _DEATHS = 3
 """Workers that may die with a task before it is given up."""
 _IN_FLIGHT = 256
+_FORKSERVER, _PREFORK = "forkserver", "yieldmon.fleet.prefork"
 _QUIET = logging.CRITICAL
 """Of Dask's own lines, here and in the workers: what goes wrong is said by what comes back."""
 _PATIENCE_S = 60.0
@@ -121,9 +124,17 @@ def _client(cluster: Cluster) -> Iterator[Any]:
         # Its sampling of all threads' frames can block for ever in CPython 3.11 before 3.11.9 (gh-106883).
         "distributed.worker.profile.enabled": False,
         "distributed.worker.preload": [preloading.__name__],
+        # Each is a wake-up of every process, for partitions that take seconds.
+        "distributed.admin.tick.interval": "1s",
+        "distributed.admin.system-monitor.interval": "5s",
+        "distributed.worker.memory.monitor-interval": "500ms",
+        "distributed.scheduler.active-memory-manager.start": False,
     }
+    forked = not cluster.scheduler and cluster.workers > 0 and _FORKSERVER in multiprocessing.get_all_start_methods()
     if not cluster.scheduler:
         settings["distributed.dashboard.link"] = "http://127.0.0.1:{port}/status"
+    if forked:
+        settings["distributed.worker.multiprocessing-method"] = _FORKSERVER
     with dask.config.set(settings):
         if cluster.scheduler:
             try:
@@ -139,6 +150,8 @@ def _client(cluster: Cluster) -> Iterator[Any]:
         here = {"processes": False, "n_workers": 1} if cluster.workers == 0 else {"n_workers": cluster.workers}
         try:
             with _interrupts_are_ours():
+                if forked:
+                    _begin_forking()
                 started = untyped.LocalCluster(threads_per_worker=1, dashboard_address="127.0.0.1:0", silence_logs=_QUIET, **here)
         except (RuntimeError, OSError) as error:
             cause: BaseException = error
@@ -163,6 +176,23 @@ def _interrupts_are_ours() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _begin_forking() -> None:
+    """Begin the process that workers are forked from, with what they need imported once."""
+    from multiprocessing import forkserver
+
+    import dask
+    import distributed
+
+    untyped: Any = distributed
+    # Else Dask imports here and there what it might need itself, pandas for one.
+    untyped.utils._forkserver_preload_set = True
+    for name, value in dask.config.get("distributed.nanny.pre-spawn-environ", {}).items():
+        # Threads of numerical libraries, as each worker would have them.
+        os.environ.setdefault(name, str(value))
+    multiprocessing.set_forkserver_preload([_PREFORK])
+    forkserver.ensure_running()
 
 
 def _answers(client: Any, tasks: Sequence[Task]) -> Iterator[Outcome]:

@@ -10,6 +10,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from yieldmon.files import arrow
+
 if TYPE_CHECKING:
     import pyarrow as pa
 
@@ -55,6 +57,7 @@ def write(table: str, rows: Sequence[Mapping[str, Any]], path: Path) -> None:
     import pyarrow as pa
     from pyarrow import parquet
 
+    arrow.without_pandas()
     made = pa.Table.from_pylist([dict(row) for row in rows], schema=_schema(table))
     parquet.write_table(made, path)
 

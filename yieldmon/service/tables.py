@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import IO, Any, Protocol, get_args, get_type_hints
 
 from yieldmon.errors import InputError
+from yieldmon.files import arrow
 from yieldmon.files.whole_file import scratch_for
 from yieldmon.service.rows import SecondRow
 
@@ -112,6 +113,7 @@ class _ParquetWriter:
         import pyarrow
         import pyarrow.parquet
 
+        arrow.without_pandas()
         types = {float: pyarrow.float64(), int: pyarrow.int64(), str: pyarrow.string()}
         hints = get_type_hints(SecondRow)
         kinds = {name: next(t for t in types if t in (hint, *get_args(hint))) for name, hint in hints.items()}
