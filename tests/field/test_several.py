@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import warnings
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from yieldmon.cli import main as cli
-from yieldmon.field.plane import Sites
+from yieldmon.field.plane import Plane, Sites
 
 from .synthetic import EARTH_M_DEG, ag_leader
 
@@ -379,3 +380,15 @@ def test_columns_without_any_value_are_named(tmp_path: Path, capsys: pytest.Capt
     (tmp_path / "seconds.csv").write_text("\n".join(rows))
     assert cli.main(["map", "seconds.csv", "--width", "6", "--out", "unused"]) == 2
     assert "has no longitude_deg in any row" in capsys.readouterr().err
+
+
+def test_places_that_are_not_finite_are_no_places() -> None:
+    """As a table with a cell of 1e999 has them: no warning, and all others where they are without them."""
+    longitude, latitude = np.array([7.0, np.inf, 7.001, 7.002, -np.inf]), np.array([50.0, 50.0, np.inf, 50.002, -np.inf])
+    known = np.isfinite(longitude) & np.isfinite(latitude)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for plane in (Sites.about(longitude, latitude), Plane.about(longitude, latitude)):
+            found = np.stack(plane.to_m(longitude, latitude))
+            assert np.isfinite(found).all(axis=0).tolist() == known.tolist()
+            assert found[:, known].tolist() == np.stack(plane.to_m(longitude[known], latitude[known])).tolist()

@@ -55,7 +55,8 @@ class Plane:
         return cls(float(wrapped_deg(np.array(first + around))), float(np.median(latitude_deg[known])))
 
     def to_m(self, longitude_deg: Array, latitude_deg: Array) -> tuple[Array, Array]:
-        """East and north, m."""
+        """East and north, m; nan for a place that is not finite."""
+        longitude_deg, latitude_deg = _finite(longitude_deg), _finite(latitude_deg)
         latitude = np.radians(latitude_deg)
         east = np.radians(wrapped_deg(longitude_deg - self.longitude_deg)) * _parallel_radius_m(latitude)
         north = _meridian_m(latitude) - _meridian_m(np.array(radians(self.latitude_deg)))
@@ -159,9 +160,14 @@ def astray(east_m: Array) -> NDArray[np.bool_]:
         return np.asarray(east_m < -0.5 * _ASTRAY_M)
 
 
+def _finite(values: Array) -> Array:
+    """nan in place of infinities, of which a sine is worth a warning."""
+    return np.where(np.isfinite(values), values, np.nan)
+
+
 def _globe_m(longitude_deg: Array, latitude_deg: Array) -> Array:
     """Places on a globe, shape (n, 3)."""
-    longitude, latitude = np.radians(longitude_deg), np.radians(latitude_deg)
+    longitude, latitude = np.radians(_finite(longitude_deg)), np.radians(_finite(latitude_deg))
     flat = np.cos(latitude)
     return SEMI_MAJOR_M * np.column_stack((flat * np.cos(longitude), flat * np.sin(longitude), np.sin(latitude)))
 
