@@ -287,7 +287,16 @@ def test_a_mass_without_its_unit_is_refused_where_pounds_are_shown(words, units,
 
 @pytest.mark.parametrize(
     ("text", "kg"),
-    [("2550lbs", 1156.66), ("2550 lb", 1156.66), ("10 short tons", 9071.85), ("1 short ton", 907.185), ("9.12t", 9120)],
+    [
+        ("2550lbs", 1156.66),
+        ("2550 lb", 1156.66),
+        ("10 short tons", 9071.85),
+        ("1 short ton", 907.185),
+        ("9.12t", 9120),
+        ("9.12 T", 9120),
+        ("9120KG", 9120),
+        ("9.12 tonnes", 9120),
+    ],
 )
 def test_a_mass_is_taken_in_its_unit(text, kg, monkeypatch, capsys):
     answer = {"factor": 1.0, "measured_mass_kg": 1.0, "weighed_mass_kg": 1.0, "anchor": True, "why_no_anchor": "", "units": "us"}
@@ -299,7 +308,12 @@ def test_a_mass_is_taken_in_its_unit(text, kg, monkeypatch, capsys):
 
 def test_a_ton_that_may_be_two_is_refused(tmp_path, capsys):
     assert main(["ticket", "--socket", str(tmp_path / "none.sock"), "1", "9.12 tons"]) == 2
-    assert "a ton is 9.12t (1000 kg) or 10.05 short tons (2000 lb)" in capsys.readouterr().err
+    assert "; is a ton 9.12t (1000 kg each) or 9.12 short tons (2000 lb each)?" in capsys.readouterr().err
+
+
+def test_bushels_are_no_mass_of_a_slip(tmp_path, capsys):
+    assert main(["ticket", "--socket", str(tmp_path / "none.sock"), "1", "60bu"]) == 2
+    assert "bushels are reckoned from the mass, often less shrink: enter the pounds or kilograms" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("mass", ["0kg", "0", "nan", "inf", "-0.5t", "9,12t", "heavy", ""])

@@ -50,13 +50,14 @@ def daemon_socket(args: argparse.Namespace) -> Path:
 
 _MASS_UNITS = (
     ("kg", 1.0), ("lbs", KG_PER_LB), ("lb", KG_PER_LB), ("shorttons", LB_PER_SHORT_TON * KG_PER_LB),
-    ("shortton", LB_PER_SHORT_TON * KG_PER_LB), ("t", KG_PER_T),
+    ("shortton", LB_PER_SHORT_TON * KG_PER_LB), ("tonnes", KG_PER_T), ("tonne", KG_PER_T), ("t", KG_PER_T),
 )  # fmt: skip
 
 
 def mass(text: str, where: str = "mass") -> float:
-    """A mass in kg from the command line: a number above 0, with or without its unit. Raises InputError."""
-    number, scale = text.replace(" ", ""), 1.0
+    """A mass in kg from the command line: a number above 0, with or without its unit, in letters of any size. Raises
+    InputError."""
+    number, scale = text.replace(" ", "").lower(), 1.0
     for unit, factor in _MASS_UNITS:
         if number.endswith(unit):
             number, scale = number.removesuffix(unit).strip(), factor
@@ -67,7 +68,10 @@ def mass(text: str, where: str = "mass") -> float:
         mass_kg = nan
     if not 0.0 < mass_kg < inf:
         point = ", with a point, not a comma" if "," in text else ""
+        count = number.rstrip("abcdefghijklmnopqrstuvwxyz")
         if number.endswith(("ton", "tons")):
-            point += "; a ton is 9.12t (1000 kg) or 10.05 short tons (2000 lb)"
+            point += f"; is a ton {count}t (1000 kg each) or {count} short tons (2000 lb each)?"
+        if number.endswith(("bu", "bushel", "bushels")):
+            point += "; bushels are reckoned from the mass, often less shrink: enter the pounds or kilograms of the slip"
         raise InputError(where, repr(text), f"kilograms above 0, such as 9120, 9120kg, 9.12t or 20106lb{point}")
     return mass_kg
