@@ -22,25 +22,46 @@ from yieldmon.service.control_socket import Listening, listen
 
 _log = logging.getLogger(__name__)
 
-#: A peer that takes longer than this for its whole request, or for taking the answer, is cut off.
-_PATIENCE_S = 5.0
 _POLL_S = 0.2
 _STOP_S = 0.5
-_LOOK_EVERY_S = 2.0
 #: Connections whose requests are awaited, and requests that are answered, at the same time.
 _CONNECTIONS, _ANSWERS_AT_ONCE = 32, 8
 _BUSY = f'{{"ok": false, "error": "{_ANSWERS_AT_ONCE} requests are being answered; nothing was done, ask again"}}\n'.encode()
-_CUT = f'{{"ok": false, "error": "request: no line feed in {_PATIENCE_S:g} s; expected one line; nothing was done"}}\n'.encode()
 _NO_THREAD = b'{"ok": false, "error": "the system gives the daemon no thread to answer on; nothing was done, ask again"}\n'
 #: From so many connections on the thread rests between two looks at them.
-_CROWDED, _CROWDED_PAUSE_S = 8, 0.02
+_CROWDED = 8
 _PIECE_BYTES = 65_536
+
+
+@dataclass(frozen=True)
+class Pace:
+    """How long the server waits for what.
+
+    Parameters
+    ----------
+    patience_s : float
+        A peer that takes longer for its whole request, or for taking the answer, is cut off.
+    look_every_s : float
+        Between two looks whether the socket's file is still there.
+    crowded_pause_s : float
+        Rest between two looks at many connections.
+    """
+
+    patience_s: float = 5.0
+    look_every_s: float = 2.0
+    crowded_pause_s: float = 0.02
+
+
+PACE = Pace()
+"""A daemon's."""
 
 
 class ControlServer:
     """Answers requests on a UNIX socket, on threads of its own."""
 
-    def __init__(self, path: Path, group: str | None, answer: Callable[[Mapping[str, Any]], Answer]) -> None:
+    def __init__(
+        self, path: Path, group: str | None, answer: Callable[[Mapping[str, Any]], Answer], *, pace: Pace = PACE
+    ) -> None:
         """path: the socket; what is there of an earlier run is replaced. group: may use it too (mode 0660, else 0600).
         answer: called with each request, on any thread; InputError and ControlError become an error answer.
 
@@ -49,7 +70,8 @@ class ControlServer:
         self.path = path
         self._group = group
         self._answer = answer
-        self._server = _Server(path, group, answer, listen(path, group))
+        self._pace = pace
+        self._server = _Server(path, group, answer, listen(path, group), pace)
         self._thread = threading.Thread(target=self._server.run, name="control", daemon=True)
 
     def start(self) -> None:
@@ -72,7 +94,7 @@ class ControlServer:
         old.stop()
         if old.listening is not None:
             old.listening.socket.close()
-        self._server = _Server(self.path, self._group, self._answer, None)
+        self._server = _Server(self.path, self._group, self._answer, None, self._pace)
         self._thread = threading.Thread(target=self._server.run, name="control", daemon=True)
         self._thread.start()
 
@@ -98,15 +120,22 @@ class _Asking:
 class _Server:
     """One thread collects the requests of all connections, a few others answer those that are whole.
 
-    A request has to be whole within _PATIENCE_S of the connection, whatever comes meanwhile, and so has the taking of the answer.
+    A request has to be whole within `Pace.patience_s` of the connection, whatever comes meanwhile, and so has the taking of the
+    answer.
     Beyond _CONNECTIONS the one that has waited longest is cut off, so idle peers keep no other out. A socket whose file has been
     removed, or that fails, is made anew.
     """
 
     def __init__(
-        self, path: Path, group: str | None, answer: Callable[[Mapping[str, Any]], Answer], listening: Listening | None
+        self,
+        path: Path,
+        group: str | None,
+        answer: Callable[[Mapping[str, Any]], Answer],
+        listening: Listening | None,
+        pace: Pace,
     ) -> None:
         """listening: None for one that `run` is to make."""
+        self._pace = pace
         self.stopping = False
         self._waker: socket.socket | None = None
         """Ends the wait for requests while they are served."""
@@ -114,7 +143,7 @@ class _Server:
         self.round_s = monotonic()
         self._path = path
         self._group = group
-        self._looks_at_s = monotonic() + _LOOK_EVERY_S
+        self._looks_at_s = monotonic() + self._pace.look_every_s
         self._trouble = ""
         self._answer = answer
         self._asking: dict[int, _Asking] = {}
@@ -178,15 +207,15 @@ class _Server:
                     now_s = monotonic()
                     # One that was left to itself while it hung has a successor, or the daemon has ended.
                     if now_s >= self._looks_at_s and not self.stopping:
-                        self._looks_at_s = now_s + _LOOK_EVERY_S
+                        self._looks_at_s = now_s + self._pace.look_every_s
                         listening = self.listening = self._listen_again(selector, listening)
                     for asking in [a for a in self._asking.values() if a.until_s <= now_s]:
                         if asking.request:
-                            _refuse(asking.connection, _CUT)
+                            _refuse(asking.connection, _cut(self._pace.patience_s))
                         self._drop(selector, asking)
                     if len(self._asking) >= _CROWDED:
                         # Peers that come and speak without end get this many looks and not the processor.
-                        sleep(_CROWDED_PAUSE_S)
+                        sleep(self._pace.crowded_pause_s)
             finally:
                 for asking in list(self._asking.values()):
                     self._drop(selector, asking)
@@ -222,7 +251,7 @@ class _Server:
             _log.warning("control: more than %d connections; the one that has asked nothing for longest is cut off", _CONNECTIONS)
             self._drop(selector, min(self._asking.values(), key=lambda asking: asking.until_s))
         connection.setblocking(False)
-        asking = self._asking[connection.fileno()] = _Asking(connection, monotonic() + _PATIENCE_S)
+        asking = self._asking[connection.fileno()] = _Asking(connection, monotonic() + self._pace.patience_s)
         selector.register(connection, selectors.EVENT_READ, asking)
 
     def _read(self, selector: selectors.BaseSelector, asking: _Asking) -> None:
@@ -260,7 +289,7 @@ class _Server:
         try:
             with asking.connection:
                 answer = self._answer_to(bytes(asking.request).partition(b"\n")[0], _user(asking.connection))
-                asking.connection.settimeout(_PATIENCE_S)
+                asking.connection.settimeout(self._pace.patience_s)
                 asking.connection.sendall(json.dumps(answer, allow_nan=False).encode() + b"\n")
         except OSError as error:
             _log.debug("control connection: %s", error)
@@ -274,6 +303,11 @@ class _Server:
             return {"ok": True, **self._answer({**parse_request(line), "who": who})}
         except (InputError, ControlError) as error:
             return {"ok": False, "error": str(error)}
+
+
+def _cut(patience_s: float) -> bytes:
+    text = f"request: no line feed in {patience_s:g} s; expected one line; nothing was done"
+    return json.dumps({"ok": False, "error": text}).encode() + b"\n"
 
 
 def _refuse(connection: socket.socket, answer: bytes) -> None:
