@@ -43,22 +43,38 @@ def traffic(
     start_s: float, duration_s: float, force_mv: float, angle_deg: float = 70.0, speed_rpm: float = 400.0
 ) -> Iterator[Frame]:
     """Nominal traffic at a constant mean signal with pulses at the paddles' pace, in order of time; counters by time."""
-    pass_hz = speed_rpm / 60.0 * 2.0 * math.pi * 0.0541 / 0.18635
-    for number in range(round(start_s * 250), round((start_s + duration_s) * 250)):
+    first = round(start_s * 250)
+    samples = _samples(round((start_s + duration_s) * 250) - first, force_mv, speed_rpm)
+    for number, volts in enumerate(samples, first):
         at_s = number / 250.0
+        yield Frame(at_s, frames.IMPACT_SENSOR_SAMPLES, {**volts, "SampleCounter": number % 256, "SensorStatus": 0})
+        for message, signals in _beside(number, angle_deg, speed_rpm):
+            yield Frame(at_s, message, dict(signals))
+
+
+@functools.lru_cache(maxsize=256)
+def _samples(count: int, force_mv: float, speed_rpm: float) -> list[dict[str, float]]:
+    """Of so many frames, 250 a second."""
+    pass_hz = speed_rpm / 60.0 * 2.0 * math.pi * 0.0541 / 0.18635
+    found = []
+    for number in range(count):
         volts = {}
         for k in range(frames.SAMPLES_PER_FRAME):
-            phase = 2.0 * math.pi * pass_hz * (at_s - start_s + 0.001 * k)
+            phase = 2.0 * math.pi * pass_hz * (number / 250.0 + 0.001 * k)
             ripple = force_mv * math.sin(phase) + 0.8 * math.sin(1.7 * phase + 0.3)
             volts[f"Sample{k}"] = max(0.0, round(2.0 * (ZERO_MV + force_mv + ripple)) / 2.0)
-        yield Frame(at_s, frames.IMPACT_SENSOR_SAMPLES, {**volts, "SampleCounter": number % 256, "SensorStatus": 0})
-        if number % 25 == 0:
-            yield Frame(at_s, frames.ELEVATOR_SPEED, {"ElevatorSpeed": speed_rpm})
-        if number % 12 == 0:
-            yield Frame(at_s, frames.PLATE_ACTUATOR_FEEDBACK, {"PlateAngle": angle_deg, "ActuatorState": 0})
-        if number % 250 == 0:
-            condition = {"Moisture": 15.5, "GrainTemperature": 20.0, "TestWeight": NOT_AVAILABLE}
-            yield Frame(at_s, frames.GRAIN_CONDITION, condition)
+        found.append(volts)
+    return found
+
+
+def _beside(number: int, angle_deg: float, speed_rpm: float) -> Iterator[tuple[str, tuple[tuple[str, object], ...]]]:
+    """Messages and signals that are sent with the frame of samples of this number."""
+    if number % 25 == 0:
+        yield frames.ELEVATOR_SPEED, (("ElevatorSpeed", speed_rpm),)
+    if number % 12 == 0:
+        yield frames.PLATE_ACTUATOR_FEEDBACK, (("PlateAngle", angle_deg), ("ActuatorState", 0))
+    if number % 250 == 0:
+        yield frames.GRAIN_CONDITION, (("Moisture", 15.5), ("GrainTemperature", 20.0), ("TestWeight", NOT_AVAILABLE))
 
 
 class _HandedOn(can.Message):
@@ -75,6 +91,44 @@ def encoded(frame: Frame) -> can.Message:
     message = CODEC.encode(frame)
     message.__class__ = _HandedOn
     return message
+
+
+def messages(start_s: float, duration_s: float, force_mv: float, angle_deg: float = 70.0, speed_rpm: float = 400.0):
+    """`traffic` as messages; what is sent again with another counter or time is not encoded again."""
+    first = round(start_s * 250)
+    payloads = _payloads(round((start_s + duration_s) * 250) - first, force_mv, speed_rpm)
+    for number, payload in enumerate(payloads, first):
+        at_s = number / 250.0
+        yield _message(at_s, frames.IMPACT_SENSOR_SAMPLES, (payload ^ _counter(number % 256)).to_bytes(8, "big"))
+        for message, signals in _beside(number, angle_deg, speed_rpm):
+            yield _message(at_s, message, _data(message, signals))
+
+
+@functools.lru_cache(maxsize=256)
+def _payloads(count: int, force_mv: float, speed_rpm: float) -> list[int]:
+    """Data of frames of samples whose counters are 0."""
+    return [_payload(volts, 0) for volts in _samples(count, force_mv, speed_rpm)]
+
+
+@functools.lru_cache(maxsize=256)
+def _counter(counter: int) -> int:
+    """Bits by which a frame's data differ with this counter from those with 0."""
+    volts = {f"Sample{k}": 0.0 for k in range(frames.SAMPLES_PER_FRAME)}
+    return _payload(volts, counter) ^ _payload(volts, 0)
+
+
+def _payload(volts: dict[str, float], counter: int) -> int:
+    signals = {**volts, "SampleCounter": counter, "SensorStatus": 0}
+    return int.from_bytes(CODEC.encode(Frame(0.0, frames.IMPACT_SENSOR_SAMPLES, signals)).data, "big")
+
+
+@functools.lru_cache(maxsize=256)
+def _data(message: str, signals: tuple[tuple[str, object], ...]) -> bytes:
+    return bytes(CODEC.encode(Frame(0.0, message, dict(signals))).data)
+
+
+def _message(at_s: float, message: str, data: bytes) -> can.Message:
+    return _HandedOn(timestamp=at_s, arbitration_id=CODEC.layouts[message].frame_id, is_extended_id=True, data=data)
 
 
 def wait_for(condition: Callable[[], object], what: str) -> None:
@@ -100,8 +154,8 @@ class Bench:
 
     def play(self, duration_s: float, force_mv: float, **how: float) -> None:
         """Sends traffic for so long, as fast as the daemon takes it."""
-        for frame in traffic(self.now_s, duration_s, force_mv, **how):
-            self.peer.send(encoded(frame))
+        for message in messages(self.now_s, duration_s, force_mv, **how):
+            self.peer.send(message)
         self.now_s += duration_s
 
     def played(self) -> None:
