@@ -6,6 +6,7 @@ import errno
 import queue
 import socket
 import threading
+import time
 
 import can
 import pytest
@@ -361,3 +362,18 @@ def test_one_frame_that_the_kernel_dropped_is_reported(monkeypatch: pytest.Monke
     with Receiver(opener(bus)) as receiver:
         lost = receiver.get(WAIT_S)
         assert (lost.kind, lost.count) == (BusEventKind.FRAMES_DROPPED, dropped)
+
+
+def test_a_consumer_that_waits_is_woken_once() -> None:
+    with can.Bus(interface="virtual", channel="woken") as bus, Receiver(opener(bus)) as receiver:
+        waiting = threading.Timer(0.05, receiver.wake)
+        waiting.start()
+        began_s = time.monotonic()
+        assert receiver.get_many(10, WAIT_S) == []
+        assert time.monotonic() - began_s < 0.5 * WAIT_S
+        waiting.join()
+        receiver.wake()
+        assert receiver.get_many(10, WAIT_S) == [], "the next wait, where nobody waited"
+        began_s = time.monotonic()
+        assert receiver.get_many(10, 0.2) == []
+        assert time.monotonic() - began_s > 0.15

@@ -48,12 +48,13 @@ def traffic() -> tuple[Frame, ...]:
     return tuple(VirtualCombine(from_mapping({"duration_s": 26, "flow": {"pieces": pieces}}, "test"), seed=5).frames_until(26.0))
 
 
-def harvested(**settings: object) -> list[WindowRecord]:
+@cache
+def harvested(**settings: object) -> tuple[WindowRecord, ...]:
     """Records of the last ten seconds."""
     waveform = replace(WaveformSettings(), shape=LAW, **settings)  # type: ignore[arg-type]
     engine = replace(EngineSettings(), sweep=replace(SweepSettings(), enabled=False), waveform=waveform)
     monitor = Monitor(engine, MACHINE, OpenLoop(ForwardModel(MACHINE, PARAMETERS.effects), PARAMETERS))
-    return [r for frame in traffic() for r in records_in(monitor.feed(frame))][-10:]
+    return tuple(r for frame in traffic() for r in records_in(monitor.feed(frame)))[-10:]
 
 
 def test_is_off_unless_asked_for_and_then_changes_nothing_else() -> None:

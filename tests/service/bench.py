@@ -206,6 +206,7 @@ class Bench:
 
     def stop(self) -> None:
         self.daemon.request_stop()
+        self.daemon.receiver.wake()
         assert self.thread is not None
         self.thread.join(PATIENCE_S)
         assert not self.thread.is_alive()

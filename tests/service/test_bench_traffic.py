@@ -10,8 +10,7 @@ def as_sent(message) -> tuple[float, int, bool, bytes]:
 
 
 def test_messages_are_the_traffic_encoded() -> None:
-    for start_s, force_mv, how in ((START_S, 60.0, {}), (START_S + 13.5, 0.0, {"angle_deg": 55.0, "speed_rpm": 380.0})):
-        for _ in range(2):
+    for begins_s, force_mv, how in ((START_S, 60.0, {}), (START_S + 13.5, 0.0, {"angle_deg": 55.0, "speed_rpm": 380.0})):
+        for start_s in (begins_s, begins_s + 3.0):
             expected = [as_sent(encoded(frame)) for frame in traffic(start_s, 3.0, force_mv, **how)]
             assert [as_sent(message) for message in messages(start_s, 3.0, force_mv, **how)] == expected
-            start_s += 3.0

@@ -32,6 +32,7 @@ from tests.service.bench import (
     warm_up,
 )
 from yieldmon import frames
+from yieldmon.bus.receiver import Receiver
 from yieldmon.cli import main as cli
 from yieldmon.files import parameter_file
 from yieldmon.frames import EstimateQuality, Frame
@@ -192,6 +193,23 @@ def test_a_command_that_was_not_answered_is_not_carried_out_later():
     with pytest.raises(ControlError, match="did not answer in time; nothing was done"):
         queued.ask({"command": "load-start"})
     assert list(queued.take()) == []
+
+
+def test_a_command_ends_the_wait_for_frames(tmp_path: Path, capsys, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a quiet bus, whose silence the daemon otherwise listens to for 50 ms more."""
+    asked: list[str] = []
+    wake = Receiver.wake
+
+    def woken(receiver: Receiver) -> None:
+        asked.append("woken")
+        wake(receiver)
+
+    monkeypatch.setattr(Receiver, "wake", woken)
+    with running(tmp_path) as bench:
+        before = len(asked)
+        ask(tmp_path, capsys, "zero")
+        assert len(asked) == before + 1
+        assert bench.daemon.receiver.alive
 
 
 def test_names_are_shown_as_they_were_given(tmp_path, capsys):

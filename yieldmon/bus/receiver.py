@@ -116,6 +116,7 @@ class Receiver:
         self._queue: deque[Item] = deque()
         self._changed = threading.Condition()
         self._stopping = threading.Event()
+        self._woken = False
         self._received = self._dropped = self._error_frames = self._bus_offs = 0
         self._interface_losses = self._failures = 0
         self._dropped_here = 0
@@ -194,10 +195,17 @@ class Receiver:
         items = self.get_many(1, timeout_s)
         return items[0] if items else None
 
-    def get_many(self, limit: int, timeout_s: float | None = None) -> list[Item]:
-        """Up to `limit` frames and events as soon as there is one; empty as for get()."""
+    def wake(self) -> None:
+        """End the wait for frames of a consumer, or its next one; from any thread."""
         with self._changed:
-            self._changed.wait_for(lambda: self._queue or self._stopping.is_set(), timeout_s)
+            self._woken = True
+            self._changed.notify()
+
+    def get_many(self, limit: int, timeout_s: float | None = None) -> list[Item]:
+        """Up to `limit` frames and events as soon as there is one; empty as for get(), and after `wake`."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._queue or self._woken or self._stopping.is_set(), timeout_s)
+            self._woken = False
             return [self._queue.popleft() for _ in range(min(limit, len(self._queue)))]
 
     def counters(self) -> ReceiverCounters:

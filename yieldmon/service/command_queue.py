@@ -25,8 +25,9 @@ class Job:
 class CommandQueue:
     """`ask` is called on any thread, `carry_out` on the engine's."""
 
-    def __init__(self, patience_s: float) -> None:
-        """patience_s: how long a command waits for the engine."""
+    def __init__(self, patience_s: float, wake: Callable[[], None] = lambda: None) -> None:
+        """patience_s: how long a command waits for the engine. wake: ends what the engine's thread waits for."""
+        self._wake = wake
         self._jobs: queue.SimpleQueue[Job] = queue.SimpleQueue()
         self._patience_s = patience_s
 
@@ -35,6 +36,7 @@ class CommandQueue:
         time."""
         job = Job(request, stored)
         self._jobs.put(job)
+        self._wake()
         try:
             return job.answer.result(self._patience_s)
         except TimeoutError:
@@ -42,6 +44,11 @@ class CommandQueue:
             if not job.answer.cancel():
                 return job.answer.result()
             raise ControlError("the engine did not answer in time; nothing was done") from None
+
+    @property
+    def waiting(self) -> bool:
+        """Whether there is one to take."""
+        return not self._jobs.empty()
 
     def take(self) -> Iterator[Job]:
         """Those that wait, without what was given up; the caller sets the answer of each."""

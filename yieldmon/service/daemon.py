@@ -87,7 +87,7 @@ class Daemon:
         """Set once frames are taken and commands answered."""
         # Plain flags: a signal handler runs between any two instructions of this thread, where it may hold any lock.
         self._stop_wanted = self._reload_wanted = False
-        self._commands = CommandQueue(patience.command_s)
+        self._commands = CommandQueue(patience.command_s, self._receiver.wake)
         self._command_loads = CommandLoads(patience.written_s)
         self._rows: deque[SecondRow] = deque(maxlen=_LAST_ROWS)
         self._record: WindowRecord | None = None
@@ -309,10 +309,12 @@ class Daemon:
         if self._bus.poll(self._monitor.due_s):
             self._answer = self._snapshot()
         self._report_faults()
+        # A command has ended the wait for frames early.
+        asked = self._commands.waiting
         self._do_commands()
         if windows:
             self._post()
-        between_windows = bool(windows or not items)
+        between_windows = bool(windows or not (items or asked))
         if self._reading_store is not None and self._reading_store.done and between_windows:
             self._take_late_store(self._reading_store)
         if self._reload_wanted and not self._reloads.under_way:
