@@ -377,3 +377,11 @@ def test_a_consumer_that_waits_is_woken_once() -> None:
         began_s = time.monotonic()
         assert receiver.get_many(10, 0.2) == []
         assert time.monotonic() - began_s > 0.15
+
+
+def test_a_stop_waits_for_the_read_under_way() -> None:
+    with can.Bus(interface="virtual", channel="listened") as bus:
+        receiver = Receiver(opener(bus), listen_s=0.001)
+        receiver.start()
+        receiver.stop(WAIT_S)
+        assert not receiver.alive

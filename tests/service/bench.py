@@ -34,7 +34,9 @@ ZERO_MV = 120.0
 PATIENCE_S = 120.0
 EMPTY_MV, GRAIN_MV = 0.0, 60.0
 """Above the zero: an empty elevator, and grain."""
-UNHURRIED = Patience(silence_s=math.inf, store_s=PATIENCE_S, reload_s=PATIENCE_S, command_s=PATIENCE_S, stop_s=60.0)
+UNHURRIED = Patience(
+    silence_s=math.inf, listen_s=0.01, store_s=PATIENCE_S, reload_s=PATIENCE_S, command_s=PATIENCE_S, stop_s=60.0
+)
 """For machines that other tests keep busy, and traffic that is not sent in real time."""
 _channels = itertools.count()
 

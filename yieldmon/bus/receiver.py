@@ -27,7 +27,7 @@ _log = logging.getLogger(__name__)
 
 #: Frames: over 10 s of a 250 kbit/s bus that is full.
 DEFAULT_CAPACITY = 20_000
-_POLL_S = 0.1
+_LISTEN_S = 0.1
 #: The kernel reports a lost interface to a socket once: if sending got the report, receiving would wait for ever.
 _INTERFACE_GONE = frozenset({errno.ENETDOWN, errno.ENODEV, errno.ENXIO})
 _FIRST_RETRY_S = 0.05
@@ -106,10 +106,12 @@ class Receiver:
         *,
         capacity: int = DEFAULT_CAPACITY,
         clock: Callable[[], float] = time.time,
+        listen_s: float = _LISTEN_S,
     ) -> None:
         """open_bus: opens the bus anew each time it is called, raises can.CanError or OSError when it cannot.
         capacity: frames that may wait for the consumer. clock: seconds, stamps events that carry no time of their
-        own."""
+        own. listen_s: one read waits so long for a frame, and a stop for it."""
+        self._listen_s = listen_s
         self._open_bus = open_bus
         self._capacity = capacity
         self._clock = clock
@@ -258,9 +260,9 @@ class Receiver:
         messages: list[can.Message] = []
         asked_s = self._beat_s = time.monotonic()
         try:
-            message = receive(bus, _POLL_S, passes)
+            message = receive(bus, self._listen_s, passes)
             if message is None:
-                self.empty_until_s = asked_s + _POLL_S
+                self.empty_until_s = asked_s + self._listen_s
             else:
                 messages.append(message)
                 for kept in receive_kept(bus, limit - 1, passes):

@@ -19,6 +19,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
+from typing import Any, cast
 
 from yieldmon import __version__
 from yieldmon.bus import mf4
@@ -94,13 +95,22 @@ def build_parser(verbs: dict[str, Verb], chosen: Verb | None) -> tuple[argparse.
         prog="yieldmon", description="Self-calibrating grain mass-flow measurement for combine harvesters, over CAN."
     )
     parser.add_argument("--version", action="version", version=f"yieldmon {__version__}")
-    subparsers = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
+    # Of the others only the name and the line of help are shown: one parser stands for them all.
+    other = argparse.ArgumentParser(add_help=False)
+    made: list[argparse.ArgumentParser] = []
+
+    def parser_of_verb(**given: Any) -> argparse.ArgumentParser:
+        return made.pop() if made else argparse.ArgumentParser(**given)
+
+    parser_class = cast("type[argparse.ArgumentParser]", parser_of_verb)
+    subparsers = parser.add_subparsers(dest="verb", metavar="VERB", required=True, parser_class=parser_class)
     module = None
     for verb in verbs.values():
         if verb == chosen:
             module = importlib.import_module(verb.module)
             module.add_parser(subparsers)
         else:
+            made.append(other)
             subparsers.add_parser(verb.name, help=verb.summary.replace("%", "%%"), add_help=False)
     return parser, module
 

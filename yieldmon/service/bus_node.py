@@ -64,10 +64,11 @@ class BusNode:
         *,
         bus_factory: Callable[[], can.BusABC] | None,
         silence_s: float,
+        listen_s: float,
         clock: Callable[[], float],
     ) -> None:
-        """bus_factory: opens the bus, by default the configured one. silence_s: see `Patience`. clock: times the network's
-        protocols."""
+        """bus_factory: opens the bus, by default the configured one. silence_s, listen_s: see `Patience`. clock: times the
+        network's protocols."""
         settings = configuration.document.bus
         codec = Codec()
         self._configuration = configuration
@@ -84,7 +85,7 @@ class BusNode:
         self._rate = FrameRate()
         self.faults = ServiceFaults()
         self.time = BusTime(silence_s, settings.idle_after_s, monotonic())
-        self.receiver = Receiver(bus_factory or self._open, capacity=settings.receive_queue_frames)
+        self.receiver = Receiver(bus_factory or self._open, capacity=settings.receive_queue_frames, listen_s=listen_s)
         self.transmitter = Transmitter(
             self.receiver.send, settings.transmit_queue_frames, settings.transmit_max_age_s,
             echo_s=ASKED_ECHO_S if bus_factory is None and settings.interface == "socketcan" else ECHO_S,

@@ -80,7 +80,13 @@ class Daemon:
         self._at_start = configuration
         self._manager = ServiceManager(environment)
         self._reloads = Reloads(Reloading(reload, patience.reload_s))
-        self._bus = BusNode(configuration, bus_factory=bus_factory, silence_s=patience.silence_s, clock=network_clock)
+        self._bus = BusNode(
+            configuration,
+            bus_factory=bus_factory,
+            silence_s=patience.silence_s,
+            listen_s=patience.listen_s,
+            clock=network_clock,
+        )
         self._receiver, self._transmitter = self._bus.receiver, self._bus.transmitter
         self._patience = patience
         self.started = threading.Event()

@@ -14,6 +14,8 @@ class Patience:
     silence_s : float
         With no frame of ours for this long the engine's time goes on by the monotonic clock; infinite for traffic that is not
         sent in real time.
+    listen_s : float
+        One read of the bus waits so long for a frame, and a stop for that read.
     store_s : float
         A start waits so long for the store; then measuring begins without it.
     kept_frames : int
@@ -29,6 +31,7 @@ class Patience:
     """
 
     silence_s: float = 0.15
+    listen_s: float = 0.1
     store_s: float = 20.0
     kept_frames: int = 50_000
     reload_s: float = 20.0
