@@ -17,6 +17,8 @@
     python -m studies.waveform daemon-season --seeds 30 --seed 17001 --out F.json   # through the monitor, with kernels; goes on
     python -m studies.waveform season-causes              # what the errors of those seasons come from, by regression
     python -m studies.waveform season-bound               # the best that mean force and shape can do in those seasons
+    python -m studies.waveform placed                     # discrete-element pulses on uneven chains, through the monitor
+    python -m studies.waveform again                      # what the samples show of grain that strikes the plate again
     python -m studies.waveform noise-by-force             # noise of kernels along the pulse of discrete elements
     python -m studies.waveform shape --out F.yaml         # the law of those pulses, with its range (config/pulse-shape.yaml)
     python -m studies.waveform pack LEDGER... --out F.npz # a campaign's forces at 10 kHz
@@ -159,6 +161,18 @@ def _season_bound(args: argparse.Namespace) -> Any:
     return season_bound.report()
 
 
+def _placed(args: argparse.Namespace) -> Any:
+    from studies.waveform import placed
+
+    return placed.report(args.seed)
+
+
+def _again(args: argparse.Namespace) -> Any:
+    from studies.waveform import again
+
+    return again.report(args.seed)
+
+
 def _noise_by_force(args: argparse.Namespace) -> Any:
     from studies.waveform import kernels
 
@@ -185,7 +199,7 @@ _PARTS = {
     "pictures": _pictures, "season": _season, "daemon-season": _daemon_season, "verdicts": _verdicts, "shape": _shape,
     "pack": _pack, "edges": _edges, "teaching": _teaching, "heaps": _heaps, "scheduling": _scheduling, "between": _between,
     "identifiability": _identifiability, "season-causes": _season_causes, "noise-by-force": _noise_by_force,
-    "many-heaps": _many_heaps, "season-bound": _season_bound,
+    "many-heaps": _many_heaps, "season-bound": _season_bound, "placed": _placed, "again": _again,
 }  # fmt: skip
 
 

@@ -88,7 +88,7 @@ class ChannelScales:
             sd, corrected = sd * over_sd / hypot(sd, over_sd), True
         if not corrected:
             return None
-        return flow, flow * hypot(together_sd(sd, z=apart, hit=hit), _noise(mean_flow))
+        return flow, flow * hypot(together_sd(sd, z=apart, hit=hit, hit_sd=self._settings.hit_sd), _noise(mean_flow))
 
     def channels(self, now_s: float, estimator: FlowEstimator) -> OtherChannels:
         """What shape and kernels are worth to the published flow now."""

@@ -292,6 +292,9 @@ class WaveformSettings:
     contradiction_windows: int = 30
     contradiction_z: float = 3.0
     """Standard deviations between shape and mean force over those windows from which they contradict."""
+    hit_sd: float = 0.05
+    """Relative standard deviation of what mean force and kernel noise lose or gain alike: grain that misses the plate, or strikes
+    it again."""
     thousand_kernel_weight_g: float = 0.0
     """Mass of a thousand kernels; 0: not known, and kernel noise gives no flow."""
     thousand_kernel_weights_g: Mapping[str, float] = field(default_factory=dict)

@@ -15,9 +15,6 @@ from yieldmon.physics.model import Conditions, ForwardModel
 
 from .parameters import ParameterSet
 
-MISSED_SD = 0.05
-"""Relative standard deviation of what mean force and kernel noise lose alike, of grain that begins to miss the plate."""
-
 _LEAST_VARIANCE = 1e-6
 _STEP = 0.01
 
@@ -134,7 +131,7 @@ def heap_slope(
     return float(-by_ratio / by_load) if by_load > 0.0 else 0.0
 
 
-def together_sd(relative_sd: float, *, z: float, hit: float) -> float:
+def together_sd(relative_sd: float, *, z: float, hit: float, hit_sd: float) -> float:
     """Standard deviation of a mean of channels whose own deviations may be too small, or that lose alike.
 
     Parameters
@@ -145,13 +142,14 @@ def together_sd(relative_sd: float, *, z: float, hit: float) -> float:
         Largest difference of two channels over its standard deviation; beyond one it counts as a factor.
     hit : float
         Share of the mean that comes from channels that feel only the grain that hits the plate (mean force, kernel noise).
+    hit_sd : float
+        Relative standard deviation of what those lose or gain alike, of grain that misses the plate or strikes it again.
 
     Returns
     -------
     float
         Relative.
 
-    Source: Birge, Phys. Rev. 40 (1932) 207, for results that lie further apart than their deviations say; `MISSED_SD` is an
-    assumption (docs/internals/waveform.md).
+    Source: Birge, Phys. Rev. 40 (1932) 207, for results that lie further apart than their deviations say.
     """
-    return hypot(relative_sd * max(1.0, abs(z)), hit * MISSED_SD)
+    return hypot(relative_sd * max(1.0, abs(z)), hit * hit_sd)

@@ -222,7 +222,7 @@ class Waveform(Section):
     teach: bool = choice(_V.teach, "kernels update the parameters")
     teach_windows: int = quantity(_V.teach_windows, 60, 100_000, "s", "of grain between lessons")
     harmonics: int = quantity(_V.harmonics, 4, 21, "harmonics", "of the paddle pattern")
-    model_error: float = quantity(_V.model_error, 0.001, 0.5, "1", "the pulse model's own error, relative")
+    model_error: float = quantity(_V.model_error, 0.001, 0.5, "1", "pulse model's relative error")
     friction_sd: float = quantity(_V.friction_sd, 0.001, 1.0, "1", "relative deviation of friction")
     shape_ratio_sd: float = quantity(_V.shape_ratio_sd, 0.001, 1.0, "1", "relative deviation of the heap's shape ratio")
     stretch: float = quantity(_V.stretch, 0.5, 3.0, "1", "arrival's time over that of straight paths")
@@ -234,18 +234,19 @@ class Waveform(Section):
     largest_misfit: float = quantity(_V.largest_misfit, 1.0, 1000.0, "1", "misfit above which pulses contradict")
     contradiction_windows: int = quantity(_V.contradiction_windows, 5, 3600, "s", "windows compared")
     contradiction_z: float = quantity(_V.contradiction_z, 1.0, 20.0, "1", "standard deviations that contradict")
+    hit_sd: float = quantity(_V.hit_sd, 0.0, 1.0, "1", "deviation of what mean force and kernels share")
     thousand_kernel_weight_g: float = quantity(
         _V.thousand_kernel_weight_g, 0.0, THOUSAND_KERNELS_G[1], "g", "mass of a thousand kernels; 0: not known"
     )
     thousand_kernel_weights_g: dict[str, Annotated[float, Field(ge=THOUSAND_KERNELS_G[0], le=THOUSAND_KERNELS_G[1])]] = Field(
         default_factory=dict, description="the same by crop", json_schema_extra={"unit": "g"}
     )
-    kernel_mass_sd: float = quantity(_V.kernel_mass_sd, 0.0, 1.0, "1", "relative deviation of that weight")
+    kernel_mass_sd: float = quantity(_V.kernel_mass_sd, 0.0, 1.0, "1", "its relative deviation")
     kernel_low_hz: float = quantity(_V.kernel_low_hz, 20.0, 5000.0, "Hz", "lowest frequency, above the pulses")
-    kernel_high_hz: float = quantity(_V.kernel_high_hz, 20.0, 5000.0, "Hz", "highest, below the inverse of a contact")
+    kernel_high_hz: float = quantity(_V.kernel_high_hz, 20.0, 5000.0, "Hz", "highest, below contacts")
     kernel_bias: float = quantity(_V.kernel_bias, 0.2, 3.0, "1", "kernel's impulse over mass times impulse per kilogram")
     kernel_bias_sd: float = quantity(_V.kernel_bias_sd, 0.0, 1.0, "1", "its deviation")
     quiet_error: float = quantity(_V.quiet_error, 0.0, 1.0, "1", "relative deviation of background noise")
-    samples_averaged: bool = choice(_V.samples_averaged, "samples are means over their interval; false: instants")
+    samples_averaged: bool = choice(_V.samples_averaged, "samples are means; false: instants")
     quiet_windows: int = quantity(_V.quiet_windows, 1, 3600, "s", "windows of each kind before a flow")
-    kernel_windows: int = quantity(_V.kernel_windows, 5, 3600, "s", "windows that are averaged")
+    kernel_windows: int = quantity(_V.kernel_windows, 5, 3600, "s", "windows averaged")
