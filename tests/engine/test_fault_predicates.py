@@ -83,7 +83,9 @@ CASES: dict[str, tuple[Callable[[], dict[FaultCode, str]], dict[FaultCode, str]]
     "stuck": (lambda: seen(replace(harvest(), stuck_s=5)), {F.SENSOR_STUCK: "no change for 5 s"}),
     "few saturated": (lambda: seen(harvest(saturated_share=nextafter(0.01, 0.0))), {}),
     "saturated": (lambda: seen(harvest(saturated_share=0.01)), {F.SENSOR_SATURATED: "1 % of the samples"}),
-    "zero drifted": (lambda: seen(replace(harvest(), zero_drifted=True)), {F.ZERO_DRIFTED: ""}),
+    "zero drifted": (lambda: seen(replace(harvest(), zero_drift="the zero is +60 mV from its first value")), {
+        F.ZERO_DRIFTED: "the zero is +60 mV from its first value"
+    }),
     "speed missing": (lambda: seen(replace(harvest(), speed_known=False)), {F.SPEED_MISSING: ""}),
     "as slow as may be": (lambda: seen(harvest(speed_rad_s=SLOWEST)), {}),
     "too slow": (lambda: seen(harvest(speed_rad_s=nextafter(SLOWEST, 0.0))), {F.SPEED_OUT_OF_RANGE: "250 rpm"}),

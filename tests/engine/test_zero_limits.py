@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from math import inf
 
@@ -187,8 +188,20 @@ def test_a_zero_that_follows_far_has_drifted() -> None:
         machine.sees(machine.zero_mv + 8.0, harmonics=(4.0, 16.0))
     assert machine.zero_mv == ZERO_MV + 32.0
     assert not machine.tracker.drifted
+    assert machine.tracker.drift == ""
     machine.sees(machine.zero_mv + 8.0, harmonics=(4.0, 16.0))
     assert machine.tracker.drifted
+    assert re.fullmatch(r"the zero is \+3\d mV from its first value", machine.tracker.drift)
+
+
+def test_what_is_wrong_with_a_zero_is_said_by_its_cause() -> None:
+    assert known().sees(*[ZERO_MV - 60.0] * 8).tracker.drift == "the plate reads 60 mV below empty"
+    far = known().sees(*[ZERO_MV + 40.0] * 8, harmonics=(4.0, 16.0), empty=False).tracker.drift
+    assert far == "the empty elevator reads +40 mV from the zero"
+    machine = known()
+    machine.tracker.calibrate(against_signs=True)
+    machine.sees(*[ZERO_MV + 100.0] * 8)
+    assert machine.tracker.drift == "the last zero was taken despite signs of grain"
 
 
 def test_what_lies_before_an_interruption_or_a_window_without_a_mean_does_not_count() -> None:

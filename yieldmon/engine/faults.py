@@ -200,7 +200,7 @@ _TABLE = (
         "Flow is corrected for a drift; a zero taken with grain on the plate makes flow and mass too small.",
         "Undo a wrong zero (yieldmon zero --undo); else clean the plate and calibrate the zero with the elevator empty. "
         "A new sensor's sign may be wrong (negative scale).",
-        lambda o: _if(o.reading.zero_drifted),
+        lambda o: o.reading.zero_drift or None,
     ),
     FaultDefinition(
         _C.SPEED_MISSING, 520194, 9, _S, 1, 3,

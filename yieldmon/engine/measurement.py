@@ -32,7 +32,8 @@ class Reading:
     the window, nan where no frame reported it; speed_known: at the window's end; in_range: at a speed at which grain is measured.
     stuck_s: how long no sample has changed. still: the plate rested. sampled_before: the window before had samples.
     windows_since_jump: closed since the bus's clock jumped. zero_taken: a zero was learnt with this window. zero_age_s: since the
-    zero was last taken or followed, or since the start. zero_refusal: why there is no first zero.
+    zero was last taken or followed, or since the start. zero_drift: what is wrong with it, "" for nothing.
+    zero_refusal: why there is no first zero.
     """
 
     window: Window
@@ -48,7 +49,7 @@ class Reading:
     at_home: bool
     harvesting: bool
     zero: ZeroState | None
-    zero_drifted: bool
+    zero_drift: str
     calibrating_zero: bool
     sampled_before: bool
     windows_since_jump: int
@@ -179,7 +180,7 @@ class Measurement:
         zero_age_s = window.end_s - (zero.known_s if zero.known_s is not None else self._started_s)
         return _reading(
             window, inputs, quality, force, noise, speed, inputs.speed_known, in_range, self._stuck_s, still, at_home,
-            self._gate.harvesting, zero.state, zero.drifted, zero.calibrating, sampled_before, self._since_jump, taken,
+            self._gate.harvesting, zero.state, zero.drift, zero.calibrating, sampled_before, self._since_jump, taken,
             zero_age_s, zero.refusal,
         )  # fmt: skip
 

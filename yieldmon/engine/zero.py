@@ -165,6 +165,21 @@ class ZeroTracker:
         return away or self.below_empty or too_far
 
     @property
+    def drift(self) -> str:
+        """What is wrong with the zero, for the operator; "" where nothing is."""
+        state = self.state
+        if state is None or not self.drifted:
+            return ""
+        if self.suspect:
+            return "the last zero was taken despite signs of grain"
+        if self.below_empty:
+            return f"the plate reads {state.zero_mv - self._recent[-1].mean_mv:.0f} mV below empty"
+        away_mv = state.zero_mv - state.first_zero_mv
+        if abs(away_mv) > self._settings.drift_limit_mv:
+            return f"the zero is {away_mv:+.0f} mV from its first value"
+        return f"the empty elevator reads {self._recent[-1].mean_mv - state.zero_mv:+.0f} mV from the zero"
+
+    @property
     def below_empty(self) -> bool:
         """Whether the plate has read less than empty for some time: the zero was learnt with grain on it."""
         if self.state is None or len(self._recent) < self._settings.settle_windows:
