@@ -18,7 +18,7 @@ from yieldmon.bus.receiver import BusEvent, BusEventKind
 from yieldmon.engine.faults import FaultCode
 from yieldmon.service import control
 from yieldmon.service.batch import Batch, Load
-from yieldmon.service.control import ControlServer
+from yieldmon.service.control import ControlServer, Pace
 from yieldmon.service.control_client import ask
 from yieldmon.service.retention import Retention
 from yieldmon.service.service_faults import ServiceFaults
@@ -185,7 +185,7 @@ def test_a_peer_that_dribbles_its_request_is_cut_off_after_the_whole_time(tmp_pa
 
 
 def test_peers_that_ask_nothing_leave_room_for_others_and_take_no_threads(tmp_path: Path):
-    server = ControlServer(tmp_path / "s.sock", None, lambda request: {"fine": True})
+    server = ControlServer(tmp_path / "s.sock", None, lambda request: {"fine": True}, pace=Pace(crowded_pause_s=0.001))
     server.start()
     before = threading.active_count()
     peers = [socket.socket(socket.AF_UNIX) for _ in range(150)]
