@@ -131,5 +131,15 @@ def test_before_any_sweep_it_is_what_sweeps_that_say_nothing_leave() -> None:
     assert said.home == pytest.approx(before.home, rel=0.3)
 
 
+def test_before_any_sweep_it_is_that_of_machine_grain_and_range_whatever_was_asked_before() -> None:
+    grain = replace(PARAMETERS, values={**PARAMETERS.values, "friction": 0.3})
+    fast = replace(PARAMETERS, calibrated=replace(PARAMETERS.calibrated, elevator_speed_rad_s=(50.0, 52.0)))
+    steep = ForwardModel(replace(MODEL.machine, home_plate_angle_rad=np.radians(80.0)), MODEL.effects)
+    cases = ((MODEL, PARAMETERS), (MODEL, grain), (MODEL, fast), (steep, PARAMETERS))
+    found = [unswept_error(*case) for case in cases]
+    assert len({error.home for error in found}) == len(cases)
+    assert [unswept_error(*case) for case in reversed(cases)] == found[::-1]
+
+
 def test_a_whole_sweep_of_a_machine_that_follows_the_model_takes_most_of_it_away() -> None:
     assert _found(np.zeros(6), range(2)).home < 0.2 * unswept_error(MODEL, PARAMETERS).home

@@ -12,18 +12,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from yieldmon.physics.effects import Effect, registry
-from yieldmon.physics.machine import RPM, SAME_ANGLE_RAD
+from yieldmon.physics.machine import RPM, SAME_ANGLE_RAD, Machine
 from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array
 
 from .angle_error import NO_ERROR, NODES_RAD, AngleError
 from .clusters import cluster
 from .misfit import ReducedSweep
-from .parameters import ParameterSet
+from .parameters import CalibratedRange, ParameterSet
 from .sweep_flow import force_n
 
 _NONE = 0.5
@@ -65,9 +66,21 @@ def unswept_error(model: ForwardModel, parameters: ParameterSet) -> AngleError:
     AngleError
         In the middle of what the parameters were calibrated over.
     """
+    # The same at each start, reload and crop's return, and a fortieth of a second.
+    return _unswept_error(
+        model.machine, model.nodes, tuple(parameters.values.items()), parameters.calibrated, *_missing(parameters)
+    )
+
+
+@lru_cache(maxsize=16)
+def _unswept_error(
+    machine: Machine, nodes: int, values: tuple[tuple[str, float], ...], known: CalibratedRange, *missing: Effect
+) -> AngleError:
+    """missing: effects that the parameters do not speak of."""
+    parameters = ParameterSet(dict(values), calibrated=known)
+    model = ForwardModel(machine, parameters.effects, nodes=nodes)
     home_rad = model.machine.home_plate_angle_rad
     away = NODES_RAD[np.abs(NODES_RAD - home_rad) > SAME_ANGLE_RAD]
-    known = parameters.calibrated
     ranges = (known.elevator_speed_rad_s, known.mass_flow_kg_s, known.moisture_pct)
     at = [middle if ends is None else 0.5 * sum(ends) for ends, middle in zip(ranges, _MIDDLE, strict=True)]
     changes = _changes(model, parameters, away, at)
