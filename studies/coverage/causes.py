@@ -48,7 +48,13 @@ def causes(case: study.Case, duration_s: float, seed: int) -> list[tuple[tuple[f
         true, without = (_read(of, number, loaded.parameters, loaded.machine) for of in (run, quiet))
         summary = run.posted.get(number, load.closed)
         budget, measured_kg = summary.budget, summary.measured_kg
-        stated = (budget.noise_kg2**0.5, budget.parameters_kg, budget.zero_kg, budget.moisture_kg, summary.std_dev_kg)
+        stated = (
+            (budget.noise_kg2 + budget.motion_kg**2) ** 0.5,
+            budget.parameters_kg,
+            budget.zero_kg,
+            budget.moisture_kg,
+            summary.std_dev_kg,
+        )
         rest = without[1] / quiet.loads[number].true_kg
         errors = (true[1] / load.true_kg / rest, measured_kg / true[0], true[0] / true[1], rest, measured_kg / load.true_kg)
         rows.append((tuple(100.0 * part / measured_kg for part in stated), tuple(100.0 * float(np.log(part)) for part in errors)))
