@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from yieldmon.estimation.model_error import off
 from yieldmon.physics.effects import laws, registry
 from yieldmon.physics.grain import evenly
 from yieldmon.physics.numerics import Array, real
@@ -226,10 +227,29 @@ def errors(current: Fit, noise: Noise, rng: np.random.Generator, draws: int) -> 
     return np.asarray(z + current.error @ rng.standard_normal((current.error.shape[1], draws)))
 
 
+def gained(current: Fit, added: Fit, *, own: bool = False) -> float:
+    """Gain in chi-square by what was added to `current`, with what the laws of its effects may be off integrated out of both.
+
+    A gain that another shape of these laws would have as well is none. own: the model's own error integrated out too.
+    """
+    columns = current.error if own else current.shape_error
+    return current.marginal(columns)[0] - added.marginal(columns)[0]
+
+
+def _white(current: Fit) -> Callable[[Array], Array]:
+    """Brings what the laws may be off, beyond the tangent plane, to unit variance: columns of cells, (cells, columns).
+
+    The model's own error stays as it is: its form is not known well enough to look beside it.
+    """
+    axes, length, _ = np.linalg.svd(off(current.shape_error, current.tangent()), full_matrices=False)
+    shrunk = 1.0 - 1.0 / np.sqrt(1.0 + length**2)
+    return lambda columns: np.asarray(columns - axes @ (shrunk[:, None] * (axes.T @ columns)))
+
+
 def false_alarm(
     signatures: Iterable[Signature], current: Fit, noise: Noise, rng: np.random.Generator
 ) -> Callable[[float], float]:
-    """p value of a gain in chi-square when every candidate had its chance and none is true.
+    """p value of a gain in chi-square (`gained`) when every candidate had its chance and none is true.
 
     Monte Carlo in the tangent plane of the model without them (`current`): the largest gain over all signatures' points, each of
     one sign, and over the span of those with several parameters; the noise estimate's own uncertainty and the model's own error
@@ -237,9 +257,15 @@ def false_alarm(
     """
     chosen = [s for s in signatures if s.directions.size]
     draws = errors(current, noise, rng, DRAWS)
+    white = _white(current) if current.effects else None
+    if white is not None:
+        draws = white(draws)
     largest = np.zeros(DRAWS)
     for s in chosen:
         directions = s.directions
+        if white is not None:
+            directions = white(directions.T).T
+            directions = directions / np.linalg.norm(directions, axis=1)[:, None]
         gains = np.maximum(directions @ draws, 0.0) ** 2
         np.maximum(largest, gains.max(axis=0), out=largest)
         if len(s.parameters) > 1:

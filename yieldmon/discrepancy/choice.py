@@ -13,7 +13,10 @@ from .policy import Policy
 
 @dataclass(frozen=True)
 class Candidate:
-    """One candidate at one step: its refit, gain in chi-square, global p value; refused where it wins only at a bound."""
+    """One candidate at one step: its refit, gain in chi-square, global p value; refused where it wins only at a bound.
+
+    beyond_laws: the gain that no other shape of the present effects' laws would have (`candidates.gained`).
+    """
 
     effect: str
     fit: Fit
@@ -21,6 +24,7 @@ class Candidate:
     p_value: float
     cross_validated: float
     refused: str = ""
+    beyond_laws: float = 0.0
 
 
 @dataclass(frozen=True)

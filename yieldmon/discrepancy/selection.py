@@ -15,11 +15,12 @@ from yieldmon.documents.diagnose import Verdict
 from yieldmon.physics.effects import family_of
 from yieldmon.physics.numerics import Array
 
-from .alternatives import needed
+from .alternatives import chosen_from_all, needed
 from .candidates import (
     Score,
     errors,
     false_alarm,
+    gained,
     lawful,
     leading,
     only_at_bound,
@@ -150,7 +151,8 @@ class Search:
             refused = "" if complete else only_at_bound(added, s.effect, self.policy.bound_allowance)
             missed = grouped_error(added, groups)
             unseen = float(np.mean(list(missed.values()) or [np.nan]))
-            out.append(Candidate(s.effect, added, gain, p_value(gain), unseen, refused))
+            p = p_value(gained(current, added))
+            out.append(Candidate(s.effect, added, gain, p, unseen, refused, gained(current, added, own=True)))
         scale = misfit([c.fit for c in out])
         return tuple(sorted(out, key=lambda c: merit(c.fit, scale, self.policy)))
 
@@ -189,7 +191,7 @@ class Search:
             least = min(least, self.policy.least_of_rest * (current.chi2 - current.dof))
         out = []
         for c in found:
-            large = first or c.gain >= least
+            large = first or c.gain >= least or c.beyond_laws >= chosen_from_all(self.policy.per_parameter)
             predicts = not np.isfinite(before) or c.cross_validated < before
             if c.p_value < level and large and predicts and not c.refused:
                 out.append(c)
@@ -305,12 +307,17 @@ class Search:
         return current, steps, rivals
 
     def without_unneeded(self, current: Fit, p_any: float) -> tuple[Fit, tuple[Step, ...], tuple[Fit, ...]] | None:
-        """The fit and its steps without the effect that another law of the others serves best for; None where what is left is no
-        name, or where each effect is needed."""
+        """The fit and its steps without the effect that other laws of the others serve best for; None where what is left is no name,
+        or where each effect is needed."""
         each = needed(current, misfit([current]), self.policy.per_parameter)
-        weakest = min(each, key=lambda one: one.evidence, default=None)
-        if weakest is None or weakest.evidence >= self.policy.least_evidence:
+        if not each:
             return None
+        weakest = min(each, key=lambda one: one.evidence)
+        if weakest.evidence >= self.policy.least_evidence:
+            weakest = min(each, key=lambda one: one.gain)
+            series = current.undone > self.policy.most_undone and weakest.gain < chosen_from_all(self.policy.per_parameter)
+            if not series:
+                return None
         kept = [e for e in current.effects if e != weakest.effect]
         fewer = fit(current.frame, kept, current.values)
         if fewer is None:
