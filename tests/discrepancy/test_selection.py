@@ -122,6 +122,28 @@ def test_a_further_effect_must_be_significant_large_predictive_and_within_bounds
     assert search(base, noise, excess=1000.0).admissible((spoilt,), current) == []
 
 
+def beside_a_zero(base: Fit, noise) -> list[str]:
+    """Effects that may be added to a zero offset."""
+    current = fit(base.frame, ("zero_offset",), base.values | {"zero_offset.force_n": 8.0})
+    look = search(base, noise, effects=("heap_shape", "air_drag", "release_angle", "paddle_leakage"))
+    return [c.effect for c in look.admissible(look.candidates(current, look.effects, 4), current)]
+
+
+def test_what_a_giant_law_may_be_off_hides_no_small_effect_of_another_form(published) -> None:
+    """A tenth of the giant, of any smooth form, is larger by far; what none of these forms can be is seen beside it."""
+    assert beside_a_zero(*published({"zero_offset": 8.0, "heap_shape": 0.5})) == ["heap_shape"]
+
+
+def test_another_form_of_a_giant_law_is_no_further_effect(make_rows, start) -> None:
+    """A zero that changes with angle and speed by as much as an effect's law may."""
+
+    def alter(force, angle, speed, flow):
+        return force + 8.0 * (1.0 + 0.1 * (angle - angle.mean()) / np.ptp(angle) - 0.1 * (speed - speed.mean()) / np.ptp(speed))
+
+    seen = diagnosis.examine(make_rows(alter=alter), start, NAMED_NOTHING)
+    assert beside_a_zero(seen.choice.base, seen.noise) == []
+
+
 def test_a_rival_that_misses_a_tie_by_little_is_fitted_again(published) -> None:
     base, noise = published({"zero_offset": 4.0})
     current = fit(base.frame, ("zero_offset",), base.values)

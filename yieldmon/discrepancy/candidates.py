@@ -227,17 +227,28 @@ def errors(current: Fit, noise: Noise, rng: np.random.Generator, draws: int) -> 
     return np.asarray(z + current.error @ rng.standard_normal((current.error.shape[1], draws)))
 
 
-def gained(current: Fit, added: Fit, *, own: bool = False) -> float:
-    """Gain in chi-square by what was added to `current`, with what the laws of its effects may be off integrated out of both.
+def second(current: Fit) -> bool:
+    """Whether what is added to `current` is a second effect: one whose gain is tested beside the law of the first.
 
-    A gain that another shape of these laws would have as well is none. own: the model's own error integrated out too.
+    A third has two laws to mend, and three causes at once are rare, so that it is held against all that these laws may make.
     """
+    return len(current.effects) == 1
+
+
+def gained(current: Fit, added: Fit, *, own: bool = False) -> float:
+    """Gain in chi-square by what was added to `current`; by a second effect with what the law of the first may be off integrated
+    out of both: a gain that another shape of this law would have as well is none.
+
+    own: the model's own error integrated out too.
+    """
+    if not second(current):
+        return current.chi2 - added.chi2
     columns = current.error if own else current.shape_error
     return current.marginal(columns)[0] - added.marginal(columns)[0]
 
 
 def _white(current: Fit) -> Callable[[Array], Array]:
-    """Brings what the laws may be off, beyond the tangent plane, to unit variance: columns of cells, (cells, columns).
+    """Brings what laws may be off, beyond the tangent plane, to unit variance: columns of cells, (cells, columns).
 
     The model's own error stays as it is: its form is not known well enough to look beside it.
     """
@@ -257,7 +268,7 @@ def false_alarm(
     """
     chosen = [s for s in signatures if s.directions.size]
     draws = errors(current, noise, rng, DRAWS)
-    white = _white(current) if current.effects else None
+    white = _white(current) if second(current) else None
     if white is not None:
         draws = white(draws)
     largest = np.zeros(DRAWS)

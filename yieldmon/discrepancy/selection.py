@@ -28,6 +28,7 @@ from .candidates import (
     refit,
     refit_from_restarts,
     score,
+    second,
     signature,
 )
 from .choice import Candidate, Choice, Step
@@ -183,7 +184,7 @@ class Search:
         """Those that may be added to `current`: significant, large enough, predictive, within bounds."""
         groups = current.frame.cells.groups()
         before = float(np.mean(list(grouped_error(current, groups).values()) or [np.nan]))
-        first = not current.effects
+        first, beside_one = not current.effects, second(current)
         incomplete = self.objections.incomplete(current)
         level = self.policy.first_p if first or incomplete else self.policy.next_p
         least = self.policy.least_share * self.objections.excess
@@ -191,7 +192,7 @@ class Search:
             least = min(least, self.policy.least_of_rest * (current.chi2 - current.dof))
         out = []
         for c in found:
-            large = first or c.gain >= least or c.beyond_laws >= chosen_from_all(self.policy.per_parameter)
+            large = first or c.gain >= least or (beside_one and c.beyond_laws >= chosen_from_all(self.policy.per_parameter))
             predicts = not np.isfinite(before) or c.cross_validated < before
             if c.p_value < level and large and predicts and not c.refused:
                 out.append(c)
@@ -307,17 +308,12 @@ class Search:
         return current, steps, rivals
 
     def without_unneeded(self, current: Fit, p_any: float) -> tuple[Fit, tuple[Step, ...], tuple[Fit, ...]] | None:
-        """The fit and its steps without the effect that other laws of the others serve best for; None where what is left is no name,
-        or where each effect is needed."""
+        """The fit and its steps without the effect that another law of the others serves best for; None where what is left is no
+        name, or where each effect is needed."""
         each = needed(current, misfit([current]), self.policy.per_parameter)
-        if not each:
+        weakest = min(each, key=lambda one: one.evidence, default=None)
+        if weakest is None or weakest.evidence >= self.policy.least_evidence:
             return None
-        weakest = min(each, key=lambda one: one.evidence)
-        if weakest.evidence >= self.policy.least_evidence:
-            weakest = min(each, key=lambda one: one.gain)
-            series = current.undone > self.policy.most_undone and weakest.gain < chosen_from_all(self.policy.per_parameter)
-            if not series:
-                return None
         kept = [e for e in current.effects if e != weakest.effect]
         fewer = fit(current.frame, kept, current.values)
         if fewer is None:
