@@ -91,3 +91,29 @@ def test_all_layers_of_points_are_read(capsys: pytest.CaptureFixture[str]) -> No
     document, said = mapped(capsys, "a.gpkg")
     assert mass_kg(document) == pytest.approx(MASS_KG, rel=0.003)
     assert "a.gpkg: layer stones" in said
+
+
+def test_numbers_that_a_file_has_as_texts(capsys: pytest.CaptureFixture[str]) -> None:
+    texts = points().assign(flow_kg_s="10,0", width_m="6,0")
+    texts.loc[::10, "flow_kg_s"] = "err"
+    texts.to_file("a.geojson")
+    document, said = mapped(capsys, "a.geojson")
+    assert mass_kg(document) == pytest.approx(0.9 * MASS_KG, rel=0.003)
+    assert "flow_kg_s holds no number in 60 of 600 rows, such as 'err'" in said
+
+
+def test_a_raw_value_that_means_none_is_no_flow(capsys: pytest.CaptureFixture[str]) -> None:
+    strange = points()
+    strange.loc[::10, "flow_kg_s"] = 655.35
+    as_csv("a.csv", strange)
+    document, said = mapped(capsys, "a.csv")
+    assert mass_kg(document) == pytest.approx(0.9 * MASS_KG, rel=0.003)
+    assert "60 values of flow_kg_s outside 0 to 300 are taken as unknown" in said
+
+
+def test_what_the_map_wrote_is_one_harvest_again(capsys: pytest.CaptureFixture[str]) -> None:
+    as_csv("a.csv", points())
+    assert cli.main(["map", "a.csv", "--out", "written"]) == 0
+    capsys.readouterr()
+    document, _ = mapped(capsys, "written")
+    assert mass_kg(document) == pytest.approx(MASS_KG, rel=0.003)

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from yieldmon.errors import InputError
+from yieldmon.field.mixed import apart
 from yieldmon.field.plane import Sites
 from yieldmon.field.table import DEFAULT_FLOW_S, HarvestTable, Label, Source, build
 from yieldmon.units import KG_PER_LB, M_PER_FT, M_PER_IN
@@ -207,7 +208,7 @@ def _table(
         taken_out=bool(marks),
     )
     default_s = 0.0 if marks else DEFAULT_FLOW_S
-    return build(columns, labels, source, unix_time=options.first_date is not None, default_flow_s=default_s)
+    return apart(build(columns, labels, source, unix_time=options.first_date is not None, default_flow_s=default_s))
 
 
 def _header(status: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:

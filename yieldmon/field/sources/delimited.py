@@ -18,7 +18,8 @@ from yieldmon.field.table import Array, Label, Skipped
 from yieldmon.files.delimited import plain_number
 
 BLOCK_ROWS = 50_000
-_UNKNOWN = frozenset({"", "-", "na", "n/a", "nan", "null", "none", "?"})
+UNKNOWN = frozenset({"", "-", "na", "n/a", "nan", "null", "none", "?"})
+"""What says that a value is not known, in lower case."""
 _NAMED = 5
 _COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?")
 _THOUSANDS = {mark: re.compile(rf"[+-]?\d{{1,3}}(?:[{mark}]\d{{3}})+(?:[{sign}]\d*)?") for mark, sign in ((",", "."), (".", ","))}
@@ -108,7 +109,7 @@ def rows_of(path: Path, encoding: str, delimiter: str) -> Iterator[tuple[int, li
 def number(text: str) -> float:
     """A number, NaN for unknown. Raises ValueError."""
     plain = text.strip()
-    return float("nan") if plain.lower() in _UNKNOWN else plain_number(plain)
+    return float("nan") if plain.lower() in UNKNOWN else plain_number(plain)
 
 
 def read_rows(

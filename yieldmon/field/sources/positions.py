@@ -12,7 +12,8 @@ from yieldmon.field.table import Array
 LIMITS: Mapping[str, tuple[float, float]] = {
     "longitude_deg": (-180.0, 180.0),
     "latitude_deg": (-90.0, 90.0),
-    "flow_kg_s": (0.0, 1000.0),
+    # Forage harvesters reach 100; a raw value that means "none" is often far above.
+    "flow_kg_s": (0.0, 300.0),
     # A sensor that has nothing in it yet reads 0.
     "moisture_pct": (0.1, 100.0),
     "interval_s": (0.0, 3600.0),

@@ -20,6 +20,7 @@ from yieldmon.field.table import Array, HarvestTable, Label, Skipped, joined
 from . import isoxml
 from .assembled import assemble, labels_from
 from .damage import ZIP_DAMAGE, may_be_harvest
+from .delimited import UNKNOWN, has_decimal_comma, number
 from .naming import QUANTITIES, Column, columns_of
 from .options import ReadOptions
 from .raw_table import Raw
@@ -190,6 +191,10 @@ def _layer(path: Path, address: str, name: str, part: str | None, options: ReadO
     wanted = {quantity: column for quantity, column in options.columns.items() if quantity not in _POSITION}
     found, more = columns_of(usable, wanted, sidecar.units, where)
     columns, numbers, texts = _values({q: (column, layer.fields[layer.names.index(column.name)]) for q, column in found.items()})
+    more = (
+        *more,
+        *_unreadable(numbers, {column.name: layer.fields[layer.names.index(column.name)] for column in found.values()}),
+    )
     columns |= {"longitude": Column(" x", "longitude", "deg"), "latitude": Column(" y", "latitude", "deg")}
     numbers |= {" x": x, " y": y}
     for quantity, said in (("crop", sidecar.crop), ("field", sidecar.field)):
@@ -243,13 +248,28 @@ def _unix(values: np.ndarray) -> Array:
 
 
 def _numbers(label: Label) -> Array:
+    """Numbers that a file has as texts, also with decimal commas; NaN for any other text."""
+    comma = has_decimal_comma(label.names)
     out = np.full(len(label.names), np.nan)
     for place, name in enumerate(label.names):
         try:
-            out[place] = float(name)
+            out[place] = number(name.replace(",", ".") if comma else name)
         except ValueError:
             continue
     return out[label.codes]
+
+
+def _unreadable(numbers: Mapping[str, Array], fields: Mapping[str, np.ndarray]) -> tuple[str, ...]:
+    """Notes on columns of texts of which some are no numbers."""
+    notes = []
+    for name, values in fields.items():
+        if name in numbers and values.dtype == object:
+            texts = ["" if text is None else str(text).strip() for text in values]
+            lost = [text for text, found in zip(texts, numbers[name].tolist(), strict=True) if text and found != found]  # noqa: PLR0124
+            lost = [text for text in lost if text.lower() not in UNKNOWN]
+            if lost:
+                notes.append(f"{name} holds no number in {len(lost)} of {len(texts)} rows, such as {lost[0][:40]!r}")
+    return tuple(notes)
 
 
 def _points(geometry: np.ndarray) -> tuple[Array, Array]:
