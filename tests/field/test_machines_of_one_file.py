@@ -153,3 +153,16 @@ def test_a_pause_is_no_row_that_lasts_so_long(capsys: pytest.CaptureFixture[str]
     north = [row for row in rows() if row[1] == "north" and not 200.0 <= row[0] < 300.0]
     document, _ = mapped(capsys, [unnamed(line) for _, _, line in north], UNNAMED)
     assert document["mass_kg"]["integrated"] == pytest.approx((SECONDS - 100.0) * 10.0, rel=0.003)
+
+
+def test_a_receiver_that_leaps_to_and_fro_is_one_machine(capsys: pytest.CaptureFixture[str]) -> None:
+    """Some rows in a row lie 40 m off, and the next ones do not."""
+    lines = []
+    for time, machine, line in rows():
+        if machine == "north":
+            cells = unnamed(line).split(",")
+            cells[2] = f"{float(cells[2]) + (40.0 / EARTH_M_DEG if time % 11 < 4 else 0.0):.8f}"
+            lines.append(",".join(cells))
+    document, said = mapped(capsys, lines, UNNAMED)
+    assert document["mass_kg"]["integrated"] == pytest.approx(SECONDS * 10.0, rel=0.003)
+    assert "taken apart" not in said

@@ -20,6 +20,10 @@ _LEAST_ROWS = 4
 """Rows that go on one after another, from which they are a machine's way and no wrong places."""
 _LEAST_TURNS, _LEAST_SHARE = 20, 0.05
 """Changes from one machine to another, and a machine's share of the rows, from which several made them."""
+_LACKS = 1.5
+"""Times its usual step that a machine's step is, in the median, where another's rows are in it: the rows were its own."""
+_MOST_BLOCKS = 0.005
+"""Share of rows before which time runs backwards, up to which a file has its machines one after another."""
 
 
 @dataclass
@@ -52,10 +56,35 @@ def machines_apart(time_s: Array, x_m: Array, y_m: Array) -> NDArray[np.int32] |
     if not turns:
         return None
     of_row = np.full(len(time_s), -1, np.int32)
+    by_file = _by_order_of_file(time_s[placed], x_m[placed], y_m[placed])
+    if by_file is not None:
+        of_row[placed] = by_file
+        return _filled(of_row)
     of_row[order] = found
     # Wrong places belong to the machine that was there last; rows without a place to that of the row before them in the file.
     of_row[order] = _filled(of_row[order])
     return _filled(of_row)
+
+
+def _by_order_of_file(time_s: Array, x_m: Array, y_m: Array) -> NDArray[np.int32] | None:
+    """Machine of each row where the file has the rows of one after those of another: a block ends where time runs backwards.
+
+    None where blocks are many, or rows are mixed within them.
+    """
+    ends = np.flatnonzero(np.diff(time_s) < 0) + 1
+    if not 0 < len(ends) <= _MOST_BLOCKS * len(time_s):
+        return None
+    blocks = [
+        _Stretch(rows.tolist(), float(time_s[rows[-1]]), float(x_m[rows[-1]]), float(y_m[rows[-1]]))
+        for rows in np.split(np.arange(len(time_s)), ends)
+    ]
+    codes = np.empty(len(time_s), np.int32)
+    for number, rows in enumerate(_machines(blocks, time_s, x_m, y_m)):
+        own = np.array(rows)
+        codes[own] = number
+        if _followed(time_s[own], x_m[own], y_m[own])[1]:
+            return None
+    return codes
 
 
 def _filled(codes: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -157,9 +186,30 @@ def _followed(time_s: Array, x_m: Array, y_m: Array) -> tuple[NDArray[np.int32],
     kept = [rows for rows in machines if len(rows) >= _LEAST_SHARE * len(time_s)]
     for number, rows in enumerate(kept):
         of_row[rows] = number
-    by_time = of_row[of_row >= 0]
-    turns = int(np.count_nonzero(np.diff(by_time)))
-    return of_row, turns if len(kept) > 1 and turns >= _LEAST_TURNS else 0
+    placed = np.flatnonzero(of_row >= 0)
+    turned = placed[1:][np.diff(of_row[placed]) != 0]
+    if len(kept) < 2 or len(turned) < _LEAST_TURNS or _takes_turns(kept, turned, of_row, time_s, longest_s):
+        return of_row, 0
+    return of_row, len(turned)
+
+
+def _takes_turns(
+    machines: Sequence[list[int]], turned: NDArray[np.intp], of_row: NDArray[np.int32], time_s: Array, longest_s: float
+) -> bool:
+    """Whether each machine lacks rows while another has some: then they are one, whose receiver leaps to and fro.
+
+    turned: rows before which the machine changes.
+    """
+    times: list[float] = []
+    for number, rows in enumerate(machines):
+        own = np.unique(time_s[rows])
+        steps = np.diff(own)
+        if not steps.size:
+            continue
+        at = np.searchsorted(own, time_s[turned[of_row[turned] == number]])
+        since = steps[at[at > 0] - 1]
+        times += (since[since <= longest_s] / np.median(steps)).tolist()
+    return bool(times) and float(np.median(times)) >= _LACKS
 
 
 def _stretches(time_s: list[float], x_m: list[float], y_m: list[float], longest_s: float) -> list[_Stretch]:
@@ -187,7 +237,7 @@ def _machines(stretches: Sequence[_Stretch], time_s: Array, x_m: Array, y_m: Arr
     machines: list[list[int]] = []
     for stretch in sorted(stretches, key=lambda one: (time_s[one.rows[0]], one.rows[0])):
         first = stretch.rows[0]
-        free = [rows for rows in machines if time_s[rows[-1]] <= time_s[first] and rows[-1] < first]
+        free = [rows for rows in machines if time_s[rows[-1]] <= time_s[first]]
         if free:
             last = min(free, key=lambda rows: hypot(x_m[first] - x_m[rows[-1]], y_m[first] - y_m[rows[-1]]))
             last += stretch.rows
