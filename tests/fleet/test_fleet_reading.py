@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import re
 import shutil
@@ -300,7 +301,7 @@ def bucket(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     import s3fs
 
     s3fs.S3FileSystem.clear_instance_cache()
-    s3fs.S3FileSystem().mkdir("fleet")
+    s3fs.S3FileSystem().makedirs("fleet", exist_ok=True)
     yield "s3://fleet"
     s3fs.S3FileSystem.clear_instance_cache()
     server.stop()
@@ -328,6 +329,27 @@ def test_object_store(season: Path, bucket: str, tmp_path: Path, capsys: pytest.
     first, second = summarise(str(here)), summarise(f"{bucket}/season")
     assert {**first, "dataset": ""} == {**second, "dataset": ""}
     assert compare(str(here), f"{bucket}/season")["equal"] == 4
+
+
+def test_a_storage_that_fails_is_one_line_with_its_address(
+    season: Path, bucket: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import s3fs
+
+    def busy(*_: object, **__: object) -> None:
+        raise OSError(errno.EBUSY, "Reduce your request rate.")
+
+    s3fs.S3FileSystem().put(str(season / "first"), "fleet/other", recursive=True)
+    # As DuckDB reads, and as the marks are found.
+    for owner, name in ((s3fs.core.S3File, "_fetch_range"), (s3fs.S3FileSystem(), "ls")):
+        with monkeypatch.context() as patched:
+            patched.setattr(owner, name, busy)
+            assert main(["fleet", "report", f"{bucket}/other"]) == 1
+        said = capsys.readouterr().err
+        assert said.count("\n") == 1
+        assert said.startswith(f"yieldmon: {bucket}/other: ")
+        assert "Reduce your request rate." in said
+    assert main(["fleet", "report", f"{bucket}/other"]) == 0
 
 
 def test_prior_from_the_tickets_of_a_dataset(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

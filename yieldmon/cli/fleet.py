@@ -19,6 +19,8 @@ _WORDS = {
     "diagnose": (arguments.diagnose, "diagnose"),
 }
 
+_ADDRESSES = "source", "out", "dataset", "first", "second"
+
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """The verb's arguments."""
@@ -34,5 +36,11 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 
 def run(args: argparse.Namespace) -> int:
-    """Exit code of the word."""
-    return int(import_module(f"yieldmon.cli._fleet.{_WORDS[args.word][1]}").run(args))
+    """Exit code of the word. Raises OSError with the storage's address where that fails, which says little of itself."""
+    try:
+        return int(import_module(f"yieldmon.cli._fleet.{_WORDS[args.word][1]}").run(args))
+    except OSError as error:
+        storages = [value for name in _ADDRESSES if "://" in (value := str(getattr(args, name, "")))]
+        if not storages or error.filename is not None or any(address in str(error) for address in storages):
+            raise
+        raise OSError(f"{', '.join(storages)}: {error.strerror or error}; run again, what is finished stays") from error

@@ -13,6 +13,8 @@ from yieldmon.errors import InputError
 from yieldmon.fleet import tables
 from yieldmon.fleet.dataset import Commit, Dataset
 
+_TRACE = "Traceback (most recent call last)"
+
 
 class Query:
     """Tables of one dataset as views of their names, each with the columns machine and day beside its own."""
@@ -24,7 +26,8 @@ class Query:
         self._by_place = {(commit.machine, commit.day): commit for commit in self.commits}
 
     def rows(self, statement: str, values: Sequence[Any] = ()) -> list[dict[str, Any]]:
-        """What a statement gives, a mapping a row. Raises InputError where a table cannot be read."""
+        """What a statement gives, a mapping a row. Raises InputError where a table cannot be read, OSError where a
+        storage fails."""
         with _readable(self.dataset.address):
             found = self._database.execute(statement, list(values))
             names = [column[0] for column in found.description]
@@ -57,6 +60,11 @@ def _readable(address: str) -> Iterator[None]:
     try:
         yield
     except (duckdb.Error, UnicodeDecodeError) as error:
+        lines = [line for line in str(error).splitlines() if line.strip()]
+        if lines and _TRACE in lines[0]:
+            # DuckDB reads an object store by way of fsspec: what that said follows its calls, which are indented.
+            said = [line for line in lines[1:] if not line.startswith((" ", "LINE "))]
+            raise OSError(f"{address}: {(said or lines)[-1][:300]}") from error
         raise InputError(address, str(error).partition("\n")[0][:300], "tables as `yieldmon fleet run` wrote them") from error
 
 
