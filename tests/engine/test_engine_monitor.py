@@ -585,11 +585,16 @@ def test_a_moving_plate_widens_by_the_delay_of_its_feedback_and_one_at_rest_does
 def test_noise_that_is_widened_away_from_home_still_averages_out() -> None:
     widened = replace(NOISE_ALONE, sweep=replace(EngineSettings().sweep, max_std_dev_factor=3.0))
     target = monitor(widened, estimator=ForceProportional(relative_std_dev=0.0))
-    feed(target, replace(STEADY, angle=lambda t: 70.0 if t < 1008.0 else 60.0).frames(40))
+    frames = list(replace(STEADY, angle=lambda t: 70.0 if t < 1008.0 else 60.0).frames(40))
+    feed(target, [frame for frame in frames if frame.time_s < 1011.0])
+    # A load while the plate rests: its motion is a cause of its own.
+    target.start_load()
+    feed(target, [frame for frame in frames if frame.time_s >= 1011.0])
     away = [record for record in target.records if record.quality is Q.SWEEPING]
     load = target.open_load
     assert load is not None
     assert len(away) > 25
     assert load.budget.parameters_kg == pytest.approx(0.0, abs=1e-3)
-    seconds = [r for r in target.records if r.mass_kg > 0.0]
+    assert load.budget.motion_kg == 0.0
+    seconds = [r for r in target.records if r.mass_kg > 0.0 and r.load_number == load.number]
     assert load.budget.noise_kg2 == pytest.approx(sum((r.noise_std_dev_kg_s * r.duration_s) ** 2 for r in seconds))

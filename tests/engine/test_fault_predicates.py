@@ -103,6 +103,7 @@ CASES: dict[str, tuple[Callable[[], dict[FaultCode, str]], dict[FaultCode, str]]
     "of unknown age": (lambda: seen(calibration_age_s=None), {}),
     "outside calibration": (
         lambda: seen(status=FlowStatus.OUTSIDE_CALIBRATION), {F.FLOW_OUTSIDE_CALIBRATION: "15.0 kg/s"}),
+    "the last of the grain at a stop": (lambda: seen(replace(harvest(), force_n=0.6), status=FlowStatus.OUTSIDE_CALIBRATION), {}),
     "above a full paddle": (
         lambda: seen(status=FlowStatus.SATURATED), {F.FLOW_OUTSIDE_CALIBRATION: "15.0 kg/s"}),
     "above a full paddle with a saturated sensor": (

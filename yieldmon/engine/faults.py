@@ -255,7 +255,9 @@ _TABLE = (
         "Calibrate over the range of flows that occur.",
         lambda o: (
             f"{o.flow.rate_kg_s:.1f} kg/s"
-            if o.flow.out_of_calibration or (o.flow.saturated and not o.sensor_saturated)
+            # What is left of the grain at a stop is below any calibrated flow, and no matter.
+            if (o.flow.out_of_calibration and o.flow.force_n > o.settings.gate.grain_on_n)
+            or (o.flow.saturated and not o.sensor_saturated)
             else None
         ),
     ),
