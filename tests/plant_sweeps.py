@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from studies.facility.mean_force import shown_force_n
 from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.settings import SweepSettings
-from yieldmon.engine.sweep import sweep_sequence
+from yieldmon.engine.sweeps.sweep import sweep_sequence
 from yieldmon.frames import EstimateQuality, OperatingState
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.plant import scenario

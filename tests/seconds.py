@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 from yieldmon.frames import EstimateQuality
-from yieldmon.service.rows import SecondRow
+from yieldmon.service.storage.rows import SecondRow
 
 
 def measured_second(number: int, time_s: float, flow_kg_s: float, **changes: Any) -> SecondRow:

@@ -18,15 +18,15 @@ from yieldmon.discrepancy.diagnosis import Diagnosis, Options, diagnose
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.results import WindowResult
 from yieldmon.errors import InputError
-from yieldmon.estimation.calibration import calibrate, default_start
-from yieldmon.estimation.calibration_result import Calibration
-from yieldmon.estimation.closed_loop import self_calibrate
-from yieldmon.estimation.closed_loop_inputs import DensityAnchor, MassAnchor, Sweep
-from yieldmon.estimation.closed_loop_outcome import Outcome
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
-from yieldmon.estimation.measurements import Measurements
+from yieldmon.estimation.fitting.calibration import calibrate, default_start
+from yieldmon.estimation.fitting.calibration_result import Calibration
+from yieldmon.estimation.fitting.measurements import Measurements
 from yieldmon.estimation.open_loop import FlowEstimate, FlowStatus, OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.self_calibration.closed_loop import self_calibrate
+from yieldmon.estimation.self_calibration.closed_loop_inputs import DensityAnchor, MassAnchor, Sweep
+from yieldmon.estimation.self_calibration.closed_loop_outcome import Outcome
 from yieldmon.files.machine_file import load as load_machine
 from yieldmon.files.parameter_file import load as load_parameters
 from yieldmon.files.parameter_file import save as save_parameters
@@ -42,11 +42,11 @@ from yieldmon.plant.scenario import Scenario
 from yieldmon.plant.scenario import load as load_scenario
 from yieldmon.resources import shipped
 from yieldmon.service.assembly import build_monitor
-from yieldmon.service.configuration import load as load_configuration
-from yieldmon.service.ledger import LoadRecord
-from yieldmon.service.processing import Summary, process_logs
-from yieldmon.service.recorded import read_loads, read_seconds
-from yieldmon.service.rows import SecondRow
+from yieldmon.service.config.configuration import load as load_configuration
+from yieldmon.service.logs.processing import Summary, process_logs
+from yieldmon.service.logs.recorded import read_loads, read_seconds
+from yieldmon.service.storage.ledger import LoadRecord
+from yieldmon.service.storage.rows import SecondRow
 
 __all__ = [
     "API_VERSION",

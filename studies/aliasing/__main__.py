@@ -14,8 +14,8 @@ import sys
 
 import numpy as np
 
+from yieldmon.engine.sampling.windows import WindowBuilder
 from yieldmon.engine.settings import WindowSettings
-from yieldmon.engine.windows import WindowBuilder
 from yieldmon.physics.machine import RPM, Machine
 
 SECONDS = 12

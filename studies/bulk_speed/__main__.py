@@ -39,8 +39,9 @@ from yieldmon.identifiers import EXTENDED_FLAG
 from yieldmon.plant import scenario as scenarios
 from yieldmon.plant.combine import VirtualCombine
 from yieldmon.resources import shipped
-from yieldmon.service import configuration, log_record
-from yieldmon.service.rows import SecondRow
+from yieldmon.service.config import configuration
+from yieldmon.service.logs import log_record
+from yieldmon.service.storage.rows import SecondRow
 
 WANTED_FRAMES = 69_000_000
 TILE_S = 600.0

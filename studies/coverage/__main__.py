@@ -31,10 +31,10 @@ from numpy.typing import NDArray
 
 from yieldmon import frames as bus
 from yieldmon.engine.faults import FaultCode
-from yieldmon.engine.loads import LoadSummary
-from yieldmon.engine.plate import SweepEnded
+from yieldmon.engine.mass.loads import LoadSummary
 from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.results import events_in, frames_in, records_in
+from yieldmon.engine.sweeps.plate import SweepEnded
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.frames import SweepState
 from yieldmon.physics.machine import RPM
@@ -44,8 +44,8 @@ from yieldmon.plant.profiles import FlowProfile, Oscillating, Steady
 from yieldmon.plant.scenario import Crop, Scenario
 from yieldmon.plant.sensor import SensorSettings
 from yieldmon.resources import shipped
-from yieldmon.service import configuration
 from yieldmon.service.assembly import build_monitor
+from yieldmon.service.config import configuration
 
 FOLDER = Path(__file__).resolve().parent
 FIRST_SEED = 41000

@@ -19,7 +19,7 @@ from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array
 from yieldmon.resources import shipped
-from yieldmon.service import configuration
+from yieldmon.service.config import configuration
 
 STATED = ("noise", "parameters", "zero", "moisture", "all")
 ERRORS = ("noise", "parameters", "zero", "rest", "all")

@@ -25,8 +25,8 @@ from studies.dem import stages
 from studies.dem.job import Grain
 from studies.dem.records import PlateFrame, crossing
 from yieldmon.discrepancy import diagnosis
-from yieldmon.estimation.calibration import calibrate, default_start
-from yieldmon.estimation.measurements import Measurements
+from yieldmon.estimation.fitting.calibration import calibrate, default_start
+from yieldmon.estimation.fitting.measurements import Measurements
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import parameter_file, table

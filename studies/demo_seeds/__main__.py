@@ -26,8 +26,8 @@ def one(seed: int, duration_s: float) -> dict[str, float]:
     from yieldmon.plant import scenario as scenarios
     from yieldmon.plant.combine import VirtualCombine
     from yieldmon.resources import shipped
-    from yieldmon.service import configuration
     from yieldmon.service.assembly import build_monitor
+    from yieldmon.service.config import configuration
     from yieldmon.trial import accuracy, lockstep
 
     chosen = scenarios.load(shipped("config/scenarios/demo.yaml")).model_copy(update={"duration_s": duration_s})

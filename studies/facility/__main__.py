@@ -64,8 +64,8 @@ def of_crops() -> Iterator[dict[str, Any]]:
     """A row for each shipped crop whose paddle holds the facility's largest flow at its lowest speed."""
     import numpy as np
 
-    from yieldmon.estimation.calibration import calibrate, default_start
-    from yieldmon.estimation.measurements import Measurements
+    from yieldmon.estimation.fitting.calibration import calibrate, default_start
+    from yieldmon.estimation.fitting.measurements import Measurements
     from yieldmon.files.crops import crops
     from yieldmon.physics.machine import RPM, Machine
     from yieldmon.physics.model import Conditions, ForwardModel

@@ -34,7 +34,7 @@ from scipy.optimize import brentq
 from studies.facility.mean_force import shown_force_n
 from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.settings import SweepSettings
-from yieldmon.engine.sweep import sweep_sequence
+from yieldmon.engine.sweeps.sweep import sweep_sequence
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import parameter_file
 from yieldmon.fleet.diagnosis import FleetDiagnosis, MachineSweeps, diagnose
@@ -43,7 +43,7 @@ from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.plant import scenario
 from yieldmon.plant.pulse_table import Condition, Detail, PulseTable
-from yieldmon.service.rows import SecondRow, second_row
+from yieldmon.service.storage.rows import SecondRow, second_row
 
 SEED = 20261122
 MACHINES, SINGLE = 12, 3

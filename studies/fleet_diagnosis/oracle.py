@@ -34,12 +34,12 @@ from studies.fleet_diagnosis.__main__ import (
 )
 from yieldmon.discrepancy.detectability import POWER_80
 from yieldmon.discrepancy.policy import DEFAULT
-from yieldmon.estimation.home_flow import AwayVisits
+from yieldmon.estimation.self_calibration.home_flow import AwayVisits
 from yieldmon.files import parameter_file
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.numerics import real
-from yieldmon.service.sweep_table import away_of_seconds
+from yieldmon.service.logs.sweep_table import away_of_seconds
 
 SEED = 3
 GRAIN_SD = (0.003, 10.0)

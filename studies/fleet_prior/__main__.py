@@ -34,10 +34,10 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize
 
-from yieldmon.estimation.density_and_gain import moved
-from yieldmon.estimation.fleet_prior import MachineLoads, load_deviation, load_errors, pooled
-from yieldmon.estimation.load_inputs import WeighedLoad
 from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.weighing.density_and_gain import moved
+from yieldmon.estimation.weighing.fleet_prior import MachineLoads, load_deviation, load_errors, pooled
+from yieldmon.estimation.weighing.load_inputs import WeighedLoad
 from yieldmon.files.crops import crop
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import Conditions, ForwardModel

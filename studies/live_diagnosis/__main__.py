@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from yieldmon.physics.machine import Machine
     from yieldmon.physics.numerics import Array
     from yieldmon.plant.combine import VirtualCombine
-    from yieldmon.service.rows import SecondRow
+    from yieldmon.service.storage.rows import SecondRow
 
     Run = tuple[dict[str, Any], dict[str, tuple[Array, Array]]]
     """A case's entry of the document, and by where the plate was hours and errors."""
@@ -96,7 +96,7 @@ def judged(lived: Lived, args: argparse.Namespace) -> Run:
     from yieldmon.estimation.estimators import estimator_of
     from yieldmon.files import parameter_file
     from yieldmon.physics.machine import RPM
-    from yieldmon.service.store import Store
+    from yieldmon.service.storage.store import Store
 
     with Store(lived.store) as store:
         events = [e for e in store.faults(10_000) if e.code == "ModelDisagrees" and e.active]
@@ -170,7 +170,7 @@ def yieldmon(arguments: list[str]) -> subprocess.CompletedProcess[str]:
 
 def rows_of(path: Path) -> Sequence[SecondRow]:
     """All seconds of a store."""
-    from yieldmon.service.recorded import read_seconds
+    from yieldmon.service.logs.recorded import read_seconds
 
     return read_seconds(path)
 

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from studies.facility import facility
-from yieldmon.estimation.calibration import calibrate
-from yieldmon.estimation.measurements import Measurements
+from yieldmon.estimation.fitting.calibration import calibrate
+from yieldmon.estimation.fitting.measurements import Measurements
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.priors import Prior
 from yieldmon.physics.machine import RPM, Machine
@@ -23,7 +23,7 @@ from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.plant import scenario
 from yieldmon.plant.combine import VirtualCombine, pulse_table
 from yieldmon.plant.scenario import Scenario
-from yieldmon.service.rows import SecondRow
+from yieldmon.service.storage.rows import SecondRow
 from yieldmon.trial.accuracy import RATED_FROM_KG_S
 
 Array = NDArray[np.float64]

@@ -19,7 +19,7 @@ from yieldmon import frames
 from yieldmon.bus.codec import Codec
 from yieldmon.frames import Frame
 from yieldmon.plant.combine import VirtualCombine
-from yieldmon.service import configuration
+from yieldmon.service.config import configuration
 from yieldmon.service.daemon import Daemon
 from yieldmon.service.patience import Patience
 

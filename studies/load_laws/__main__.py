@@ -19,7 +19,7 @@ import numpy as np
 
 from studies.load_laws.machines import LAWS, MACHINE, MODELS, SHIPPED, draw, judged
 from yieldmon import api
-from yieldmon.estimation.loads import calibrate_loads
+from yieldmon.estimation.weighing.loads import calibrate_loads
 from yieldmon.physics.numerics import Array
 
 COUNTS = (2, 3, 6)

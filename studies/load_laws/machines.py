@@ -9,8 +9,8 @@ from functools import partial
 import numpy as np
 
 from yieldmon import api
-from yieldmon.estimation.load_inputs import WeighedLoad
 from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.weighing.load_inputs import WeighedLoad
 from yieldmon.physics.numerics import Array
 
 MACHINE = api.Machine()

@@ -18,8 +18,8 @@ import numpy as np
 
 from studies.load_laws.machines import LAWS, MACHINE, SHIPPED, draw, judged
 from yieldmon import api
-from yieldmon.estimation.load_inputs import WeighedLoad
-from yieldmon.estimation.loads import calibrate_loads
+from yieldmon.estimation.weighing.load_inputs import WeighedLoad
+from yieldmon.estimation.weighing.loads import calibrate_loads
 
 _KG_PER_LB = 0.45359237
 Mistake = Callable[[Sequence[WeighedLoad]], list[WeighedLoad]]

@@ -57,29 +57,29 @@ NAMED = (
         ("tests/service/test_stalls.py", "tests/service/test_signs_of_life.py"),
     ),
     Named(
-        "bus-off never ends", "yieldmon/service/service_faults.py",
+        "bus-off never ends", "yieldmon/service/traffic/service_faults.py",
         'self._conditions.present("bus-off", until_s, detail)', 'self._conditions.present("bus-off", _FOREVER, detail)',
     ),
     Named(
-        "bus-off outlives its interface", "yieldmon/service/service_faults.py",
+        "bus-off outlives its interface", "yieldmon/service/traffic/service_faults.py",
         '            self._conditions.ended("bus-off")\n', "",
     ),
     Named(
-        "old counters are kept when records are given up", "yieldmon/service/writer.py",
+        "old counters are kept when records are given up", "yieldmon/service/storage/writer.py",
         "counters={**oldest.counters, **following.counters}", "counters={**following.counters, **oldest.counters}",
     ),
-    Named("room is made without bound", "yieldmon/service/store.py", "_PRUNE_ROWS = 2000", "_PRUNE_ROWS = 2_000_000_000"),
+    Named("room is made without bound", "yieldmon/service/storage/store.py", "_PRUNE_ROWS = 2000", "_PRUNE_ROWS = 2_000_000_000"),
     Named(
-        "quick_check without loads", "yieldmon/service/store.py",
+        "quick_check without loads", "yieldmon/service/storage/store.py",
         "for table in _NEEDED + _EVENTS:\n", 'for table in [t for t in _NEEDED + _EVENTS if t != "load"]:\n',
     ),
-    Named("patience with a peer", "yieldmon/service/control.py", "_PATIENCE_S = 5.0", "_PATIENCE_S = 500.0"),
+    Named("patience with a peer", "yieldmon/service/operator/control.py", "_PATIENCE_S = 5.0", "_PATIENCE_S = 500.0"),
     Named(
-        "size of a request", "yieldmon/service/control_protocol.py",
+        "size of a request", "yieldmon/service/operator/control_protocol.py",
         "MAX_REQUEST_BYTES = 64 * 1024\n", "MAX_REQUEST_BYTES = 64 * 1024 * 1024\n",
     ),
     Named(
-        "a restart takes the bus-off behind it along", "yieldmon/service/service_faults.py",
+        "a restart takes the bus-off behind it along", "yieldmon/service/traffic/service_faults.py",
         'self._conditions.present("bus-off", _FOREVER, detail)', 'self._conditions.present("bus-off", until_s, detail)',
     ),
     Named("timeout of the speed", "yieldmon/engine/settings.py", "speed_timeout_s: float = 1.0", "speed_timeout_s: float = 3.0"),

@@ -23,18 +23,18 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from yieldmon.estimation.batch import MomentumBatch
-from yieldmon.estimation.calibration import calibrate, default_start
-from yieldmon.estimation.calibration_result import Calibration
-from yieldmon.estimation.closed_loop import self_calibrate
-from yieldmon.estimation.closed_loop_inputs import Sweep
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
-from yieldmon.estimation.empirical import Physical, paddle_mass
-from yieldmon.estimation.identifiability import scaled, sweep_directions
-from yieldmon.estimation.least_squares import levenberg_marquardt
-from yieldmon.estimation.measurements import Measurements
+from yieldmon.estimation.fitting.batch import MomentumBatch
+from yieldmon.estimation.fitting.calibration import calibrate, default_start
+from yieldmon.estimation.fitting.calibration_result import Calibration
+from yieldmon.estimation.fitting.empirical import Physical, paddle_mass
+from yieldmon.estimation.fitting.identifiability import scaled, sweep_directions
+from yieldmon.estimation.fitting.least_squares import levenberg_marquardt
+from yieldmon.estimation.fitting.measurements import Measurements
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.self_calibration.closed_loop import self_calibrate
+from yieldmon.estimation.self_calibration.closed_loop_inputs import Sweep
 from yieldmon.files import table
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel

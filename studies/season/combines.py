@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 
-from yieldmon.estimation.calibration import calibrate
-from yieldmon.estimation.measurements import Measurements
+from yieldmon.estimation.fitting.calibration import calibrate
+from yieldmon.estimation.fitting.measurements import Measurements
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.plant.effects import Effects, JetShielding, PlateFriction, ResidualRadialSpeed

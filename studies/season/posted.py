@@ -1,8 +1,8 @@
 """Strategy (c), one ticket a day, kept and posted by the daemon's own code.
 
-What differs from `study.Keeper`: sweeps and tickets go to `engine.closed_loop_calibrator` as window records and reference masses,
-the steps between lessons through their documents in the store, and the loads are measured again by `service.posting`. A night of
-14 hours lies between two days of harvest.
+What differs from `study.Keeper`: sweeps and tickets go to `engine.self_calibration.closed_loop_calibrator` as window records and
+reference masses, the steps between lessons through their documents in the store, and the loads are measured again by
+`service.history.posting`. A night of 14 hours lies between two days of harvest.
 """
 
 from __future__ import annotations
@@ -18,21 +18,21 @@ from studies.season import season as seasons
 from studies.season import study
 from studies.season.season import Season
 from studies.season.study import Array, Keeper, Strategy, StudySettings
-from yieldmon.engine.anchors import AnchorSource, ReferenceMass
 from yieldmon.engine.calibrator_settings import CalibratorSettings
-from yieldmon.engine.closed_loop_calibrator import ClosedLoopCalibrator
-from yieldmon.engine.load_forces import LoadForceSums
 from yieldmon.engine.records import CalibrationOutcome, FlowEstimator, WindowRecord
+from yieldmon.engine.self_calibration.anchors import AnchorSource, ReferenceMass
+from yieldmon.engine.self_calibration.closed_loop_calibrator import ClosedLoopCalibrator
+from yieldmon.engine.self_calibration.load_forces import LoadForceSums
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.plant.scenario import Scenario
-from yieldmon.service import posting
-from yieldmon.service.batch import Step
-from yieldmon.service.rows import SecondRow, second_row
-from yieldmon.service.update_steps import step_document
-from yieldmon.service.weighed_loads import loads_of
+from yieldmon.service.history import posting
+from yieldmon.service.history.update_steps import step_document
+from yieldmon.service.logs.weighed_loads import loads_of
+from yieldmon.service.storage.batch import Step
+from yieldmon.service.storage.rows import SecondRow, second_row
 
 POSTED = Strategy("(c) by the daemon", moisture_map=True, sweeps=True, tickets_per_day=1)
 TICKET_ERROR = 0.002

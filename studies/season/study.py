@@ -16,29 +16,29 @@ from scipy.interpolate import RectBivariateSpline
 from studies.facility import facility
 from studies.season.combines import AS_MODELLED, Combine
 from studies.season.season import Season, SeasonSettings
-from yieldmon.engine.parameter_knowledge import FOLLOWED_KG
+from yieldmon.engine.self_calibration.parameter_knowledge import FOLLOWED_KG
 from yieldmon.engine.settings import SweepSettings
 from yieldmon.estimation.admission import LARGEST_MODEL_ERROR, allowing_for, refusal
-from yieldmon.estimation.angle_pattern import with_pattern
-from yieldmon.estimation.calibration import calibrate
-from yieldmon.estimation.closed_loop import self_calibrate, update_from_tickets
-from yieldmon.estimation.closed_loop_inputs import MassAnchor, Sweep
-from yieldmon.estimation.closed_loop_outcome import Outcome as Lesson
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
-from yieldmon.estimation.drift_lessons import DriftLesson, by_weighed_masses, ending
-from yieldmon.estimation.drift_rates import DriftRates
-from yieldmon.estimation.measurements import Measurements
+from yieldmon.estimation.fitting.calibration import calibrate
+from yieldmon.estimation.fitting.measurements import Measurements
+from yieldmon.estimation.fitting.stop_gap import with_stop_gap
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.estimation.steady_drift import Advance, advance, begin, learn, smoothed
-from yieldmon.estimation.stop_gap import with_stop_gap
+from yieldmon.estimation.self_calibration.angle_pattern import with_pattern
+from yieldmon.estimation.self_calibration.closed_loop import self_calibrate, update_from_tickets
+from yieldmon.estimation.self_calibration.closed_loop_inputs import MassAnchor, Sweep
+from yieldmon.estimation.self_calibration.closed_loop_outcome import Outcome as Lesson
+from yieldmon.estimation.self_calibration.drift_lessons import DriftLesson, by_weighed_masses, ending
+from yieldmon.estimation.self_calibration.drift_rates import DriftRates
+from yieldmon.estimation.self_calibration.steady_drift import Advance, advance, begin, learn, smoothed
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.plant.effects import MoistureDependence
 from yieldmon.plant.scenario import Crop, Scenario
-from yieldmon.service import posting
-from yieldmon.service.configuration import calibrator_settings
-from yieldmon.service.document import Document
+from yieldmon.service.config.configuration import calibrator_settings
+from yieldmon.service.config.document import Document
+from yieldmon.service.history import posting
 from yieldmon.units import S_PER_DAY
 
 Array = NDArray[np.float64]

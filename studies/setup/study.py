@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from studies.facility.facility import window_sigma_n
 from studies.facility.mean_force import shown_force_n, true_angle_rad
 from yieldmon.cli._setup import derive
-from yieldmon.estimation.closed_loop_inputs import Sweep
-from yieldmon.estimation.load_departures import departure
-from yieldmon.estimation.load_inputs import WeighedLoad
-from yieldmon.estimation.loads import calibrate_loads
 from yieldmon.estimation.open_loop import OpenLoop
+from yieldmon.estimation.self_calibration.closed_loop_inputs import Sweep
+from yieldmon.estimation.weighing.load_departures import departure
+from yieldmon.estimation.weighing.load_inputs import WeighedLoad
+from yieldmon.estimation.weighing.loads import calibrate_loads
 from yieldmon.files.crops import crop
 from yieldmon.physics.machine import RPM, ImpactSensor, Machine
 from yieldmon.physics.model import ForwardModel

@@ -24,11 +24,11 @@ from studies.waveform.fill import (
     volume_flow_m3_s,
     wave,
 )
-from yieldmon.estimation.arrival_calibration import calibrate_arrival
-from yieldmon.estimation.arrival_law import ArrivalLaw
-from yieldmon.estimation.pattern_fold import PatternWave
-from yieldmon.estimation.pulse_model import PulseModel
-from yieldmon.estimation.pulse_shape import estimate
+from yieldmon.estimation.waveform.arrival_calibration import calibrate_arrival
+from yieldmon.estimation.waveform.arrival_law import ArrivalLaw
+from yieldmon.estimation.waveform.pattern_fold import PatternWave
+from yieldmon.estimation.waveform.pulse_model import PulseModel
+from yieldmon.estimation.waveform.pulse_shape import estimate
 from yieldmon.physics.machine import RPM
 
 Array = NDArray[np.float64]

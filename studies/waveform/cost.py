@@ -20,10 +20,10 @@ from yieldmon.physics.machine import Machine
 from yieldmon.plant.combine import VirtualCombine
 from yieldmon.plant.scenario import from_mapping
 from yieldmon.resources import shipped
-from yieldmon.service import configuration
 from yieldmon.service.assembly import monitor_of
-from yieldmon.service.bulk_processing import process_in_bulk
-from yieldmon.service.configuration import Configuration
+from yieldmon.service.config import configuration
+from yieldmon.service.config.configuration import Configuration
+from yieldmon.service.logs.bulk_processing import process_in_bulk
 
 EMPTY_S, DURATION_S, FLOW_KG_S = 25.0, 145.0, 12.0
 ROUNDS = 5

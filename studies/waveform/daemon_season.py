@@ -25,17 +25,17 @@ from numpy.typing import NDArray
 
 from studies.waveform.season import bias_slope
 from yieldmon.engine.calibrator_settings import CalibratorSettings
-from yieldmon.engine.closed_loop_calibrator import ClosedLoopCalibrator
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.results import Result, frames_in, records_in, windows_in
 from yieldmon.engine.runs import run_of
+from yieldmon.engine.self_calibration.closed_loop_calibrator import ClosedLoopCalibrator
 from yieldmon.engine.settings import EngineSettings, SweepSettings, WaveformSettings
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
-from yieldmon.estimation.drift_rates import DriftRates
-from yieldmon.estimation.kernel_noise import KernelVerdict
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.estimation.shape_verdict import ShapeVerdict
+from yieldmon.estimation.self_calibration.drift_rates import DriftRates
+from yieldmon.estimation.waveform.kernel_noise import KernelVerdict
+from yieldmon.estimation.waveform.shape_verdict import ShapeVerdict
 from yieldmon.files import pulse_shape_file
 from yieldmon.frames import GRAIN_KERNELS, TANK_SCALE, Frame
 from yieldmon.physics.machine import Machine

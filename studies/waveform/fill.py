@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from studies.dem.job import TOP_RAD, Throw
 from studies.dem.script import start_angle_rad
-from yieldmon.estimation.arrival_calibration import SEVERAL_GRAINS, arrival_point, calibrate_arrival, law_of
-from yieldmon.estimation.arrival_law import ArrivalLaw
-from yieldmon.estimation.pattern_fold import PatternWave
-from yieldmon.estimation.pulse_fit import PulseEstimate
-from yieldmon.estimation.pulse_model import PulseModel, PulseSettings
-from yieldmon.estimation.pulse_shape import estimate
+from yieldmon.estimation.waveform.arrival_calibration import SEVERAL_GRAINS, arrival_point, calibrate_arrival, law_of
+from yieldmon.estimation.waveform.arrival_law import ArrivalLaw
+from yieldmon.estimation.waveform.pattern_fold import PatternWave
+from yieldmon.estimation.waveform.pulse_fit import PulseEstimate
+from yieldmon.estimation.waveform.pulse_model import PulseModel, PulseSettings
+from yieldmon.estimation.waveform.pulse_shape import estimate
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import ForwardModel
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yieldmon.engine.settings import SweepSettings
-from yieldmon.estimation.identifiability import directions
+from yieldmon.estimation.fitting.identifiability import directions
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from yieldmon.estimation.kernel_noise import KernelImpulse, KernelNoiseSettings, kernel_impulse
-from yieldmon.estimation.noise_gain import power_gain
-from yieldmon.estimation.spectral_density import Density, expected_averages, frequencies_hz, in_pulses
+from yieldmon.estimation.waveform.kernel_noise import KernelImpulse, KernelNoiseSettings, kernel_impulse
+from yieldmon.estimation.waveform.noise_gain import power_gain
+from yieldmon.estimation.waveform.spectral_density import Density, expected_averages, frequencies_hz, in_pulses
 
 
 def expected_impulse(

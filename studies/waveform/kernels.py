@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from studies.waveform.kernel_reach import expected_impulse
-from yieldmon.estimation.kernel_noise import KernelImpulse, KernelNoiseSettings, kernel_impulse
-from yieldmon.estimation.spectral_density import Density
+from yieldmon.estimation.waveform.kernel_noise import KernelImpulse, KernelNoiseSettings, kernel_impulse
+from yieldmon.estimation.waveform.spectral_density import Density
 
 Array = NDArray[np.float64]
 FOLDER = Path(__file__).resolve().parent

@@ -18,13 +18,13 @@ from studies.waveform.fill import MACHINE
 from studies.waveform.kernels import FORCES, INTERVAL_S, MORE_FORCES, Heaps, heaps
 from studies.waveform.placed_pulses import SAMPLE_S, Array, Chain, Train, train
 from yieldmon import frames
-from yieldmon.engine import kernel_channel
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.results import windows_in
 from yieldmon.engine.settings import EngineSettings, SweepSettings, WaveformSettings
-from yieldmon.estimation.kernel_noise import KernelNoiseSettings, KernelVerdict
+from yieldmon.engine.waveform import kernel_channel
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.waveform.kernel_noise import KernelNoiseSettings, KernelVerdict
 from yieldmon.files import pulse_shape_file
 from yieldmon.frames import Frame
 from yieldmon.physics.machine import RPM, Machine

@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 from studies.waveform.season import HOME_RAD, SPEED_RAD_S
 from studies.waveform.teaching import LOADS, MODEL, SEASONS, DriftingSeason, forces
 from yieldmon.engine.settings import SweepSettings
-from yieldmon.engine.sweep import sweep_sequence
-from yieldmon.estimation.closed_loop import self_calibrate
-from yieldmon.estimation.closed_loop_inputs import Sweep
+from yieldmon.engine.sweeps.sweep import sweep_sequence
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
-from yieldmon.estimation.common_bias import CommonBias
-from yieldmon.estimation.flow_process import correlation
-from yieldmon.estimation.steady_drift import DriftingParameters
-from yieldmon.estimation.sweep_worth import OtherChannels, SweepPlan, sweep_worth, window_times_s
+from yieldmon.estimation.self_calibration.closed_loop import self_calibrate
+from yieldmon.estimation.self_calibration.closed_loop_inputs import Sweep
+from yieldmon.estimation.self_calibration.flow_process import correlation
+from yieldmon.estimation.self_calibration.steady_drift import DriftingParameters
+from yieldmon.estimation.self_calibration.sweep_worth import OtherChannels, SweepPlan, sweep_worth, window_times_s
+from yieldmon.estimation.waveform.common_bias import CommonBias
 
 Array = NDArray[np.float64]
 NOISE_SD = 0.01

@@ -16,13 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from studies.waveform.fill import FOLDER
-from yieldmon.estimation.arrival_law import ArrivalLaw
-from yieldmon.estimation.channel_combination import combine
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.estimation.pattern_fold import PatternWave
-from yieldmon.estimation.pulse_model import PulseModel, PulseSettings
-from yieldmon.estimation.pulse_shape import estimate, sample_noise_n
+from yieldmon.estimation.waveform.arrival_law import ArrivalLaw
+from yieldmon.estimation.waveform.channel_combination import combine
+from yieldmon.estimation.waveform.pattern_fold import PatternWave
+from yieldmon.estimation.waveform.pulse_model import PulseModel, PulseSettings
+from yieldmon.estimation.waveform.pulse_shape import estimate, sample_noise_n
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import ForwardModel
 from yieldmon.plant.effects import Effects

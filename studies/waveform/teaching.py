@@ -17,16 +17,17 @@ from numpy.typing import NDArray
 
 from studies.waveform.season import DRIFT, HOME_RAD, MACHINE, SPEED_RAD_S, bias_slope
 from yieldmon.engine.calibrator_settings import CalibratorSettings
-from yieldmon.estimation import common_bias, drift_spread
-from yieldmon.estimation.closed_loop import update_from_tickets
-from yieldmon.estimation.closed_loop_inputs import MassAnchor
-from yieldmon.estimation.closed_loop_outcome import Outcome
-from yieldmon.estimation.common_bias import WANDER as BIAS_WANDER
-from yieldmon.estimation.common_bias import CommonBias, KernelLesson
-from yieldmon.estimation.identifiability import natural_scale
+from yieldmon.estimation.fitting.identifiability import natural_scale
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.estimation.steady_drift import advance, begin, forgotten, learn, widened
+from yieldmon.estimation.self_calibration import drift_spread
+from yieldmon.estimation.self_calibration.closed_loop import update_from_tickets
+from yieldmon.estimation.self_calibration.closed_loop_inputs import MassAnchor
+from yieldmon.estimation.self_calibration.closed_loop_outcome import Outcome
+from yieldmon.estimation.self_calibration.steady_drift import advance, begin, forgotten, learn, widened
+from yieldmon.estimation.waveform import common_bias
+from yieldmon.estimation.waveform.common_bias import WANDER as BIAS_WANDER
+from yieldmon.estimation.waveform.common_bias import CommonBias, KernelLesson
 from yieldmon.physics.model import ForwardModel
 from yieldmon.plant.effects import Effects
 from yieldmon.plant.grain import Grain

@@ -10,7 +10,7 @@ import numpy as np
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.results import windows_in
 from yieldmon.engine.settings import EngineSettings, SweepSettings, WaveformSettings
-from yieldmon.engine.waveform_reading import NOTHING
+from yieldmon.engine.waveform.waveform_reading import NOTHING
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import pulse_shape_file

@@ -13,8 +13,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "engine"))
 from engine_bench import MACHINE, Bench, monitor
 
 from yieldmon.engine.runs import run_of
+from yieldmon.engine.sampling.windows import WindowBuilder
 from yieldmon.engine.settings import WindowSettings
-from yieldmon.engine.windows import WindowBuilder
 from yieldmon.physics.machine import RPM
 
 BENCH = Bench(flow=lambda t: 10.0 if t > 1005 else 0.0, scatter=0.07)

@@ -19,10 +19,10 @@ from yieldmon.frames import Frame
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.plant import scenario
 from yieldmon.plant.combine import VirtualCombine
-from yieldmon.service import configuration
 from yieldmon.service.assembly import monitor_of
-from yieldmon.service.bulk_processing import process_in_bulk
-from yieldmon.service.rows import second_row
+from yieldmon.service.config import configuration
+from yieldmon.service.logs.bulk_processing import process_in_bulk
+from yieldmon.service.storage.rows import second_row
 
 DURATION_S = 60
 

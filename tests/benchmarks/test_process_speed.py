@@ -21,10 +21,10 @@ from yieldmon.engine.results import records_in
 from yieldmon.estimation.open_loop import FlowEstimate, FlowStatus
 from yieldmon.frames import GRAIN_CONDITION, Frame
 from yieldmon.resources import shipped
-from yieldmon.service import configuration
 from yieldmon.service.assembly import build_monitor
-from yieldmon.service.bulk_processing import process_in_bulk
-from yieldmon.service.rows import second_row
+from yieldmon.service.config import configuration
+from yieldmon.service.logs.bulk_processing import process_in_bulk
+from yieldmon.service.storage.rows import second_row
 
 LOADED = configuration.load(shipped("config/yieldmon.yaml"))
 DURATION_S = 60

@@ -8,7 +8,7 @@ import pytest
 
 from yieldmon.cli import pack
 from yieldmon.cli.main import main
-from yieldmon.service import recorded
+from yieldmon.service.logs import recorded
 
 STORE = Path(__file__).parents[1] / "golden" / "store-0.1.0.sqlite"
 

@@ -18,10 +18,10 @@ from yieldmon.cli.main import main
 from yieldmon.files import parameter_file
 from yieldmon.frames import OperatingState
 from yieldmon.resources import shipped
-from yieldmon.service import configuration
-from yieldmon.service.recorded import read_seconds
-from yieldmon.service.reprocessing import measured_again
-from yieldmon.service.store import Store
+from yieldmon.service.config import configuration
+from yieldmon.service.logs.recorded import read_seconds
+from yieldmon.service.logs.reprocessing import measured_again
+from yieldmon.service.storage.store import Store
 
 STORE = Path(__file__).parents[1] / "golden" / "store-0.1.0.sqlite"
 

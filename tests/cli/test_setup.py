@@ -14,7 +14,7 @@ import yaml
 
 from yieldmon.cli.main import main
 from yieldmon.files.crops import crops
-from yieldmon.service import configuration
+from yieldmon.service.config import configuration
 
 ANSWERS = {
     "machine_name": "old-green",

@@ -13,7 +13,7 @@ from yieldmon.discrepancy.force_change import ForceChange, Guess, Visible
 from yieldmon.discrepancy.frame import effect_parameters
 from yieldmon.discrepancy.lattice import Lattice, lay
 from yieldmon.discrepancy.policy import Policy
-from yieldmon.estimation.home_flow import AwayVisits
+from yieldmon.estimation.self_calibration.home_flow import AwayVisits
 from yieldmon.files import parameter_file
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel

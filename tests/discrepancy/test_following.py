@@ -9,7 +9,7 @@ import pytest
 
 from yieldmon.discrepancy.frame import Frame, predictions
 from yieldmon.discrepancy.lattice import lay, reference_force_n, with_force
-from yieldmon.estimation.home_flow import AwayVisits
+from yieldmon.estimation.self_calibration.home_flow import AwayVisits
 from yieldmon.files import parameter_file
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel

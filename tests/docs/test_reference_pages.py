@@ -8,7 +8,7 @@ from tools.reference import pages
 from yieldmon.bus.codec import Codec
 from yieldmon.cli.main import find_verbs
 from yieldmon.engine.faults import FAULTS
-from yieldmon.service.document import Document
+from yieldmon.service.config.document import Document
 
 REFERENCE = pages.DOCS / "reference"
 

@@ -23,11 +23,11 @@ from yieldmon.bus.codec import Codec
 from yieldmon.engine.results import frames_in, records_in
 from yieldmon.frames import Frame
 from yieldmon.resources import shipped
-from yieldmon.service import configuration
+from yieldmon.service.config import configuration
 from yieldmon.service.assembly import monitor_of
-from yieldmon.service.rows import second_row
-from yieldmon.service.batch import Batch
-from yieldmon.service.store import Store
+from yieldmon.service.storage.rows import second_row
+from yieldmon.service.storage.batch import Batch
+from yieldmon.service.storage.store import Store
 codec = Codec()
 monitor, results = monitor_of(configuration.load(sys.argv[1] if len(sys.argv) > 1 else shipped("config/yieldmon.yaml"))), []
 for k in range(1200):
@@ -144,7 +144,7 @@ def signal_is_there(scratch: Scratch) -> None:
     shutil.copy(store, scratch.folder / "old.sqlite")
     found = scratch.run("""
 from pathlib import Path
-from yieldmon.service import tables
+from yieldmon.service.logs import tables
 with Store.reading(Path("old.sqlite")) as store:
     read_as_it_is = store.seconds()[0].broken_kernels_pct
 with Store(Path("old.sqlite")) as store:

@@ -7,7 +7,7 @@ from math import pi, sqrt
 import numpy as np
 import pytest
 
-from yieldmon.engine.aliasing import aliasing_share
+from yieldmon.engine.sampling.aliasing import aliasing_share
 from yieldmon.engine.sources import SampleSource
 from yieldmon.physics.machine import Machine
 from yieldmon.plant import scenario

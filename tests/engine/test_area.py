@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from yieldmon.engine.area import AreaCounter
 from yieldmon.engine.inputs import Inputs
+from yieldmon.engine.mass.area import AreaCounter
+from yieldmon.engine.mass.totals import Totals, dry_mass
 from yieldmon.engine.settings import EngineSettings, GateSettings, InputSettings, TotalsSettings
-from yieldmon.engine.totals import Totals, dry_mass
 from yieldmon.physics.machine import Implement
 
 WIDTH_M, SPEED_M_S = 9.0, 2.0

@@ -12,12 +12,12 @@ from engine_bench import ZERO_MV, Bench, ForceProportional, feed, monitor
 from hypothesis import given
 from hypothesis import strategies as st
 
-from yieldmon.engine.budget import EMPTY, FlowBudget, MassBudget, MoistureReference, zero_std_dev_mv
 from yieldmon.engine.faults import FaultCode
-from yieldmon.engine.loads import Loads
+from yieldmon.engine.mass.budget import EMPTY, FlowBudget, MassBudget, MoistureReference, zero_std_dev_mv
+from yieldmon.engine.mass.loads import Loads
+from yieldmon.engine.mass.totals import Totals
 from yieldmon.engine.settings import BudgetSettings, EngineSettings
 from yieldmon.engine.state import EngineState
-from yieldmon.engine.totals import Totals
 
 SETTINGS = BudgetSettings()
 STEADY = Bench(flow=lambda t: 10.0 if t >= 1005.0 else 0.0, scatter=0.05, noise_mv=2.0, paddle_vibration_mv=3.0)

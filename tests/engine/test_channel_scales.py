@@ -8,9 +8,9 @@ from math import hypot
 import numpy as np
 import pytest
 
-from yieldmon.engine.channel_scales import ChannelScales, Scale
 from yieldmon.engine.flow import Flow
 from yieldmon.engine.settings import WaveformSettings
+from yieldmon.engine.waveform.channel_scales import ChannelScales, Scale
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.frames import EstimateQuality

@@ -11,25 +11,25 @@ from math import nan
 import numpy as np
 import pytest
 
-from yieldmon.engine.anchors import AnchorSource, ReferenceMass
-from yieldmon.engine.budget import MassBudget
 from yieldmon.engine.calibrator_settings import CalibratorSettings
-from yieldmon.engine.closed_loop_calibrator import ClosedLoopCalibrator
-from yieldmon.engine.curve_states import in_names
-from yieldmon.engine.learning import Learning
-from yieldmon.engine.load_forces import LoadForceSums
-from yieldmon.engine.loads import LoadSummary
+from yieldmon.engine.mass.budget import MassBudget
+from yieldmon.engine.mass.loads import LoadSummary
 from yieldmon.engine.records import WindowRecord
+from yieldmon.engine.self_calibration.anchors import AnchorSource, ReferenceMass
+from yieldmon.engine.self_calibration.closed_loop_calibrator import ClosedLoopCalibrator
+from yieldmon.engine.self_calibration.curve_states import in_names
+from yieldmon.engine.self_calibration.learning import Learning
+from yieldmon.engine.self_calibration.load_forces import LoadForceSums
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.state import EngineState
-from yieldmon.engine.sweep import SweepMachine
-from yieldmon.engine.sweep_inputs import PlateReading, SweepWindow
+from yieldmon.engine.sweeps.sweep import SweepMachine
+from yieldmon.engine.sweeps.sweep_inputs import PlateReading, SweepWindow
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
-from yieldmon.estimation.drift_rates import DriftRates
 from yieldmon.estimation.load_pattern import EFFECT as LOAD_PATTERN
-from yieldmon.estimation.moisture import MoistureMap
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.self_calibration.drift_rates import DriftRates
+from yieldmon.estimation.self_calibration.moisture import MoistureMap
 from yieldmon.frames import ActuatorState, EstimateQuality, OperatingState, SweepState
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import Conditions, ForwardModel

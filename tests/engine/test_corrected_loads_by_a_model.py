@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from yieldmon.engine.loads import LoadClosed, Loads, LoadSummary
+from yieldmon.engine.mass.loads import LoadClosed, Loads, LoadSummary
+from yieldmon.engine.sampling.since_zero import NO_LOAD, MissedMass
 from yieldmon.engine.settings import EngineSettings
-from yieldmon.engine.since_zero import NO_LOAD, MissedMass
 
 MARKET_PCT = 15.5
 

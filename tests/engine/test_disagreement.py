@@ -9,12 +9,12 @@ from functools import cache
 import pytest
 
 from tests.plant_sweeps import MACHINE, MOISTURE_PCT, NONE, STRONG, Effects, shown_force, sweep_windows, window
-from yieldmon.engine.disagreement import Disagreement, DisagreementState
 from yieldmon.engine.faults import FaultCode
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.settings import DisagreementSettings, EngineSettings
 from yieldmon.engine.state import EngineState
+from yieldmon.engine.sweeps.disagreement import Disagreement, DisagreementState
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import parameter_file
 from yieldmon.frames import Frame

@@ -10,11 +10,11 @@ import pytest
 
 from tests.engine.test_closed_loop_calibrator import MACHINE, MODEL, PRIOR, SPEED, TRUE, records, ticket
 from yieldmon.engine.calibrator_settings import CalibratorSettings
-from yieldmon.engine.closed_loop_calibrator import ClosedLoopCalibrator
 from yieldmon.engine.records import WindowRecord
+from yieldmon.engine.self_calibration.closed_loop_calibrator import ClosedLoopCalibrator
 from yieldmon.engine.state import EngineState
-from yieldmon.estimation.drift_rates import DriftRates
 from yieldmon.estimation.open_loop import OpenLoop
+from yieldmon.estimation.self_calibration.drift_rates import DriftRates
 from yieldmon.physics.model import Conditions
 
 SEED, FLOW_KG_S = 6107, 10.0

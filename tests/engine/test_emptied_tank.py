@@ -10,13 +10,13 @@ from numpy import interp
 
 from yieldmon import frames as bus
 from yieldmon.engine.faults import FaultCode
-from yieldmon.engine.loads import LoadClosed, LoadOpened
+from yieldmon.engine.mass.loads import LoadClosed, LoadOpened
+from yieldmon.engine.mass.totals import Totals
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.results import events_in
 from yieldmon.engine.runs import run_of
 from yieldmon.engine.settings import EngineSettings, TotalsSettings
 from yieldmon.engine.state import EngineState
-from yieldmon.engine.totals import Totals
 from yieldmon.frames import NOT_AVAILABLE, Frame
 from yieldmon.signal_ranges import signal_ranges
 

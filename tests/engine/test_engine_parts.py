@@ -12,16 +12,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from yieldmon import frames as bus
-from yieldmon.engine.anchors import TankScale
 from yieldmon.engine.clock import BusClock
 from yieldmon.engine.faults import FAULTS, FaultCode
-from yieldmon.engine.gates import GateInputs, HarvestGate
 from yieldmon.engine.health import FaultBook
+from yieldmon.engine.mass.gates import GateInputs, HarvestGate
+from yieldmon.engine.mass.totals import Totals, dry_mass
 from yieldmon.engine.results import frames_in
+from yieldmon.engine.sampling.zero import ZeroState
+from yieldmon.engine.self_calibration.anchors import TankScale
 from yieldmon.engine.settings import AnchorSettings, ClockSettings, GateSettings, TotalsSettings
 from yieldmon.engine.state import EngineState
-from yieldmon.engine.totals import Totals, dry_mass
-from yieldmon.engine.zero import ZeroState
 from yieldmon.resources import shipped
 
 NAN = float("nan")

@@ -8,8 +8,8 @@ from engine_bench import MACHINE
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from yieldmon.engine.plate_commands import RELEASE, PlateCommander, PlateDemand
 from yieldmon.engine.settings import PlateSettings
+from yieldmon.engine.sweeps.plate_commands import RELEASE, PlateCommander, PlateDemand
 from yieldmon.frames import NOT_AVAILABLE, CommandMode
 
 DEMANDS = st.builds(PlateDemand, mode=st.sampled_from(CommandMode), target_deg=st.floats(allow_nan=True, allow_infinity=True))

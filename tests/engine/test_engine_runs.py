@@ -13,12 +13,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from yieldmon import frames as bus
-from yieldmon.engine.anchors import ReferenceMass
 from yieldmon.engine.records import CalibrationOutcome, CalibratorState, FlowEstimator, WindowRecord
 from yieldmon.engine.results import Result, events_in, frames_in
 from yieldmon.engine.runs import run_of
+from yieldmon.engine.sampling.windows import WindowBuilder
+from yieldmon.engine.self_calibration.anchors import ReferenceMass
 from yieldmon.engine.settings import EngineSettings, SweepSettings, WindowSettings
-from yieldmon.engine.windows import WindowBuilder
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.frames import ERROR, NOT_AVAILABLE, Frame, SweepState
 from yieldmon.physics.machine import RPM

@@ -9,10 +9,10 @@ from types import SimpleNamespace
 import pytest
 from engine_bench import MACHINE
 
-from yieldmon.engine.plate_commands import PlateDemand
 from yieldmon.engine.settings import PlateSettings, SweepSettings
-from yieldmon.engine.sweep import SweepMachine, sweep_sequence
-from yieldmon.engine.sweep_inputs import PlateReading, SweepAbort, SweepWindow, support_start_s
+from yieldmon.engine.sweeps.plate_commands import PlateDemand
+from yieldmon.engine.sweeps.sweep import SweepMachine, sweep_sequence
+from yieldmon.engine.sweeps.sweep_inputs import PlateReading, SweepAbort, SweepWindow, support_start_s
 from yieldmon.frames import ActuatorState, CommandMode, SweepState
 from yieldmon.physics.machine import RPM
 

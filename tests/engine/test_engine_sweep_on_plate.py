@@ -10,17 +10,17 @@ import pytest
 from engine_bench import HOME_DEG, Actuator, Bench, ForceProportional, monitor, only, qualities, run_with_actuator
 
 from yieldmon import frames as bus
-from yieldmon.engine.anchors import ReferenceMass
 from yieldmon.engine.faults import FaultCode
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.records import CalibrationOutcome, CalibratorState, FlowEstimator, WindowRecord
+from yieldmon.engine.self_calibration.anchors import ReferenceMass
 from yieldmon.engine.settings import EngineSettings, SweepSettings
-from yieldmon.engine.sweep_inputs import SweepAbort
+from yieldmon.engine.sweeps.sweep_inputs import SweepAbort
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.frames import EstimateQuality, Frame, SweepState
 from yieldmon.resources import shipped
-from yieldmon.service import configuration
-from yieldmon.service.resumption import successor
+from yieldmon.service.config import configuration
+from yieldmon.service.history.resumption import successor
 
 SETTINGS = EngineSettings(sweep=SweepSettings(first_after_s=18.0, angles_deg=(40.0, 55.0, 85.0, 90.0)))
 BENCH = Bench(flow=lambda t: 10.0 if t > 1004 else 0.0, scatter=0.05)

@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.in_process import program
-from yieldmon.engine.aliasing import aliasing_share
+from yieldmon.engine.sampling.aliasing import aliasing_share
+from yieldmon.engine.sampling.windows import Window, WindowBuilder
 from yieldmon.engine.settings import WindowSettings
 from yieldmon.engine.sources import SampleSource
-from yieldmon.engine.windows import Window, WindowBuilder
 from yieldmon.physics.machine import RPM
 
 NAN = float("nan")

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from yieldmon.engine.sample_frames import SampleFrames
-from yieldmon.engine.window_spread import extremes
+from yieldmon.engine.sampling.sample_frames import SampleFrames
+from yieldmon.engine.sampling.window_spread import extremes
 
 PER_FRAME = 4
 

@@ -16,8 +16,8 @@ from yieldmon.engine.flow import Circumstances, Estimate, Flow, FlowMeter
 from yieldmon.engine.flow_filter import FlowFilter
 from yieldmon.engine.measurement import Reading
 from yieldmon.engine.settings import EngineSettings
-from yieldmon.estimation.angle_error import NO_ERROR, NODES_RAD, AngleError
 from yieldmon.estimation.open_loop import FlowEstimate, FlowStatus
+from yieldmon.estimation.self_calibration.angle_error import NO_ERROR, NODES_RAD, AngleError
 from yieldmon.frames import EstimateQuality
 
 SETTINGS = replace(EngineSettings(), sweep=replace(EngineSettings().sweep, max_std_dev_factor=3.0))

@@ -7,7 +7,7 @@ from math import nan, nextafter
 
 import pytest
 
-from yieldmon.engine.gates import GateInputs, HarvestGate
+from yieldmon.engine.mass.gates import GateInputs, HarvestGate
 from yieldmon.engine.settings import GateSettings
 
 SETTINGS = GateSettings(grain_on_n=1.0, grain_off_n=0.5, certain_force_n=10.0, off_windows=3, emptying_s=20.0)

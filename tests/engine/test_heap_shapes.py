@@ -14,8 +14,8 @@ import pytest
 from studies.waveform import heaps
 from yieldmon.engine.faults import FaultCode
 from yieldmon.engine.results import WindowResult
-from yieldmon.estimation.channel_combination import combine, heap_slope
 from yieldmon.estimation.open_loop import OpenLoop
+from yieldmon.estimation.waveform.channel_combination import combine, heap_slope
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from yieldmon.engine.load_forces import LoadForceSums
+from yieldmon.engine.self_calibration.load_forces import LoadForceSums
 
 WINDOW = {"seconds": 1.0, "force_n": 40.0, "angle_rad": 1.2, "speed_rad_s": 42.0, "moisture_pct": 15.0}
 

@@ -10,12 +10,12 @@ from engine_bench import MACHINE
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from yieldmon.engine.budget import FlowBudget
 from yieldmon.engine.flow import Flow
-from yieldmon.engine.loads import LoadClosed, LoadOpened, Loads, LoadSummary
+from yieldmon.engine.mass.budget import FlowBudget
+from yieldmon.engine.mass.loads import LoadClosed, LoadOpened, Loads, LoadSummary
+from yieldmon.engine.mass.totals import Totals
 from yieldmon.engine.measurement import Window
 from yieldmon.engine.settings import EngineSettings
-from yieldmon.engine.totals import Totals
 from yieldmon.frames import EstimateQuality
 
 SETTINGS = EngineSettings()

@@ -10,9 +10,9 @@ from engine_bench import MACHINE, ZERO_MV
 
 from yieldmon.engine.inputs import InputSnapshot
 from yieldmon.engine.measurement import Measurement, Reading
+from yieldmon.engine.sampling.windows import Window
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.sources import DEFAULT_SOURCES, QUANTITIES
-from yieldmon.engine.windows import Window
 from yieldmon.frames import EstimateQuality, HeaderDown, WorkState
 
 SETTINGS = EngineSettings()

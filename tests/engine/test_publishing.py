@@ -11,10 +11,10 @@ from engine_bench import PARAMETERS, Bench, feed, monitor
 
 from yieldmon import frames as bus
 from yieldmon.engine.health import FaultBook
+from yieldmon.engine.mass.totals import Totals
 from yieldmon.engine.publishing import Published, Publisher
 from yieldmon.engine.records import WindowRecord
-from yieldmon.engine.sweep import SweepMachine
-from yieldmon.engine.totals import Totals
+from yieldmon.engine.sweeps.sweep import SweepMachine
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.frames import NOT_AVAILABLE, EstimateQuality, Value
 from yieldmon.signal_ranges import signal_ranges

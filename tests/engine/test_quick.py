@@ -9,8 +9,8 @@ import pytest
 
 from yieldmon.engine.quick import changer_of, maker_of
 from yieldmon.engine.records import WindowRecord
-from yieldmon.engine.windows import Window
-from yieldmon.service.rows import SecondRow
+from yieldmon.engine.sampling.windows import Window
+from yieldmon.service.storage.rows import SecondRow
 
 
 @pytest.mark.parametrize("kind", [WindowRecord, Window, SecondRow])

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from yieldmon.engine.sample_frames import SampleBuffer
+from yieldmon.engine.sampling.sample_frames import SampleBuffer
 from yieldmon.engine.sources import SampleSource
 from yieldmon.frames import SensorStatus
 

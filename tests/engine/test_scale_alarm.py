@@ -12,14 +12,14 @@ import pytest
 from engine_bench import MACHINE, PARAMETERS, Bench, ForceProportional, feed, monitor
 from scipy.stats import norm
 
-from yieldmon.engine.anchors import AnchorSource, ReferenceMass
-from yieldmon.engine.budget import MassBudget
-from yieldmon.engine.closed_loop_calibrator import ClosedLoopCalibrator
 from yieldmon.engine.faults import FaultCode
+from yieldmon.engine.mass.budget import MassBudget
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.results import frames_in
 from yieldmon.engine.runs import run_of
-from yieldmon.engine.scale_alarm import ScaleAlarm, ScaleCheck, as_stated
+from yieldmon.engine.self_calibration.anchors import AnchorSource, ReferenceMass
+from yieldmon.engine.self_calibration.closed_loop_calibrator import ClosedLoopCalibrator
+from yieldmon.engine.self_calibration.scale_alarm import ScaleAlarm, ScaleCheck, as_stated
 from yieldmon.engine.settings import FaultSettings
 from yieldmon.engine.state import EngineState
 from yieldmon.estimation.open_loop import OpenLoop
@@ -30,8 +30,8 @@ from yieldmon.plant.effects import ChainSlip, Effects
 from yieldmon.plant.profiles import FlowProfile, Steady
 from yieldmon.plant.scenario import Scenario
 from yieldmon.resources import shipped
-from yieldmon.service import configuration
 from yieldmon.service.assembly import build_monitor
+from yieldmon.service.config import configuration
 
 CODE = FaultCode.SCALE_DISAGREES
 STEADY = Bench(flow=lambda t: 10.0 if t >= 1008.0 else 0.0, noise_mv=1.0)

@@ -7,16 +7,16 @@ from math import hypot, isnan, nan, radians
 import numpy as np
 import pytest
 
-from yieldmon.engine.budget import FlowBudget
 from yieldmon.engine.flow import Flow
-from yieldmon.engine.loads import LoadClosed, LoadRestated, Loads
+from yieldmon.engine.mass.budget import FlowBudget
+from yieldmon.engine.mass.loads import LoadClosed, LoadRestated, Loads
+from yieldmon.engine.sampling.since_zero import MissedMass
 from yieldmon.engine.settings import EngineSettings
-from yieldmon.engine.since_zero import MissedMass
 from yieldmon.engine.state import EngineState
-from yieldmon.estimation.angle_error import NO_ERROR, NODES_RAD, AngleError
+from yieldmon.estimation.self_calibration.angle_error import NO_ERROR, NODES_RAD, AngleError
 from yieldmon.frames import EstimateQuality
-from yieldmon.service.batch import Load
-from yieldmon.service.load_book import LoadBook
+from yieldmon.service.history.load_book import LoadBook
+from yieldmon.service.storage.batch import Load
 
 BUDGET = FlowBudget(noise_kg_s=0.3, parameters_kg_s=0.05, covariance_kg_s=0.05, per_error_kg_s=10.0)
 FLOW = Flow(10.0, BUDGET.std_dev_kg_s, EstimateQuality.OK, 80.0, 2.0, budget=BUDGET)

@@ -11,15 +11,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from yieldmon.engine.budget import MassBudget
-from yieldmon.engine.disagreement import DisagreementState, SweepPattern
+from yieldmon.engine.mass.budget import MassBudget
+from yieldmon.engine.mass.totals import Totals
 from yieldmon.engine.records import CalibratorState, GrainState, PriorState
-from yieldmon.engine.scale_alarm import ScaleAlarmState, ScaleCheck
+from yieldmon.engine.sampling.zero import ZeroState
+from yieldmon.engine.self_calibration.scale_alarm import ScaleAlarmState, ScaleCheck
 from yieldmon.engine.state import EngineState, TicketState, ZeroUndo
-from yieldmon.engine.totals import Totals
-from yieldmon.engine.zero import ZeroState
-from yieldmon.service import configuration
+from yieldmon.engine.sweeps.disagreement import DisagreementState, SweepPattern
 from yieldmon.service.assembly import build_monitor
+from yieldmon.service.config import configuration
 
 NUMBERS = st.floats(-1e12, 1e12)
 MASSES = st.floats(0.0, 1e9)

@@ -8,8 +8,8 @@ from dataclasses import replace
 import pytest
 from test_sweep_limits import BEYOND, HOME, NAN, PLATE, SETTINGS, WINDOW
 
-from yieldmon.engine.sweep_follower import SweepFollower
-from yieldmon.engine.sweep_inputs import PlateReading, SweepAbort
+from yieldmon.engine.sweeps.sweep_follower import SweepFollower
+from yieldmon.engine.sweeps.sweep_inputs import PlateReading, SweepAbort
 from yieldmon.frames import ActuatorState, SweepState
 
 S, A = SweepState, ActuatorState

@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import pytest
 
-from yieldmon.engine.plate_commands import PlateDemand
 from yieldmon.engine.settings import PlateSettings, SweepSettings
-from yieldmon.engine.sweep import SweepMachine
-from yieldmon.engine.sweep_inputs import PlateReading, SweepAbort, SweepWindow
+from yieldmon.engine.sweeps.plate_commands import PlateDemand
+from yieldmon.engine.sweeps.sweep import SweepMachine
+from yieldmon.engine.sweeps.sweep_inputs import PlateReading, SweepAbort, SweepWindow
 from yieldmon.frames import ActuatorState, CommandMode, SweepState
 
 S, A = SweepState, ActuatorState

@@ -8,9 +8,9 @@ import pytest
 from engine_bench import ZERO_MV, Bench, feed, monitor
 
 from yieldmon import frames as bus
-from yieldmon.engine.anchors import ReferenceMass, TankScale
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.runs import run_of
+from yieldmon.engine.self_calibration.anchors import ReferenceMass, TankScale
 from yieldmon.engine.settings import AnchorSettings, EngineSettings
 from yieldmon.frames import Frame
 

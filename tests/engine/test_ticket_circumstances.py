@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from tests.engine.test_closed_loop_calibrator import MACHINE, MODEL, PRIOR, SPEED, records
-from yieldmon.engine.anchors import AnchorSource, ReferenceMass
-from yieldmon.engine.budget import MassBudget
 from yieldmon.engine.calibrator_settings import CalibratorSettings
-from yieldmon.engine.closed_loop_calibrator import ClosedLoopCalibrator
-from yieldmon.engine.load_forces import LoadForces
+from yieldmon.engine.mass.budget import MassBudget
+from yieldmon.engine.self_calibration.anchors import AnchorSource, ReferenceMass
+from yieldmon.engine.self_calibration.closed_loop_calibrator import ClosedLoopCalibrator
+from yieldmon.engine.self_calibration.load_forces import LoadForces
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.model import Conditions

@@ -7,10 +7,10 @@ from math import isnan
 
 import pytest
 
-from yieldmon.engine.budget import EMPTY, FlowBudget, MassBudget
+from yieldmon.engine.mass.budget import EMPTY, FlowBudget, MassBudget
+from yieldmon.engine.mass.totals import Totals, dry_mass
+from yieldmon.engine.sampling.since_zero import MissedMass
 from yieldmon.engine.settings import TotalsSettings
-from yieldmon.engine.since_zero import MissedMass
-from yieldmon.engine.totals import Totals, dry_mass
 
 BEGUN = Totals(
     total_kg=1000.0, total_dry_kg=600.0, total_unknown_moisture_kg=300.0, load_kg=100.0, load_dry_kg=60.0,

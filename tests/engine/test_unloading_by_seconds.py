@@ -8,8 +8,8 @@ from math import inf, nan
 import pytest
 
 from yieldmon.engine.inputs import InputSnapshot
+from yieldmon.engine.mass.unloading import Unloading
 from yieldmon.engine.settings import EngineSettings, TotalsSettings
-from yieldmon.engine.unloading import Unloading
 
 PLAY_KG = EngineSettings().anchors.unloading_kg
 ON, OFF, SILENT = 1.0, 0.0, nan

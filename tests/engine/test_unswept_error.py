@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from yieldmon.engine.calibrator_settings import CalibratorSettings
-from yieldmon.engine.closed_loop_calibrator import ClosedLoopCalibrator
-from yieldmon.engine.disagreement import DisagreementState, SweepPattern
-from yieldmon.engine.learning import Learning
+from yieldmon.engine.self_calibration.closed_loop_calibrator import ClosedLoopCalibrator
+from yieldmon.engine.self_calibration.learning import Learning
 from yieldmon.engine.settings import EngineSettings
-from yieldmon.estimation.angle_error import NO_ERROR
-from yieldmon.estimation.misfit import ReducedSweep
+from yieldmon.engine.sweeps.disagreement import DisagreementState, SweepPattern
 from yieldmon.estimation.open_loop import OpenLoop
+from yieldmon.estimation.self_calibration.angle_error import NO_ERROR
+from yieldmon.estimation.self_calibration.misfit import ReducedSweep
 from yieldmon.files import parameter_file
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel

@@ -13,27 +13,27 @@ import numpy as np
 import pytest
 
 from tests.service.bench import CODEC
-from yieldmon.engine.closed_loop_calibrator import ClosedLoopCalibrator
 from yieldmon.engine.faults import FaultCode
-from yieldmon.engine.learning import ParametersChanged
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.results import WindowResult, records_in, windows_in
+from yieldmon.engine.self_calibration.closed_loop_calibrator import ClosedLoopCalibrator
+from yieldmon.engine.self_calibration.learning import ParametersChanged
 from yieldmon.engine.settings import EngineSettings, SweepSettings, WaveformSettings
 from yieldmon.engine.state import EngineState
-from yieldmon.estimation.channel_combination import combine
-from yieldmon.estimation.kernel_noise import KernelVerdict
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.estimation.shape_verdict import ShapeVerdict
+from yieldmon.estimation.waveform.channel_combination import combine
+from yieldmon.estimation.waveform.kernel_noise import KernelVerdict
+from yieldmon.estimation.waveform.shape_verdict import ShapeVerdict
 from yieldmon.files import pulse_shape_file
 from yieldmon.frames import GRAIN_KERNELS, Frame
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import ForwardModel
 from yieldmon.plant.combine import VirtualCombine
 from yieldmon.plant.scenario import from_mapping
-from yieldmon.service.bulk_processing import process_in_bulk
-from yieldmon.service.rows import SecondRow
+from yieldmon.service.logs.bulk_processing import process_in_bulk
+from yieldmon.service.storage.rows import SecondRow
 
 MACHINE = Machine()
 VALUES = {"friction": 0.2, "density": 1100.0, "shape_ratio": 2.0, "restitution": 0.55, "gravity.acceleration_m_s2": 9.81}

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from yieldmon.engine.weighings import Weighings
-from yieldmon.estimation.load_inputs import LoadSettings, WeighedLoad
+from yieldmon.engine.self_calibration.weighings import Weighings
+from yieldmon.estimation.weighing.load_inputs import LoadSettings, WeighedLoad
 
 
 def load(name: str) -> WeighedLoad:

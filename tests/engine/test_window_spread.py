@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from yieldmon.engine.sample_frames import SampleFrames
-from yieldmon.engine.window_spread import scatter
+from yieldmon.engine.sampling.sample_frames import SampleFrames
+from yieldmon.engine.sampling.window_spread import scatter
 
 
 def frames(values: list[float]) -> SampleFrames:

@@ -17,11 +17,12 @@ from yieldmon.errors import InputError
 from yieldmon.files import parameter_file
 from yieldmon.frames import Frame
 from yieldmon.resources import shipped
-from yieldmon.service import commands, configuration
 from yieldmon.service.assembly import monitor_of
-from yieldmon.service.journal import Journal
-from yieldmon.service.memory import Memory
-from yieldmon.service.resumption import successor
+from yieldmon.service.config import configuration
+from yieldmon.service.history.journal import Journal
+from yieldmon.service.history.memory import Memory
+from yieldmon.service.history.resumption import successor
+from yieldmon.service.operator import commands
 
 BENCH = Bench(flow=lambda t: 14.0 if t >= 1020.0 else 0.0, scatter=0.05, noise_mv=2.0)
 

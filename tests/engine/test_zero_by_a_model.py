@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_zero_limits import PLAIN, SETTINGS, ZERO_MV
 
-from yieldmon.engine.windows import Window
-from yieldmon.engine.zero import ZeroTracker
+from yieldmon.engine.sampling.windows import Window
+from yieldmon.engine.sampling.zero import ZeroTracker
 
 FIRST, SETTLE = 2, 4
 

@@ -8,9 +8,9 @@ from math import inf
 
 import pytest
 
+from yieldmon.engine.sampling.windows import Window
+from yieldmon.engine.sampling.zero import ZeroState, ZeroTracker
 from yieldmon.engine.settings import ZeroSettings
-from yieldmon.engine.windows import Window
-from yieldmon.engine.zero import ZeroState, ZeroTracker
 
 SETTINGS = ZeroSettings(
     first_zero_windows=2, first_pulse_limit_mv=8.0, level_range_mv=4.0, settle_windows=4, pulse_margin_mv=1.0, pulse_margin=0.25,

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from yieldmon.engine.sampling.windows import Window
+from yieldmon.engine.sampling.zero import ZeroTracker
 from yieldmon.engine.settings import ZeroSettings
-from yieldmon.engine.windows import Window
-from yieldmon.engine.zero import ZeroTracker
 
 SETTINGS = ZeroSettings()
 EMPTY_MV, GRAIN_MV = 150.0, 400.0

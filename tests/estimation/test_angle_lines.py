@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from yieldmon.estimation import angle_lines
-from yieldmon.estimation.calibration import calibrate, default_start
-from yieldmon.estimation.measurements import Measurements
+from yieldmon.estimation.fitting import angle_lines
+from yieldmon.estimation.fitting.calibration import calibrate, default_start
+from yieldmon.estimation.fitting.measurements import Measurements
 from yieldmon.files import table
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import ForwardModel

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from yieldmon.estimation.angle_pattern import NAMES, with_pattern, without_pattern
-from yieldmon.estimation.closed_loop import self_calibrate
-from yieldmon.estimation.closed_loop_inputs import Sweep
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
 from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.self_calibration.angle_pattern import NAMES, with_pattern, without_pattern
+from yieldmon.estimation.self_calibration.closed_loop import self_calibrate
+from yieldmon.estimation.self_calibration.closed_loop_inputs import Sweep
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from yieldmon.estimation import empirical
-from yieldmon.estimation.batch import LOAD, MomentumBatch
-from yieldmon.estimation.calibration import calibrate, default_start, profile_curves
-from yieldmon.estimation.calibration_result import Calibration
-from yieldmon.estimation.least_squares import levenberg_marquardt
-from yieldmon.estimation.measurements import Measurements
+from yieldmon.estimation.fitting import empirical
+from yieldmon.estimation.fitting.batch import LOAD, MomentumBatch
+from yieldmon.estimation.fitting.calibration import calibrate, default_start, profile_curves
+from yieldmon.estimation.fitting.calibration_result import Calibration
+from yieldmon.estimation.fitting.least_squares import levenberg_marquardt
+from yieldmon.estimation.fitting.measurements import Measurements
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.priors import Prior
 from yieldmon.files import table

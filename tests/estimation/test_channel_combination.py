@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from yieldmon.estimation.channel_combination import together_sd
+from yieldmon.estimation.waveform.channel_combination import together_sd
 
 
 @pytest.mark.parametrize(("z", "factor"), [(0.0, 1.0), (0.9, 1.0), (-0.9, 1.0), (1.8, 1.8), (-2.5, 2.5)])

@@ -8,12 +8,12 @@ import re
 import numpy as np
 import pytest
 
-from yieldmon.estimation.closed_loop import self_calibrate, update_from_tickets
-from yieldmon.estimation.closed_loop_inputs import DensityAnchor, MassAnchor, Sweep
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
-from yieldmon.estimation.identifiability import relative_jacobian, report, scaled, sweep_directions
+from yieldmon.estimation.fitting.identifiability import relative_jacobian, report, scaled, sweep_directions
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.self_calibration.closed_loop import self_calibrate, update_from_tickets
+from yieldmon.estimation.self_calibration.closed_loop_inputs import DensityAnchor, MassAnchor, Sweep
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.numerics import Array

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from yieldmon.estimation import common_bias
-from yieldmon.estimation.closed_loop import update_from_tickets
-from yieldmon.estimation.closed_loop_inputs import MassAnchor
-from yieldmon.estimation.common_bias import CommonBias, KernelLesson, lesson_of
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.estimation.steady_drift import DriftingParameters, begin, learn
+from yieldmon.estimation.self_calibration.closed_loop import update_from_tickets
+from yieldmon.estimation.self_calibration.closed_loop_inputs import MassAnchor
+from yieldmon.estimation.self_calibration.steady_drift import DriftingParameters, begin, learn
+from yieldmon.estimation.waveform import common_bias
+from yieldmon.estimation.waveform.common_bias import CommonBias, KernelLesson, lesson_of
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from yieldmon.errors import InputError
-from yieldmon.estimation.drift import grow
-from yieldmon.estimation.drift_rates import DriftRates
-from yieldmon.estimation.moisture import MoistureMap, fit
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.priors import Prior, fitting_bounds, physical_bounds, start_ranges
+from yieldmon.estimation.self_calibration.drift import grow
+from yieldmon.estimation.self_calibration.drift_rates import DriftRates
+from yieldmon.estimation.self_calibration.moisture import MoistureMap, fit
 from yieldmon.files import moisture_file
 from yieldmon.physics.effects import registry
 from yieldmon.physics.grain import GRAIN

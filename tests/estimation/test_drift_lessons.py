@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from yieldmon.estimation.drift_lessons import DriftLesson, by_weighed_masses, ending
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.estimation.steady_drift import Advance, begin, smoothed
+from yieldmon.estimation.self_calibration.drift_lessons import DriftLesson, by_weighed_masses, ending
+from yieldmon.estimation.self_calibration.steady_drift import Advance, begin, smoothed
 from yieldmon.physics.numerics import Array
 
 NAMES = ("friction", "restitution", "density")

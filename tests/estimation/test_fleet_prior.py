@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from yieldmon.estimation.fleet_prior import MachineLoads, load_deviation, load_errors, pooled
-from yieldmon.estimation.load_inputs import WeighedLoad
+from yieldmon.estimation.weighing.fleet_prior import MachineLoads, load_deviation, load_errors, pooled
+from yieldmon.estimation.weighing.load_inputs import WeighedLoad
 from yieldmon.files.crops import crop
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import Conditions, ForwardModel

@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 
 from yieldmon.errors import InputError
 from yieldmon.estimation.estimators import estimator_of
+from yieldmon.estimation.fitting.measurements import Measurements
 from yieldmon.estimation.flow_curve import AlphaBeta, CurveEstimator, FlowCurve, LookUpTable, TableColumn, with_curve
-from yieldmon.estimation.flow_curve_fit import fit_loads, fit_table
-from yieldmon.estimation.load_inputs import WeighedLoad
-from yieldmon.estimation.measurements import Measurements
 from yieldmon.estimation.open_loop import FlowStatus, OpenLoop
 from yieldmon.estimation.parameters import CalibratedRange, ParameterSet
+from yieldmon.estimation.weighing.flow_curve_fit import fit_loads, fit_table
+from yieldmon.estimation.weighing.load_inputs import WeighedLoad
 from yieldmon.files import flow_curve_file, parameter_file
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel

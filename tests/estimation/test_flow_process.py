@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from yieldmon.estimation.flow_process import process_sd
+from yieldmon.estimation.self_calibration.flow_process import process_sd
 
 ANGLES = np.radians(np.repeat([70, 40, 40, 70, 50, 60, 70, 80, 90, 70, 90, 90, 70], 2).astype(float))
 TIME_S = np.arange(ANGLES.size) * 1.5

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from yieldmon.estimation.home_flow import Visits, bracketed, covariance, wander_per_s
+from yieldmon.estimation.self_calibration.home_flow import Visits, bracketed, covariance, wander_per_s
 
 TIME_S = np.array([0.0, 1.0, 14.0, 15.0, 28.0, 29.0])
 SD = np.full(6, 0.02)

@@ -5,8 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from yieldmon.estimation.kernel_noise import KernelImpulse, KernelNoiseSettings, KernelVerdict, kernel_flow, kernel_impulse
-from yieldmon.estimation.spectral_density import density, in_pulses
+from yieldmon.estimation.waveform.kernel_noise import (
+    KernelImpulse,
+    KernelNoiseSettings,
+    KernelVerdict,
+    kernel_flow,
+    kernel_impulse,
+)
+from yieldmon.estimation.waveform.spectral_density import density, in_pulses
 
 FORCE_N, IMPULSE_N_S, KERNEL_KG = 73.0, 3.6e-3, 4.0e-4
 FINE = 20

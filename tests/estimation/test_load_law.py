@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from shipped_grain import MACHINE, MODEL, SHIPPED
 
-from yieldmon.estimation.load_departures import departure
-from yieldmon.estimation.load_inputs import WeighedLoad
 from yieldmon.estimation.load_pattern import EFFECT, another_curve
-from yieldmon.estimation.loads import calibrate_loads
+from yieldmon.estimation.weighing.load_departures import departure
+from yieldmon.estimation.weighing.load_inputs import WeighedLoad
+from yieldmon.estimation.weighing.loads import calibrate_loads
 
 SHARE: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "power 0.75": lambda flow: flow**0.75,

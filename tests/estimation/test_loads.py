@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from shipped_grain import MACHINE, MODEL, SHIPPED
 
-from yieldmon.estimation.closed_loop_inputs import Sweep
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
-from yieldmon.estimation.density_and_gain import moved
-from yieldmon.estimation.load_departures import departure
-from yieldmon.estimation.load_inputs import LoadSettings, WeighedLoad
-from yieldmon.estimation.loads import calibrate_loads
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.estimation.wrong_tickets import contradicted
+from yieldmon.estimation.self_calibration.closed_loop_inputs import Sweep
+from yieldmon.estimation.weighing.density_and_gain import moved
+from yieldmon.estimation.weighing.load_departures import departure
+from yieldmon.estimation.weighing.load_inputs import LoadSettings, WeighedLoad
+from yieldmon.estimation.weighing.loads import calibrate_loads
+from yieldmon.estimation.weighing.wrong_tickets import contradicted
 from yieldmon.physics.model import Conditions
 
 FAR = {"friction": 0.21, "density": 1075.0 * 1.18, "shape_ratio": 2.0, "restitution": 1.55 * 0.87 - 1.0}

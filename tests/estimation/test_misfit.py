@@ -6,8 +6,14 @@ import numpy as np
 import pytest
 
 from tests.plant_sweeps import MACHINE, MOISTURE_PCT, NONE, SPEED_RAD_S, STRONG, shown_force, sweep_windows
-from yieldmon.estimation.misfit import ReducedSweep, SweepResiduals, common_misfit, pooled_residuals, reduce_sweep
 from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.self_calibration.misfit import (
+    ReducedSweep,
+    SweepResiduals,
+    common_misfit,
+    pooled_residuals,
+    reduce_sweep,
+)
 from yieldmon.files import parameter_file
 from yieldmon.physics.model import Conditions, ForwardModel
 

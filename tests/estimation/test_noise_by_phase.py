@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from yieldmon.estimation.noise_by_phase import PhaseNoise, SteadyNoise, band_power, noise_by_phase, steady_noise
+from yieldmon.estimation.waveform.noise_by_phase import PhaseNoise, SteadyNoise, band_power, noise_by_phase, steady_noise
 
 INTERVAL_S, PATTERN_S, BAND_HZ = 1e-3, 0.164, (200.0, 400.0)
 IMPULSE_N_S, FORCE_N, QUIET_N = 4e-3, 70.0, 1.3

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from yieldmon.estimation.kernel_noise import kernel_impulse
-from yieldmon.estimation.noise_scatter import excess_scatter
-from yieldmon.estimation.spectral_density import Density, density, pooled
+from yieldmon.estimation.waveform.kernel_noise import kernel_impulse
+from yieldmon.estimation.waveform.noise_scatter import excess_scatter
+from yieldmon.estimation.waveform.spectral_density import Density, density, pooled
 
 INTERVAL_S, KERNELS_N, QUIET_N = 1e-3, 3.0, 1.0
 BAND = {"low_hz": 200.0, "high_hz": 400.0}

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from studies.waveform.load_contrast import contrast, expected_exponent, flow_of
-from yieldmon.estimation import arrival_calibration, arrival_law, pulse_fit, pulse_model, pulse_shape
-from yieldmon.estimation.pattern_fold import FoldedPattern, PatternWave, fold, harmonics_of, residual, residual_of_pulses
-from yieldmon.estimation.pulse_model import PulseModel, PulseSettings
+from yieldmon.estimation.waveform import arrival_calibration, arrival_law, pulse_fit, pulse_model, pulse_shape
+from yieldmon.estimation.waveform.pattern_fold import FoldedPattern, PatternWave, fold, harmonics_of, residual, residual_of_pulses
+from yieldmon.estimation.waveform.pulse_model import PulseModel, PulseSettings
 from yieldmon.physics import pulse
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import ForwardModel

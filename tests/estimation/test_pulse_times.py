@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from yieldmon.estimation.pulse_times import misplaced_share, pulse_times
+from yieldmon.estimation.waveform.pulse_times import misplaced_share, pulse_times
 
 BINS, PATTERN_S, IMPULSE_N_S = 512, 0.164, 3.0e-3
 LOW_HZ, HIGH_HZ = 200.0, 400.0

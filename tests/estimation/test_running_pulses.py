@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from yieldmon.estimation.pattern_fold import residual
-from yieldmon.estimation.running_pulses import RunningPulses
+from yieldmon.estimation.waveform.pattern_fold import residual
+from yieldmon.estimation.waveform.running_pulses import RunningPulses
 
 HOME = {"plate_angle_rad": 1.2, "elevator_speed_rad_s": 42.0}
 

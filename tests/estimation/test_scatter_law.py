@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from yieldmon.estimation.scatter_law import scatter_law
+from yieldmon.estimation.fitting.scatter_law import scatter_law
 
 LEVEL = np.array([0.0, 5.0, 20.0, 40.0, -60.0])
 

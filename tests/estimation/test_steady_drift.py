@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from yieldmon.estimation.drift import grow
-from yieldmon.estimation.drift_rates import DriftRates
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.estimation.steady_drift import DriftingParameters, advance, begin, carried, learn, smoothed
+from yieldmon.estimation.self_calibration.drift import grow
+from yieldmon.estimation.self_calibration.drift_rates import DriftRates
+from yieldmon.estimation.self_calibration.steady_drift import DriftingParameters, advance, begin, carried, learn, smoothed
 
 NAMES = ("friction", "restitution", "density")
 KNOWN = ParameterSet(

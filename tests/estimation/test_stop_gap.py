@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from yieldmon.estimation.admission import refusal
-from yieldmon.estimation.calibration import calibrate
-from yieldmon.estimation.measurements import Measurements
+from yieldmon.estimation.fitting.calibration import calibrate
+from yieldmon.estimation.fitting.measurements import Measurements
+from yieldmon.estimation.fitting.stop_gap import with_stop_gap, without_stop_gap
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.estimation.stop_gap import with_stop_gap, without_stop_gap
 from yieldmon.physics.grain import at_search_end
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from yieldmon.estimation.angle_error import NO_ERROR, NODES_RAD, AngleError
-from yieldmon.estimation.misfit import ReducedSweep
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.estimation.sweep_model_error import model_error, unswept_error
+from yieldmon.estimation.self_calibration.angle_error import NO_ERROR, NODES_RAD, AngleError
+from yieldmon.estimation.self_calibration.misfit import ReducedSweep
+from yieldmon.estimation.self_calibration.sweep_model_error import model_error, unswept_error
 from yieldmon.files import parameter_file
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel

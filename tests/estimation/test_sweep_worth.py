@@ -10,12 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from yieldmon.estimation.closed_loop import self_calibrate
-from yieldmon.estimation.closed_loop_inputs import Sweep
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.estimation.sweep_worth import OtherChannels, SweepPlan, SweepWorth, sweep_worth, window_times_s
+from yieldmon.estimation.self_calibration.closed_loop import self_calibrate
+from yieldmon.estimation.self_calibration.closed_loop_inputs import Sweep
+from yieldmon.estimation.self_calibration.sweep_worth import OtherChannels, SweepPlan, SweepWorth, sweep_worth, window_times_s
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import StateSpace, lsim
 
-from yieldmon.estimation.tap_response import tap_response
+from yieldmon.estimation.waveform.tap_response import tap_response
 
 STEP_S = 5e-5
 

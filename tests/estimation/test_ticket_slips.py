@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from shipped_grain import MACHINE, MODEL, SHIPPED
 
-from yieldmon.estimation.load_inputs import WeighedLoad
-from yieldmon.estimation.load_outcome import LoadCalibration
-from yieldmon.estimation.loads import calibrate_loads
-from yieldmon.estimation.wrong_tickets import contradicted, known_slip
+from yieldmon.estimation.weighing.load_inputs import WeighedLoad
+from yieldmon.estimation.weighing.load_outcome import LoadCalibration
+from yieldmon.estimation.weighing.loads import calibrate_loads
+from yieldmon.estimation.weighing.wrong_tickets import contradicted, known_slip
 
 FLOWS, MASSES_KG = (11.0, 5.5, 17.5, 8.0), (6200.0, 3400.0, 8100.0, 4300.0)
 LAWS: dict[str, Callable[[np.ndarray], np.ndarray]] = {

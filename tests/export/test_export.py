@@ -24,11 +24,11 @@ from yieldmon.errors import InputError
 from yieldmon.export.points import PointSettings, yield_points
 from yieldmon.export.taskdata import ENTRIES
 from yieldmon.frames import EstimateQuality
-from yieldmon.service.batch import Batch, Load
-from yieldmon.service.recorded import read_loads, read_seconds
-from yieldmon.service.rows import SecondRow
-from yieldmon.service.store import Store
-from yieldmon.service.tables import open_table
+from yieldmon.service.logs.recorded import read_loads, read_seconds
+from yieldmon.service.logs.tables import open_table
+from yieldmon.service.storage.batch import Batch, Load
+from yieldmon.service.storage.rows import SecondRow
+from yieldmon.service.storage.store import Store
 
 #: A store of version 0.1.0.
 STORE = Path(__file__).resolve().parents[1] / "golden" / "store-0.1.0.sqlite"

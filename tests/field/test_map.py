@@ -18,8 +18,8 @@ from tests.seconds import measured_second
 from yieldmon.cli import main as cli
 from yieldmon.field import cleaning
 from yieldmon.field.products import FILES, FORMATS, picture
-from yieldmon.service.batch import Batch, Load
-from yieldmon.service.store import Store
+from yieldmon.service.storage.batch import Batch, Load
+from yieldmon.service.storage.store import Store
 from yieldmon.units import Units, UnitSystem
 
 from .synthetic import ag_leader

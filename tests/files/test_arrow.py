@@ -11,7 +11,7 @@ import pytest
 SCRIPT = """
 import sys
 from yieldmon.fleet import tables
-from yieldmon.service.tables import open_table
+from yieldmon.service.logs.tables import open_table
 from yieldmon.files.arrow import without_pandas
 before = sys.argv[1:] == ["before"]
 if before:

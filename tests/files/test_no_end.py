@@ -28,7 +28,7 @@ from yieldmon.errors import InputError
 from yieldmon.field import loads, sources
 from yieldmon.field.sources.options import ReadOptions
 from yieldmon.files import delimited, table
-from yieldmon.service import recorded
+from yieldmon.service.logs import recorded
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from yieldmon.errors import InputError
 from yieldmon.files import pulse_shape_file
 from yieldmon.physics.machine import RPM
 from yieldmon.resources import shipped
-from yieldmon.service import configuration
+from yieldmon.service.config import configuration
 
 
 def document() -> dict:

@@ -9,7 +9,7 @@ from yieldmon.fleet.dataset import Dataset
 from yieldmon.fleet.identity import parameters_sha256, software
 from yieldmon.fleet.worker import Task
 from yieldmon.resources import shipped
-from yieldmon.service import configuration
+from yieldmon.service.config import configuration
 
 LOADED = configuration.load(shipped("config/yieldmon.yaml"))
 HASH = parameters_sha256(LOADED)

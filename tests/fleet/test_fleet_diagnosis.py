@@ -20,10 +20,10 @@ from yieldmon.fleet import tables
 from yieldmon.fleet.dataset import Dataset
 from yieldmon.fleet.diagnosis import FleetDiagnosis, MachineSweeps, MachineVerdict, Named, SharedVerdict, diagnose, sweeps_of
 from yieldmon.physics.machine import Machine
-from yieldmon.service import sweep_table
-from yieldmon.service.batch import Batch, ParameterVersion
-from yieldmon.service.rows import second_row
-from yieldmon.service.store import Store
+from yieldmon.service.logs import sweep_table
+from yieldmon.service.storage.batch import Batch, ParameterVersion
+from yieldmon.service.storage.rows import second_row
+from yieldmon.service.storage.store import Store
 
 SHIPPED = parameter_file.load()
 ALIKE_ONLY = Policy(most_effects=0)

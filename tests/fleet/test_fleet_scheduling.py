@@ -23,7 +23,7 @@ from yieldmon.fleet.manifest import Partition
 from yieldmon.fleet.scheduling import Cluster, run_all
 from yieldmon.fleet.worker import DONE, FAILED, SKIPPED, Outcome, Task, work
 from yieldmon.resources import shipped
-from yieldmon.service import configuration
+from yieldmon.service.config import configuration
 
 
 class Future:

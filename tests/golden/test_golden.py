@@ -57,7 +57,7 @@ def test_a_difference_in_the_seventh_digit_is_seen() -> None:
 
 
 def test_store_of_0_1_0_opens_with_its_totals(tmp_path: Path) -> None:
-    from yieldmon.service.store import Store
+    from yieldmon.service.storage.store import Store
 
     copy = tmp_path / "yieldmon.sqlite"
     copy.write_bytes(STORE.read_bytes())

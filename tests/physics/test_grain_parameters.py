@@ -35,13 +35,13 @@ PROGRAM = """
 import json, sys
 from pathlib import Path
 import numpy as np
-from yieldmon.estimation.calibration import calibrate, default_start
-from yieldmon.estimation.measurements import Measurements
+from yieldmon.estimation.fitting.calibration import calibrate, default_start
+from yieldmon.estimation.fitting.measurements import Measurements
 from yieldmon.files import parameter_file
 from yieldmon.physics.grain import fitted
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import Conditions, ForwardModel
-from yieldmon.service.document_text import commented_defaults
+from yieldmon.service.config.document_text import commented_defaults
 
 model = ForwardModel(Machine())
 truth = {"friction": 0.3, "density": 1100.0, "shape_ratio": 2.0, "restitution": 0.5, "cushioning": 0.2}

@@ -11,9 +11,9 @@ import pytest
 
 from yieldmon.cli.main import main
 from yieldmon.errors import InputError
-from yieldmon.estimation.calibration import calibrate
-from yieldmon.estimation.identifiability import report
-from yieldmon.estimation.measurements import Measurements
+from yieldmon.estimation.fitting.calibration import calibrate
+from yieldmon.estimation.fitting.identifiability import report
+from yieldmon.estimation.fitting.measurements import Measurements
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import machine_file, table
 from yieldmon.physics.machine import RPM, Machine

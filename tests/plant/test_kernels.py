@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from yieldmon.estimation.kernel_noise import kernel_impulse
-from yieldmon.estimation.spectral_density import density
+from yieldmon.estimation.waveform.kernel_noise import kernel_impulse
+from yieldmon.estimation.waveform.spectral_density import density
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.plant.combine import VirtualCombine, pulse_table
 from yieldmon.plant.kernels import strike

@@ -15,11 +15,11 @@ from tests.seconds import measured_second
 from yieldmon.cli import main as cli
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import Conditions, ForwardModel
-from yieldmon.service.batch import Batch, Load, ParameterVersion, Ticket
-from yieldmon.service.recorded import read_seconds
-from yieldmon.service.rows import SecondRow
-from yieldmon.service.store import Store
-from yieldmon.service.tables import open_table
+from yieldmon.service.logs.recorded import read_seconds
+from yieldmon.service.logs.tables import open_table
+from yieldmon.service.storage.batch import Batch, Load, ParameterVersion, Ticket
+from yieldmon.service.storage.rows import SecondRow
+from yieldmon.service.storage.store import Store
 
 pytest.importorskip("matplotlib", reason="needs the plot extra")
 

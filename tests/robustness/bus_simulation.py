@@ -36,24 +36,24 @@ from tests.robustness.undoing import Simulation, Trouble, live, mend, require
 from tests.service.bench import START_S, traffic
 from yieldmon import frames
 from yieldmon.bus import waiting
-from yieldmon.engine import sample_frames
 from yieldmon.engine.faults import FaultCode
 from yieldmon.engine.health import FaultEvent
+from yieldmon.engine.mass.totals import Totals
 from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.results import events_in, frames_in, records_in
+from yieldmon.engine.sampling import sample_frames
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.state import EngineState
-from yieldmon.engine.totals import Totals
 from yieldmon.frames import NOT_AVAILABLE, EstimateQuality, Frame
 from yieldmon.network import diagnostics
 from yieldmon.network.diagnostics import TroubleCode
 from yieldmon.network.name import Name
 from yieldmon.network.node import Node, NodeSettings
-from yieldmon.service import configuration
 from yieldmon.service.assembly import monitor_of
-from yieldmon.service.service_faults import ServiceFaults
-from yieldmon.service.transmit import ASKED_ECHO_S, ECHO_S, TransmitCounters, Transmitter
-from yieldmon.service.writer import StoreHealth
+from yieldmon.service.config import configuration
+from yieldmon.service.storage.writer import StoreHealth
+from yieldmon.service.traffic.service_faults import ServiceFaults
+from yieldmon.service.traffic.transmit import ASKED_ECHO_S, ECHO_S, TransmitCounters, Transmitter
 
 EMPTY_S, HARVEST_S = 14, 22
 _SAID_S = 2.2
@@ -406,7 +406,7 @@ MENDS = {
     "frames closer than a sensor sends": mend((8,), crowded, lambda: mock.patch.object(sample_frames, "_CROWDED_FRAMES", 1e9)),
     "rivals of speed and angle": mend((8,), forged, lambda: mock.patch("yieldmon.engine.rivals.RivalWatch.take", _no_rivals)),
     "contested mass apart": mend(
-        (8,), forged, lambda: mock.patch("yieldmon.engine.windows.Window.contested", property(lambda window: False)),
+        (8,), forged, lambda: mock.patch("yieldmon.engine.sampling.windows.Window.contested", property(lambda window: False)),
     ),
     "each echo once": mend((8,), repeated, lambda: mock.patch.object(Transmitter, "is_echo", _any_copy_is_an_echo)),
     "signs of life of the transmitter": mend(

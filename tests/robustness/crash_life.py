@@ -23,11 +23,11 @@ mf4.defer()
 import can  # noqa: E402
 
 from tests.service.bench import CODEC, START_S, traffic  # noqa: E402
-from yieldmon.service import configuration  # noqa: E402
-from yieldmon.service.batch import Batch  # noqa: E402
+from yieldmon.service.config import configuration  # noqa: E402
 from yieldmon.service.daemon import Daemon  # noqa: E402
 from yieldmon.service.patience import Patience  # noqa: E402
-from yieldmon.service.store import Store  # noqa: E402
+from yieldmon.service.storage.batch import Batch  # noqa: E402
+from yieldmon.service.storage.store import Store  # noqa: E402
 
 #: As long as a slow drive takes for a transaction, so that kills fall between the two.
 BETWEEN_S = 0.02

@@ -34,9 +34,9 @@ from pathlib import Path
 from typing import IO
 
 from tests.robustness import crash_life as crash_test_life
-from yieldmon.service.memory import recall
-from yieldmon.service.store import Store
-from yieldmon.service.store_errors import StoreError
+from yieldmon.service.history.memory import recall
+from yieldmon.service.storage.store import Store
+from yieldmon.service.storage.store_errors import StoreError
 
 ROOT = Path(__file__).resolve().parents[2]
 LIFE = ("-m", "tests.robustness.crash_life")

@@ -82,8 +82,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def measure(folder: Path, seconds: float, *, waveform: bool = False) -> list[Phase]:
     """Runs the daemon through both kinds of traffic."""
-    from yieldmon.service.control_client import ask
-    from yieldmon.service.control_protocol import ControlError
+    from yieldmon.service.operator.control_client import ask
+    from yieldmon.service.operator.control_protocol import ControlError
 
     configuration = folder / "yieldmon.yaml"
     bus = {"interface": "udp_multicast", "channel": GROUP, "options": {"port": PORT}}

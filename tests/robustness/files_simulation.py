@@ -55,9 +55,12 @@ from yieldmon.errors import InputError
 from yieldmon.export import agleader, columns, taskdata
 from yieldmon.export.points import PointSettings, yield_points
 from yieldmon.files import parameter_file, strict_yaml, whole_file
-from yieldmon.service import configuration, contradictions, installation, recorded, store_file
-from yieldmon.service.batch import Batch, Load, ParameterVersion
-from yieldmon.service.store import Store
+from yieldmon.service import installation
+from yieldmon.service.config import configuration, contradictions
+from yieldmon.service.logs import recorded
+from yieldmon.service.storage import store_file
+from yieldmon.service.storage.batch import Batch, Load, ParameterVersion
+from yieldmon.service.storage.store import Store
 
 _CPU_S, _FILE_BYTES = 10, 32 * 1024 * 1024
 _umask = os.umask

@@ -17,8 +17,8 @@ from pathlib import Path
 from tests.service.bench import traffic
 from yieldmon.errors import InputError
 from yieldmon.resources import shipped
-from yieldmon.service import configuration
 from yieldmon.service.assembly import build_monitor
+from yieldmon.service.config import configuration
 
 SOURCES = {
     "yieldmon.yaml": "config/yieldmon.yaml",

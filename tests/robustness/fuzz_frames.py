@@ -32,9 +32,9 @@ from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.results import Result, WindowResult
 from yieldmon.engine.state import EngineState
 from yieldmon.frames import ERROR, NOT_AVAILABLE, CommandMode, Frame
-from yieldmon.service import configuration
 from yieldmon.service.assembly import build_monitor
-from yieldmon.service.rows import second_row
+from yieldmon.service.config import configuration
+from yieldmon.service.storage.rows import second_row
 
 LIFE_FRAMES = 50_000
 RATES = (0.001, 0.01, 0.1, 0.5, 1.0)

@@ -27,9 +27,9 @@ from yieldmon.engine.settings import TotalsSettings
 from yieldmon.identifiers import NULL_ADDRESS
 from yieldmon.network.identifier import ADDRESS_CLAIMED, REQUEST, Identifier
 from yieldmon.physics.machine import Implement, Machine
-from yieldmon.service.network_link import NetworkLink
-from yieldmon.service.service_sections import Network
-from yieldmon.service.side_inputs import SideInputs
+from yieldmon.service.config.service_sections import Network
+from yieldmon.service.traffic.network_link import NetworkLink
+from yieldmon.service.traffic.side_inputs import SideInputs
 from yieldmon.signals.binding import Binding
 from yieldmon.signals.decoding import MapDecoder
 from yieldmon.signals.mapping import build

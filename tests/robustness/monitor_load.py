@@ -113,8 +113,8 @@ def traffic(seconds: float, rate: float) -> list[Any]:
     from yieldmon.plant import scenario
     from yieldmon.plant.combine import VirtualCombine
     from yieldmon.resources import shipped
-    from yieldmon.service import configuration
     from yieldmon.service.assembly import build_monitor
+    from yieldmon.service.config import configuration
 
     loaded, codec = configuration.load(shipped("config/yieldmon.yaml")), Codec()
     combine = VirtualCombine(scenario.from_mapping({"duration_s": seconds + 1.0}, "monitor-load"), loaded.machine, 0)

@@ -44,12 +44,14 @@ from tests.robustness.undoing import Simulation, Trouble, live, mend, require
 from tests.service.bench import START_S, encoded, traffic
 from yieldmon.cli import main as command
 from yieldmon.cli import run as run_verb
-from yieldmon.service import configuration, control, control_socket, daemon
-from yieldmon.service.control import ControlServer
-from yieldmon.service.control_client import ask
-from yieldmon.service.control_protocol import ControlError
+from yieldmon.service import control_socket, daemon
+from yieldmon.service.config import configuration
 from yieldmon.service.daemon import Daemon
-from yieldmon.service.journal import Journal
+from yieldmon.service.history.journal import Journal
+from yieldmon.service.operator import control
+from yieldmon.service.operator.control import ControlServer
+from yieldmon.service.operator.control_client import ask
+from yieldmon.service.operator.control_protocol import ControlError
 from yieldmon.service.patience import Patience
 from yieldmon.service.quiet_log import QuietLog
 

@@ -34,14 +34,16 @@ from yieldmon.field import sources
 from yieldmon.field.sources.options import ReadOptions
 from yieldmon.files import flow_curve_file, machine_file, moisture_file, parameter_file, table, ticket_file
 from yieldmon.resources import shipped
-from yieldmon.service import commands, configuration, recorded
 from yieldmon.service.assembly import monitor_of
-from yieldmon.service.batch import Load
-from yieldmon.service.control import ControlServer
-from yieldmon.service.journal import Journal
-from yieldmon.service.memory import Memory
-from yieldmon.service.store import Store
-from yieldmon.service.tables import open_table
+from yieldmon.service.config import configuration
+from yieldmon.service.history.journal import Journal
+from yieldmon.service.history.memory import Memory
+from yieldmon.service.logs import recorded
+from yieldmon.service.logs.tables import open_table
+from yieldmon.service.operator import commands
+from yieldmon.service.operator.control import ControlServer
+from yieldmon.service.storage.batch import Load
+from yieldmon.service.storage.store import Store
 
 Seed = Callable[[Path], None]
 _FRAMES = 200

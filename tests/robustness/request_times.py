@@ -26,7 +26,7 @@ import can
 
 from tests.service.bench import CODEC, traffic
 from yieldmon.network.identifier import ACKNOWLEDGEMENT, ADDRESS_CLAIMED, TRANSPORT_CONNECTION, Identifier
-from yieldmon.service import configuration
+from yieldmon.service.config import configuration
 from yieldmon.service.daemon import Daemon
 
 LIMIT_S = 0.25

@@ -22,8 +22,8 @@ import time
 from pathlib import Path
 from typing import Any
 
-from yieldmon.service.control_client import ask
-from yieldmon.service.control_protocol import ControlError
+from yieldmon.service.operator.control_client import ask
+from yieldmon.service.operator.control_protocol import ControlError
 
 _START_S, _STOP_S = 60.0, 5.0
 _BURST = 500

@@ -35,17 +35,18 @@ from unittest import mock
 from tests.robustness import undoing
 from tests.robustness.undoing import Mend, Simulation
 from tests.service.test_store import second
+from yieldmon.engine.mass.totals import Totals
 from yieldmon.engine.state import EngineState
-from yieldmon.engine.totals import Totals
 from yieldmon.errors import InputError
 from yieldmon.files import parameter_file
-from yieldmon.service import recovery, rescue, schema
-from yieldmon.service.batch import Batch, Load, ParameterVersion, Ticket
-from yieldmon.service.retention import Retention
-from yieldmon.service.rows import SecondRow
-from yieldmon.service.store import Store
-from yieldmon.service.store_errors import StoreError
-from yieldmon.service.writer import StoreWriter
+from yieldmon.service.history import recovery
+from yieldmon.service.storage import rescue, schema
+from yieldmon.service.storage.batch import Batch, Load, ParameterVersion, Ticket
+from yieldmon.service.storage.retention import Retention
+from yieldmon.service.storage.rows import SecondRow
+from yieldmon.service.storage.store import Store
+from yieldmon.service.storage.store_errors import StoreError
+from yieldmon.service.storage.writer import StoreWriter
 
 KG_PER_S = 10.0
 _TRANSFER = ("", "-wal", ".last")
@@ -513,7 +514,7 @@ def simulate(days: int, seed: int) -> World:
     troubles: Counter[str] = Counter()
     ticks = iter(range(10**12))
     # Time that the code waits for is the simulation's: a minute goes by between two looks.
-    clock = mock.patch("yieldmon.service.writer.monotonic", side_effect=lambda: 100.0 * next(ticks))
+    clock = mock.patch("yieldmon.service.storage.writer.monotonic", side_effect=lambda: 100.0 * next(ticks))
     # In memory where there is such a file system: what a medium does to a file is the simulation's to say.
     memory = Path("/dev/shm")
     with clock, tempfile.TemporaryDirectory(dir=memory if os.access(memory, os.W_OK) else None) as place:
@@ -546,7 +547,7 @@ def _no_checksums() -> Iterator[None]:
     flat = lambda table, *values: 0  # noqa: E731
     with ExitStack() as patched:
         for module in ("stored_rows", "rescue", "identity", "store_file", "store_sql"):
-            patched.enter_context(mock.patch(f"yieldmon.service.{module}.row_checksum", flat))
+            patched.enter_context(mock.patch(f"yieldmon.service.storage.{module}.row_checksum", flat))
         yield
 
 
@@ -567,22 +568,24 @@ def _no_spare(path: Path) -> AbstractContextManager[Any]:
 
 
 MENDS = {
-    "stores read from a copy": _mend((), _patched("yieldmon.service.recovery.spare_copy", _no_spare)),
+    "stores read from a copy": _mend((), _patched("yieldmon.service.history.recovery.spare_copy", _no_spare)),
     "checksums": _mend((1,), _no_checksums),
-    "rescue": _mend((1,), _patched("yieldmon.service.recovery.rescue.rescue", _nothing_set_aside)),
-    "removed files": _mend((6,), _patched("yieldmon.service.store.Store.require_attached", lambda store: None)),
-    "witness of commits": _mend((1,), _patched("yieldmon.service.recovery.witnessed", lambda path: 0)),
+    "rescue": _mend((1,), _patched("yieldmon.service.history.recovery.rescue.rescue", _nothing_set_aside)),
+    "removed files": _mend((6,), _patched("yieldmon.service.storage.store.Store.require_attached", lambda store: None)),
+    "witness of commits": _mend((1,), _patched("yieldmon.service.history.recovery.witnessed", lambda path: 0)),
     "looking after files while closed": _mend(
-        (6,), _patched("yieldmon.service.writer.StoreWriter._opened", lambda writer: writer._open_store())
+        (6,), _patched("yieldmon.service.storage.writer.StoreWriter._opened", lambda writer: writer._open_store())
     ),
-    "mending in use": _mend((2,), _patched("yieldmon.service.writer.StoreWriter._mended", lambda writer, store, error: False)),
-    "interrupted replacement": _mend((1,), _patched("yieldmon.service.rescue.finish", lambda path: None)),
+    "mending in use": _mend(
+        (2,), _patched("yieldmon.service.storage.writer.StoreWriter._mended", lambda writer, store, error: False)
+    ),
+    "interrupted replacement": _mend((1,), _patched("yieldmon.service.storage.rescue.finish", lambda path: None)),
     "totals of the last second": _mend(
-        (1,), _patched("yieldmon.service.recovery._caught_up", lambda totals, last, loads: totals)
+        (1,), _patched("yieldmon.service.history.recovery._caught_up", lambda totals, last, loads: totals)
     ),
-    "stores that cannot be made to their end": _mend((), _patched("yieldmon.service.store.in_memory", _no_copy)),
+    "stores that cannot be made to their end": _mend((), _patched("yieldmon.service.storage.store.in_memory", _no_copy)),
     "tickets told once": _mend(
-        (), _patched("yieldmon.service.store_sql._INSERT_TICKET", "INSERT INTO ticket VALUES (NULL, ?, ?, ?, ?, ?, ?, ?)")
+        (), _patched("yieldmon.service.storage.store_sql._INSERT_TICKET", "INSERT INTO ticket VALUES (NULL, ?, ?, ?, ?, ?, ?, ?)")
     ),
 }
 

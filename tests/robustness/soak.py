@@ -30,13 +30,13 @@ from pathlib import Path
 from typing import Any
 
 from tests.robustness.soak_machine import CYCLE_S, EXPECTED_FAULTS, STUCK_EVERY, MachineOnBus
-from yieldmon.service import configuration
-from yieldmon.service.batch import Batch
-from yieldmon.service.control_client import ask
+from yieldmon.service.config import configuration
 from yieldmon.service.daemon import Daemon
+from yieldmon.service.operator.control_client import ask
 from yieldmon.service.patience import Patience
-from yieldmon.service.retention import Retention
-from yieldmon.service.store import Store
+from yieldmon.service.storage.batch import Batch
+from yieldmon.service.storage.retention import Retention
+from yieldmon.service.storage.store import Store
 
 LIMIT_MB = 5.0
 #: Room is made about once a minute, and in a hurry less often.

@@ -22,11 +22,11 @@ from pathlib import Path
 from tests.service.bench import running
 from yieldmon.errors import InputError
 from yieldmon.files.parameter_file import digest
-from yieldmon.service.memory import Memory
-from yieldmon.service.recovery import recover
-from yieldmon.service.retention import Retention
-from yieldmon.service.store import Store
-from yieldmon.service.store_errors import StoreError
+from yieldmon.service.history.memory import Memory
+from yieldmon.service.history.recovery import recover
+from yieldmon.service.storage.retention import Retention
+from yieldmon.service.storage.store import Store
+from yieldmon.service.storage.store_errors import StoreError
 
 KINDS = ("bit", "byte", "sector", "page", "zeros", "cut")
 LONGEST_START_S = 3.0

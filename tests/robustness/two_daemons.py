@@ -29,8 +29,8 @@ from typing import Any
 import can
 
 from tests.robustness.daemon_cost import ROOT, START_LIMIT_S, WARM_UP_S, Player, traffic
-from yieldmon.service.control_client import ask
-from yieldmon.service.control_protocol import ControlError
+from yieldmon.service.operator.control_client import ask
+from yieldmon.service.operator.control_protocol import ControlError
 
 GROUP, PORT, ADDRESS = "239.74.163.3", 43118, 131
 LOW, HIGH = 1000, 2000

@@ -22,8 +22,8 @@ import numpy as np
 
 from studies.hidden_effects import cases, study
 from yieldmon.discrepancy import diagnosis, observations
-from yieldmon.estimation.calibration import calibrate, default_start
-from yieldmon.estimation.measurements import Measurements
+from yieldmon.estimation.fitting.calibration import calibrate, default_start
+from yieldmon.estimation.fitting.measurements import Measurements
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import parameter_file, table
 from yieldmon.physics.grain import EXCHANGE_FORM, GRAIN, RESTITUTION_FORM

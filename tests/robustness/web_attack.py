@@ -36,8 +36,8 @@ from pathlib import Path
 from typing import Any
 
 from tests.robustness.daemon_cost import GROUP, PORT, ROOT, WARM_UP_S, Listener, Player, cpu_time_s, nearest_rank, traffic
-from yieldmon.service.control_client import ask
-from yieldmon.service.control_protocol import ControlError
+from yieldmon.service.operator.control_client import ask
+from yieldmon.service.operator.control_protocol import ControlError
 
 ATTACKER = "127.0.0.66"
 TOKEN = "correct-horse-battery-staple"

@@ -36,7 +36,7 @@ from tests.web.standin import HOME, StandIn, fault, page, row, standing_in
 from yieldmon.field import sources
 from yieldmon.field.sources.options import ReadOptions
 from yieldmon.field.table import DEFAULT_FLOW_S
-from yieldmon.service.rows import SecondRow
+from yieldmon.service.storage.rows import SecondRow
 
 Points = NDArray[np.float64]
 FLOW_DELAY_S = int(DEFAULT_FLOW_S)
@@ -206,8 +206,8 @@ def cost(folder: Path, options: argparse.Namespace) -> tuple[dict[str, Any], boo
     import can
 
     from tests.robustness.daemon_cost import GROUP, PORT, ROOT, WARM_UP_S, Player, cpu_time_s, traffic
-    from yieldmon.service.control_client import ask
-    from yieldmon.service.control_protocol import ControlError
+    from yieldmon.service.operator.control_client import ask
+    from yieldmon.service.operator.control_protocol import ControlError
 
     turns = 6
     bus = {"interface": "udp_multicast", "channel": GROUP, "options": {"port": PORT}}

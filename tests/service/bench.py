@@ -23,10 +23,10 @@ from yieldmon import frames
 from yieldmon.bus.codec import Codec
 from yieldmon.cli import main as cli
 from yieldmon.frames import NOT_AVAILABLE, Frame
-from yieldmon.service import configuration
+from yieldmon.service.config import configuration
 from yieldmon.service.daemon import Daemon
 from yieldmon.service.patience import Patience
-from yieldmon.service.writer import StoreWriter
+from yieldmon.service.storage.writer import StoreWriter
 
 CODEC = Codec()
 START_S = 1_760_000_000.0

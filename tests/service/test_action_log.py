@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from yieldmon.service.action_log import ActionLog
-from yieldmon.service.batch import Ticket
-from yieldmon.service.ledger import LOAD_NAMES, POSTING
+from yieldmon.service.storage.batch import Ticket
+from yieldmon.service.storage.ledger import LOAD_NAMES, POSTING
+from yieldmon.service.tickets.action_log import ActionLog
 
 
 def test_tickets_that_update_wait_until_they_are_taken_or_taken_back() -> None:

@@ -22,13 +22,13 @@ from yieldmon.engine.results import PlateCommand, Result, WindowResult
 from yieldmon.errors import InputError
 from yieldmon.frames import Frame
 from yieldmon.resources import shipped
-from yieldmon.service import configuration
 from yieldmon.service.assembly import build_monitor
-from yieldmon.service.bulk_processing import EndOfLog, process_in_bulk
-from yieldmon.service.processing import Summary, hand_over, process_logs
-from yieldmon.service.rows import SecondRow
-from yieldmon.service.store import Store
-from yieldmon.service.tables import COLUMNS
+from yieldmon.service.config import configuration
+from yieldmon.service.logs.bulk_processing import EndOfLog, process_in_bulk
+from yieldmon.service.logs.processing import Summary, hand_over, process_logs
+from yieldmon.service.logs.tables import COLUMNS
+from yieldmon.service.storage.rows import SecondRow
+from yieldmon.service.storage.store import Store
 
 LOADED = configuration.load(shipped("config/yieldmon.yaml"))
 DURATION_S = 24

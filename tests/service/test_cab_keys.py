@@ -9,7 +9,7 @@ from yieldmon.cli._cab import DaemonLink, aged
 from yieldmon.cli._daemon import mass
 from yieldmon.files.crops import crops, shipped_name
 from yieldmon.screen.dialog import Dialog
-from yieldmon.service.control import ControlServer
+from yieldmon.service.operator.control import ControlServer
 from yieldmon.units import Units
 
 

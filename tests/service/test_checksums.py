@@ -7,7 +7,7 @@ import zlib
 
 import pytest
 
-from yieldmon.service.checksums import row_checksum
+from yieldmon.service.storage.checksums import row_checksum
 
 
 @pytest.mark.parametrize(

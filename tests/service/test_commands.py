@@ -10,18 +10,19 @@ import pytest
 from tests.service.test_posting import known, rows
 from yieldmon.cli import ticket
 from yieldmon.cli.main import main
+from yieldmon.engine.mass.totals import Totals
 from yieldmon.engine.settings import EngineSettings
-from yieldmon.engine.totals import Totals
 from yieldmon.errors import InputError
 from yieldmon.files import parameter_file
 from yieldmon.physics.machine import Machine
 from yieldmon.resources import shipped
-from yieldmon.service import commands, configuration
 from yieldmon.service.assembly import build_monitor
-from yieldmon.service.batch import Load, Ticket
-from yieldmon.service.journal import Journal
-from yieldmon.service.memory import Memory
-from yieldmon.service.reference_loads import StoredLoad
+from yieldmon.service.config import configuration
+from yieldmon.service.history.journal import Journal
+from yieldmon.service.history.memory import Memory
+from yieldmon.service.history.reference_loads import StoredLoad
+from yieldmon.service.operator import commands
+from yieldmon.service.storage.batch import Load, Ticket
 
 LOADS = tuple(Load(number, "north", "corn", None, None, mass_kg, 0.9 * mass_kg) for number, mass_kg in ((1, 3000.0), (2, 1000.0)))
 

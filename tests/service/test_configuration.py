@@ -15,13 +15,13 @@ from yieldmon.cli import main as cli
 from yieldmon.engine.calibrator_settings import CalibratorSettings
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.errors import InputError
-from yieldmon.estimation.drift_rates import DriftRates
+from yieldmon.estimation.self_calibration.drift_rates import DriftRates
 from yieldmon.resources import shipped
-from yieldmon.service import configuration, document_text
-from yieldmon.service.configuration import ConfigurationError
-from yieldmon.service.document import ENGINE_SECTIONS, Document
-from yieldmon.service.former_keys import FORMER_KEYS
-from yieldmon.service.section import Section
+from yieldmon.service.config import configuration, document_text
+from yieldmon.service.config.configuration import ConfigurationError
+from yieldmon.service.config.document import ENGINE_SECTIONS, Document
+from yieldmon.service.config.former_keys import FORMER_KEYS
+from yieldmon.service.config.section import Section
 
 ROOT = Path(__file__).parents[2]
 ENVIRONMENT = {"STATE_DIRECTORY": "/state", "RUNTIME_DIRECTORY": "/run/yieldmon"}

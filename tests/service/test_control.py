@@ -19,9 +19,9 @@ import pytest
 
 from tests.service.bench import wait_for
 from yieldmon.errors import InputError
-from yieldmon.service.control import PACE, ControlServer, Pace
-from yieldmon.service.control_client import ask
-from yieldmon.service.control_protocol import MAX_REQUEST_BYTES, ControlError
+from yieldmon.service.operator.control import PACE, ControlServer, Pace
+from yieldmon.service.operator.control_client import ask
+from yieldmon.service.operator.control_protocol import MAX_REQUEST_BYTES, ControlError
 
 SOON = Pace(patience_s=0.5, look_every_s=0.1, crowded_pause_s=0.001)
 """For what a daemon takes a few seconds over."""

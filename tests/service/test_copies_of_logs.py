@@ -13,7 +13,8 @@ from tests.fleet import logs
 from yieldmon.cli.main import main
 from yieldmon.errors import InputError
 from yieldmon.resources import shipped
-from yieldmon.service import configuration, tap_samples, weighed_loads, weighed_waves
+from yieldmon.service.config import configuration
+from yieldmon.service.logs import tap_samples, weighed_loads, weighed_waves
 
 CONFIGURED = configuration.load(shipped("config/yieldmon.yaml"))
 READERS: dict[str, Callable[[Sequence[str]], object]] = {

@@ -12,9 +12,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from yieldmon.service import ledger
-from yieldmon.service.batch import Action, Batch, Load, Ticket
-from yieldmon.service.store import Store
+from yieldmon.service.storage import ledger
+from yieldmon.service.storage.batch import Action, Batch, Load, Ticket
+from yieldmon.service.storage.store import Store
 
 LOADS = tuple(Load(n, "f", "corn", 10.0 * n, 10.0 * n + 9.0, 100.0 * n, 80.0 * n if n % 2 else None) for n in range(1, 5))
 NUMBERS = st.integers(1, 4)

@@ -6,17 +6,18 @@ from dataclasses import replace
 
 import pytest
 
-from yieldmon.engine.loads import LoadSummary
+from yieldmon.engine.mass.loads import LoadSummary
 from yieldmon.errors import InputError
 from yieldmon.files import parameter_file
 from yieldmon.files.crops import crop
 from yieldmon.resources import shipped
-from yieldmon.service import commands, configuration
 from yieldmon.service.assembly import build_monitor
-from yieldmon.service.journal import Journal
-from yieldmon.service.ledger import PARAMETERS_UNDO
-from yieldmon.service.memory import Memory, recall
-from yieldmon.service.store import Store
+from yieldmon.service.config import configuration
+from yieldmon.service.history.journal import Journal
+from yieldmon.service.history.memory import Memory, recall
+from yieldmon.service.operator import commands
+from yieldmon.service.storage.ledger import PARAMETERS_UNDO
+from yieldmon.service.storage.store import Store
 
 
 def started(parameters=None):

@@ -36,13 +36,13 @@ from yieldmon.bus.receiver import Receiver
 from yieldmon.cli import main as cli
 from yieldmon.files import parameter_file
 from yieldmon.frames import EstimateQuality, Frame
-from yieldmon.service import configuration
-from yieldmon.service.command_queue import CommandQueue
-from yieldmon.service.control_protocol import ControlError
-from yieldmon.service.journal import Journal
+from yieldmon.service.config import configuration
+from yieldmon.service.history.journal import Journal
+from yieldmon.service.operator.command_queue import CommandQueue
+from yieldmon.service.operator.control_protocol import ControlError
 from yieldmon.service.patience import Patience
-from yieldmon.service.store import Store
-from yieldmon.service.writer import StoreWriter
+from yieldmon.service.storage.store import Store
+from yieldmon.service.storage.writer import StoreWriter
 
 
 def test_measures_publishes_and_stores(tmp_path):
@@ -232,7 +232,7 @@ def test_a_slow_disk_is_a_fault_until_it_has_caught_up(tmp_path, monkeypatch):
         commit(store, batches)
 
     monkeypatch.setattr(Store, "commit", slow)
-    monkeypatch.setattr("yieldmon.service.writer.monotonic", lambda: time.monotonic() + late_s[0])
+    monkeypatch.setattr("yieldmon.service.storage.writer.monotonic", lambda: time.monotonic() + late_s[0])
     with running(tmp_path) as bench:
         bench.play(3, EMPTY_MV)
         bench.played()

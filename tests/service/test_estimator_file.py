@@ -18,10 +18,11 @@ from yieldmon.files import flow_curve_file, parameter_file
 from yieldmon.frames import NOT_AVAILABLE, EstimateQuality, Frame
 from yieldmon.plant.combine import VirtualCombine
 from yieldmon.plant.scenario import from_mapping
-from yieldmon.service import commands, configuration
 from yieldmon.service.assembly import monitor_of
-from yieldmon.service.journal import Journal
-from yieldmon.service.memory import Memory
+from yieldmon.service.config import configuration
+from yieldmon.service.history.journal import Journal
+from yieldmon.service.history.memory import Memory
+from yieldmon.service.operator import commands
 
 TABLE = Path(__file__).parents[1] / "data" / "corn_facility.csv"
 FLOW_KG_S = 9.0

@@ -19,14 +19,14 @@ import pytest
 from tests.service.bench import CODEC, EMPTY_MV, GRAIN_MV, ZERO_MV, Bench, encoded, retry_writing_soon, running, traffic, wait_for
 from yieldmon import frames
 from yieldmon.engine.faults import FAULTS, FaultCode
-from yieldmon.engine.totals import Totals
+from yieldmon.engine.mass.totals import Totals
 from yieldmon.files import parameter_file
 from yieldmon.frames import CommandMode, Frame, ScaleStatus
 from yieldmon.network import diagnostics
 from yieldmon.network.reassembly import Reassembler
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
-from yieldmon.service.store import Store
+from yieldmon.service.storage.store import Store
 
 HOME_DEG, FLOW_KG_S = 70.0, 3.0
 SHIPPED = parameter_file.load()

@@ -17,11 +17,11 @@ import pytest
 from yieldmon.errors import InputError
 from yieldmon.files import flow_curve_file, machine_file, moisture_file, parameter_file, pulse_shape_file, strict_yaml
 from yieldmon.resources import shipped
-from yieldmon.service import configuration
-from yieldmon.service.configuration import ConfigurationError
-from yieldmon.service.document import Document
-from yieldmon.service.output_section import OutputEntry
-from yieldmon.service.signal_section import NodeName, SignalEntry
+from yieldmon.service.config import configuration
+from yieldmon.service.config.configuration import ConfigurationError
+from yieldmon.service.config.document import Document
+from yieldmon.service.config.output_section import OutputEntry
+from yieldmon.service.config.signal_section import NodeName, SignalEntry
 
 HOSTILE = (
     None, True, False, 0, 1, -1, 0.5, -0.0, 10**10, 10**18, 1e308, -1e308, 5e-324, float("nan"), float("inf"), -float("inf"),

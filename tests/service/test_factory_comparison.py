@@ -14,7 +14,7 @@ from tests.service.bench import CODEC, START_S, traffic
 from yieldmon.bus.log_writing import writing
 from yieldmon.cli import main as cli
 from yieldmon.screen.traffic import Traffic
-from yieldmon.service.factory_comparison import FactoryComparison
+from yieldmon.service.logs.factory_comparison import FactoryComparison
 
 
 class Row:

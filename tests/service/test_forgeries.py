@@ -12,8 +12,8 @@ import pytest
 from tests.service.bench import CODEC, START_S, Bench, running, traffic, wait_for
 from yieldmon import frames
 from yieldmon.frames import Frame
-from yieldmon.service.store import Store
-from yieldmon.service.transmit import Transmitter
+from yieldmon.service.storage.store import Store
+from yieldmon.service.traffic.transmit import Transmitter
 
 GRAIN_MV = 60.0
 

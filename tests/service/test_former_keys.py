@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from yieldmon.errors import InputError
-from yieldmon.service.former_keys import FORMER_KEYS, with_present_keys
+from yieldmon.service.config.former_keys import FORMER_KEYS, with_present_keys
 
 
 @pytest.mark.parametrize("content", [None, [1], "text", 3, {}, {"sweep": None}, {"sweep": [1]}, {"zero": {"lying_ratio": 1}}])

@@ -12,10 +12,10 @@ from tests.in_process import program
 from tests.robustness import fuzz_frames as tool
 from yieldmon import frames
 from yieldmon.bus.codec import Codec
-from yieldmon.engine.loads import Loads
-from yieldmon.engine.plate_commands import PlateCommander
-from yieldmon.engine.totals import Totals
-from yieldmon.service import configuration
+from yieldmon.engine.mass.loads import Loads
+from yieldmon.engine.mass.totals import Totals
+from yieldmon.engine.sweeps.plate_commands import PlateCommander
+from yieldmon.service.config import configuration
 
 
 def test_nothing_escapes():

@@ -7,10 +7,10 @@ from dataclasses import replace
 import pytest
 
 from yieldmon import utc
-from yieldmon.engine.totals import Totals
+from yieldmon.engine.mass.totals import Totals
 from yieldmon.files import parameter_file
-from yieldmon.service.batch import Load
-from yieldmon.service.grain_since import grain_since_kg
+from yieldmon.service.history.grain_since import grain_since_kg
+from yieldmon.service.storage.batch import Load
 
 DAY_S = 86_400.0
 JULY = utc.read("2026-07-01").timestamp()

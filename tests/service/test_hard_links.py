@@ -20,12 +20,12 @@ from tests.service.test_store import batch
 from tests.service.test_store_damage import kept as kept  # noqa: PLC0414 - a fixture, which the next one needs
 from tests.service.test_store_damage import path as path  # noqa: PLC0414 - a fixture
 from tests.service.test_store_damage import state
-from yieldmon.service import hard_links
-from yieldmon.service.hard_links import detach_hard_links
-from yieldmon.service.ownership import OccupiedError, Ownership
-from yieldmon.service.recovery import Recovery, recover
-from yieldmon.service.retention import Retention
-from yieldmon.service.store import Store
+from yieldmon.service.history.recovery import Recovery, recover
+from yieldmon.service.storage import hard_links
+from yieldmon.service.storage.hard_links import detach_hard_links
+from yieldmon.service.storage.ownership import OccupiedError, Ownership
+from yieldmon.service.storage.retention import Retention
+from yieldmon.service.storage.store import Store
 
 #: Opens a store by SQLite alone, says so, and holds it until its input ends.
 _HOLDER = """

@@ -14,13 +14,13 @@ from tests.service.test_store_damage import kept as kept  # noqa: PLC0414 - a fi
 from tests.service.test_store_damage import path as path  # noqa: PLC0414 - a fixture
 from tests.service.test_store_damage import state
 from yieldmon.errors import InputError
-from yieldmon.service.ownership import OccupiedError, Ownership
-from yieldmon.service.recovery import recover
-from yieldmon.service.retention import Retention
-from yieldmon.service.store import Store
-from yieldmon.service.store_errors import StoreError
-from yieldmon.service.store_file import read_only
-from yieldmon.service.writer import StoreWriter
+from yieldmon.service.history.recovery import recover
+from yieldmon.service.storage.ownership import OccupiedError, Ownership
+from yieldmon.service.storage.retention import Retention
+from yieldmon.service.storage.store import Store
+from yieldmon.service.storage.store_errors import StoreError
+from yieldmon.service.storage.store_file import read_only
+from yieldmon.service.storage.writer import StoreWriter
 
 KEPT = b"somebody else's"
 

@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import pytest
 
-from yieldmon.engine.learning import ParametersChanged
+from yieldmon.engine.self_calibration.learning import ParametersChanged
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.files import parameter_file
 from yieldmon.physics.machine import Machine
 from yieldmon.service.assembly import build_monitor
-from yieldmon.service.journal import Journal
-from yieldmon.service.memory import Memory
+from yieldmon.service.history.journal import Journal
+from yieldmon.service.history.memory import Memory
 
 SHIPPED = parameter_file.load()
 

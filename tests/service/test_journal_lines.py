@@ -16,9 +16,9 @@ from pathlib import Path
 import pytest
 
 from tests.service.bench import wait_for
-from yieldmon.service.control_client import ask
-from yieldmon.service.control_protocol import ControlError
 from yieldmon.service.journal_lines import CAPACITY, JournalLines
+from yieldmon.service.operator.control_client import ask
+from yieldmon.service.operator.control_protocol import ControlError
 
 _F_SETPIPE_SZ = 1031
 

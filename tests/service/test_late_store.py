@@ -16,18 +16,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.service.bench import PATIENCE_S, START_S, UNHURRIED, Bench, encoded, running, traffic, wait_for
-from yieldmon.engine.budget import FlowBudget
-from yieldmon.engine.totals import Totals
+from yieldmon.engine.mass.budget import FlowBudget
+from yieldmon.engine.mass.totals import Totals
 from yieldmon.errors import InputError
-from yieldmon.service import answering, configuration
+from yieldmon.service import answering
 from yieldmon.service import daemon as service
-from yieldmon.service.control_protocol import ControlError
+from yieldmon.service.config import configuration
 from yieldmon.service.daemon import Daemon
-from yieldmon.service.late_store import KeptInput
-from yieldmon.service.ownership import OccupiedError
-from yieldmon.service.recovery import recover
-from yieldmon.service.rows import SecondRow
-from yieldmon.service.store import Store
+from yieldmon.service.history.late_store import KeptInput
+from yieldmon.service.history.recovery import recover
+from yieldmon.service.operator.control_protocol import ControlError
+from yieldmon.service.storage.ownership import OccupiedError
+from yieldmon.service.storage.rows import SecondRow
+from yieldmon.service.storage.store import Store
 
 STORE = "yieldmon.sqlite"
 #: Of the life before, and of the one that finds the disk hanging.

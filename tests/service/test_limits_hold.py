@@ -16,16 +16,16 @@ from tests.service.test_store import batch, second
 from yieldmon import frames
 from yieldmon.bus.receiver import BusEvent, BusEventKind
 from yieldmon.engine.faults import FaultCode
-from yieldmon.service import control
-from yieldmon.service.batch import Batch, Load
-from yieldmon.service.control import ControlServer, Pace
-from yieldmon.service.control_client import ask
-from yieldmon.service.retention import Retention
-from yieldmon.service.service_faults import ServiceFaults
-from yieldmon.service.store import Store
-from yieldmon.service.store_errors import StoreDamagedError, StoreError
-from yieldmon.service.transmit import TransmitCounters
-from yieldmon.service.writer import StoreHealth, StoreWriter
+from yieldmon.service.operator import control
+from yieldmon.service.operator.control import ControlServer, Pace
+from yieldmon.service.operator.control_client import ask
+from yieldmon.service.storage.batch import Batch, Load
+from yieldmon.service.storage.retention import Retention
+from yieldmon.service.storage.store import Store
+from yieldmon.service.storage.store_errors import StoreDamagedError, StoreError
+from yieldmon.service.storage.writer import StoreHealth, StoreWriter
+from yieldmon.service.traffic.service_faults import ServiceFaults
+from yieldmon.service.traffic.transmit import TransmitCounters
 
 
 def bus_error_at(faults: ServiceFaults, now_s: float) -> str:

@@ -8,12 +8,12 @@ from typing import Any
 
 import pytest
 
-from yieldmon.engine.loads import LoadSummary
-from yieldmon.engine.since_zero import MissedMass
-from yieldmon.service.batch import Batch, Load
-from yieldmon.service.load_book import LoadBook
-from yieldmon.service.recorded import read_loads
-from yieldmon.service.store import Store
+from yieldmon.engine.mass.loads import LoadSummary
+from yieldmon.engine.sampling.since_zero import MissedMass
+from yieldmon.service.history.load_book import LoadBook
+from yieldmon.service.logs.recorded import read_loads
+from yieldmon.service.storage.batch import Batch, Load
+from yieldmon.service.storage.store import Store
 
 SUMMARY = LoadSummary(
     number=3, start_s=10.0, end_s=20.0, measured_kg=100.0, dry_kg=85.0, unknown_moisture_kg=0.0, complete=True, area_m2=50.0

@@ -10,9 +10,9 @@ import pytest
 from tests.service.test_posting import MACHINE, known, rows
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.effects import get_effect, registry
-from yieldmon.service.load_factor import load_factor
-from yieldmon.service.rows import SecondRow
-from yieldmon.service.weighed_loads import MeasuredLoad
+from yieldmon.service.history.load_factor import load_factor
+from yieldmon.service.logs.weighed_loads import MeasuredLoad
+from yieldmon.service.storage.rows import SecondRow
 
 
 def load(seconds: list[SecondRow]) -> MeasuredLoad:

@@ -16,7 +16,7 @@ import pytest
 from tests.service.bench import CODEC, EMPTY_MV, GRAIN_MV, START_S, Bench, running, traffic, wait_for
 from yieldmon import frames
 from yieldmon.frames import Frame
-from yieldmon.service.control_client import ask
+from yieldmon.service.operator.control_client import ask
 
 HOME_DEG, AWAY_DEG = 70.0, 60.0
 SWEEP = """bus: {transmit_max_age_s: 60}

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from yieldmon.errors import InputError
-from yieldmon.service import configuration
-from yieldmon.service.configuration import Configuration
-from yieldmon.service.mapping_check import RATE_TOLERANCE, QuantitySeen, notes, problems, remarks, seen_in
+from yieldmon.service.config import configuration
+from yieldmon.service.config.configuration import Configuration
+from yieldmon.service.logs.mapping_check import RATE_TOLERANCE, QuantitySeen, notes, problems, remarks, seen_in
 
 DBC = """\
 VERSION ""

@@ -27,9 +27,9 @@ from yieldmon.network.identifier import (
 from yieldmon.network.name import Name
 from yieldmon.network.node import Node, NodeSettings
 from yieldmon.physics.machine import Implement
-from yieldmon.service import configuration
-from yieldmon.service.link import link_for
-from yieldmon.service.network_link import identity_number
+from yieldmon.service.config import configuration
+from yieldmon.service.traffic.link import link_for
+from yieldmon.service.traffic.network_link import identity_number
 
 RECORDINGS = sorted((Path(__file__).parent.parent / "data" / "tractor_bus").glob("*.log"))
 US = 0x83

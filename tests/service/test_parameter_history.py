@@ -11,9 +11,9 @@ from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import parameter_file
 from yieldmon.files.crops import crops
-from yieldmon.service.action_log import ActionLog
-from yieldmon.service.memory import KEPT_VERSIONS, Memory
-from yieldmon.service.parameter_history import ParameterHistory
+from yieldmon.service.history.memory import KEPT_VERSIONS, Memory
+from yieldmon.service.history.parameter_history import ParameterHistory
+from yieldmon.service.tickets.action_log import ActionLog
 
 OWN = known(0)
 """A file of the operator's own, of no stated crop."""

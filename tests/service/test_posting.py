@@ -14,21 +14,21 @@ import pytest
 
 from tests.service.bench import START_S, ask, running, wait_for
 from yieldmon.cli import main as cli
-from yieldmon.engine.curve_states import aligned
 from yieldmon.engine.records import CalibrationStep
-from yieldmon.estimation.drift_rates import DriftRates
+from yieldmon.engine.self_calibration.curve_states import aligned
 from yieldmon.estimation.load_pattern import NAMES
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.estimation.steady_drift import advance, begin
+from yieldmon.estimation.self_calibration.drift_rates import DriftRates
+from yieldmon.estimation.self_calibration.steady_drift import advance, begin
 from yieldmon.files import parameter_file
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
-from yieldmon.service import posting
-from yieldmon.service.batch import Batch, Load, ParameterVersion, Step
-from yieldmon.service.rows import SecondRow
-from yieldmon.service.store import Store
-from yieldmon.service.update_steps import step_document, step_from_document
-from yieldmon.service.weighed_loads import loads_of
+from yieldmon.service.history import posting
+from yieldmon.service.history.update_steps import step_document, step_from_document
+from yieldmon.service.logs.weighed_loads import loads_of
+from yieldmon.service.storage.batch import Batch, Load, ParameterVersion, Step
+from yieldmon.service.storage.rows import SecondRow
+from yieldmon.service.storage.store import Store
 
 MACHINE = Machine()
 HOUR_S = 3600.0

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from tests.service.test_store import second
-from yieldmon.service.record_check import RecordCheck, record_lines
+from yieldmon.service.logs.record_check import RecordCheck, record_lines
 
 WHOLE: dict[str, Any] = {"coverage": 1.0, "moisture_pct": 15.0, "latitude_deg": 50.0, "ground_speed_m_s": 1.5, "mass_kg": 10.0}
 

@@ -11,9 +11,9 @@ import pytest
 from tests.service.test_store import second
 from yieldmon.cli.main import main
 from yieldmon.errors import InputError
-from yieldmon.service import recorded
-from yieldmon.service.batch import Batch, Load
-from yieldmon.service.store import Store
+from yieldmon.service.logs import recorded
+from yieldmon.service.storage.batch import Batch, Load
+from yieldmon.service.storage.store import Store
 
 GOOD = dataclasses.asdict(second(1, latitude_deg=50.0, longitude_deg=9.0, ground_speed_m_s=1.5, mass_flow_kg_s=10.0))
 STRANGE = [

@@ -24,13 +24,13 @@ from tests.service.bench import (
 )
 from yieldmon import frames
 from yieldmon.errors import InputError
-from yieldmon.service import configuration
+from yieldmon.service.config import configuration
 from yieldmon.service.daemon import Daemon
-from yieldmon.service.ownership import Ownership
-from yieldmon.service.recovery import recover
-from yieldmon.service.retention import DEFAULT_RETENTION
-from yieldmon.service.store import Store
-from yieldmon.service.store_errors import StoreError
+from yieldmon.service.history.recovery import recover
+from yieldmon.service.storage.ownership import Ownership
+from yieldmon.service.storage.retention import DEFAULT_RETENTION
+from yieldmon.service.storage.store import Store
+from yieldmon.service.storage.store_errors import StoreError
 
 
 def daemon_on(folder: Path, text: str = "") -> Daemon:
@@ -154,7 +154,7 @@ def test_a_store_that_cannot_be_read_at_all_is_reported_with_its_problem(tmp_pat
     def refuse(*_: object, **how: bool) -> Store:
         raise StoreError(f"{path}: " + ("schema version 0" if how else "database or disk is full"))
 
-    monkeypatch.setattr("yieldmon.service.recovery.Store", refuse)
+    monkeypatch.setattr("yieldmon.service.history.recovery.Store", refuse)
     with pytest.raises(StoreError, match=r"yieldmon\.sqlite: database or disk is full$"):
         recover(path, DEFAULT_RETENTION, refuse)
     said = [record.getMessage() for record in caplog.records]

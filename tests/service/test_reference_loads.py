@@ -11,9 +11,9 @@ import pytest
 from tests.service.test_posting import MACHINE, known, rows
 from yieldmon.files import parameter_file
 from yieldmon.frames import EstimateQuality
-from yieldmon.service.batch import Action, Load, ParameterVersion
-from yieldmon.service.reference_loads import StoredLoad, of_store, reference
-from yieldmon.service.rows import SecondRow
+from yieldmon.service.history.reference_loads import StoredLoad, of_store, reference
+from yieldmon.service.storage.batch import Action, Load, ParameterVersion
+from yieldmon.service.storage.rows import SecondRow
 
 MASS_KG = 50.0
 LOAD = Load(number=4, field="", crop="", started_s=99.0, ended_s=104.0, mass_kg=MASS_KG, dry_mass_kg=40.0, area_m2=None)

@@ -15,8 +15,8 @@ from tests.service.test_tickets_after_restart import TRUE, Season, ask
 from yieldmon.cli import main as cli
 from yieldmon.cli._records import back, taken_back
 from yieldmon.files import parameter_file
-from yieldmon.service import recorded
-from yieldmon.service.store import Store
+from yieldmon.service.logs import recorded
+from yieldmon.service.storage.store import Store
 
 RIGHT = ((2, TRUE), (3, 1.003 * TRUE), (4, 0.998 * TRUE))
 

@@ -9,7 +9,8 @@ import pytest
 
 from tests.service.bench import PATIENCE_S, running, wait_for
 from yieldmon.errors import InputError
-from yieldmon.service import configuration, reloading
+from yieldmon.service import reloading
+from yieldmon.service.config import configuration
 from yieldmon.service.patience import Patience
 from yieldmon.service.reloading import Reloading
 

@@ -12,19 +12,19 @@ import numpy as np
 import pytest
 
 from tests.service.test_store import second
-from yieldmon.engine.disagreement import SweepPattern
-from yieldmon.engine.loads import LoadSummary
-from yieldmon.engine.since_zero import NO_LOAD, MissedMass
+from yieldmon.engine.mass.loads import LoadSummary
+from yieldmon.engine.mass.totals import Totals
+from yieldmon.engine.sampling.since_zero import NO_LOAD, MissedMass
+from yieldmon.engine.sampling.zero import ZeroState
 from yieldmon.engine.state import EngineState, ZeroUndo
-from yieldmon.engine.totals import Totals
-from yieldmon.engine.zero import ZeroState
-from yieldmon.estimation.misfit import ReducedSweep
+from yieldmon.engine.sweeps.disagreement import SweepPattern
+from yieldmon.estimation.self_calibration.misfit import ReducedSweep
 from yieldmon.files import parameter_file
-from yieldmon.service.batch import Action, Batch, Load, ParameterVersion
-from yieldmon.service.load_book import LoadBook
-from yieldmon.service.memory import Memory, choose_parameters
-from yieldmon.service.recovery import remembered
-from yieldmon.service.store import Store
+from yieldmon.service.history.load_book import LoadBook
+from yieldmon.service.history.memory import Memory, choose_parameters
+from yieldmon.service.history.recovery import remembered
+from yieldmon.service.storage.batch import Action, Batch, Load, ParameterVersion
+from yieldmon.service.storage.store import Store
 
 
 def stored(path: Path, loads: list[int]) -> None:

@@ -14,7 +14,7 @@ import pytest
 import yieldmon
 from tests.service.bench import PATIENCE_S, running
 from yieldmon.cli import main as cli
-from yieldmon.service import configuration
+from yieldmon.service.config import configuration
 from yieldmon.service.daemon import Daemon
 
 UNIT = Path(yieldmon.__file__).parents[1] / "systemd" / "yieldmon.service"

@@ -8,10 +8,10 @@ from math import nan
 import pytest
 
 from tests.engine.test_closed_loop_calibrator import records
+from yieldmon.engine.mass.totals import Totals
 from yieldmon.engine.settings import TotalsSettings
-from yieldmon.engine.totals import Totals
 from yieldmon.frames import OperatingState
-from yieldmon.service.network_messages import second_of
+from yieldmon.service.traffic.network_messages import second_of
 
 RECORD = replace(records(10.0, moisture=20.0)[0], total_kg=500.0, ground_speed_m_s=1.5)
 SETTINGS = TotalsSettings(moisture_reference_pct=None)

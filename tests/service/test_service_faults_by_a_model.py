@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from yieldmon.bus.receiver import BusEvent, BusEventKind
 from yieldmon.engine.faults import FaultCode
-from yieldmon.service.service_faults import ServiceFaults
-from yieldmon.service.transmit import TransmitCounters
-from yieldmon.service.writer import StoreHealth
+from yieldmon.service.storage.writer import StoreHealth
+from yieldmon.service.traffic.service_faults import ServiceFaults
+from yieldmon.service.traffic.transmit import TransmitCounters
 
 HELD_S = 3.0
 """How long what has no end of its own is shown."""

@@ -18,12 +18,12 @@ from yieldmon.frames import VEHICLE_DIRECTION_SPEED, VEHICLE_POSITION, Frame
 from yieldmon.network.fast_packet import split
 from yieldmon.network.process_data import Command, ProcessData
 from yieldmon.resources import shipped
-from yieldmon.service import configuration
 from yieldmon.service.assembly import build_monitor
-from yieldmon.service.bulk_processing import process_in_bulk
-from yieldmon.service.processing import process_logs
-from yieldmon.service.rows import SecondRow
-from yieldmon.service.side_inputs import SideInputs
+from yieldmon.service.config import configuration
+from yieldmon.service.logs.bulk_processing import process_in_bulk
+from yieldmon.service.logs.processing import process_logs
+from yieldmon.service.storage.rows import SecondRow
+from yieldmon.service.traffic.side_inputs import SideInputs
 
 DURATION_S = 40
 

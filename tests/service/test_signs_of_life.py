@@ -13,10 +13,10 @@ import pytest
 
 from tests.service.bench import PATIENCE_S, Bench, running, wait_for
 from yieldmon.service import metrics, quiet_log
-from yieldmon.service.journal import Journal
+from yieldmon.service.history.journal import Journal
 from yieldmon.service.patience import Patience
-from yieldmon.service.store import Store
-from yieldmon.service.transmit import Transmitter
+from yieldmon.service.storage.store import Store
+from yieldmon.service.traffic.transmit import Transmitter
 
 
 def test_a_transmit_thread_that_hangs_is_seen_and_stops_nothing():
@@ -192,7 +192,7 @@ def test_a_writer_that_hangs_is_a_fault_and_loses_nothing(tmp_path: Path, monkey
         assert gate.wait(PATIENCE_S)
         commit(store, batches)
 
-    monkeypatch.setattr("yieldmon.service.writer.monotonic", lambda: now_s() + ahead_s[0])
+    monkeypatch.setattr("yieldmon.service.storage.writer.monotonic", lambda: now_s() + ahead_s[0])
     with running(tmp_path) as bench:
         bench.play(14, 0.0)
         bench.play(3, 60.0)

@@ -15,16 +15,16 @@ import pytest
 
 from tests.service.bench import EMPTY_MV, GRAIN_MV, START_S, retry_writing_soon, running, wait_for
 from tests.service.test_store import second
+from yieldmon.engine.mass.totals import Totals
 from yieldmon.engine.state import EngineState
-from yieldmon.engine.totals import Totals
 from yieldmon.files import parameter_file
-from yieldmon.service import recovery
-from yieldmon.service.batch import Batch, ParameterVersion
-from yieldmon.service.recovery import recover
-from yieldmon.service.retention import DEFAULT_RETENTION
-from yieldmon.service.spare_copy import spare_copy
-from yieldmon.service.store import Store
-from yieldmon.service.store_errors import StoreError
+from yieldmon.service.history import recovery
+from yieldmon.service.history.recovery import recover
+from yieldmon.service.storage.batch import Batch, ParameterVersion
+from yieldmon.service.storage.retention import DEFAULT_RETENTION
+from yieldmon.service.storage.spare_copy import spare_copy
+from yieldmon.service.storage.store import Store
+from yieldmon.service.storage.store_errors import StoreError
 
 _GET_FLAGS, _SET_FLAGS, _IMMUTABLE = 0x80086601, 0x40086602, 0x10
 """FS_IOC_GETFLAGS, FS_IOC_SETFLAGS and FS_IMMUTABLE_FL of linux/fs.h."""
@@ -72,7 +72,7 @@ HARM = {
 @pytest.mark.parametrize("harm", HARM)
 @pytest.mark.parametrize("journal", [False, True])
 def test_a_damaged_store_that_cannot_be_set_aside_stops_no_measuring(tmp_path, monkeypatch, harm, journal):
-    monkeypatch.setattr("yieldmon.service.writer._REPAIR_AGAIN_S", 0.0)
+    monkeypatch.setattr("yieldmon.service.storage.writer._REPAIR_AGAIN_S", 0.0)
     retry_writing_soon(monkeypatch)
     state = tmp_path / "state"
     with running(tmp_path, state=state) as bench:
@@ -176,7 +176,7 @@ def test_a_store_with_a_bad_sector_is_read_as_far_as_it_goes(tmp_path, monkeypat
     def reading(where: Path, *how: object, **named: object) -> Store:
         return fail() if where == path else opened(where, *how, **named)
 
-    monkeypatch.setattr("yieldmon.service.recovery.Store", reading)
+    monkeypatch.setattr("yieldmon.service.history.recovery.Store", reading)
     found = recover(path, DEFAULT_RETENTION, fail)
     assert found.memory.engine.totals.total_kg == 400.0
     assert (found.memory.last_second, found.last_batch, found.made) == (40, 40, True)
@@ -201,7 +201,7 @@ def unreadable(path: Path, monkeypatch: pytest.MonkeyPatch, *, answers_later: bo
             raise OSError(errno.EIO, os.strerror(errno.EIO))
         return read(descriptor, length, offset)
 
-    monkeypatch.setattr("yieldmon.service.recovery.Store", opening)
+    monkeypatch.setattr("yieldmon.service.history.recovery.Store", opening)
     monkeypatch.setattr("os.pread", pread)
     monkeypatch.setattr("time.sleep", waits.append)
     return waits
@@ -242,7 +242,7 @@ def test_a_store_that_can_neither_be_read_nor_renamed_ends_the_start(tmp_path, m
     def refuse(*_: object) -> None:
         raise OSError(errno.EIO, os.strerror(errno.EIO))
 
-    monkeypatch.setattr("yieldmon.service.recovery.set_aside", refuse)
+    monkeypatch.setattr("yieldmon.service.history.recovery.set_aside", refuse)
     with pytest.raises(StoreError, match=r"disk I/O error, and cannot be set aside: Input/output error$"):
         recover(path, DEFAULT_RETENTION, lambda: recovery.Store(path))
     assert path.exists()

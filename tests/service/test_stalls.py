@@ -12,7 +12,7 @@ import pytest
 from tests.service.bench import CODEC, PATIENCE_S, START_S, running, traffic, wait_for
 from yieldmon import frames
 from yieldmon.frames import Frame
-from yieldmon.service import configuration
+from yieldmon.service.config import configuration
 from yieldmon.service.daemon import Daemon
 from yieldmon.service.patience import Patience
 

@@ -14,8 +14,8 @@ from yieldmon.bus import log_writing, logs
 TABLE = Path(__file__).resolve().parents[1] / "data" / "bench_table.csv"
 HEAVY = {
     "asammdf", "can", "cantools", "matplotlib", "numpy", "pandas", "pyarrow", "pydantic", "rich", "scipy", "yaml",
-    "yieldmon.engine.monitor", "yieldmon.engine.records", "yieldmon.estimation.calibration", "yieldmon.estimation.closed_loop",
-    "yieldmon.estimation.loads", "yieldmon.service.store",
+    "yieldmon.engine.monitor", "yieldmon.engine.records", "yieldmon.estimation.fitting.calibration",
+    "yieldmon.estimation.self_calibration.closed_loop", "yieldmon.estimation.weighing.loads", "yieldmon.service.storage.store",
 }  # fmt: skip
 
 
@@ -46,7 +46,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("check-config", {"numpy", "pydantic", "yaml"}),
         ("monitor LOG --once --speed 0", {"can", "cantools", "rich"}),
         ("calibrate --help", {"numpy"}),
-        ("calibrate TABLE --starts 1", {"numpy", "rich", "scipy", "yaml", "yieldmon.estimation.calibration"}),
+        ("calibrate TABLE --starts 1", {"numpy", "rich", "scipy", "yaml", "yieldmon.estimation.fitting.calibration"}),
         ("estimate --help", {"numpy", "yaml"}),
     ],
     ids=["help", "status", "check-config", "monitor", "calibrate-help", "calibrate", "estimate-help"],

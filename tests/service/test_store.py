@@ -14,13 +14,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from yieldmon.errors import InputError
-from yieldmon.service import schema
-from yieldmon.service.batch import Action, Batch, FaultEvent, Load, ParameterVersion, Step, SweepRecord, Ticket
-from yieldmon.service.retention import Retention
-from yieldmon.service.rows import SecondRow
-from yieldmon.service.store import Store
-from yieldmon.service.store_errors import BatchRefusedError, StoreError
-from yieldmon.service.store_file import set_aside
+from yieldmon.service.storage import schema
+from yieldmon.service.storage.batch import Action, Batch, FaultEvent, Load, ParameterVersion, Step, SweepRecord, Ticket
+from yieldmon.service.storage.retention import Retention
+from yieldmon.service.storage.rows import SecondRow
+from yieldmon.service.storage.store import Store
+from yieldmon.service.storage.store_errors import BatchRefusedError, StoreError
+from yieldmon.service.storage.store_file import set_aside
 
 DATA = Path(__file__).parent / "data"
 

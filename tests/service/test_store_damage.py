@@ -15,20 +15,20 @@ import pytest
 
 from tests.robustness.store_damage import KINDS, attempt, original
 from tests.service.test_store import DATA, batch, connections_made, second
+from yieldmon.engine.mass.totals import Totals
 from yieldmon.engine.state import EngineState
-from yieldmon.engine.totals import Totals
 from yieldmon.errors import InputError
 from yieldmon.files import parameter_file
-from yieldmon.service import rescue, schema
-from yieldmon.service.batch import FaultEvent, Load, ParameterVersion, Ticket
-from yieldmon.service.checksums import row_checksum
-from yieldmon.service.recovery import recover
-from yieldmon.service.retention import Retention
-from yieldmon.service.store import Store
-from yieldmon.service.store_errors import StoreDamagedError, StoreDetachedError
-from yieldmon.service.store_file import read_only, witness
-from yieldmon.service.store_names import parts
-from yieldmon.service.writer import StoreWriter
+from yieldmon.service.history.recovery import recover
+from yieldmon.service.storage import rescue, schema
+from yieldmon.service.storage.batch import FaultEvent, Load, ParameterVersion, Ticket
+from yieldmon.service.storage.checksums import row_checksum
+from yieldmon.service.storage.retention import Retention
+from yieldmon.service.storage.store import Store
+from yieldmon.service.storage.store_errors import StoreDamagedError, StoreDetachedError
+from yieldmon.service.storage.store_file import read_only, witness
+from yieldmon.service.storage.store_names import parts
+from yieldmon.service.storage.writer import StoreWriter
 
 PATIENCE_S = 60.0
 
@@ -275,7 +275,7 @@ def test_a_journal_that_another_process_wrote_into_the_file_is_no_damage(path):
 def test_files_that_are_removed_again_are_written_anew_again(path, monkeypatch, again_after_s):
     """A folder that is exchanged twice in a minute, and a stop right after: what waits is written."""
     clock = [1000.0]
-    monkeypatch.setattr("yieldmon.service.writer.monotonic", lambda: clock[0])
+    monkeypatch.setattr("yieldmon.service.storage.writer.monotonic", lambda: clock[0])
     writer = StoreWriter(lambda: Store(path), 100, retry_s=0.01, path=path)
     writer.start()
     for number in (41, 42):

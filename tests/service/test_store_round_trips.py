@@ -10,9 +10,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tests.service.test_store import batch, second
-from yieldmon.service.batch import Action, FaultEvent, Load, ParameterVersion, Step, SweepRecord, Ticket
-from yieldmon.service.rows import SecondRow
-from yieldmon.service.store import Store
+from yieldmon.service.storage.batch import Action, FaultEvent, Load, ParameterVersion, Step, SweepRecord, Ticket
+from yieldmon.service.storage.rows import SecondRow
+from yieldmon.service.storage.store import Store
 
 NUMBERS = st.floats(-1e12, 1e12)
 SMALL = st.integers(0, 50)

@@ -11,13 +11,13 @@ import pytest
 from tests.service.test_store import batch
 from tests.service.test_store_damage import state
 from yieldmon.files import parameter_file
-from yieldmon.service.batch import ParameterVersion
-from yieldmon.service.identity import NONE, this_computer
-from yieldmon.service.recovery import Recovery, recover
-from yieldmon.service.retention import Retention
-from yieldmon.service.store import Store
-from yieldmon.service.store_file import witness, witnessed, witnessed_store
-from yieldmon.service.store_names import parts
+from yieldmon.service.history.recovery import Recovery, recover
+from yieldmon.service.storage.batch import ParameterVersion
+from yieldmon.service.storage.identity import NONE, this_computer
+from yieldmon.service.storage.retention import Retention
+from yieldmon.service.storage.store import Store
+from yieldmon.service.storage.store_file import witness, witnessed, witnessed_store
+from yieldmon.service.storage.store_names import parts
 
 ENDS = ("", "-wal", ".last")
 Files = dict[str, bytes]

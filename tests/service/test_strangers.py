@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 
 from yieldmon.errors import InputError
-from yieldmon.service.batch import Batch
-from yieldmon.service.recovery import recover
-from yieldmon.service.retention import Retention
-from yieldmon.service.store import Store
-from yieldmon.service.store_file import refuse_stranger, unmounted_above, witnessed
+from yieldmon.service.history.recovery import recover
+from yieldmon.service.storage.batch import Batch
+from yieldmon.service.storage.retention import Retention
+from yieldmon.service.storage.store import Store
+from yieldmon.service.storage.store_file import refuse_stranger, unmounted_above, witnessed
 
 
 def start(path: Path) -> None:

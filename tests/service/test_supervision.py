@@ -14,11 +14,12 @@ import pytest
 from tests.service.bench import PATIENCE_S, Bench, running, wait_for
 from yieldmon.files import parameter_file
 from yieldmon.files.machine_file import load as load_machine
-from yieldmon.service import command_loads, control, metrics, supervision
-from yieldmon.service.control import ControlServer
-from yieldmon.service.control_client import ask
-from yieldmon.service.control_protocol import ControlError
-from yieldmon.service.posting import Poster
+from yieldmon.service import metrics, supervision
+from yieldmon.service.history.posting import Poster
+from yieldmon.service.operator import command_loads, control
+from yieldmon.service.operator.control import ControlServer
+from yieldmon.service.operator.control_client import ask
+from yieldmon.service.operator.control_protocol import ControlError
 from yieldmon.service.supervision import HANGS_LOOKS, HANGS_S, MOST, Supervisor
 
 

@@ -18,10 +18,11 @@ from yieldmon.cli.main import main
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import parameter_file, table
-from yieldmon.service import schema, sweep_table
-from yieldmon.service.batch import Batch, ParameterVersion
-from yieldmon.service.rows import second_row
-from yieldmon.service.store import Store
+from yieldmon.service.logs import sweep_table
+from yieldmon.service.storage import schema
+from yieldmon.service.storage.batch import Batch, ParameterVersion
+from yieldmon.service.storage.rows import second_row
+from yieldmon.service.storage.store import Store
 
 SHIPPED = parameter_file.load()
 ANGLES_DEG = (40.0, 45.0, 50.0, 55.0, 60.0, 65.0, 75.0, 80.0, 85.0, 90.0)

@@ -14,9 +14,9 @@ from yieldmon.files import machine_file
 from yieldmon.plant.combine import VirtualCombine
 from yieldmon.plant.scenario import from_mapping
 from yieldmon.resources import shipped
-from yieldmon.service import ticket_doubt
-from yieldmon.service.batch import Load
-from yieldmon.service.ticket_doubt import Departure, combined
+from yieldmon.service.storage.batch import Load
+from yieldmon.service.tickets import ticket_doubt
+from yieldmon.service.tickets.ticket_doubt import Departure, combined
 
 KNOWN_KG = {6: 7000.0, 7: 9000.0, 8: 4000.0}
 

@@ -15,10 +15,10 @@ from tests.service.bench import START_S, running, wait_for
 from yieldmon.cli import main as cli
 from yieldmon.cli._records import back
 from yieldmon.files import parameter_file
-from yieldmon.service.action_log import ActionLog
-from yieldmon.service.batch import Ticket
-from yieldmon.service.ledger import PARAMETERS
-from yieldmon.service.store import Store
+from yieldmon.service.storage.batch import Ticket
+from yieldmon.service.storage.ledger import PARAMETERS
+from yieldmon.service.storage.store import Store
+from yieldmon.service.tickets.action_log import ActionLog
 
 LOADS = ((5, 40.0), (4, 80.0), (5, 110.0), (4, 60.0))
 """Seconds of grain and its signal, mV, of loads 2 to 5."""

@@ -9,9 +9,9 @@ import pytest
 from tests.file_limit import files_end_at
 from tests.service.bench import START_S, running
 from yieldmon.cli.main import main
-from yieldmon.service.control_client import ask
-from yieldmon.service.control_protocol import ControlError
-from yieldmon.service.store import Store
+from yieldmon.service.operator.control_client import ask
+from yieldmon.service.operator.control_protocol import ControlError
+from yieldmon.service.storage.store import Store
 
 
 def test_totals_are_archived_and_reset_and_stay_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

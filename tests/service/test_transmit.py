@@ -7,7 +7,7 @@ import threading
 import can
 import pytest
 
-from yieldmon.service.transmit import ASKED_ECHO_S, Transmitter
+from yieldmon.service.traffic.transmit import ASKED_ECHO_S, Transmitter
 
 PATIENCE_S = 60.0
 

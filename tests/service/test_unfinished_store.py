@@ -9,13 +9,13 @@ from typing import Any
 
 import pytest
 
-from yieldmon.service import schema, store_file, store_names
-from yieldmon.service.batch import Batch
-from yieldmon.service.recovery import recover
-from yieldmon.service.retention import DEFAULT_RETENTION
-from yieldmon.service.store import Store
-from yieldmon.service.store_errors import StoreError
-from yieldmon.service.store_sql import statements
+from yieldmon.service.history.recovery import recover
+from yieldmon.service.storage import schema, store_file, store_names
+from yieldmon.service.storage.batch import Batch
+from yieldmon.service.storage.retention import DEFAULT_RETENTION
+from yieldmon.service.storage.store import Store
+from yieldmon.service.storage.store_errors import StoreError
+from yieldmon.service.storage.store_sql import statements
 
 OLD = Path(__file__).resolve().parents[1] / "golden" / "store-0.1.0.sqlite"
 

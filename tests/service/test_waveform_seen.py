@@ -8,12 +8,13 @@ import pytest
 
 from tests.service.bench import running
 from yieldmon.errors import InputError
-from yieldmon.estimation.shape_verdict import ShapeVerdict
-from yieldmon.service import commands, configuration
+from yieldmon.estimation.waveform.shape_verdict import ShapeVerdict
 from yieldmon.service.assembly import build_monitor
-from yieldmon.service.journal import Journal
-from yieldmon.service.memory import Memory, recall
-from yieldmon.service.store import Store
+from yieldmon.service.config import configuration
+from yieldmon.service.history.journal import Journal
+from yieldmon.service.history.memory import Memory, recall
+from yieldmon.service.operator import commands
+from yieldmon.service.storage.store import Store
 
 ON = """
 bus: {transmit_max_age_s: 60}

@@ -16,10 +16,10 @@ from yieldmon.errors import InputError
 from yieldmon.files import parameter_file
 from yieldmon.files.ticket_file import WeighedTicket
 from yieldmon.physics.model import ForwardModel
-from yieldmon.service.batch import Batch, Load, ParameterVersion
-from yieldmon.service.rows import SecondRow
-from yieldmon.service.store import Store
-from yieldmon.service.weighed_loads import MeasuredLoad, force_columns, loads_of, loads_on, match, sweeps_of
+from yieldmon.service.logs.weighed_loads import MeasuredLoad, force_columns, loads_of, loads_on, match, sweeps_of
+from yieldmon.service.storage.batch import Batch, Load, ParameterVersion
+from yieldmon.service.storage.rows import SecondRow
+from yieldmon.service.storage.store import Store
 
 OF_MOISTURE = ForwardModel(MACHINE, ("moisture_dependence",)).effect_parameters
 

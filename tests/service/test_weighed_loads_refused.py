@@ -9,7 +9,7 @@ import pytest
 from tests.service.test_posting import MACHINE, known, rows
 from yieldmon.errors import InputError
 from yieldmon.files.ticket_file import WeighedTicket
-from yieldmon.service.weighed_loads import loads_of, match
+from yieldmon.service.logs.weighed_loads import loads_of, match
 
 TICKET = WeighedTicket("1", "1", 200.0, 1.0, "line 2")
 

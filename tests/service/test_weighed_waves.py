@@ -12,8 +12,9 @@ from yieldmon.files.ticket_file import WeighedTicket
 from yieldmon.physics.machine import RPM
 from yieldmon.plant.combine import VirtualCombine
 from yieldmon.plant.scenario import from_mapping
-from yieldmon.service import configuration, weighed_waves
-from yieldmon.service.configuration import Configuration
+from yieldmon.service.config import configuration
+from yieldmon.service.config.configuration import Configuration
+from yieldmon.service.logs import weighed_waves
 
 EMPTY_S, GRAIN_S, FLOWS_KG_S = 8, 12, (8.0, 12.0)
 

@@ -11,8 +11,8 @@ from yieldmon.frames import MASS_FLOW, NOT_AVAILABLE, Frame
 from yieldmon.network.identifier import ADDRESS_CLAIMED, REQUEST, Identifier
 from yieldmon.network.name import Name
 from yieldmon.physics.machine import Machine
-from yieldmon.service.network_link import WAITS_S, NetworkLink
-from yieldmon.service.service_sections import Network
+from yieldmon.service.config.service_sections import Network
+from yieldmon.service.traffic.network_link import WAITS_S, NetworkLink
 
 CODEC = Codec()
 START_S = 100.0

@@ -13,10 +13,10 @@ import pytest
 
 from tests.service.bench import wait_for
 from tests.service.test_store import batch, second
-from yieldmon.service.batch import Action, Batch, FaultEvent, ParameterVersion, Step, SweepRecord, Ticket
-from yieldmon.service.store import Store
-from yieldmon.service.store_errors import StoreError
-from yieldmon.service.writer import StoreWriter
+from yieldmon.service.storage.batch import Action, Batch, FaultEvent, ParameterVersion, Step, SweepRecord, Ticket
+from yieldmon.service.storage.store import Store
+from yieldmon.service.storage.store_errors import StoreError
+from yieldmon.service.storage.writer import StoreWriter
 
 PATIENCE_S = 60.0
 
@@ -286,7 +286,7 @@ def test_a_disk_that_fails_behind_a_refused_batch_keeps_what_waits(disk):
 def clock_s(monkeypatch) -> list[float]:
     """The writer's monotonic clock, to be set."""
     time_s = [100.0]
-    monkeypatch.setattr("yieldmon.service.writer.monotonic", lambda: time_s[0])
+    monkeypatch.setattr("yieldmon.service.storage.writer.monotonic", lambda: time_s[0])
     return time_s
 
 

@@ -19,11 +19,11 @@ from yieldmon.frames import EstimateQuality, Frame
 from yieldmon.physics.machine import Machine
 from yieldmon.plant import scenario
 from yieldmon.plant.combine import VirtualCombine
-from yieldmon.service import configuration
 from yieldmon.service.assembly import monitor_of
-from yieldmon.service.bulk_processing import process_in_bulk
-from yieldmon.service.processing import process_logs
-from yieldmon.service.rows import SecondRow
+from yieldmon.service.config import configuration
+from yieldmon.service.logs.bulk_processing import process_in_bulk
+from yieldmon.service.logs.processing import process_logs
+from yieldmon.service.storage.rows import SecondRow
 
 DURATION_S = 70.0
 START_S = 1_790_000_000.0

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from yieldmon.cli.main import main
-from yieldmon.service import configuration
-from yieldmon.service.mapping_check import notes
+from yieldmon.service.config import configuration
+from yieldmon.service.logs.mapping_check import notes
 
 DBC = """\
 VERSION ""

@@ -13,13 +13,13 @@ import pytest
 from tests.plant_sweeps import window
 from yieldmon.bus.databases import load_messages
 from yieldmon.cli.main import main
+from yieldmon.engine.mass.totals import Totals
 from yieldmon.engine.results import PlateCommand, WindowResult
 from yieldmon.engine.settings import TotalsSettings
-from yieldmon.engine.totals import Totals
 from yieldmon.frames import NOT_AVAILABLE, Frame
 from yieldmon.physics.machine import Machine
 from yieldmon.resources import shipped
-from yieldmon.service.mapped_outputs import STALE_S, MappedOutputs
+from yieldmon.service.traffic.mapped_outputs import STALE_S, MappedOutputs
 from yieldmon.signals.mapping import default_map
 from yieldmon.signals.output_mapping import OutputBinding, build
 from yieldmon.signals.packing import Packing, packed

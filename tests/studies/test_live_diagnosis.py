@@ -14,8 +14,8 @@ from studies.live_diagnosis.stepped_daemon import SteppedDaemon
 from tests.plant_sweeps import MACHINE, STRONG, shown_force, sweep_windows, window
 from yieldmon.estimation.estimators import estimator_of
 from yieldmon.files import parameter_file
-from yieldmon.service.rows import SecondRow, second_row
-from yieldmon.service.store import Store
+from yieldmon.service.storage.rows import SecondRow, second_row
+from yieldmon.service.storage.store import Store
 
 CONTROL = live.CASES[0]
 SHIPPED = parameter_file.load()

@@ -10,8 +10,8 @@ import pytest
 
 from studies.season import season as seasons
 from studies.season import study
-from yieldmon.estimation.drift_rates import DriftRates
 from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.self_calibration.drift_rates import DriftRates
 from yieldmon.physics.machine import Machine
 from yieldmon.plant.scenario import Scenario
 

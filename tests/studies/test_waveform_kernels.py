@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from studies.waveform import kernels
-from yieldmon.estimation.kernel_noise import KernelImpulse, KernelNoiseSettings, KernelVerdict
+from yieldmon.estimation.waveform.kernel_noise import KernelImpulse, KernelNoiseSettings, KernelVerdict
 
 SETTINGS = KernelNoiseSettings(low_hz=200.0, high_hz=800.0, response_error=0.0)
 KERNEL_G, PUSH_N_S_PER_KG = 0.5, 4.0

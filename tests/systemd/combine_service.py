@@ -13,10 +13,10 @@ from service_manager import UNIT, add_interface, delete_interface, eventually, i
 
 from tests.service.bench import CODEC, traffic
 from yieldmon.cli._daemon import SYSTEM_SOCKET
-from yieldmon.service.control_client import ask
-from yieldmon.service.control_protocol import ControlError
-from yieldmon.service.rows import SecondRow
-from yieldmon.service.store import Store
+from yieldmon.service.operator.control_client import ask
+from yieldmon.service.operator.control_protocol import ControlError
+from yieldmon.service.storage.rows import SecondRow
+from yieldmon.service.storage.store import Store
 
 CONFIGURATION = Path("/etc/yieldmon/yieldmon.yaml")
 STORE = Path("/var/lib/yieldmon/yieldmon.sqlite")

@@ -33,8 +33,8 @@ from combine_service import (
 from service_manager import UNIT, eventually, run, show
 
 from tests.service.bench import CODEC, traffic
-from yieldmon.service.rows import SecondRow
-from yieldmon.service.store import Store
+from yieldmon.service.storage.rows import SecondRow
+from yieldmon.service.storage.store import Store
 
 pytestmark = [pytest.mark.systemd, pytest.mark.slow]
 

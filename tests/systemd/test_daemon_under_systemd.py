@@ -33,8 +33,8 @@ from tests.service.bench import CODEC, traffic
 from yieldmon import frames
 from yieldmon.bus.opening import open_bus
 from yieldmon.cli._daemon import SYSTEM_SOCKET
-from yieldmon.service.control_client import ask
-from yieldmon.service.store import Store
+from yieldmon.service.operator.control_client import ask
+from yieldmon.service.storage.store import Store
 
 pytestmark = pytest.mark.systemd
 

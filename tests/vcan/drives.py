@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from tests.vcan.nodes import DaemonNode, Recorded, candump, combine, daemon, eventually, read_back
-from yieldmon.service.batch import FaultEvent, SweepRecord
-from yieldmon.service.rows import SecondRow
+from yieldmon.service.storage.batch import FaultEvent, SweepRecord
+from yieldmon.service.storage.rows import SecondRow
 
 EMPTY_S, FLOW_KG_S = 5, 14.0
 #: Runs empty, so that the zero is learned, then harvests at a nearly steady flow.

@@ -24,9 +24,9 @@ from yieldmon.bus.codec import Codec
 from yieldmon.cli import replay, run, simulate
 from yieldmon.cli.main import main
 from yieldmon.resources import shipped
-from yieldmon.service.control_client import ask
-from yieldmon.service.control_protocol import ControlError
-from yieldmon.service.store import Store
+from yieldmon.service.operator.control_client import ask
+from yieldmon.service.operator.control_protocol import ControlError
+from yieldmon.service.storage.store import Store
 
 CODEC = Codec()
 #: Bounds a hang only; the emulated guest is several times slower than its host.

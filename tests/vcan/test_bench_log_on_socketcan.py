@@ -13,7 +13,7 @@ from tests.vcan.nodes import CODEC, PATIENCE_S, Command, candump, daemon, eventu
 from yieldmon import frames
 from yieldmon.bus.logs import read_log
 from yieldmon.cli.main import main
-from yieldmon.service.rows import SecondRow
+from yieldmon.service.storage.rows import SecondRow
 
 pytestmark = [pytest.mark.vcan, pytest.mark.slow]
 

@@ -10,7 +10,7 @@ import pytest
 from tests.vcan.drives import FLOW_KG_S, Drive, drive
 from tests.vcan.nodes import DaemonNode
 from yieldmon import frames
-from yieldmon.engine.sweep_inputs import SweepAbort
+from yieldmon.engine.sweeps.sweep_inputs import SweepAbort
 from yieldmon.frames import CommandMode
 
 pytestmark = pytest.mark.vcan

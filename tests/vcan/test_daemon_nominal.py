@@ -9,7 +9,7 @@ import pytest
 from tests.vcan.drives import EMPTY_S, FLOW_KG_S, Drive, drive
 from yieldmon import frames
 from yieldmon.engine.settings import SweepSettings
-from yieldmon.engine.sweep import sweep_sequence
+from yieldmon.engine.sweeps.sweep import sweep_sequence
 from yieldmon.frames import CommandMode, SweepState
 
 pytestmark = pytest.mark.vcan

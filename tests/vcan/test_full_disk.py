@@ -10,7 +10,7 @@ import pytest
 
 from tests.service import bench as service_bench
 from tests.service.bench import START_S, Bench, running, wait_for
-from yieldmon.service.store import Store
+from yieldmon.service.storage.store import Store
 
 pytestmark = pytest.mark.vcan
 

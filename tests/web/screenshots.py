@@ -12,7 +12,7 @@ from pathlib import Path
 from tests.web.browser import CAB, OFFICE, Watched, chromium, opened
 from tests.web.standin import StandIn, fault, page, standing_in
 from yieldmon.files import parameter_file
-from yieldmon.service.batch import FaultEvent, Load, ParameterVersion, SweepRecord
+from yieldmon.service.storage.batch import FaultEvent, Load, ParameterVersion, SweepRecord
 
 PICTURES = Path(__file__).parents[2] / "docs" / "img"
 START_S = 1_760_083_200.0

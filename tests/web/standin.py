@@ -16,10 +16,10 @@ from tests import forked
 from yieldmon.engine.records import COLUMNS
 from yieldmon.errors import InputError
 from yieldmon.frames import EstimateQuality, OperatingState
-from yieldmon.service.batch import Batch, Load
-from yieldmon.service.control import ControlServer
-from yieldmon.service.rows import SecondRow
-from yieldmon.service.store import Store
+from yieldmon.service.operator.control import ControlServer
+from yieldmon.service.storage.batch import Batch, Load
+from yieldmon.service.storage.rows import SecondRow
+from yieldmon.service.storage.store import Store
 
 TEMPLATE = json.loads((Path(__file__).parent / "data" / "status.json").read_text())
 _EMPTY = {float: 0.0, int: 0, str: ""}

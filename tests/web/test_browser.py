@@ -20,7 +20,7 @@ import pytest
 from tests.service.bench import running
 from tests.web.browser import CAB, OFFICE, Watched, chromium, opened
 from tests.web.standin import StandIn, fault, page, standing_in
-from yieldmon.service.batch import FaultEvent, Load, SweepRecord
+from yieldmon.service.storage.batch import FaultEvent, Load, SweepRecord
 
 pytest.importorskip("playwright")
 pytestmark = pytest.mark.skipif(chromium() is None, reason="needs chromium (Debian: apt-get install chromium)")

@@ -15,7 +15,7 @@ from tests.web.standin import StandIn, row
 from yieldmon.errors import InputError
 from yieldmon.files import machine_file, parameter_file
 from yieldmon.resources import shipped
-from yieldmon.service.batch import FaultEvent, Load, ParameterVersion, SweepRecord, Ticket
+from yieldmon.service.storage.batch import FaultEvent, Load, ParameterVersion, SweepRecord, Ticket
 from yieldmon.web import history as history_module
 from yieldmon.web.history import History
 

@@ -6,8 +6,8 @@ from typing import Any
 
 from pydantic.fields import FieldInfo
 
-from yieldmon.service.document import Document
-from yieldmon.service.section import Section
+from yieldmon.service.config.document import Document
+from yieldmon.service.config.section import Section
 
 _HEAD = ["|key|default|range|meaning|", "|---|---|---|---|"]
 

@@ -20,8 +20,8 @@ def write(target: Path) -> None:
     from yieldmon.resources import shipped
     from yieldmon.screen.panels import Screen, View
     from yieldmon.screen.traffic import Traffic
-    from yieldmon.service import configuration
     from yieldmon.service.assembly import build_monitor
+    from yieldmon.service.config import configuration
 
     loaded, codec = configuration.load(shipped("config/yieldmon.yaml")), Codec()
     combine = VirtualCombine(scenario.load(shipped("config/scenarios/demo.yaml")), loaded.machine, 0)

@@ -11,7 +11,7 @@ from yieldmon.cli import _by_loads, _provenance, model_options
 from yieldmon.documents.calibrate import CurveCalibrationDocument
 from yieldmon.errors import InputError
 from yieldmon.estimation.flow_curve import OFFSET_SHARE, AlphaBeta, FlowCurve
-from yieldmon.estimation.flow_curve_fit import CurveFit, fit_loads, fit_table
+from yieldmon.estimation.weighing.flow_curve_fit import CurveFit, fit_loads, fit_table
 from yieldmon.files import flow_curve_file, table, whole_file
 
 _OF_THE_PHYSICS = (

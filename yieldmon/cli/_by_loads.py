@@ -13,20 +13,20 @@ import numpy as np
 from yieldmon.cli import _named_files, _provenance
 from yieldmon.documents.calibrate import CalibratedParameter, LoadCalibrationDocument
 from yieldmon.errors import InputError
-from yieldmon.estimation.calibration_result import CONFIDENCE
+from yieldmon.estimation.fitting.calibration_result import CONFIDENCE
 from yieldmon.estimation.gaussian import REACH_95
-from yieldmon.estimation.load_inputs import WeighedLoad
-from yieldmon.estimation.load_outcome import LoadCalibration
 from yieldmon.estimation.load_pattern import EFFECT
-from yieldmon.estimation.loads import calibrate_loads
 from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.weighing.load_inputs import WeighedLoad
+from yieldmon.estimation.weighing.load_outcome import LoadCalibration
+from yieldmon.estimation.weighing.loads import calibrate_loads
 from yieldmon.files import parameter_file, ticket_file, whole_file
 from yieldmon.physics.model import ForwardModel
 from yieldmon.resources import shipped
 
 if TYPE_CHECKING:
-    from yieldmon.service.configuration import Configuration
-    from yieldmon.service.weighed_loads import MeasuredLoad
+    from yieldmon.service.config.configuration import Configuration
+    from yieldmon.service.logs.weighed_loads import MeasuredLoad
 
 _TABLE_ONLY = (
     "robust",
@@ -47,7 +47,7 @@ _TABLE_ONLY = (
 def run(args: argparse.Namespace) -> LoadCalibrationDocument:
     """The report as plain data. Raises InputError."""
     refuse_others(args, "--loads")
-    from yieldmon.service import weighed_loads
+    from yieldmon.service.logs import weighed_loads
 
     configured, measured, loads = _measured(args)
     prior = _prior(args, measured, configured)
@@ -92,7 +92,7 @@ def _measured(args: argparse.Namespace) -> tuple[Configuration, tuple[MeasuredLo
     if args.tickets is None:
         raise InputError("--tickets", "is missing", "a table with the columns load and weighed_kg, with --loads")
     refuse_table(args, "--loads")
-    from yieldmon.service import weighed_loads  # The daemon's own modules, which a table of a test facility does not need.
+    from yieldmon.service.logs import weighed_loads  # The daemon's own modules, which a table of a test facility does not need.
 
     configured = configuration_of(args)
     tickets = ticket_file.load(args.tickets)
@@ -103,7 +103,7 @@ def _measured(args: argparse.Namespace) -> tuple[Configuration, tuple[MeasuredLo
 
 def configuration_of(args: argparse.Namespace) -> Configuration:
     """What measured the loads. Raises InputError."""
-    from yieldmon.service import configuration
+    from yieldmon.service.config import configuration
 
     loaded = configuration.load(args.config if args.config is not None else shipped("config/yieldmon.yaml"))
     if args.machine is not None:

@@ -17,14 +17,14 @@ from yieldmon.cli._json import print_document, print_json
 from yieldmon.cli._table_report import report, text
 from yieldmon.documents.calibrate import ComparedModel
 from yieldmon.errors import InputError
-from yieldmon.estimation import empirical, identifiability
-from yieldmon.estimation.calibration import calibrate, profile_curves
-from yieldmon.estimation.calibration_result import Calibration
-from yieldmon.estimation.measurements import Measurements, copied_rows
-from yieldmon.estimation.moisture import fit as fit_moisture_map
+from yieldmon.estimation.fitting import empirical, identifiability
+from yieldmon.estimation.fitting.calibration import calibrate, profile_curves
+from yieldmon.estimation.fitting.calibration_result import Calibration
+from yieldmon.estimation.fitting.measurements import Measurements, copied_rows
+from yieldmon.estimation.fitting.stop_gap import sentence, with_stop_gap
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.priors import EXCHANGED, Prior
-from yieldmon.estimation.stop_gap import sentence, with_stop_gap
+from yieldmon.estimation.self_calibration.moisture import fit as fit_moisture_map
 from yieldmon.files import digests, moisture_file, parameter_file, table, whole_file
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import ForwardModel

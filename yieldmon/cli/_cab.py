@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from yieldmon.cli._records import corrected
-from yieldmon.service.control_client import ask
-from yieldmon.service.control_protocol import ControlError
+from yieldmon.service.operator.control_client import ask
+from yieldmon.service.operator.control_protocol import ControlError
 
 Status = Mapping[str, Any]
 _INTERVAL_S = 1.0

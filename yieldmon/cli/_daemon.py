@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from yieldmon.errors import InputError
-from yieldmon.service.control_client import ask
-from yieldmon.service.control_protocol import ControlError
 from yieldmon.service.folders import runtime_folder
+from yieldmon.service.operator.control_client import ask
+from yieldmon.service.operator.control_protocol import ControlError
 from yieldmon.units import KG_PER_LB, KG_PER_T, LB_PER_SHORT_TON
 
 SYSTEM_SOCKET = Path("/run/yieldmon/yieldmon.sock")
@@ -41,7 +41,7 @@ def daemon_socket(args: argparse.Namespace) -> Path:
         return Path(args.socket)
     if args.config is not None:
         # A third of a second, which the other ways do without.
-        from yieldmon.service import configuration
+        from yieldmon.service.config import configuration
 
         return configuration.load(args.config).socket_path
     user = runtime_folder(os.environ) / SYSTEM_SOCKET.name

@@ -10,7 +10,7 @@ import numpy as np
 from yieldmon.cli import _by_loads
 from yieldmon.documents.calibrate import PulseShapeDocument
 from yieldmon.errors import InputError
-from yieldmon.estimation.machine_shape import MachineShape, calibrate_machine_shape
+from yieldmon.estimation.waveform.machine_shape import MachineShape, calibrate_machine_shape
 from yieldmon.files import pulse_shape_file, ticket_file, whole_file
 from yieldmon.physics.machine import RPM
 
@@ -25,7 +25,7 @@ def run(args: argparse.Namespace) -> PulseShapeDocument:
         raise InputError("--pulse-shape", "has no loads", "--loads LOG... and --tickets FILE")
     if args.out is not None:
         whole_file.check_place(args.out)
-    from yieldmon.service import weighed_waves  # The daemon's own modules, which a table of a test facility does not need.
+    from yieldmon.service.logs import weighed_waves  # The daemon's own modules, which a table of a test facility does not need.
 
     configured = weighed_waves.looking(_by_loads.configuration_of(args))
     tickets = ticket_file.load(args.tickets)

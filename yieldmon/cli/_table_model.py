@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 from yieldmon.cli import _named_files, model_options
 from yieldmon.errors import InputError
-from yieldmon.estimation.calibration import default_start
-from yieldmon.estimation.measurements import Measurements
+from yieldmon.estimation.fitting.calibration import default_start
+from yieldmon.estimation.fitting.measurements import Measurements
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files.table import Table
 from yieldmon.physics.effects import get_effect

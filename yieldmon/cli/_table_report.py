@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from yieldmon.documents.calibrate import CalibrationDocument
-from yieldmon.estimation.calibration_result import CONFIDENCE, Calibration
-from yieldmon.estimation.measurements import Measurements
+from yieldmon.estimation.fitting.calibration_result import CONFIDENCE, Calibration
+from yieldmon.estimation.fitting.measurements import Measurements
 from yieldmon.files.table import Table
 
 

@@ -12,7 +12,7 @@ from yieldmon.errors import InputError
 from yieldmon.files import machine_file, strict_yaml, whole_file
 
 if TYPE_CHECKING:
-    from yieldmon.estimation.tap_response import TapResponse
+    from yieldmon.estimation.waveform.tap_response import TapResponse
 
 
 def run(args: argparse.Namespace) -> TapDocument:
@@ -25,8 +25,8 @@ def run(args: argparse.Namespace) -> TapDocument:
     if args.out is not None:
         whole_file.check_place(args.out)
     # The daemon's own modules and scipy's statistics, which a table of a test facility does not need.
-    from yieldmon.estimation.tap_response import LEAST_TAPS, tap_response
-    from yieldmon.service import tap_samples
+    from yieldmon.estimation.waveform.tap_response import LEAST_TAPS, tap_response
+    from yieldmon.service.logs import tap_samples
 
     configured = _by_loads.configuration_of(args)
     stretches, source = tap_samples.read(args.taps, configured.signals)

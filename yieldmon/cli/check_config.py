@@ -9,8 +9,8 @@ from typing import Any
 from yieldmon.cli._json import print_json
 from yieldmon.errors import InputError
 from yieldmon.resources import shipped
-from yieldmon.service import configuration, document_text
-from yieldmon.service.document import Document
+from yieldmon.service.config import configuration, document_text
+from yieldmon.service.config.document import Document
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -72,7 +72,8 @@ def _held_against(
     loaded: configuration.Configuration, log: str | None
 ) -> tuple[dict[str, Any] | None, list[str], list[InputError]]:
     """What a recording shows of the mapping's quantities, what is to be known of the mapping, and what is wrong with it."""
-    from yieldmon.service import mapping_check, plausible
+    from yieldmon.service.config import plausible
+    from yieldmon.service.logs import mapping_check
 
     notes = [*loaded.notes, *mapping_check.notes(loaded)]
     problems = plausible.implausible(loaded)

@@ -22,8 +22,8 @@ from yieldmon.plant import scenario as scenarios
 from yieldmon.plant.combine import VirtualCombine
 from yieldmon.plots import canvas
 from yieldmon.resources import shipped
-from yieldmon.service import configuration
 from yieldmon.service.assembly import build_monitor
+from yieldmon.service.config import configuration
 from yieldmon.trial import accuracy, lockstep, picture
 
 _HEADINGS = ("true flow, kg/s", "windows", "no number", "bias, kg/s", "rms, kg/s", "mean |error|, %", "95 % |error|, %")

@@ -17,15 +17,15 @@ from yieldmon.discrepancy.choice import Step
 from yieldmon.discrepancy.diagnosis_document import to_document
 from yieldmon.discrepancy.fit import Fit
 from yieldmon.errors import InputError
+from yieldmon.estimation.fitting.stop_gap import without_stop_gap
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.estimation.stop_gap import without_stop_gap
 from yieldmon.files import parameter_file, table, whole_file
 from yieldmon.files.table import Table
 from yieldmon.files.whole_file import check_place, real_path
 from yieldmon.physics.effects import registry
 from yieldmon.physics.machine import Machine
 from yieldmon.resources import shipped
-from yieldmon.service import recorded, sweep_table
+from yieldmon.service.logs import recorded, sweep_table
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

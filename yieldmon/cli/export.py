@@ -13,9 +13,9 @@ from yieldmon.cli._limits import within
 from yieldmon.errors import InputError
 from yieldmon.export import agleader, columns, geojson, geopackage, taskdata
 from yieldmon.export.points import PointSettings, YieldPoint, yield_points
-from yieldmon.service import recorded
-from yieldmon.service.ledger import LoadRecord
-from yieldmon.service.rows import SecondRow
+from yieldmon.service.logs import recorded
+from yieldmon.service.storage.ledger import LoadRecord
+from yieldmon.service.storage.rows import SecondRow
 
 ENDINGS = {
     ".csv": "csv",

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from yieldmon.cli import _named_files
 from yieldmon.errors import InputError
-from yieldmon.estimation.measurements import Measurements
+from yieldmon.estimation.fitting.measurements import Measurements
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import parameter_file
 from yieldmon.files.parameter_file import GRAIN_LIMITS
@@ -254,7 +254,7 @@ def check_force(data: Table, machine: Machine) -> str:
         if 1.0 / _ASKED_FACTOR <= ratio <= _ASKED_FACTOR:
             return ""
         # A fit, and so scipy: most commands never ask.
-        from yieldmon.estimation import unit_question
+        from yieldmon.estimation.weighing import unit_question
 
         rows = Measurements(_at(data, machine, at), values[at])
         if ratio < 1.0 and not unit_question.possible(ForwardModel(machine), rows, (str(data.load), data.reading)):

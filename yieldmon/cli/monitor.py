@@ -34,8 +34,8 @@ from yieldmon.screen.cab import Cab, from_frames
 from yieldmon.screen.dialog import KEYS, Dialog
 from yieldmon.screen.panels import ORDERS, Screen, View
 from yieldmon.screen.traffic import Row, Traffic
-from yieldmon.service.control_client import ask
-from yieldmon.service.control_protocol import ControlError
+from yieldmon.service.operator.control_client import ask
+from yieldmon.service.operator.control_protocol import ControlError
 from yieldmon.units import UnitSystem
 
 REFRESH_S = 0.25

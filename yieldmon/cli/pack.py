@@ -18,7 +18,7 @@ from yieldmon.cli._json import print_json
 from yieldmon.errors import InputError
 from yieldmon.files.whole_file import scratch_for
 from yieldmon.identifiers import CLASSIC_BYTES
-from yieldmon.service.log_copies import refuse_copies, refuse_named_twice
+from yieldmon.service.logs.log_copies import refuse_copies, refuse_named_twice
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

@@ -24,10 +24,10 @@ from yieldmon.physics.machine import RPM
 from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array
 from yieldmon.plots import alignment, canvas, curves, errors, flow, parameters, published, residuals, sensitivity, sweeps
-from yieldmon.service import recorded
-from yieldmon.service.batch import Load, Ticket
-from yieldmon.service.reprocessing import column
-from yieldmon.service.rows import SecondRow
+from yieldmon.service.logs import recorded
+from yieldmon.service.logs.reprocessing import column
+from yieldmon.service.storage.batch import Load, Ticket
+from yieldmon.service.storage.rows import SecondRow
 from yieldmon.units import Units
 
 if TYPE_CHECKING:

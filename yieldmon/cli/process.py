@@ -23,16 +23,17 @@ from yieldmon.files.units import units_of
 from yieldmon.files.whole_file import real_path
 from yieldmon.repeats import repeated
 from yieldmon.resources import shipped
-from yieldmon.service import configuration, log_record, recorded
-from yieldmon.service.bulk_processing import EndOfLog, Stretch
-from yieldmon.service.factory_comparison import FactoryComparison
-from yieldmon.service.log_copies import refuse_copies, refuse_named_twice
-from yieldmon.service.log_record import Progress
-from yieldmon.service.record_check import RecordCheck, record_lines
-from yieldmon.service.recorded import is_store_not_log
-from yieldmon.service.reprocessing import loads_of_rows, measured_again
-from yieldmon.service.rows import SecondRow
-from yieldmon.service.tables import FORMATS, open_table
+from yieldmon.service.config import configuration
+from yieldmon.service.logs import log_record, recorded
+from yieldmon.service.logs.bulk_processing import EndOfLog, Stretch
+from yieldmon.service.logs.factory_comparison import FactoryComparison
+from yieldmon.service.logs.log_copies import refuse_copies, refuse_named_twice
+from yieldmon.service.logs.log_record import Progress
+from yieldmon.service.logs.record_check import RecordCheck, record_lines
+from yieldmon.service.logs.recorded import is_store_not_log
+from yieldmon.service.logs.reprocessing import loads_of_rows, measured_again
+from yieldmon.service.logs.tables import FORMATS, open_table
+from yieldmon.service.storage.rows import SecondRow
 from yieldmon.units import Units
 
 _LONGEST_DELAY_S = 60

@@ -9,12 +9,12 @@ import sys
 from pathlib import Path
 
 from yieldmon.resources import shipped
-from yieldmon.service import configuration
+from yieldmon.service.config import configuration
 from yieldmon.service.daemon import Daemon
 from yieldmon.service.journal_lines import JournalLines
-from yieldmon.service.ownership import OccupiedError
 from yieldmon.service.quiet_log import QuietLog
-from yieldmon.service.store_errors import StoreError
+from yieldmon.service.storage.ownership import OccupiedError
+from yieldmon.service.storage.store_errors import StoreError
 
 #: Signals that would end the process, and that other programs send to one that they take for another (`logrotate`'s USR1).
 _IGNORED = (signal.SIGUSR1, signal.SIGUSR2, signal.SIGIO, signal.SIGPWR)

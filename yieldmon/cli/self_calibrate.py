@@ -14,10 +14,10 @@ from yieldmon.cli import _outputs, _provenance, model_options
 from yieldmon.cli._json import print_document
 from yieldmon.cli._limits import above_0
 from yieldmon.errors import InputError
-from yieldmon.estimation.closed_loop import self_calibrate
-from yieldmon.estimation.closed_loop_inputs import DensityAnchor, Sweep
-from yieldmon.estimation.closed_loop_outcome import Outcome
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
+from yieldmon.estimation.self_calibration.closed_loop import self_calibrate
+from yieldmon.estimation.self_calibration.closed_loop_inputs import DensityAnchor, Sweep
+from yieldmon.estimation.self_calibration.closed_loop_outcome import Outcome
 from yieldmon.files import parameter_file, table, whole_file
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import ForwardModel

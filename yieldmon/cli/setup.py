@@ -15,7 +15,7 @@ from yieldmon.cli._setup.questions import QUESTIONS, bolted
 from yieldmon.errors import InputError
 from yieldmon.files import machine_file, parameter_file, strict_yaml, whole_file
 from yieldmon.files.whole_file import READABLE, readable_folder
-from yieldmon.service import configuration, plausible
+from yieldmon.service.config import configuration, plausible
 
 CONFIGURATION, MACHINE, RECORD = "yieldmon.yaml", "machine.yaml", "setup-record.yaml"
 AFTER = """\

@@ -39,8 +39,8 @@ def run(args: argparse.Namespace) -> int:
         print(f"totals: {answer['total_kg']:.0f} kg set to 0; load {answer['load']} begins")
         return 0
     from yieldmon.files.whole_file import scratch_for
-    from yieldmon.service.recorded import opened
-    from yieldmon.service.store_errors import StoreDamagedError, StoreError
+    from yieldmon.service.logs.recorded import opened
+    from yieldmon.service.storage.store_errors import StoreDamagedError, StoreError
 
     out = Path(args.out)
     if out.exists():

@@ -12,7 +12,7 @@ from scipy.linalg import block_diag
 from yieldmon import utc
 from yieldmon.errors import InputError, reading
 from yieldmon.estimation import model_error
-from yieldmon.estimation.identifiability import scale_tangent
+from yieldmon.estimation.fitting.identifiability import scale_tangent
 from yieldmon.estimation.parameters import CalibratedRange, ParameterSet
 from yieldmon.files import parameter_file, whole_file
 from yieldmon.physics.numerics import span

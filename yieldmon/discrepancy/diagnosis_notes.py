@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from yieldmon.estimation import unit_question
+from yieldmon.estimation.fitting.measurements import Measurements
 from yieldmon.estimation.gaussian import REACH_95
-from yieldmon.estimation.measurements import Measurements
+from yieldmon.estimation.weighing import unit_question
 from yieldmon.physics.model import ForwardModel
 
 from .choice import Choice, rows_searched

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yieldmon.estimation import model_error
-from yieldmon.estimation.least_squares import levenberg_marquardt
+from yieldmon.estimation.fitting.least_squares import levenberg_marquardt
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.numerics import COMPLEX_STEP, Array, real
 

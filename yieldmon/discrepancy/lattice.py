@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yieldmon.estimation.clusters import cluster, meant_conditions
-from yieldmon.estimation.home_flow import AwayVisits
 from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.self_calibration.home_flow import AwayVisits
 from yieldmon.physics.machine import SAME_ANGLE_RAD, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.numerics import Array, real

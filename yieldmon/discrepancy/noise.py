@@ -12,8 +12,8 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from yieldmon.estimation.fitting.scatter_law import fit_variances, rounding_sd, scatter_law, usual_deviation
 from yieldmon.estimation.gaussian import SD_PER_MAD
-from yieldmon.estimation.scatter_law import fit_variances, rounding_sd, scatter_law, usual_deviation
 from yieldmon.physics.numerics import Array
 
 from .observations import Cells, Rows, cells

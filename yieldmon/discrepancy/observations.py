@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from yieldmon.errors import InputError
 from yieldmon.estimation.clusters import SAME_LOAD, cluster
-from yieldmon.estimation.measurements import copied_rows
+from yieldmon.estimation.fitting.measurements import copied_rows
 from yieldmon.files.table import Table
 from yieldmon.physics.machine import RPM, SAME_ANGLE_RAD, Machine
 from yieldmon.physics.model import Conditions

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from yieldmon.errors import InputError
-from yieldmon.estimation import angle_lines
+from yieldmon.estimation.fitting import angle_lines
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.priors import EXCHANGED, at_bound_sentence
 from yieldmon.physics.numerics import Array

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
-from yieldmon.estimation.drift_rates import STEADY_MEMORY_KT, DriftRates, steady_defaults
+from yieldmon.estimation.self_calibration.drift_rates import STEADY_MEMORY_KT, DriftRates, steady_defaults
 
 if TYPE_CHECKING:
-    from yieldmon.estimation.moisture import MoistureMap
+    from yieldmon.estimation.self_calibration.moisture import MoistureMap
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +22,7 @@ class CalibratorSettings:
     steady_drift_memory_kt: harvested mass over which a steady rate falls to 1/e, kt.
     moisture_map: moves the prior when the moisture changes; None: moisture is not used.
     pattern_sd: relative standard deviation of the model's error away from the home angle that sweeps separate from the grain
-    (`estimation.angle_pattern`); 0: none is looked for.
+    (`estimation.self_calibration.angle_pattern`); 0: none is looked for.
     density_ratio: parameter density over test weight, from a calibration in which both were known; None: test weight is not used.
     """
 

@@ -10,19 +10,19 @@ from math import isfinite, nan
 from yieldmon.engine.faults import FAULTS, FaultCode, Observation, Severity
 from yieldmon.engine.flow import Circumstances, Estimate, Flow
 from yieldmon.engine.health import conditions
-from yieldmon.engine.learning import ParametersChanged
-from yieldmon.engine.loads import LoadEvents
+from yieldmon.engine.mass.loads import LoadEvents
 from yieldmon.engine.measurement import Reading
 from yieldmon.engine.parts import Parts
 from yieldmon.engine.publishing import Published
 from yieldmon.engine.quick import maker_of
 from yieldmon.engine.records import FlowEstimator, Second, record_of
 from yieldmon.engine.results import Event, Result, WindowResult, ZeroTaken
-from yieldmon.engine.scale_alarm import ScaleCheck
-from yieldmon.engine.since_zero import NO_LOAD, KeptSecond, MissedMass
-from yieldmon.engine.sweep_inputs import SweepWindow, support_start_s
-from yieldmon.engine.waveform_reading import NOTHING, WaveformReading
-from yieldmon.estimation.angle_error import AngleError
+from yieldmon.engine.sampling.since_zero import NO_LOAD, KeptSecond, MissedMass
+from yieldmon.engine.self_calibration.learning import ParametersChanged
+from yieldmon.engine.self_calibration.scale_alarm import ScaleCheck
+from yieldmon.engine.sweeps.sweep_inputs import SweepWindow, support_start_s
+from yieldmon.engine.waveform.waveform_reading import NOTHING, WaveformReading
+from yieldmon.estimation.self_calibration.angle_error import AngleError
 from yieldmon.frames import OperatingState
 
 _result = maker_of(WindowResult)

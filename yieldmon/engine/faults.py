@@ -18,15 +18,15 @@ from yieldmon.frames import ScaleStatus
 from yieldmon.physics.machine import RPM
 
 if TYPE_CHECKING:
-    from yieldmon.engine.disagreement import Disagreement
     from yieldmon.engine.flow import Flow
     from yieldmon.engine.inputs import InputSnapshot
     from yieldmon.engine.measurement import Reading
     from yieldmon.engine.records import CalibrationOutcome
+    from yieldmon.engine.sampling.windows import Window
     from yieldmon.engine.settings import EngineSettings
-    from yieldmon.engine.sweep import SweepMachine
-    from yieldmon.engine.waveform_reading import WaveformReading
-    from yieldmon.engine.windows import Window
+    from yieldmon.engine.sweeps.disagreement import Disagreement
+    from yieldmon.engine.sweeps.sweep import SweepMachine
+    from yieldmon.engine.waveform.waveform_reading import WaveformReading
 
 
 class FaultCode(StrEnum):

@@ -9,15 +9,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from yieldmon.engine.budget import NO_BUDGET, FlowBudget, MoistureReference, zero_std_dev_mv
 from yieldmon.engine.flow_filter import FlowFilter
+from yieldmon.engine.mass.budget import NO_BUDGET, FlowBudget, MoistureReference, zero_std_dev_mv
 from yieldmon.engine.measurement import Reading
 from yieldmon.engine.quick import maker_of
 from yieldmon.engine.records import FlowEstimator
+from yieldmon.engine.sampling.windows import Window
 from yieldmon.engine.settings import EngineSettings
-from yieldmon.engine.windows import Window
-from yieldmon.estimation.angle_error import NO_ERROR, AngleError
 from yieldmon.estimation.open_loop import FlowStatus
+from yieldmon.estimation.self_calibration.angle_error import NO_ERROR, AngleError
 from yieldmon.frames import EstimateQuality
 
 _NAN = float("nan")

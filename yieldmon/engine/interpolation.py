@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yieldmon.engine.rivals import RivalWatch
-from yieldmon.engine.segments import Counts, bounds_at
+from yieldmon.engine.sampling.segments import Counts, bounds_at
 from yieldmon.physics.numerics import Array
 
 

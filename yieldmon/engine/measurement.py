@@ -9,14 +9,14 @@ from collections import deque
 from dataclasses import dataclass
 from math import degrees, hypot, isfinite, radians
 
-from yieldmon.engine.aliasing import ALIAS_FREE_HZ, aliasing_share
-from yieldmon.engine.gates import GateInputs, HarvestGate
 from yieldmon.engine.inputs import InputSnapshot
+from yieldmon.engine.mass.gates import GateInputs, HarvestGate
 from yieldmon.engine.quick import maker_of
+from yieldmon.engine.sampling.aliasing import ALIAS_FREE_HZ, aliasing_share
+from yieldmon.engine.sampling.windows import Window
+from yieldmon.engine.sampling.zero import ZeroRefusal, ZeroState, ZeroTracker
 from yieldmon.engine.settings import EngineSettings, WindowSettings
 from yieldmon.engine.sources import Sources
-from yieldmon.engine.windows import Window
-from yieldmon.engine.zero import ZeroRefusal, ZeroState, ZeroTracker
 from yieldmon.frames import EstimateQuality, HeaderDown, WorkState
 from yieldmon.physics.machine import RPM, Machine
 

@@ -13,23 +13,23 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from yieldmon.engine import operator_zero
-from yieldmon.engine.anchors import ReferenceMass, Weighing
-from yieldmon.engine.disagreement import Disagreement
 from yieldmon.engine.faults import FaultCode
-from yieldmon.engine.loads import LoadEvents, LoadSummary
+from yieldmon.engine.mass.loads import LoadEvents, LoadSummary
+from yieldmon.engine.mass.totals import Totals
 from yieldmon.engine.parts import Parts
 from yieldmon.engine.records import CalibrationOutcome, FlowEstimator, SelfCalibrator
 from yieldmon.engine.restart import remember_tickets, restore, snapshot, take_over
 from yieldmon.engine.results import Result
 from yieldmon.engine.runs import FrameRun
+from yieldmon.engine.sampling.since_zero import KeptSecond, MissedMass
+from yieldmon.engine.self_calibration.anchors import ReferenceMass, Weighing
 from yieldmon.engine.settings import EngineSettings
-from yieldmon.engine.since_zero import KeptSecond, MissedMass
 from yieldmon.engine.sources import DEFAULT_SOURCES, Sources
 from yieldmon.engine.state import EngineState, TicketState
-from yieldmon.engine.sweep import SweepMachine
+from yieldmon.engine.sweeps.disagreement import Disagreement
+from yieldmon.engine.sweeps.sweep import SweepMachine
 from yieldmon.engine.timeline import Timeline
-from yieldmon.engine.totals import Totals
-from yieldmon.engine.waveform_reading import WaveformReading
+from yieldmon.engine.waveform.waveform_reading import WaveformReading
 from yieldmon.frames import Frame
 from yieldmon.physics.machine import Machine
 from yieldmon.signal_ranges import SignalRanges

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from yieldmon.engine.loads import LoadEvents
+from yieldmon.engine.mass.loads import LoadEvents
 from yieldmon.engine.parts import Parts
-from yieldmon.engine.since_zero import MissedMass
+from yieldmon.engine.sampling.since_zero import MissedMass
 
 
 def calibrate(parts: Parts, *, despite_signs: bool) -> bool:

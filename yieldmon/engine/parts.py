@@ -4,24 +4,24 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from yieldmon.engine.area import AreaCounter
 from yieldmon.engine.clock import BusClock
 from yieldmon.engine.flow import FlowMeter
 from yieldmon.engine.health import FaultBook
-from yieldmon.engine.impact_sensors import ImpactSensors
 from yieldmon.engine.inputs import Inputs
-from yieldmon.engine.learning import Learning
-from yieldmon.engine.loads import Loads
+from yieldmon.engine.mass.area import AreaCounter
+from yieldmon.engine.mass.loads import Loads
+from yieldmon.engine.mass.unloading import Unloading
 from yieldmon.engine.measurement import Measurement
-from yieldmon.engine.plate import Plate
 from yieldmon.engine.publishing import Publisher
 from yieldmon.engine.records import FlowEstimator, SelfCalibrator
+from yieldmon.engine.sampling.impact_sensors import ImpactSensors
+from yieldmon.engine.sampling.since_zero import SinceZero
 from yieldmon.engine.schedule import Schedule
+from yieldmon.engine.self_calibration.learning import Learning
 from yieldmon.engine.settings import EngineSettings
-from yieldmon.engine.since_zero import SinceZero
 from yieldmon.engine.sources import Sources
-from yieldmon.engine.unloading import Unloading
-from yieldmon.engine.waveform import Waveform
+from yieldmon.engine.sweeps.plate import Plate
+from yieldmon.engine.waveform.waveform import Waveform
 from yieldmon.physics.machine import Machine
 from yieldmon.signal_ranges import SignalRanges
 

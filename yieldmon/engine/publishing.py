@@ -8,9 +8,9 @@ from math import floor, isfinite
 from yieldmon import frames as bus
 from yieldmon.engine.faults import FAULTS
 from yieldmon.engine.health import FaultBook
+from yieldmon.engine.mass.totals import Totals
 from yieldmon.engine.records import COLUMNS, WindowRecord
-from yieldmon.engine.sweep import SweepMachine
-from yieldmon.engine.totals import Totals
+from yieldmon.engine.sweeps.sweep import SweepMachine
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.frames import NOT_AVAILABLE, EstimateQuality, Frame, Value
 from yieldmon.signal_ranges import SignalRanges, signal_ranges

@@ -14,26 +14,26 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from numpy.typing import ArrayLike
 
-from yieldmon.engine.anchors import ReferenceMass
 from yieldmon.engine.faults import FaultCode
-from yieldmon.engine.learnt_before import Places
 from yieldmon.engine.quick import maker_of
-from yieldmon.engine.scale_alarm import ScaleCheck
-from yieldmon.estimation.common_bias import KernelLesson
-from yieldmon.estimation.kernel_noise import KernelVerdict
+from yieldmon.engine.self_calibration.anchors import ReferenceMass
+from yieldmon.engine.self_calibration.learnt_before import Places
+from yieldmon.engine.self_calibration.scale_alarm import ScaleCheck
 from yieldmon.estimation.open_loop import FlowEstimate
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.estimation.shape_verdict import ShapeVerdict
-from yieldmon.estimation.steady_drift import Advance
-from yieldmon.estimation.sweep_worth import OtherChannels, SweepWorth
+from yieldmon.estimation.self_calibration.steady_drift import Advance
+from yieldmon.estimation.self_calibration.sweep_worth import OtherChannels, SweepWorth
+from yieldmon.estimation.waveform.common_bias import KernelLesson
+from yieldmon.estimation.waveform.kernel_noise import KernelVerdict
+from yieldmon.estimation.waveform.shape_verdict import ShapeVerdict
 from yieldmon.frames import EstimateQuality, OperatingState
 from yieldmon.physics.machine import RPM
 
 if TYPE_CHECKING:
     from yieldmon.engine.flow import Flow
+    from yieldmon.engine.mass.totals import Totals
     from yieldmon.engine.measurement import Reading
-    from yieldmon.engine.totals import Totals
-    from yieldmon.engine.waveform_reading import WaveformReading
+    from yieldmon.engine.waveform.waveform_reading import WaveformReading
 
 
 class Second(NamedTuple):
@@ -326,8 +326,8 @@ class CalibratorState:
     loads that a new one is held against; doubted: of the one that contradicts them, "" for none. bias: of kernel noise (value,
     variance, largest variance, then its covariance with parameters and rates), empty where it has taught nothing. origin: the
     parameters before weighed loads taught a curve of their own, None where they have not. grains: the crops before. spread: what
-    rates of unknown size may have added (`estimation.drift_spread`), (n + r + 1, n + r + 1), empty where nothing has taught.
-    past: since when parameters that were in use before hold.
+    rates of unknown size may have added (`estimation.self_calibration.drift_spread`), (n + r + 1, n + r + 1), empty where nothing
+    has taught. past: since when parameters that were in use before hold.
     """
 
     waited_s: float

@@ -9,11 +9,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from yieldmon.engine.health import FaultEvent
-from yieldmon.engine.learning import ParametersChanged
-from yieldmon.engine.loads import LoadClosed, LoadOpened, LoadRestated
-from yieldmon.engine.plate import SweepEnded
+from yieldmon.engine.mass.loads import LoadClosed, LoadOpened, LoadRestated
 from yieldmon.engine.records import WindowRecord
-from yieldmon.engine.waveform_reading import NOTHING, WaveformReading
+from yieldmon.engine.self_calibration.learning import ParametersChanged
+from yieldmon.engine.sweeps.plate import SweepEnded
+from yieldmon.engine.waveform.waveform_reading import NOTHING, WaveformReading
 from yieldmon.frames import Frame
 
 

@@ -8,8 +8,8 @@ from math import inf, isfinite, radians
 
 import numpy as np
 
-from yieldmon.engine import segments
-from yieldmon.engine.segments import Counts
+from yieldmon.engine.sampling import segments
+from yieldmon.engine.sampling.segments import Counts
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.numerics import Array
 

@@ -1,6 +1,7 @@
 """Every number the engine uses, as frozen dataclasses with units in the names.
 
-The defaults are those of the shipped configuration; `service.configuration` builds these from YAML after it has checked ranges.
+The defaults are those of the shipped configuration; `service.config.configuration` builds these from YAML after it has checked
+ranges.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING
 from yieldmon.engine.flow_filter import FlowFilterSettings
 
 if TYPE_CHECKING:
-    from yieldmon.estimation.arrival_law import ArrivalLaw
+    from yieldmon.estimation.waveform.arrival_law import ArrivalLaw
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,14 +7,14 @@ from dataclasses import asdict, dataclass, field, fields
 from math import isfinite
 from typing import Any
 
-from yieldmon.engine.budget import MassBudget, MoistureState
-from yieldmon.engine.disagreement import DisagreementState, SweepPattern
-from yieldmon.engine.learnt_before import LearntBefore
+from yieldmon.engine.mass.budget import MassBudget, MoistureState
+from yieldmon.engine.mass.shared_error import ClosedLoadState
+from yieldmon.engine.mass.totals import Totals
 from yieldmon.engine.records import CalibratorState, GrainState, PriorState
-from yieldmon.engine.scale_alarm import ScaleAlarmState, ScaleCheck
-from yieldmon.engine.shared_error import ClosedLoadState
-from yieldmon.engine.totals import Totals
-from yieldmon.engine.zero import ZeroState
+from yieldmon.engine.sampling.zero import ZeroState
+from yieldmon.engine.self_calibration.learnt_before import LearntBefore
+from yieldmon.engine.self_calibration.scale_alarm import ScaleAlarmState, ScaleCheck
+from yieldmon.engine.sweeps.disagreement import DisagreementState, SweepPattern
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,12 +10,12 @@ from collections.abc import Sequence
 from yieldmon import frames as bus
 from yieldmon.engine.conclusion import Conclusion
 from yieldmon.engine.flow import Estimate, estimates
-from yieldmon.engine.impact_sensors import RunFeeding
 from yieldmon.engine.inputs import InputSnapshot
 from yieldmon.engine.measurement import Reading
 from yieldmon.engine.parts import Parts
 from yieldmon.engine.results import PlateCommand, Result
 from yieldmon.engine.runs import FrameRun
+from yieldmon.engine.sampling.impact_sensors import RunFeeding
 from yieldmon.frames import ActuatorState, Frame
 
 _FORMED_TOGETHER = 64

@@ -19,7 +19,7 @@ from .load_pattern import another_curve
 from .parameters import ParameterSet
 
 STOP_GAP = "stop_gap"
-"""Effect that stands for what a calibration saw the model miss (`estimation.stop_gap`)."""
+"""Effect that stands for what a calibration saw the model miss (`estimation.fitting.stop_gap`)."""
 
 LARGEST_MODEL_ERROR = 0.02
 """On angles and loads that a calibration left out, relative; twice what a sweep is read with by default."""

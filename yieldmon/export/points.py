@@ -13,11 +13,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
+from yieldmon.engine.mass.totals import dry_mass
 from yieldmon.engine.settings import TotalsSettings
-from yieldmon.engine.totals import dry_mass
 from yieldmon.errors import InputError
 from yieldmon.frames import EstimateQuality
-from yieldmon.service.rows import SecondRow
+from yieldmon.service.storage.rows import SecondRow
 
 _NAN = float("nan")
 _HALF_S = 0.5 + 1e-6

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from yieldmon.errors import InputError
-from yieldmon.estimation.moisture import MoistureMap
+from yieldmon.estimation.self_calibration.moisture import MoistureMap
 from yieldmon.files.parameter_file import GRAIN_LIMITS
 from yieldmon.resources import shipped
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from yieldmon.errors import InputError
-from yieldmon.estimation.arrival_law import BEYOND_ANGLE_RAD, BEYOND_FILL, BEYOND_SPEED, TERMS, ArrivalLaw
+from yieldmon.estimation.waveform.arrival_law import BEYOND_ANGLE_RAD, BEYOND_FILL, BEYOND_SPEED, TERMS, ArrivalLaw
 from yieldmon.physics.machine import RPM
 from yieldmon.resources import shipped
 

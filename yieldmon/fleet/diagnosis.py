@@ -21,14 +21,14 @@ from yieldmon.discrepancy.lattice import Lattice, lay, reference_force_n, with_f
 from yieldmon.discrepancy.machine_comparison import Own
 from yieldmon.discrepancy.policy import Policy
 from yieldmon.errors import InputError
-from yieldmon.estimation.home_flow import AwayVisits
 from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.self_calibration.home_flow import AwayVisits
 from yieldmon.files import machine_file, parameter_file
 from yieldmon.fleet.querying import Query, opened
 from yieldmon.physics.machine import ImpactSensor, Implement, Machine
 from yieldmon.physics.model import ForwardModel
-from yieldmon.service.rows import SecondRow
-from yieldmon.service.sweep_table import away_of_seconds
+from yieldmon.service.logs.sweep_table import away_of_seconds
+from yieldmon.service.storage.rows import SecondRow
 
 SharedVerdict = Literal["effect", "unknown", "none", "not compared"]
 _ORDER: tuple[SharedVerdict, ...] = get_args(SharedVerdict)

@@ -12,7 +12,7 @@ from typing import Any
 
 import yieldmon
 from yieldmon.files import digests, machine_file, parameter_file
-from yieldmon.service.configuration import Configuration
+from yieldmon.service.config.configuration import Configuration
 
 _LIBRARIES = ("numpy", "scipy", "pyarrow")
 """Packages besides ours that make the bits of a result."""

@@ -16,11 +16,11 @@ from yieldmon.bus.loading import iter_blocks
 from yieldmon.bus.log_notes import LogNotes
 from yieldmon.documents.process import ProcessSummary
 from yieldmon.engine.health import FaultEvent
-from yieldmon.engine.learning import ParametersChanged
 from yieldmon.engine.monitor import Monitor
-from yieldmon.engine.plate import SweepEnded
 from yieldmon.engine.results import Result, WindowResult
 from yieldmon.engine.runs import FrameRun
+from yieldmon.engine.self_calibration.learning import ParametersChanged
+from yieldmon.engine.sweeps.plate import SweepEnded
 from yieldmon.errors import InputError, of_the_computer
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import machine_file, parameter_file, ticket_file
@@ -29,11 +29,11 @@ from yieldmon.finite import finite
 from yieldmon.fleet import tables
 from yieldmon.fleet.identity import Identity
 from yieldmon.fleet.overlaps import within
-from yieldmon.service import log_record
-from yieldmon.service.bulk_processing import EndOfLog, Stretch
-from yieldmon.service.configuration import Configuration
-from yieldmon.service.rows import SecondRow
-from yieldmon.service.tables import open_table
+from yieldmon.service.config.configuration import Configuration
+from yieldmon.service.logs import log_record
+from yieldmon.service.logs.bulk_processing import EndOfLog, Stretch
+from yieldmon.service.logs.tables import open_table
+from yieldmon.service.storage.rows import SecondRow
 from yieldmon.utc import EARLIEST_BUS_TIME_S
 
 _SAMPLES_BYTES = 16

@@ -8,17 +8,17 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from yieldmon.errors import InputError
-from yieldmon.estimation.fleet_prior import LEAST_MACHINES, FleetPrior, MachineLoads, pooled
-from yieldmon.estimation.load_inputs import WeighedLoad
 from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.weighing.fleet_prior import LEAST_MACHINES, FleetPrior, MachineLoads, pooled
+from yieldmon.estimation.weighing.load_inputs import WeighedLoad
 from yieldmon.files import machine_file
 from yieldmon.files.crops import crop
 from yieldmon.files.ticket_file import WeighedTicket
 from yieldmon.fleet.querying import Query, opened
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import ForwardModel
-from yieldmon.service import weighed_loads
-from yieldmon.service.rows import SecondRow
+from yieldmon.service.logs import weighed_loads
+from yieldmon.service.storage.rows import SecondRow
 
 _DAYS = "SELECT machine, day, machine_document FROM provenance WHERE lower(crop) = lower(?) ORDER BY machine, day"
 _TICKETS = "SELECT * FROM loads WHERE kind = 'ticket' AND machine = ? AND day = ? ORDER BY first_number"

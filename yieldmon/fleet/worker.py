@@ -17,7 +17,7 @@ from yieldmon.fleet.manifest import Partition
 from yieldmon.fleet.measuring import Poisoned, by_name, measure, write_provenance
 from yieldmon.fleet.tables import TABLES
 from yieldmon.repeats import repeated
-from yieldmon.service.configuration import Configuration
+from yieldmon.service.config.configuration import Configuration
 
 DONE, SKIPPED, FAILED, LEFT = "done", "skipped", "failed", "left"
 _COPY, _UNREADABLE = "copy", "unreadable"

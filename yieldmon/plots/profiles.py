@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from yieldmon.estimation.calibration_result import CONFIDENCE, ProfileCurve
+from yieldmon.estimation.fitting.calibration_result import CONFIDENCE, ProfileCurve
 
 from .canvas import new_figure
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from yieldmon import utc
 from yieldmon.engine.calibrator_settings import CalibratorSettings
-from yieldmon.engine.closed_loop_calibrator import ClosedLoopCalibrator
 from yieldmon.engine.monitor import Monitor
+from yieldmon.engine.self_calibration.closed_loop_calibrator import ClosedLoopCalibrator
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.sources import DEFAULT_SOURCES, Sources
 from yieldmon.estimation.estimators import estimator_of
@@ -13,7 +13,7 @@ from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files.crops import crops
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import ForwardModel
-from yieldmon.service.configuration import Configuration
+from yieldmon.service.config.configuration import Configuration
 
 
 def monitor_of(

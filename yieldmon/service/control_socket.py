@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from yieldmon.errors import InputError, reason
-from yieldmon.service.ownership import OccupiedError
+from yieldmon.service.storage.ownership import OccupiedError
 
 #: Of a socket's path, on Linux, without the zero at its end.
 LONGEST_SOCKET_BYTES = 107

@@ -24,34 +24,34 @@ from yieldmon.bus.receiver import BusEvent, Receiver
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.results import Result, records_in
-from yieldmon.service import commands
 from yieldmon.service.assembly import monitor_of
-from yieldmon.service.bus_node import BusNode
-from yieldmon.service.command_loads import CommandLoads
-from yieldmon.service.command_queue import CommandQueue, Job
-from yieldmon.service.configuration import Configuration
-from yieldmon.service.control import ControlServer
-from yieldmon.service.control_protocol import Answer, ControlError
-from yieldmon.service.identity import this_computer
-from yieldmon.service.journal import Journal
-from yieldmon.service.late_store import KeptInput, StoreReading, without_sweeps_for
-from yieldmon.service.memory import Memory, choose_parameters
+from yieldmon.service.config.configuration import Configuration
+from yieldmon.service.config.reload_check import at_next_start, usable_now
+from yieldmon.service.history.journal import Journal
+from yieldmon.service.history.late_store import KeptInput, StoreReading, without_sweeps_for
+from yieldmon.service.history.memory import Memory, choose_parameters
+from yieldmon.service.history.posting import Poster
+from yieldmon.service.history.recovery import Recovery, recover
+from yieldmon.service.history.resumption import resume, successor
 from yieldmon.service.metrics import MetricsFile
 from yieldmon.service.notify import ServiceManager
-from yieldmon.service.ownership import Ownership
+from yieldmon.service.operator import commands
+from yieldmon.service.operator.command_loads import CommandLoads
+from yieldmon.service.operator.command_queue import CommandQueue, Job
+from yieldmon.service.operator.control import ControlServer
+from yieldmon.service.operator.control_protocol import Answer, ControlError
+from yieldmon.service.operator.snapshot import snapshot
 from yieldmon.service.patience import DEFAULT, Patience
-from yieldmon.service.posting import Poster
-from yieldmon.service.recovery import Recovery, recover
-from yieldmon.service.reload_check import at_next_start, usable_now
 from yieldmon.service.reloading import Reloading
 from yieldmon.service.reloads import Reloads
-from yieldmon.service.resumption import resume, successor
-from yieldmon.service.rows import SecondRow
-from yieldmon.service.snapshot import snapshot
-from yieldmon.service.store import Store
+from yieldmon.service.storage.identity import this_computer
+from yieldmon.service.storage.ownership import Ownership
+from yieldmon.service.storage.rows import SecondRow
+from yieldmon.service.storage.store import Store
+from yieldmon.service.storage.writer import StoreWriter
 from yieldmon.service.supervision import Supervisor, ended, require_alive
-from yieldmon.service.transmit import Transmitter
-from yieldmon.service.writer import StoreWriter
+from yieldmon.service.traffic.bus_node import BusNode
+from yieldmon.service.traffic.transmit import Transmitter
 
 _log = logging.getLogger(__name__)
 

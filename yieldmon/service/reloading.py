@@ -9,7 +9,7 @@ from concurrent.futures import Future
 from time import monotonic
 
 from yieldmon.errors import InputError
-from yieldmon.service.configuration import Configuration
+from yieldmon.service.config.configuration import Configuration
 
 _log = logging.getLogger(__name__)
 

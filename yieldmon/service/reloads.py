@@ -6,7 +6,7 @@ import logging
 from collections.abc import Callable, Sequence
 
 from yieldmon.errors import InputError
-from yieldmon.service.configuration import Configuration
+from yieldmon.service.config.configuration import Configuration
 from yieldmon.service.reloading import Reloading
 
 _log = logging.getLogger(__name__)

@@ -23,9 +23,9 @@ from yieldmon.files import machine_file
 from yieldmon.finite import finite_document
 from yieldmon.physics.machine import Machine
 from yieldmon.resources import shipped
-from yieldmon.service import configuration
-from yieldmon.service.control_client import ask
-from yieldmon.service.control_protocol import ControlError
+from yieldmon.service.config import configuration
+from yieldmon.service.operator.control_client import ask
+from yieldmon.service.operator.control_protocol import ControlError
 from yieldmon.web import commands, tokens
 from yieldmon.web.feed import COLUMNS, Feed
 from yieldmon.web.guard import COMMANDS, COOKIE, SIGN_IN, Access, Door, Guard

@@ -36,7 +36,7 @@ def request_of(document: object, load_number: int | None) -> dict[str, Any]:
     Returns
     -------
     dict
-        Fit for `yieldmon.service.control_client.ask`.
+        Fit for `yieldmon.service.operator.control_client.ask`.
 
     Raises
     ------

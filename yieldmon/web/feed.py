@@ -16,9 +16,9 @@ from time import monotonic
 from typing import Any
 
 from yieldmon.errors import InputError
-from yieldmon.service.control_client import ask
-from yieldmon.service.control_protocol import ControlError
-from yieldmon.service.recorded import opened
+from yieldmon.service.logs.recorded import opened
+from yieldmon.service.operator.control_client import ask
+from yieldmon.service.operator.control_protocol import ControlError
 from yieldmon.web.units import page_units
 
 #: Columns of a row as pages get it, with the decimals that they are worth on a screen.

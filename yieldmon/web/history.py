@@ -22,10 +22,10 @@ from yieldmon.files import parameter_file
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.numerics import Array
-from yieldmon.service import sweep_table
-from yieldmon.service.recorded import last_parameters, opened, ticket_table
-from yieldmon.service.store import Store
-from yieldmon.service.store_file import read_only
+from yieldmon.service.logs import sweep_table
+from yieldmon.service.logs.recorded import last_parameters, opened, ticket_table
+from yieldmon.service.storage.store import Store
+from yieldmon.service.storage.store_file import read_only
 
 MOST_POINTS = 500_000
 _CHUNK = 100_000

@@ -27,8 +27,8 @@ from yieldmon.fleet.manifest import Manifest, Partition
 from yieldmon.fleet.measuring import by_name
 from yieldmon.fleet.worker import DONE, FAILED, LEFT, SKIPPED, Outcome, Task, refused
 from yieldmon.resources import shipped
-from yieldmon.service import configuration
-from yieldmon.service.configuration import Configuration
+from yieldmon.service.config import configuration
+from yieldmon.service.config.configuration import Configuration
 
 _SAID_EVERY_S = 10.0
 _Configured = tuple[Configuration, str]

@@ -10,9 +10,9 @@ import numpy as np
 from yieldmon.errors import InputError
 from yieldmon.field.table import DEFAULT_FLOW_S, Array, HarvestTable, Label, Source, build
 from yieldmon.frames import EstimateQuality
-from yieldmon.service import recorded
-from yieldmon.service.rows import SecondRow
-from yieldmon.service.store_names import SQLITE_MAGIC
+from yieldmon.service.logs import recorded
+from yieldmon.service.storage.rows import SecondRow
+from yieldmon.service.storage.store_names import SQLITE_MAGIC
 
 from .options import ReadOptions
 from .positions import plausible

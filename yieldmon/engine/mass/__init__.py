@@ -1,0 +1,1 @@
+"""Mass, loads, area, and what they are uncertain by."""

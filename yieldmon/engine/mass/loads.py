@@ -1,0 +1,336 @@
+"""Loads and totals: which mass belongs to which load, and whether every second of it was measured.
+
+A window that is partly lost counts its whole duration at the mean of what was measured in it, as long as that is at least
+`WindowSettings.min_coverage` of it; below that, only the time that was measured counts. A window without flow (not harvesting, no
+zero yet, an input missing) adds nothing. The mass of a window that more than one node sent samples for is contested: it is
+counted apart and in no total.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from math import inf, isfinite
+
+from yieldmon.engine.flow import Flow
+from yieldmon.engine.mass.budget import EMPTY, MassBudget
+from yieldmon.engine.mass.shared_error import ClosedLoadState, SharedError
+from yieldmon.engine.mass.totals import Totals, dry_mass
+from yieldmon.engine.sampling.since_zero import NO_LOAD, MissedMass
+from yieldmon.engine.sampling.windows import Window
+from yieldmon.engine.settings import EngineSettings
+from yieldmon.estimation.self_calibration.angle_error import NO_ERROR, AngleError
+from yieldmon.frames import EstimateQuality
+
+_NAN = float("nan")
+_KEPT_LOADS = 256
+_KEPT_CLOSED = 12
+"""Whose shares outlive a restart."""
+_RESTATED = 0.01
+"""Relative change of a closed load's standard deviation from which it is reported again."""
+_LONGEST_SILENCE_S, _LONGEST_WAKING_S = 60.0, 3.0
+"""How long all sensors' nodes may be silent at a load's begin, and one of them after another: assumed, by no study."""
+
+
+@dataclass(frozen=True, slots=True)
+class LoadSummary:
+    """One load: bus times of its start and end (nan while open), masses in kg. complete: every second of it was measured.
+    std_dev_kg: of measured_kg, nan where it is not known; budget: the same by cause. area_m2: harvested for it; unknown_area_kg:
+    mass whose area is not known."""
+
+    number: int
+    start_s: float
+    end_s: float
+    measured_kg: float
+    dry_kg: float
+    unknown_moisture_kg: float
+    complete: bool
+    std_dev_kg: float = _NAN
+    budget: MassBudget = EMPTY
+    area_m2: float = 0.0
+    unknown_area_kg: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class LoadOpened:
+    """A load began."""
+
+    load: LoadSummary
+
+
+@dataclass(frozen=True, slots=True)
+class LoadClosed:
+    """A load is complete."""
+
+    load: LoadSummary
+
+
+class Opening:
+    """The seconds at a load's begin in which no sensor sends yet, because its node wakes later than the bus, and the next few in
+    which one does and the other not: they are taken for time without grain."""
+
+    def __init__(self) -> None:
+        self._silent_s = self._waking_s = 0.0
+
+    def lacks_nothing(self, duration_s: float, *, available: bool, silent: bool) -> bool:
+        """Whether a further second leaves the load whole. available: its inputs were there. silent: no impact sample, and no
+        elevator speed above 0."""
+        if available:
+            self._silent_s = inf
+            return True
+        if silent and self._waking_s == 0.0:
+            self._silent_s += duration_s
+        else:
+            self._waking_s += duration_s
+        return 0.0 < self._silent_s <= _LONGEST_SILENCE_S and self._waking_s <= _LONGEST_WAKING_S
+
+
+@dataclass(frozen=True, slots=True)
+class LoadRestated:
+    """A load that closed in a run before is known otherwise than it was stated. std_dev_kg: of its mass."""
+
+    number: int
+    std_dev_kg: float
+
+
+LoadEvents = tuple[LoadOpened | LoadClosed | LoadRestated, ...]
+
+
+class Loads:
+    """The loads of one machine. Times are bus time, s; nan before the first frame."""
+
+    def __init__(self, settings: EngineSettings) -> None:
+        self._settings = settings
+        self.totals = self._at_market(Totals())
+        self._closed: deque[LoadSummary] = deque(maxlen=_KEPT_LOADS)
+        self._start_s = _NAN
+        self._complete = True
+        self._opening = Opening()
+        self._shared: dict[int, SharedError] = {}
+        """Of loads that the parameters in use have measured, by number."""
+        self._before: dict[int, MassBudget] = {}
+        """Those of them that closed in a run before."""
+
+    @property
+    def open(self) -> LoadSummary | None:
+        """The open load."""
+        return self._summary(_NAN) if self.totals.load_open else None
+
+    @property
+    def all(self) -> tuple[LoadSummary, ...]:
+        """Loads completed since the start, and the open one."""
+        return (*self._closed, self._summary(_NAN)) if self.totals.load_open else tuple(self._closed)
+
+    def begin(self, now_s: float) -> LoadEvents:
+        """The first frame has come: a load without a start begins here."""
+        if isfinite(self._start_s):
+            return ()
+        self._start_s = now_s
+        fresh = self.totals.load_open and self.totals.load_kg == 0.0
+        return (LoadOpened(self._summary(_NAN)),) if fresh else ()
+
+    def start(self, now_s: float) -> LoadEvents:
+        """A new load."""
+        closed = self._close(now_s)
+        self.totals = self.totals.start_load()
+        self._start_s = now_s
+        self._complete, self._opening = True, Opening()
+        return (*closed, LoadOpened(self._summary(_NAN)))
+
+    def reset(self, now_s: float) -> LoadEvents:
+        """All masses from 0, in a load with the next number."""
+        closed = self._close(now_s)
+        number = self.totals.load_number + 1
+        self.totals = Totals(load_number=number, first_load=number, market_moisture_pct=self.totals.market_moisture_pct)
+        self._start_s = now_s
+        self._complete, self._opening = True, Opening()
+        return (*closed, LoadOpened(self._summary(_NAN)))
+
+    def stop(self, now_s: float) -> LoadEvents:
+        """The load is complete; mass measured from now on belongs to no load until the next one starts."""
+        closed = self._close(now_s)
+        self.totals = self.totals.stop_load()
+        return closed
+
+    def count(self, window: Window, flow: Flow, moisture_pct: float, area_m2: float = _NAN, silent: bool = False) -> float:
+        """Add a window and its area to the totals; returns its mass, kg. silent: neither samples nor speed above 0."""
+        available = flow.measured or flow.quality is not EstimateQuality.NOT_AVAILABLE
+        if not self._opening.lacks_nothing(window.end_s - window.start_s, available=available, silent=silent):
+            self._complete = False
+        if not flow.measured:
+            self.totals = self.totals.with_area(area_m2, 0.0)
+            return 0.0
+        enough = window.coverage >= self._settings.windows.min_coverage
+        seconds = window.weight_s if enough else window.covered_s
+        mass_kg = flow.rate_kg_s * seconds
+        if not enough:
+            self._complete = False
+        if window.contested:
+            # Whose samples they were is not known.
+            self._complete = False
+            self.totals = self.totals.with_contested(mass_kg).with_area(area_m2, 0.0)
+            return 0.0
+        dry_kg = self.dry_kg(mass_kg, moisture_pct)
+        self.totals = self.totals.with_mass(mass_kg, dry_kg, flow.budget, seconds, area_m2)
+        return mass_kg
+
+    def resume_share(self, error: AngleError, version: int, home_rad: float) -> None:
+        """After `restore`: the open load was measured with the parameters of this version, which are in use, and its standard
+        deviation holds this error of the model. What of it was measured away from home, rad, is not known."""
+        totals = self.totals
+        if totals.load_open and totals.load_kg > 0.0 and totals.load_number not in self._shared:
+            by_error_kg = error.home * totals.load_kg
+            own_kg = max(totals.load_budget.parameters_kg**2 - by_error_kg**2, 0.0) ** 0.5
+            self._shared[totals.load_number] = SharedError.at(version, own_kg, totals.load_kg, home_rad)
+
+    def share(self, mass_kg: float, flow: Flow, version: int, plate_angle_rad: float, error: AngleError = NO_ERROR) -> None:
+        """After `count`: what of the window's error all of the load shares. version: of the parameters that measured it. error:
+        of the model, at the window's angle and at those of the load before it."""
+        totals, number = self.totals, self.totals.load_number
+        if not (totals.load_open and mass_kg > 0.0):
+            return
+        seconds, known = mass_kg / flow.rate_kg_s, self._shared.get(number)
+        if known is None or known.version != version:
+            # What other parameters measured stays as stated.
+            self._shared = {n: shared for n, shared in self._shared.items() if shared.version == version}
+            known = SharedError(version, totals.load_budget.parameters_kg - flow.budget.parameters_kg_s * seconds)
+        self._shared[number] = known = known.plus(flow.budget, seconds, plate_angle_rad)
+        if error is not NO_ERROR:
+            self._restated(number, known.parameters_kg(error))
+
+    def restate(self, error: AngleError, version: int) -> LoadEvents:
+        """Sweeps show another error of the model with these parameters: all loads that these have measured are as unsure as that
+        says; closed ones that it changes are returned."""
+        events: list[LoadClosed | LoadOpened | LoadRestated] = []
+        for number, shared in self._shared.items():
+            if shared.version == version:
+                events += self._restated(number, shared.parameters_kg(error))
+        return tuple(events)
+
+    def _restated(self, number: int, parameters_kg: float) -> LoadEvents:
+        totals = self.totals
+        if totals.load_open and number == totals.load_number:
+            more_kg = parameters_kg - totals.load_budget.parameters_kg
+            load, total = totals.load_budget.with_parameters(more_kg), totals.total_budget.with_parameters(more_kg)
+            self.totals = replace(totals, load_budget=load, total_budget=total)
+            return ()
+        place = next((place for place, load in enumerate(self._closed) if load.number == number), None)
+        before = self._before.get(number) if place is None else self._closed[place].budget
+        if before is None:
+            return ()
+        budget = replace(before, parameters_kg=parameters_kg)
+        if number >= totals.first_load:
+            more_kg = parameters_kg - before.parameters_kg
+            self.totals = replace(totals, total_budget=totals.total_budget.with_parameters(more_kg))
+        changed = abs(budget.std_dev_kg - before.std_dev_kg) > _RESTATED * before.std_dev_kg
+        if place is None:
+            self._before[number] = budget
+            return (LoadRestated(number, budget.std_dev_kg),) if changed else ()
+        self._closed[place] = replace(self._closed[place], budget=budget, std_dev_kg=budget.std_dev_kg)
+        return (LoadClosed(self._closed[place]),) if changed else ()
+
+    @property
+    def closed_states(self) -> tuple[ClosedLoadState, ...]:
+        """The newest loads that the parameters in use have measured, the open one among them."""
+        budgets = {**self._before, **{load.number: load.budget for load in self._closed}}
+        if self.totals.load_open:
+            budgets[self.totals.load_number] = self.totals.load_budget
+        known = [number for number in sorted(self._shared) if number in budgets and isfinite(budgets[number].std_dev_kg)]
+        return tuple(ClosedLoadState(n, budgets[n], self._shared[n]) for n in known[-_KEPT_CLOSED:])
+
+    def resume_closed(self, states: Iterable[ClosedLoadState], version: int) -> None:
+        """After `restore`: loads that a run before closed; version: of the parameters in use."""
+        for state in states:
+            if state.shared.version == version:
+                self._shared[state.number] = state.shared
+                if not (self.totals.load_open and state.number == self.totals.load_number):
+                    self._before[state.number] = state.budget
+
+    def widen(self, error_kg: float) -> None:
+        """What the open load holds turns out to be less sure: by error_kg at least, one standard deviation, by its parameters."""
+        totals = self.totals
+        if not (totals.load_open and error_kg > 0.0):
+            return
+        self._shared.pop(totals.load_number, None)
+        load = totals.load_budget.with_common(error_kg)
+        more_kg = load.parameters_kg - totals.load_budget.parameters_kg
+        total = totals.total_budget.with_common(totals.total_budget.parameters_kg + more_kg)
+        self.totals = replace(totals, load_budget=load, total_budget=total)
+
+    def doubt(self) -> None:
+        """What was counted last may be wrong: the load is no reference."""
+        self._complete = False
+
+    def restore(self, totals: Totals) -> None:
+        """Go on from totals that were kept; what passed since was not measured."""
+        self._shared, self._before = {}, {}
+        self.totals = self._at_market(totals)
+        self._complete, self._opening = not (totals.load_open and totals.load_kg > 0.0), Opening()
+
+    def correct(self, missed: Mapping[int, MissedMass]) -> LoadEvents:
+        """Mass that was missed, by load, joins its loads and, where it came since they were reset, the totals; closed loads are
+        returned."""
+        events: list[LoadClosed | LoadOpened | LoadRestated] = []
+        for number, found in missed.items():
+            self._shared.pop(number, None)
+            totals = self.totals
+            here = totals.load_open and number == totals.load_number
+            taken = max(found.kg, -totals.load_kg) if here else found.kg
+            if number == NO_LOAD or number >= totals.first_load:
+                self.totals = totals.with_missed(replace(found, kg=taken), in_load=here)
+            for place, load in enumerate(self._closed):
+                if load.number == number and not here:
+                    self._closed[place] = _with_missed(load, found)
+                    events.append(LoadClosed(self._closed[place]))
+        return tuple(events)
+
+    def dry_kg(self, wet_kg: float, moisture_pct: float) -> float | None:
+        """At market moisture; None where the moisture is not known."""
+        return dry_mass(wet_kg, moisture_pct, self._settings.totals, self.totals.market_moisture_pct)
+
+    def set_market_moisture(self, moisture_pct: float) -> None:
+        """Of the dry masses that are counted from now on; what the settings say goes before it."""
+        self.totals = self._at_market(replace(self.totals, market_moisture_pct=moisture_pct))
+
+    def _at_market(self, totals: Totals) -> Totals:
+        given = self._settings.totals.moisture_reference_pct
+        return totals if given is None else replace(totals, market_moisture_pct=given)
+
+    def _summary(self, end_s: float) -> LoadSummary:
+        totals = self.totals
+        return LoadSummary(
+            number=totals.load_number,
+            start_s=self._start_s,
+            end_s=end_s,
+            measured_kg=totals.load_kg,
+            dry_kg=totals.load_dry_kg,
+            unknown_moisture_kg=totals.load_unknown_moisture_kg,
+            complete=self._complete,
+            std_dev_kg=totals.load_budget.std_dev_kg,
+            budget=totals.load_budget,
+            area_m2=totals.load_area_m2,
+            unknown_area_kg=totals.load_unknown_area_kg,
+        )
+
+    def _close(self, now_s: float) -> LoadEvents:
+        if not self.totals.load_open:
+            return ()
+        self._closed.append(self._summary(now_s))
+        kept = {load.number for load in self._closed} | set(self._before)
+        self._shared = {number: shared for number, shared in self._shared.items() if number in kept}
+        return (LoadClosed(self._closed[-1]),)
+
+
+def _with_missed(load: LoadSummary, missed: MissedMass) -> LoadSummary:
+    measured_kg = max(load.measured_kg + missed.kg, 0.0)
+    budget = load.budget.of_mass(load.measured_kg, measured_kg)
+    return replace(
+        load,
+        measured_kg=measured_kg,
+        dry_kg=max(load.dry_kg + missed.dry_kg, 0.0),
+        unknown_moisture_kg=max(load.unknown_moisture_kg + missed.unknown_moisture_kg, 0.0),
+        std_dev_kg=budget.std_dev_kg,
+        budget=budget,
+        unknown_area_kg=max(load.unknown_area_kg + missed.unknown_area_kg, 0.0),
+    )

@@ -1,0 +1,88 @@
+"""What the seconds of a load share of the parameters' error and of the model's, so that it can be stated anew.
+
+What sweeps show of the model's error holds for all that was measured with the same parameters, before a sweep as well as after
+it. So each load keeps by how much an error of the force would change its mass, and its standard deviation follows what is known
+now, while it is open and once it is closed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import hypot
+from typing import Any
+
+from yieldmon.engine.mass.budget import FlowBudget, MassBudget
+from yieldmon.engine.quick import maker_of
+from yieldmon.estimation.self_calibration.angle_error import NODES_RAD, AngleError, node_shares
+
+
+@dataclass(frozen=True, slots=True)
+class SharedError:
+    """Of one load, kg.
+
+    Attributes
+    ----------
+    version : int
+        Of the parameters that measure it now.
+    before_kg : float
+        Standard deviation by all parameters before those, which stays as it was stated.
+    own_kg : float
+        By the covariance of these.
+    per_error_kg : tuple of float
+        Change of its mass by a relative error of 1 of the force at each node of the plate's angle, (nodes,).
+    """
+
+    version: int
+    before_kg: float = 0.0
+    own_kg: float = 0.0
+    per_error_kg: tuple[float, ...] = (0.0,) * NODES_RAD.size
+
+    def plus(self, flow: FlowBudget, seconds: float, plate_angle_rad: float) -> SharedError:
+        """With `seconds` of a flow more, at a plate angle, rad."""
+        return _made(
+            self.version,
+            self.before_kg,
+            self.own_kg + flow.covariance_kg_s * seconds,
+            _with(self.per_error_kg, flow.per_error_kg_s * seconds, plate_angle_rad),
+        )
+
+    @classmethod
+    def at(cls, version: int, own_kg: float, per_error_kg: float, plate_angle_rad: float) -> SharedError:
+        """All of it measured at one angle, rad, with parameters of a version; own_kg and per_error_kg as above."""
+        return cls(version, 0.0, own_kg, _with((0.0,) * NODES_RAD.size, per_error_kg, plate_angle_rad))
+
+    def parameters_kg(self, error: AngleError) -> float:
+        """Standard deviation by the parameters, where the model's error is as sweeps show it now."""
+        return self.before_kg + hypot(self.own_kg, error.of_sum(self.per_error_kg))
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> SharedError:
+        """Inverse of `dataclasses.asdict`. Raises KeyError or TypeError."""
+        return cls(**{**data, "per_error_kg": tuple(map(float, data["per_error_kg"]))})
+
+
+@dataclass(frozen=True, slots=True)
+class ClosedLoadState:
+    """What of a closed load outlives a restart, so that it can be stated anew. budget: of its mass, as stated last."""
+
+    number: int
+    budget: MassBudget
+    shared: SharedError
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> ClosedLoadState:
+        """Inverse of `dataclasses.asdict`. Raises KeyError or TypeError."""
+        return cls(int(data["number"]), MassBudget(**data["budget"]), SharedError.from_dict(data["shared"]))
+
+
+def _with(at_nodes: tuple[float, ...], more: float, plate_angle_rad: float) -> tuple[float, ...]:
+    """With more at an angle, shared between the nodes on both sides of it."""
+    first, share = node_shares(plate_angle_rad)
+    row = list(at_nodes)
+    row[first] += (1.0 - share) * more
+    row[first + 1] += share * more
+    return tuple(row)
+
+
+_made = maker_of(SharedError)

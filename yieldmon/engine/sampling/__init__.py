@@ -1,0 +1,1 @@
+"""From sample frames to one window a second, and its zero."""

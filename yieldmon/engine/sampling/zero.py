@@ -1,0 +1,318 @@
+"""Zero-load voltage of the sensor, followed while the elevator runs empty.
+
+Whether it runs empty is seen from the paddles, not from the level: grain comes in pulses that keep step with the chain. The
+amplitudes of the paddle pattern's harmonics, averaged coherently over several windows, must be those that vibration alone was
+found to make, no more and no less, each by itself. Shaft and engine vibration do not keep step with the pattern and average out;
+a drifted zero has no pulses at all; a trickle of grain shows in some harmonic, whatever its phase against the vibration, so the
+zero stands still under it however long it lasts. What vibration makes is learnt once, with the first zero or by the operator's
+zero calibration, and does not follow, or it would learn a trickle step by step; it is taken to grow with the square of the speed.
+
+A trickle so small that all its harmonics stay within the margins (about 0.1 kg/s on a quiet machine, 0.3 kg/s where the paddles
+themselves shake the plate by 3 N) moves the zero by no more than its own force, unless header and work state say that the machine
+is cutting: then the zero stands still.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import isfinite
+
+from yieldmon.engine.sampling.windows import Window, coherent_amplitudes
+from yieldmon.engine.settings import ZeroSettings
+
+
+@dataclass(frozen=True, slots=True)
+class ZeroState:
+    """zero_mv and the first zero it is judged against; amplitudes with the elevator empty at speed_rad_s.
+
+    vibration_mv: each pattern harmonic over several windows, empty until learnt. window_pulse_mv: largest of a single window.
+    """
+
+    zero_mv: float
+    first_zero_mv: float
+    speed_rad_s: float
+    window_pulse_mv: float
+    vibration_mv: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class ZeroRefusal:
+    """Windows in which the elevator ran and no first zero could be taken.
+
+    Attributes
+    ----------
+    waited_s : float
+        How long that has been so.
+    pulse_mv : float
+        Amplitude in step with the paddles in the last windows.
+    level_range_mv : float
+        Range of the last windows' means.
+    """
+
+    waited_s: float
+    pulse_mv: float
+    level_range_mv: float
+
+
+class ZeroTracker:
+    """Learns and follows the zero. `state` is None until there is one."""
+
+    def __init__(self, settings: ZeroSettings) -> None:
+        self._settings = settings
+        self.state: ZeroState | None = None
+        self._recent: deque[Window] = deque(maxlen=settings.settle_windows)
+        self._pattern: tuple[tuple[float, ...], float] | None = None
+        """Amplitudes of the last windows' harmonics, and their speed."""
+        self._compared: tuple[tuple[float, ...], float, bool, bool] | None = None
+        """Vibration and its speed that this pattern was held against; whether it is above it; whether it is above or below."""
+        self._calibrating = False
+        self._against_signs = False
+        self._despite_signs = False
+        self._before: ZeroState | None = None
+        self.suspect = False
+        """Whether the zero in use was taken against the signs of grain, and is another than the one before it."""
+        self._refusal: ZeroRefusal | None = None
+        self.known_s: float | None = None
+        """Engine time at which the zero was last taken or followed; None before."""
+        self.taken_from_s = float("inf")
+        """Engine time from which on the windows were that the zero was last taken from."""
+
+    def calibrate(self, *, against_signs: bool = False, despite_signs: bool = True) -> bool:
+        """Operator's zero calibration: the next windows are empty by the operator's word; learn zero and vibration from them.
+
+        against_signs: what is measured speaks of grain all the same. despite_signs: so may the windows to come. Returns whether
+        an undo still brings back the zero before an earlier calibration: that one is suspect.
+        """
+        goes_on = self.suspect and self._before is not None
+        self._calibrating = True
+        self._despite_signs = despite_signs
+        # What looks empty under a suspect zero need not be.
+        self._against_signs = against_signs or goes_on
+        self._before = self._before if goes_on else self.state
+        self.interrupt()
+        return goes_on
+
+    @property
+    def before(self) -> ZeroState | None:
+        """What an undo brings back."""
+        return self._before
+
+    def resume(self, before: ZeroState, *, suspect: bool) -> None:
+        """After a restart: what an undo brings back, and whether the zero in use is suspect."""
+        self._before, self.suspect = before, suspect
+
+    def undo(self) -> None:
+        """The zero before the operator's last calibration again."""
+        self.state, self._before = self._before, None
+        self._calibrating = self.suspect = False
+        self.interrupt()
+
+    @property
+    def calibrating(self) -> bool:
+        """Whether a zero calibration by the operator is under way."""
+        return self._calibrating
+
+    def go_on_with(self, before: ZeroTracker) -> None:
+        """A calibration by the operator that another tracker has under way is this one's, from its first window."""
+        if before._calibrating:
+            self.calibrate(against_signs=before._against_signs, despite_signs=before._despite_signs)
+
+    def waits_for_grain_to_pass(self, signs: str) -> bool:
+        """Whether a zero calibration is to leave out the windows now, which show such signs of grain ("" for none).
+
+        Where it takes them all the same, its zero counts as taken against them.
+        """
+        if not (self._calibrating and signs):
+            return False
+        self._against_signs = self._against_signs or self._despite_signs
+        return not self._despite_signs
+
+    @property
+    def refusal(self) -> ZeroRefusal | None:
+        """Why there is no first zero although the elevator runs; None where there is one, or nothing has been seen yet."""
+        return None if self.state is not None else self._refusal
+
+    @property
+    def progress(self) -> tuple[int, int]:
+        """Windows seen of the zero that is wanted, and how many it takes; (0, 0) while none is wanted."""
+        if self._calibrating:
+            return len(self._recent), self._settings.settle_windows
+        if self.state is not None:
+            return 0, 0
+        wanted = self._settings.first_zero_windows
+        return min(len(self._recent), wanted), wanted
+
+    @property
+    def looks_empty(self) -> bool:
+        """Whether the last windows hold nothing but the vibration that was learnt; False also while that cannot be said."""
+        return len(self._recent) == self._settings.settle_windows and self._excess(below=True) is False
+
+    @property
+    def looks_loaded(self) -> bool:
+        """Whether the last windows hold paddle pulses beyond the vibration; False also while that cannot be said."""
+        return len(self._recent) == self._settings.settle_windows and self._excess(below=False) is True
+
+    @property
+    def drifted(self) -> bool:
+        """Whether the zero is further from the first zero than allowed, or the empty level too far from the zero to follow."""
+        state = self.state
+        if state is None:
+            return False
+        away = self.suspect or abs(state.zero_mv - state.first_zero_mv) > self._settings.drift_limit_mv
+        too_far = self.looks_empty and abs(self._recent[-1].mean_mv - state.zero_mv) > self._settings.max_step_mv
+        return away or self.below_empty or too_far
+
+    @property
+    def drift(self) -> str:
+        """What is wrong with the zero, for the operator; "" where nothing is."""
+        state = self.state
+        if state is None or not self.drifted:
+            return ""
+        if self.suspect:
+            return "the last zero was taken despite signs of grain"
+        if self.below_empty:
+            return f"the plate reads {state.zero_mv - self._recent[-1].mean_mv:.0f} mV below empty"
+        away_mv = state.zero_mv - state.first_zero_mv
+        if abs(away_mv) > self._settings.drift_limit_mv:
+            return f"the zero is {away_mv:+.0f} mV from its first value"
+        return f"the empty elevator reads {self._recent[-1].mean_mv - state.zero_mv:+.0f} mV from the zero"
+
+    @property
+    def below_empty(self) -> bool:
+        """Whether the plate has read less than empty for some time: the zero was learnt with grain on it."""
+        if self.state is None or len(self._recent) < self._settings.settle_windows:
+            return False
+        return all(window.mean_mv < self.state.zero_mv - self._settings.max_step_mv for window in self._recent)
+
+    def pulses(self, window: Window) -> bool:
+        """Whether one window has paddle pulses beyond what vibration makes."""
+        state = self.state
+        if state is None:
+            return window.pulse_mv > self._settings.first_pulse_limit_mv
+        usual = state.window_pulse_mv * _speed_factor(window.speed_rad_s, state.speed_rad_s)
+        return window.pulse_mv > max(usual * self._settings.window_pulse_margin, usual + self._settings.window_pulse_margin_mv)
+
+    def interrupt(self) -> None:
+        """The windows to come do not follow on those seen (sensor lost, plate moved, elevator out of its range)."""
+        self._recent.clear()
+        self._pattern = self._compared = None
+
+    def see(self, window: Window, may_be_empty: bool) -> None:
+        """A whole window with the elevator turning in its range and the plate at home.
+
+        may_be_empty: nothing that is known (harvesting, header down and working) speaks against it.
+        """
+        if not isfinite(window.mean_mv):
+            self.interrupt()
+            return
+        self._recent.append(window)
+        self._pattern = self._compared = None
+        if self._calibrating:
+            if len(self._recent) == self._settings.settle_windows:
+                self.state = self._learnt(list(self._recent))
+                self._calibrating = False
+                away_mv = abs(self.state.zero_mv - self._before.zero_mv) if self._before is not None else 0.0
+                self.suspect = self._against_signs and away_mv > self._settings.level_range_mv
+                self.known_s, self.taken_from_s = window.end_s, self._recent[0].start_s
+        elif may_be_empty and self.state is None:
+            self._first(list(self._recent)[-self._settings.first_zero_windows :])
+        elif may_be_empty and self.state is not None:
+            if self.state.vibration_mv:
+                self._follow(self.state, window)
+            else:
+                self._learn_vibration(self.state)
+
+    def _first(self, windows: list[Window]) -> None:
+        if len(windows) < self._settings.first_zero_windows:
+            return
+        if self._quiet(windows):
+            zero = _mean_level(windows)
+            pulse = max(window.pulse_mv for window in windows)
+            self.state = ZeroState(zero, zero, _mean_speed(windows), pulse)
+            self.known_s, self.taken_from_s = windows[-1].end_s, windows[0].start_s
+            return
+        waited_s = (self._refusal.waited_s if self._refusal is not None else 0.0) + windows[-1].end_s - windows[-1].start_s
+        levels = [window.mean_mv for window in windows]
+        self._refusal = ZeroRefusal(waited_s, _pulse_mv(windows), max(levels) - min(levels))
+
+    def _learn_vibration(self, state: ZeroState) -> None:
+        windows = list(self._recent)
+        near = all(abs(window.mean_mv - state.zero_mv) <= self._settings.level_range_mv for window in windows)
+        if near and len(windows) == self._settings.settle_windows and self._quiet(windows):
+            learnt = self._learnt(windows)
+            self.state = ZeroState(
+                learnt.zero_mv, state.first_zero_mv, learnt.speed_rad_s, learnt.window_pulse_mv, learnt.vibration_mv
+            )
+            self.known_s = windows[-1].end_s
+
+    def _follow(self, state: ZeroState, window: Window) -> None:
+        settings = self._settings
+        # The oldest window's level: at the onset of a trickle the newest are loaded before their mean amplitude shows it.
+        step = self._recent[0].mean_mv - state.zero_mv
+        if not self.looks_empty or abs(step) > settings.max_step_mv:
+            return
+        self.known_s = window.end_s
+        seconds = window.end_s - window.start_s
+        limit = settings.max_rate_mv_s * seconds
+        change = min(limit, max(-limit, seconds / settings.follow_time_s * step))
+        self.state = ZeroState(
+            state.zero_mv + change, state.first_zero_mv, state.speed_rad_s, state.window_pulse_mv, state.vibration_mv
+        )
+
+    def _quiet(self, windows: list[Window]) -> bool:
+        levels = [window.mean_mv for window in windows]
+        return (
+            _pulse_mv(windows) <= self._settings.first_pulse_limit_mv
+            and max(levels) - min(levels) <= self._settings.level_range_mv
+        )
+
+    def _learnt(self, windows: list[Window]) -> ZeroState:
+        zero = _mean_level(windows)
+        pulse = max(window.pulse_mv for window in windows)
+        return ZeroState(zero, zero, _mean_speed(windows), pulse, coherent_amplitudes(windows))
+
+    def _excess(self, *, below: bool) -> bool | None:
+        """Whether any harmonic is above (or, with below, also below) what vibration makes; None while it is not learnt."""
+        state = self.state
+        if state is None or not state.vibration_mv:
+            return None
+        compared = self._compared
+        if compared is None or compared[0] is not state.vibration_mv or compared[1] != state.speed_rad_s:
+            compared = self._compared = (state.vibration_mv, state.speed_rad_s, *self._departure(state))
+        return compared[3] if below else compared[2]
+
+    def _departure(self, state: ZeroState) -> tuple[bool, bool]:
+        """Whether any harmonic is above what vibration makes, and whether any is above or below it."""
+        if self._pattern is None:
+            self._pattern = coherent_amplitudes(self._recent), _mean_speed(self._recent)
+        amplitudes, speed_rad_s = self._pattern
+        factor = _speed_factor(speed_rad_s, state.speed_rad_s)
+        lower = False
+        for amplitude, learnt in zip(amplitudes, state.vibration_mv, strict=False):
+            usual = learnt * factor
+            margin = max(self._settings.pulse_margin_mv, self._settings.pulse_margin * usual)
+            if amplitude - usual > margin:
+                return True, True
+            lower = lower or usual - amplitude > margin
+        return False, lower
+
+
+def _pulse_mv(windows: Sequence[Window]) -> float:
+    """Amplitude of what keeps step with the paddles, over all harmonics of the pattern."""
+    power = sum(amplitude**2 for amplitude in coherent_amplitudes(windows))
+    return float(power**0.5)
+
+
+def _mean_level(windows: Sequence[Window]) -> float:
+    return sum(window.mean_mv for window in windows) / len(windows)
+
+
+def _mean_speed(windows: Sequence[Window] | deque[Window]) -> float:
+    return sum([window.speed_rad_s for window in windows]) / len(windows)
+
+
+def _speed_factor(speed_rad_s: float, learnt_at_rad_s: float) -> float:
+    """Growth of vibration from one speed to another: unbalance grows with the square of the speed."""
+    return (speed_rad_s / learnt_at_rad_s) ** 2 if learnt_at_rad_s > 0.0 else 1.0

@@ -1,0 +1,1 @@
+"""What sweeps, weighed masses and kernels change of the parameters."""

@@ -1,0 +1,160 @@
+"""Reference masses: what a scale weighed against what was measured over the same grain."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+
+from yieldmon.engine.mass.budget import EMPTY, MassBudget
+from yieldmon.engine.rivals import tank_leaps
+from yieldmon.engine.self_calibration.load_forces import LoadForces
+from yieldmon.engine.settings import AnchorSettings
+
+_AS_BEFORE_SDS = 4.0
+"""Standard deviations of the scale within which two readings are of the same mass."""
+_LACKING_SHARE = 0.5
+"""Of the mass measured between two readings, what no calibration is wrong by: the rest was unloaded."""
+
+
+Weighing = tuple[int, float, float]
+"""Of a load: its number, its mass and the standard deviation of that, kg."""
+
+
+class AnchorSource(StrEnum):
+    """Where a reference mass came from."""
+
+    TANK_SCALE = "tank scale"
+    TICKET = "ticket"
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceMass:
+    """A weighed mass and the mass measured over the same time, kg; times are bus time, s.
+
+    complete: every second in between was measured. load_number is 0 where the weighing belongs to no load. budget: standard
+    deviations of measured_kg. forces: measured over the load, None where they were not kept.
+    """
+
+    source: AnchorSource
+    start_s: float
+    end_s: float
+    reference_kg: float
+    std_dev_kg: float
+    measured_kg: float
+    complete: bool
+    load_number: int = 0
+    budget: MassBudget = EMPTY
+    zero_doubted: bool = False
+    """Whether part of measured_kg rests on a zero that is doubted."""
+    forces: LoadForces | None = field(default=None, compare=False, repr=False)
+
+
+@dataclass(frozen=True, slots=True)
+class _Weighing:
+    time_s: float
+    mass_kg: float
+    measured_kg: float
+    budget: MassBudget
+
+
+class TankScale:
+    """Increments of a tank scale between stable readings."""
+
+    def __init__(self, settings: AnchorSettings) -> None:
+        self._settings = settings
+        self._pending: tuple[float, float] | None = None
+        self._start: _Weighing | None = None
+        self._last: _Weighing | None = None
+        self._complete = True
+        self._zero_doubted = False
+        self.anchors: deque[ReferenceMass] = deque(maxlen=settings.keep)
+
+    def reading(self, time_s: float, mass_kg: float) -> None:
+        """A stable reading; it is matched with the measured total when the window around it closes."""
+        self._pending = (time_s, mass_kg)
+
+    def forget(self) -> None:
+        """What it has read is not known to be the tank's: the next reading is the first."""
+        self._pending = self._start = self._last = None
+
+    def doubt_zero(self) -> None:
+        """What is measured now rests on a suspect zero: no update, but the scale still gives the mass."""
+        self._complete, self._zero_doubted = False, True
+
+    def empty_since(self, time_s: float) -> None:
+        """No grain came between a time and now: what was not measured since then is missing nowhere."""
+        if self._start is not None and self._start.time_s >= time_s:
+            self._complete = True
+
+    def counted(self, mass_kg: float) -> None:
+        """So much joined the total without having been measured."""
+        if self._start is not None:
+            self._start = replace(self._start, measured_kg=self._start.measured_kg + mass_kg)
+        if self._last is not None:
+            self._last = replace(self._last, measured_kg=self._last.measured_kg + mass_kg)
+
+    def next_mass(self, masses_kg: Iterable[float]) -> int:
+        """With which of the masses to come the tank may have gained enough to be weighed, counted from 1; 0 for none of them."""
+        least_kg = self._start.mass_kg if self._start is not None else float("inf")
+        for number, mass_kg in enumerate(masses_kg, 1):
+            if mass_kg - least_kg >= self._settings.min_increment_kg:
+                return number
+            least_kg = min(least_kg, mass_kg)
+        return 0
+
+    def window(
+        self, start_s: float, end_s: float, total_before_kg: float, mass_kg: float, measured: bool, budget: MassBudget = EMPTY
+    ) -> ReferenceMass | None:
+        """A window that measured (or failed to measure) mass_kg between two times; the total before it, its budget after it.
+
+        Returns the reference mass that has come of it.
+        """
+        if not measured:
+            self._complete = False
+        if self._pending is None:
+            return None
+        time_s, scale_kg = self._pending
+        if time_s > end_s:
+            return None
+        self._pending = None
+        share = min(1.0, max(0.0, (time_s - start_s) / (end_s - start_s))) if end_s > start_s else 1.0
+        return self._weigh(_Weighing(time_s, scale_kg, total_before_kg + share * mass_kg, budget))
+
+    def _weigh(self, now: _Weighing) -> ReferenceMass | None:
+        start, last, self._last = self._start, self._last, now
+        if start is None or last is None or self._interrupted(last, now):
+            self._start, self._complete, self._zero_doubted = now, True, False
+            return None
+        increment = now.mass_kg - start.mass_kg
+        if not self._complete and not self._zero_doubted and abs(increment) <= _AS_BEFORE_SDS * self._settings.scale_std_dev_kg:
+            # What was not measured held no grain, as before the first zero.
+            self._start, self._complete = now, True
+            return None
+        if increment < self._settings.min_increment_kg:
+            return None
+        self.anchors.append(
+            ReferenceMass(
+                source=AnchorSource.TANK_SCALE,
+                start_s=start.time_s,
+                end_s=now.time_s,
+                reference_kg=increment,
+                std_dev_kg=2.0**0.5 * self._settings.scale_std_dev_kg,
+                measured_kg=now.measured_kg - start.measured_kg,
+                complete=self._complete,
+                budget=now.budget.minus(start.budget),
+                zero_doubted=self._zero_doubted,
+            )
+        )
+        self._start, self._complete, self._zero_doubted = now, True, False
+        return self.anchors[-1]
+
+    def _interrupted(self, last: _Weighing, now: _Weighing) -> bool:
+        """Whether more than grain coming changed two stable readings: another scale speaks or it was reset, the tank weighs less,
+        or it lacks much of what was measured."""
+        gained_kg, counted_kg = now.mass_kg - last.mass_kg, now.measured_kg - last.measured_kg
+        if tank_leaps(now.time_s - last.time_s, gained_kg):
+            return True
+        lacking_kg = max(self._settings.unloading_kg, _LACKING_SHARE * counted_kg)
+        return gained_kg < -self._settings.unloading_kg or counted_kg - gained_kg > lacking_kg

@@ -1,0 +1,43 @@
+"""Seconds of kernel noise, gathered until they make a lesson for the parameters."""
+
+from __future__ import annotations
+
+from math import sqrt
+
+from yieldmon.engine.measurement import Reading
+from yieldmon.engine.settings import WaveformSettings
+from yieldmon.estimation.waveform.common_bias import KernelLesson, lesson_of
+
+
+class KernelLessons:
+    """Takes one second in so many as kernel noise is averaged over, so that what chance adds to them is independent."""
+
+    def __init__(self, settings: WaveformSettings) -> None:
+        self._settings = settings
+        self._heard = 0
+        self._seconds: list[tuple[float, float, float, float, float]] = []
+        self._random_sds: list[float] = []
+        self._lasting_sd = 0.0
+
+    def add(self, kernels_kg_s: float, relative_sd: float, random_sd: float, reading: Reading) -> None:
+        """A second at home with a flow by kernel noise."""
+        if not self._settings.teach:
+            return
+        self._heard += 1
+        if self._heard % self._settings.kernel_windows:
+            return
+        window = reading.window
+        self._seconds.append(
+            (kernels_kg_s, reading.force_n, window.plate_angle_rad, window.speed_rad_s, reading.inputs.fresh["moisture"])
+        )
+        self._random_sds.append(random_sd)
+        self._lasting_sd = max(self._lasting_sd, sqrt(max(relative_sd**2 - random_sd**2, 0.0)))
+
+    def take(self) -> KernelLesson | None:
+        """What has been gathered, once that is enough; then it begins anew."""
+        if not self._seconds or self._heard < self._settings.teach_windows:
+            return None
+        found = lesson_of(self._seconds, self._random_sds, self._lasting_sd)
+        self._heard, self._lasting_sd = 0, 0.0
+        self._seconds, self._random_sds = [], []
+        return found

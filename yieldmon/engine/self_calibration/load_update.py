@@ -1,0 +1,139 @@
+"""What weighed masses change: the parameters near the prior, or all of the last loads fitted together.
+
+A ticket that the prior explains, drift included, moves the parameters as any observation does. One further off, or a machine
+that was never calibrated, is fitted together with the loads before it (`estimation.weighing.loads`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Container, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
+from yieldmon.estimation.load_pattern import EFFECT as LOAD_PATTERN
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.self_calibration.closed_loop import update_from_tickets
+from yieldmon.estimation.self_calibration.closed_loop_inputs import MassAnchor
+from yieldmon.estimation.self_calibration.closed_loop_outcome import Outcome, ScaleReport
+from yieldmon.estimation.self_calibration.steady_drift import DriftingParameters
+from yieldmon.estimation.weighing.density_and_gain import in_form_of, widened
+from yieldmon.estimation.weighing.load_departures import departure, departures, errors_of
+from yieldmon.estimation.weighing.load_inputs import LoadSettings, WeighedLoad
+from yieldmon.estimation.weighing.load_outcome import LIKELY_ANOTHER, LoadCalibration, curve_sentence, wrong_ticket_sentence
+from yieldmon.estimation.weighing.loads import calibrate_loads
+from yieldmon.physics.model import ForwardModel
+
+_DRIFT_WIDENING = 16.0
+"""Of the parameters' covariance: with up to so much of it, what a later ticket says is drift, and no other scale."""
+_KNOWN_SCALE = 0.1
+"""Relative standard deviation of a load up to which the parameters know the machine's scale."""
+
+
+@dataclass(frozen=True, slots=True)
+class LoadUpdate:
+    """An update from weighed masses.
+
+    Attributes
+    ----------
+    model : ForwardModel
+        With the effects of the parameters in use.
+    closed_loop : ClosedLoopSettings
+    load_settings : LoadSettings
+    counted : sequence of WeighedLoad
+        The last loads that count, the new ones included.
+    origin : ParameterSet or None
+        Parameters as they came from outside.
+    """
+
+    model: ForwardModel
+    closed_loop: ClosedLoopSettings
+    load_settings: LoadSettings
+    counted: Sequence[WeighedLoad]
+    origin: ParameterSet | None
+
+    def of(
+        self, drifting: DriftingParameters, masses: Sequence[MassAnchor], names: Container[str]
+    ) -> tuple[Outcome, DriftingParameters]:
+        """The parameters after weighed masses of these names, and the prior as they leave it: wider where they contradict it.
+
+        Raises ValueError where no parameters explain them.
+        """
+        prior, counted = drifting.parameters, self.counted
+        outcome = update_from_tickets(self.model, prior, masses, settings=self.closed_loop)
+        doubtful = 1.0 if len(counted) <= len(masses) else _DRIFT_WIDENING
+        near = outcome.consistent and outcome.prior_widening <= doubtful
+        near = near and self._without_curve(prior) is prior and self._knows_scale(prior, names)
+        earlier = [load for load in counted if load.name not in names]
+        if near and not self._leaves(earlier, prior, outcome.parameter_set):
+            return outcome, drifting
+        # Outside the prior's standard deviations, or so far that its linearisation about the earlier loads no longer holds:
+        # only the loads together determine the scale.
+        try:
+            learnt = [load.name for load in earlier]
+            found = calibrate_loads(self.model, self._without_curve(prior), counted, settings=self.load_settings, learnt=learnt)
+        except ValueError:
+            if near:
+                return outcome, drifting
+            raise
+        if near and (found.refused or found.contradiction is not None) and not _is_another(found):
+            return outcome, drifting
+        reason = (
+            f"weighed loads moved the scale by {100.0 * (found.scale - 1.0):+.1f} %; a next load is expected within "
+            f"{100.0 * found.next_load_sd:.1f} %"
+        )
+        if found.refused:
+            reason = " ".join(found.sentences)
+        else:
+            curve = curve_sentence(found) if _is_another(found) else ""
+            alone = (
+                "by one ticket alone: if it is wrong by 10 %, so is every load, until a second shows it"
+                if len(counted) == 1
+                else ""
+            )
+            reason = "; ".join(filter(None, (reason, alone, curve, wrong_ticket_sentence(found))))
+        scale = ScaleReport(found.scale_sd, found.scale_sd, float(np.log(found.scale)), True, ())
+        known, wide = found.parameter_set, widened(prior, self.load_settings)
+        names = (*(n for n in prior.covariance_names if n in known.covariance_names),)
+        names = (*names, *(n for n in known.covariance_names if n not in names))
+        known = replace(known, covariance_names=names, covariance=known.covariance_of(names))
+        if names == prior.covariance_names and set(names) == set(wide.covariance_names):
+            joint = drifting.joint.copy()
+            joint[: len(names), : len(names)] = wide.covariance_of(names)
+            drifting = replace(drifting, parameters=replace(prior, covariance=wide.covariance_of(names)), joint=joint)
+        outcome = Outcome(known, not found.refused, True, reason, "", (), (), scale, 0.0, len(self.counted), 1.0, ())
+        return outcome, drifting
+
+    def _knows_scale(self, prior: ParameterSet, names: Container[str]) -> bool:
+        """Whether the parameters predict the loads of these names to `_KNOWN_SCALE`. On a machine that was never calibrated
+        only the loads together determine the scale and how far the force follows the model's curve."""
+        new = [load for load in self.counted if load.name in names]
+        return all(departure(self.model, prior, load, self.load_settings)[1] < _KNOWN_SCALE for load in new)
+
+    def _without_curve(self, prior: ParameterSet) -> ParameterSet:
+        """What was known before weighed loads taught a curve of their own, to which all of them are to be fitted together."""
+        origin = self.origin
+        if LOAD_PATTERN not in prior.effects or origin is None or LOAD_PATTERN in origin.effects:
+            return prior
+        return in_form_of(replace(origin, version=prior.version), prior)
+
+    def _leaves(self, earlier: Sequence[WeighedLoad], before: ParameterSet, now: ParameterSet) -> bool:
+        """Whether `now` measures a load otherwise than `before` by more than what `before` is uncertain by, drift included."""
+        for alike in _alike(earlier):
+            was, std_dev = departures(self.model, before, alike, self.load_settings)
+            error = errors_of(self.model, now, alike, self.load_settings)
+            if not np.all(np.abs(error - was) < self.load_settings.outlier_sds * std_dev):
+                return True
+        return False
+
+
+def _alike(loads: Sequence[WeighedLoad]) -> list[list[WeighedLoad]]:
+    """Those with moisture and those without."""
+    groups = ([load for load in loads if (load.moisture_pct is None) is without] for without in (False, True))
+    return [group for group in groups if group]
+
+
+def _is_another(found: LoadCalibration) -> bool:
+    """Whether the loads show another curve of the force than the model's."""
+    return found.another_law is not None and found.another_law.probability > LIKELY_ANOTHER

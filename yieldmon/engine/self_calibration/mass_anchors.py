@@ -1,0 +1,133 @@
+"""Reference masses as self-calibration takes them: with the forces over the grain that was weighed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from math import hypot, isfinite, sqrt
+
+import numpy as np
+
+from yieldmon.engine.self_calibration.anchors import ReferenceMass
+from yieldmon.engine.self_calibration.scale_alarm import ScaleCheck, as_stated, name_of
+from yieldmon.estimation.load_pattern import following
+from yieldmon.estimation.open_loop import OpenLoop
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.self_calibration.closed_loop_inputs import MassAnchor
+from yieldmon.estimation.weighing.load_inputs import WeighedLoad
+from yieldmon.physics.model import ForwardModel
+
+
+def mass_anchor(
+    anchor: ReferenceMass, model: ForwardModel, spans: Iterable[tuple[float, ParameterSet]], anchor_error: float
+) -> MassAnchor:
+    """The forces over the mass where they were kept, else the total in pieces, each with the parameters that made it.
+
+    spans: the bus time, s, until which parameters were in use, and these, in the model's effects; the last ones to inf.
+    anchor_error: relative standard deviation of a reference mass beside its own.
+    """
+    machine, span_s = model.machine, anchor.end_s - anchor.start_s
+    zero_kg = anchor.budget.zero_kg if isfinite(anchor.budget.zero_kg) else 0.0
+    sd = hypot(anchor.std_dev_kg, anchor_error * anchor.reference_kg, _noise_kg(anchor), zero_kg)
+    forces = anchor.forces
+    if forces is not None and (not model.needs_moisture or np.all(np.isfinite(forces.moisture_pct))):
+        moisture = forces.moisture_pct if model.needs_moisture else None
+        return MassAnchor(
+            anchor.reference_kg,
+            sd,
+            forces.duration_s,
+            forces.force_n,
+            forces.plate_angle_rad,
+            forces.elevator_speed_rad_s,
+            moisture,
+        )
+    pieces: list[MassAnchor] = []
+    begin = anchor.start_s
+    for until_s, parameters in spans:
+        end = min(until_s, anchor.end_s)
+        if end <= begin:
+            continue
+        share = (end - begin) / span_s
+        flow = max(anchor.measured_kg / span_s, 1.0)
+        pieces.append(
+            MassAnchor.from_total(
+                anchor.reference_kg,
+                anchor.std_dev_kg,
+                share * anchor.measured_kg,
+                model=following(model, parameters),
+                parameters=parameters,
+                mass_flow_kg_s=flow,
+                plate_angle_rad=machine.home_plate_angle_rad,
+                elevator_speed_rad_s=machine.nominal_elevator_speed_rad_s,
+            )
+        )
+        begin = end
+    return MassAnchor(
+        anchor.reference_kg,
+        sd,
+        *(
+            np.concatenate([getattr(p, name) for p in pieces])
+            for name in ("duration_s", "force_n", "plate_angle_rad", "elevator_speed_rad_s")
+        ),
+    )
+
+
+def _noise_kg(anchor: ReferenceMass) -> float:
+    """Standard deviation of the measured mass by the windows' scatter; 0 where it is not known."""
+    return sqrt(anchor.budget.noise_kg2) if isfinite(anchor.budget.noise_kg2) else 0.0
+
+
+def moisture_sd(anchors: Iterable[ReferenceMass]) -> float:
+    """Relative standard deviation of the flow, the largest of these masses', by grain of another measured moisture than that for
+    which the parameters in use hold."""
+    found = [0.0]
+    for anchor in anchors:
+        known = anchor.forces is not None and bool(np.all(np.isfinite(anchor.forces.moisture_pct)))
+        if known and isfinite(anchor.budget.moisture_kg):
+            found.append(anchor.budget.moisture_kg / anchor.measured_kg)
+    return max(found)
+
+
+def weighed(anchor: ReferenceMass, mass: MassAnchor) -> WeighedLoad:
+    """A mass anchor under its reference mass's name, with that one's own standard deviations."""
+    return WeighedLoad(
+        name_of(anchor),
+        mass.reference_kg,
+        anchor.std_dev_kg,
+        mass.duration_s,
+        mass.force_n,
+        mass.plate_angle_rad,
+        mass.elevator_speed_rad_s,
+        mass.moisture_pct,
+        _noise_kg(anchor) / anchor.measured_kg,
+    )
+
+
+def checked(
+    reference: ReferenceMass,
+    mass: MassAnchor,
+    model: ForwardModel,
+    known: ParameterSet,
+    *,
+    moisture_pct: float,
+    model_error: float,
+) -> ScaleCheck | None:
+    """A mass held against what the parameters make of the forces over it; None where it was not measured
+    whole and they make no number.
+
+    moisture_pct: for a mass without its own, wet basis, %. model_error: relative standard deviation of the model.
+    """
+    moisture = moisture_pct if mass.moisture_pct is None else mass.moisture_pct
+    flow = OpenLoop(model, known).estimate(mass.force_n, mass.plate_angle_rad, mass.elevator_speed_rad_s, moisture_pct=moisture)
+    measured_kg = float(mass.duration_s @ flow.mass_flow_kg_s)
+    if not isfinite(measured_kg):
+        return as_stated(reference)
+    # The mass's own deviation holds that of the zero where the forces over it were kept.
+    budget, kept = reference.budget, reference.forces is not None
+    shared_kg = budget.moisture_kg if kept else hypot(budget.zero_kg, budget.moisture_kg)
+    std_dev_kg = hypot(
+        mass.std_dev_kg,
+        float(mass.duration_s @ flow.std_dev_kg_s),
+        model_error * measured_kg,
+        shared_kg if isfinite(shared_kg) else 0.0,
+    )
+    return ScaleCheck(name_of(reference), reference.start_s, mass.reference_kg, measured_kg, std_dev_kg)

@@ -1,0 +1,360 @@
+"""What is known of the parameters between lessons, and how time, grain and moisture carry it on.
+
+Lessons are sweeps, weighed masses and kernel noise. Beside the parameters' own covariance it is the rates of their steady drift,
+what rates of unknown size may have added, and the bias of kernel noise; all of them hold from the last lesson on.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import isfinite, nan
+from typing import NamedTuple
+
+import numpy as np
+
+from yieldmon.engine.calibrator_settings import CalibratorSettings
+from yieldmon.engine.records import CalibratorState, WindowRecord
+from yieldmon.engine.self_calibration.drift_deviation import DriftDeviation, RateSpread, after_lesson, as_stated, force_deviation
+from yieldmon.engine.self_calibration.learnt_before import Places, moved, place_of, remembered
+from yieldmon.engine.self_calibration.prior_states import as_tuples
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.self_calibration import drift_spread
+from yieldmon.estimation.self_calibration.angle_pattern import with_pattern
+from yieldmon.estimation.self_calibration.closed_loop_outcome import Outcome
+from yieldmon.estimation.self_calibration.drift_rates import KG_PER_KT
+from yieldmon.estimation.self_calibration.steady_drift import (
+    Advance,
+    DriftingParameters,
+    advance,
+    begin,
+    carried,
+    forgotten,
+    learn,
+    widened,
+)
+from yieldmon.estimation.waveform import common_bias
+from yieldmon.estimation.waveform.common_bias import CommonBias, Taught
+from yieldmon.physics.model import ForwardModel
+from yieldmon.physics.numerics import Array
+
+KERNEL_NOISE = "kernel_noise"
+"""Key of the provenance of parameters that kernel noise has taught."""
+FOLLOWED_KG = 20_000.0
+"""Of grain, after which a learnt steady drift moves the parameters without a lesson, and drift widens what is stated."""
+_LEAST_FOLLOWED = 1e-5
+"""Relative change of a parameter by steady drift below which it waits."""
+
+
+class Instant(NamedTuple):
+    """Bus time, mass in total, and moisture of the grain, nan where it is not known or does not matter."""
+
+    time_s: float
+    total_kg: float
+    moisture_pct: float
+
+
+class Carried(NamedTuple):
+    """What is known of parameters and rates now, and the step that led to it from the last lesson."""
+
+    drifting: DriftingParameters
+    step: Advance
+
+
+class ParameterKnowledge:
+    """What lessons have left, as it is now.
+
+    Parameters
+    ----------
+    settings : CalibratorSettings
+        Drift, its rates and their memory, the moisture map and the pattern of angles.
+
+    Notes
+    -----
+    `used` is the set of parameters in use: what is known of another set does not count for it.
+    """
+
+    def __init__(self, settings: CalibratorSettings) -> None:
+        self._settings = settings
+        self._at = Instant(nan, nan, nan)
+        """From when on all of this holds."""
+        self._waited_s = 0.0
+        """Time since the last lesson, before a restart."""
+        self._before_s: float | None = None
+        """Bus time of the last lesson, before a restart."""
+        self._drifting: DriftingParameters | None = None
+        self._bias: tuple[CommonBias, ParameterSet] | None = None
+        """Of kernel noise, with the parameters that its covariance is with; None where it has taught none of these."""
+        self._spread: RateSpread | None = None
+        self._deviation: DriftDeviation | None = None
+        self._past: Places = ()
+        self._outside: tuple[ParameterSet, float] | None = None
+        """Parameters from outside that no window has been measured with yet, and the grain, kg, since they were learnt."""
+        self._placed: ParameterSet | None = None
+        """Parameters in use that no lesson led to, of which it is known since when they hold."""
+
+    @property
+    def since_s(self) -> float:
+        """Bus time from which on it holds, s; nan before the first question."""
+        return self._at.time_s
+
+    @property
+    def moisture_pct(self) -> float:
+        """Of the grain for which the parameters hold; nan where it is not known."""
+        return self._at.moisture_pct
+
+    @property
+    def drifting(self) -> DriftingParameters:
+        """What the last lesson left. Raises LookupError before the first."""
+        if self._drifting is None:
+            raise LookupError("no lesson has been taken")
+        return self._drifting
+
+    def patterned(self, parameters: ParameterSet) -> ParameterSet:
+        """A set with the pattern of angles, where the settings have one."""
+        return with_pattern(parameters, self._settings.pattern_sd) if self._settings.pattern_sd > 0.0 else parameters
+
+    def now(self, used: ParameterSet, at: Instant) -> Carried:
+        """The parameters in use, moved by moisture and steady rates, widened by what wanders."""
+        start = known = self._start(used)
+        self.begin_counting(used, at.time_s, at.total_kg)
+        moisture_map = self._settings.moisture_map
+        if moisture_map is not None and isfinite(at.moisture_pct):
+            if isfinite(self._at.moisture_pct):
+                known = carried(known, moisture_map.moved(known.parameters, self._at.moisture_pct, at.moisture_pct))
+            else:
+                self._at = self._at._replace(moisture_pct=at.moisture_pct)
+        self._begin_time(at)
+        hours = max(at.time_s - self._at.time_s, 0.0) / 3600.0
+        later, step = advance(
+            known, self._settings.drift, hours, self._harvested_kg(at.total_kg),
+            per_kilotonne=self._settings.steady_per_kilotonne, memory_kt=self._settings.steady_drift_memory_kt,
+        )  # fmt: skip
+        before, by_moisture = start.state, known.state
+        carry = np.divide(by_moisture, before, out=np.ones_like(by_moisture), where=before != 0.0)
+        step = replace(step, before=before, covariance_before=start.joint, transition=step.transition * carry)
+        return Carried(later, step)
+
+    def stated(self, used: ParameterSet, later: Carried, total_kg: float) -> ParameterSet:
+        """The parameters in use as far as they are known now, the size of steady rates being unknown; later: as `now` gave it."""
+        return as_stated(later.drifting.parameters, self._spread_at(used, later, total_kg))
+
+    def bias(self, used: ParameterSet, step: Advance, total_kg: float) -> CommonBias | None:
+        """The bias of kernel noise as it is now; None where its covariance with these parameters is not known."""
+        if self._bias is None or self._bias[1] is not used or len(self._bias[0].cross) != len(step.transition):
+            return None
+        return common_bias.carried(self._bias[0], step.transition, total_kg - self._at.total_kg)
+
+    def has_drifted(self, used: ParameterSet, total_kg: float) -> bool:
+        """Whether steady drift has moved the parameters by what is worth a step, over enough grain."""
+        known, harvested_kg = self._drifting, total_kg - self._at.total_kg
+        if known is None or known.parameters is not used or not harvested_kg >= FOLLOWED_KG:
+            return False
+        return bool(np.any(np.abs(known.rates) * (harvested_kg / KG_PER_KT) > _LEAST_FOLLOWED))
+
+    def take(self, outcome: Outcome, used: ParameterSet, at: Instant, came: Carried, prior: Carried) -> ParameterSet:
+        """A lesson of sweeps, weighed masses or drift alone has changed the parameters.
+
+        Parameters
+        ----------
+        outcome : Outcome
+        used : ParameterSet
+            Until now.
+        at : Instant
+        came : Carried
+            As `now` gave it and the lesson's doubts widened it.
+        prior : Carried
+            The same in the names of the outcome's parameters.
+
+        Returns
+        -------
+        ParameterSet
+            Those in use from now on.
+        """
+        drifting, before = prior.drifting, prior.drifting.parameters
+        bias = self.bias(used, came.step, at.total_kg) if drifting is came.drifting else None
+        whole = came.drifting.joint.shape == came.step.covariance_after.shape
+        spread = self._spread_at(used, came, at.total_kg) if whole else None
+        self._supersede(used, at)
+        if not outcome.updated:
+            # The moisture map or the drift alone has moved the values; the new prior is what is known.
+            now = carried(drifting, replace(before, version=used.version + 1))
+        elif outcome.parameter_set.covariance_names != before.covariance_names:
+            now = begin(outcome.parameter_set, self._settings.steady_per_kilotonne)
+        else:
+            now = learn(drifting, outcome.parameter_set, widening=outcome.prior_widening)
+        same = now.joint.shape == drifting.joint.shape and now.parameters.covariance_names == before.covariance_names
+        heard = bias
+        if bias is not None and same and outcome.updated:
+            bias = common_bias.followed(bias, drifting, now, widening=outcome.prior_widening)
+        if not same:
+            bias = None
+        if spread is not None and outcome.updated:
+            wide = widened(drifting.joint, len(before.covariance_names), outcome.prior_widening)
+            spread = after_lesson(spread, wide, now, (heard, bias))
+        if bias is None and outcome.scale.observable and KERNEL_NOISE in now.parameters.provenance:
+            # What kernel noise taught is not known any more, and no longer matters.
+            facts = {key: text for key, text in now.parameters.provenance.items() if key != KERNEL_NOISE}
+            now = replace(now, parameters=replace(now.parameters, provenance=facts))
+        self._hold(now, bias, spread)
+        return now.parameters
+
+    def take_kernel_lesson(self, taught: Taught, used: ParameterSet, known: ParameterSet, at: Instant, came: Carried) -> None:
+        """A lesson of kernel noise has led from the parameters used until now to those known; came: as `now` gave it."""
+        spread = drift_spread.taught(self._spread_at(used, came, at.total_kg), taught.errors)
+        self._supersede(used, at)
+        self._hold(replace(taught.drifting, parameters=known), taught.bias, spread)
+
+    def use(self, before: ParameterSet | None, used: ParameterSet, harvested_kg: float) -> None:
+        """Other parameters than what was learnt led to: those from before a lesson, since when they hold again; or from outside.
+
+        Parameters
+        ----------
+        before : ParameterSet or None
+            In use until now.
+        used : ParameterSet
+        harvested_kg : float
+            Grain since they were learnt, where they come from outside, kg.
+        """
+        if before is not None:
+            self._past = remembered(self._past, before, self._at.time_s, self._at.total_kg)
+        place = place_of(self._past, used)
+        if place is None:
+            self._outside = used, harvested_kg
+            return
+        self._outside, self._placed = None, used
+        self._at = self._at._replace(time_s=place.at_s, total_kg=place.at_kg)
+
+    def begin_counting(self, used: ParameterSet, now_s: float, total_kg: float) -> None:
+        """Parameters from outside begin to count with the first window."""
+        if self._outside is not None and self._outside[0] is used:
+            self._at = self._at._replace(time_s=now_s, total_kg=total_kg - self._outside[1])
+            self._placed = used
+        self._outside = None
+
+    def _supersede(self, before: ParameterSet, at: Instant) -> None:
+        """What is known holds from now on, and since when the parameters before it held is remembered."""
+        self._past = remembered(self._past, before, self._at.time_s, self._at.total_kg)
+        self._at = at
+
+    def _hold(self, drifting: DriftingParameters, bias: CommonBias | None, spread: Array | None) -> None:
+        self._drifting = drifting
+        self._bias = None if bias is None else (bias, drifting.parameters)
+        self._spread = None if spread is None else RateSpread(spread, drifting.parameters)
+
+    def is_new(self, used: ParameterSet) -> bool:
+        """Whether other parameters than these were in use when the deviation was last asked for, and it is not known since when
+        these hold."""
+        seen = self._deviation
+        return seen is not None and seen.parameters is not used and used is not self._placed
+
+    def hold_from(self, record: WindowRecord) -> None:
+        """The parameters in use describe the machine as it is with this window."""
+        self._at = self._at._replace(time_s=record.time_s, total_kg=record.total_kg)
+
+    def deviation(self, model: ForwardModel, used: ParameterSet, record: WindowRecord) -> float:
+        """Relative standard deviation of the force by drift since the last lesson, beyond the parameters' covariance.
+
+        Worked out anew after each `FOLLOWED_KG` of grain.
+        """
+        if not isfinite(self._at.total_kg):
+            self._at = self._at._replace(total_kg=record.total_kg)
+        seen = self._deviation
+        if seen is None or seen.parameters is not used:
+            seen = DriftDeviation(0.0, used, -1)
+        steps = int(self._harvested_kg(record.total_kg) // FOLLOWED_KG)
+        if seen.steps != steps and record.mass_flow_kg_s > 0.0:
+            if steps:
+                now = self.now(used, Instant(record.time_s, record.total_kg, nan))
+                later = self.stated(used, now, record.total_kg)
+            else:
+                later = self._as_learnt(used)
+            seen = DriftDeviation(force_deviation(model, used, later, record), used, steps)
+        self._deviation = seen
+        return seen.relative
+
+    def totals_reset(self, before_kg: float) -> None:
+        """The total begins anew at 0; it was before_kg."""
+        self._at = self._at._replace(total_kg=self._at.total_kg - before_kg)
+        self._past = moved(self._past, -before_kg)
+
+    def snapshot(self, now_s: float, total_kg: float) -> CalibratorState | None:
+        """What is to outlive a restart, without weighed loads and crops; None: nothing."""
+        if not isfinite(self._at.total_kg):
+            return None
+        known, timed = self._drifting, isfinite(self._at.time_s)
+        count = 0 if known is None else len(known.parameters.covariance_names)
+        return CalibratorState(
+            waited_s=max(now_s - self._at.time_s, 0.0) if timed else self._waited_s,
+            harvested_kg=self._harvested_kg(total_kg),
+            moisture_pct=self._at.moisture_pct if isfinite(self._at.moisture_pct) else None,
+            drifting=() if known is None else known.names,
+            rates=() if known is None else tuple(map(float, known.rates)),
+            covariance=() if known is None else as_tuples(known.joint[count:]),
+            at_s=self._at.time_s if timed else self._before_s,
+            bias=self._kept_bias(),
+            spread=self._kept_spread(),
+            past=self._past,
+        )
+
+    def restore(self, state: CalibratorState, parameters: ParameterSet, total_kg: float) -> None:
+        """Go on from a snapshot, with the parameters that were in use then."""
+        self._before_s, self._waited_s = state.at_s, state.waited_s
+        self._past, self._outside, self._placed = state.past, None, parameters
+        moisture_pct = nan if state.moisture_pct is None else state.moisture_pct
+        self._at = self._at._replace(total_kg=total_kg - state.harvested_kg, moisture_pct=moisture_pct)
+        fresh = begin(parameters, self._settings.steady_per_kilotonne)
+        if len(state.bias) == 3 + len(fresh.joint) and fresh.parameters is parameters:
+            value, variance, largest, *cross = state.bias
+            self._bias = CommonBias(value, variance, np.array(cross), largest), parameters
+        if len(state.spread) == 1 + len(fresh.joint) and fresh.parameters is parameters:
+            self._spread = RateSpread(np.array(state.spread), parameters)
+        if not state.drifting or fresh.names != state.drifting or len(state.covariance[0]) != len(fresh.joint):
+            return  # No rates, or others by now: they begin anew.
+        rows, joint = np.array(state.covariance), fresh.joint.copy()
+        joint[-len(rows) :, :] = rows
+        joint[:, -len(rows) :] = rows.T
+        self._drifting = replace(fresh, rates=np.array(state.rates), joint=joint)
+
+    def _start(self, used: ParameterSet) -> DriftingParameters:
+        """At the last lesson: what it left of the parameters in use, or these with rates that nothing is known of."""
+        known = self._drifting
+        if known is None or known.parameters is not used:
+            return begin(self.patterned(used), self._settings.steady_per_kilotonne)
+        return known
+
+    def _begin_time(self, at: Instant) -> None:
+        """Before the first lesson of a run it holds from the first question on, less what a run before has waited."""
+        if not isfinite(self._at.time_s):
+            # A bus time that began anew says nothing of the time between.
+            before_s = self._before_s
+            since_s = before_s if before_s is not None and before_s <= at.time_s else at.time_s - self._waited_s
+            self._at = self._at._replace(time_s=since_s)
+        if not isfinite(self._at.total_kg):
+            self._at = self._at._replace(total_kg=at.total_kg)
+
+    def _harvested_kg(self, total_kg: float) -> float:
+        return max(total_kg - self._at.total_kg, 0.0)
+
+    def _spread_at(self, used: ParameterSet, later: Carried, total_kg: float) -> Array:
+        """What rates of unknown size may have added until now; later: as `now` gave it."""
+        gone = forgotten(
+            self._start(used), self._harvested_kg(total_kg),
+            per_kilotonne=self._settings.steady_per_kilotonne, memory_kt=self._settings.steady_drift_memory_kt,
+        )  # fmt: skip
+        return RateSpread.at(self._spread, used, later.step, later.drifting, gone)
+
+    def _as_learnt(self, used: ParameterSet) -> ParameterSet:
+        """The same as they were when they were learnt."""
+        spread = self._spread
+        return used if spread is None or spread.parameters is not used else as_stated(used, spread.covariance)
+
+    def _kept_bias(self) -> tuple[float, ...]:
+        if self._bias is None or self._drifting is None or self._bias[1] is not self._drifting.parameters:
+            return ()
+        bias = self._bias[0]
+        return (bias.value, bias.variance, bias.largest, *map(float, bias.cross))
+
+    def _kept_spread(self) -> tuple[tuple[float, ...], ...]:
+        if self._spread is None or self._drifting is None or self._spread.parameters is not self._drifting.parameters:
+            return ()
+        return as_tuples(self._spread.covariance)

@@ -1,0 +1,134 @@
+"""Whether weighed masses contradict the calibration: the one moment at which an error of scale can be seen.
+
+A sweep cannot separate flow, density and impact gain, so chain slip, wear or a wrong gain show in nothing but a scale. A
+weighed mass is held against what the parameters in use make of the same grain; the first that they cannot explain raises the
+alarm, the next that agrees with them, or a calibration from outside, ends it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import erfc, hypot, isfinite, sqrt
+
+from yieldmon import utc
+from yieldmon.engine.self_calibration.anchors import ReferenceMass
+from yieldmon.engine.settings import FaultSettings
+
+
+@dataclass(frozen=True, slots=True)
+class ScaleCheck:
+    """A weighed mass beside what was measured over the same grain.
+
+    Attributes
+    ----------
+    name : str
+        Load or weighing, for the operator.
+    start_s : float
+        Bus time at which its grain began to pass, s.
+    weighed_kg, measured_kg : float
+        By the scale; by the parameters in use.
+    std_dev_kg : float
+        Of their difference: scale, parameters, model, noise, zero and moisture.
+    """
+
+    name: str
+    start_s: float
+    weighed_kg: float
+    measured_kg: float
+    std_dev_kg: float
+
+    @property
+    def p_value(self) -> float:
+        """Probability of so large a difference where the calibration holds."""
+        return erfc(abs(self.measured_kg - self.weighed_kg) / (self.std_dev_kg * sqrt(2.0)))
+
+    @property
+    def error_pct(self) -> float:
+        """Measured over weighed, less 100 %."""
+        return 100.0 * (self.measured_kg / self.weighed_kg - 1.0)
+
+    @property
+    def error_std_dev_pct(self) -> float:
+        """Standard deviation of `error_pct`."""
+        return 100.0 * self.std_dev_kg / self.weighed_kg
+
+
+def name_of(mass: ReferenceMass) -> str:
+    """The load by its number, other weighings by source, size and time: a coarse scale shows the same increment again."""
+    if mass.load_number:
+        return f"load {mass.load_number}"
+    return f"the {mass.source}'s {mass.reference_kg:.0f} kg of {_moment(mass.end_s)}"
+
+
+def as_stated(mass: ReferenceMass) -> ScaleCheck | None:
+    """A mass held against what was measured as it was counted; None where it was not measured whole."""
+    if not mass.complete or not mass.measured_kg > 0.0:
+        return None
+    known = mass.budget.std_dev_kg
+    std_dev_kg = hypot(mass.std_dev_kg, known if isfinite(known) else 0.0)
+    return ScaleCheck(name_of(mass), mass.start_s, mass.reference_kg, mass.measured_kg, std_dev_kg)
+
+
+@dataclass(frozen=True, slots=True)
+class ScaleAlarmState:
+    """What outlives a restart: the newest mass that contradicts (None: no alarm), when the first one's grain began to pass, bus
+    time s, its name, and the newest mass that agreed ("": none)."""
+
+    contradiction: ScaleCheck | None = None
+    since_s: float = 0.0
+    since: str = ""
+    agreed: str = ""
+
+
+class ScaleAlarm:
+    """The memory of weighed masses that contradict the calibration."""
+
+    def __init__(self, settings: FaultSettings) -> None:
+        self._settings = settings
+        self.state = ScaleAlarmState()
+
+    def see(self, checks: Sequence[ScaleCheck]) -> None:
+        """Masses weighed since the last call, each against the parameters that held before it taught anything."""
+        for check in checks:
+            state, p_value = self.state, check.p_value
+            again = state.contradiction if state.contradiction is not None and state.contradiction.name == check.name else None
+            if again is not None:
+                # Entered anew: what the wrong mass has taught says nothing against the right one.
+                before = replace(check, measured_kg=again.measured_kg, std_dev_kg=again.std_dev_kg)
+                p_value = max(p_value, before.p_value)
+            if p_value >= self._settings.scale_agrees_p:
+                self.state = ScaleAlarmState(agreed=check.name)
+            elif again is not None:
+                self.state = replace(state, contradiction=before)
+            elif p_value < self._settings.scale_disagrees_p:
+                if state.contradiction is None:
+                    state = ScaleAlarmState(None, check.start_s, check.name, state.agreed)
+                self.state = ScaleAlarmState(check, state.since_s, state.since, state.agreed)
+
+    def accept(self) -> None:
+        """Other parameters have come from outside: what was weighed before says nothing about them."""
+        self.state = ScaleAlarmState()
+
+    @property
+    def detail(self) -> str | None:
+        """What is wrong, by how much and since when; None where nothing is."""
+        state, check = self.state, self.state.contradiction
+        if check is None:
+            return None
+        agreed = f"; {state.agreed} still agreed" if state.agreed else ""
+        return (
+            f"scale: {check.name} weighed {check.weighed_kg:.0f} kg, measured {check.measured_kg:.0f} kg: "
+            f"{check.error_pct:+.1f} +- {check.error_std_dev_pct:.1f} % (p {_probability(check.p_value)}), since {state.since} "
+            f"({_moment(state.since_s)}){agreed}; check ticket, chain slip, paddle wear, sensor gain"
+        )
+
+
+def _probability(p_value: float) -> str:
+    return f"{p_value:.0e}" if p_value > 1e-12 else "< 1e-12"
+
+
+def _moment(time_s: float) -> str:
+    if not isfinite(time_s) or time_s < utc.EARLIEST_BUS_TIME_S:
+        return f"bus time {time_s:.0f} s"
+    return utc.moment(time_s).strftime("%Y-%m-%d %H:%M UTC")

@@ -1,0 +1,231 @@
+"""Scale tickets: what they say of their loads, which of them wait to update the parameters, and for which crop."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Sequence
+from math import isclose, isfinite, nan
+
+from yieldmon.engine.flow import Flow
+from yieldmon.engine.mass.loads import LoadSummary
+from yieldmon.engine.measurement import Reading
+from yieldmon.engine.sampling.since_zero import KeptSecond
+from yieldmon.engine.self_calibration.anchors import AnchorSource, ReferenceMass
+from yieldmon.engine.self_calibration.load_forces import LoadForces, LoadForceSums
+from yieldmon.engine.state import TicketState
+
+_KEPT_TICKETS = 12
+"""That outlive a restart."""
+
+
+class TicketBook:
+    """Tickets of the crop that is harvested now, and of the crops before, for their return.
+
+    Parameters
+    ----------
+    keep : int
+        Tickets of one crop that are kept.
+
+    Attributes
+    ----------
+    forces : LoadForceSums
+        Over each load of this run.
+    """
+
+    def __init__(self, keep: int) -> None:
+        self.forces = LoadForceSums()
+        self._tickets: deque[ReferenceMass] = deque(maxlen=keep)
+        self._waiting: list[ReferenceMass] = []
+        self._of_crop: dict[str, tuple[list[ReferenceMass], list[ReferenceMass]]] = {}
+        """Of the crops before, by name: all that are kept, and those that wait for the crop's return."""
+        self._earlier: dict[int, tuple[LoadSummary, LoadForces | None]] = {}
+        """Loads of an earlier run, by number."""
+
+    @property
+    def kept(self) -> tuple[ReferenceMass, ...]:
+        """Of the crop that is harvested now, in the order they were entered."""
+        return tuple(self._tickets)
+
+    @property
+    def of_any_crop(self) -> tuple[ReferenceMass, ...]:
+        """Those kept of every crop."""
+        return (*self._tickets, *(anchor for kept, _ in self._of_crop.values() for anchor in kept))
+
+    @property
+    def waiting(self) -> tuple[ReferenceMass, ...]:
+        """Those that were not handed to the calibrator yet."""
+        return tuple(self._waiting)
+
+    @property
+    def states(self) -> tuple[TicketState, ...]:
+        """What of the tickets is to outlive a restart."""
+        in_use: tuple[None, list[ReferenceMass], list[ReferenceMass]] = None, list(self._tickets), self._waiting
+        return tuple(
+            TicketState(a.load_number, a.reference_kg, a.std_dev_kg, a in waiting, crop)
+            for crop, tickets, waiting in (*((name, *of_one) for name, of_one in self._of_crop.items()), in_use)
+            for place, a in enumerate(tickets)
+            if place >= len(tickets) - _KEPT_TICKETS or a in waiting
+        )
+
+    def measured(self, load_number: int, reading: Reading, flow: Flow, mass_kg: float) -> None:
+        """A window that added mass to a load."""
+        if mass_kg > 0.0:
+            window = reading.window
+            self.forces.add(
+                load_number,
+                mass_kg,
+                mass_kg / flow.rate_kg_s,
+                force_n=flow.force_n,
+                angle_rad=window.plate_angle_rad,
+                speed_rad_s=window.speed_rad_s,
+                moisture_pct=reading.inputs.fresh["moisture"],
+            )
+
+    def ticket(
+        self, load_number: int, mass_kg: float, std_dev_kg: float, loads: Sequence[LoadSummary], now_s: float
+    ) -> ReferenceMass:
+        """A ticket for a load, that is not entered yet.
+
+        Parameters
+        ----------
+        load_number : int
+        mass_kg, std_dev_kg : float
+            Weighed mass and its standard deviation, kg.
+        loads : sequence of LoadSummary
+            Of this run.
+        now_s : float
+            Bus time, s: until now an open load lasts.
+
+        Returns
+        -------
+        ReferenceMass
+
+        Raises
+        ------
+        ValueError
+            When the load is not known or a number makes no sense.
+        """
+        if not (isfinite(mass_kg) and mass_kg > 0.0):
+            raise ValueError(f"ticket for load {load_number}: mass {mass_kg} kg; expected a mass above 0 kg")
+        if not (isfinite(std_dev_kg) and std_dev_kg > 0.0):
+            raise ValueError(f"ticket for load {load_number}: standard deviation {std_dev_kg} kg; expected above 0 kg")
+        load = next((load for load in reversed(loads) if load.number == load_number), None)
+        forces = self.forces.of(load_number)
+        if load is None and load_number in self._earlier:
+            load, forces = self._earlier[load_number]
+        if load is None:
+            known = sorted(load.number for load in loads)
+            raise ValueError(f"ticket for load {load_number}: no such load; expected one of {known}")
+        return _ticket(load, forces, mass_kg, std_dev_kg, now_s)
+
+    def enter(self, ticket: ReferenceMass) -> None:
+        """A ticket that is to update the parameters."""
+        self._tickets.append(ticket)
+        self._waiting.append(ticket)
+
+    def hand_over(self) -> tuple[ReferenceMass, ...]:
+        """The first ticket that waits, and the others of one that covers several loads, go to the calibrator; these."""
+        waited, self._waiting = self._waiting, _after_first_ticket(self._waiting)
+        return tuple(waited[: len(waited) - len(self._waiting)])
+
+    def none_waits(self) -> None:
+        """Nothing learns: no ticket waits."""
+        self._waiting = []
+
+    def take_back(self, load_numbers: frozenset[int], again: Sequence[ReferenceMass], crop: str) -> tuple[ReferenceMass, ...]:
+        """Tickets for these loads are gone, and others are entered anew; those that are left.
+
+        Parameters
+        ----------
+        load_numbers : frozenset of int
+            Those of `again` among them.
+        again : sequence of ReferenceMass
+        crop : str
+            Of all of these; "": the one that is harvested now.
+
+        Returns
+        -------
+        tuple of ReferenceMass
+            Left of that crop, `again` not among them.
+        """
+        tickets, waiting = self._of_crop.get(crop, ([], [])) if crop else (list(self._tickets), self._waiting)
+        tickets, waiting = _without(tickets, load_numbers), [*_without(waiting, load_numbers), *again]
+        if crop:
+            self._of_crop[crop] = [*tickets, *again], waiting
+        else:
+            self._tickets = deque([*tickets, *again], maxlen=self._tickets.maxlen)
+            self._waiting = waiting
+        return tuple(tickets)
+
+    def change_crop(self, before: str, now: str) -> list[ReferenceMass]:
+        """Another crop from now on: tickets of the one before wait for its return.
+
+        Returns those of the crop now that were handed to the calibrator when it was harvested last.
+        """
+        self._of_crop[before] = list(self._tickets), self._waiting
+        tickets, self._waiting = self._of_crop.pop(now, ([], []))
+        self._tickets = deque(tickets, maxlen=self._tickets.maxlen)
+        return [ticket for ticket in tickets if ticket not in self._waiting]
+
+    def know_load(self, load: LoadSummary, seconds: Iterable[KeptSecond]) -> None:
+        """A closed load that an earlier run measured, so that a ticket for it updates the parameters."""
+        sums = LoadForceSums()
+        for second in seconds:
+            sums.add(
+                load.number,
+                second.mass_kg,
+                second.duration_s,
+                force_n=second.force_n,
+                angle_rad=second.plate_angle_rad,
+                speed_rad_s=second.elevator_speed_rad_s,
+                moisture_pct=second.moisture_pct,
+            )
+        self._earlier[load.number] = load, sums.of(load.number)
+
+    def of_earlier_load(self, load_number: int, mass_kg: float, std_dev_kg: float) -> ReferenceMass | None:
+        """A ticket that an earlier run took for a load of its own; None for a load that is not known."""
+        if load_number not in self._earlier:
+            return None
+        return _ticket(*self._earlier[load_number], mass_kg, std_dev_kg, nan)
+
+    def remember(self, tickets: Sequence[ReferenceMass], waiting: Sequence[ReferenceMass], crop: str | None = None) -> None:
+        """After a restart: tickets entered before it, and those among them that wait; crop: None for the one harvested now."""
+        if crop is not None:
+            self._of_crop[crop] = list(tickets), list(waiting)
+            return
+        self._tickets.extend(tickets)
+        self._waiting = list(waiting)
+
+    def take_crops_of(self, before: TicketBook) -> None:
+        """After a reload: the tickets of the crops before."""
+        self._of_crop = dict(before._of_crop)
+
+
+def _after_first_ticket(waiting: Sequence[ReferenceMass]) -> list[ReferenceMass]:
+    """Those of later tickets: one for several loads shares its mass out over them by what was measured."""
+    for place in range(1, len(waiting)):
+        last, anchor = waiting[place - 1], waiting[place]
+        same = isclose(anchor.reference_kg * last.measured_kg, last.reference_kg * anchor.measured_kg, rel_tol=1e-9)
+        if not (same and anchor.load_number == last.load_number + 1):
+            return list(waiting[place:])
+    return []
+
+
+def _without(anchors: Iterable[ReferenceMass], load_numbers: frozenset[int]) -> list[ReferenceMass]:
+    return [anchor for anchor in anchors if anchor.load_number not in load_numbers]
+
+
+def _ticket(load: LoadSummary, forces: LoadForces | None, mass_kg: float, std_dev_kg: float, now_s: float) -> ReferenceMass:
+    end_s = load.end_s if isfinite(load.end_s) else now_s
+    return ReferenceMass(
+        AnchorSource.TICKET,
+        load.start_s,
+        end_s,
+        mass_kg,
+        std_dev_kg,
+        load.measured_kg,
+        load.complete,
+        load.number,
+        load.budget,
+        forces=forces,
+    )

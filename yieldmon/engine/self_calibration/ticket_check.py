@@ -1,0 +1,41 @@
+"""A scale ticket held against what the parameters in use make of its load, before it counts."""
+
+from __future__ import annotations
+
+from math import hypot, inf, isfinite, log1p
+
+from yieldmon.engine.records import FlowEstimator
+from yieldmon.engine.self_calibration.anchors import ReferenceMass
+from yieldmon.engine.self_calibration.mass_anchors import mass_anchor, weighed
+from yieldmon.estimation.open_loop import OpenLoop
+from yieldmon.estimation.weighing.load_departures import departure
+
+
+def departure_of(anchor: ReferenceMass, estimator: FlowEstimator, beside_sd: float) -> tuple[float, float] | None:
+    """How far a weighed mass is from its load's.
+
+    Parameters
+    ----------
+    anchor : ReferenceMass
+        The ticket's share of the load.
+    estimator : FlowEstimator
+        With the parameters in use.
+    beside_sd : float
+        Relative standard deviation of the load's mass beside what the parameters' covariance says: drift, the model's error.
+
+    Returns
+    -------
+    (float, float) or None
+        ln of the weighed mass over the load's by these parameters, and its standard deviation; None where there is no number.
+    """
+    if not isinstance(estimator, OpenLoop) or anchor.forces is None or not anchor.complete:
+        return None
+    parameters, model = estimator.parameters, estimator.model
+    try:
+        load = weighed(anchor, mass_anchor(anchor, model, [(inf, parameters)], 0.0))
+        error, std_dev = departure(model, parameters, load)
+    except ValueError:
+        return None
+    if not (isfinite(error) and isfinite(std_dev) and error > -1.0):
+        return None
+    return -log1p(error), hypot(std_dev, beside_sd)

@@ -1,0 +1,1 @@
+"""The plate and its sweeps."""

@@ -1,0 +1,184 @@
+"""Residual patterns of the last sweeps, and whether together they say that the model disagrees."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import degrees, isfinite
+
+import numpy as np
+
+from yieldmon.engine.records import WindowRecord
+from yieldmon.engine.settings import DisagreementSettings
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.self_calibration.angle_error import NO_ERROR, AngleError
+from yieldmon.estimation.self_calibration.angle_pattern import without_pattern
+from yieldmon.estimation.self_calibration.misfit import (
+    NO_MISFIT,
+    Misfit,
+    ReducedSweep,
+    common_misfit,
+    pooled_residuals,
+    reduce_sweep,
+)
+from yieldmon.estimation.self_calibration.sweep_model_error import model_error, unswept_error
+from yieldmon.physics.machine import Machine
+from yieldmon.physics.model import ForwardModel
+from yieldmon.physics.numerics import Array
+
+_COLUMNS = ("time_s", "plate_angle_rad", "elevator_speed_rad_s", "force_n", "force_std_dev_n", "moisture_pct")
+
+
+@dataclass(frozen=True, slots=True)
+class SweepPattern:
+    """One sweep as plain numbers: bus time of its end, s; plate angles, deg; logarithm of the force in N that each would have had
+    at the sweep's mean flow, kg/s, and speed, rad/s, and its standard deviation; moisture, %, None where not known."""
+
+    time_s: float
+    plate_angle_deg: tuple[float, ...]
+    log_force: tuple[float, ...]
+    sd: tuple[float, ...]
+    mass_flow_kg_s: float
+    elevator_speed_rad_s: float
+    moisture_pct: float | None
+
+    @classmethod
+    def of(cls, time_s: float, sweep: ReducedSweep) -> SweepPattern:
+        """Rounded: it is written with the state once a second."""
+        return cls(
+            time_s,
+            _short(np.degrees(sweep.plate_angle_rad)),
+            _short(sweep.log_force),
+            _short(sweep.sd),
+            round(sweep.mass_flow_kg_s, 5),
+            round(sweep.elevator_speed_rad_s, 5),
+            round(sweep.moisture_pct, 3) if isfinite(sweep.moisture_pct) else None,
+        )
+
+    def reduced(self) -> ReducedSweep:
+        """The same as arrays."""
+        return ReducedSweep(
+            np.radians(self.plate_angle_deg),
+            np.array(self.log_force),
+            np.array(self.sd),
+            self.mass_flow_kg_s,
+            self.elevator_speed_rad_s,
+            float("nan") if self.moisture_pct is None else self.moisture_pct,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class DisagreementState:
+    """What outlives a restart: the patterns kept, oldest first, whether the model is said to disagree, and the patterns of sweeps
+    that ended early, oldest first."""
+
+    patterns: tuple[SweepPattern, ...] = ()
+    present: bool = False
+    unfinished: tuple[SweepPattern, ...] = ()
+
+
+class Disagreement:
+    """The memory of patterns. DisagreementSettings says when they begin and end to speak of the model."""
+
+    def __init__(self, settings: DisagreementSettings, machine: Machine) -> None:
+        self._settings = settings
+        self._machine = machine
+        self._state = DisagreementState()
+        self._region = ""
+        self._under_way: SweepPattern | None = None
+
+    @property
+    def state(self) -> DisagreementState:
+        """To be kept, and given to `restore` after a restart."""
+        return self._state
+
+    @property
+    def present(self) -> bool:
+        """Whether the sweeps' common pattern is more than the model can make."""
+        return self._state.present
+
+    @property
+    def region(self) -> str:
+        """Where and how much, for the operator; "" where there is nothing to say."""
+        return self._region
+
+    def restore(self, state: DisagreementState, parameters: ParameterSet) -> None:
+        """Go on from what was kept, with the parameters now in use."""
+        self._state = state
+        self._region = _in_words(self._misfit(state, without_pattern(parameters)), len(state.patterns))
+
+    def add(self, records: Sequence[WindowRecord], parameters: ParameterSet) -> None:
+        """Take the usable windows of one whole sweep, with the parameters in use; one without a pattern is passed over."""
+        self._under_way = None
+        pattern = self._pattern(records, parameters)
+        if pattern is None:
+            return
+        kept = replace(self._state, patterns=(*self._state.patterns, pattern)[-self._settings.keep_sweeps :])
+        misfit = self._misfit(kept, without_pattern(parameters))
+        self._state = replace(kept, present=misfit.disagrees)
+        self._region = _in_words(misfit, len(kept.patterns))
+
+    def look(self, records: Sequence[WindowRecord], parameters: ParameterSet) -> None:
+        """Take the usable windows of a sweep so far, in place of those taken before. They count in `model_error` alone."""
+        self._under_way = self._pattern(records, parameters)
+
+    def end_early(self, *, usable: bool) -> None:
+        """The sweep under way will not be whole. usable: what was looked at is kept."""
+        pattern, self._under_way = self._under_way, None
+        if pattern is not None and usable:
+            self._state = replace(self._state, unfinished=(*self._state.unfinished, pattern)[-self._settings.keep_sweeps :])
+
+    def unswept_error(self, parameters: ParameterSet) -> AngleError:
+        """How far the force by these parameters may be off by what a first sweep may show."""
+        return unswept_error(self._model(parameters), parameters)
+
+    @property
+    def seen(self) -> bool:
+        """Whether any sweep, or a part of one, has been looked at."""
+        return bool(self._state.patterns or self._state.unfinished or self._under_way)
+
+    def model_error(self, parameters: ParameterSet) -> AngleError:
+        """How far the force by these parameters may be off, by the patterns kept and that of the sweep under way."""
+        under_way = () if self._under_way is None else (self._under_way,)
+        sweeps = [pattern.reduced() for pattern in (*self._state.patterns, *self._state.unfinished, *under_way)]
+        if not sweeps:
+            return NO_ERROR
+        return model_error(self._model(parameters), parameters, sweeps, tolerance=self._settings.tolerance)
+
+    def _pattern(self, records: Sequence[WindowRecord], parameters: ParameterSet) -> SweepPattern | None:
+        columns = {name: np.array([getattr(record, name) for record in records]) for name in _COLUMNS}
+        parameters = without_pattern(parameters)
+        reduced = reduce_sweep(self._model(parameters), parameters, **columns) if records else None
+        return None if reduced is None else SweepPattern.of(float(records[-1].time_s), reduced)
+
+    def _model(self, parameters: ParameterSet) -> ForwardModel:
+        return ForwardModel(self._machine, parameters.effects)
+
+    def _misfit(self, state: DisagreementState, parameters: ParameterSet) -> Misfit:
+        model = self._model(parameters)
+        sweeps = [pattern.reduced() for pattern in state.patterns]
+        if model.needs_moisture:
+            sweeps = [sweep for sweep in sweeps if isfinite(sweep.moisture_pct)]
+        if len(sweeps) < self._settings.least_sweeps:
+            return NO_MISFIT
+        residuals, shared = pooled_residuals(model, parameters, sweeps)
+        return common_misfit(
+            residuals,
+            shared=shared,
+            least_sweeps=self._settings.least_sweeps,
+            level=self._settings.end_p if state.present else self._settings.begin_p,
+            tolerance=self._settings.tolerance,
+        )
+
+
+def _in_words(found: Misfit, sweeps: int) -> str:
+    if not found.disagrees:
+        return ""
+    low, high = (f"{degrees(angle):.0f}" for angle in found.plate_angle_rad)
+    where = f"at {low} deg" if low == high else f"from {low} to {high} deg"
+    share = 100.0 * found.mean_relative_error
+    return f"{where} the model's force is {abs(share):.1f} % too {'high' if share > 0.0 else 'low'} ({sweeps} sweeps)"
+
+
+def _short(values: Array) -> tuple[float, ...]:
+    return tuple(round(value, 6) for value in values.tolist())

@@ -1,0 +1,66 @@
+"""The plate: what the sweep wants of it, and the command that goes out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import degrees
+
+from yieldmon.engine.quick import maker_of
+from yieldmon.engine.settings import EngineSettings
+from yieldmon.engine.sweeps.plate_commands import RELEASE, PlateCommander
+from yieldmon.engine.sweeps.sweep import SweepMachine
+from yieldmon.engine.sweeps.sweep_follower import SweepFollower
+from yieldmon.engine.sweeps.sweep_inputs import PlateReading
+from yieldmon.frames import ActuatorState, CommandMode, SweepState, Value
+from yieldmon.physics.machine import Machine
+
+_plate_reading = maker_of(PlateReading)
+_ENDS = frozenset({SweepState.ABORTED, SweepState.UPDATED, SweepState.NOT_LEARNED})
+
+
+@dataclass(frozen=True, slots=True)
+class SweepEnded:
+    """A sweep is over. state: ABORTED, UPDATED or NOT_LEARNED; reason: one sentence; angles_deg: the sequence it was to visit;
+    parameter_version: in use since."""
+
+    sweep_id: int
+    state: SweepState
+    reason: str
+    angles_deg: tuple[float, ...]
+    parameter_version: int
+
+
+class Plate:
+    """One plate with its sweeps. driving: commands go out. driven: False in a log, whose plate follows no command."""
+
+    def __init__(self, settings: EngineSettings, machine: Machine, *, driven: bool = True) -> None:
+        kind = SweepMachine if driven else SweepFollower
+        self.sweep = kind(settings.sweep, settings.plate, degrees(machine.home_plate_angle_rad))
+        self.driving = False
+        self._commander = PlateCommander(settings.plate, machine)
+        self._ended_id = 0
+
+    def tick(self, at_s: float, angle_deg: float, actuator: ActuatorState) -> dict[str, Value] | None:
+        """Let the sweep say what it wants; the signals of the command that is to go out, None for none."""
+        demand = self.sweep.tick(_plate_reading(at_s, angle_deg, actuator))
+        if demand is None:
+            if not self.driving:
+                return None
+            demand = RELEASE
+        self.driving = demand.mode is not CommandMode.RELEASE
+        return self._commander.command(demand, angle_deg)
+
+    def ended(self, last_update: str, parameter_version: int) -> tuple[SweepEnded, ...]:
+        """The sweep's end, once for each: a plate fetched home later ends no sweep again. last_update: what it changed."""
+        sweep = self.sweep
+        if sweep.sweep_id == self._ended_id or sweep.state not in _ENDS:
+            return ()
+        self._ended_id = sweep.sweep_id
+        aborted = sweep.abort_reason.value if sweep.abort_reason is not None else ""
+        reason = aborted if sweep.state is SweepState.ABORTED else last_update
+        return (SweepEnded(sweep.sweep_id, sweep.state, reason, tuple(sweep.sequence), parameter_version),)
+
+    def restore(self, sweep_id: int, due_in_s: float, first_after_s: float) -> None:
+        """Go on from a snapshot."""
+        self.sweep.sweep_id = self._ended_id = sweep_id
+        self.sweep.first_after_s = max(first_after_s, due_in_s)

@@ -1,0 +1,1 @@
+"""What a window's samples hold beside their mean."""

@@ -1,0 +1,246 @@
+"""The impulse of a kernel, from the noise of the last seconds of grain and of the empty machine."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, replace
+from math import isfinite
+
+import numpy as np
+
+from yieldmon.engine.measurement import Reading
+from yieldmon.engine.records import FlowEstimator
+from yieldmon.engine.sampling.windows import Trace
+from yieldmon.engine.settings import WaveformSettings
+from yieldmon.estimation.waveform import noise_by_phase, pulse_times, spectral_density
+from yieldmon.estimation.waveform.kernel_noise import CLEAR_OF_ALIASES, KernelImpulse, KernelNoiseSettings, kernel_impulse
+from yieldmon.estimation.waveform.noise_by_phase import PhaseNoise
+from yieldmon.estimation.waveform.noise_gain import power_gain
+from yieldmon.estimation.waveform.noise_scatter import excess_scatter
+from yieldmon.estimation.waveform.pattern_fold import FoldedPattern, residual_of_pulses
+from yieldmon.estimation.waveform.pulse_times import PulseTimes
+from yieldmon.estimation.waveform.running_pulses import RunningPulses
+from yieldmon.estimation.waveform.spectral_density import Density
+from yieldmon.physics.machine import Machine
+from yieldmon.physics.numerics import Array
+
+SEGMENT = 256
+"""Samples of which a spectrum is made."""
+_APART = 3
+"""Windows between grain and a window of the empty machine."""
+_CHANGING = 0.1
+"""Of the mean force from one window to the next, relative; within such a window the pulses are not of one load."""
+
+_BY_PHASE_EVERY = 5
+"""Windows; a fifth of them tells noise between the pulses well enough."""
+_EVERY, _FEW = 5, 20
+"""The mean over the windows kept moves slowly: it is formed anew after so many, and always while there are few."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Noise:
+    """Of one window with grain; flow_kg_s: by the mean force, of the estimator in use. by_phase, times: of every fifth window."""
+
+    density: Density
+    by_phase: PhaseNoise | None
+    times: PulseTimes | None
+    force_n: float
+    plate_angle_rad: float
+    speed_rad_s: float
+    moisture_pct: float
+    flow_kg_s: float
+
+    @property
+    def impulse_per_kg(self) -> float:
+        return self.force_n / self.flow_kg_s
+
+
+class KernelChannel:
+    """Looks at one window after another."""
+
+    def __init__(self, settings: WaveformSettings, machine: Machine) -> None:
+        self._settings = settings
+        self._machine = machine
+        self.noise = KernelNoiseSettings(
+            low_hz=settings.kernel_low_hz,
+            high_hz=settings.kernel_high_hz,
+            quiet_error=settings.quiet_error,
+            response_error=settings.response_error,
+            bias=settings.kernel_bias,
+            bias_sd=settings.kernel_bias_sd,
+            averaged=settings.samples_averaged,
+        )
+        self._pulses = RunningPulses()
+        self._loaded: deque[_Noise] = deque(maxlen=settings.kernel_windows)
+        self._estimator: FlowEstimator | None = None
+        self._apparent: KernelImpulse | None = None
+        self._heard = 0
+        """Windows since that was found."""
+        self._until_by_phase = 0
+        self._force_before_n = 0.0
+        self._quiet: deque[Density] = deque(maxlen=settings.kernel_windows)
+        self._quiet_mean: Density | None = None
+        self._waiting: deque[Density] = deque()
+
+    def empty(self, force_n: Array, interval_s: float, mean_force_n: float) -> None:
+        """A window of the empty machine; it counts once grain has neither just gone nor comes with the next windows."""
+        if not abs(mean_force_n) < self._machine.sensor.gain_n_per_mv:
+            self._waiting.clear()
+            return
+        self._waiting.append(spectral_density.density(force_n, interval_s, segment=SEGMENT))
+        if len(self._waiting) > 2 * _APART:
+            self._quiet.append(self._waiting[_APART])
+            self._quiet_mean = None
+            self._waiting.popleft()
+
+    def grain(self) -> None:
+        """Grain is there: the windows before it do not count as empty."""
+        self._waiting.clear()
+
+    @property
+    def missing(self) -> str:
+        """What it waits for, in words; empty where both the empty machine and grain have been heard for long enough."""
+        needed = self._settings.quiet_windows
+        if min(len(self._quiet), len(self._loaded)) >= needed:
+            return ""
+        heard = f"{len(self._quiet)} s of the empty machine and {len(self._loaded)} s of steady grain heard"
+        return f"{heard}, {needed} s of each needed"
+
+    def _changed(self, force_n: float) -> bool:
+        before, self._force_before_n = self._force_before_n, force_n
+        return not abs(force_n - before) < _CHANGING * force_n
+
+    def loaded(
+        self, force_n: Array, trace: Trace, reading: Reading, flow_kg_s: float, estimator: FlowEstimator
+    ) -> KernelImpulse | None:
+        """A window with grain, the phase of its trace counted from the pulses themselves; flow_kg_s: by its mean force.
+
+        A kernel's impulse goes with the load, the plate and the speed as that of a kilogram does: the mean force's model brings
+        earlier windows to this one, and its scale drops out. Only windows of the plate at home are listened to, the kernels'
+        own scatter over angles being unknown. None until enough of them, with pulses like earlier ones, and the empty machine
+        have been heard.
+        """
+        if estimator is not self._estimator:
+            self._estimate_anew(estimator)
+        if reading.at_home:
+            self._hear(force_n, trace, reading, flow_kg_s)
+        if min(len(self._quiet), len(self._loaded)) < self._settings.quiet_windows:
+            return None
+        if self._apparent is None or self._heard >= _EVERY or len(self._loaded) < _FEW:
+            self._apparent, self._heard = self._apparent_mass(trace.interval_s), 0
+        return replace(self._apparent, impulse_n_s=self._apparent.impulse_n_s * reading.force_n / flow_kg_s)
+
+    def _apparent_mass(self, interval_s: float) -> KernelImpulse:
+        """A kernel's impulse over that of a kilogram, of the windows kept."""
+        densities = [noise.density for noise in self._loaded]
+        weights = [shown.averages for shown in densities]
+        sizes = [noise.force_n * noise.impulse_per_kg for noise in self._loaded]
+        per_kg = sum(w * size for w, size in zip(weights, sizes, strict=True))
+        low_hz, high_hz = self._band_hz(interval_s)
+        return kernel_impulse(
+            spectral_density.pooled(densities),
+            self._empty_noise(),
+            per_kg / sum(weights),
+            cell_response_s=self._machine.sensor.response_s,
+            sample_interval_s=interval_s,
+            settings=self.noise,
+            steady_share=self._steady_share(interval_s),
+            scatter=excess_scatter(densities, self._empty_noise(), sizes, low_hz=low_hz, high_hz=high_hz),
+            misplaced=self._misplaced(interval_s),
+        )
+
+    def _steady_share(self, interval_s: float) -> float:
+        """What of the windows' noise beyond the empty machine's stays between the pulses."""
+        low_hz, high_hz = self._band_hz(interval_s)
+        shown = [(noise.by_phase, noise) for noise in self._loaded if noise.by_phase is not None]
+        if not (high_hz > low_hz and shown):
+            return 0.0
+        empty = self._empty_noise()
+        speeds = [noise.speed_rad_s for _, noise in shown]
+        return noise_by_phase.steady_noise(
+            [by_phase for by_phase, _ in shown],
+            [noise.impulse_per_kg for _, noise in shown],
+            quiet_n2=noise_by_phase.band_power(empty.frequency_hz, empty.density, low_hz, high_hz),
+            pattern_s=self._machine.pattern_length_m / self._machine.paddle_speed_m_s(sum(speeds) / len(speeds)),
+            interval_s=interval_s,
+            low_hz=low_hz,
+            high_hz=high_hz,
+        ).share
+
+    def _misplaced(self, interval_s: float) -> float:
+        """What of the windows' noise beyond the empty machine's pulses out of place have left."""
+        shown = [(noise.times, noise) for noise in self._loaded if noise.times is not None]
+        if not shown:
+            return 0.0
+        empty, (low_hz, high_hz) = self._empty_noise(), self._band_hz(interval_s)
+        band = (empty.frequency_hz >= low_hz) & (empty.frequency_hz <= high_hz)
+        if not band.any():
+            return 0.0
+        # Both signs of the frequency.
+        spacing_hz = 2.0 * float(empty.frequency_hz[1] - empty.frequency_hz[0])
+        gain = power_gain(
+            empty.frequency_hz[band], self._machine.sensor.response_s, interval_s, averaged=self._settings.samples_averaged
+        )
+        power = [spacing_hz * float((noise.density.density - empty.density)[band].sum()) for _, noise in shown]
+        felt_n = spacing_hz * float(gain.sum()) * sum(noise.force_n for _, noise in shown)
+        return pulse_times.misplaced_share([times for times, _ in shown], sum(power) / felt_n, power)
+
+    def _band_hz(self, interval_s: float) -> tuple[float, float]:
+        return self.noise.low_hz, min(self.noise.high_hz, CLEAR_OF_ALIASES / interval_s)
+
+    def _hear(self, force_n: Array, trace: Trace, reading: Reading, flow_kg_s: float) -> None:
+        """Keep the noise of a window whose flow does not just change."""
+        window, changed = reading.window, self._changed(reading.force_n)
+        like = self._pulses.take(
+            force_n,
+            trace.phase,
+            mean_force_n=reading.force_n,
+            plate_angle_rad=window.plate_angle_rad,
+            elevator_speed_rad_s=window.speed_rad_s,
+        )
+        if like is None or changed:
+            return
+        mean, own = like
+        left, late_turns = residual_of_pulses(force_n, trace.phase, mean, self._machine.paddle_spacings_m)
+        crest = mean.mean_n.size * float(mean.mean_n @ mean.mean_n) / float(mean.mean_n.sum()) ** 2
+        shown = spectral_density.in_pulses(spectral_density.density(left, trace.interval_s, segment=SEGMENT), crest)
+        shown = replace(shown, density=shown.density / (1.0 + own))
+        by_phase = times = None
+        if self._until_by_phase == 0:
+            by_phase = self._by_phase(left / (1.0 + own) ** 0.5, force_n, trace)
+            times = self._times(late_turns, mean, window.speed_rad_s, trace.interval_s)
+        self._until_by_phase = (self._until_by_phase - 1) % _BY_PHASE_EVERY
+        moisture_pct = reading.inputs.fresh["moisture"]
+        self._heard += 1
+        self._loaded.append(
+            _Noise(shown, by_phase, times, reading.force_n, window.plate_angle_rad, window.speed_rad_s, moisture_pct, flow_kg_s)
+        )
+
+    def _times(self, late_turns: Array, mean: FoldedPattern, speed_rad_s: float, interval_s: float) -> PulseTimes:
+        low_hz, high_hz = self._band_hz(interval_s)
+        pattern_s = self._machine.pattern_length_m / self._machine.paddle_speed_m_s(speed_rad_s)
+        pulses = len(self._machine.paddle_spacings_m)
+        return pulse_times.pulse_times(
+            late_turns, mean.mean_n, pulses=pulses, pattern_s=pattern_s, low_hz=low_hz, high_hz=high_hz
+        )
+
+    def _by_phase(self, left_n: Array, force_n: Array, trace: Trace) -> PhaseNoise:
+        low_hz, high_hz = self._band_hz(trace.interval_s)
+        given = {"interval_s": trace.interval_s, "low_hz": low_hz, "high_hz": high_hz}
+        return noise_by_phase.noise_by_phase(left_n, force_n, trace.phase, **given)
+
+    def _estimate_anew(self, estimator: FlowEstimator) -> None:
+        """The flows of the windows kept, by another estimator."""
+        self._estimator, self._apparent = estimator, None
+        if not self._loaded:
+            return
+        columns = np.array([(n.force_n, n.plate_angle_rad, n.speed_rad_s, 0.0, n.moisture_pct) for n in self._loaded]).T
+        flows = np.broadcast_to(estimator.estimate(*columns).mass_flow_kg_s, len(self._loaded)).tolist()
+        kept = [replace(noise, flow_kg_s=flow) for noise, flow in zip(self._loaded, flows, strict=True)]
+        self._loaded.clear()
+        self._loaded.extend(noise for noise in kept if isfinite(noise.flow_kg_s) and noise.flow_kg_s > 0.0)
+
+    def _empty_noise(self) -> Density:
+        if self._quiet_mean is None:
+            self._quiet_mean = spectral_density.pooled(list(self._quiet))
+        return self._quiet_mean

@@ -1,0 +1,232 @@
+"""What the samples of a window hold beside their mean: volume flow from the pulses' shape, and scale from the noise of kernels.
+
+Runs beside the mean force's estimate and knows it only to compare; what it finds in a window corrects the flows of the windows
+after it. Off unless the settings say otherwise.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from math import exp, hypot, isfinite, log, sqrt
+from statistics import median
+
+from yieldmon.engine.flow import Flow
+from yieldmon.engine.measurement import Reading
+from yieldmon.engine.quick import changer_of
+from yieldmon.engine.records import FlowEstimator
+from yieldmon.engine.self_calibration.kernel_lessons import KernelLessons
+from yieldmon.engine.settings import WaveformSettings
+from yieldmon.engine.waveform.channel_scales import ChannelScales, Scale, local_exponent
+from yieldmon.engine.waveform.heap_slopes import HeapSlopes
+from yieldmon.engine.waveform.kernel_channel import SEGMENT, KernelChannel
+from yieldmon.engine.waveform.pulse_fits import PulseFits
+from yieldmon.engine.waveform.shape_difference import NO_FIT
+from yieldmon.engine.waveform.waveform_reading import NOTHING, WaveformReading
+from yieldmon.estimation.self_calibration.sweep_worth import OtherChannels
+from yieldmon.estimation.waveform.channel_combination import combine, relative_covariance
+from yieldmon.estimation.waveform.kernel_noise import KernelImpulse, KernelVerdict, kernel_flow
+from yieldmon.estimation.waveform.pattern_fold import PatternWave
+from yieldmon.estimation.waveform.pulse_fit import PulseEstimate
+from yieldmon.estimation.waveform.shape_verdict import ShapeVerdict
+from yieldmon.physics.machine import Machine
+
+_NAN = float("nan")
+_WHOLE = 0.98
+"""Coverage of a window from which a fit is missed for another reason than missing samples."""
+_with = changer_of(WaveformReading)
+
+
+def _without(verdict: ShapeVerdict, reason: str, kernels: KernelVerdict = KernelVerdict.NOT_LOOKED_AT) -> WaveformReading:
+    return WaveformReading(shape=verdict, shape_reason=reason, kernels=kernels, kernels_reason=reason)
+
+
+_NO_TRACE = "samples are missing, or more than one sensor carries the plate"
+_NO_ZERO = "no zero-load voltage, or the sensor is out of range"
+_NO_GRAIN = "no grain"
+_NOT_STILL = "no flow from the mean force, or the plate moves"
+_NO_PULSES = "no pulse of the model fits the samples"
+_FEW_TURNS = "the window holds fewer than two turns of the paddle pattern"
+_NO_WEIGHT = "no thousand-kernel weight is known"
+
+
+class Waveform:
+    """Looks at one window after another."""
+
+    def __init__(self, settings: WaveformSettings, machine: Machine) -> None:
+        self.kernel_weight_g = settings.thousand_kernel_weight_g
+        """Of a thousand kernels, as last entered; 0: not known. What a frame says goes before it."""
+        self.last = NOTHING
+        self._settings = settings
+        self._machine = machine
+        self._kernel_channel = KernelChannel(settings, machine)
+        self.lessons = KernelLessons(settings)
+        self._fits = PulseFits(settings, machine)
+        self._heaps = HeapSlopes(settings)
+        self._scales = ChannelScales(settings)
+        self._stretches: deque[float] = deque(maxlen=settings.contradiction_windows)
+        self._biases: deque[float] = deque(maxlen=settings.kernel_windows)
+
+    def go_on_with(self, before: Waveform) -> None:
+        """Noise that was heard on the same machine by the same settings is heard no second time."""
+        if (self._settings, self._machine) == (before._settings, before._machine):
+            self._kernel_channel, self.lessons = before._kernel_channel, before.lessons
+
+    def prepare(self, readings: Sequence[Reading], rates_kg_s: Sequence[float], estimator: FlowEstimator) -> None:
+        """Fit the pulses of these windows side by side; `see` then takes them up one by one. rates_kg_s: by the mean force."""
+        self._fits.prepare(readings, rates_kg_s, estimator)
+
+    def see(self, reading: Reading, flow: Flow, estimator: FlowEstimator) -> WaveformReading:
+        """The window's own word beside flow, that of the mean force."""
+        self.last = self._seen(reading, flow, estimator)
+        return self.last
+
+    def _seen(self, reading: Reading, flow: Flow, estimator: FlowEstimator) -> WaveformReading:
+        trace = reading.window.trace
+        if trace is None:
+            return _without(ShapeVerdict.NO_SAMPLES, _NO_TRACE)
+        if trace.samples_mv.size < SEGMENT:
+            few = f"{trace.samples_mv.size} samples a second, at least {SEGMENT} are needed"
+            return _without(ShapeVerdict.NO_SAMPLES, few, KernelVerdict.NO_BAND)
+        if reading.zero is None or not reading.in_range:
+            return _without(ShapeVerdict.NO_SAMPLES, _NO_ZERO)
+        force_n = (trace.samples_mv - reading.zero.zero_mv) * self._machine.sensor.gain_n_per_mv
+        if not reading.harvesting:
+            self._kernel_channel.empty(force_n, trace.interval_s, reading.force_n)
+            return _without(ShapeVerdict.NO_GRAIN, _NO_GRAIN)
+        self._kernel_channel.grain()
+        if not (flow.rate_kg_s > 0.0 and reading.still):
+            return self._counted(_without(ShapeVerdict.NOT_STILL, _NOT_STILL), reading, flow, estimator)
+        fit = self._fits.of(reading, flow.rate_kg_s, estimator)
+        kernels = None
+        if fit is not None:
+            aligned = self._fits.aligned(trace, fit[1], reading)
+            kernels = self._kernel_channel.loaded(force_n, aligned, reading, flow.rate_kg_s, estimator)
+        return self._judged(reading, flow, estimator, fit, kernels)
+
+    def _judged(
+        self,
+        reading: Reading,
+        mean_flow: Flow,
+        estimator: FlowEstimator,
+        fit: tuple[PatternWave, PulseEstimate] | None,
+        kernels: KernelImpulse | None,
+    ) -> WaveformReading:
+        rate, std_dev = mean_flow.rate_kg_s, mean_flow.std_dev_kg_s
+        seen = WaveformReading(mean_kg_s=rate, mean_std_dev_kg_s=std_dev, kernel_weight_g=self._weight_g(reading) or _NAN)
+        if fit is not None and isfinite(fit[1].volume_flow_m3_s):
+            seen = self._with_shape(_with(seen, wave=fit[0]), fit, reading, mean_flow, estimator)
+        elif reading.window.coverage < _WHOLE:
+            seen = _with(seen, shape=ShapeVerdict.FEW_TURNS, shape_reason=_FEW_TURNS)
+        elif of_mean := self._fits.outside(rate / estimator.parameters.values["density"], reading, estimator):
+            seen = _with(seen, shape=ShapeVerdict.OUTSIDE_CALIBRATION, shape_reason=of_mean)
+        else:
+            no_fit = self._scales.difference.add(0.0, NO_FIT, reading.window.end_s, estimator)
+            seen = _with(seen, shape=ShapeVerdict.NO_PULSES, shape_reason=_NO_PULSES, contradiction=no_fit)
+        missing = seen.shape_reason if fit is None else ""
+        seen = self._with_kernels(seen, reading, kernels, missing)
+        if seen.kernels is KernelVerdict.USED:
+            over, sd = seen.kernels_kg_s / rate, seen.kernels_std_dev_kg_s / seen.kernels_kg_s
+            self._scales.by_kernels(Scale(log(over), sd, 0.0, estimator, reading.window.end_s))
+            seen = _with(seen, bias=self._agreeing_bias(over))
+            if reading.at_home and kernels is not None:
+                self.lessons.add(seen.kernels_kg_s, sd, kernels.random_sd, reading)
+        elif seen.kernels is not KernelVerdict.TOO_EARLY:
+            self._scales.by_kernels(None)
+        return self._counted(seen, reading, mean_flow, estimator)
+
+    def _counted(self, seen: WaveformReading, reading: Reading, mean_flow: Flow, estimator: FlowEstimator) -> WaveformReading:
+        """The reading with all channels together, and with what the kernels' scale says against the mean force's."""
+        now_s = reading.window.end_s
+        if against := self._scales.kernels_contradict(mean_flow, now_s, estimator):
+            seen = _with(seen, contradiction=seen.contradiction or against)
+        found = self.corrected(mean_flow, now_s, estimator)
+        if found is None:
+            return seen
+        return _with(seen, combined_kg_s=found[0], combined_std_dev_kg_s=found[1])
+
+    def corrected(self, mean_flow: Flow, now_s: float, estimator: FlowEstimator) -> tuple[float, float] | None:
+        """The mean force's flow with the scale that shape and kernels have found of late; see `ChannelScales.corrected`."""
+        return self._scales.corrected(mean_flow, now_s, estimator)
+
+    def channels(self, now_s: float, estimator: FlowEstimator) -> OtherChannels:
+        """What shape and kernels are worth to the published flow now; nothing of what contradicts the mean force."""
+        return OtherChannels() if self.last.contradiction else self._scales.channels(now_s, estimator)
+
+    def _with_shape(
+        self,
+        seen: WaveformReading,
+        fit: tuple[PatternWave, PulseEstimate],
+        reading: Reading,
+        mean_flow: Flow,
+        estimator: FlowEstimator,
+    ) -> WaveformReading:
+        """A fit's flow, alone and with the mean force; none where either of them lies outside the calibrated range."""
+        wave, shape = fit
+        parameters, pulses = estimator.parameters, self._fits.model(estimator)
+        density, rate = parameters.values["density"], mean_flow.rate_kg_s
+        relative_sd, flow = mean_flow.std_dev_kg_s / rate, shape.volume_flow_m3_s * density
+        exponent = local_exponent(mean_flow)
+        heap = self._heaps.moved_by(shape, reading, rate, estimator, pulses.model)
+        together = combine(rate, relative_sd, flow, shape.relative_sd, exponent=exponent, parameters=parameters, heap=heap)
+        of_mean = self._fits.outside(rate / density, reading, estimator)
+        if not of_mean:
+            # There the law holds, and a shape that finds itself outside speaks against the mean force all the same.
+            z = self._scales.difference.farther(together, pulses, wave, shape, rate / density)
+            against = self._scales.difference.add(z, shape.misfit, reading.window.end_s, estimator)
+            seen = _with(seen, contradiction=against, stretch=self._agreeing_stretch(shape, rate / density))
+        if outside := of_mean or shape.outside:
+            return _with(seen, shape=ShapeVerdict.OUTSIDE_CALIBRATION, shape_reason=outside)
+        lasting_sd = sqrt(max(shape.relative_sd**2 - shape.random_sd**2, 0.0))
+        self._scales.by_shape(Scale(log(flow / rate), lasting_sd, shape.random_sd, estimator, reading.window.end_s, heap))
+        return _with(
+            seen,
+            shape=ShapeVerdict.USED,
+            volume_m3_s=shape.volume_flow_m3_s,
+            volume_std_dev_m3_s=shape.volume_flow_m3_s * shape.relative_sd,
+            shape_kg_s=flow,
+            shape_std_dev_kg_s=flow * hypot(shape.relative_sd, sqrt(relative_covariance(parameters)[0])),
+        )
+
+    def _weight_g(self, reading: Reading) -> float:
+        """Of a thousand kernels: as a frame says of late, else as last entered; 0: not known."""
+        heard = reading.inputs.fresh["thousand_kernel_weight"]
+        return heard if isfinite(heard) else self.kernel_weight_g
+
+    def _with_kernels(
+        self, seen: WaveformReading, reading: Reading, kernels: KernelImpulse | None, missing: str
+    ) -> WaveformReading:
+        """missing: why there is no fit, without which the pulses cannot be taken off."""
+        if kernels is None:
+            early = missing or self._kernel_channel.missing
+            return _with(seen, kernels=KernelVerdict.TOO_EARLY, kernels_reason=early)
+        if not kernels.usable:
+            return _with(seen, kernels=kernels.verdict, kernels_reason=kernels.reason)
+        if not isfinite(seen.kernel_weight_g):
+            return _with(seen, kernels=KernelVerdict.NO_KERNEL_WEIGHT, kernels_reason=_NO_WEIGHT)
+        found = kernel_flow(
+            kernels,
+            reading.force_n,
+            1e-6 * seen.kernel_weight_g,
+            kernel_mass_sd=self._settings.kernel_mass_sd,
+            settings=self._kernel_channel.noise,
+        )
+        return _with(
+            seen,
+            kernels_kg_s=found.mass_flow_kg_s,
+            kernels_std_dev_kg_s=found.mass_flow_kg_s * found.relative_sd,
+            kernels=KernelVerdict.USED,
+        )
+
+    def _agreeing_bias(self, over_mean_force: float) -> float:
+        """The bias with which kernel noise would give the mean force's flow; kernel noise is in proportion to it."""
+        self._biases.append(self._settings.kernel_bias / over_mean_force)
+        return median(self._biases)
+
+    def _agreeing_stretch(self, shape: PulseEstimate, volume_flow_m3_s: float) -> float:
+        """The stretch to which the window's posterior moves when the volume flow is given."""
+        flow, stretch = (shape.names.index(name) for name in ("log_volume_flow", "log_stretch"))
+        slope = shape.covariance[flow, stretch] / shape.covariance[flow, flow]
+        moved = shape.values["log_stretch"] + slope * log(volume_flow_m3_s / shape.volume_flow_m3_s)
+        self._stretches.append(exp(moved) * (1.0 if self._settings.shape_terms else self._settings.stretch))
+        return median(self._stretches)

@@ -1,0 +1,1 @@
+"""Rows of known load: least squares, calibration, what a fit leaves unknown."""

@@ -1,0 +1,213 @@
+"""A calibration as a least-squares problem: weighted residuals of rows about the model, within bounds, beside a prior."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from yieldmon.estimation.model_error import orthonormal
+from yieldmon.estimation.priors import Bounds, Prior, fitting_bounds, follows_scale, start_ranges
+from yieldmon.physics.grain import GRAIN
+from yieldmon.physics.model import ForwardModel
+from yieldmon.physics.numerics import Array
+
+from .batch import MomentumBatch
+from .calibration_result import OUTLIER_SDS
+from .measurements import Measurements
+from .scatter_law import fit_variances, usual_deviation
+
+LEAST_PURE_DOF = 8
+"""Degrees of freedom of the replicates from which they part noise from the model's own error, and determine its law."""
+ROBUST_SCALE = 1.5
+"""Residuals beyond this many noise standard deviations lose weight (soft L1)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """Noise of the rows as the best fit's residuals show it.
+
+    weight: (rows,) of the fit: 1 over the standard deviation, less for outliers of a robust fit. variance_factor: what the
+    variances are multiplied by. dof: degrees of freedom that this rests on. spread: as of `CalibrationProblem`.
+    """
+
+    weight: Array
+    variance_factor: float
+    dof: float
+    spread: Array | None
+
+    @property
+    def row_sd(self) -> Array:
+        """(rows,) standard deviations."""
+        return np.asarray(np.sqrt(max(self.variance_factor, 1e-300)) / self.weight)
+
+
+class CalibrationProblem:
+    """Rows, their weights, the free parameters, their bounds and prior.
+
+    Attributes
+    ----------
+    names : tuple of str
+        The free parameters.
+    lower, upper, unit : ndarray (n,)
+        Their bounds, and a typical distance for each.
+    ranges : mapping
+        For each, the two values between which searches start.
+    cell : ndarray (rows,)
+        For each row the number of its own among the distinct conditions.
+    row_sd : ndarray (rows,)
+        Standard deviation of each row: given, else estimated.
+    prior_white, prior_mean : ndarray (p, n), (n,)
+        Whitening of the prior and its mean; p is 0 without a prior.
+    pure_sd, pure_dof : float, int
+        Standard deviation within replicates and its degrees of freedom; nan and 0 without any.
+    spread : ndarray (rows,) or None
+        Variance of each row over row_sd^2, mean 1 over the replicates, where these scatter more at high readings than at low
+        ones; None where they do not show it. The fit weighs rows alike all the same; errors and tests allow for it.
+    """
+
+    def __init__(
+        self,
+        model: ForwardModel,
+        data: Measurements,
+        start: Mapping[str, float],
+        names: tuple[str, ...],
+        *,
+        prior: Prior | None,
+        bounds: Bounds | None,
+        robust: bool,
+    ) -> None:
+        if data.momentum.size < len(names) and prior is None:
+            raise ValueError(f"{data.momentum.size} rows cannot fix {len(names)} parameters ({', '.join(names)})")
+        missing = [n for n in names if n not in start]
+        if missing:
+            raise ValueError(f"free parameters {missing} are not among {list(start)}")
+        self.model, self.data, self.names, self.robust = model, data, names, robust
+        self.start = dict(start)
+        cells, self.cell = data.cells()
+        self.momentum = MomentumBatch(model, cells, names, {k: v for k, v in start.items() if k not in names})
+        self.scale = data_scale(model, data) if any(follows_scale(n) for n in names) else 1.0
+        limits = fitting_bounds(names, self.scale, bounds)
+        self.lower = np.array([min(limits[n]) for n in names])
+        self.upper = np.array([max(limits[n]) for n in names])
+        self.ranges = start_ranges(names, self.scale)
+        self.pure_sd, self.pure_dof = self._pure_error()
+        self.given_sigma = data.sigma is not None
+        self.row_sd = data.sigma if data.sigma is not None else np.full(data.momentum.shape, self._first_noise())
+        self.spread = self._spread()
+        self.prior_white, self.prior_mean = (
+            prior.restricted(names).whitening(names) if prior is not None else (np.zeros((0, len(names))), np.zeros(len(names)))
+        )
+        self.unit = np.array([self._unit(n, lo, hi) for n, lo, hi in zip(names, self.lower, self.upper, strict=True)])
+
+    def _unit(self, name: str, low: float, high: float) -> float:
+        first, last = self.ranges[name]
+        return min(high - low, max(last - first, 1e-9 * (high - low)))
+
+    def _pure_error(self) -> tuple[float, int]:
+        """Standard deviation of a row within its cell and its degrees of freedom; by medians where the fit is robust."""
+        counts = np.bincount(self.cell)
+        dof = int(np.sum(counts - 1))
+        if dof < 1:
+            return float("nan"), 0
+        if not self.robust:
+            return self.scatter(), dof
+        y = self.data.momentum
+        middle = np.array([np.median(y[self.cell == i]) for i in range(counts.size)])
+        repeated = counts[self.cell] > 1
+        spread = np.abs(y - middle[self.cell])[repeated] * np.sqrt(np.count_nonzero(repeated) / dof)
+        return usual_deviation(spread), dof
+
+    def _spread(self) -> Array | None:
+        if self.given_sigma or self.pure_dof < LEAST_PURE_DOF or not self.pure_sd > 0.0:
+            return None
+        y = self.data.momentum
+        middle = np.array([np.median(y[self.cell == i]) for i in range(int(self.cell.max()) + 1)])
+        repeated = np.bincount(self.cell)[self.cell] > 1
+        # A form that is right for either kind of noise to a factor, and a median that is blind to outliers.
+        relative = np.abs(y - middle[self.cell]) / (0.15 * float(np.max(np.abs(middle))) + np.abs(middle[self.cell]))
+        usual = usual_deviation(relative[repeated])
+        good = repeated & (relative <= OUTLIER_SDS * np.sqrt(2.0) * usual) if usual > 0.0 else repeated
+        count = np.bincount(self.cell[good], minlength=middle.size)
+        mean = np.bincount(self.cell[good], y[good], minlength=middle.size) / np.maximum(count, 1)
+        square = np.bincount(self.cell[good], (y - mean[self.cell])[good] ** 2, minlength=middle.size)
+        some = count > 1
+        dof = (count[some] - 1).astype(float)
+        if dof.sum() < LEAST_PURE_DOF or not square.sum() > 0.0:
+            return None
+        constant, proportional = fit_variances(square[some] / dof, dof, mean[some] ** 2, float(square.sum() / dof.sum()))
+        if proportional == 0.0:
+            return None
+        law = constant + proportional * middle**2
+        freedom = np.bincount(self.cell) - 1.0
+        return np.asarray((law * freedom.sum() / float(freedom @ law))[self.cell])
+
+    def scatter(self) -> float:
+        """Standard deviation of a row about the mean of its cell, in the momentum's unit; nan without replicates."""
+        y, counts = self.data.momentum, np.bincount(self.cell)
+        dof = int(np.sum(counts - 1))
+        means = np.bincount(self.cell, y) / counts
+        return float(np.sqrt(np.sum((y - means[self.cell]) ** 2) / dof)) if dof > 0 else float("nan")
+
+    def _first_noise(self) -> float:
+        largest = float(np.max(np.abs(self.data.momentum)))
+        if np.isfinite(self.pure_sd) and self.pure_sd > 1e-9 * largest:
+            return self.pure_sd
+        return 0.01 * largest if largest > 0.0 else 1.0
+
+    def residuals(self, theta: Array, row_sd: Array) -> tuple[Array, Array]:
+        """Weighted residuals (B, rows + prior) and derivatives."""
+        value, jacobian = self.momentum(theta)
+        r = (value[:, self.cell] - self.data.momentum) / row_sd
+        j = jacobian[:, self.cell] / row_sd[:, None]
+        if not len(self.prior_white):
+            return r, j
+        extra = np.einsum("pn,bn->bp", self.prior_white, theta - self.prior_mean)
+        slopes = np.broadcast_to(self.prior_white, (len(theta), *self.prior_white.shape))
+        return np.concatenate((r, extra), axis=1), np.concatenate((j, slopes), axis=1)
+
+    def loss(self, theta: Array) -> float:
+        """Half the sum of squares at (n,), by soft L1 where the fit is robust; inf where the model cannot carry the loads."""
+        r = self.residuals(theta[None], self.row_sd)[0][0]
+        z = r * r
+        if self.robust:
+            z = 2.0 * ROBUST_SCALE**2 * (np.sqrt(1.0 + z / ROBUST_SCALE**2) - 1.0)
+        total = 0.5 * float(np.sum(z))
+        return total if np.isfinite(total) else float("inf")
+
+    def noise(self, error: Array, slopes: Array) -> Noise:
+        """What the residuals (rows,) of the best fit, with derivatives (rows, n) there, say about the rows' noise."""
+        weight = 1.0 / self.row_sd
+        if self.robust:
+            weight = weight * (1.0 + (error * weight / ROBUST_SCALE) ** 2) ** -0.25
+        dof = max(error.size - len(self.names) + len(self.prior_white), 1)
+        inflation = float(np.sum((error * weight) ** 2) / dof)
+        if self.spread is not None:
+            mean, share = residual_moments(slopes * weight[:, None] * self.unit, self.spread)
+            return Noise(weight, inflation / mean, max(share * dof, 1.0), self.spread)
+        # A given sigma counts unless the residuals say it is too small (Birge's ratio).
+        return Noise(weight, max(inflation, 1.0) if self.given_sigma else inflation, dof, None)
+
+
+def residual_moments(slopes: Array, variance: Array) -> tuple[float, float]:
+    """Of the sum of squares that least squares with derivatives (n, p) leaves of rows of these variances (n,): its mean for each
+    degree of freedom, and the share of these that a chi-square of the same mean and variance has (Satterthwaite, 1946)."""
+    tangent = orthonormal(slopes)
+    free = max(variance.size - tangent.shape[1], 1)
+    leverage = np.sum(tangent**2, axis=1)
+    inner = tangent.T @ (tangent * variance[:, None])
+    first = float(np.sum((1.0 - leverage) * variance))
+    second = float(np.sum((1.0 - 2.0 * leverage) * variance**2) + np.sum(inner**2))
+    if not (first > 0.0 and second > 0.0):
+        return 1.0, 1.0
+    return first / free, min(first**2 / (second * free), 1.0)
+
+
+def data_scale(model: ForwardModel, data: Measurements) -> float:
+    """Units of the data in one kg m/s, roughly: their median over that of a middling grain (impact gain 1.5)."""
+    # Dense enough that heavy loads fit on the paddles.
+    values = {p.name: p.typical for p in GRAIN.values() if p.form in ("", "restitution")} | {"density": 1500.0}
+    plain = model.with_effects(()).paddle_momentum(data.cells()[0], values, overfull="nan")
+    middle = float(np.nanmedian(np.real(plain)))
+    return float(np.median(data.momentum)) / middle if middle > 0.0 and np.median(data.momentum) > 0.0 else 1.0

@@ -1,0 +1,159 @@
+"""What a fit leaves unknown: covariance of its parameters, standard errors, and what the model's own error adds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import stdtrit
+
+from yieldmon.estimation import model_error
+from yieldmon.physics.numerics import Array
+
+from .calibration_problem import LEAST_PURE_DOF, CalibrationProblem, Noise
+from .calibration_result import CONFIDENCE
+
+_CLOSE = 0.05
+"""Share of the width between bounds within which a value counts as at one of them."""
+
+
+@dataclass(frozen=True, slots=True)
+class FitUncertainty:
+    """covariance: (n, n), no parameter less certain than anywhere between its bounds, the model's own error included.
+    standard_errors: (n,) by the data and the prior alone; inf where they do not fix a parameter. correlation: (n, n) of these.
+    stretch: (n,) of the standard errors over those of rows that scatter alike. model_error: relative size of the model's own
+    error; 0 where it is not known."""
+
+    covariance: Array
+    standard_errors: Array
+    correlation: Array
+    stretch: Array
+    model_error: float
+
+
+def fit_uncertainty(
+    problem: CalibrationProblem, theta: Array, predicted: Array, slopes: Array, cell_slopes: Array, noise: Noise
+) -> FitUncertainty:
+    """Uncertainty of the best fit. theta (n,); predicted (rows,), slopes (rows, n), cell_slopes (cells, n): the model there."""
+    weighted = slopes * noise.weight[:, None]
+    factor = max(noise.variance_factor, 1e-300)
+    information = weighted.T @ weighted / factor
+    information = information + problem.prior_white.T @ problem.prior_white
+    # What rows that scatter more or less than the fit takes them for add to the information's variance (Huber, 1967).
+    unlike = None if noise.spread is None else weighted.T @ (weighted * (noise.spread - 1.0)[:, None]) / factor
+    alike, singular = _inverse(information, problem.unit)
+    free = _spread_out(alike, unlike)
+    # In the file a parameter is never less certain than anywhere between its bounds.
+    most = distance_within(problem.lower, problem.upper, theta)
+    bounded, _ = _inverse(information + np.diag(most**-2.0), problem.unit)
+    if np.any(singular):
+        bounded = _bounded_inverse(information, most)
+    covariance = _spread_out(bounded, unlike)
+    size = _learnt_error(problem, predicted - problem.data.momentum, cell_slopes)
+    if size > 0.0:
+        covariance = _with_model_error(problem, covariance, bounded, size, most, predicted, weighted, noise)
+    deviation = np.sqrt(np.diag(free))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        correlation = free / np.outer(deviation, deviation)
+        stretch = np.where(np.diag(alike) > 0.0, deviation / np.sqrt(np.diag(alike)), 1.0)
+    standard_errors = np.where(singular, np.inf, np.sqrt(np.maximum(np.diag(free), 0.0)))
+    return FitUncertainty(covariance, standard_errors, correlation, stretch, size)
+
+
+def distance_within(lower: Array, upper: Array, at: Array) -> Array:
+    """Standard deviation of a value that may lie anywhere between the bounds; about `at` where that is at a bound, or close."""
+    width = upper - lower
+    about = np.sqrt(((upper - at) ** 3 + (at - lower) ** 3) / (3.0 * width))
+    inside = np.minimum(at - lower, upper - at) > _CLOSE * width
+    return np.asarray(np.where(inside, width / np.sqrt(12.0), about))
+
+
+def _spread_out(inverse: Array, unlike: Array | None) -> Array:
+    """Covariance of a fit whose inverse information this is, where rows scatter unlike."""
+    if unlike is None:
+        return inverse
+    out = inverse + inverse @ unlike @ inverse
+    return np.asarray(0.5 * (out + out.T))
+
+
+def wald_intervals(problem: CalibrationProblem, theta: Array, standard_errors: Array, dof: float) -> Array:
+    """(n, 2): ends of the CONFIDENCE intervals by standard errors (n,) alone, within the bounds."""
+    reach = stdtrit(dof, 0.5 + 0.5 * CONFIDENCE) * np.where(np.isfinite(standard_errors), standard_errors, np.inf)
+    return np.stack((np.maximum(theta - reach, problem.lower), np.minimum(theta + reach, problem.upper)), axis=-1)
+
+
+def _with_model_error(
+    problem: CalibrationProblem,
+    covariance: Array,
+    inverse: Array,
+    size: float,
+    most: Array,
+    predicted: Array,
+    weighted: Array,
+    noise: Noise,
+) -> Array:
+    """covariance: by noise. inverse: of the information, by which the fit follows an error. most: standard deviations, (n,)."""
+    angle, speed, load, _ = problem.data.columns()
+    # A constant error is absorbed by the impact gain: it is none of the forces', but one of what they are made of.
+    shapes = np.column_stack((model_error.basis(angle, load, speed), np.ones(load.size)))
+    own = size * shapes * (model_error.level(predicted) * noise.weight)[:, None]
+    moved = inverse @ (weighted.T / max(noise.variance_factor, 1e-300) @ own)
+    widened = covariance + moved @ moved.T
+    limit = np.minimum(1.0, most / np.sqrt(np.maximum(np.diag(widened), 1e-300)))
+    return np.asarray(widened * np.outer(limit, limit))
+
+
+def _learnt_error(problem: CalibrationProblem, error: Array, slopes: Array) -> float:
+    """Relative size of the model's own error, from angles and loads left out, where replicates or a stated sigma part it from
+    noise; else 0.
+
+    error: of each row. slopes: of each cell.
+    """
+    if (problem.pure_dof < LEAST_PURE_DOF and not problem.given_sigma) or not slopes.shape[1]:
+        return 0.0
+    count = np.bincount(problem.cell)
+    first = np.unique(problem.cell, return_index=True)[1]
+    angle, _, load, _ = problem.data.columns()[:, first]
+    mean = np.bincount(problem.cell, error) / count
+    predicted = np.bincount(problem.cell, error + problem.data.momentum) / count
+    if not np.any(predicted):
+        return 0.0  # No grain reaches the plate: there is nothing that an error could be relative to.
+    if problem.given_sigma:
+        noise = np.bincount(problem.cell, problem.row_sd**-2.0) ** -0.5
+    else:
+        noise = np.maximum(problem.pure_sd, 1e-9 * float(np.max(np.abs(predicted)))) / np.sqrt(count)
+    if problem.spread is not None:
+        noise = noise * np.sqrt(problem.spread[first])
+    basis = model_error.orthonormal(slopes / noise[:, None] * problem.unit)
+    relative = noise / model_error.level(predicted)
+    residual = mean / noise
+    if problem.spread is not None:
+        # As a fit leaves it that weighs the cells by their noise.
+        residual = residual - basis @ (basis.T @ residual)
+    return model_error.learnt(residual, basis, relative, model_error.groups_of(angle, load))
+
+
+def _inverse(information: Array, unit: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Inverse of an information matrix, and which parameters take part in a direction that it leaves free."""
+    if not information.size:
+        return np.zeros((0, 0)), np.zeros(0, dtype=bool)
+    scaled = information * unit[:, None] * unit[None, :]
+    size = np.sqrt(np.maximum(np.diag(scaled), 1e-300))
+    values, vectors = np.linalg.eigh(scaled / np.outer(size, size))
+    free = values <= 1e-13 * max(float(values[-1]), 1e-300)
+    inverse = np.where(free, 0.0, 1.0 / np.where(free, 1.0, values))
+    covariance = (vectors * inverse) @ vectors.T / np.outer(size, size) * unit[:, None] * unit[None, :]
+    loose = np.any(np.abs(vectors[:, free]) > 1e-3, axis=1) | (np.diag(scaled) <= 0.0)
+    return 0.5 * (covariance + covariance.T), loose
+
+
+def _bounded_inverse(information: Array, sd: Array) -> Array:
+    """Covariance where the information leaves directions free: in those, that of anywhere between the bounds, sd (n,).
+
+    The information of rows without noise is so large that the bounds' own, added to it, would be lost in rounding.
+    """
+    values, vectors = np.linalg.eigh(information * np.outer(sd, sd))
+    values = np.where(values <= 1e-13 * max(float(values[-1]), 0.0), 0.0, values)
+    covariance = (vectors / (1.0 + values)) @ vectors.T * np.outer(sd, sd)
+    return np.asarray(0.5 * (covariance + covariance.T))

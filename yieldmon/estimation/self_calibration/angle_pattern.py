@@ -1,0 +1,67 @@
+"""What sweeps repeat and no parameter explains: the model's own error over plate angle and fill, as a state of its own.
+
+A sweep taken at its word turns a model's error at 40 degrees into a friction. Here the error is the weights of the effect
+`angle_pattern`, with a prior beside the parameters' and a covariance that goes on from sweep to sweep: what is the same in all
+sweeps goes to the pattern, what changes between them to the grain. The pattern is 0 at the home angle at every fill, so that it
+is orthogonal to all that a calibration at home absorbs.
+
+Sources: Kennedy and O'Hagan, J. R. Stat. Soc. B 63 (2001); Brynjarsdottir and O'Hagan, Inverse Problems 30 (2014), on why such a
+term needs a prior.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from yieldmon.estimation.model_error import FLOOR
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.physics.effects import angle_pattern
+
+EFFECT = angle_pattern.EFFECT.name
+NAMES = tuple(f"{EFFECT}.{parameter.name}" for parameter in angle_pattern.EFFECT.parameters)
+_CALIBRATED = 2.0
+"""The pattern beyond the calibrated angles, over the model's error within them."""
+
+
+def with_pattern(parameters: ParameterSet, relative_sd: float) -> ParameterSet:
+    """The set with a pattern of which nothing is known but its size; one that has a pattern comes back as it is.
+
+    Parameters
+    ----------
+    parameters : ParameterSet
+        Its `model_error`, learnt from held-out angles and loads, makes the pattern larger where it is.
+    relative_sd : float
+        Standard deviation of the relative error 25 degrees from home; at least `model_error.FLOOR`.
+
+    Returns
+    -------
+    ParameterSet
+    """
+    if EFFECT in parameters.effects:
+        return parameters
+    size = max(relative_sd, _CALIBRATED * parameters.model_error, FLOOR)
+    count = len(parameters.covariance_names)
+    covariance = np.zeros((count + len(NAMES),) * 2)
+    covariance[:count, :count] = parameters.covariance
+    covariance[count:, count:] = size**2 * np.eye(len(NAMES))
+    return replace(
+        parameters,
+        values={**parameters.values, **dict.fromkeys(NAMES, 0.0)},
+        covariance_names=(*parameters.covariance_names, *NAMES),
+        covariance=covariance,
+    )
+
+
+def without_pattern(parameters: ParameterSet) -> ParameterSet:
+    """The set as the named physics alone has it."""
+    if EFFECT not in parameters.effects:
+        return parameters
+    kept = tuple(name for name in parameters.covariance_names if name not in NAMES)
+    return replace(
+        parameters,
+        values={name: value for name, value in parameters.values.items() if name not in NAMES},
+        covariance_names=kept,
+        covariance=parameters.covariance_of(kept),
+    )

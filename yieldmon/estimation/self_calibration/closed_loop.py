@@ -1,0 +1,289 @@
+"""Closed loop: flow and parameters together from sweeps of the plate, with all that was known before.
+
+A sweep leaves the scale (mass flow, density, impact gain) -> (a, a, 1/a) exactly unobservable, so the estimate is a maximum a
+posteriori with the prior's full covariance, and what a sweep did not determine stays as it was. Shared parameters, one free flow
+a sweep; weighed masses and a known density join as further measurements. Posterior by Laplace's approximation.
+
+Sources: thesis section 9.3 for the idea of the sweep; Gelman et al., "Bayesian Data Analysis" (normal approximation of the
+posterior).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
+from yieldmon.estimation.fitting.identifiability import (
+    Direction,
+    directions,
+    flow_names,
+    natural_scale,
+    scale_tangent,
+    share_flow,
+)
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.physics.grain import GRAIN
+from yieldmon.physics.model import ForwardModel
+from yieldmon.physics.numerics import Array
+
+from .closed_loop_inputs import DensityAnchor, MassAnchor, Sweep
+from .closed_loop_outcome import FlowPosterior, Learning, Outcome, ScaleReport
+from .closed_loop_problem import ClosedLoopProblem, Solution
+from .partial_update import determined_part
+
+_WIDENINGS = 4
+_ALL = 1e-9
+"""So little information of a weighed mass counts for something."""
+_NARROWED = 0.995
+
+
+def self_calibrate(
+    model: ForwardModel,
+    prior: ParameterSet,
+    sweeps: Sequence[Sweep],
+    *,
+    anchors: Sequence[MassAnchor] = (),
+    density: DensityAnchor | None = None,
+    settings: ClosedLoopSettings | None = None,
+) -> Outcome:
+    """Flows of sweeps and updated parameters.
+
+    Parameters
+    ----------
+    model : ForwardModel
+    prior : ParameterSet
+        Prior parameters; those with a variance are updated.
+    sweeps : sequence of Sweep
+    anchors : sequence of MassAnchor
+        Weighed masses.
+    density : DensityAnchor, optional
+        An independent measurement of the density.
+    settings : ClosedLoopSettings, optional
+
+    Returns
+    -------
+    Outcome
+        `parameter_set` is the one to use from now on; `flows`, `parameters`, `scale` and `reason` give the result. The whole
+        update is refused when the misfit is too large, and directions that the data hardly determine are not updated: see
+        `ClosedLoopSettings.learned_information` and `kept_ratio`.
+
+    Raises
+    ------
+    ValueError
+        When there is nothing to go by, the prior has no covariance, or no flow can explain a sweep.
+
+    References
+    ----------
+    "Self-Calibrating Mass Flow Sensor" (Univ. of Illinois / Deere), section 9.3; Gelman et al., "Bayesian Data Analysis", on the
+    normal approximation of the posterior.
+
+    Examples
+    --------
+    >>> prior = api.load_parameters()
+    >>> model = api.ForwardModel(api.Machine(), prior.effects)
+    >>> angle, speed = np.radians(np.repeat([40.0, 60.0, 80.0], 4)), np.full(12, 400.0 * api.RPM)
+    >>> force = model.force(api.Conditions(angle, speed, mass_flow_kg_s=12.0), prior.values)
+    >>> found = api.self_calibrate(model, prior, [api.Sweep(np.arange(12.0), angle, speed, force, 0.01 * force)])
+    >>> round(found.flows[0].mass_flow_kg_s, 1)
+    12.0
+    """
+    problem = ClosedLoopProblem(model, prior, sweeps, anchors, density, ClosedLoopSettings() if settings is None else settings)
+    return _outcome(problem, problem.solve())
+
+
+def update_from_tickets(
+    model: ForwardModel,
+    prior: ParameterSet,
+    anchors: Sequence[MassAnchor],
+    density: DensityAnchor | None = None,
+    settings: ClosedLoopSettings | None = None,
+) -> Outcome:
+    """`self_calibrate` from weighed masses alone. A scale counts: where it contradicts the parameters, they were less
+    certain than they claimed, and their standard deviations are doubled until both agree, up to 16 times and no further than
+    half of a parameter's physical range. However little a weighed mass says beside those before it, it is taken: unlike a sweep
+    it has no error that comes back the same each time. Raises as `self_calibrate`.
+    """
+    widening = 1.0
+    settings = replace(ClosedLoopSettings() if settings is None else settings, learned_information=_ALL, kept_ratio=1.0 - _ALL)
+    outcome = self_calibrate(model, prior, (), anchors=anchors, density=density, settings=settings)
+    for _ in range(_WIDENINGS):
+        wide = replace(prior, covariance=4.0 * widening * prior.covariance)
+        if outcome.consistent or _beyond_physics(wide):
+            break
+        widening *= 4.0
+        outcome = self_calibrate(model, wide, (), anchors=anchors, density=density, settings=settings)
+    return replace(outcome, prior_widening=widening)
+
+
+def _beyond_physics(wide: ParameterSet) -> bool:
+    """Whether a standard deviation is more than half of the range in which its parameter of the grain lies at all."""
+    ranges = {n: GRAIN[n].search for n in wide.covariance_names if n in GRAIN and not GRAIN[n].follows_response}
+    return any(wide.standard_deviation(name) > 0.5 * (high - low) for name, (low, high) in ranges.items())
+
+
+def _outcome(problem: ClosedLoopProblem, solution: Solution) -> Outcome:
+    """What to use from now on, and what the search says about it."""
+    from scipy.special import chdtrc  # a quarter of a second that commands without a sweep do without
+
+    width, settings = len(problem.names), problem.settings
+    theta, residual = solution.unknown[:width], solution.residual
+    chi2 = float(residual @ residual)
+    known = problem.windows + len(problem.anchors) + (problem.density is not None)
+    dof = max(known - len(problem.sweeps), 1)
+    p_value = float(chdtrc(dof, chi2))
+    consistent = p_value >= settings.consistent_p
+    information = _data_information(problem, solution.jacobian)
+    mean, covariance = determined_part(problem.prior, theta, information, problem.lower, problem.upper, settings)
+    learning = _learning(problem, mean, covariance, consistent)
+    updated = any(p.learned for p in learning)
+    parameter_set = _updated(problem, mean, covariance) if updated else problem.prior_set
+    residuals = _sweep_residuals(problem, solution)
+    scale = _scale(problem, solution)
+    return Outcome(
+        parameter_set,
+        updated,
+        consistent,
+        _reason(
+            problem, updated=updated, consistent=consistent, learning=learning, p_value=p_value, residuals=residuals, scale=scale
+        ),
+        _worst_angle(problem, residuals),
+        _flows(problem, solution),
+        learning,
+        scale,
+        chi2,
+        dof,
+        p_value,
+        residuals,
+    )
+
+
+def _learning(problem: ClosedLoopProblem, mean: Array, covariance: Array, consistent: bool) -> tuple[Learning, ...]:
+    """What became of each parameter; nothing where the data contradict the model."""
+    prior, prior_sds = problem.prior.mean, problem.prior.standard_deviation
+    sds = np.sqrt(np.diag(covariance))
+    return tuple(
+        Learning(
+            name,
+            float(prior[i]),
+            float(prior_sds[i]),
+            float(mean[i] if consistent else prior[i]),
+            float(sds[i] if consistent else prior_sds[i]),
+            consistent and not (mean[i] == prior[i] and sds[i] == prior_sds[i]),
+        )
+        for i, name in enumerate(problem.names)
+    )
+
+
+def _updated(problem: ClosedLoopProblem, mean: Array, covariance: Array) -> ParameterSet:
+    before = problem.prior_set
+    return replace(
+        before,
+        values=dict(before.values) | {n: float(v) for n, v in zip(problem.names, mean, strict=True)},
+        covariance_names=problem.names,
+        covariance=covariance,
+        version=before.version + 1,
+    )
+
+
+def _sweep_residuals(problem: ClosedLoopProblem, solution: Solution) -> tuple[Array, ...]:
+    """Of each sweep, N: measured less predicted force."""
+    whitened = [solution.residual[rows] for rows in problem.sweep_rows]
+    return tuple(np.asarray(-np.linalg.solve(w, r)) for w, r in zip(solution.whiteners, whitened, strict=True))
+
+
+def _data_information(problem: ClosedLoopProblem, jacobian: Array) -> Array:
+    """Information on the parameters from everything but the prior, the flows projected out."""
+    windows, width = problem.windows, len(problem.names)
+    data = np.delete(jacobian, slice(windows, windows + width), axis=0)
+    full = data.T @ data
+    info = full[:width, :width]
+    if problem.sweeps:
+        cross, block = full[:width, width:], full[width:, width:]
+        info = info - cross @ np.linalg.solve(block, cross.T)
+    return 0.5 * (info + info.T)
+
+
+def _scale(problem: ClosedLoopProblem, solution: Solution) -> ScaleReport:
+    width = len(problem.names)
+    theta, posterior = solution.unknown[:width], solution.covariance[:width, :width]
+    values = {n: float(v) for n, v in zip(problem.names, theta, strict=True)} | problem.fixed
+    tangent = np.array([scale_tangent(n, values[n]) for n in problem.names])
+    # ln a along the direction: the component of the change in the metric of the prior.
+    metric = problem.white.T @ problem.white
+    size = float(tangent @ metric @ tangent)
+    if size <= 0.0:
+        return ScaleReport(0.0, 0.0, 0.0, False, ())
+    row = tangent @ metric / size
+    prior_sd = float(np.sqrt(row @ problem.prior.covariance @ row))
+    posterior_sd = float(np.sqrt(row @ posterior @ row))
+    shift = float(row @ (theta - problem.prior.mean))
+    found = _null_directions(problem, solution.jacobian, values)
+    breaks = bool(problem.anchors) or problem.density is not None or not any(d.is_scale for d in found)
+    return ScaleReport(prior_sd, posterior_sd, shift, breaks, found)
+
+
+def _null_directions(problem: ClosedLoopProblem, jacobian: Array, values: Mapping[str, float]) -> tuple[Direction, ...]:
+    """Directions of flows and parameters that the sweeps alone leave free."""
+    if not problem.sweeps:
+        return ()
+    count, width = len(problem.sweeps), len(problem.names)
+    relative = jacobian[: problem.windows, :width] * np.array([natural_scale(n, values[n]) for n in problem.names])
+    together = np.column_stack((jacobian[: problem.windows, width : width + count], relative))
+    found = directions(together, flow_names(count, problem.names))
+    return share_flow([d for d in found if not np.isfinite(d.relative_sd)], count, problem.names)
+
+
+def _flows(problem: ClosedLoopProblem, solution: Solution) -> tuple[FlowPosterior, ...]:
+    unknown, width = solution.unknown, len(problem.names)
+    out = []
+    for i, rows in enumerate(problem.sweep_rows):
+        level = float(unknown[width + i])
+        gradient = np.zeros(unknown.size)
+        gradient[width + i] = 1.0
+        extra = 0.0
+        if problem.settings.flow == "process":
+            # The process given the residuals; it moves against the level, so both count together.
+            covariance = problem.flow_covariances[i]
+            gain = solution.whiteners[i] @ (problem.elastic(unknown)[rows, None] * covariance)
+            level -= float((gain.T @ solution.residual[rows]).mean())
+            gradient -= gain.mean(axis=1) @ solution.jacobian[rows]
+            extra = float((covariance - gain.T @ gain).mean())
+        variance = float(gradient @ solution.covariance @ gradient) + max(extra, 0.0)
+        out.append(FlowPosterior(float(np.exp(level)), float(np.sqrt(variance))))
+    return tuple(out)
+
+
+def _reason(
+    problem: ClosedLoopProblem,
+    *,
+    updated: bool,
+    consistent: bool,
+    learning: Sequence[Learning],
+    p_value: float,
+    residuals: Sequence[Array],
+    scale: ScaleReport,
+) -> str:
+    if not consistent:
+        return (
+            f"the windows disagree with the model (p = {p_value:.1g}), most around {_worst_angle(problem, residuals)}; "
+            "the parameters stay"
+        )
+    if not updated:
+        return "the data add too little to what was known; the parameters stay"
+    narrowed = ", ".join(f"{p.name} to {100.0 * p.ratio:.0f} %" for p in learning if p.learned and p.ratio < _NARROWED)
+    if not narrowed:
+        return "agrees with what was known, which it leaves about as certain"
+    end = "" if scale.observable else "; the scale (flow, density, 1/impact gain) rests on the prior"
+    return f"width narrowed: {narrowed}{end}"
+
+
+def _worst_angle(problem: ClosedLoopProblem, residuals: Sequence[Array]) -> str:
+    angle = np.degrees(np.concatenate([s.plate_angle_rad for s in problem.sweeps])) if problem.sweeps else np.zeros(0)
+    if not angle.size:
+        return "the weighed loads"
+    error = np.concatenate(residuals) / np.concatenate([s.force_std_dev_n for s in problem.sweeps])
+    sums = {a: abs(error[np.round(angle) == a].sum()) for a in np.unique(np.round(angle))}
+    return f"{max(sums, key=lambda a: sums[a]):.0f} deg"

@@ -1,0 +1,216 @@
+"""What the closed loop learns from: sweeps of the plate, weighed masses, an independent density."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.physics.model import Conditions, ForwardModel
+from yieldmon.physics.numerics import Array
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """Windows of one sweep of the plate.
+
+    Parameters
+    ----------
+    time_s : ndarray
+        (n,) s, of any epoch.
+    plate_angle_rad : ndarray
+        (n,) rad.
+    elevator_speed_rad_s : ndarray
+        (n,) rad/s.
+    force_n, force_std_dev_n : ndarray
+        (n,) mean horizontal force and its standard deviation, N.
+    moisture_pct : ndarray, optional
+        (n,) %, where an effect needs it.
+
+    Raises
+    ------
+    ValueError
+        For shapes that differ, values that are not finite, or standard deviations that are not above 0.
+
+    Examples
+    --------
+    >>> angle = np.radians([40.0, 60.0, 80.0])
+    >>> sweep = api.Sweep(np.arange(3.0), angle, np.full(3, 400.0 * api.RPM), np.array([91.0, 92.0, 88.0]), np.ones(3))
+    >>> sweep.force_n.shape
+    (3,)
+    """
+
+    time_s: Array
+    plate_angle_rad: Array
+    elevator_speed_rad_s: Array
+    force_n: Array
+    force_std_dev_n: Array
+    moisture_pct: Array | None = None
+
+    def __post_init__(self) -> None:
+        shape = self.force_n.shape
+        for name in ("time_s", "plate_angle_rad", "elevator_speed_rad_s", "force_n", "force_std_dev_n"):
+            value = getattr(self, name)
+            if value.shape != shape or len(shape) != 1 or not shape[0] or not np.all(np.isfinite(value)):
+                raise ValueError(f"sweep: {name} must hold one finite number for each window")
+        if np.any(self.force_std_dev_n <= 0.0):
+            raise ValueError("sweep: force_std_dev_n must be above 0")
+
+
+@dataclass(frozen=True)
+class MassAnchor:
+    """A weighed mass and the windows in which it was harvested.
+
+    Parameters
+    ----------
+    reference_kg, std_dev_kg : float
+        What the scale says and its standard deviation, kg.
+    duration_s : ndarray
+        (n,) of each window, s.
+    force_n, plate_angle_rad, elevator_speed_rad_s : ndarray
+        (n,) N, rad, rad/s.
+    moisture_pct : ndarray, optional
+        (n,) %, where an effect needs it.
+
+    Examples
+    --------
+    >>> seconds = np.ones(3000)
+    >>> load = api.MassAnchor.from_windows(9000.0, 45.0, seconds, 28.0 * seconds, 1.22 * seconds, 41.9 * seconds)
+    >>> float(load.duration_s.sum())
+    3000.0
+    """
+
+    reference_kg: float
+    std_dev_kg: float
+    duration_s: Array
+    force_n: Array
+    plate_angle_rad: Array
+    elevator_speed_rad_s: Array
+    moisture_pct: Array | None = None
+
+    @classmethod
+    def from_windows(
+        cls,
+        reference_kg: float,
+        std_dev_kg: float,
+        duration_s: Array,
+        force_n: Array,
+        plate_angle_rad: Array,
+        elevator_speed_rad_s: Array,
+        *,
+        groups: int = 12,
+    ) -> MassAnchor:
+        """Many windows condensed: at each plate angle, windows of like force are replaced by their mean.
+
+        Parameters
+        ----------
+        reference_kg, std_dev_kg, duration_s, force_n, plate_angle_rad, elevator_speed_rad_s
+            As in `MassAnchor`.
+        groups : int
+            Groups at each plate angle.
+
+        Returns
+        -------
+        MassAnchor
+        """
+        bins = np.round(plate_angle_rad / np.radians(2.0)).astype(int)
+        parts = []
+        for value in np.unique(bins):
+            here = np.flatnonzero(bins == value)
+            order = here[np.argsort(force_n[here], kind="stable")]
+            parts += [p for p in np.array_split(order, min(groups, order.size)) if duration_s[p].sum() > 0.0]
+        weight = [duration_s[p] / duration_s[p].sum() for p in parts]
+
+        def mean(column: Array) -> Array:
+            return np.array([w @ column[p] for p, w in zip(parts, weight, strict=True)])
+
+        return cls(
+            reference_kg,
+            std_dev_kg,
+            np.array([duration_s[p].sum() for p in parts]),
+            mean(force_n),
+            mean(plate_angle_rad),
+            mean(elevator_speed_rad_s),
+        )
+
+    @classmethod
+    def from_total(
+        cls,
+        reference_kg: float,
+        std_dev_kg: float,
+        measured_kg: float,
+        *,
+        model: ForwardModel,
+        parameters: ParameterSet,
+        mass_flow_kg_s: float,
+        plate_angle_rad: float,
+        elevator_speed_rad_s: float,
+    ) -> MassAnchor:
+        """From a measured total alone.
+
+        Parameters
+        ----------
+        reference_kg, std_dev_kg : float
+            What the scale says and its standard deviation, kg.
+        measured_kg : float
+            What was measured, kg.
+        model : ForwardModel
+        parameters : ParameterSet
+            With which it was measured.
+        mass_flow_kg_s, plate_angle_rad, elevator_speed_rad_s : float
+            At about which it was measured, kg/s, rad, rad/s.
+
+        Returns
+        -------
+        MassAnchor
+        """
+        conditions = Conditions(plate_angle_rad, elevator_speed_rad_s, mass_flow_kg_s=mass_flow_kg_s)
+        force = np.atleast_1d(np.real(model.force(conditions, parameters.values)))
+        return cls(
+            reference_kg,
+            std_dev_kg,
+            np.array([measured_kg / mass_flow_kg_s]),
+            force,
+            np.array([plate_angle_rad]),
+            np.array([elevator_speed_rad_s]),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class DensityAnchor:
+    """An independent measurement of the density.
+
+    Parameters
+    ----------
+    density_kg_m3, std_dev_kg_m3 : float
+        In the terms of the parameter `density`, and its standard deviation, kg/m3.
+
+    Examples
+    --------
+    >>> api.DensityAnchor.from_test_weight(720.0, 10.0, 1.5, 0.06).density_kg_m3
+    1080.0
+    """
+
+    density_kg_m3: float
+    std_dev_kg_m3: float
+
+    @classmethod
+    def from_test_weight(
+        cls, test_weight_kg_m3: float, std_dev_kg_m3: float, ratio: float, ratio_std_dev: float
+    ) -> DensityAnchor:
+        """From a test weight. The fitted density is no test weight: it stands for the heap on a paddle.
+
+        Parameters
+        ----------
+        test_weight_kg_m3, std_dev_kg_m3 : float
+            Test weight and its standard deviation, kg/m3.
+        ratio, ratio_std_dev : float
+            Fitted density over test weight in a calibration, and its standard deviation.
+
+        Returns
+        -------
+        DensityAnchor
+        """
+        relative = np.hypot(std_dev_kg_m3 / test_weight_kg_m3, ratio_std_dev / ratio)
+        return cls(ratio * test_weight_kg_m3, float(ratio * test_weight_kg_m3 * relative))

@@ -1,0 +1,324 @@
+"""The closed loop as a least-squares problem: parameters, one flow a sweep, and what windows, prior and anchors say of them.
+
+The unknown is one vector: parameters (n), logarithm of each sweep's flow (S), and slope of each (S) where the flow is a line.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
+from yieldmon.estimation.fitting.batch import MomentumBatch
+from yieldmon.estimation.fitting.least_squares import levenberg_marquardt
+from yieldmon.estimation.open_loop import OpenLoop
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.priors import Prior, physical_bounds
+from yieldmon.physics.machine import SAME_ANGLE_RAD
+from yieldmon.physics.model import Conditions, ForwardModel
+from yieldmon.physics.numerics import Array
+
+from .closed_loop_inputs import DensityAnchor, MassAnchor, Sweep
+from .flow_process import correlation, process_sd
+
+_FOLLOWED = 1e-4
+"""A Newton step of the flows this small leaves an error at rounding, their curvature being of their own size."""
+_NEWTON_STEPS = 4
+_LEAST_GAIN = 1e-8
+"""Of chi-square, that a further step is worth: one of 1e-4 standard deviations."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Forces:
+    """Force (N,) of the windows, by the parameters (N, n), by the load (N,), and the load itself (N,)."""
+
+    force: Array
+    by_theta: Array
+    by_load: Array
+    load: Array
+
+
+@dataclass(frozen=True, slots=True)
+class _AnchorFlows:
+    """Flows (A,) that explain the forces of the weighed loads' windows with some parameters (n,), and by_theta (A, n) there."""
+
+    flow: Array
+    by_theta: Array
+    theta: Array
+
+    def at(self, theta: Array) -> Array:
+        """About those with other parameters."""
+        return np.clip(self.flow + self.by_theta @ (theta - self.theta), 0.5 * self.flow, 2.0 * self.flow)
+
+
+@dataclass(frozen=True, slots=True)
+class Solution:
+    """The likeliest unknown (u,), residual (m,) and jacobian (m, u) there, covariance (u, u) by Laplace's approximation, and the
+    whitener of each sweep, (windows, windows)."""
+
+    unknown: Array
+    residual: Array
+    jacobian: Array
+    covariance: Array
+    whiteners: tuple[Array, ...]
+
+
+class ClosedLoopProblem:
+    """Sweeps, anchors and prior, as residuals of one unknown vector.
+
+    Attributes
+    ----------
+    names : tuple of str
+        The parameters in question.
+    white : ndarray (n, n)
+        Inverse of the lower Cholesky factor of the prior's covariance.
+    lower, upper : ndarray (n,)
+        Bounds of the parameters.
+    fixed : dict
+        Parameters without a variance.
+    windows : int
+        Windows of all sweeps.
+    sweep_rows : list of slice
+        Rows of each sweep among the residuals and the windows.
+    slopes : int
+        Unknown slopes: one a sweep, or 0.
+    flow_covariances : list of ndarray
+        Of each sweep's flow about its level, where it is a random process.
+    """
+
+    def __init__(
+        self,
+        model: ForwardModel,
+        prior: ParameterSet,
+        sweeps: Sequence[Sweep],
+        anchors: Sequence[MassAnchor],
+        density: DensityAnchor | None,
+        settings: ClosedLoopSettings,
+    ) -> None:
+        if set(prior.effects) != set(model.effects):
+            raise ValueError(f"the parameters name the effects {prior.effects}; the model has {model.effects}")
+        if not sweeps and not anchors and density is None:
+            raise ValueError("neither a sweep nor an anchor to learn from")
+        self.model, self.prior_set, self.sweeps, self.anchors = model, prior, tuple(sweeps), tuple(anchors)
+        self.settings = settings
+        self.prior = Prior.of(prior)
+        self.names = self.prior.names
+        if not self.names:
+            raise ValueError("the parameters have no covariance: every one of them counts as exactly known")
+        if density is not None and "density" not in self.names:
+            raise ValueError("a density anchor needs density among the parameters with a variance")
+        self.density = density
+        self.white, _ = self.prior.whitening(self.names)
+        self.fixed = {k: v for k, v in prior.values.items() if k not in self.names}
+        scale = _impact_scale(prior.values)
+        limits = [physical_bounds(n, scale) for n in self.names]
+        self.lower = np.array([min(lo, m) for (lo, _), m in zip(limits, self.prior.mean, strict=True)])
+        self.upper = np.array([max(hi, m) for (_, hi), m in zip(limits, self.prior.mean, strict=True)])
+        self.rows = MomentumBatch(model, self._conditions(), self.names, self.fixed)
+        forces = [s.force_n for s in self.sweeps] + [a.force_n for a in self.anchors]
+        self.force: Array = np.concatenate(forces) if forces else np.zeros(0)
+        self.sweep_rows = _slices([s.force_n.size for s in self.sweeps])
+        self.windows = sum(s.force_n.size for s in self.sweeps)
+        self.anchor_rows = _slices([a.force_n.size for a in self.anchors], self.windows)
+        self.slopes = len(self.sweeps) if settings.flow == "linear" else 0
+        self.clocks = [s.time_s - s.time_s.mean() for s in self.sweeps]
+        self.flow_covariances: list[Array] = []
+        self._near = _AnchorFlows(np.zeros(0), np.zeros((0, len(self.names))), self.prior.mean)
+        """Where the weighed loads were evaluated last."""
+        self._last: tuple[bytes, _Forces] | None = None
+
+    def _conditions(self) -> Conditions:
+        parts: tuple[Sweep | MassAnchor, ...] = (*self.sweeps, *self.anchors)
+        if not parts:
+            home = self.model.machine
+            return Conditions(home.home_plate_angle_rad, home.nominal_elevator_speed_rad_s, mass_flow_kg_s=np.ones(1))
+        needs_moisture = any(p.moisture_pct is not None for p in parts)
+        moisture = [np.full(p.force_n.size, np.nan) if p.moisture_pct is None else p.moisture_pct for p in parts]
+        return Conditions(
+            np.concatenate([p.plate_angle_rad for p in parts]),
+            np.concatenate([p.elevator_speed_rad_s for p in parts]),
+            mass_flow_kg_s=np.ones(sum(p.force_n.size for p in parts)),
+            moisture_pct=np.concatenate(moisture) if needs_moisture else None,
+        )
+
+    def solve(self) -> Solution:
+        """The likeliest unknown. Raises ValueError where no flow can explain a sweep or a weighed load."""
+        count, width = len(self.sweeps), len(self.names)
+        flows, anchor_flows = self._first_flows()
+        self._near = _AnchorFlows(anchor_flows, np.zeros((anchor_flows.size, width)), self.prior.mean)
+        unknown = np.concatenate((self.prior.mean, np.log(flows), np.zeros(self.slopes)))
+        low = np.concatenate((self.lower, np.full(count, np.log(1e-3)), np.full(self.slopes, -1.0)))
+        high = np.concatenate((self.upper, np.full(count, np.log(1e3)), np.full(self.slopes, 1.0)))
+        unit = np.concatenate((self.prior.standard_deviation, np.full(count, 0.1), np.full(self.slopes, 0.01)))
+        # Noise from flow and model error scales with the force's slope: settle both in turn.
+        passes = 3 if self.sweeps and (self.settings.flow == "process" or self.settings.model_error > 0.0) else 1
+        for _ in range(passes):
+            whiteners = self._whiteners(unknown)
+            found = levenberg_marquardt(
+                partial(self._search_residuals, whiteners),
+                unknown[None],
+                low,
+                high,
+                scale=unit,
+                iterations=40,
+                tolerance=1e-4,
+                least_gain=_LEAST_GAIN if self.anchors else 0.0,
+                learns_curvature=bool(self.anchors),
+            )
+            if not np.isfinite(found.cost[0]):
+                raise ValueError("no flow below a full paddle explains a sweep with the prior's parameters")
+            moved = float(np.max(np.abs(found.theta[0] - unknown) / unit))
+            unknown = found.theta[0]
+            if moved < 0.05:
+                break
+        jacobian = found.jacobian[0]
+        return Solution(unknown, found.residual[0], jacobian, _inverse(jacobian.T @ jacobian, unit), tuple(whiteners))
+
+    def _first_flows(self) -> tuple[Array, Array]:
+        loop = OpenLoop(self.model, self.prior_set)
+        flows = np.empty(len(self.sweeps))
+        for i, sweep in enumerate(self.sweeps):
+            # The largest force determines it best; a median over the sweep's better half stands up to a bad window.
+            order = np.argsort(sweep.force_n)[-max(1, sweep.force_n.size // 2) :]
+            moisture = None if sweep.moisture_pct is None else sweep.moisture_pct[order]
+            each = loop.invert(sweep.force_n[order], sweep.plate_angle_rad[order], sweep.elevator_speed_rad_s[order], moisture)
+            each = each[np.isfinite(each) & (each > 0.0)]
+            if not each.size:
+                raise ValueError("no flow below a full paddle explains a sweep with the prior's parameters")
+            flows[i] = np.median(each)
+        anchor_flows = [loop.invert(a.force_n, a.plate_angle_rad, a.elevator_speed_rad_s, a.moisture_pct) for a in self.anchors]
+        together = np.concatenate(anchor_flows) if anchor_flows else np.zeros(0)
+        if not np.all(np.isfinite(together)):
+            raise ValueError("a weighed load holds more force than a full paddle gives with the prior's parameters")
+        return flows, np.maximum(together, 1e-3)
+
+    def _loads(self, unknown: Array, anchor_flows: Array) -> Array:
+        width, count = len(self.names), len(self.sweeps)
+        level = unknown[width : width + count]
+        slope = unknown[width + count :]
+        parts = [
+            np.exp(level[i] + (slope[i] * self.clocks[i] if self.slopes else 0.0)) * np.ones(s.force_n.size)
+            for i, s in enumerate(self.sweeps)
+        ]
+        return np.concatenate([*parts, anchor_flows]) if parts or anchor_flows.size else np.ones(1)
+
+    def _forces(self, unknown: Array) -> _Forces:
+        """With the weighed loads at flows that explain their forces; these are followed from one evaluation to the next."""
+        width, place = len(self.names), unknown.tobytes()
+        if self._last is not None and self._last[0] == place:
+            return self._last[1]
+        if not self.sweeps and not self.anchors:
+            return _Forces(np.zeros(0), np.zeros((0, width)), np.zeros(0), np.ones(1))
+        theta, rows, passes = unknown[:width], slice(self.windows, None), self.rows.passes_per_s
+        for _ in range(_NEWTON_STEPS):
+            load = self._loads(unknown, self._near.at(theta))
+            value, jacobian, by_load = self.rows.at_load(theta, load)
+            found = _Forces(value * passes, jacobian * passes[:, None], by_load * passes, load)
+            if not self.anchors:
+                break
+            change = (self.force[rows] - found.force[rows]) / found.by_load[rows]
+            if not np.all(np.isfinite(change)):
+                # More than a full paddle: nothing to follow.
+                return found
+            flow = np.clip(load[rows] + change, 0.5 * load[rows], 2.0 * load[rows])
+            self._near = _AnchorFlows(flow, -found.by_theta[rows] / found.by_load[rows, None], theta)
+            if np.max(np.abs(change)) <= _FOLLOWED * np.mean(flow):
+                break
+        self._last = place, found
+        return found
+
+    def _whiteners(self, unknown: Array) -> list[Array]:
+        """Inverse of the lower Cholesky factor of each sweep's force covariance."""
+        settings = self.settings
+        if not self.sweeps or (settings.flow != "process" and settings.model_error == 0.0):
+            return [np.diag(1.0 / sweep.force_std_dev_n) for sweep in self.sweeps]
+        found = self._forces(unknown)
+        force, by_load, loads = found.force, found.by_load, found.load
+        out: list[Array] = []
+        covariances: list[Array] = []
+        for sweep, rows, clock in zip(self.sweeps, self.sweep_rows, self.clocks, strict=True):
+            noise = np.diag(sweep.force_std_dev_n**2)
+            if settings.model_error > 0.0:
+                lag = (sweep.plate_angle_rad[:, None] - sweep.plate_angle_rad) / SAME_ANGLE_RAD
+                noise += settings.model_error**2 * np.exp(-(lag**2)) * np.outer(force[rows], force[rows])
+            if settings.flow == "process":
+                elastic = by_load[rows] * loads[rows]
+                sd = process_sd(
+                    (sweep.force_n - force[rows]) / elastic,
+                    sweep.force_std_dev_n / elastic,
+                    sweep.plate_angle_rad,
+                    clock,
+                    settings.flow_process_time_s,
+                    settings.flow_process_sd,
+                )
+                covariances.append(sd**2 * correlation(clock, settings.flow_process_time_s))
+                noise += covariances[-1] * np.outer(elastic, elastic)
+            out.append(np.linalg.inv(np.linalg.cholesky(noise)))
+        self.flow_covariances = covariances
+        return out
+
+    def _search_residuals(self, whiteners: Sequence[Array], unknown: Array, _: NDArray[np.intp]) -> tuple[Array, Array]:
+        return self._residuals(unknown[0], whiteners)
+
+    def _residuals(self, unknown: Array, whiteners: Sequence[Array]) -> tuple[Array, Array]:
+        """(1, m) and (1, m, n + S + slopes): windows, prior, slopes' prior, anchors; whitened."""
+        width, count = len(self.names), len(self.sweeps)
+        found = self._forces(unknown)
+        force, by_theta, by_load, loads = found.force, found.by_theta, found.by_load, found.load
+        residuals, jacobians = [], []
+        for i, (rows, whitener) in enumerate(zip(self.sweep_rows, whiteners, strict=True)):
+            jacobian = np.zeros((len(whitener), unknown.size))
+            jacobian[:, :width] = by_theta[rows]
+            elastic = by_load[rows] * loads[rows]
+            jacobian[:, width + i] = elastic
+            if self.slopes:
+                jacobian[:, width + count + i] = elastic * self.clocks[i]
+            residuals.append(whitener @ (force[rows] - self.force[rows]))
+            jacobians.append(whitener @ jacobian)
+        prior_jacobian = np.zeros((width, unknown.size))
+        prior_jacobian[:, :width] = self.white
+        residuals.append(self.white @ (unknown[:width] - self.prior.mean))
+        jacobians.append(prior_jacobian)
+        if self.slopes:
+            slope_jacobian = np.zeros((self.slopes, unknown.size))
+            slope_jacobian[:, width + count :] = np.eye(self.slopes) / self.settings.flow_slope_sd_per_s
+            residuals.append(unknown[width + count :] / self.settings.flow_slope_sd_per_s)
+            jacobians.append(slope_jacobian)
+        for anchor, rows in zip(self.anchors, self.anchor_rows, strict=True):
+            # The last of the Newton steps to the flows that explain the forces.
+            flow = loads[rows] + (self.force[rows] - force[rows]) / by_load[rows]
+            by = np.zeros((1, unknown.size))
+            by[0, :width] = -(anchor.duration_s / by_load[rows]) @ by_theta[rows] / anchor.std_dev_kg
+            residuals.append(np.array([(anchor.duration_s @ flow - anchor.reference_kg) / anchor.std_dev_kg]))
+            jacobians.append(by)
+        if self.density is not None:
+            index = self.names.index("density")
+            by = np.zeros((1, unknown.size))
+            by[0, index] = 1.0 / self.density.std_dev_kg_m3
+            residuals.append(np.array([(unknown[index] - self.density.density_kg_m3) / self.density.std_dev_kg_m3]))
+            jacobians.append(by)
+        return np.concatenate(residuals)[None], np.vstack(jacobians)[None]
+
+    def elastic(self, unknown: Array) -> Array:
+        """d(force)/d(ln flow) of every window."""
+        found = self._forces(unknown)
+        return found.by_load * found.load
+
+
+def _inverse(information: Array, unit: Array) -> Array:
+    scaled_information = information * unit[:, None] * unit
+    return np.asarray(np.linalg.inv(scaled_information)) * unit[:, None] * unit
+
+
+def _slices(sizes: Sequence[int], first: int = 0) -> list[slice]:
+    ends = first + np.cumsum([0, *sizes])
+    return [slice(int(a), int(b)) for a, b in pairwise(ends)]
+
+
+def _impact_scale(values: Mapping[str, float]) -> float:
+    return 1.0 if "restitution" in values else max(abs(values["k1"]), abs(values["k2"]), 1e-12)

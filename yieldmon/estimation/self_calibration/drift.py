@@ -1,0 +1,37 @@
+"""Drift between calibrations: what was known grows stale with time and with grain that has passed.
+
+Random walks: variances grow in proportion to hours and to harvested mass, up to what one knows without any calibration.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from yieldmon.estimation.fitting.identifiability import natural_scale
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.physics.grain import drift_key
+
+from .drift_rates import KG_PER_KT, DriftRates
+
+
+def grow(parameters: ParameterSet, rates: DriftRates, hours: float, harvested_kg: float) -> ParameterSet:
+    """The same values with the covariance that they have `hours` and `harvested_kg` later. k1 and k2 share restitution's rates.
+
+    Correlations made by earlier sweeps fade as the variances grow. Raises ValueError for negative amounts.
+    """
+    if hours < 0.0 or harvested_kg < 0.0:
+        raise ValueError(f"drift over {hours} h and {harvested_kg} kg; expected 0 or more of each")
+    names = parameters.covariance_names
+    added = np.zeros(len(names))
+    for i, name in enumerate(names):
+        key = drift_key(name)
+        size = natural_scale(name, parameters.values[name]) ** 2
+        growth = size * (
+            rates.per_root_hour.get(key, 0.0) ** 2 * hours
+            + rates.per_root_kilotonne.get(key, 0.0) ** 2 * harvested_kg / KG_PER_KT
+        )
+        room = size * rates.limit.get(key, np.inf) ** 2 - parameters.covariance[i, i]
+        added[i] = min(growth, max(room, 0.0))
+    return replace(parameters, covariance=parameters.covariance + np.diag(added))

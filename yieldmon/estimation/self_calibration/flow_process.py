@@ -1,0 +1,63 @@
+"""How much the flow wandered during a sweep, from windows at like plate angles alone.
+
+Differences between windows at one angle hold window noise and the flow's own wandering, but nothing of the model's error and of
+the grain's parameters, which are the same in both. The wandering is an Ornstein-Uhlenbeck process of known correlation time; its
+size comes from the restricted likelihood (Patterson and Thompson, Biometrika 58, 1971; one mean for each angle) and a prior.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from yieldmon.estimation.clusters import cluster
+from yieldmon.physics.machine import SAME_ANGLE_RAD
+from yieldmon.physics.numerics import Array
+
+_LOG_PRIOR_SD = 1.0
+_GRID = np.exp(np.linspace(-3.0, 3.0, 121))
+
+
+def correlation(time_s: Array, time_constant_s: float) -> Array:
+    """exp(-|lag| / time_constant_s), shape (n, n)."""
+    return np.asarray(np.exp(-np.abs(time_s[:, None] - time_s) / time_constant_s))
+
+
+def process_sd(
+    log_flow: Array, log_flow_sd: Array, plate_angle_rad: Array, time_s: Array, time_constant_s: float, prior_sd: float
+) -> float:
+    """Relative standard deviation of the flow's wandering: root of the posterior mean of its variance.
+
+    log_flow: of each window, (n,), from any parameters; an offset common to the windows of one angle does not count. log_flow_sd:
+    its window noise. prior_sd: the likeliest value before the sweep, known to a factor e (log-normal); returned where no angle
+    was visited twice, or where it is 0.
+    """
+    contrasts = _contrasts(plate_angle_rad)
+    if prior_sd == 0.0 or not len(contrasts):
+        return prior_sd
+    noise = (contrasts * log_flow_sd**2) @ contrasts.T
+    wander = contrasts @ correlation(time_s, time_constant_s) @ contrasts.T
+    # noise = V^-T V^-1 and wander = V^-T diag(share) V^-1: both diagonal in the same coordinates.
+    from scipy import linalg
+
+    share, vectors = linalg.eigh(wander, noise)
+    squares = (vectors.T @ (contrasts @ log_flow)) ** 2
+    candidates = prior_sd * _GRID
+    variance = 1.0 + candidates[:, None] ** 2 * np.maximum(share, 0.0)
+    score = np.sum(np.log(variance) + squares / variance, axis=1) + (np.log(_GRID) / _LOG_PRIOR_SD) ** 2
+    weight = np.exp(-0.5 * (score - score.min()))
+    return float(np.sqrt(np.sum(weight * candidates**2) / np.sum(weight)))
+
+
+def _contrasts(plate_angle_rad: Array) -> Array:
+    """Orthonormal rows that each weigh windows of one angle against each other, shape (n - angles, n)."""
+    order = np.argsort(plate_angle_rad, kind="stable")
+    starts = np.flatnonzero(np.diff(cluster(plate_angle_rad, SAME_ANGLE_RAD)[order])) + 1
+    rows = []
+    for group in np.split(order, starts):
+        for k in range(1, group.size):
+            # Helmert: the k-th against the mean of those before it.
+            row = np.zeros(plate_angle_rad.size)
+            row[group[:k]] = -1.0 / k
+            row[group[k]] = 1.0
+            rows.append(row / np.sqrt(1.0 + 1.0 / k))
+    return np.array(rows).reshape(-1, plate_angle_rad.size)

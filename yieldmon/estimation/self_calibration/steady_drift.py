@@ -1,0 +1,268 @@
+"""Parameters that drift at a steady, unknown rate: the rates are learnt along with them, and later updates correct the past.
+
+Wear and a ripening crop move friction, impact gain and density in one direction for weeks. A random walk alone (`drift.grow`)
+forgets at every step what the steps before had in common; with rates as further states, hundreds of sweeps and a few weighed
+loads add up. States are (parameters, rates); the rates are never measured, they follow by their covariance with the parameters.
+A rate lasts for some harvested mass and not for ever: it returns to 0 and its standard deviation to what is likely, as an
+Ornstein-Uhlenbeck process does, so that another field, crop or year can have another rate.
+
+Sources: Harvey, "Forecasting, structural time series models and the Kalman filter" (1989), local linear trend; Gardner and
+McKenzie, "Forecasting trends in time series" (1985), the damped trend; Rauch, Tung and Striebel, "Maximum likelihood estimates of
+linear dynamic systems" (1965), for the smoother.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import expm1, inf, isinf
+
+import numpy as np
+
+from yieldmon.estimation.fitting.identifiability import natural_scale
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.physics.grain import drift_key
+from yieldmon.physics.numerics import Array
+
+from .drift import grow
+from .drift_rates import KG_PER_KT, DriftRates
+
+_SHORT = 1e-2
+"""Of a rate's memory, below which a variance comes from its series."""
+
+
+@dataclass(frozen=True)
+class DriftingParameters:
+    """What is known of n parameters and of the rates of r among them.
+
+    names: the r, in the order of rates. rates: (r,) change per kilotonne of grain in the parameter's natural scale (itself; 1 +
+    restitution for restitution). joint: (n + r, n + r) covariance of `parameters.covariance_names`, then the rates.
+    Raises ValueError when the shapes do not fit or a name has no variance.
+    """
+
+    parameters: ParameterSet
+    names: tuple[str, ...]
+    rates: Array
+    joint: Array
+
+    def __post_init__(self) -> None:
+        size = len(self.parameters.covariance_names) + len(self.names)
+        if self.rates.shape != (len(self.names),) or self.joint.shape != (size, size):
+            raise ValueError(f"rates {self.rates.shape} and covariance {self.joint.shape} do not fit {size} states")
+        unknown = [name for name in self.names if name not in self.parameters.covariance_names]
+        if unknown:
+            raise ValueError(f"rates of {unknown}; expected some of {list(self.parameters.covariance_names)}")
+
+    @property
+    def state(self) -> Array:
+        """(n + r,): parameters, then rates."""
+        known = self.parameters
+        return np.concatenate(([known.values[name] for name in known.covariance_names], self.rates))
+
+
+@dataclass(frozen=True, slots=True)
+class Advance:
+    """One step of time: states and covariances before and after it, and the matrix between."""
+
+    before: Array
+    covariance_before: Array
+    transition: Array
+    after: Array
+    covariance_after: Array
+
+
+def begin(parameters: ParameterSet, per_kilotonne: Mapping[str, float]) -> DriftingParameters:
+    """Rates of 0 with the given standard deviations (restitution's for k1 and k2 too); parameters without variance have none,
+    and count as exactly known.
+
+    Raises ValueError for a negative standard deviation.
+    """
+    for name, rate in per_kilotonne.items():
+        if not rate >= 0.0:
+            raise ValueError(f"drift rate of {name} is {rate}; expected 0 or more")
+    unsure = tuple(n for n in parameters.covariance_names if parameters.standard_deviation(n) > 0.0)
+    if unsure != parameters.covariance_names:
+        parameters = replace(parameters, covariance_names=unsure, covariance=parameters.covariance_of(unsure))
+    names = tuple(n for n in unsure if per_kilotonne.get(drift_key(n), 0.0) > 0.0)
+    count = len(parameters.covariance_names)
+    joint = np.zeros((count + len(names),) * 2)
+    joint[:count, :count] = parameters.covariance
+    for i, name in enumerate(names):
+        joint[count + i, count + i] = per_kilotonne[drift_key(name)] ** 2
+    return DriftingParameters(parameters, names, np.zeros(len(names)), joint)
+
+
+def advance(
+    known: DriftingParameters,
+    random: DriftRates,
+    hours: float,
+    harvested_kg: float,
+    *,
+    per_kilotonne: Mapping[str, float] | None = None,
+    memory_kt: float = inf,
+) -> tuple[DriftingParameters, Advance]:
+    """What is known some time and grain later: the rates move the parameters, the random walk widens them.
+
+    Parameters
+    ----------
+    known : DriftingParameters
+    random : DriftRates
+        Random walk of the parameters.
+    hours, harvested_kg : float
+        What has passed, 0 or more.
+    per_kilotonne : mapping of str to float, optional
+        Likely sizes of the rates, as `begin` has them; what a rate forgets, it becomes unsure by.
+    memory_kt : float
+        Harvested mass over which a rate falls to 1/e of itself, kt; inf: it stays for ever.
+
+    Returns
+    -------
+    DriftingParameters, Advance
+
+    Raises
+    ------
+    ValueError
+        For a negative amount, or a memory that is not above 0.
+    """
+    if not memory_kt > 0.0:
+        raise ValueError(f"a rate's memory is {memory_kt} kt; expected more than 0")
+    left, lasting, *_ = _forgetting(harvested_kg / KG_PER_KT, memory_kt)
+    parameters, count = known.parameters, len(known.parameters.covariance_names)
+    transition = np.eye(len(known.joint))
+    added = forgotten(known, harvested_kg, per_kilotonne=per_kilotonne, memory_kt=memory_kt)
+    values, rates = dict(parameters.values), known.rates * left
+    for i, name in enumerate(known.names):
+        row, size = parameters.covariance_names.index(name), natural_scale(name, values[name])
+        transition[row, count + i] = size * lasting
+        transition[row, row] += known.rates[i] * lasting
+        transition[count + i, count + i] = left
+        values[name] += size * known.rates[i] * lasting
+    joint = transition @ known.joint @ transition.T + added
+    joint = 0.5 * (joint + joint.T)
+    moved = replace(parameters, values=values, covariance=joint[:count, :count])
+    grown = grow(moved, random, hours, harvested_kg)
+    joint[:count, :count] = grown.covariance
+    later = DriftingParameters(grown, known.names, rates, joint)
+    return later, Advance(known.state, known.joint, transition, later.state, joint)
+
+
+def forgotten(
+    known: DriftingParameters, harvested_kg: float, *, per_kilotonne: Mapping[str, float] | None = None, memory_kt: float = inf
+) -> Array:
+    """Covariance (n + r, n + r) that states gain over some grain as their rates are forgotten; arguments as of `advance`."""
+    parameters, count = known.parameters, len(known.parameters.covariance_names)
+    _, _, variance, tie, own = _forgetting(harvested_kg / KG_PER_KT, memory_kt)
+    added = np.zeros_like(known.joint)
+    for i, name in enumerate(known.names):
+        row = parameters.covariance_names.index(name)
+        size, likely = natural_scale(name, parameters.values[name]), (per_kilotonne or {}).get(drift_key(name), 0.0)
+        added[row, row] = variance * (size * likely) ** 2
+        added[row, count + i] = added[count + i, row] = tie * size * likely**2
+        added[count + i, count + i] = own * likely**2
+    return added
+
+
+def unsure_of_gain(known: DriftingParameters, step: Advance, relative: float) -> tuple[DriftingParameters, Advance]:
+    """The same where the impact gain is less sure besides, as by grain of a moisture that the parameters do not follow.
+
+    Parameters
+    ----------
+    known : DriftingParameters
+    step : Advance
+        That led to it.
+    relative : float
+        Standard deviation of the gain, 0 or more; parameters without a gain that is unsure stay as they are.
+
+    Returns
+    -------
+    DriftingParameters, Advance
+    """
+    names = [name for name in known.parameters.covariance_names if drift_key(name) == "restitution"]
+    if not (relative > 0.0 and names):
+        return known, step
+    direction = np.zeros(len(known.joint))
+    for name in names:
+        direction[known.parameters.covariance_names.index(name)] = natural_scale(name, known.parameters.values[name])
+    joint = known.joint + relative**2 * np.outer(direction, direction)
+    count = len(known.parameters.covariance_names)
+    wider = replace(known, parameters=replace(known.parameters, covariance=joint[:count, :count]), joint=joint)
+    return wider, replace(step, covariance_after=joint)
+
+
+def _forgetting(grain_kt: float, memory_kt: float) -> tuple[float, float, float, float, float]:
+    """Of a rate after some grain: the share of it that is left; the grain over which it has moved its parameter; and, for a
+    likely size of 1, the variance that forgetting gives to the parameter, the covariance with the rate, and the rate's variance.
+    """
+    if isinf(memory_kt) or grain_kt <= 0.0:
+        return 1.0, max(grain_kt, 0.0), 0.0, 0.0, 0.0
+    share = grain_kt / memory_kt
+    gone = -expm1(-share)
+    left = 1.0 - gone
+    # Doob, "The Brownian movement and stochastic equations" (1942): integral of the process and its end.
+    exact = 2.0 * share - 2.0 * gone - gone**2
+    moved = exact if share > _SHORT else share**3 * (2.0 / 3.0 - 0.5 * share + 7.0 / 30.0 * share**2)
+    return left, memory_kt * gone, memory_kt**2 * moved, memory_kt * gone**2, gone * (1.0 + left)
+
+
+def widened(joint: Array, count: int, widening: float) -> Array:
+    """A joint covariance whose first `count` states, the parameters, turn out less certain by a factor on their variances.
+    Rates and their covariances stay: a jump is no drift that goes on.
+    """
+    found = joint.copy()
+    found[:count, :count] *= widening
+    return found
+
+
+def carried(known: DriftingParameters, parameters: ParameterSet) -> DriftingParameters:
+    """The same rates where the parameters have been moved by something other than time (moisture): errors go along with values.
+
+    Raises ValueError when the covariances are not of the same names.
+    """
+    if parameters is known.parameters:
+        return known
+    names = known.parameters.covariance_names
+    if parameters.covariance_names != names:
+        raise ValueError(f"moved parameters have variances of {list(parameters.covariance_names)}; expected {list(names)}")
+    before, after = known.parameters.values, parameters.values
+    scale = np.array([after[n] / before[n] if before[n] != 0.0 else 1.0 for n in names] + [1.0] * len(known.names))
+    joint = known.joint * np.outer(scale, scale)
+    joint[: len(names), : len(names)] = parameters.covariance
+    return DriftingParameters(parameters, known.names, known.rates, joint)
+
+
+def learn(known: DriftingParameters, posterior: ParameterSet, *, widening: float = 1.0) -> DriftingParameters:
+    """After an update whose prior was `known.parameters`: the rates follow by their covariance with the parameters.
+
+    widening: what the update multiplied the parameters' prior covariance by (`Outcome.prior_widening`). Raises ValueError when
+    the posterior is of other parameters.
+    """
+    names = known.parameters.covariance_names
+    if posterior.covariance_names != names:
+        raise ValueError(f"posterior of {list(posterior.covariance_names)}; expected {list(names)}")
+    count = len(names)
+    joint = widened(known.joint, count, widening)
+    prior = joint[:count, :count]
+    scale = np.sqrt(np.diag(prior))
+    gain = np.linalg.lstsq(prior / np.outer(scale, scale), joint[:count] / scale[:, None], rcond=1e-12)[0].T / scale
+    step = np.array([posterior.values[n] - known.parameters.values[n] for n in names])
+    joint = joint - gain @ (prior - posterior.covariance) @ gain.T
+    joint[:count, :count] = posterior.covariance
+    joint = 0.5 * (joint + joint.T)
+    return DriftingParameters(posterior, known.names, known.rates + (gain @ step)[count:], joint)
+
+
+def smoothed(steps: Sequence[Advance], last: DriftingParameters) -> list[Mapping[str, float]]:
+    """Parameter values at the beginning of each step, as all updates up to `last` have them; and `last`'s own at the end.
+
+    steps: all of one run, in order. Fixed-interval smoother; an update between two steps is what changed the state between them.
+    """
+    names = last.parameters.covariance_names
+    state = last.state
+    found: list[Mapping[str, float]] = [dict(last.parameters.values)]
+    for step in reversed(steps):
+        scale = np.sqrt(np.maximum(np.diag(step.covariance_after), 1e-300))
+        after = step.covariance_after / np.outer(scale, scale)
+        gain = (step.covariance_before @ step.transition.T / scale) @ np.linalg.pinv(after, rcond=1e-12, hermitian=True) / scale
+        state = step.before + gain @ (state - step.after)
+        found.append(dict(last.parameters.values) | {n: float(v) for n, v in zip(names, state, strict=False)})
+    return found[::-1]

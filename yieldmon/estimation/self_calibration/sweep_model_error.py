@@ -1,0 +1,265 @@
+"""How far the model's force may be off at the home angle, from how far it is off at the angles of sweeps.
+
+A sweep shows the model's error against that at home; the error at home itself the flow absorbs. But an effect that changes the
+force over the angle changes it at home as well. So the pattern that the sweeps show is held against that of each effect of the
+library, of a size that is likely (normal, its typical size as standard deviation), and against no effect at all; what they would
+change at home, each by its probability, is the error that is to be expected there. Nothing is named and nothing corrected by it.
+Effects that act on the scale more than on the pattern (slip, wear, air drag) are not among them: a weighed mass shows those.
+Source: Bayesian model averaging, Hoeting et al., Statistical Science 14 (1999) 382.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from yieldmon.estimation.clusters import cluster
+from yieldmon.estimation.parameters import CalibratedRange, ParameterSet
+from yieldmon.physics.effects import Effect, registry
+from yieldmon.physics.machine import RPM, SAME_ANGLE_RAD, Machine
+from yieldmon.physics.model import ForwardModel
+from yieldmon.physics.numerics import Array
+
+from .angle_error import NO_ERROR, NODES_RAD, AngleError
+from .misfit import ReducedSweep
+from .sweep_flow import force_n
+
+_NONE = 0.5
+"""Probability, before any sweep, that no effect is missing."""
+_STEP = 1e-3
+"""Of a standard deviation, for the derivatives by the parameters."""
+_LAW_ERROR = 0.1
+"""By which a law of the library misses the effect that it stands for, as a share of it."""
+_LEAST_PATTERN = 0.5
+"""The rms of an effect's pattern over what it changes at home, below which it acts on the scale."""
+_NOT_HIDDEN = ("angle_pattern", "load_pattern", "moisture_dependence")
+"""Effects that stand for no cause, or for one that is seen elsewhere. The stop-gap stays: a small error that nothing explains."""
+_MIDDLE = (400.0 * RPM, 10.0, 15.0)
+"""Elevator speed, rad/s, flow, kg/s, and moisture, %, where parameters do not say what they were calibrated over."""
+_NO_MOMENT = np.zeros((NODES_RAD.size, NODES_RAD.size))
+
+
+@dataclass(frozen=True, slots=True)
+class _Pattern:
+    """What sweeps show at angles away from home, (n,): ln of the model's force over the measured one, against that at home.
+    covariance: (n, n), noise and the parameters' own."""
+
+    plate_angle_rad: Array
+    error: Array
+    covariance: Array
+
+
+def unswept_error(model: ForwardModel, parameters: ParameterSet) -> AngleError:
+    """The model's error that the first sweep may show: what `model_error` weighs the sweeps' pattern with, before it.
+
+    Parameters
+    ----------
+    model : ForwardModel
+        With the parameters' effects.
+    parameters : ParameterSet
+
+    Returns
+    -------
+    AngleError
+        In the middle of what the parameters were calibrated over.
+    """
+    # The same at each start, reload and crop's return, and a fortieth of a second.
+    return _unswept_error(
+        model.machine, model.nodes, tuple(parameters.values.items()), parameters.calibrated, *_missing(parameters)
+    )
+
+
+@lru_cache(maxsize=16)
+def _unswept_error(
+    machine: Machine, nodes: int, values: tuple[tuple[str, float], ...], known: CalibratedRange, *missing: Effect
+) -> AngleError:
+    """missing: effects that the parameters do not speak of."""
+    parameters = ParameterSet(dict(values), calibrated=known)
+    model = ForwardModel(machine, parameters.effects, nodes=nodes)
+    home_rad = model.machine.home_plate_angle_rad
+    away = NODES_RAD[np.abs(NODES_RAD - home_rad) > SAME_ANGLE_RAD]
+    ranges = (known.elevator_speed_rad_s, known.mass_flow_kg_s, known.moisture_pct)
+    at = [middle if ends is None else 0.5 * sum(ends) for ends, middle in zip(ranges, _MIDDLE, strict=True)]
+    changes = _changes(model, parameters, away, at)
+    each = (1.0 - _NONE) / _count(parameters)
+    moments = [np.outer(change.at_nodes, change.at_nodes) for change in changes]
+    return AngleError.of(each / (_NONE + each * len(changes)) * sum(moments, start=_NO_MOMENT), home_rad)
+
+
+def model_error(
+    model: ForwardModel, parameters: ParameterSet, sweeps: Sequence[ReducedSweep], *, tolerance: float = 0.0
+) -> AngleError:
+    """The model's error by what sweeps show.
+
+    Parameters
+    ----------
+    model : ForwardModel
+        With the parameters' effects.
+    parameters : ParameterSet
+        In use; what their covariance explains of the pattern is no error of the model.
+    sweeps : sequence of ReducedSweep
+        Whole sweeps; one whose moisture the model needs and that has none is passed over.
+    tolerance : float
+        Relative error at each angle, standard deviation, that is tolerated.
+
+    Returns
+    -------
+    AngleError
+        With what one cause changes at all angles in common: at home, and at the angles of the sweep.
+    """
+    known = [s for s in sweeps if not model.needs_moisture or np.isfinite(s.moisture_pct)]
+    pattern = _shared_pattern(model, parameters, known, tolerance)
+    if pattern is None:
+        return NO_ERROR
+    at = [
+        float(np.mean([getattr(s, name) for s in known])) for name in ("elevator_speed_rad_s", "mass_flow_kg_s", "moisture_pct")
+    ]
+    causes = [_cause(pattern, change) for change in _changes(model, parameters, pattern.plate_angle_rad, at)]
+    weights = [np.log(_NONE) + _log_density(pattern.error, pattern.covariance)]
+    weights += [np.log((1.0 - _NONE) / _count(parameters)) + cause.log_density for cause in causes]
+    share = np.exp(np.array(weights) - max(weights))
+    share /= share.sum()
+    moment, unexplained = _NO_MOMENT, pattern.error
+    for part, cause in zip(share[1:], causes, strict=True):
+        moment = moment + part * cause.square * np.outer(cause.change.at_nodes, cause.change.at_nodes)
+        unexplained = unexplained - part * cause.size * cause.change.pattern
+    home_rad = model.machine.home_plate_angle_rad
+    angles = np.append(pattern.plate_angle_rad, home_rad)
+    order = np.argsort(angles)
+    left = np.interp(NODES_RAD, angles[order], np.append(_beyond_noise(unexplained, pattern.covariance), 0.0)[order])
+    return AngleError.of(moment + (1.0 - share[0]) * np.outer(left, left), home_rad)
+
+
+@dataclass(frozen=True, slots=True)
+class _Change:
+    """By how much an effect of its typical size changes ln of the force: at the nodes, and at some angles against home.
+    one_sided: it acts in this direction alone."""
+
+    at_nodes: Array
+    pattern: Array
+    one_sided: bool
+
+
+@dataclass(frozen=True, slots=True)
+class _Cause:
+    """What sweeps say of the size of a change that may be missing, mean and mean square, and ln of the density of what they
+    show."""
+
+    change: _Change
+    size: float
+    square: float
+    log_density: float
+
+
+def _changes(model: ForwardModel, parameters: ParameterSet, away_rad: Array, at: Sequence[float]) -> list[_Change]:
+    """Of the effects that change the force over the angle at least half as much as at home. away_rad: angles away from home;
+    at: elevator speed, flow and moisture."""
+    count = away_rad.size
+    angles = np.concatenate((away_rad, [model.machine.home_plate_angle_rad], NODES_RAD))
+    without = np.log(force_n(model, parameters.values, angles, *at))
+    found = []
+    for effect in _missing(parameters):
+        values = dict(parameters.values) | {f"{effect.name}.{p.name}": p.typical for p in effect.parameters}
+        with_it = force_n(model.with_effects((*parameters.effects, effect.name)), values, angles, *at)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            change = without - np.log(with_it)
+        if not np.all(np.isfinite(change[: count + 1])):
+            continue
+        pattern, home = change[:count] - change[count], float(change[count])
+        if _rms(pattern) < _LEAST_PATTERN * abs(home) or _rms(pattern) == 0.0:
+            continue
+        known = np.isfinite(change)
+        order = np.argsort(angles[known])
+        at_nodes = np.interp(NODES_RAD, angles[known][order], change[known][order])
+        first = effect.parameters[0]
+        found.append(_Change(at_nodes, pattern, first.null in (first.lower, first.upper)))
+    return found
+
+
+def _cause(seen: _Pattern, change: _Change) -> _Cause:
+    from scipy.special import ndtr
+
+    shape = change.pattern
+    noise = seen.covariance + np.diag((_LAW_ERROR * shape) ** 2)
+    information = float(shape @ np.linalg.solve(noise, shape)) + 1.0
+    size = float(shape @ np.linalg.solve(noise, seen.error)) / information
+    # Of an effect that acts in one direction alone, the other's share of the probability.
+    possible = 2.0 * ndtr(size * np.sqrt(information)) if change.one_sided else 1.0
+    density = _log_density(seen.error, noise + np.outer(shape, shape)) + float(np.log(max(possible, 1e-300)))
+    return _Cause(change, size, size**2 + 1.0 / information, density)
+
+
+def _missing(parameters: ParameterSet) -> list[Effect]:
+    return [effect for name, effect in registry().items() if name not in (*parameters.effects, *_NOT_HIDDEN)]
+
+
+def _count(parameters: ParameterSet) -> int:
+    return len(_missing(parameters))
+
+
+def _beyond_noise(values: Array, covariance: Array) -> Array:
+    """What is left of each value when its noise is taken off its square."""
+    return np.sign(values) * np.sqrt(np.maximum(values**2 - np.diag(covariance), 0.0))
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _log_density(error: Array, covariance: Array) -> float:
+    """Of a normal distribution about 0, but for a constant."""
+    return float(-0.5 * (error @ np.linalg.solve(covariance, error) + np.linalg.slogdet(covariance)[1]))
+
+
+def _shared_pattern(
+    model: ForwardModel, parameters: ParameterSet, sweeps: Sequence[ReducedSweep], tolerance: float
+) -> _Pattern | None:
+    """The sweeps' patterns as one, averaged at each angle; None where they have no angle away from home."""
+    parts = [part for sweep in sweeps if (part := _pattern(model, parameters, sweep)) is not None]
+    if not parts:
+        return None
+    angle, error, sd, slopes = (np.concatenate([part[k] for part in parts]) for k in range(4))
+    numbers = cluster(angle, SAME_ANGLE_RAD)
+    weight = 1.0 / sd**2
+    total = np.bincount(numbers, weight)
+
+    def mean(column: Array) -> Array:
+        found: Array = np.bincount(numbers, weight * column) / total
+        return found
+
+    rows = np.stack([mean(column) for column in slopes.T], axis=-1) if slopes.shape[1] else np.zeros((total.size, 0))
+    covariance = np.diag(1.0 / total + tolerance**2) + rows @ parameters.covariance @ rows.T
+    return _Pattern(mean(angle), mean(error), covariance)
+
+
+def _pattern(model: ForwardModel, parameters: ParameterSet, sweep: ReducedSweep) -> tuple[Array, Array, Array, Array] | None:
+    """Of the angles away from home: angle, ln of the model's force over the measured one against that at home, its sd, and its
+    derivatives by the parameters of the covariance, (n, p); None where there are none."""
+    home_rad = model.machine.home_plate_angle_rad
+    away = np.abs(sweep.plate_angle_rad - home_rad) > SAME_ANGLE_RAD
+    angles = np.append(sweep.plate_angle_rad[away], home_rad)
+
+    def log_force(values: dict[str, float]) -> Array:
+        at = sweep.elevator_speed_rad_s, sweep.mass_flow_kg_s, sweep.moisture_pct
+        with np.errstate(invalid="ignore", divide="ignore"):
+            found: Array = np.log(force_n(model, values, angles, *at))
+        return found
+
+    values = dict(parameters.values)
+    here = log_force(values)
+    slopes = np.zeros((here.size, len(parameters.covariance_names)))
+    for k, name in enumerate(parameters.covariance_names):
+        step = _STEP * parameters.standard_deviation(name)
+        if step > 0.0:
+            with np.errstate(invalid="ignore"):
+                slopes[:, k] = (log_force({**values, name: values[name] + step}) - here) / step
+    # A sweep's forces stand for its flow at home by the same parameters, so that the error at home is 0.
+    error, sd = here[:-1] - sweep.log_force[away], sweep.sd[away]
+    against_home = slopes[:-1] - slopes[-1]
+    good = np.isfinite(error) & np.isfinite(sd) & (sd > 0.0) & np.all(np.isfinite(against_home), axis=1)
+    if not np.any(good):
+        return None
+    return angles[:-1][good], error[good], sd[good], against_home[good]

@@ -1,0 +1,1 @@
+"""What samples hold beside their mean: pulses' shape, kernels' noise, taps."""

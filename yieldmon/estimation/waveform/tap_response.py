@@ -1,0 +1,178 @@
+"""The time constant of plate and force cell, from taps on the plate.
+
+A tap is short beside the answer of plate and cell, so that what the cell shows is their impulse response. The model of it is
+the critically damped one that pulses and kernel noise are seen through (`physics.machine.ImpactSensor.response_s`):
+F(t) = impulse (t - t0) / tau^2 exp(-(t - t0) / tau). Each tap is fitted alone (time constant and instant by least squares, size
+and rest within them in closed form), so that their scatter says how well the constant is known.
+
+Source: the response of a second-order system, e.g. Ogata, "Modern Control Engineering", 5th ed., section 5-3.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.stats import t as student
+
+from yieldmon.estimation.gaussian import SD_PER_MAD
+from yieldmon.physics.machine import LONGEST_RESPONSE_S
+from yieldmon.physics.numerics import Array
+
+LEAST_TAPS = 5
+_CLEAR = 20.0
+"""Height of a tap over the noise."""
+_BEFORE_S, _AFTER_S = 0.03, 0.15
+_APART_S = 0.3
+_RINGING = 0.1
+"""Rms of what a fit leaves, over the tap's height, beyond which plate and cell do not answer so."""
+_OUTLIER_SDS, _LEAST_SPREAD = 4.0, 0.01
+_CONTACT_SD_S = 4.6e-4
+"""Standard deviation of the instants of a force that lasts for 2 ms, which a tap's contact hardly outlasts."""
+_LEFT_OUT = ("beyond the sensor's range", "too close to another", "unlike the others")
+
+
+@dataclass(frozen=True)
+class TapResponse:
+    """What taps show.
+
+    Attributes
+    ----------
+    response_s, std_dev_s : float
+        Time constant and its standard deviation, by the taps' scatter and by how long a tap may last.
+    each_s : ndarray (n,)
+        Of each tap that counts.
+    left_out : dict of str to int
+        Taps that do not count, by reason.
+    misfit : float
+        Rms of what the fits leave, over the taps' height; median.
+    ringing_hz : float
+        Strongest frequency in that, where the misfit is large; nan else.
+    refused : str
+        Why this is no time constant to use; "" where it is.
+    """
+
+    response_s: float
+    std_dev_s: float
+    each_s: Array
+    left_out: dict[str, int]
+    misfit: float
+    ringing_hz: float
+    refused: str
+
+
+def tap_response(stretches: Sequence[Array], interval_s: float, *, full_scale_mv: float) -> TapResponse:
+    """Time constant of plate and cell from samples of taps.
+
+    Parameters
+    ----------
+    stretches : sequence of ndarray (k,)
+        Samples without a gap, mV.
+    interval_s : float
+        Between samples, s.
+    full_scale_mv : float
+        Taps with samples at or beyond it do not count.
+
+    Returns
+    -------
+    TapResponse
+
+    Raises
+    ------
+    ValueError
+        Where fewer than five taps stand clear of the noise.
+    """
+    left_out = dict.fromkeys(_LEFT_OUT, 0)
+    taps: list[Array] = []
+    for samples in stretches:
+        taps += _taps(samples, interval_s, full_scale_mv, left_out)
+    if len(taps) < LEAST_TAPS:
+        raise ValueError(f"{len(taps)} taps that count{_said(left_out)}")
+    fits = [_fitted(tap, interval_s) for tap in taps]
+    logs, misfits = np.array([fit[0] for fit in fits]), np.array([fit[1] for fit in fits])
+    spread = SD_PER_MAD * np.median(np.abs(logs - np.median(logs)))
+    counted = np.abs(logs - np.median(logs)) <= _OUTLIER_SDS * max(spread, _LEAST_SPREAD)
+    left_out["unlike the others"] += int((~counted).sum())
+    each, misfit = np.exp(logs[counted]), float(np.median(misfits))
+    count = each.size
+    factor = float(student.ppf(0.8413, count - 1)) if count > 1 else 1.0
+    found, ringing_hz, refused = float(np.exp(np.mean(np.log(each)))), float("nan"), ""
+    scatter_s = float(found * np.std(np.log(each), ddof=1) / np.sqrt(count) * factor)
+    # The answer's variance is 2 tau^2, and the contact's is added to it.
+    std_dev = float(np.hypot(scatter_s, _CONTACT_SD_S**2 / (4.0 * found)))
+    if misfit > _RINGING:
+        ringing_hz = _strongest_hz([fit[2] for fit, ok in zip(fits, counted, strict=True) if ok], interval_s)
+        refused = (
+            f"plate and cell do not answer a tap as a critically damped cell does: {100.0 * misfit:.0f} % of its height is left, "
+            f"most of that at {ringing_hz:.0f} Hz"
+        )
+    elif found < interval_s:
+        refused = f"plate and cell answer within a sample of {1e3 * interval_s:g} ms: faster samples would show it"
+    return TapResponse(found, std_dev, each, {k: v for k, v in left_out.items() if v}, misfit, ringing_hz, refused)
+
+
+def _taps(samples: Array, interval_s: float, full_scale_mv: float, left_out: dict[str, int]) -> list[Array]:
+    """Samples about each tap that counts, upwards from the rest."""
+    before, after, apart = (round(s / interval_s) for s in (_BEFORE_S, _AFTER_S, _APART_S))
+    if samples.size <= before + after:
+        return []
+    rest = float(np.median(samples))
+    away = samples - rest
+    noise = SD_PER_MAD * float(np.median(np.abs(away)))
+    above = np.flatnonzero(np.abs(away) > _CLEAR * max(noise, 1e-9 + 1e-6 * float(np.ptp(samples))))
+    if not above.size:
+        return []
+    groups = np.split(above, np.flatnonzero(np.diff(above) > before) + 1)
+    begins = [int(group[0]) for group in groups]
+    found = []
+    for i, begin in enumerate(begins):
+        window = slice(begin - before, begin + after)
+        if window.start < 0 or window.stop > samples.size:
+            continue
+        near = [other for j, other in enumerate(begins) if j != i and abs(other - begin) < apart]
+        if near:
+            left_out["too close to another"] += 1
+        elif np.max(samples[window]) >= full_scale_mv:
+            left_out["beyond the sensor's range"] += 1
+        else:
+            sign = 1.0 if np.sum(away[window]) > 0.0 else -1.0
+            found.append(sign * away[window])
+    return found
+
+
+def _fitted(tap: Array, interval_s: float) -> tuple[float, float, Array]:
+    """ln time constant, relative misfit and what is left, (k,), of one tap."""
+    times = np.arange(tap.size) * interval_s
+    peak = int(np.argmax(tap))
+    height = float(tap[peak])
+    begun = int(np.flatnonzero(tap > 0.1 * height)[0])
+
+    def left(theta: Array) -> Array:
+        late = np.maximum((times - theta[1]) / np.exp(theta[0]), 0.0)
+        columns = np.column_stack((late * np.exp(-late), np.ones(times.size)))
+        size, *_ = np.linalg.lstsq(columns, tap, rcond=None)
+        return np.asarray((tap - columns @ size) / height)
+
+    rise_s = max((peak - begun) * interval_s, 0.5 * interval_s)
+    best = None
+    for guess_s in (0.5 * rise_s, rise_s, 2.0 * rise_s):
+        start = np.log(min(guess_s, 0.5 * LONGEST_RESPONSE_S)), (begun - 0.5) * interval_s
+        bounds = ([np.log(0.1 * interval_s), 0.0], [np.log(LONGEST_RESPONSE_S), times[peak]])
+        fit = least_squares(left, np.clip(start, *bounds), bounds=bounds, x_scale=[0.1, interval_s])
+        if best is None or fit.cost < best.cost:
+            best = fit
+    assert best is not None, "there is a start"
+    rest = left(best.x)
+    return float(best.x[0]), float(np.sqrt(np.mean(rest[tap.size // 10 : tap.size // 2] ** 2))), rest
+
+
+def _strongest_hz(rests: Sequence[Array], interval_s: float) -> float:
+    power = np.mean([np.abs(np.fft.rfft(rest)) ** 2 for rest in rests], axis=0)
+    return float(np.fft.rfftfreq(rests[0].size, interval_s)[1 + int(np.argmax(power[1:]))])
+
+
+def _said(left_out: dict[str, int]) -> str:
+    said = ", ".join(f"{count} {reason}" for reason, count in left_out.items() if count)
+    return f" ({said})" if said else ""

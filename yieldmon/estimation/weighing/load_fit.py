@@ -1,0 +1,289 @@
+"""Density and impact gain fitted to weighed loads, and each load held against the others.
+
+Sources: Huber and Ronchetti, "Robust Statistics"; Stone, "Cross-validatory choice and assessment of statistical predictions",
+J. R. Statist. Soc. B 36 (1974), for loads left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yieldmon.estimation.load_pattern import following
+from yieldmon.estimation.open_loop import invert_force
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.recent import Recent
+from yieldmon.physics.model import Conditions, ForwardModel
+from yieldmon.physics.numerics import Array
+from yieldmon.physics.throw import Throw
+
+from .density_and_gain import DENSITY, gain_names, moved, shifted
+from .load_inputs import LoadSettings, WeighedLoad
+
+_ITERATIONS = 12
+_SETTLED = 1e-5
+_STEP = 1e-4
+_RECENT = 64
+"""Results that are kept of each kind: fits without a load begin where others were."""
+_SIGNIFICANT = 0.01
+"""Probability by chance below which loads speak against a fit."""
+
+
+@dataclass(frozen=True)
+class LoadFit:
+    """ln density and ln gain relative to the start (2,), and ln of each load's mass over the weighed one (n,)."""
+
+    step: Array
+    error: Array
+    by_step: Array
+    """(n, 2)"""
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """Of each load, (n,), as the other active loads have it: ln error and how many standard deviations it is away, nan where
+    there is no other; what the others' own fit costs without it."""
+
+    error: Array
+    away: Array
+    cost: Array
+
+
+class LoadProblem:
+    """One calibration by loads; coordinates are ln density and ln gain relative to `start`."""
+
+    def __init__(
+        self,
+        model: ForwardModel,
+        given: ParameterSet,
+        start: ParameterSet,
+        loads: Sequence[WeighedLoad],
+        settings: LoadSettings,
+        beside: tuple[str, ...] = (),
+    ) -> None:
+        """beside: parameters that are neither moved here nor held."""
+        self.beside = beside
+        self.model = following(model, start)
+        self.given, self.start, self.loads, self.settings = given, start, tuple(loads), settings
+        self.own = np.array([load.measured_sd(settings.load_error) for load in loads])
+        """(n,) relative standard deviation of each load's measured mass, where the parameters are right."""
+        self.sd = np.hypot([load.relative_sd for load in loads], self.own)
+        self.force, self.angle, self.speed, self.duration = (
+            np.concatenate([getattr(load, name) for load in loads])
+            for name in ("force_n", "plate_angle_rad", "elevator_speed_rad_s", "duration_s")
+        )
+        known = all(load.moisture_pct is not None for load in loads)
+        self.moisture = np.concatenate([np.asarray(load.moisture_pct) for load in loads]) if known else None
+        self.of_load = np.repeat(np.arange(len(loads)), [load.force_n.size for load in loads])
+        self.weighed = np.array([load.weighed_kg for load in loads])
+        self.law = self._law()
+        """(n, n) covariance of the loads' ln errors by what the model's force leaves of the machine's."""
+        self.held, self.prior = self._coordinates()
+        self._throw: Throw | None = None
+        """The last one."""
+        self._flows: Recent[tuple[Array, Array]] = Recent(_RECENT)
+        self.at_step: Recent[tuple[Array, Array]] = Recent(_RECENT)
+        """ln of measured over weighed mass and its slopes, by a step's bytes."""
+        self._fits: dict[tuple[bytes, int], LoadFit] = {}
+        """Fits from the start, by active loads and directions."""
+
+    def _coordinates(self) -> tuple[tuple[str, ...], Array]:
+        """Names of what is held, and the covariance of (held..., ln density, ln gain)."""
+        known = self.start
+        gain = gain_names(known)
+        moving = (DENSITY, *gain, *self.beside)
+        held = tuple(n for n in known.covariance_names if n not in moving and known.standard_deviation(n) > 0.0)
+        size = known.values[DENSITY], (1.0 + known.values["restitution"]) if len(gain) == 1 else known.values["k2"]
+        names = (*held, DENSITY, gain[-1])
+        scale = np.array([1.0] * len(held) + list(size))
+        return held, known.covariance_of(names) / np.outer(scale, scale)
+
+    def _law(self) -> Array:
+        at = np.log(self.weighed / [load.duration_s.sum() for load in self.loads])
+        apart = (at[:, None] - at) / self.settings.law_reach
+        return np.asarray(self.settings.law_error**2 * np.exp(-0.5 * apart**2))
+
+    def flow(self, known: ParameterSet) -> tuple[Array, Array]:
+        """Mass flow of every window with these parameters, nan above a full paddle, and d(force)/d(flow) there."""
+        return self._flows.of(tuple(known.values.items()), lambda: self._inverted(known))
+
+    def _inverted(self, known: ParameterSet) -> tuple[Array, Array]:
+        moisture = None if self.moisture is None else self.moisture[:, None]
+        self._throw = self.model.throw(self.angle[:, None], self.speed[:, None], known.values, moisture, like=self._throw)
+        return invert_force(self._throw, self.force)
+
+    def total(self, flow: Array) -> Array:
+        """(n,) kg of each load."""
+        return np.asarray(np.bincount(self.of_load, self.duration * flow, minlength=len(self.loads)), dtype=float)
+
+    def mass(self, known: ParameterSet) -> Array:
+        """(n,) kg that these parameters make of each load."""
+        return self.total(self.flow(known)[0])
+
+    def slopes(self, known: Sequence[ParameterSet], flow: Array, by_flow: Array, steps: Sequence[float]) -> Array:
+        """(n, k) change of ln mass by what turns the parameters into each of `known`, over its step; flow: given before."""
+        at = Conditions(self.angle, self.speed, mass_flow_kg_s=flow, moisture_pct=self.moisture)
+        alike = len({tuple(item.values) for item in known}) == 1
+        forces = (
+            list(np.real(self.model.force(at, _in_rows(known), overfull="nan")))
+            if alike
+            else [np.real(self.model.force(at, item.values, overfull="nan")) for item in known]
+        )
+        shifts = [(self.force - force) / by_flow for force in forces]
+        return np.stack([self.total(shift) / self.total(flow) / step for shift, step in zip(shifts, steps, strict=True)], axis=1)
+
+    def held_slopes(self, centre: ParameterSet) -> Array:
+        """(n, held): change of ln mass with each held parameter."""
+        flow, by_flow = self.flow(centre)
+        if not self.held:
+            return np.zeros((len(self.loads), 0))
+        steps = [1e-2 * self.start.standard_deviation(name) for name in self.held]
+        each = [shifted(centre, name, step) for name, step in zip(self.held, steps, strict=True)]
+        return np.asarray(np.nan_to_num(self.slopes(each, flow, by_flow, steps)))
+
+    def fit(self, active: NDArray[np.bool_], directions: int, near: LoadFit | None = None) -> LoadFit:
+        """Most likely step from the active loads, along the best determined `directions` (0, 1 or 2). near: where to begin."""
+        if near is not None:
+            return self._fit(active, directions, near)
+        key = active.tobytes(), directions
+        if key not in self._fits:
+            self._fits[key] = self._fit(active, directions, None)
+        return self._fits[key]
+
+    def _fit(self, active: NDArray[np.bool_], directions: int, near: LoadFit | None) -> LoadFit:
+        step = np.zeros(2) if near is None else near.step
+        error, slope = self._slopes(step) if near is None else (near.error, near.by_step)
+        weight = active.astype(float)
+        for _ in range(_ITERATIONS):
+            weight = active / np.maximum(np.abs(error) / (self.settings.huber_sds * self.sd), 1.0) if np.any(active) else weight
+            basis = self.basis(slope, weight)[:, :directions]
+            h = slope @ basis
+            information = h.T @ (h * (weight / self.sd**2)[:, None]) + np.eye(directions)
+            # The residual that would be left at the start, in the linear model about this step.
+            target = error - slope @ step
+            wanted = -basis @ np.linalg.solve(information, h.T @ (weight / self.sd**2 * target)) if directions else np.zeros(2)
+            change = wanted - step
+            for _ in range(8):
+                after, after_slope = self._slopes(step + change)
+                if np.all(np.isfinite(after)):
+                    break
+                change = 0.5 * change
+            else:
+                worst = int(np.argmin(np.where(np.isfinite(after), np.inf, error)))
+                masses = f"weighed {self.weighed[worst]:.0f} kg, measured {self.mass(self.given)[worst]:.0f} kg"
+                problem = "a weighed load holds more force than a full paddle gives with these parameters"
+                raise ValueError(f"{problem}: load {self.loads[worst].name}, {masses}")
+            step, error, slope = step + change, after, after_slope
+            if float(np.max(np.abs(change))) < _SETTLED:
+                break
+        return LoadFit(step, error, slope)
+
+    def _slopes(self, step: Array) -> tuple[Array, Array]:
+        """(n,) ln of measured over weighed mass, nan where a paddle would be more than full, and (n, 2) by the step."""
+        flow, by_flow = self.flow(moved(self.start, float(step[0]), float(step[1])))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            error = np.log(self.total(flow) / self.weighed)
+            beside = [moved(self.start, *map(float, step + _STEP * d)) for d in np.eye(2)]
+            slopes = self.slopes(beside, flow, by_flow, (_STEP, _STEP))
+        return error, slopes
+
+    def basis(self, slope: Array, weight: Array) -> Array:
+        """(2, 2): directions of unit prior standard deviation, the one that the loads determine best first."""
+        root = np.linalg.cholesky(self.prior[-2:, -2:])
+        _, vectors = np.linalg.eigh(root.T @ slope.T @ (slope * (weight / self.sd**2)[:, None]) @ root)
+        return np.asarray(root @ vectors[:, ::-1])
+
+    def information(self, fit: LoadFit, active: NDArray[np.bool_]) -> Array:
+        """(2,) of the loads over what was known, along the directions of `basis`."""
+        basis = self.basis(fit.by_step, active.astype(float))
+        h = fit.by_step[active] @ basis / self.sd[active, None]
+        return np.asarray(np.sum(h * h, axis=0))
+
+    def cost(self, fit: LoadFit, active: NDArray[np.bool_]) -> float:
+        """Half the squares of what the active loads (by Huber's loss) and the prior say against a fit."""
+        far = np.abs(fit.error[active]) / self.sd[active]
+        limit = self.settings.huber_sds
+        loss = np.where(far > limit, 2.0 * limit * far - limit**2, far**2)
+        away = np.linalg.solve(np.linalg.cholesky(self.prior[-2:, -2:]), fit.step)
+        return 0.5 * float(loss.sum() + away @ away)
+
+    def left_out(self, active: NDArray[np.bool_], directions: int) -> LeftOut:
+        """Each load as the other active ones have it."""
+        count = len(self.loads)
+        errors, away, costs = (np.full(count, np.nan) for _ in range(3))
+        near = self.fit(active, directions)
+        for k in range(count):
+            others = active.copy()
+            others[k] = False
+            if not np.any(others):
+                continue
+            fit = near if not active[k] else self.fit(others, min(directions, int(others.sum())), near)
+            errors[k], costs[k] = fit.error[k], self.cost(fit, others)
+            away[k] = self._away(fit, others, k)
+        return LeftOut(errors, away, costs)
+
+    def last_against_others(self) -> float | None:
+        """See `contradicted`."""
+        others = np.arange(len(self.loads)) < len(self.loads) - 1
+        fit = self.fit(others, min(2, int(others.sum())))
+        away = self._away(fit, others, len(self.loads) - 1)
+        return float(np.expm1(-fit.error[-1])) if away >= self.settings.outlier_sds else None
+
+    def _away(self, fit: LoadFit, others: NDArray[np.bool_], k: int) -> float:
+        """How many standard deviations load k is from what the others say of it, the law's error among them."""
+        error = fit.error - fit.by_step @ fit.step
+        h = fit.by_step @ np.linalg.cholesky(self.prior[-2:, -2:])
+        limit = self.settings.huber_sds * np.hypot(self.sd, self.settings.law_error)
+        noise = self.sd**2 * np.maximum(np.abs(fit.error) / limit, 1.0)
+        covariance = h @ h.T + self.law + np.diag(noise)
+        between = np.linalg.solve(covariance[np.ix_(others, others)], covariance[others, k])
+        variance = h[k] @ h[k] + self.law[k, k] + self.sd[k] ** 2 - between @ covariance[others, k]
+        return float(abs(error[k] - between @ error[others]) / np.sqrt(variance))
+
+    def inliers(self) -> NDArray[np.bool_]:
+        """Loads that the others do not contradict; at least three, and more than half of them, are left.
+
+        The one to go is that without which the others agree best.
+        """
+        active = np.ones(len(self.loads), dtype=bool)
+        while active.sum() >= self.settings.outlier_least and 2 * (active.sum() - 1) > active.size:
+            found = self.left_out(active, 2)
+            worst = int(np.argmin(np.where(active, found.cost, np.inf)))
+            if found.away[worst] < self.settings.outlier_sds:
+                break
+            active[worst] = False
+        return active
+
+    def contradicts(self, fit: LoadFit, active: NDArray[np.bool_], directions: int) -> bool:
+        """Whether the active loads speak against a fit along so many directions."""
+        from scipy.special import chdtrc  # a quarter of a second that commands without loads do without
+
+        misfit = float(np.sum((fit.error[active] / self.sd[active]) ** 2))
+        return bool(chdtrc(max(float(active.sum()) - directions, 1.0), misfit) < _SIGNIFICANT)
+
+    def spread(self, known: ParameterSet, active: NDArray[np.bool_]) -> tuple[float, float]:
+        """Relative standard deviations of a further load and of these loads' common level, from a set's own covariance."""
+        rows = self._own_slopes(known)[active]
+        spread = np.einsum("ki,ij,kj->k", rows, known.covariance, rows)
+        mean = rows.mean(axis=0)
+        return float(np.sqrt(spread.mean() + np.mean(self.own[active] ** 2))), float(np.sqrt(mean @ known.covariance @ mean))
+
+    def spreads(self, known: ParameterSet) -> Array:
+        """(n,) the first of `spread`, of each load."""
+        rows = self._own_slopes(known)
+        return np.asarray(np.sqrt(np.einsum("ki,ij,kj->k", rows, known.covariance, rows) + self.own**2))
+
+    def _own_slopes(self, known: ParameterSet) -> Array:
+        """(n, k): change of ln mass with each parameter of a set's covariance; 0 where a load has no flow."""
+        flow, by_flow = self.flow(known)
+        steps = [1e-2 * known.standard_deviation(name) for name in known.covariance_names]
+        each = [shifted(known, name, step) for name, step in zip(known.covariance_names, steps, strict=True)]
+        return np.asarray(np.nan_to_num(self.slopes(each, flow, by_flow, steps)))
+
+
+def _in_rows(known: Sequence[ParameterSet]) -> dict[str, Array]:
+    """Values of sets that name the same, (k, 1) each: to be evaluated together."""
+    return {name: np.array([[item.values[name]] for item in known]) for name in known[0].values}

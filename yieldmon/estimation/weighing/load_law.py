@@ -1,0 +1,407 @@
+"""Density, impact gain and the curve of the force over the load from weighed loads, averaged over how far a machine may be from
+the model and how much its loads may scatter.
+
+The model's curve of force over flow is that of one geometry. Another sensor's is met by the weights of the effect
+`load_pattern`, whose prior is none (the model's own curve), one about the force that goes with a power of the flow near 1, as a
+plate gives it that takes the momentum of all grain, or one of two sizes about the model's curve; beside the stated scatter of
+scale and windows loads may scatter by more, such as where the machine drifts between them; and tickets may be wrong
+(`ticket_slips`). Each combination counts by its evidence.
+
+Sources: Hoeting, Madigan, Raftery and Volinsky, "Bayesian model averaging: a tutorial", Statistical Science 14 (1999); Kennedy
+and O'Hagan, J. R. Stat. Soc. B 63 (2001), for the model's error as a quantity with a prior.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yieldmon.estimation.load_pattern import EFFECT, NAMES, with_weights
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.physics.effects import load_pattern
+from yieldmon.physics.effects.load_pattern import reference_load_kg
+from yieldmon.physics.model import Conditions
+from yieldmon.physics.numerics import Array
+
+from .density_and_gain import DENSITY, moved
+from .load_fit import LoadProblem
+from .ticket_slips import Slip, slips
+
+_WEIGHT_SD = np.array([parameter.prior_sd for parameter in load_pattern.EFFECT.parameters])
+_OWN, _POWER, _FREE = 0.6, 0.25, ((1.0, 0.1), (2.0, 0.05))
+"""How likely are, before any load, the model's own curve, a power of the flow, and weights of a size over `_WEIGHT_SD`. These
+and `_POWER_SD` were chosen on a linear model of loads that is not kept (studies/load_laws)."""
+_POWER_SD = np.array([0.15, 0.1, _WEIGHT_SD[2]])
+"""Of the weights about those with which the force is proportional to the flow."""
+_LOADS = np.linspace(0.3, 2.0, 12)
+"""Over the pattern's reference, on which those are found."""
+_SCATTERS = ((0.0, 0.9), (0.01, 0.08), (0.03, 0.02))
+"""Of a load's mass beside what is stated, relative, and how likely each is."""
+_REST = 0.004
+"""Of a load's mass, relative, where the curve is another: what the pattern's weights leave."""
+_ALL_OFF = 2.0
+"""Weighed over measured mass of every load beyond which they are off by a factor, and not by a tare."""
+_ITERATIONS = 25
+_SETTLED = 1e-4
+_MOST_STEP = 1.0
+_GAIN_STEP, _GAIN_STEPS = 0.1, 25
+_LEAST_POINTS = 6
+"""Loads of a paddle at which the force is known, to find the weights of a curve."""
+
+
+@dataclass(frozen=True)
+class LawAverage:
+    """What the loads say, in the model that follows `load_pattern`.
+
+    step: (5,) ln density, ln gain and the pattern's weights relative to the start. covariance: of (held..., step).
+    error, by_step, by_held: (n,) ln of measured over weighed mass there, and its slopes.
+    law: probability that the force follows another curve than the model's.
+    scatter: relative standard deviation of loads beside what is stated, rms over what it may be.
+    scatters: probability that loads scatter by more than is stated.
+    strain: standard deviations of the widest prior to the step.
+    All of them count wrong tickets by their probability.
+    wrong: probability that a ticket is wrong. slips: of the active loads, each with its probability.
+    along: of each of these, the expected place on its common direction, in its standard deviations.
+    """
+
+    step: Array
+    covariance: Array
+    error: Array
+    by_step: Array
+    by_held: Array
+    law: float
+    scatter: float
+    scatters: float
+    strain: float
+    wrong: float
+    slips: tuple[tuple[Slip, float], ...]
+    along: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class _Curve:
+    """A prior of the step: its mean and covariance, whether the curve is another than the model's, and how likely it is."""
+
+    mean: Array
+    covariance: Array
+    another: bool
+    likely: float
+
+
+@dataclass(frozen=True)
+class _Tickets:
+    """How the tickets of n loads may be wrong: (s,) slips, none first, and their `ln_priors`; their (s, n) shifts; the (g, n, n)
+    covariances that they share, and which is whose, (s,)."""
+
+    slips: tuple[Slip, ...]
+    ln_priors: Array
+    shifts: Array
+    covariances: Array
+    of_covariance: NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class _Mixture:
+    """Over all combinations, in the model that is linear about a step; of_slip: (h,) probabilities, no wrong ticket first; along:
+    (h,) expected place on a slip's common direction, in its standard deviations."""
+
+    step: Array
+    covariance: Array
+    law: float
+    scatter: float
+    scatters: float
+    of_slip: Array
+    along: Array
+
+
+def placed(start: ParameterSet, step: Array) -> ParameterSet:
+    """The set with density, gain and the pattern's weights moved."""
+    there = moved(start, float(step[0]), float(step[1]))
+    return replace(
+        there, values=dict(there.values) | {n: start.values[n] + float(s) for n, s in zip(NAMES, step[2:], strict=True)}
+    )
+
+
+def average(problem: LoadProblem, active: NDArray[np.bool_], near: Array | None = None) -> LawAverage | None:
+    """What the active loads say; None where no flow explains their forces.
+
+    Parameters
+    ----------
+    problem : LoadProblem
+        Of a model with `load_pattern`, its start from `load_pattern.with_weights`.
+    active : ndarray (n,)
+    near : ndarray (5,), optional
+        Where to begin.
+    """
+    step = _begin(problem) if near is None else near
+    if step is None:
+        return None
+    error, slope = _slopes(problem, step)
+    if not np.all(np.isfinite(error)):
+        return None
+    names = [load.name for load, ok in zip(problem.loads, active, strict=True) if ok]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        factor = np.min((problem.weighed / problem.mass(problem.given))[active])
+    wrong, curves = slips(problem.weighed[active], names, all_off=bool(factor > _ALL_OFF)), _curves(problem)
+    tickets = _tickets(wrong, int(active.sum()))
+    for _ in range(_ITERATIONS):
+        wanted = _mixture(problem, active, step, error, slope, tickets, curves).step
+        change = np.clip(wanted - step, -_MOST_STEP, _MOST_STEP)
+        for _ in range(8):
+            after, after_slope = _slopes(problem, step + change)
+            if np.all(np.isfinite(after)) and np.all(np.isfinite(after_slope)):
+                break
+            change = 0.5 * change
+        else:
+            break
+        step, error, slope = step + change, after, after_slope
+        if float(np.max(np.abs(change))) < _SETTLED:
+            break
+    found = _mixture(problem, active, step, error, slope, tickets, curves)
+    held = problem.held_slopes(placed(problem.start, step))
+    whole = _with_held(problem, active, slope, held, found.covariance, found.scatter)
+    strain = float(np.sqrt(step @ np.linalg.solve(_prior(problem, _FREE[-1][0] * _WEIGHT_SD), step)))
+    each = tuple(zip(wrong, found.of_slip[1:].tolist(), strict=True))
+    right = float(found.of_slip[0])
+    along = tuple(found.along[1:].tolist())
+    return LawAverage(step, whole, error, slope, held, found.law, found.scatter, found.scatters, strain, 1.0 - right, each, along)
+
+
+def _prior(problem: LoadProblem, weight_sd: Array) -> Array:
+    """Covariance of the step, with these standard deviations of the pattern's weights."""
+    prior = np.diag(np.concatenate((np.zeros(2), weight_sd)) ** 2)
+    prior[:2, :2] = problem.prior[-2:, -2:]
+    return prior
+
+
+def _curves(problem: LoadProblem) -> tuple[_Curve, ...]:
+    """What the curve of the force may be, before any load."""
+    about = np.zeros(2 + len(NAMES))
+    own = _Curve(about, _prior(problem, np.zeros(len(NAMES))), another=False, likely=_OWN)
+    free = [_Curve(about, _prior(problem, size * _WEIGHT_SD), another=True, likely=likely) for size, likely in _FREE]
+    proportional = _proportional(problem)
+    if proportional is None:
+        return own, *free
+    return own, _Curve(np.concatenate((about[:2], proportional)), _prior(problem, _POWER_SD), another=True, likely=_POWER), *free
+
+
+def _proportional(problem: LoadProblem) -> Array | None:
+    """The change of the pattern's weights (exponent, bend, speed) with which the force is proportional to the flow at the home
+    angle and nominal speed, by least squares; None where a paddle cannot carry enough."""
+    machine, start = problem.model.machine, problem.start
+    loads_kg = _LOADS * reference_load_kg(machine)
+    moisture = None if problem.moisture is None else np.full(loads_kg.shape, np.mean(problem.moisture))
+    at = Conditions(
+        np.full(loads_kg.shape, machine.home_plate_angle_rad),
+        np.full(loads_kg.shape, machine.nominal_elevator_speed_rad_s),
+        paddle_mass_kg=loads_kg,
+        moisture_pct=moisture,
+    )
+
+    def ln_force(**weights: float) -> Array:
+        values = dict(start.values) | {f"{EFFECT}.{name}": start.values[f"{EFFECT}.{name}"] + v for name, v in weights.items()}
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.asarray(np.log(np.real(problem.model.force(at, values, overfull="nan"))))
+
+    here = ln_force()
+    columns = np.column_stack((np.ones(loads_kg.size), ln_force(exponent=1.0) - here, ln_force(bend=1.0) - here))
+    known = np.isfinite(columns).all(axis=1) & np.isfinite(here)
+    if known.sum() < _LEAST_POINTS:
+        return None
+    found = np.linalg.lstsq(columns[known], (np.log(loads_kg) - here)[known], rcond=None)[0]
+    return np.array([found[1], found[2], 0.0])
+
+
+def _begin(problem: LoadProblem) -> Array | None:
+    """A step at which every force has a flow."""
+    for k in range(_GAIN_STEPS):
+        step = np.zeros(2 + len(NAMES))
+        step[1] = _GAIN_STEP * k
+        if np.all(np.isfinite(problem.mass(placed(problem.start, step)))):
+            return step
+    return None
+
+
+def _slopes(problem: LoadProblem, step: Array) -> tuple[Array, Array]:
+    return problem.at_step.of(step.tobytes(), lambda: _slopes_at(problem, step))
+
+
+def _slopes_at(problem: LoadProblem, step: Array) -> tuple[Array, Array]:
+    known = placed(problem.start, step)
+    flow, by_flow = problem.flow(known)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        error = np.log(problem.total(flow) / problem.weighed)
+        size = 1e-4
+        beside = [placed(problem.start, step + size * d) for d in np.eye(step.size)]
+        return error, problem.slopes(beside, flow, by_flow, (size,) * step.size)
+
+
+def _tickets(wrong: Sequence[Slip], count: int) -> _Tickets:
+    right = Slip((), np.zeros(count), np.zeros(count), 1.0 - sum(slip.prior for slip in wrong), "")
+    every = (right, *wrong)
+    covariances, of_covariance = np.unique(np.array([slip.covariance for slip in every]), axis=0, return_inverse=True)
+    shifts = np.array([slip.shift for slip in every])
+    return _Tickets(every, np.log([slip.prior for slip in every]), shifts, covariances, of_covariance.ravel())
+
+
+def _mixture(
+    problem: LoadProblem,
+    active: NDArray[np.bool_],
+    step: Array,
+    error: Array,
+    slope: Array,
+    tickets: _Tickets,
+    curves: Sequence[_Curve],
+) -> _Mixture:
+    """Mean and covariance of the step over all combinations in the model that is linear about `step`."""
+    h, target = slope[active], slope[active] @ step - error[active]
+    size = step.size
+    every, covariances, of_covariance, priors = tickets.slips, tickets.covariances, tickets.of_covariance, tickets.ln_priors
+    shifted = target - tickets.shifts
+    combinations = [(curve, scatter, probable) for curve in curves for scatter, probable in _SCATTERS]
+    logs, steps = np.empty((len(combinations), len(every))), np.empty((len(combinations), len(every), size))
+    after = np.empty((len(combinations), len(covariances), size, size))
+    tare = np.zeros((len(combinations), len(every)))
+    scatters = np.array([np.hypot(scatter, _REST if curve.another else 0.0) for curve, scatter, _ in combinations])
+    for c, (curve, _, probable) in enumerate(combinations):
+        by_prior = curve.covariance @ h.T
+        noise = problem.sd[active] ** 2 + scatters[c] ** 2
+        spread = h @ by_prior + np.diag(noise) + covariances
+        inverse, (_, log_det) = np.linalg.inv(spread), np.linalg.slogdet(spread)
+        gain = by_prior @ inverse
+        away = shifted - h @ curve.mean
+        weighted = np.einsum("sij,sj->si", inverse[of_covariance], away)
+        steps[c] = curve.mean + np.einsum("sij,sj->si", gain[of_covariance], away)
+        after[c] = curve.covariance - gain @ by_prior.T
+        misfit = np.sum(away * weighted, axis=1)
+        logs[c] = np.log(curve.likely * probable) + priors - 0.5 * (misfit + log_det[of_covariance])
+        tare[c] = [float(slip.along @ row) if slip.along.size else 0.0 for slip, row in zip(every, weighted, strict=True)]
+    weight = np.exp(logs - logs.max())
+    weight /= weight.sum()
+    of_combination, of_slip = weight.sum(axis=1), weight.sum(axis=0)
+    mean = np.einsum("cs,csi->i", weight, steps)
+    apart = steps - mean
+    of_group = np.stack([np.bincount(of_covariance, row, minlength=len(covariances)) for row in weight])
+    covariance = np.einsum("cg,cgij->ij", of_group, after) + np.einsum("cs,csi,csj->ij", weight, apart, apart)
+    return _Mixture(
+        step=mean,
+        covariance=covariance,
+        law=float(sum(w for w, (curve, _, _) in zip(of_combination, combinations, strict=True) if curve.another)),
+        scatter=float(np.sqrt(of_combination @ scatters**2)),
+        scatters=float(sum(w for w, (_, scatter, _) in zip(of_combination, combinations, strict=True) if scatter > 0.0)),
+        of_slip=of_slip,
+        along=np.sum(weight * tare, axis=0) / np.maximum(of_slip, 1e-300),
+    )
+
+
+def _with_held(
+    problem: LoadProblem, active: NDArray[np.bool_], slope: Array, held: Array, covariance: Array, scatter: float
+) -> Array:
+    """Covariance of (held..., step): the held ones shift the step by what the loads make of them (Schmidt)."""
+    count = held.shape[1]
+    h, noise = slope[active], problem.sd[active] ** 2 + scatter**2
+    gain = covariance @ h.T / noise
+    out = np.zeros((count + slope.shape[1],) * 2)
+    known = problem.prior[:count, :count]
+    follows = -gain @ held[active]
+    out[:count, :count] = known
+    out[count:, :count] = follows @ known
+    out[:count, count:] = out[count:, :count].T
+    out[count:, count:] = covariance + follows @ known @ follows.T
+    return out
+
+
+def law_problem(problem: LoadProblem) -> LoadProblem:
+    """The same loads in the model with `load_pattern`."""
+    start = with_weights(problem.start)
+    return LoadProblem(problem.model, with_weights(problem.given), start, problem.loads, problem.settings, beside=NAMES)
+
+
+def left_out(law: LoadProblem, active: NDArray[np.bool_], near: Array) -> tuple[Array, Array]:
+    """(n,) ln error of each load as the other active ones have it, and how many standard deviations of that it is; nan where
+    there is no other."""
+    errors, away = np.full((2, len(law.loads)), np.nan)
+    for k in range(len(law.loads)):
+        others = active & (np.arange(len(law.loads)) != k)
+        if np.any(others):
+            said = against_others(law, others, k, near)
+            errors[k], away[k] = said.error, said.away
+    return errors, away
+
+
+@dataclass(frozen=True)
+class Against:
+    """A load as others have it: ln error, its standard deviation, and how many of these it is; 0 where they say nothing."""
+
+    error: float
+    std_dev: float
+    away: float
+
+
+def against_others(law: LoadProblem, others: NDArray[np.bool_], k: int, near: Array | None = None) -> Against:
+    """Load k as the others have it."""
+    found = average(law, others, near)
+    if found is None:
+        return Against(float("nan"), 1.0, 0.0)
+    row = np.concatenate((found.by_held[k], found.by_step[k]))
+    std_dev = float(np.sqrt(row @ found.covariance @ row + law.sd[k] ** 2 + found.scatter**2))
+    return Against(float(found.error[k]), std_dev, float(abs(found.error[k])) / std_dev)
+
+
+def inliers(problem: LoadProblem, law: LoadProblem) -> NDArray[np.bool_]:
+    """Loads that the others do not contradict, by whatever curve; at least three, and more than half of them, are left.
+
+    The one to go is that without which the others agree best.
+    """
+    settings = problem.settings
+    active = np.ones(len(problem.loads), dtype=bool)
+    while active.sum() >= settings.outlier_least and 2 * (active.sum() - 1) > active.size:
+        suspects = np.flatnonzero(active).tolist()
+        try:
+            found = problem.left_out(active, 2)
+            worst = int(np.argmin(np.where(active, found.cost, np.inf)))
+            if found.away[worst] < settings.outlier_sds:
+                break
+            others = active & (np.arange(active.size) != worst)
+            if not problem.contradicts(problem.fit(others, 2), others, 2):
+                suspects = [worst]
+        except ValueError:  # The model's own curve has no flow for a force.
+            pass
+        said = {k: against_others(law, active & (np.arange(active.size) != k), k) for k in suspects}
+        # The least likely by the others, not the furthest: what these say of it may be little.
+        worst = max(said, key=lambda k: 0.5 * said[k].away ** 2 + np.log(said[k].std_dev))
+        if said[worst].away < settings.outlier_sds:
+            break
+        active[worst] = False
+    return active
+
+
+def carrying(known: ParameterSet, law: LoadProblem, covariance: Array) -> ParameterSet:
+    """The set of density and gain with the pattern's weights in its covariance.
+
+    Parameters
+    ----------
+    known : ParameterSet
+        Its values are those to keep, its covariance that of what is held, density and gain.
+    law : LoadProblem
+    covariance : ndarray
+        Of (held..., ln density, ln gain, weights).
+    """
+    count = len(law.held)
+    names = known.covariance_names
+    # d(known's names) / d(held..., ln density, ln gain): known from the values.
+    to = np.zeros((len(names) + len(NAMES), covariance.shape[0]))
+    for i, name in enumerate(names):
+        if name in law.held:
+            to[i, law.held.index(name)] = 1.0
+        elif name == DENSITY:
+            to[i, count] = known.values[name]
+        else:
+            to[i, count + 1] = 1.0 + known.values[name] if name == "restitution" else known.values[name]
+    to[len(names) :, count + 2 :] = np.eye(len(NAMES))
+    full = to @ covariance @ to.T
+    full[: len(names), : len(names)] = known.covariance
+    return replace(known, covariance_names=(*names, *NAMES), covariance=0.5 * (full + full.T))

@@ -1,0 +1,377 @@
+"""Calibration by loads: what weighed loads determine of a machine that measured them.
+
+Loads at one plate angle determine two things: how much the monitor weighs altogether, and how that changes with the flow. Both
+live in density and impact gain (1 + restitution, or k1 and k2), which move in their logarithms; all others are held with their
+standard deviations, and go on counting in the covariance of the result (a consider filter after Schmidt). A direction
+about which the loads say less than was known before is held as well.
+
+The scale counts: density and gain start with the standard deviations in `LoadSettings`, whatever the parameters claim. One
+load among four or more that the others contradict is named and left out; smaller departures lose weight (Huber).
+
+Source: Schmidt, "Application of state-space methods to navigation problems" (1966). The fit itself: `load_fit`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Container, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
+from yieldmon.estimation.load_pattern import EFFECT
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.self_calibration.closed_loop import self_calibrate
+from yieldmon.estimation.self_calibration.closed_loop_inputs import MassAnchor, Sweep
+from yieldmon.physics.model import ForwardModel
+from yieldmon.physics.numerics import Array
+
+from .density_and_gain import DENSITY, gain_names, moved, widened
+from .flow_curve_fit import fit_loads
+from .load_fit import LoadFit, LoadProblem
+from .load_inputs import LoadSettings, WeighedLoad
+from .load_law import LawAverage, average, carrying, inliers, law_problem, left_out, placed
+from .load_outcome import AnotherLaw, Contradiction, LoadCalibration, LoadResult, sentences
+from .wrong_tickets import LEAST_LOADS, by_no_plate, known_slips, of_several, probabilities, without_wrong, wrong_ticket
+
+_MODELS_OWN = 0.2
+"""Probability of another curve up to which the model's own is used."""
+_MOST_STRAIN, _MOST_LEFT = 5.0, 0.3
+"""Standard deviations of density, gain and curve, all together, and ln error of a load, beyond which no machine explains them."""
+_CONTRADICTED = 2.0
+"""Standard deviations, rms, by which loads left out are further off than another curve or scatter explains."""
+_LEFT_OUT_WEIGHT = 0.632
+_PRIOR_LOADS = 4.0
+"""What the stated deviations count for, in loads, beside the scatter that the loads themselves show."""
+
+
+def calibrate_loads(
+    model: ForwardModel,
+    prior: ParameterSet,
+    loads: Sequence[WeighedLoad],
+    *,
+    sweeps: Sequence[Sweep] = (),
+    settings: LoadSettings | None = None,
+    sweep_settings: ClosedLoopSettings | None = None,
+    learnt: Container[str] = (),
+) -> LoadCalibration:
+    """Density and impact gain from weighed loads, and with `sweeps` what these determine of the rest first.
+
+    Parameters
+    ----------
+    model : ForwardModel
+        Of the machine that measured the loads, with the prior's effects.
+    prior : ParameterSet
+        What measured the loads, or the crop's shipped parameters.
+    loads : sequence of WeighedLoad
+        One or more.
+    sweeps : sequence of Sweep
+        Of the same grain: fitted together with the loads that do not contradict each other, as in `self_calibrate`.
+    learnt : container of str
+        Names of loads that the prior has learnt from: that it measures these well says nothing for it.
+
+    Returns
+    -------
+    LoadCalibration
+        With `refused` where loads left out are measured worse than before.
+
+    Raises
+    ------
+    ValueError
+        Without loads, or where a load holds more force than a full paddle gives.
+    """
+    if not loads:
+        raise ValueError("no weighed load to learn from")
+    settings = LoadSettings() if settings is None else settings
+    condensed = [load.condensed() for load in loads]
+    problem = LoadProblem(model, prior, widened(prior, settings), condensed, settings)
+    law = law_problem(problem)
+    every = np.ones(len(loads), dtype=bool)
+    whole = average(law, every)
+    active = every if of_several(whole) else inliers(problem, law)
+    found = whole if np.all(active) else average(law, active)
+    active, found = without_wrong(problem, law, active, found)
+    if found is None or found.strain > _MOST_STRAIN:
+        # In words with the masses where the model's own curve does not explain them either.
+        problem.fit(active, 2)
+    likely, perhaps = probabilities(int(active.sum()))
+    no_plate = by_no_plate(problem, active)
+    if found is not None and (found.wrong > likely or (no_plate and active.sum() < LEAST_LOADS)):
+        return _with_wrong_ticket(problem, law, active, found, len(sweeps))
+    if found is not None and np.max(np.abs(found.error[active])) > _MOST_LEFT:
+        problem.fit(active, 2)
+    if found is None or not _is_another(found, problem, active):
+        if sweep_settings is None:
+            sweep_settings = ClosedLoopSettings(flow="process", model_error=0.01)
+        calibration = _calibration(problem, active, sweeps, sweep_settings, learnt)
+    else:
+        calibration = _by_another_law(problem, law, active, found, learnt)
+    wrong = wrong_ticket(law, active, found) if found is not None and (no_plate or found.wrong > perhaps) else None
+    calibration = replace(calibration, wrong_ticket=wrong, slips=known_slips(law, active))
+    return replace(calibration, sentences=tuple(sentences(calibration, len(sweeps))))
+
+
+def _calibration(
+    problem: LoadProblem,
+    active: NDArray[np.bool_],
+    sweeps: Sequence[Sweep],
+    sweep_settings: ClosedLoopSettings,
+    learnt: Container[str],
+) -> LoadCalibration:
+    fit, directions, errors, full = _fitted(problem, active)
+    against = problem.contradicts(fit, active, max(directions, 1))
+    shown = float(np.nan_to_num(_expected_rms(fit.error[active], errors[active]))) if against else 0.0
+    posterior, next_sd, level_sd = _posterior(problem, fit, active, directions, full, shown)
+    after = problem.weighed * np.exp(fit.error)
+    together = _together(problem, fit, sweeps, active, sweep_settings) if sweeps else None
+    if together is not None:
+        posterior, after = together, problem.mass(together)
+        errors = _left_out_together(problem, fit, sweeps, active, sweep_settings)
+        next_sd, level_sd = problem.spread(posterior, active)
+    before = problem.mass(problem.given)
+    unseen = active & np.array([load.name not in learnt for load in problem.loads])
+    judges = unseen if np.any(unseen) else active
+    rms_before, rms_after = _rms(np.log(before / problem.weighed)[judges]), _rms(errors[judges])
+    expected = _expected_rms(np.log(after / problem.weighed)[judges], errors[judges])
+    refused = bool(active.sum() > 1 and expected > rms_before)
+    chosen, after = (problem.given, before) if refused else (posterior, after)
+    results = _results(problem, before, after, errors, active)
+    moving = _moved_names(problem.given, chosen)
+    calibration = LoadCalibration(
+        parameter_set=chosen,
+        names=moving,
+        held=tuple(n for n in chosen.values if n not in moving),
+        loads=results,
+        scale=float(after[active].sum() / before[active].sum()),
+        scale_sd=level_sd,
+        load_dependence=directions == 2 and not refused,
+        next_load_sd=next_sd,
+        rms_before=rms_before,
+        rms_left_out=rms_after,
+        refused=refused,
+        sweeps_used=0 if together is None else len(sweeps),
+        contradiction=_contradiction(problem, errors) if (against or not active.all()) and together is None else None,
+    )
+    return calibration
+
+
+def _results(
+    problem: LoadProblem, before: Array, after: Array, errors: Array, active: NDArray[np.bool_]
+) -> tuple[LoadResult, ...]:
+    return tuple(
+        LoadResult(load.name, load.weighed_kg, float(b), float(a), float(np.expm1(e)), not bool(ok))
+        for load, b, a, e, ok in zip(problem.loads, before, after, errors, active, strict=True)
+    )
+
+
+def _moved_names(given: ParameterSet, chosen: ParameterSet) -> tuple[str, ...]:
+    """Of a refused calibration none, since the set given is the one chosen."""
+    return tuple(n for n, v in chosen.values.items() if given.values.get(n) != v)
+
+
+def _is_another(found: LawAverage, problem: LoadProblem, active: NDArray[np.bool_]) -> bool:
+    """Whether what the loads say of the curve is to be used: not where enough loads have shown that it is the model's."""
+    return EFFECT in problem.given.effects or active.sum() < LEAST_LOADS or found.law > _MODELS_OWN
+
+
+def _by_another_law(
+    problem: LoadProblem, law: LoadProblem, active: NDArray[np.bool_], found: LawAverage, learnt: Container[str]
+) -> LoadCalibration:
+    """The calibration where the force may follow another curve over the flow than the model's."""
+    errors, away = left_out(law, active, found.step)
+    after = problem.weighed * np.exp(found.error)
+    before = problem.mass(problem.given)
+    unseen = active & np.array([load.name not in learnt for load in problem.loads])
+    judges = unseen if np.any(unseen) else active
+    rms_before, rms_after = _rms(np.log(before / problem.weighed)[judges]), _rms(errors[judges])
+    expected = _expected_rms(found.error[judges], errors[judges])
+    # A load that another curve may well put there says nothing against the calibration, however far it is.
+    refused = bool(active.sum() > 1 and expected > rms_before and _rms(away[judges]) > _CONTRADICTED)
+    chosen = problem.given if refused else _as_law_set(law, found)
+    after = before if refused else after
+    information = problem.information(LoadFit(found.step[:2], found.error, found.by_step[:, :2]), active)
+    mean = np.column_stack((found.by_held, found.by_step))[active].mean(axis=0)
+    results = _results(problem, before, after, errors, active)
+    moving = _moved_names(problem.given, chosen)
+    calibration = LoadCalibration(
+        parameter_set=chosen,
+        names=moving,
+        held=tuple(n for n in chosen.values if n not in moving),
+        loads=results,
+        scale=float(after[active].sum() / before[active].sum()),
+        scale_sd=float(np.sqrt(mean @ found.covariance @ mean)),
+        load_dependence=bool(not refused and np.all(information >= problem.settings.least_information)),
+        next_load_sd=_next_sd(problem, active, found),
+        rms_before=rms_before,
+        rms_left_out=rms_after,
+        refused=refused,
+        sweeps_used=0,
+        another_law=AnotherLaw(found.law, found.scatter, found.scatters),
+    )
+    return calibration
+
+
+def _next_sd(problem: LoadProblem, active: NDArray[np.bool_], found: LawAverage) -> float:
+    """Relative standard deviation of a further load like the active ones."""
+    rows = np.column_stack((found.by_held, found.by_step))[active]
+    spread = np.einsum("ki,ij,kj->k", rows, found.covariance, rows)
+    return float(np.sqrt(np.mean(spread) + np.mean(problem.own[active] ** 2) + found.scatter**2))
+
+
+def _with_wrong_ticket(
+    problem: LoadProblem, law: LoadProblem, active: NDArray[np.bool_], found: LawAverage, sweeps: int
+) -> LoadCalibration:
+    """Nothing learnt: a ticket is wrong."""
+    errors, _ = left_out(law, active, found.step)
+    before = problem.mass(problem.given)
+    error = np.log(before / problem.weighed)[active]
+    mean = np.column_stack((found.by_held, found.by_step))[active].mean(axis=0)
+    calibration = LoadCalibration(
+        parameter_set=problem.given,
+        names=(),
+        held=tuple(problem.given.values),
+        loads=_results(problem, before, before, errors, active),
+        scale=1.0,
+        scale_sd=float(np.sqrt(mean @ found.covariance @ mean)),
+        load_dependence=False,
+        next_load_sd=_next_sd(problem, active, found),
+        rms_before=_rms(error),
+        rms_left_out=_rms(errors[active]),
+        refused=True,
+        sweeps_used=0,
+        wrong_ticket=wrong_ticket(law, active, found),
+    )
+    return replace(calibration, sentences=tuple(sentences(calibration, sweeps)))
+
+
+def _as_law_set(law: LoadProblem, found: LawAverage) -> ParameterSet:
+    """With the pattern's weights, and what loads scatter by in the gain: it is common to a load's seconds."""
+    count = len(law.held)
+    covariance = found.covariance.copy()
+    covariance[count + 1, count + 1] += (found.scatter / float(np.mean(found.by_step[:, 1]))) ** 2
+    return carrying(_as_set(law, placed(law.start, found.step), covariance[: count + 2, : count + 2]), law, covariance)
+
+
+def _fitted(problem: LoadProblem, active: NDArray[np.bool_]) -> tuple[LoadFit, int, Array, LoadFit | None]:
+    """The fit, along how many directions it moved, and the errors of loads left out; and the fit along both where the loads
+    determine both but one is enough."""
+    both = problem.fit(active, 2)
+    directions = int(np.sum(problem.information(both, active) >= problem.settings.least_information))
+    errors = problem.left_out(active, directions).error
+    if directions == 2 and not problem.contradicts(one := problem.fit(active, 1), active, 1):
+        simpler = problem.left_out(active, 1).error
+        if _rms(simpler[active]) < _rms(errors[active]):
+            return one, 1, simpler, both
+    return (both if directions == 2 else problem.fit(active, directions)), directions, errors, None
+
+
+def _together(
+    problem: LoadProblem, near: LoadFit, sweeps: Sequence[Sweep], active: NDArray[np.bool_], settings: ClosedLoopSettings
+) -> ParameterSet | None:
+    """Sweeps and loads in one fit that begins where the loads alone lead; None where it learns nothing."""
+    anchors = [
+        MassAnchor(
+            load.weighed_kg,
+            float(sd) * load.weighed_kg,
+            load.duration_s,
+            load.force_n,
+            load.plate_angle_rad,
+            load.elevator_speed_rad_s,
+            load.moisture_pct,
+        )
+        for load, sd, ok in zip(problem.loads, problem.sd, active, strict=True)
+        if ok
+    ]
+    centre = moved(problem.start, *map(float, near.step))
+    outcome = self_calibrate(problem.model, centre, sweeps, anchors=anchors, settings=settings)
+    if not outcome.updated:
+        return None
+    return replace(outcome.parameter_set, version=problem.given.version + 1)
+
+
+def _left_out_together(
+    problem: LoadProblem, near: LoadFit, sweeps: Sequence[Sweep], active: NDArray[np.bool_], settings: ClosedLoopSettings
+) -> Array:
+    errors = np.full(len(problem.loads), np.nan)
+    for k in range(len(problem.loads)):
+        others = active & (np.arange(len(problem.loads)) != k)
+        found = _together(problem, near, sweeps, others, settings) if np.any(others) else None
+        if found is not None:
+            errors[k] = np.log(problem.mass(found)[k] / problem.weighed[k])
+    return errors
+
+
+def _posterior(
+    problem: LoadProblem, fit: LoadFit, active: NDArray[np.bool_], directions: int, full: LoadFit | None, shown: float
+) -> tuple[ParameterSet, float, float]:
+    """The new set, and relative standard deviations of a further load and of these loads' common level.
+
+    shown: the former as loads left out show it, where they contradict the model's curve, else 0: the least that is stated.
+    full: the fit along both directions where `fit` moved along one of the two that the loads determine. What they say of the
+    other counts in the covariance, with the distance between the fits as an error of its own.
+    """
+    centre = moved(problem.start, *map(float, fit.step))
+    h = np.column_stack((problem.held_slopes(centre), fit.by_step))
+    rows = h[active]
+    determined = directions if full is None else 2
+    basis = np.zeros((h.shape[1], determined))
+    basis[-2:] = problem.basis(fit.by_step, active.astype(float))[:, :determined]
+    noise = problem.sd[active] ** 2
+    moving = rows @ basis
+    gain = basis @ moving.T @ np.linalg.inv(moving @ moving.T + np.diag(noise))
+    left = np.eye(h.shape[1]) - gain @ rows
+    chi2, dof = float(np.sum(fit.error[active] ** 2 / noise)), max(int(active.sum()) - directions, 0)
+    inflation = (_PRIOR_LOADS + chi2) / (_PRIOR_LOADS + dof)
+    held, by_noise = left @ problem.prior @ left.T, gain @ np.diag(noise) @ gain.T
+    own = np.mean(problem.own[active] ** 2)
+    each = [np.einsum("ki,ij,kj->k", rows, part, rows).mean() for part in (held, by_noise)]
+    inflation = max(inflation, float((shown**2 - each[0]) / (each[1] + own)))
+    covariance = held + inflation * by_noise
+    if full is not None:
+        covariance[-2:, -2:] += np.outer(full.step - fit.step, full.step - fit.step)
+    spread = np.einsum("ki,ij,kj->k", rows, covariance, rows)
+    next_sd = float(np.sqrt(np.mean(spread) + inflation * own))
+    mean = rows.mean(axis=0)
+    return _as_set(problem, centre, covariance), next_sd, float(np.sqrt(mean @ covariance @ mean))
+
+
+def _as_set(problem: LoadProblem, centre: ParameterSet, covariance: Array) -> ParameterSet:
+    values, gain = centre.values, gain_names(centre)
+    size = 1.0 + values["restitution"] if len(gain) == 1 else 1.0
+    rows: list[Array] = list(np.eye(len(covariance))[: len(problem.held)])
+    unit = np.eye(len(covariance))
+    rows.append(unit[-2] * values[DENSITY])
+    names: list[str] = [*problem.held, DENSITY]
+    for name in gain:
+        weight = size if name == "restitution" else values[name]
+        if weight != 0.0:
+            rows.append(unit[-1] * weight)
+            names.append(name)
+    # k1 and k2 move together here; a hair of their own keeps the covariance of both positive definite.
+    own = np.zeros(len(names))
+    if "k1" in names and "k2" in names:
+        own[-2:] = [(1e-3 * values[n]) ** 2 for n in ("k1", "k2")]
+    to = np.stack(rows)
+    full = to @ covariance @ to.T + np.diag(own)
+    full = 0.5 * (full + full.T)
+    return replace(centre, covariance_names=tuple(names), covariance=full, version=problem.given.version + 1)
+
+
+def _contradiction(problem: LoadProblem, errors: Array) -> Contradiction:
+    """Of all loads, those among them that count for nothing."""
+    try:
+        found = fit_loads(problem.loads, problem.model.machine.home_plate_angle_rad)
+    except ValueError:
+        return Contradiction(_rms(errors), float("nan"))
+    return Contradiction(_rms(errors), _rms(np.array(found.left_out_error)))
+
+
+def _expected_rms(fitted: Array, left_out: Array) -> float:
+    """Of a further load: fitted errors are too small and, where three loads are two without the one, those of left-out loads too
+    large. Source: the 0.632 estimator, B. Efron, J. American Statistical Association 78 (1983) 316."""
+    return float(np.hypot(np.sqrt(1.0 - _LEFT_OUT_WEIGHT) * _rms(fitted), np.sqrt(_LEFT_OUT_WEIGHT) * _rms(left_out)))
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2))) if values.size else float("nan")

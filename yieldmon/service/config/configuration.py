@@ -1,0 +1,275 @@
+"""From the configuration file, and the machine and parameter files that it names, to what the daemon runs with.
+
+Wrong files give one line for each fault: file, key, value, what was expected.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from yieldmon.engine.calibrator_settings import CalibratorSettings
+from yieldmon.engine.settings import EngineSettings
+from yieldmon.errors import InputError
+from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
+from yieldmon.estimation.flow_curve import FlowCurve, with_curve
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.self_calibration.drift_rates import DriftRates
+from yieldmon.estimation.self_calibration.moisture import MoistureMap
+from yieldmon.estimation.waveform.arrival_law import ArrivalLaw
+from yieldmon.files import flow_curve_file, machine_file, moisture_file, parameter_file, pulse_shape_file, strict_yaml
+from yieldmon.physics.machine import SAME_ANGLE_RAD, Machine
+from yieldmon.resources import shipped
+from yieldmon.service.answering import answer_or
+from yieldmon.service.config.contradictions import contradictions
+from yieldmon.service.config.document import ENGINE_SECTIONS, Document
+from yieldmon.service.config.document_text import problems_of
+from yieldmon.service.config.former_keys import with_present_keys
+from yieldmon.service.config.output_section import output_map
+from yieldmon.service.config.own_files import file_conflicts
+from yieldmon.service.config.signal_section import signal_map
+from yieldmon.service.folders import runtime_folder, state_folder, where_sqlite_writes
+from yieldmon.service.storage.retention import Retention
+from yieldmon.signals.mapping import SignalMap
+from yieldmon.signals.output_mapping import OutputMap
+
+
+class ConfigurationError(InputError):
+    """A configuration that cannot be used. `problems` has a line for each fault; the text is the first of them."""
+
+    def __init__(self, problems: list[InputError]) -> None:
+        first = problems[0]
+        super().__init__(first.where, first.problem, first.expected)
+        self.problems = problems
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """All that the daemon runs with. Paths are absolute. calibrator is None where nothing may be learnt. notes: a sentence
+    for each key that the file has under a former name, and on a curve that gives the flow."""
+
+    path: Path
+    document: Document
+    engine: EngineSettings
+    signals: SignalMap
+    outputs: OutputMap
+    database_paths: tuple[Path, ...]
+    calibrator: CalibratorSettings | None
+    machine: Machine
+    machine_path: Path
+    parameters: ParameterSet
+    parameter_path: Path
+    store_path: Path
+    retention: Retention
+    socket_path: Path
+    prometheus_path: Path | None
+    notes: tuple[str, ...] = ()
+
+
+def load(path: Path | str, environment: Mapping[str, str] = os.environ) -> Configuration:
+    """Configuration from a YAML file; keys that it leaves out have their defaults.
+
+    Parameters
+    ----------
+    path : path
+    environment : mapping of str to str
+        Gives the service manager's folders.
+
+    Returns
+    -------
+    Configuration
+        `document` (the file's keys), `engine`, `machine`, `parameters`, `calibrator`, `signals` and the paths that it names.
+
+    Raises
+    ------
+    ConfigurationError
+        For each key that is wrong, and for a file without a single character: a power cut or a full disk leaves such files, and
+        the defaults may be another machine's.
+    InputError
+        From the machine, parameter or moisture map file.
+
+    Examples
+    --------
+    >>> api.load_configuration(api.shipped("config/yieldmon.yaml")).document.store.path
+    'yieldmon.sqlite'
+    """
+    path = Path(path).absolute()
+    text = strict_yaml.read(path)
+    if not text.strip():
+        raise ConfigurationError([InputError(str(path), "is empty", "keys and values, or {} for all defaults")])
+    content = strict_yaml.parse(text, str(path))
+    return build({} if content is None else content, path, environment)
+
+
+def build(content: Any, path: Path, environment: Mapping[str, str] = os.environ) -> Configuration:
+    """Configuration from the content of the file at `path`, as load() does."""
+    try:
+        content, renamed = with_present_keys(content, str(path))
+    except InputError as error:
+        raise ConfigurationError([error]) from error
+    try:
+        document = Document.model_validate(content)
+    except ValidationError as error:
+        raise ConfigurationError(problems_of(error, str(path))) from error
+    machine_path = _beside(path, document.machine_file, machine_file.DEFAULT)
+    parameter_path = _beside(path, document.parameter_file, parameter_file.DEFAULT)
+    machine = machine_file.load(machine_path)
+    curve_path = path.parent / document.estimator_file if document.estimator_file is not None else None
+    curve = flow_curve_file.load(curve_path) if curve_path is not None else None
+    named = document.moisture_map_file
+    moisture_map = moisture_file.load(path.parent / named) if named is not None else None
+    shape_path = _beside(path, document.pulse_shape_file, pulse_shape_file.SHIPPED)
+    shape = pulse_shape_file.load(shape_path)
+    mapping, databases = signal_map(document.signals, path, machine, document.plate.fixed_angle_deg)
+    outputs, written = output_map(
+        document.outputs.signals, path, machine, mapping,
+        with_shipped=document.outputs.shipped,
+        network=document.network.enabled,
+        fixed_plate=document.plate.fixed_angle_deg is not None,
+    )  # fmt: skip
+    runtime, prometheus = runtime_folder(environment), document.status.prometheus_file
+    named_path = state_folder(environment) / document.store.path
+    store_path = answer_or(lambda: where_sqlite_writes(named_path), lambda: named_path)
+    socket_path = runtime / document.status.socket
+    prometheus_path = runtime / prometheus if prometheus is not None else None
+    also_read = [path.parent / name for name in (document.estimator_file, named) if name is not None]
+    read = (path, machine_path, parameter_path, shape_path, *also_read, *databases, *written)
+    conflicts = file_conflicts(store_path, socket_path, prometheus_path, read)
+    problems = [InputError(f"{path}: {key}", *rest) for key, *rest in (*contradictions(document, machine), *conflicts)]
+    if problems:
+        raise ConfigurationError(problems)
+    machine = _with_fixed_plate(machine, document.plate.fixed_angle_deg)
+    parameters = _in_newtons(parameter_path)
+    if curve is not None:
+        parameters = with_curve(parameters, curve)
+        check_curve_angle(curve, machine, str(curve_path))
+    return Configuration(
+        path=path,
+        document=document,
+        engine=_with_shape(_fitted(engine_settings(document), document, mapping), shape),
+        signals=mapping,
+        outputs=outputs,
+        database_paths=tuple(dict.fromkeys((*databases, *written))),
+        calibrator=calibrator_settings(document, moisture_map) if document.learning.enabled and curve is None else None,
+        machine=machine,
+        machine_path=machine_path,
+        parameters=parameters,
+        parameter_path=parameter_path,
+        store_path=store_path,
+        retention=Retention(document.store.record_hours, document.store.size_mb, document.store.event_rows),
+        socket_path=socket_path,
+        prometheus_path=prometheus_path,
+        notes=(*renamed, *([] if curve is None else [_on_curve(curve, Path(str(curve_path)))])),
+    )
+
+
+def with_estimator(configuration: Configuration, path: Path | str) -> Configuration:
+    """The configuration with the flow from the curve in the file at `path`. Raises InputError."""
+    curve = flow_curve_file.load(path)
+    check_curve_angle(curve, configuration.machine, str(path))
+    return dataclasses.replace(
+        configuration,
+        engine=_without_sweeps(configuration.engine),
+        calibrator=None,
+        parameters=with_curve(configuration.parameters, curve),
+    )
+
+
+def check_curve_angle(curve: FlowCurve, machine: Machine, where: str) -> None:
+    """Raises InputError for a curve that was not calibrated at the plate's home angle."""
+    angles = curve.law.angles_rad
+    if angles[0] - SAME_ANGLE_RAD <= machine.home_plate_angle_rad <= angles[-1] + SAME_ANGLE_RAD:
+        return
+    known = " to ".join(f"{math.degrees(angle):g}" for angle in dict.fromkeys((angles[0], angles[-1])))
+    home = f"{math.degrees(machine.home_plate_angle_rad):g} deg, the home angle of {machine.name}"
+    raise InputError(f"{where}: plate_angle_deg", f"calibrated at {known} deg", home)
+
+
+def _on_curve(curve: FlowCurve, path: Path) -> str:
+    return (
+        f"the flow comes from {path.name} ({curve.law.kind}, standard deviation {100.0 * curve.relative_std_dev:.2g} %): "
+        "no sweep runs and weighed loads change nothing"
+    )
+
+
+def _in_newtons(path: Path) -> ParameterSet:
+    """The parameters of a file. Raises InputError where they were fitted to a reading in a unit of its own."""
+    parameters = parameter_file.load(path)
+    if parameters.response_unit != "N":
+        raise InputError(
+            f"{path}: response_unit",
+            f"is {parameters.response_unit!r}",
+            "'N' (calibrated on forces or momenta); these give no flow from a force",
+        )
+    return parameters
+
+
+def engine_settings(document: Document) -> EngineSettings:
+    """The engine's settings that a document asks for."""
+    defaults = EngineSettings()
+    sections = {}
+    for name in ENGINE_SECTIONS:
+        values = {
+            key: tuple(value) if isinstance(value, list) else value for key, value in getattr(document, name).model_dump().items()
+        }
+        sections[name] = dataclasses.replace(getattr(defaults, name), **values)
+    return dataclasses.replace(defaults, **sections)
+
+
+def _fitted(settings: EngineSettings, document: Document, mapping: SignalMap) -> EngineSettings:
+    """The settings with what a bolted plate, a curve and a slow sensor ask for: no sweep, and ten frames of patience."""
+    if document.plate.fixed_angle_deg is not None or document.estimator_file is not None:
+        settings = _without_sweeps(settings)
+    if "sensor_timeout_s" not in document.inputs.model_fields_set:
+        slowest_s = max(source.interval_s * len(source.signals) for source in mapping.sources.impact)
+        patience_s = max(settings.inputs.sensor_timeout_s, 10.0 * slowest_s)
+        settings = dataclasses.replace(settings, inputs=dataclasses.replace(settings.inputs, sensor_timeout_s=patience_s))
+    return settings
+
+
+def _with_shape(settings: EngineSettings, shape: ArrivalLaw) -> EngineSettings:
+    return dataclasses.replace(settings, waveform=dataclasses.replace(settings.waveform, shape=shape))
+
+
+def _without_sweeps(settings: EngineSettings) -> EngineSettings:
+    return dataclasses.replace(settings, sweep=dataclasses.replace(settings.sweep, enabled=False))
+
+
+def _with_fixed_plate(machine: Machine, angle_deg: float | None) -> Machine:
+    """The machine with its plate bolted on: that angle is home, and the only one."""
+    if angle_deg is None:
+        return machine
+    angle_rad = math.radians(angle_deg)
+    return dataclasses.replace(
+        machine,
+        home_plate_angle_rad=angle_rad,
+        min_plate_angle_rad=min(angle_rad, machine.min_plate_angle_rad),
+        max_plate_angle_rad=max(angle_rad, machine.max_plate_angle_rad),
+    )
+
+
+def calibrator_settings(document: Document, moisture_map: MoistureMap | None = None) -> CalibratorSettings:
+    """The self-calibration's settings that a document asks for."""
+    values = document.learning.model_dump(exclude={"enabled"})
+    values["flow"] = values.pop("flow_model")
+    inner = {field.name: values.pop(field.name) for field in dataclasses.fields(ClosedLoopSettings)}
+    drift = DriftRates(
+        per_root_hour=document.drift_per_root_hour.model_dump(),
+        per_root_kilotonne=document.drift_per_root_kilotonne.model_dump(),
+        limit=document.drift_limit.model_dump(),
+    )
+    steady = document.steady_drift_per_kilotonne.model_dump()
+    return CalibratorSettings(
+        closed_loop=ClosedLoopSettings(**inner), drift=drift, steady_per_kilotonne=steady, moisture_map=moisture_map, **values
+    )
+
+
+def _beside(path: Path, name: str | None, default: str) -> Path:
+    return path.parent / name if name is not None else shipped(default)

@@ -1,0 +1,86 @@
+"""The shape of the configuration file: which sections it has and which keys stand outside them."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from pydantic import Field
+
+from yieldmon.service.config.calibration_sections import (
+    Anchors,
+    Disagreement,
+    DriftLimit,
+    DriftPerRootHour,
+    DriftPerRootKilotonne,
+    Learning,
+    Plate,
+    SteadyDriftPerKilotonne,
+    Sweep,
+)
+from yieldmon.service.config.measurement_sections import (
+    Budget,
+    Clock,
+    Faults,
+    FlowFilter,
+    Gate,
+    Inputs,
+    Totals,
+    Waveform,
+    Windows,
+    Zero,
+)
+from yieldmon.service.config.section import Section, choice, text
+from yieldmon.service.config.service_sections import Bus, Diagnostics, Logging, Network, Outputs, Status, Store
+
+
+class Document(Section):
+    """The whole file. Every key may be left out; its default is shown here."""
+
+    machine_file: str | None = text(None, "machine geometry; null: the shipped 8-tooth sprocket")
+    parameter_file: str | None = text(None, "grain parameters; null: the shipped corn")
+    estimator_file: str | None = text(
+        None,
+        "curve that gives the flow (`calibrate --estimator`); null: the model",
+    )
+    moisture_map_file: str | None = text(
+        None, "how parameters change with moisture (`calibrate --by-moisture`); null: they do not"
+    )
+    pulse_shape_file: str | None = text(None, "pulses' shape and its calibrated range; null: the shipped one")
+    units: Literal["metric", "us"] = choice("metric", "shown to people; documents (JSON), tables and frames stay in SI")
+    bus: Bus = Bus()
+    signals: dict[str, Any] = Field(
+        default_factory=dict,
+        description="where quantities come from, by quantity (docs/guide/wiring.md); left out: the messages of the shipped DBC",
+    )
+    outputs: Outputs = Outputs()
+    store: Store = Store()
+    status: Status = Status()
+    diagnostics: Diagnostics = Diagnostics()
+    network: Network = Network()
+    logging: Logging = Logging()
+    clock: Clock = Clock()
+    windows: Windows = Windows()
+    inputs: Inputs = Inputs()
+    zero: Zero = Zero()
+    gate: Gate = Gate()
+    totals: Totals = Totals()
+    budget: Budget = Budget()
+    flow_filter: FlowFilter = FlowFilter()
+    plate: Plate = Plate()
+    sweep: Sweep = Sweep()
+    faults: Faults = Faults()
+    anchors: Anchors = Anchors()
+    disagreement: Disagreement = Disagreement()
+    waveform: Waveform = Waveform()
+    learning: Learning = Learning()
+    drift_per_root_hour: DriftPerRootHour = DriftPerRootHour()
+    drift_per_root_kilotonne: DriftPerRootKilotonne = DriftPerRootKilotonne()
+    steady_drift_per_kilotonne: SteadyDriftPerKilotonne = SteadyDriftPerKilotonne()
+    drift_limit: DriftLimit = DriftLimit()
+
+
+#: Sections that hand their keys to the engine's settings of the same name.
+ENGINE_SECTIONS = (
+    "clock", "windows", "inputs", "zero", "gate", "totals", "budget", "flow_filter", "plate", "sweep", "faults", "anchors",
+    "disagreement", "waveform",
+)  # fmt: skip

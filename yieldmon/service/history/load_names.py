@@ -1,0 +1,125 @@
+"""Another field or crop for loads that were begun under a wrong one.
+
+What was measured stays on record. Of another crop follow dry mass, the mass by that crop's parameters (column `again`), and where
+the loads' tickets belong: what they taught the wrong crop is taken back, and they teach their own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import nan
+from typing import Any
+
+from yieldmon.engine.mass.totals import dry_mass
+from yieldmon.engine.monitor import Monitor
+from yieldmon.engine.settings import TotalsSettings
+from yieldmon.errors import InputError
+from yieldmon.files.crops import find_crop
+from yieldmon.service.history import relearning
+from yieldmon.service.history.journal import Journal
+from yieldmon.service.history.load_factor import load_factor
+from yieldmon.service.history.reference_loads import StoredLoad
+from yieldmon.service.logs.weighed_loads import MeasuredLoad
+from yieldmon.service.storage import ledger
+from yieldmon.service.storage.batch import Load, Ticket
+
+
+@dataclass(frozen=True)
+class Correction:
+    """field, crop: None where it stays."""
+
+    loads: Sequence[Load]
+    field: str | None
+    crop: str | None
+
+
+def correct(
+    wanted: Correction, monitor: Monitor, journal: Journal, who: str, now_s: float, stored: Sequence[StoredLoad]
+) -> dict[str, Any]:
+    """Give closed loads other names; says what was measured again and what could not be. stored: loads, as the store has them.
+
+    Raises InputError.
+    """
+    first, last = wanted.loads[0].number, wanted.loads[-1].number
+    others = [load for load in wanted.loads if wanted.crop is not None and load.crop != wanted.crop]
+    fields = [load for load in wanted.loads if wanted.field is not None and load.field != wanted.field]
+    if not others and not fields:
+        problem = " and ".join(repr(name) for name in (wanted.crop, wanted.field) if name is not None)
+        raise InputError(
+            f"load {first}" if first == last else f"loads {first} to {last}", f"has {problem} already", "another name"
+        )
+    tickets = _tickets_of(others, journal) if others else {}
+    before = [{"load": load.number, "field": load.field, "crop": load.crop} for load in wanted.loads]
+    back = relearning.without_lessons(list(tickets), monitor, journal, who, now_s, stored)
+    document = {"first_load": first, "last_load": last, "field": wanted.field, "crop": wanted.crop, "before": before}
+    journal.actions.add(ledger.LOAD_NAMES, who, document, now_s)
+    for load in wanted.loads:
+        journal.loads.named(load.number, wanted.field, wanted.crop)
+    answer: dict[str, Any] = {"first_load": first, "last_load": last, "field": wanted.field, "crop": wanted.crop}
+    if not others:
+        return answer
+    parameters = journal.parameters.of(wanted.crop or "", monitor.estimator.parameters, journal.crop)
+    by_number = {load.load.number: load for load in stored}
+    factors, why_not = {}, {}
+    for load in others:
+        kept = by_number.get(load.number)
+        if kept is None:
+            why_not[load.number] = "its seconds are not on record"
+            journal.loads.dried(load.number, None)
+            continue
+        journal.loads.dried(load.number, _dry_kg(kept, wanted.crop or "", monitor.settings.totals))
+        found = None if parameters is None else load_factor(_measured(kept), parameters, monitor.machine)
+        if parameters is None:
+            why_not[load.number] = f"nothing is known of {wanted.crop}"
+        elif found is None:
+            why_not[load.number] = "too little of it rests on a known force"
+        else:
+            factors[load.number] = found
+    if factors:
+        # By no version that an undo takes back: the loads are of this crop whatever becomes of it.
+        journal.actions.posted_by_crop(factors, now_s)
+    taught: list[int] = []
+    untaught: Mapping[int, str] = dict.fromkeys(tickets, f"nothing is known of {wanted.crop}")
+    if parameters is not None:
+        taught, untaught = relearning.teach_crop(list(tickets), wanted.crop or "", monitor, journal, stored)
+    return answer | {
+        "measured_again": sorted(factors), "not_measured_again": _reasons("load", why_not),
+        "learnt_again": taught, "not_learnt_again": _reasons("ticket", untaught), "taken_back": back,
+    }  # fmt: skip
+
+
+def _reasons(what: str, why: Mapping[int, str]) -> list[dict[str, Any]]:
+    return [{what: number, "why": text} for number, text in sorted(why.items())]
+
+
+def _tickets_of(loads: Sequence[Load], journal: Journal) -> dict[int, Ticket]:
+    """The standing tickets for these loads. Raises InputError for one that is for further loads as well."""
+    numbers = {load.number for load in loads}
+    found = {}
+    for number, ticket in journal.actions.ledger.tickets.items():
+        covered = {load.number for load in journal.loads if ticket.first_load <= load.number <= ticket.last_load}
+        if not covered & numbers:
+            continue
+        if not covered <= numbers:
+            expected = f"all of {ticket.first_load}-{ticket.last_load}, or `yieldmon ticket undo {number}` first"
+            raise InputError(f"load {min(covered & numbers)}", f"is on ticket {number} with other loads", expected)
+        found[number] = ticket
+    return found
+
+
+def _measured(stored: StoredLoad) -> MeasuredLoad:
+    rows = tuple(second for second in stored.seconds if second.mass_kg > 0.0)
+    return MeasuredLoad(str(stored.load.number), "", rows, stored.parameters)
+
+
+def _dry_kg(stored: StoredLoad, crop: str, settings: TotalsSettings) -> float | None:
+    known = find_crop(crop)
+    if known is None and settings.moisture_reference_pct is None:
+        return None
+    market_pct = nan if known is None else known.market_moisture_pct
+    dried = [
+        dry_mass(s.mass_kg, nan if s.moisture_pct is None else s.moisture_pct, settings, market_pct)
+        for s in stored.seconds if s.mass_kg > 0.0
+    ]  # fmt: skip
+    return None if any(kg is None for kg in dried) else float(sum(kg for kg in dried if kg is not None))

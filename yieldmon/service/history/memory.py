@@ -1,0 +1,152 @@
+"""What a store remembers, from which a start goes on."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from dataclasses import field as field_of
+from math import inf
+
+from yieldmon.engine.sampling.since_zero import KEPT_S, NO_LOAD, KeptSecond
+from yieldmon.engine.state import EngineState
+from yieldmon.errors import InputError
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.files import parameter_file
+from yieldmon.service.history.reference_loads import StoredLoad, of_store
+from yieldmon.service.storage import ledger as ledgers
+from yieldmon.service.storage.batch import Action, Load, ParameterVersion, Ticket
+from yieldmon.service.storage.rows import kept_second
+from yieldmon.service.storage.store import Store
+from yieldmon.service.storage.store_errors import StoreDamagedError
+
+_log = logging.getLogger(__name__)
+
+KEPT_VERSIONS = 200
+"""Newest parameter versions that an undo can go back to."""
+
+
+@dataclass(frozen=True)
+class Memory:
+    """What a store remembers. engine and parameters are None in a new store; parameters are those last in use, and
+    parameter_digest is of the file that they began with."""
+
+    engine: EngineState | None = None
+    saved_s: float = 0.0
+    parameters: ParameterSet | None = None
+    parameter_origin: str = "file"
+    parameter_digest: str = ""
+    last_batch: int = 0
+    last_second: int = 0
+    last_version: int = 0
+    loads: tuple[Load, ...] = ()
+    tickets: tuple[Ticket, ...] = ()
+    field: str = ""
+    crop: str = ""
+    kernel_weight_g: float | None = None
+    """Of a thousand kernels, as an operator entered it."""
+    faults: tuple[str, ...] = ()
+    counters: Mapping[str, int] | None = None
+    of_crop: Mapping[str, ParameterSet] = field_of(default_factory=dict)
+    """The newest parameters of each crop."""
+    versions: Mapping[int, ParameterSet] = field_of(default_factory=dict)
+    """The newest parameter versions."""
+    actions: tuple[Action, ...] = ()
+    unfinished_tickets: tuple[int, ...] = ()
+    """Numbers of those that are still to update the parameters, or whose loads are still to be measured again."""
+    unfinished_tickets_of_crop: Mapping[str, tuple[int, ...]] = field_of(default_factory=dict)
+    """Those that are to update the parameters of a crop that is not harvested now, by its name."""
+    restored_versions: tuple[int, ...] = ()
+    """Versions that an undo brought back and with which loads are still to be measured again."""
+    since_zero: tuple[KeptSecond, ...] = ()
+    """Seconds since the operator's last zero calibration, where that can be undone."""
+    ticketed: tuple[StoredLoad, ...] = ()
+    """Loads of the newest tickets."""
+
+
+def recall(store: Store) -> Memory:
+    """What the store remembers. Raises StoreDamagedError when it makes no sense."""
+    document = store.state()
+    if document is None:
+        return Memory()
+    versions = store.parameter_versions()
+    last_second = store.last_second()
+    try:
+        engine, actions = EngineState.from_dict(document["engine"]), tuple(store.actions())
+        return Memory(
+            engine=engine,
+            saved_s=float(document["saved_s"]),
+            parameters=parameter_file.from_document(versions[-1].document, str(store.path)),
+            parameter_origin=versions[-1].origin,
+            parameter_digest=str(document["parameter_digest"]),
+            last_batch=store.last_batch(),
+            last_second=max(int(document["last_second"]), last_second.number if last_second is not None else 0),
+            last_version=versions[-1].version,
+            loads=tuple(store.loads()),
+            tickets=tuple(store.tickets()),
+            field=str(document["field"]),
+            crop=str(document["crop"]),
+            kernel_weight_g=None if document.get("kernel_weight_g") is None else float(document["kernel_weight_g"]),
+            faults=tuple(document["faults"]),
+            counters=store.counters(),
+            of_crop=_by_crop(versions, str(store.path)),
+            versions={v.version: parameter_file.from_document(v.document, str(store.path)) for v in versions[-KEPT_VERSIONS:]},
+            actions=actions,
+            unfinished_tickets=tuple(map(int, document.get("unfinished_tickets", ()))),
+            unfinished_tickets_of_crop={
+                str(crop): tuple(map(int, kept)) for crop, kept in dict(document.get("unfinished_tickets_of_crop", {})).items()
+            },
+            restored_versions=tuple(map(int, document.get("restored_versions", ()))),
+            since_zero=_since_zero(store, actions, engine.totals.first_load) if engine.zero_undo is not None else (),
+            ticketed=_ticketed(store, engine),
+        )
+    except (KeyError, IndexError, TypeError, ValueError, InputError) as error:
+        raise StoreDamagedError(f"{store.path}: the state cannot be used: {error!r}") from error
+
+
+def _since_zero(store: Store, actions: Sequence[Action], first_load: int) -> tuple[KeptSecond, ...]:
+    """first_load: with which the totals began; what no load was open for before it is in none of them."""
+    last = next((a for a in reversed(actions) if a.kind == ledgers.ZERO), None)
+    if last is None:
+        return ()
+    newest, recorded = store.last_second(), int(last.document["second"])
+    first = max(recorded + 1, (newest.number if newest is not None else 0) - KEPT_S)
+    kept, zero_mv = [], None
+    ended_s = {load.number: load.ended_s for load in store.loads() if load.ended_s is not None}
+    for row in store.seconds(first - 1, on_damage=lambda number: None):
+        of_load = row.time_s <= ended_s.get(row.load_number, inf)
+        if row.number >= first and (of_load or row.load_number >= first_load):
+            second = replace(kept_second(row), load_number=row.load_number if of_load else NO_LOAD)
+            kept.append(second if zero_mv is None else replace(second, zero_mv=zero_mv))
+        zero_mv = row.zero_mv
+    return tuple(kept)
+
+
+def _ticketed(store: Store, engine: EngineState) -> tuple[StoredLoad, ...]:
+    """Empty where the seconds are damaged: the tickets' corrections stand, and a start must not wait for repairs."""
+    try:
+        return of_store(store, {ticket.load_number for ticket in engine.tickets})
+    except StoreDamagedError as error:
+        _log.warning("loads with tickets are not read again: %s", error)
+        return ()
+
+
+def choose_parameters(memory: Memory, configured: ParameterSet) -> tuple[ParameterSet, str]:
+    """The parameters to run with, and where they come from.
+
+    What was learnt since goes on for as long as the configured file is the one it began with; another file wins.
+    """
+    if memory.parameters is not None and memory.parameter_digest == parameter_file.digest(configured):
+        return memory.parameters, "store"
+    if memory.last_version:
+        return replace(configured, version=memory.last_version + 1), "file"
+    return configured, "file"
+
+
+def _by_crop(versions: Iterable[ParameterVersion], where: str) -> dict[str, ParameterSet]:
+    found = {}
+    for version in versions:
+        known = parameter_file.from_document(version.document, where)
+        if "crop" in known.provenance:
+            found[known.provenance["crop"]] = known
+    return found

@@ -1,0 +1,185 @@
+"""Which parameters are in use, which were before, and which are known for each crop."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+from yieldmon.engine.records import CalibrationStep
+from yieldmon.errors import InputError
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.files import parameter_file
+from yieldmon.files.crops import crops
+from yieldmon.service.history.memory import KEPT_VERSIONS, Memory
+from yieldmon.service.history.update_steps import step_document
+from yieldmon.service.storage import ledger as ledgers
+from yieldmon.service.storage.batch import ParameterVersion, Step
+from yieldmon.service.tickets.action_log import ActionLog
+
+_SHIPPED_CROP = "corn"
+"""Of the shipped parameter file."""
+
+
+class ParameterHistory:
+    """Numbers the parameters that come into use; each change is in the action log."""
+
+    def __init__(self, memory: Memory, configured: ParameterSet, actions: ActionLog) -> None:
+        """memory: what the store holds. configured: the parameters as their file has them."""
+        self.digest = parameter_file.digest(configured)
+        """Of the parameter file last read."""
+        self.version = memory.last_version
+        """In use."""
+        self._actions = actions
+        self._in_use = (memory.parameters, memory.parameter_origin) if memory.parameters is not None else None
+        self._of_crop = dict(memory.of_crop)
+        self._versions = dict(memory.versions)
+        self._new: list[tuple[ParameterSet, str]] = []
+        self._new_steps: list[tuple[int, CalibrationStep]] = []
+        self._shipped_digest = parameter_file.digest(parameter_file.load())
+
+    def crop_of(self, parameters: ParameterSet, named: str) -> str:
+        """Whose crop parameters are, "" where none was named. named: the crop that an operator named last."""
+        return parameters.provenance.get("crop", named) or (_SHIPPED_CROP if self.digest == self._shipped_digest else "")
+
+    def change_crop(self, crop: str, in_use: ParameterSet, named: str, who: str = "") -> ParameterSet | None:
+        """The parameters for another crop: what was last known of it, else what is shipped, else a copy of those in use, which
+        tickets then teach for this crop alone. None where those in use stay: they are its own, or nothing says whose they are.
+
+        What is known of the crop before is kept. named: the crop that an operator named last.
+        """
+        before = self.crop_of(in_use, named)
+        if crop == before or not before:
+            return None
+        known = self.of(crop, in_use, named)
+        kept = replace(in_use, version=self.version + 1, provenance={**in_use.provenance, "crop": before})
+        self._of_crop[before] = kept
+        self.use(kept, ledgers.CROP, who, f"what is known of {before} is kept")
+        if known is None:
+            chosen = replace(in_use, version=self.version + 1, provenance={**in_use.provenance, "crop": crop})
+            self.use(chosen, ledgers.CROP, who, f"{crop} begins with what is known of {before}")
+            return chosen
+        chosen = replace(known, version=self.version + 1)
+        self.use(chosen, ledgers.CROP, who, f"what is known of {crop}")
+        return chosen
+
+    def keeps(self, crop: str) -> bool:
+        """Whether parameters of this crop were in use before another's."""
+        return crop in self._of_crop
+
+    def of(self, crop: str, in_use: ParameterSet, named: str) -> ParameterSet | None:
+        """What is known of a crop; None where nothing is. named: the crop that an operator named last."""
+        if crop == self.crop_of(in_use, named):
+            return in_use
+        known = self._of_crop.get(crop)
+        return crops()[crop].parameters() if known is None and crop in crops() else known
+
+    def unlike(self, configured: ParameterSet) -> ParameterSet | None:
+        """A parameter file read anew: the set to use from now on, None when it is the one that was read last."""
+        return None if parameter_file.digest(configured) == self.digest else replace(configured, version=self.version + 1)
+
+    def configure(self, configured: ParameterSet) -> None:
+        """This file's parameters are those to begin with from now on."""
+        self.digest = parameter_file.digest(configured)
+
+    def undo(
+        self, version: int, in_use: ParameterSet, named: str, who: str, now_s: float, silenced: Sequence[int] = ()
+    ) -> tuple[ParameterSet, str]:
+        """The parameters before a version, as a new version in use; the crop, where that is another than is harvested now: then
+        those in use stay, and its own are kept for it. Raises InputError.
+
+        named: the crop that an operator named last. silenced: tickets that are to teach no more.
+        """
+        changes = self._actions.updates
+        if version not in changes:
+            raise InputError(f"version {version}", "no such calibration", "a version that `yieldmon calibrations list` shows")
+        before = int(changes[version].document.get("from_version", 0))
+        if version in self._actions.undone_versions:
+            raise InputError(f"version {version}", "is undone already", "one that stands")
+        if changes[version].document.get("origin") == ledgers.CROP:
+            raise InputError(f"version {version}", "is a change of crop", "a calibration, or `yieldmon load start --crop NAME`")
+        if before not in self._versions:
+            raise InputError(f"version {version}", "the parameters before it are not known", "a later version")
+        now, crop = self.crop_of(in_use, named), self._crop_at(version)
+        of_now = not crop or not now or crop == now
+        followed = self._followed(version, (crop, "") if of_now else (crop,))
+        document = {"version": version, "versions": followed} | ({"tickets": list(silenced)} if silenced else {})
+        self._actions.add(ledgers.PARAMETERS_UNDO, who, document, now_s)
+        earlier = replace(self._versions[before], version=self.version + 1)
+        if of_now:
+            self.use(earlier, "undo", who, f"version {version} undone: as version {before}")
+            self._actions.bring_back(earlier.version)
+            return earlier, ""
+        kept = self._of_crop[crop] = replace(earlier, provenance={**earlier.provenance, "crop": crop})
+        self.use(kept, "undo", who, f"version {version} of {crop} undone: as version {before}")
+        self._actions.bring_back(kept.version)
+        chosen = replace(in_use, version=self.version + 1, provenance={**in_use.provenance, "crop": now})
+        self.use(chosen, ledgers.CROP, who, f"what is known of {now}")
+        return chosen, crop
+
+    def withdraw(self, version: int, who: str, now_s: float) -> None:
+        """A version that a parameter file has replaced since rests on what was taken back: masses measured again with it, or with
+        what followed on it before that file, go back. The parameters in use stay."""
+        changes = self._actions.updates
+        file = min(later for later in changes if later > version and changes[later].document.get("origin") == "file")
+        replaced = [later for later in self._followed(version, (self._crop_at(version), "")) if later < file]
+        self._actions.add(ledgers.PARAMETERS_UNDO, who, {"version": version, "versions": replaced}, now_s)
+
+    def _followed(self, version: int, crops: Sequence[str]) -> list[int]:
+        """A version and those after it, of these crops where it is of one."""
+        changes = self._actions.updates
+        return [
+            later
+            for later in sorted(changes)
+            if later >= version and (later == version or changes[later].document.get("origin") != ledgers.CROP)
+            and (not self._crop_at(version) or self._crop_at(later) in crops)
+        ]  # fmt: skip
+
+    def _crop_at(self, version: int) -> str:
+        """Whose crop a version is: it says so, or the one that a change of crop kept first since; "" where none does."""
+        since = (self._versions[known].provenance for known in sorted(self._versions) if known >= version)
+        return next((provenance["crop"] for provenance in since if "crop" in provenance), "")
+
+    def use(
+        self,
+        parameters: ParameterSet,
+        origin: str,
+        who: str = "",
+        reason: str = "",
+        tickets: Sequence[int] = (),
+        step: CalibrationStep | None = None,
+    ) -> None:
+        """These are in use from now on. origin: where they come from. tickets: from which they were learnt. step: how they came
+        of those before them."""
+        document = {
+            "version": parameters.version, "from_version": self.version, "origin": origin, "reason": reason,
+            "effects": list(parameters.effects), "tickets": list(tickets),
+        }  # fmt: skip
+        self._actions.add(ledgers.PARAMETERS, who, document)
+        self._versions[parameters.version] = parameters
+        while len(self._versions) > KEPT_VERSIONS:
+            del self._versions[min(self._versions)]
+        if step is not None:
+            self._new_steps.append((parameters.version, step))
+        self.version = parameters.version
+        self._in_use = (parameters, origin)
+        self._new.append(self._in_use)
+
+    def table(self) -> list[dict[str, Any]]:
+        """All changes of parameters and zeros by an operator, with who and when."""
+        return ledgers.calibration_rows(self._actions, self.version)
+
+    def take(self, time_s: float) -> tuple[tuple[ParameterVersion, ...], tuple[Step, ...]]:
+        """Versions and steps that no batch has brought yet; they count as brought. time_s: Unix time."""
+        versions = tuple(
+            ParameterVersion(parameters.version, time_s, origin, parameter_file.to_document(parameters))
+            for parameters, origin in self._new
+        )
+        steps = tuple(Step(version, step.end_s, step_document(step)) for version, step in self._new_steps)
+        self._new, self._new_steps = [], []
+        return versions, steps
+
+    def report_all(self) -> None:
+        """The next batch brings those in use."""
+        if self._in_use is not None and self._in_use not in self._new:
+            self._new.insert(0, self._in_use)

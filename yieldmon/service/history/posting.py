@@ -1,0 +1,267 @@
+"""Posting: loads of the last days measured again with what was learnt after them.
+
+A ticket in the evening also says something of the hours and days before it: a day whose one ticket is of a load at low flow
+learns from the next evening's what its grain was at high flow. The updates' steps, kept in the store, are taken without those of
+sweeps (`estimation.self_calibration.drift_lessons`) and smoothed (`estimation.self_calibration.steady_drift.smoothed`), and each
+load's seconds are measured again with the parameters as the weighed masses together have them at its time. What was measured at
+first stays as it is: a posting is a factor for each load.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from yieldmon.engine.records import CalibrationStep
+from yieldmon.engine.self_calibration.curve_states import in_names
+from yieldmon.errors import InputError
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.self_calibration.drift_lessons import DriftLesson, by_weighed_masses, ending
+from yieldmon.estimation.self_calibration.steady_drift import Advance, DriftingParameters, learn, smoothed
+from yieldmon.physics.machine import Machine
+from yieldmon.physics.numerics import Array
+from yieldmon.service.history.load_factor import load_factor
+from yieldmon.service.history.update_steps import step_from_document
+from yieldmon.service.logs.recorded import opened, parameter_sets
+from yieldmon.service.logs.weighed_loads import MeasuredLoad, loads_of, of_loads
+from yieldmon.service.storage.batch import Step
+from yieldmon.service.storage.ledger import recropped, undone_versions
+from yieldmon.service.storage.rows import SecondRow
+from yieldmon.service.storage.store import Store
+from yieldmon.units import S_PER_DAY
+
+_log = logging.getLogger(__name__)
+
+SPAN_S = 72.0 * 3600.0
+"""Loads that began at most so long before an update are measured again after it."""
+_CONTRADICTION = 10.83
+"""Squared standard deviations that a lesson moves the parameters by, which chance reaches once in a thousand."""
+_MOST_ROWS = 270_000
+_WRITING_S = 10.0
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """Parameters over time. times_s: (k,) bus time, rising; values: (k, n) of `names`; versions: those that were in use there.
+    holds_from_s: when the newest lesson that contradicts the drift began; days before it learn nothing from those after it."""
+
+    parameters: ParameterSet
+    names: tuple[str, ...]
+    times_s: Array
+    values: Array
+    versions: frozenset[int]
+    holds_from_s: float = -np.inf
+
+    def at(self, time_s: float) -> ParameterSet:
+        """The parameters at a time, as the weighed masses together have them."""
+        here = {name: float(np.interp(time_s, self.times_s, self.values[:, i])) for i, name in enumerate(self.names)}
+        return replace(self.parameters, values={**self.parameters.values, **here})
+
+
+def timeline(steps: Sequence[Step], parameters: ParameterSet, sets: Mapping[int, ParameterSet] | None = None) -> Timeline:
+    """From the steps that led to these parameters without a break, the last one's version being theirs; others are left out.
+
+    sets: parameters by version, of which those that say the same count as one: a change of crop keeps parameters as a further
+    version.
+    """
+    chain: list[CalibrationStep] = []
+    by_version = {step.version: step for step in steps}
+    equal = _copies(parameters.version, sets or {})
+    versions = set(equal)
+    while True:
+        version = max(equal & by_version.keys(), default=None)
+        if version is None:
+            break
+        # Each once: versions of a store that was tampered with may lead to themselves.
+        found = step_from_document(by_version.pop(version).document)
+        if found is not None and found.names:
+            found = in_names(found, parameters.covariance_names)
+        if found is None or len(found.state) < len(parameters.covariance_names):
+            break
+        if chain and len(found.state) != len(chain[-1].state):
+            break
+        chain.append(found)
+        equal = _copies(found.from_version, sets or {})
+        versions |= equal
+    names = parameters.covariance_names
+    if not chain:
+        return Timeline(parameters, (), np.zeros(1), np.zeros((1, 0)), frozenset(versions))
+    chain.reverse()
+    state = np.array(chain[-1].state)
+    rates = tuple(names[: len(state) - len(names)])  # Only their number counts here.
+    lessons = by_weighed_masses(_lessons(chain, parameters, rates))
+    last = DriftingParameters(parameters, rates, state[len(names) :], np.zeros((state.size,) * 2))
+    known = smoothed([lesson.advance for lesson in lessons], ending(last, lessons[-1]))
+    times = np.array([*(step.begin_s for step in chain), chain[-1].end_s])
+    values = np.array([[point[name] for name in names] for point in known])
+    broken = [step.begin_s for step, lesson in zip(chain, lessons, strict=True) if _contradicts(lesson.advance, lesson.state)]
+    return Timeline(parameters, names, np.maximum.accumulate(times), values, frozenset(versions), max(broken, default=-np.inf))
+
+
+def _copies(version: int, sets: Mapping[int, ParameterSet]) -> set[int]:
+    """The versions that say what this one says, of the same crop."""
+    known = sets.get(version)
+    return {version} if known is None else {version, *(other for other, found in sets.items() if _is_copy(found, known))}
+
+
+def _is_copy(found: ParameterSet, known: ParameterSet) -> bool:
+    crops = {parameters.provenance["crop"] for parameters in (found, known) if "crop" in parameters.provenance}
+    same = found.values == known.values and found.covariance_names == known.covariance_names and len(crops) < 2
+    return same and np.array_equal(found.covariance, known.covariance)
+
+
+def _lessons(chain: Sequence[CalibrationStep], parameters: ParameterSet, rates: tuple[str, ...]) -> list[DriftLesson]:
+    """What each lesson made of the state: where the next step begins, and after the last the parameters in use."""
+    end, names = chain[-1], parameters.covariance_names
+    after = end.advance.after
+    values = dict(zip(names, map(float, after), strict=False))
+    covariance = end.advance.covariance_after
+    prior = replace(parameters, values={**parameters.values, **values}, covariance=covariance[: len(names), : len(names)])
+    known = DriftingParameters(prior, rates, after[len(names) :], covariance)
+    states = [*(step.advance.before for step in chain[1:]), np.array(end.state)]
+    covariances = [*(step.advance.covariance_before for step in chain[1:]), learn(known, parameters, widening=end.widening).joint]
+    return [
+        DriftLesson(step.advance, state, covariance, step.widening, step.sweep_alone, len(rates))
+        for step, state, covariance in zip(chain, states, covariances, strict=True)
+    ]
+
+
+def _contradicts(expected: Advance, state: Array) -> bool:
+    """Whether a lesson moved the state further than what was expected before it allows."""
+    scale = np.sqrt(np.maximum(np.diag(expected.covariance_after), 1e-300))
+    moved = (state - expected.after) / scale
+    inverse = np.linalg.pinv(expected.covariance_after / np.outer(scale, scale), rcond=1e-12, hermitian=True)
+    return bool(moved @ inverse @ moved > _CONTRADICTION)
+
+
+def factors(
+    loads: Sequence[MeasuredLoad], known: Timeline, machine: Machine, of_crop: Mapping[int, bool] | None = None
+) -> dict[int, float]:
+    """Mass measured again over the mass as measured, by load number.
+
+    Loads with seconds from before the timeline, or of which less than 90 % rests on a known force, are left out. of_crop: whether
+    a load that was given another crop is of the timeline's; those that are count whatever parameters measured them.
+    """
+    renamed = {} if of_crop is None else of_crop
+    out = {}
+    for load in loads:
+        versions = {row.parameter_version for row in load.seconds}
+        if not renamed.get(int(load.name), versions <= known.versions):
+            continue
+        moment_s = float(np.average([row.time_s for row in load.seconds], weights=[row.mass_kg for row in load.seconds]))
+        found = load_factor(load, known.at(moment_s), machine)
+        if found is not None:
+            out[int(load.name)] = found
+    return out
+
+
+def of_store(
+    path: Path, machine: Machine, version: int, open_load: int | None, now_s: float, *, undone_only: bool = False
+) -> dict[int, float]:
+    """The factors of a store's loads of the last days, by the parameters of `version`; what a version that was taken back has
+    measured since they came is measured again with them. now_s: bus time. undone_only: nothing else is. Raises InputError."""
+    out: dict[int, float] = {}
+    with opened(path) as store:
+        sets = parameter_sets(store)
+        if version not in sets:
+            raise InputError(str(path), f"has no parameters of version {version}", "a store that is being written")
+        known, loads, actions = timeline(store.steps(), sets[version], sets), store.loads(), store.actions()
+        gone = _taken_back(undone_versions(actions), known, sets)
+        known = replace(known, versions=known.versions | gone)
+        renamed, crop = recropped(actions), sets[version].provenance.get("crop")
+        of_crop = {load.number: load.crop == crop for load in loads if load.number in renamed}
+        for rows in _newest_loads(store, begins(known, now_s), open_load):
+            measured = loads_of(of_loads(rows, loads), sets)
+            if undone_only:
+                measured = tuple(load for load in measured if any(row.parameter_version in gone for row in load.seconds))
+            out |= factors(measured, known, machine, of_crop)
+    return out
+
+
+def _taken_back(undone: Collection[int], known: Timeline, sets: Mapping[int, ParameterSet]) -> frozenset[int]:
+    """Versions after the timeline's first one that were taken back, of its crop where they say theirs."""
+    crop, first = known.parameters.provenance.get("crop"), min(known.versions)
+    later = {version: sets[version].provenance.get("crop") for version in undone if version > first and version in sets}
+    return frozenset(version for version, of in later.items() if of is None or crop is None or of == crop)
+
+
+def begins(known: Timeline, now_s: float) -> float:
+    """Bus time from which on loads are measured again: three days, but one where a lesson since then contradicts the drift."""
+    return max(now_s - SPAN_S, min(now_s - S_PER_DAY, known.holds_from_s))
+
+
+def _newest_loads(store: Store, begin_s: float, open_load: int | None) -> Iterator[list[SecondRow]]:
+    """Rows of each load that is whole and began in the time that counts, the newest first: days at once would fill a memory."""
+    last, oldest, read = store.last_second(), store.oldest_second(), 0
+    for number in range(last.load_number if last is not None else 0, 0, -1):
+        rows = store.seconds_of_load(number, on_damage=lambda number: None)
+        read += len(rows)
+        if read > _MOST_ROWS or (rows and rows[0].time_s < begin_s):
+            return
+        yield whole(rows, begin_s, open_load, oldest)
+
+
+def whole(rows: Sequence[SecondRow], begin_s: float, open_load: int | None, oldest: int) -> list[SecondRow]:
+    """Rows of loads that began and ended in the time that counts. oldest: number of the first second on record; a load that
+    holds it has lost what came before, unless it is the first of all."""
+    cut = {row.load_number for row in rows if row.time_s < begin_s or row.number == oldest > 1}
+    return [row for row in rows if row.load_number not in cut and row.load_number != open_load]
+
+
+@dataclass(frozen=True)
+class Posted:
+    """The factors that came of tickets, of an undo where there are none, or why there are no factors."""
+
+    tickets: tuple[int, ...]
+    version: int
+    factors: Mapping[int, float]
+    problem: str = ""
+
+
+class Poster:
+    """Measures loads again on a thread of its own, one job at a time."""
+
+    def __init__(self, path: Path, written: Callable[[float], bool]) -> None:
+        """path: of the store. written: waits so many seconds until the store holds all that was handed to it."""
+        self._path = path
+        self._written = written
+        self._thread: threading.Thread | None = None
+        self._done: Posted | None = None
+
+    @property
+    def busy(self) -> bool:
+        """Whether a job is under way, or its result not taken yet."""
+        return self._thread is not None
+
+    def start(self, machine: Machine, tickets: tuple[int, ...], version: int, open_load: int | None, now_s: float) -> None:
+        """Begin a job; not while busy. tickets: none after an undo. Without room for a thread there is none, which is said."""
+        thread = threading.Thread(
+            target=self._work, args=(machine, tickets, version, open_load, now_s), name="posting", daemon=True
+        )
+        try:
+            thread.start()
+        except RuntimeError as error:
+            _log.error("the loads cannot be measured again: %s", error)
+            return
+        self._thread = thread
+
+    def take(self) -> Posted | None:
+        """What came of the job, once."""
+        if self._thread is None or self._thread.is_alive():
+            return None
+        self._thread, done, self._done = None, self._done, None
+        return done
+
+    def _work(self, machine: Machine, tickets: tuple[int, ...], version: int, open_load: int | None, now_s: float) -> None:
+        try:
+            self._written(_WRITING_S)
+            found = of_store(self._path, machine, version, open_load, now_s, undone_only=not tickets)
+            self._done = Posted(tickets, version, found)
+        except Exception as error:  # noqa: BLE001 - what was measured stays, and measuring goes on
+            _log.error("the loads could not be measured again: %s", error)
+            self._done = Posted(tickets, version, {}, str(error))

@@ -1,0 +1,167 @@
+"""Loads that an earlier run of the daemon measured, as the store holds them, so that a ticket for one still counts.
+
+The run itself knows whether every second of a load was measured and keeps the forces over it; after a restart both follow from
+the load's seconds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from math import nan, sqrt
+from pathlib import Path
+
+import numpy as np
+
+from yieldmon.engine.mass.budget import MassBudget
+from yieldmon.engine.mass.loads import LoadSummary, Opening
+from yieldmon.engine.sampling.since_zero import KeptSecond
+from yieldmon.estimation.estimators import estimator_of
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.files import parameter_file
+from yieldmon.frames import EstimateQuality
+from yieldmon.physics.machine import RPM, Machine
+from yieldmon.service.logs.recorded import opened
+from yieldmon.service.storage import ledger
+from yieldmon.service.storage.batch import Action, Load
+from yieldmon.service.storage.rows import SecondRow, kept_second
+from yieldmon.service.storage.store import Store
+
+_MOST_LOADS = 64
+_GAP_S = 0.5
+"""Time without a second that a whole load may have altogether."""
+_SAME_MASS = 1e-4
+"""Relative difference of a load's mass from that of its seconds that is rounding."""
+
+
+@dataclass(frozen=True)
+class StoredLoad:
+    """A closed load with its seconds and the parameters of each version that measured them. doubted: a part of it may rest on a
+    zero that was taken against the signs of grain."""
+
+    load: Load
+    seconds: tuple[SecondRow, ...]
+    parameters: Mapping[int, ParameterSet]
+    doubted: bool
+
+
+@dataclass(frozen=True)
+class ReferenceLoad:
+    """A load as the engine takes it; versions: of the parameters that measured it."""
+
+    summary: LoadSummary
+    seconds: tuple[KeptSecond, ...]
+    versions: frozenset[int]
+
+
+def of_path(path: Path, numbers: Collection[int]) -> tuple[StoredLoad, ...]:
+    """`of_store` of the store at a path. Raises InputError."""
+    with opened(path) as store:
+        return of_store(store, numbers)
+
+
+def of_standing_tickets(path: Path, named: Collection[int] = ()) -> tuple[StoredLoad, ...]:
+    """The loads of the tickets that stand and those named, of the store at a path, as `of_store`. Raises InputError."""
+    with opened(path) as store:
+        standing = ledger.ledger(store.tickets(), store.actions()).tickets.values()
+        ticketed = {number for ticket in standing for number in range(ticket.first_load, ticket.last_load + 1)}
+        of_named = of_store(store, named)
+        return (*of_named, *of_store(store, ticketed - {load.load.number for load in of_named}))
+
+
+def of_store(store: Store, numbers: Collection[int]) -> tuple[StoredLoad, ...]:
+    """The closed loads with these numbers, the newest _MOST_LOADS of them at most, of which the store holds seconds."""
+    wanted = set(sorted(numbers)[-_MOST_LOADS:])
+    loads = [load for load in store.loads() if load.number in wanted and load.ended_s is not None]
+    if not loads:
+        return ()
+    actions = store.actions()
+    documents = {v.version: v.document for v in store.parameter_versions()}
+    found = []
+    for load in loads:
+        seconds = [s for s in store.seconds_of_load(load.number) if load.ended_s is None or s.time_s <= load.ended_s]
+        versions = {s.parameter_version for s in seconds if s.mass_kg > 0.0}
+        if seconds and versions <= set(documents):
+            sets = {v: parameter_file.from_document(documents[v], str(store.path)) for v in versions}
+            found.append(StoredLoad(load, tuple(seconds), sets, _zero_doubted(seconds, actions)))
+    return tuple(found)
+
+
+def _zero_doubted(seconds: Sequence[SecondRow], actions: Sequence[Action]) -> bool:
+    """Whether one of the seconds came after a zero against the signs of grain, and before the next zero or its undo."""
+    since: int | None = None
+    spans: list[tuple[int, float]] = []
+    for action in actions:
+        if action.kind in (ledger.ZERO, ledger.ZERO_UNDO):
+            if since is not None:
+                spans.append((since, action.time_s))
+            since = int(action.document["second"]) if action.kind == ledger.ZERO and action.document.get("signs") else None
+    first, last = seconds[0].number, seconds[-1].number
+    if since is not None and last > since:
+        return True
+    return any(first <= begun < last for begun, _ in spans)
+
+
+def reference(stored: StoredLoad, machine: Machine, min_coverage: float) -> ReferenceLoad:
+    """As the run that measured it knew it. min_coverage: of a window that counts whole."""
+    load, seconds = stored.load, stored.seconds
+    summary = LoadSummary(
+        number=load.number,
+        start_s=seconds[0].time_s - seconds[0].duration_s if load.started_s is None else load.started_s,
+        end_s=nan if load.ended_s is None else load.ended_s,
+        measured_kg=load.mass_kg,
+        dry_kg=load.dry_mass_kg or 0.0,
+        unknown_moisture_kg=0.0 if load.dry_mass_kg is not None else load.mass_kg,
+        complete=not stored.doubted and _whole(load, seconds, min_coverage),
+        budget=_budget(stored, machine),
+    )
+    versions = frozenset(s.parameter_version for s in seconds if s.mass_kg > 0.0)
+    return ReferenceLoad(summary, tuple(map(kept_second, seconds)), versions)
+
+
+def _whole(load: Load, seconds: Sequence[SecondRow], min_coverage: float) -> bool:
+    """Whether every second was measured: none missing, none without a flow for want of an input, none contested."""
+    counted_kg = sum(s.mass_kg for s in seconds)
+    if not load.mass_kg > 0.0 or abs(counted_kg - load.mass_kg) > _SAME_MASS * load.mass_kg:
+        return False
+    opening = Opening()
+    for second in seconds:
+        measured = second.mass_flow_kg_s is not None
+        available = measured or second.quality != EstimateQuality.NOT_AVAILABLE
+        silent = not (second.coverage > 0.0 or (second.elevator_speed_rpm or 0.0) > 0.0)
+        if not opening.lacks_nothing(second.duration_s, available=available, silent=silent):
+            return False
+        if measured and (second.coverage < min_coverage or second.surplus_frames > 0):
+            return False
+    begun = [seconds[0].time_s - seconds[0].duration_s if load.started_s is None else load.started_s]
+    ends = [*begun, *(s.time_s for s in seconds)]
+    gaps = (s.time_s - s.duration_s - end for s, end in zip(seconds, ends, strict=False))
+    return float(sum(max(gap, 0.0) for gap in gaps)) <= _GAP_S
+
+
+def _budget(stored: StoredLoad, machine: Machine) -> MassBudget:
+    """Of the load's mass, by cause: noise is in the seconds, the parameters' share follows from them, and what is left of the
+    whole (that of zero and moisture) stands under zero."""
+    at_its_end_kg = next((s.load_std_dev_kg for s in reversed(stored.seconds) if s.load_std_dev_kg is not None), None)
+    whole_kg = stored.load.std_dev_kg or at_its_end_kg
+    counted = [s for s in stored.seconds if s.mass_kg > 0.0]
+    if whole_kg is None or any(s.noise_std_dev_kg_s is None for s in counted):
+        return MassBudget.unknown()
+    noise_kg2 = float(sum((s.noise_std_dev_kg_s * s.duration_s) ** 2 for s in counted))
+    parameters_kg = sum(
+        _parameters_kg([s for s in counted if s.parameter_version == v], known, machine) for v, known in stored.parameters.items()
+    )
+    rest_kg2 = whole_kg**2 - noise_kg2 - parameters_kg**2
+    return MassBudget(noise_kg2, parameters_kg, sqrt(max(rest_kg2, 0.0)))
+
+
+def _parameters_kg(seconds: Sequence[SecondRow], known: ParameterSet, machine: Machine) -> float:
+    if not seconds:
+        return 0.0
+    columns = np.array([
+        [nan if v is None else v for v in (s.force_n, s.plate_angle_deg, s.elevator_speed_rpm, s.moisture_pct, s.duration_s)]
+        for s in seconds
+    ]).T  # fmt: skip
+    loop = estimator_of(machine, known)
+    found = loop.estimate(columns[0], np.radians(columns[1]), columns[2] * RPM, moisture_pct=columns[3])
+    return float(np.nansum(found.std_dev_kg_s * columns[4]))

@@ -1,0 +1,219 @@
+"""A ticket or a calibration is taken back: the parameters from before it, and the tickets that stand taught again from there."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from yieldmon.engine.monitor import Monitor
+from yieldmon.engine.self_calibration.anchors import Weighing
+from yieldmon.errors import InputError
+from yieldmon.estimation.estimators import estimator_of
+from yieldmon.service.assembly import calibration_age_s
+from yieldmon.service.history.journal import Journal
+from yieldmon.service.history.reference_loads import StoredLoad, reference
+from yieldmon.service.storage.batch import Load, Ticket
+
+_NOT_WEIGHED = frozenset({"sweep", "kernels"})
+"""Origins of parameters that nothing teaches again."""
+
+
+def without_ticket(
+    number: int, monitor: Monitor, journal: Journal, who: str, now_s: float, stored: Sequence[StoredLoad]
+) -> dict[str, Any]:
+    """Take a ticket back, as if it had never been entered, as near as what is kept allows; says what does not come back.
+
+    Where it has taught, the parameters are those from before it, and the standing tickets after it teach again. What sweeps and
+    kernel noise taught since then goes. Where a parameter file has replaced them since, it stays, and masses measured again with
+    what the ticket had taught go back. stored: loads of standing tickets, as the store has them. Raises InputError.
+    """
+    return _without(number, monitor, journal, who, now_s, stored, stands=())
+
+
+def without_version(
+    version: int, monitor: Monitor, journal: Journal, who: str, now_s: float, stored: Sequence[StoredLoad]
+) -> dict[str, Any]:
+    """Take a calibration back, as if it had never come: the standing tickets that taught after it teach again.
+
+    Those whose own lesson it was (`silenced`) correct their loads and teach no more. What sweeps and kernel noise taught since
+    then goes. stored: loads of standing tickets, as the store has them. Raises InputError.
+    """
+    actions = journal.actions
+    silenced = actions.led_first_to(version)
+    since = min(silenced, default=actions.last_ticket_before(version))
+    loads = [load for n in silenced for load in range(actions.entered(n).first_load, actions.entered(n).last_load + 1)]
+    undone_before = actions.undone_versions
+    answer = back_before(version, monitor, journal, who, now_s, silenced)
+    actions.wait_no_more(silenced)
+    undone = actions.undone_versions - undone_before
+    of_crop = answer["crop"] or journal.crop_in_use(monitor.estimator.parameters)
+    later = [n for n in actions.not_learnt_after(since) if not of_crop or _crop_of(journal, n) in (of_crop, "")]
+    numbers = actions.newest_of({*actions.standing_of(undone), *later})
+    taught, why_not = _teach_again(numbers, loads, answer["crop"], monitor, journal, stored, goes_back=True)
+    lost = [v for v in undone if v != version and actions.updates[v].document.get("origin") in _NOT_WEIGHED]
+    return answer | {
+        "silenced": list(silenced), "learnt_again": taught, "standing_tickets": sorted(why_not),
+        "not_learnt_again": [{"ticket": n, "why": why} for n, why in sorted(why_not.items())], "sweeps_undone": len(lost),
+    }  # fmt: skip
+
+
+def without_lessons(
+    numbers: Sequence[int], monitor: Monitor, journal: Journal, who: str, now_s: float, stored: Sequence[StoredLoad]
+) -> list[dict[str, Any]]:
+    """The same of tickets that stand, for loads that are of another crop than they have taught."""
+    return [_without(number, monitor, journal, who, now_s, stored, stands=numbers) for number in numbers]
+
+
+def _without(
+    number: int,
+    monitor: Monitor,
+    journal: Journal,
+    who: str,
+    now_s: float,
+    stored: Sequence[StoredLoad],
+    *,
+    stands: Sequence[int],
+) -> dict[str, Any]:
+    """stands: tickets that are not taken back and teach no more."""
+    actions = journal.actions
+    ticket = actions.standing_ticket(number)
+    loads = range(ticket.first_load, ticket.last_load + 1)
+    first = actions.first_lesson(number, counts=any(load in monitor.counted_loads for load in loads))
+    answer: dict[str, Any] = {"ticket": number, "first_load": ticket.first_load, "last_load": ticket.last_load}
+    replaced = actions.lesson_before_file(number)
+    if replaced is not None:
+        journal.parameters.withdraw(replaced, who, now_s)
+    undone_before, stays = actions.undone_versions, ""
+    if first is not None:
+        try:
+            answer |= back_before(first, monitor, journal, who, now_s)
+        except InputError as error:
+            # The mass that it corrected comes back all the same.
+            stays, first = str(error), None
+    if number in stands:
+        actions.wait_no_more([number])
+    else:
+        actions.undo_ticket(number, who, now_s)
+    undone, crop = actions.undone_versions - undone_before, _crop_of(journal, number)
+    later = [n for n in actions.not_learnt_after(number) if _crop_of(journal, n) == crop]
+    numbers = [n for n in actions.newest_of({*actions.standing_of(undone), *later}) if n not in stands]
+    other = str(answer["crop"]) if "crop" in answer else _if_other(crop, monitor, journal)
+    taught, why_not = _teach_again(numbers, loads, other, monitor, journal, stored, goes_back=first is not None)
+    if first is None:
+        return answer | ({"teaching_stays": stays} if stays else {}) | ({"learnt_again": taught} if taught else {})
+    lost = [v for v in undone if actions.updates[v].document.get("origin") in _NOT_WEIGHED]
+    return answer | {
+        "learnt_again": taught, "standing_tickets": sorted(why_not),
+        "not_learnt_again": [{"ticket": n, "why": why} for n, why in sorted(why_not.items())], "sweeps_undone": len(lost),
+    }  # fmt: skip
+
+
+def teach_crop(
+    numbers: Sequence[int], crop: str, monitor: Monitor, journal: Journal, stored: Sequence[StoredLoad]
+) -> tuple[list[int], Mapping[int, str]]:
+    """Tickets teach a crop that their loads are of: numbers of those that do, and why the others do not."""
+    return _teach_again(numbers, (), _if_other(crop, monitor, journal), monitor, journal, stored, goes_back=False)
+
+
+def _if_other(crop: str, monitor: Monitor, journal: Journal) -> str:
+    """A crop, where another one is harvested now, else ""."""
+    now = journal.crop_in_use(monitor.estimator.parameters)
+    return crop if crop and now and crop.lower() != now.lower() else ""
+
+
+def _crop_of(journal: Journal, number: int) -> str:
+    """Of a ticket's first load."""
+    first = journal.actions.entered(number).first_load
+    return next((load.crop for load in journal.loads if load.number == first), "")
+
+
+def back_before(
+    version: int, monitor: Monitor, journal: Journal, who: str, now_s: float, silenced: Sequence[int] = ()
+) -> dict[str, Any]:
+    """The parameters before a version again, as a new version; for another crop than the present one, once it is harvested.
+
+    silenced: tickets that are to teach no more. Raises InputError.
+    """
+    in_use = monitor.estimator.parameters
+    if in_use.curve is not None:
+        raise InputError(
+            f"version {version}", "the flow comes from estimator_file, which learns nothing", "another estimator_file"
+        )
+    before = journal.actions.undone_versions
+    chosen, crop = journal.parameters.undo(version, in_use, journal.crop, who, now_s, silenced)
+    left = journal.actions.standing_of(journal.actions.undone_versions - before)
+    monitor.set_estimator(estimator_of(monitor.machine, chosen), calibration_age_s(chosen, now_s))
+    return {
+        "undone": version, "until": in_use.version, "version": chosen.version, "effects": list(chosen.effects), "crop": crop,
+        "standing_tickets": left,
+    }  # fmt: skip
+
+
+def _teach_again(
+    numbers: Sequence[int],
+    gone: Sequence[int],
+    crop: str,
+    monitor: Monitor,
+    journal: Journal,
+    stored: Sequence[StoredLoad],
+    *,
+    goes_back: bool,
+) -> tuple[list[int], Mapping[int, str]]:
+    """Numbers of the tickets that teach again, and why the others of these do not. gone: loads whose tickets go. crop: see
+    `Monitor.teach_again`. goes_back: the parameters are those from before a ticket."""
+    tickets = journal.actions.ledger.tickets
+    taught: list[int] = []
+    again: list[Weighing] = []
+    why_not: dict[int, str] = {}
+    for number in numbers:
+        ticket = tickets[number]
+        covered = [load for load in journal.loads if ticket.first_load <= load.number <= ticket.last_load]
+        why = why_no_reference(monitor, journal, covered, stored, crop)
+        if why:
+            why_not[number] = why
+            continue
+        taught.append(number)
+        again += weighings(covered, ticket, journal.actions.std_dev_kg(number))
+    learnt = [
+        load for n in journal.actions.learnt_from() if n not in taught
+        for load in range(tickets[n].first_load, tickets[n].last_load + 1)
+    ]  # fmt: skip
+    monitor.teach_again(gone, again, learnt if goes_back else None, crop)
+    journal.actions.wait_again(taught, crop)
+    return taught, why_not
+
+
+def why_no_reference(
+    monitor: Monitor, journal: Journal, covered: Sequence[Load], stored: Sequence[StoredLoad], crop: str = ""
+) -> str:
+    """Why no part of a ticket is a reference mass for the calibration; "" where it is. The monitor gets to know those of its
+    loads that an earlier run measured. crop: whose parameters are to learn; "": those in use."""
+    in_use = crop or journal.crop_in_use(monitor.estimator.parameters)
+    other = next((load.crop for load in covered if load.crop and in_use and load.crop.lower() != in_use.lower()), None)
+    if other is not None:
+        return f"a load of {other}; the parameters in use are those of {in_use}; `yieldmon calibrate --loads` learns from it"
+    whole = {load.number: load.complete for load in monitor.loads}
+    earlier = {load.load.number: load for load in stored if load.load.number not in whole}
+    wanted = {load.number for load in covered}
+    for number, load in earlier.items():
+        if number not in wanted:
+            continue
+        found = reference(load, monitor.machine, monitor.settings.windows.min_coverage)
+        if min(found.versions, default=0) < journal.actions.calibrated_version:
+            return f"load {number} was measured before the parameter file in use"
+        monitor.know_load(found.summary, found.seconds)
+        whole[number] = found.summary.complete
+    if not all(whole.get(load.number, False) for load in covered):
+        return "not every second of it was measured"
+    return ""
+
+
+def weighings(covered: Sequence[Load], ticket: Ticket, std_dev_kg: float) -> list[Weighing]:
+    """A ticket shared out over its loads."""
+    found = []
+    for load in covered:
+        share = load.mass_kg / ticket.measured_mass_kg
+        if share > 0.0:
+            found.append((load.number, share * ticket.weighed_mass_kg, math.sqrt(share) * std_dev_kg))
+    return found

@@ -1,0 +1,1 @@
+"""Logs and recorded seconds: measured, held against their configuration, and read back."""

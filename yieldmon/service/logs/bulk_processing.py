@@ -1,0 +1,322 @@
+"""Logs through the engine in bulk: read and decoded as arrays, fed a run at a time.
+
+The result is that of one engine over all frames in the order of the logs, to the last bit: what a window is worth depends on the
+zero, the gate, the totals and the paddles before it, so the engine itself is never split. What needs no state, reading and
+decoding, is done ahead of it by a process of its own; logs that are records of their own can be worked off side by side.
+"""
+
+from __future__ import annotations
+
+import gc
+import multiprocessing
+import signal
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from functools import partial
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yieldmon.bus.bulk import USABLE, FrameBlock, SignalColumn, concatenate, decode_block
+from yieldmon.bus.candump import ERROR_FLAG, REMOTE_FLAG
+from yieldmon.bus.codec import Codec
+from yieldmon.bus.loading import iter_blocks
+from yieldmon.bus.log_notes import LogNotes
+from yieldmon.bus.packed_reading import Wanted
+from yieldmon.engine.monitor import Monitor
+from yieldmon.engine.results import Result
+from yieldmon.engine.runs import FrameRun, SampleRun, SignalRun, in_millivolts, sample_columns
+from yieldmon.engine.sources import SampleSource, Sources
+from yieldmon.errors import InputError
+from yieldmon.identifiers import EXTENDED_FLAG
+from yieldmon.service.logs.processing import Summary, hand_over, refuse_nothing
+from yieldmon.service.storage.rows import SecondRow
+from yieldmon.service.traffic.side_inputs import SideInputs
+from yieldmon.signals.decoding import MapDecoder
+from yieldmon.signals.mapping import SignalMap, default_map
+
+#: Frames of a log fed at a time: windows enough to be closed in groups. Where the recorder's clock steps, the frames of one run
+#: are fed one by one.
+_RUN_FRAMES = 131_072
+#: A run must not bring windows without bound.
+_RUN_S = 3600.0
+#: Objects more than before at which Python looks for cycles.
+_COLLECTED_TOGETHER = 50_000
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Some frames of a log, ready for the engine. frames: all of the log in this stretch, ours: those among them that
+    the engine takes, malformed: those of ours with a wrong length, incomplete: messages given up that lack a frame. runs: for
+    Monitor.feed_run()."""
+
+    frames: int
+    ours: int
+    malformed: int
+    runs: list[FrameRun] = field(default_factory=list)
+    incomplete: int = 0
+
+
+@dataclass(frozen=True)
+class EndOfLog:
+    """A log is read to its end."""
+
+    path: str
+    damages: list[str]
+
+
+def process_in_bulk(
+    paths: Sequence[Path | str],
+    monitor: Monitor,
+    codec: Codec,
+    take_row: Callable[[SecondRow], None],
+    *,
+    signals: SignalMap | None = None,
+    reads_ahead: bool = False,
+    progress: Callable[[Stretch | EndOfLog], None] | None = None,
+    take_results: Callable[[Sequence[Result]], None] | None = None,
+) -> Summary:
+    """What processing.process_logs() does, and the same rows and summary. Raises InputError as that does.
+
+    signals: where the engine's quantities come from, None: the shipped DBC.
+    reads_ahead: read and decode in a second process. progress: called with each stretch that is done. take_results: called with
+    what the monitor handed back, events included, before its rows.
+    """
+    names = [str(path) for path in paths]
+    summary = Summary()
+    read = _stretches_ahead if reads_ahead else _stretches_here
+    with _seldom_collecting(), read(names, Taking(codec, default_map() if signals is None else signals)) as stretches:
+        for stretch in stretches:
+            if isinstance(stretch, EndOfLog):
+                summary.damages += stretch.damages
+            else:
+                summary.frames += stretch.frames
+                summary.ours += stretch.ours
+                summary.malformed += stretch.malformed
+                summary.incomplete += stretch.incomplete
+                for run in stretch.runs:
+                    summary.samples += sum(part.places.size for part in run.samples)
+                    hand_over(monitor.feed_run(run, reports=False), take_row, summary, take_results)
+            if progress is not None:
+                progress(stretch)
+    refuse_nothing(names, summary)
+    return summary
+
+
+@dataclass(frozen=True)
+class Taking:
+    """What is taken from a log: of the shipped DBC by the codec, of the mapping's groups by its decoder."""
+
+    codec: Codec
+    signals: SignalMap
+
+
+def stretches_of(paths: Iterable[str], taking: Taking) -> Iterator[Stretch | EndOfLog]:
+    """The logs, one after the other, decoded. Raises InputError for a log that cannot be read."""
+    decoder, side = MapDecoder(taking.signals), SideInputs()
+    wanted = _wanted(taking, decoder, side)
+    for path in paths:
+        notes, frames = LogNotes(), 0
+        for block in _joined(iter_blocks(path, notes, wanted=wanted)):
+            before = decoder.incomplete
+            found = _stretch(*_decoded(taking, decoder, side, block), block, notes.frames - frames, taking.signals.sources)
+            yield replace(found, incomplete=decoder.incomplete - before)
+            frames = notes.frames
+        yield EndOfLog(path, notes.lacks(path))
+    if decoder.under_way:
+        yield Stretch(0, 0, 0, incomplete=decoder.under_way)
+
+
+def _joined(blocks: Iterator[FrameBlock]) -> Iterator[FrameBlock]:
+    """The same frames in fewer blocks, of not much more than _RUN_FRAMES: what a run costs, whatever is in it, is shared."""
+    waiting: list[FrameBlock] = []
+    for block in blocks:
+        if waiting and sum(map(len, waiting)) + len(block) > _RUN_FRAMES:
+            yield _whole(waiting)
+            waiting = []
+        waiting.append(block)
+    if waiting:
+        yield _whole(waiting)
+
+
+def _whole(blocks: list[FrameBlock]) -> FrameBlock:
+    return blocks[0] if len(blocks) == 1 else concatenate(blocks)
+
+
+def _wanted(taking: Taking, decoder: MapDecoder, side: SideInputs) -> Wanted:
+    """Identifiers of frames that codec, decoder or side inputs look at."""
+    own = taking.signals.own_messages if taking.signals.groups else None
+    layouts = [layout for layout in taking.codec.layouts.values() if own is None or layout.name in own]
+    ranges = [(layout.identity | EXTENDED_FLAG, layout.identity_mask | EXTENDED_FLAG) for layout in layouts]
+    ranges += [(match.identity, match.mask) for match in decoder.matches]
+
+    def wanted(identifiers: NDArray[np.uint32]) -> NDArray[np.bool_]:
+        taken = side.concerns(identifiers)
+        for identity, mask in ranges:
+            taken |= (identifiers & np.uint32(mask)) == np.uint32(identity)
+        return taken
+
+    return wanted
+
+
+@dataclass(frozen=True)
+class _Columns:
+    """One message's frames in a block: rows, times and values by signal, nan for what is not available."""
+
+    rows: NDArray[np.intp]
+    time_s: NDArray[np.float64]
+    values: Callable[[str, slice], NDArray[np.float64]]
+    names: tuple[str, ...]
+
+
+def _decoded(taking: Taking, decoder: MapDecoder, side: SideInputs, block: FrameBlock) -> tuple[dict[str, _Columns], int]:
+    """The columns of each message that the engine takes, and how many frames were of a wrong length."""
+    own = decode_block(taking.codec, block, taking.signals.own_messages if taking.signals.groups else None)
+    own = side.extend(own, block)
+    found = {
+        name: _Columns(columns.rows, columns.time_s, partial(_known, columns.signals), tuple(columns.signals))
+        for name, columns in own.messages.items()
+    }
+    refused = len(own.wrong_length)
+    if taking.signals.groups:
+        data = np.flatnonzero((block.can_id & np.uint32(REMOTE_FLAG | ERROR_FLAG)) == 0)
+        columns = (block.time_s[data], block.can_id[data], block.length[data], block.payload[data])
+        groups, wrong = decoder.decode_block(*columns, block.long_of(data))
+        refused += len(wrong)
+        for group in groups:
+            found[group.name] = _Columns(data[group.rows], group.time_s, partial(_part, group.signals), tuple(group.signals))
+    return found, refused
+
+
+def _stretch(found: dict[str, _Columns], refused: int, block: FrameBlock, frames: int, sources: Sources) -> Stretch:
+    """frames: in the log, of which the block holds those that somebody may want."""
+    inputs = {name: found[name] for name in sources.messages if name in found}
+    taken = np.zeros(len(block), bool)
+    for columns in inputs.values():
+        taken[columns.rows] = True
+    rows = np.flatnonzero(taken)
+    times, places = block.time_s[rows], np.cumsum(taken) - 1
+    runs = [_run(inputs, rows[part], times[part], places, sources) for part in _parts(times)]
+    return Stretch(frames, len(rows), refused, runs)
+
+
+def _parts(times: NDArray[np.float64]) -> Iterator[slice]:
+    """Stretches of at most _RUN_FRAMES frames and, while the clock runs on, _RUN_S seconds."""
+    first = 0
+    while first < times.size:
+        ahead = times[first : first + _RUN_FRAMES]
+        beyond = np.flatnonzero(np.abs(ahead - ahead[0]) > _RUN_S)
+        last = first + (int(beyond[0]) if beyond.size else ahead.size)
+        yield slice(first, last)
+        first = last
+
+
+def _run(
+    inputs: dict[str, _Columns],
+    rows: NDArray[np.intp],
+    times: NDArray[np.float64],
+    place_of: NDArray[np.intp],
+    sources: Sources,
+) -> FrameRun:
+    """The frames in these rows of the block, all of messages that the engine takes. place_of: that of each row of the block among
+    those."""
+    found = {}
+    for name, columns in inputs.items():
+        part = slice(*np.searchsorted(columns.rows, (rows[0], rows[-1] + 1)))
+        places = place_of[columns.rows[part]] - place_of[rows[0]]
+        if places.size:
+            found[name] = columns, part, places
+    samples = [
+        _sample_run(source, *found[source.message]) if source.message in found else _silent(source) for source in sources.impact
+    ]
+    listened = {source.message for source in sources.inputs}
+    others = [
+        SignalRun(name, places, columns.time_s[part], {signal: columns.values(signal, part) for signal in columns.names})
+        for name, (columns, part, places) in found.items()
+        if name in listened
+    ]
+    return FrameRun(times, samples, others)
+
+
+def _sample_run(source: SampleSource, columns: _Columns, part: slice, places: NDArray[np.intp]) -> SampleRun:
+    unknown = np.full(places.shape, np.nan)
+    table = [columns.values(name, part) if name is not None else unknown for name in sample_columns(source)]
+    return SampleRun(places, in_millivolts(source, np.stack(table).T))
+
+
+def _silent(source: SampleSource) -> SampleRun:
+    return SampleRun(np.empty(0, np.intp), np.empty((0, len(sample_columns(source)))))
+
+
+def _known(signals: Mapping[str, SignalColumn], name: str, part: slice) -> NDArray[np.float64]:
+    """nan for what is not available."""
+    column = signals[name]
+    values, usable = column.values[part], column.status[part] == USABLE
+    return values.astype(np.float64, copy=False) if usable.all() else np.where(usable, values, np.nan)
+
+
+def _part(signals: Mapping[str, NDArray[np.float64]], name: str, part: slice) -> NDArray[np.float64]:
+    return signals[name][part]
+
+
+@contextmanager
+def _seldom_collecting() -> Iterator[None]:
+    """Python's search for cycles put off: what a window is made of holds none, and goes as soon as the window is a row."""
+    before = gc.get_threshold()
+    if before[0]:
+        gc.set_threshold(max(before[0], _COLLECTED_TOGETHER), *before[1:])
+    try:
+        yield
+    finally:
+        gc.set_threshold(*before)
+
+
+@contextmanager
+def _stretches_here(paths: list[str], taking: Taking) -> Iterator[Iterator[Stretch | EndOfLog]]:
+    yield stretches_of(paths, taking)
+
+
+@contextmanager
+def _stretches_ahead(paths: list[str], taking: Taking) -> Iterator[Iterator[Stretch | EndOfLog]]:
+    """The same from a process that reads ahead as far as the pipe between them holds."""
+    context = multiprocessing.get_context("fork")
+    receiving, sending = context.Pipe(duplex=False)
+    reader = context.Process(target=_read, args=(paths, taking, sending, receiving), daemon=True)
+    reader.start()
+    sending.close()
+    try:
+        yield _received(receiving)
+    finally:
+        reader.terminate()
+        reader.join()
+        receiving.close()
+
+
+def _read(paths: list[str], taking: Taking, sending: Connection, receiving: Connection) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # With this end open here too, a reader whose parent was killed would wait for ever instead of finding it gone.
+    receiving.close()
+    try:
+        for stretch in stretches_of(paths, taking):
+            sending.send(stretch)
+        sending.send(None)
+    except InputError as error:
+        sending.send((error.where, error.problem, error.expected))
+    except BrokenPipeError:
+        return
+
+
+def _received(receiving: Connection) -> Iterator[Stretch | EndOfLog]:
+    while True:
+        try:
+            item = receiving.recv()
+        except EOFError:
+            raise OSError("the process that reads the logs has ended early") from None
+        if item is None:
+            return
+        if isinstance(item, tuple):
+            raise InputError(*item)
+        yield item

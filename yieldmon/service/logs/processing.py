@@ -1,0 +1,146 @@
+"""Logs through the engine: what live gave, a file gives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from yieldmon.bus.codec import Codec, FrameError
+from yieldmon.bus.log_notes import LogNotes
+from yieldmon.bus.logs import read_log
+from yieldmon.engine.monitor import Monitor
+from yieldmon.engine.results import Result, records_in
+from yieldmon.errors import InputError
+from yieldmon.service.storage.rows import SecondRow, second_row
+from yieldmon.service.traffic.input_frames import InputFrames
+from yieldmon.signals.mapping import SignalMap, default_map
+
+
+@dataclass
+class Summary:
+    """What a pass over logs met.
+
+    Parameters
+    ----------
+    frames : int
+        All in the logs.
+    ours : int
+        Those that the engine was fed.
+    samples : int
+        Those among them that bring an impact sensor's samples.
+    malformed : int
+        Of wrong length.
+    incomplete : int
+        Messages of several frames that lack one.
+    windows : int
+        That closed.
+    damages : list of str
+        Damaged places of the logs.
+
+    Examples
+    --------
+    See `process_logs`.
+    """
+
+    frames: int = 0
+    ours: int = 0
+    samples: int = 0
+    malformed: int = 0
+    incomplete: int = 0
+    windows: int = 0
+    damages: list[str] = field(default_factory=list)
+
+
+def process_logs(
+    paths: Sequence[Path | str],
+    monitor: Monitor,
+    codec: Codec,
+    take_row: Callable[[SecondRow], None],
+    signals: SignalMap | None = None,
+) -> Summary:
+    r"""Feed logs, one after the other, to a monitor.
+
+    Parameters
+    ----------
+    paths : sequence of path
+    monitor : Monitor
+    codec : Codec
+    take_row : callable
+        Called with each second's `SecondRow`.
+    signals : SignalMap, optional
+        Where the engine's quantities come from; None: the shipped DBC. Frames that the monitor sends are not needed here: those
+        in a log were sent by the monitor of that time.
+
+    Returns
+    -------
+    Summary
+        Counts of frames and windows, and what was damaged.
+
+    Raises
+    ------
+    InputError
+        For a log that cannot be read, and where all logs hold nothing that the engine could take, or nothing to weigh.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> loaded, codec, rows = api.load_configuration(api.shipped("config/yieldmon.yaml")), api.Codec(), []
+    >>> monitor = api.build_monitor(loaded.engine, loaded.machine, loaded.parameters)
+    >>> combine = api.VirtualCombine(api.Scenario(duration_s=4), loaded.machine)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     log = pathlib.Path(folder, "drive.log")
+    ...     lines = [codec.encode(frame) for frame in combine.frames_until(4.0)]
+    ...     _ = log.write_text("".join(f"({m.timestamp:.6f}) can0 {m.arbitration_id:08X}#{m.data.hex()}\n" for m in lines))
+    ...     summary = api.process_logs([log], monitor, codec, rows.append)
+    >>> summary.windows == len(rows)
+    True
+    """
+    summary = Summary()
+    mapping = default_map() if signals is None else signals
+    bus = InputFrames(codec, mapping)
+    sensors = {source.message for source in mapping.sources.impact}
+    for path in paths:
+        notes = LogNotes()
+        for message in read_log(path, notes):
+            try:
+                frames = bus.frames(message)
+            except FrameError:
+                summary.malformed += 1
+                continue
+            summary.ours += bool(frames)
+            summary.samples += any(frame.message in sensors for frame in frames)
+            for frame in frames:
+                hand_over(monitor.feed(frame), take_row, summary)
+        summary.frames += notes.frames
+        summary.damages += notes.lacks(path)
+    summary.incomplete = bus.incomplete + bus.under_way
+    refuse_nothing(paths, summary)
+    return summary
+
+
+def refuse_nothing(paths: Sequence[Path | str], summary: Summary) -> None:
+    """Raises InputError when there was nothing in all the logs that the engine could take, or nothing to weigh."""
+    if not summary.ours:
+        found = f"none of {summary.frames} frames is one that yieldmon takes in" if summary.frames else "no frame at all"
+        wrong = f", {summary.malformed} of wrong length" if summary.malformed else ""
+        wrong += f", {summary.incomplete} messages lack a frame" if summary.incomplete else ""
+        raise InputError(", ".join(map(str, paths)), found + wrong, "a log with sensor, speed and plate frames")
+    if not summary.samples:
+        where = ", ".join(map(str, paths))
+        problem = f"no impact sensor: none of {summary.frames} frames brings its samples"
+        raise InputError(where, problem, "`signals` in the configuration; `yieldmon signals LOG` lists what there is")
+
+
+def hand_over(
+    results: Sequence[Result],
+    take_row: Callable[[SecondRow], None],
+    summary: Summary,
+    take_results: Callable[[Sequence[Result]], None] | None = None,
+) -> None:
+    """The rows of the windows that closed; take_results: asked with all that the monitor handed back."""
+    if take_results is not None:
+        take_results(results)
+    for record in records_in(results):
+        summary.windows += 1
+        take_row(second_row(summary.windows, record))

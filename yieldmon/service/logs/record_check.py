@@ -1,0 +1,78 @@
+"""What a record's seconds lack, seen as they pass: gaps, seconds that come twice, inputs that are not there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from yieldmon.documents.process import ProcessSummary
+from yieldmon.engine.faults import FaultCode
+from yieldmon.service.storage.rows import SecondRow
+
+_GAP_S = 0.5
+"""Between one second's end and the next one's begin; more is a gap."""
+_SPEED = "elevator_speed_rpm"
+_INPUTS = {
+    "moisture_pct": "moisture",
+    "latitude_deg": "position",
+    "ground_speed_m_s": "ground speed",
+    _SPEED: "elevator speed",
+    "plate_angle_deg": "plate angle",
+}
+
+
+@dataclass
+class RecordCheck:
+    """Counts over the seconds taken so far. seconds: those with samples; gaps: stretches without."""
+
+    seconds: int = 0
+    gaps: int = 0
+    gap_s: float = 0.0
+    overlap_s: float = 0.0
+    overlap_kg: float = 0.0
+    _latest_s: float = float("-inf")
+    _before_s: float | None = None
+    _silent: bool = False
+    _unknown: dict[str, int] = field(default_factory=lambda: dict.fromkeys(_INPUTS, 0))
+
+    def take(self, row: SecondRow) -> None:
+        """The next second."""
+        silent = not row.coverage > 0.0
+        jumped = self._before_s is not None and row.time_s - self._latest_s > row.duration_s + _GAP_S
+        if jumped:
+            self.gap_s += row.time_s - self._latest_s - row.duration_s
+        if silent:
+            self.gap_s += row.duration_s
+        self.gaps += jumped or (silent and not self._silent)
+        if row.time_s <= self._latest_s - 0.5:
+            self.overlap_s += row.duration_s
+            self.overlap_kg += row.mass_kg
+        self._before_s, self._silent = row.time_s, silent
+        self._latest_s = max(self._latest_s, row.time_s)
+        if silent:
+            return
+        self.seconds += 1
+        for name in _INPUTS:
+            # In stores and tables of version 0.1.0 such a second has the nominal speed.
+            unknown = name == _SPEED and FaultCode.SPEED_MISSING in (row.faults or "").split()
+            self._unknown[name] += unknown or getattr(row, name) is None
+
+    @property
+    def missing(self) -> dict[str, float]:
+        """Input -> share of the seconds without it, where it is missing at all."""
+        return {said: self._unknown[name] / self.seconds for name, said in _INPUTS.items() if self._unknown[name]}
+
+
+def record_lines(document: ProcessSummary) -> list[str]:
+    """What is to be said of a record's gaps, overlaps and missing inputs."""
+    out = []
+    if document.get("gaps"):
+        out.append(f"gaps: {document['gaps']}, {document['gap_s']:.0f} s in all without samples")
+    if document.get("overlap_s"):
+        out.append(
+            f"overlap: {document['overlap_s']:.0f} s with {document['overlap_kg']:.1f} kg lie before seconds that were read "
+            "already; logs that overlap, or one twice, count their mass twice"
+        )
+    if document.get("missing"):
+        shares = (f"{name} in {100.0 * share:.0f} % of the seconds" for name, share in document["missing"].items())
+        out.append("missing: " + ", ".join(shares))
+    return out

@@ -1,0 +1,129 @@
+"""A store's seconds measured again with other parameters, another zero or another delay: without the samples, which are gone.
+
+Kept of a second are mean force, its noise, speed, angle and moisture. The gate stays as it was: a second that was judged to be
+without grain has none, unless another zero says otherwise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import inf
+
+import numpy as np
+
+from yieldmon.documents.process import ReprocessedLoad
+from yieldmon.engine.settings import EngineSettings
+from yieldmon.estimation.estimators import estimator_of
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.finite import finite
+from yieldmon.physics.machine import RPM, Machine
+from yieldmon.physics.model import ForwardModel
+from yieldmon.physics.numerics import Array
+from yieldmon.service.storage.rows import SecondRow
+
+_PLACED = ("latitude_deg", "longitude_deg", "ground_speed_m_s", "course_deg")
+
+
+@dataclass(frozen=True)
+class Again:
+    """rows: the seconds measured again. unusable: seconds with mass whose force, angle or speed is not known; they stay as they
+    were."""
+
+    rows: tuple[SecondRow, ...]
+    before_kg: float
+    after_kg: float
+    unusable: int
+
+
+def measured_again(
+    rows: Sequence[SecondRow],
+    machine: Machine,
+    parameters: ParameterSet,
+    settings: EngineSettings,
+    *,
+    zero_mv: float | None = None,
+    delay_s: int = 0,
+    load_ends_s: Mapping[int, float] | None = None,
+) -> Again:
+    """The rows with flow, mass and totals of these parameters.
+
+    zero_mv: for all seconds; None: each its own. delay_s: place and speed of so many seconds earlier belong to a second's grain.
+    load_ends_s: of the loads that have ended; what comes later counts in the total alone.
+    """
+    model = ForwardModel(machine, parameters.effects)
+    force, noise, angle, speed, moisture, zero = (
+        column(rows, name)
+        for name in ("force_n", "force_std_dev_n", "plate_angle_deg", "elevator_speed_rpm", "moisture_pct", "zero_mv")
+    )
+    counted = np.array([row.mass_kg > 0.0 for row in rows], dtype=bool)
+    if zero_mv is not None:
+        force = force + (zero - zero_mv) * machine.sensor.gain_n_per_mv
+        # Contested seconds are in no total, whatever the zero.
+        covered = np.array([row.coverage > 0.0 and row.load_number > 0 and not row.surplus_frames for row in rows], dtype=bool)
+        counted = covered & (force > settings.gate.grain_on_n)
+    usable = counted & np.isfinite(force) & np.isfinite(angle) & np.isfinite(speed)
+    if model.needs_moisture:
+        usable &= np.isfinite(moisture)
+    flow, std_dev = np.full(len(rows), np.nan), np.full(len(rows), np.nan)
+    if np.any(usable):
+        found = estimator_of(machine, parameters, model).estimate(
+            force[usable], np.radians(angle[usable]), speed[usable] * RPM, np.nan_to_num(noise[usable]), moisture[usable]
+        )
+        flow[usable], std_dev[usable] = found.mass_flow_kg_s, found.std_dev_kg_s
+    out: list[SecondRow] = []
+    total_kg, load_kg, load, unusable = 0.0, 0.0, -1, 0
+    for i, row in enumerate(rows):
+        known = bool(np.isfinite(flow[i]))
+        kept = bool(counted[i]) and not known
+        unusable += kept
+        mass_kg = row.mass_kg if kept else float(flow[i]) * _seconds(row, settings.windows.min_coverage) if known else 0.0
+        load_kg = (0.0 if row.load_number != load else load_kg) + (mass_kg if _of_load(row, load_ends_s) else 0.0)
+        total_kg, load = total_kg + mass_kg, row.load_number
+        changed = {
+            "mass_kg": mass_kg, "load_kg": load_kg, "total_kg": total_kg, "load_std_dev_kg": None, "total_std_dev_kg": None,
+            "noise_std_dev_kg_s": None,
+        } | _places(rows, i, delay_s)  # fmt: skip
+        if known:
+            changed |= {"mass_flow_kg_s": float(flow[i]), "std_dev_kg_s": float(std_dev[i])}
+            changed |= {"parameter_version": parameters.version, "force_n": float(force[i])}
+        if zero_mv is not None and row.zero_mv is not None:
+            changed |= {"zero_mv": zero_mv, "force_n": finite(float(force[i]))}
+        out.append(replace(row, **changed))
+    before_kg = float(sum(row.mass_kg for row in rows))
+    return Again(tuple(out), before_kg, total_kg, unusable)
+
+
+def _of_load(row: SecondRow, load_ends_s: Mapping[int, float] | None) -> bool:
+    end_s = inf if load_ends_s is None else load_ends_s.get(row.load_number, inf)
+    return bool(row.time_s <= end_s)
+
+
+def loads_of_rows(
+    before: Sequence[SecondRow], after: Sequence[SecondRow], load_ends_s: Mapping[int, float] | None = None
+) -> list[ReprocessedLoad]:
+    """Each load's mass as measured and as measured again; load_ends_s as in `measured_again`."""
+    masses: dict[int, list[float]] = {}
+    for one, other in zip(before, after, strict=True):
+        if (one.mass_kg or other.mass_kg) and _of_load(one, load_ends_s):
+            sums = masses.setdefault(one.load_number, [0.0, 0.0])
+            sums[0] += one.mass_kg
+            sums[1] += other.mass_kg
+    return [{"load": number, "before_kg": was, "after_kg": now} for number, (was, now) in sorted(masses.items())]
+
+
+def column(rows: Sequence[SecondRow], name: str) -> Array:
+    """A column of rows, shape (rows,); nan where it is not known."""
+    return np.array([np.nan if (v := getattr(row, name)) is None else v for row in rows], dtype=float)
+
+
+def _seconds(row: SecondRow, min_coverage: float) -> float:
+    """The time that a second's flow stands for."""
+    return float(row.duration_s if row.coverage >= min_coverage else row.duration_s * row.coverage)
+
+
+def _places(rows: Sequence[SecondRow], i: int, delay_s: int) -> dict[str, float | None]:
+    if not delay_s:
+        return {}
+    earlier = rows[i - delay_s] if i >= delay_s and rows[i].time_s - rows[i - delay_s].time_s < delay_s + 2.0 else None
+    return {name: None if earlier is None else getattr(earlier, name) for name in _PLACED}

@@ -1,0 +1,296 @@
+"""Weighed loads from what a daemon stored, or from logs put through the engine, with their tickets.
+
+Loads of a store keep their numbers. Loads of logs are numbered in the order of the logs; a log with one load may be named
+instead.
+Each second of a load counts with the time for which its flow, by the parameters that measured it, gives its mass.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import inf
+from pathlib import Path
+
+import numpy as np
+
+from yieldmon.bus.codec import Codec
+from yieldmon.errors import InputError
+from yieldmon.estimation.estimators import estimator_of
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.self_calibration.closed_loop_inputs import Sweep
+from yieldmon.estimation.weighing.load_inputs import WeighedLoad
+from yieldmon.files.ticket_file import WeighedTicket, unit_slip
+from yieldmon.physics.machine import RPM, Machine
+from yieldmon.physics.model import ForwardModel
+from yieldmon.repeats import repeated
+from yieldmon.service.assembly import build_monitor
+from yieldmon.service.config.configuration import Configuration
+from yieldmon.service.logs.bulk_processing import process_in_bulk
+from yieldmon.service.logs.log_copies import refuse_copies
+from yieldmon.service.logs.recorded import is_store_not_log, opened, parameter_sets
+from yieldmon.service.storage.batch import Load
+from yieldmon.service.storage.rows import SecondRow
+
+LEAST_KNOWN_SHARE = 0.9
+"""Of a load's mass that must rest on a known force, angle and speed."""
+_KEPT_SWEEPS = 20
+
+
+@dataclass(frozen=True)
+class MeasuredLoad:
+    """Seconds of one load, with the parameters that measured each version's. crop: "" where none was named. is_open: more may
+    come."""
+
+    name: str
+    log: str
+    seconds: tuple[SecondRow, ...]
+    parameters: Mapping[int, ParameterSet]
+    crop: str = ""
+    is_open: bool = False
+
+    @property
+    def mass_kg(self) -> float:
+        """As measured."""
+        return float(sum(row.mass_kg for row in self.seconds))
+
+
+def read(
+    sources: Sequence[str], configured: Configuration, progress: Callable[[object], None] | None = None
+) -> tuple[MeasuredLoad, ...]:
+    """The loads of one store or of several logs. Raises InputError."""
+    stores = [source for source in sources if is_store_not_log(source)]
+    if stores and len(sources) > 1:
+        raise InputError("--loads", f"names {stores[0]} together with other sources", "one store, or one or more logs")
+    if twice := repeated(sources):
+        raise InputError("--loads", f"names {twice[0]} twice", "each log once")
+    refuse_copies(sources)
+    return _of_store(Path(stores[0])) if stores else _of_logs(sources, configured, progress)
+
+
+def _of_store(path: Path) -> tuple[MeasuredLoad, ...]:
+    with opened(path) as store:
+        rows = store.seconds()
+        versions = parameter_sets(store)
+        known = {str(load.number): load for load in store.loads()}
+    found = []
+    for load in loads_of(of_loads(rows, known.values()), versions):
+        of_parameters = versions.get(load.seconds[-1].parameter_version)
+        crop = known[load.name].crop if load.name in known else ""
+        crop = crop or (of_parameters.provenance.get("crop", "") if of_parameters is not None else "")
+        found.append(replace(load, crop=crop, is_open=load.name in known and known[load.name].ended_s is None))
+    return tuple(found)
+
+
+def alike(loads: Sequence[MeasuredLoad], tickets: Sequence[WeighedTicket]) -> tuple[MeasuredLoad, ...]:
+    """The loads of the crop that the tickets are for, all others left out. Raises InputError where those are of two crops."""
+    first: MeasuredLoad | None = None
+    for ticket in tickets:
+        for load in loads_on(ticket, loads):
+            if first is None or not first.crop:
+                first = load
+            elif load.crop and load.crop != first.crop:
+                raise InputError(
+                    ticket.where,
+                    f"load {load.name} is of {load.crop}, load {first.name} of {first.crop}",
+                    "the tickets of one crop in a file",
+                )
+    return tuple(load for load in loads if first is None or load.crop == first.crop)
+
+
+def _of_logs(
+    sources: Sequence[str], configured: Configuration, progress: Callable[[object], None] | None
+) -> tuple[MeasuredLoad, ...]:
+    found: list[MeasuredLoad] = []
+    for source in sources:
+        rows: list[SecondRow] = []
+        monitor = build_monitor(
+            configured.engine, configured.machine, configured.parameters, None, configured.signals.sources, drives_plate=False
+        )
+        process_in_bulk([source], monitor, Codec(), rows.append, signals=configured.signals, progress=progress)
+        versions = {configured.parameters.version: configured.parameters}
+        found += loads_in_log(rows, source, versions, len(found))
+    return tuple(found)
+
+
+def loads_in_log(
+    rows: Sequence[SecondRow], log: str, versions: Mapping[int, ParameterSet], before: int
+) -> tuple[MeasuredLoad, ...]:
+    """The loads of a log, numbered on from `before`. Raises InputError where it holds none."""
+    found = _loads(rows, log, versions, before)
+    if not found:
+        raise InputError(log, _why_no_mass(rows), "a log of a load, from the empty machine on")
+    return found
+
+
+def _why_no_mass(rows: Sequence[SecondRow]) -> str:
+    if not any(row.zero_mv is not None for row in rows):
+        return "holds no measured mass: it has no stretch with the elevator running empty, so there is no zero"
+    return "holds no measured mass"
+
+
+def of_loads(rows: Iterable[SecondRow], loads: Iterable[Load]) -> list[SecondRow]:
+    """The seconds that belong to loads: what comes between a load's end and the next one's begin carries the ended one's number
+    and counts in the total alone."""
+    ended_s = {load.number: load.ended_s for load in loads if load.ended_s is not None}
+    return [row for row in rows if row.time_s <= ended_s.get(row.load_number, inf)]
+
+
+def loads_of(rows: Iterable[SecondRow], versions: Mapping[int, ParameterSet]) -> tuple[MeasuredLoad, ...]:
+    """The loads in a store's seconds, by number; versions: the parameters that measured them."""
+    return _loads(rows, "", versions)
+
+
+def _loads(
+    rows: Iterable[SecondRow], log: str, versions: Mapping[int, ParameterSet], before: int = 0
+) -> tuple[MeasuredLoad, ...]:
+    by_number: dict[int, list[SecondRow]] = {}
+    for row in rows:
+        if row.mass_kg > 0.0 and row.load_number > 0:
+            by_number.setdefault(row.load_number, []).append(row)
+    if log:
+        by_number = {i: by_number[number] for i, number in enumerate(sorted(by_number), 1)}
+    return tuple(MeasuredLoad(str(before + number), log, tuple(part), versions) for number, part in sorted(by_number.items()))
+
+
+def match(loads: Sequence[MeasuredLoad], tickets: Sequence[WeighedTicket], machine: Machine) -> tuple[WeighedLoad, ...]:
+    """Each ticket with the seconds of its loads. Raises InputError for a ticket without a load, or with one that has another."""
+    taken: dict[str, str] = {}
+    out = []
+    for ticket in tickets:
+        covered = loads_on(ticket, loads)
+        for load in covered:
+            if load.name in taken:
+                raise InputError(ticket.where, f"load {load.name} has a ticket already", "each load on one ticket")
+            if load.is_open:
+                problem = f"load {load.name} is still open, so more grain may come"
+                raise InputError(
+                    ticket.where,
+                    problem,
+                    "`yieldmon load stop` first, with the daemon running, or the tickets of the other loads",
+                )
+            taken[load.name] = ticket.where
+        name = ticket.first if ticket.first == ticket.last else f"{ticket.first}-{ticket.last}"
+        out.append(_weighed(name, ticket, covered, machine))
+    return tuple(out)
+
+
+def loads_on(ticket: WeighedTicket, loads: Sequence[MeasuredLoad]) -> list[MeasuredLoad]:
+    """The loads that a ticket is for. Raises InputError where there is none such."""
+    names = [load.name for load in loads]
+    if ticket.first in names and ticket.last in names:
+        first, last = names.index(ticket.first), names.index(ticket.last)
+        if last < first:
+            raise InputError(ticket.where, f"is {ticket.first}-{ticket.last}", "the first load first")
+        return list(loads[first : last + 1])
+    wanted = Path(ticket.first).name
+    of_log = [load for load in loads if load.log and wanted in (Path(load.log).name, _stem(load.log))]
+    if len(of_log) == 1:
+        return of_log
+    if len(of_log) > 1:
+        held = ", ".join(load.name for load in of_log)
+        raise InputError(ticket.where, f"{wanted} holds {len(of_log)} loads", f"one of the numbers {held}")
+    known = f"{names[0]} to {names[-1]}" if names else "none was measured"
+    raise InputError(ticket.where, f"is {ticket.first}, no load that was measured", known)
+
+
+def _stem(log: str) -> str:
+    return Path(log).name.partition(".")[0]
+
+
+def _weighed(name: str, ticket: WeighedTicket, covered: Sequence[MeasuredLoad], machine: Machine) -> WeighedLoad:
+    parts, total_kg = [], sum(load.mass_kg for load in covered)
+    if slip := unit_slip(ticket.mass_kg, total_kg):
+        expected = (
+            "the masses in the unit of their column: weighed_kg, _t or _lb; or, where all loads are off by one factor, "
+            "the force cell's own sensor.gain_n_per_mv in the machine file"
+        )
+        raise InputError(ticket.where, f"load {name} {slip}", expected)
+    for load in covered:
+        for version in sorted({row.parameter_version for row in load.seconds}):
+            rows = [row for row in load.seconds if row.parameter_version == version]
+            if version not in load.parameters:
+                raise InputError(
+                    ticket.where,
+                    f"load {load.name} was measured with parameters version {version}",
+                    "a store that still holds them",
+                )
+            parts.append(force_columns(rows, load.parameters[version], machine))
+    columns = np.concatenate(parts, axis=1)
+    counted = columns[:, np.isfinite(columns[0]) & (columns[0] > 0.0)]
+    kept_kg = float(counted[5].sum())
+    if kept_kg < LEAST_KNOWN_SHARE * total_kg:
+        raise InputError(
+            ticket.where,
+            f"of load {name} only {100.0 * kept_kg / total_kg:.0f} % rests on a known force, angle and speed",
+            f"{100.0 * LEAST_KNOWN_SHARE:.0f} %; a load measured whole",
+        )
+    duration, force, angle, speed, moisture, _ = counted
+    # The little that no force stands for is taken to go with the rest.
+    return WeighedLoad(
+        name,
+        ticket.mass_kg,
+        ticket.std_dev_kg,
+        duration * total_kg / kept_kg,
+        force,
+        angle,
+        speed,
+        moisture if np.all(np.isfinite(moisture)) else None,
+        _noise_sd(covered, total_kg),
+    )
+
+
+def _noise_sd(covered: Sequence[MeasuredLoad], total_kg: float) -> float:
+    """Relative, of the loads' mass, by the windows' scatter; windows without one, as older stores hold them, count as exact."""
+    rows = [row for load in covered for row in load.seconds if row.noise_std_dev_kg_s is not None]
+    return float(np.sqrt(sum((row.noise_std_dev_kg_s * row.duration_s) ** 2 for row in rows))) / total_kg
+
+
+def force_columns(rows: Sequence[SecondRow], parameters: ParameterSet, machine: Machine) -> np.ndarray:
+    """(6, n): time that each second stands for (nan where unknown), force N, angle rad, speed rad/s, moisture %, mass kg."""
+
+    def column(attribute: str) -> np.ndarray:
+        return np.array([np.nan if (v := getattr(row, attribute)) is None else v for row in rows], dtype=float)
+
+    force, angle, speed = column("force_n"), np.radians(column("plate_angle_deg")), column("elevator_speed_rpm") * RPM
+    moisture, mass = column("moisture_pct"), column("mass_kg")
+    model = ForwardModel(machine, parameters.effects)
+    usable = np.isfinite(force) & np.isfinite(angle) & np.isfinite(speed) & (force > 0.0)
+    if model.needs_moisture:
+        usable &= np.isfinite(moisture)
+    flow = np.full(force.shape, np.nan)
+    if np.any(usable):
+        flow[usable] = estimator_of(machine, parameters, model).invert(
+            force[usable], angle[usable], speed[usable], moisture[usable]
+        )
+    with np.errstate(divide="ignore", invalid="ignore"):
+        duration = np.where(flow > 0.0, mass / flow, np.nan)
+    return np.stack((duration, force, angle, speed, moisture, mass))
+
+
+def weighed_until_s(measured: Sequence[MeasuredLoad], weighed: Sequence[WeighedLoad]) -> float | None:
+    """Time of the last second, s, of the loads of a store that tickets are for; None for loads of logs."""
+    last = {load.name.rpartition("-")[2] for load in weighed}
+    return max((load.seconds[-1].time_s for load in measured if not load.log and load.name in last), default=None)
+
+
+def sweeps_of(loads: Iterable[MeasuredLoad]) -> tuple[Sweep, ...]:
+    """The newest whole sweeps in the loads."""
+    found: dict[tuple[str, int], list[SecondRow]] = {}
+    for load in loads:
+        for row in load.seconds:
+            if row.usable_for_calibration and row.sweep_id and _complete(row):
+                found.setdefault((load.log, row.sweep_id), []).append(row)
+    out = []
+    for rows in list(found.values())[-_KEPT_SWEEPS:]:
+        table = np.array(
+            [(r.time_s, np.radians(r.plate_angle_deg), r.elevator_speed_rpm * RPM, r.force_n, r.force_std_dev_n) for r in rows]
+        )
+        if np.unique(np.round(np.degrees(table[:, 1]))).size >= 3:
+            out.append(Sweep(*table.T.copy()))
+    return tuple(out)
+
+
+def _complete(row: SecondRow) -> bool:
+    values = (row.plate_angle_deg, row.elevator_speed_rpm, row.force_n, row.force_std_dev_n)
+    return all(v is not None for v in values) and float(row.force_std_dev_n or 0.0) > 0.0

@@ -1,0 +1,350 @@
+"""What an operator can ask of a running daemon, carried out on the engine's thread."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from math import exp
+from typing import Any
+
+from yieldmon.engine.mass.loads import LoadClosed, LoadOpened
+from yieldmon.engine.monitor import Monitor
+from yieldmon.engine.self_calibration.anchors import Weighing
+from yieldmon.engine.sources import THOUSAND_KERNELS_G
+from yieldmon.errors import InputError
+from yieldmon.estimation.estimators import estimator_of
+from yieldmon.files import ticket_file
+from yieldmon.files.crops import crops, find_crop, misspelt, shipped_name
+from yieldmon.service.assembly import calibration_age_s
+from yieldmon.service.history import load_names, relearning
+from yieldmon.service.history.journal import Journal
+from yieldmon.service.history.reference_loads import StoredLoad
+from yieldmon.service.history.relearning import weighings, why_no_reference
+from yieldmon.service.operator.requests import Request
+from yieldmon.service.storage import ledger
+from yieldmon.service.storage.batch import Load, Ticket
+from yieldmon.service.tickets import ticket_doubt
+
+Answer = Mapping[str, Any]
+
+_TICKETS_KG = (1e-3, 1e6)
+_MOST_LOADS = 63
+"""Between the first and the last of a ticket that is a reference mass for loads of an earlier run."""
+
+
+QUERIES = frozenset({"status", "loads", "tickets", "calibrations"})
+"""Commands that change nothing."""
+TEACH_AGAIN = frozenset({"ticket-undo", "calibration-undo", "load-correct"})
+"""Commands after which standing tickets may teach again."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Order:
+    """A request and what it is carried out on; stored: loads that a ticket names, as the store has them."""
+
+    request: Request
+    monitor: Monitor
+    journal: Journal
+    now_s: float
+    stored: Sequence[StoredLoad]
+
+
+def execute(
+    request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float, stored: Sequence[StoredLoad] = ()
+) -> Answer:
+    """Carries out one request. stored: loads that a ticket names, as the store has them. Raises InputError when it cannot be."""
+    name = request["command"]
+    if name not in _COMMANDS:
+        raise InputError("command", repr(name), f"one of status, {', '.join(_COMMANDS)}")
+    command, arguments = _COMMANDS[name]
+    checked = Request(request)
+    checked.only(name, arguments)
+    return command(_Order(checked, monitor, journal, now_s, stored))
+
+
+def ticketed_loads(request: Mapping[str, Any]) -> range:
+    """Numbers of the loads that a ticket or a correction names; none for another request, or one that makes no sense."""
+    first, last = request.get("first_load"), request.get("last_load")
+    last = first if last is None else last
+    if request.get("command") not in ("ticket", "load-correct") or not isinstance(first, int) or not isinstance(last, int):
+        return range(0)
+    return range(first, last + 1) if 0 <= first <= last <= first + _MOST_LOADS else range(0)
+
+
+def summary(status: Mapping[str, Any]) -> str:
+    """One line for the service manager."""
+    last = status["windows"][-1] if status["windows"] else None
+    flow = last["mass_flow_kg_s"] if last is not None else None
+    rate = f" {flow:.1f} kg/s," if flow is not None else ","
+    faults = ", ".join(fault["code"] for fault in status["faults"])
+    return f"{status['state']}{rate} load {status['load']['number']}: {status['load']['mass_kg']:.0f} kg" + (
+        f"; {faults}" if faults else ""
+    )
+
+
+def _load_start(order: _Order) -> Answer:
+    monitor, journal = order.monitor, order.journal
+    request = order.request
+    weight_g = request.mass_or_none("thousand_kernel_weight_g", *THOUSAND_KERNELS_G, "g")
+    if weight_g is not None and monitor.waveform is None:
+        raise InputError("thousand_kernel_weight_g", "is of no use", "waveform.enabled: true in the configuration")
+    field, crop = request.name("field"), _crop_named(request, journal)
+    if weight_g is not None or (crop is not None and crop != journal.crop):
+        # What was entered for one crop's kernels does not hold for another's.
+        journal.kernel_weight_g = weight_g
+    in_use = monitor.estimator.parameters
+    # A curve is one grain's: another crop's parameters would not give the flow.
+    before = journal.parameters.crop_of(in_use, journal.crop)
+    shipped = crop in crops() and in_use.curve is None
+    known = not crop or shipped or crop == in_use.provenance.get("crop") or journal.parameters.keeps(crop)
+    chosen = journal.parameters.change_crop(crop, in_use, journal.crop, request.who) if crop and in_use.curve is None else None
+    if chosen is not None:
+        monitor.change_crop(estimator_of(monitor.machine, chosen), calibration_age_s(chosen, order.now_s), before, crop or "")
+        journal.actions.change_crop(before, crop or "")
+    journal.name_load(field, crop)
+    journal.happened(monitor.start_load())
+    set_crop(monitor, journal)
+    parameters = monitor.estimator.parameters
+    changed = chosen is not None and known
+    return {
+        "load": monitor.totals.load_number,
+        "field": journal.field,
+        "crop": journal.crop,
+        "parameters": {"version": parameters.version, "crop": parameters.provenance.get("crop"), "changed": changed},
+        "crop_known": known,
+    }
+
+
+def _crop_named(request: Request, journal: Journal) -> str | None:
+    """The crop as it is kept, None where the request names none. Raises InputError for a slip of a finger: what is weighed and
+    measured under that name would be lost to the crop that was meant."""
+    name = request.name("crop")
+    if not name:
+        return name
+    meant = None if journal.parameters.keeps(name.strip()) else misspelt(name)
+    if meant is not None:
+        raise InputError("crop", f"{name.strip()!r} is no known crop", f"{meant}, or a name that is less like it")
+    return shipped_name(name) or name.strip()
+
+
+def set_crop(monitor: Monitor, journal: Journal) -> None:
+    """Dry mass from now on at the market moisture of the crop in use, and the weight of its kernels."""
+    crop, waveform = journal.crop_in_use(monitor.estimator.parameters), monitor.settings.waveform
+    known = find_crop(crop)
+    if known is not None:
+        monitor.set_market_moisture(known.market_moisture_pct)
+    configured_g = waveform.thousand_kernel_weights_g.get(crop, waveform.thousand_kernel_weight_g)
+    monitor.set_kernel_weight(configured_g if journal.kernel_weight_g is None else journal.kernel_weight_g)
+
+
+def _totals_reset(order: _Order) -> Answer:
+    monitor, journal = order.monitor, order.journal
+    before_kg = monitor.totals.total_kg
+    given = order.request.values.get("total_kg")
+    if isinstance(given, bool) or given != round(before_kg):
+        raise InputError("totals reset", f"the total is {before_kg:.0f} kg", "that figure, so that nothing is reset by mistake")
+    journal.actions.add(ledger.TOTALS_RESET, order.request.who, {"total_kg": before_kg}, order.now_s)
+    journal.happened(monitor.reset_totals())
+    return {"total_kg": before_kg, "load": monitor.totals.load_number}
+
+
+def _load_stop(order: _Order) -> Answer:
+    monitor, journal = order.monitor, order.journal
+    if not monitor.totals.load_open:
+        raise InputError("load stop", "no load is open", "one that `yieldmon load start` began")
+    journal.happened(monitor.stop_load())
+    crop = journal.crop_in_use(monitor.estimator.parameters)
+    return {"load": monitor.totals.load_number, "mass_kg": monitor.totals.load_kg, "crop": crop}
+
+
+def _load_correct(order: _Order) -> Answer:
+    request, monitor, journal = order.request, order.monitor, order.journal
+    first = request.number_of("first_load", "load")
+    last = request.number_of("last_load", "load") if request.given("last_load") else first
+    field, crop = request.name("field"), _crop_named(request, journal)
+    if field is None and not crop:
+        raise InputError("load correct", "names nothing to correct", "a crop or a field")
+    if monitor.totals.load_open and first <= monitor.totals.load_number <= last:
+        number = monitor.totals.load_number
+        raise InputError(f"load {number}", "is still open", "`yieldmon load start` with the right names, then correct this one")
+    wanted = load_names.Correction(_covered(journal, first, last, "load"), field, crop)
+    answer = load_names.correct(wanted, monitor, journal, request.who, order.now_s, order.stored)
+    goes_on = journal.crop_in_use(monitor.estimator.parameters)
+    newest = not monitor.totals.load_open and last >= monitor.totals.load_number
+    return answer | {"goes_on": goes_on if newest and crop and goes_on and goes_on.lower() != crop.lower() else ""}
+
+
+def _loads(order: _Order) -> Answer:
+    return {"loads": order.journal.load_table()}
+
+
+def _ticket(order: _Order) -> Answer:
+    request, monitor, journal = order.request, order.monitor, order.journal
+    first = request.number_of("first_load", "load")
+    last = request.number_of("last_load", "load") if request.given("last_load") else first
+    weighed_kg = request.mass("mass_kg", *_TICKETS_KG, "kg")
+    std_dev_kg = request.mass_or_none("std_dev_kg", *_TICKETS_KG, "kg")
+    if std_dev_kg is None:
+        std_dev_kg = ticket_file.RELATIVE_STD_DEV * weighed_kg
+    if monitor.totals.load_open and first <= monitor.totals.load_number <= last:
+        number = monitor.totals.load_number
+        raise InputError(
+            f"ticket for load {number}", "it is still open, so more grain may come", "`yieldmon load stop` first, or another load"
+        )
+    covered = _covered(journal, first, last)
+    measured_kg = sum(load.mass_kg for load in covered)
+    if not measured_kg > 0.0:
+        raise InputError(f"ticket for load {first}", "nothing was measured for it", "a load with a measured mass")
+    again = journal.actions.ledger.factors
+    known_kg = sum(load.mass_kg * again.get(load.number, 1.0) for load in covered)
+    ticket = Ticket(order.now_s, first, last, weighed_kg, measured_kg, request.name("note") or "")
+    why_not = ticket_file.unit_slip(weighed_kg, measured_kg) or why_no_reference(monitor, journal, covered, order.stored)
+    shares = weighings(covered, ticket, std_dev_kg)
+    departs = None if why_not else _departure(shares, order)
+    question = _question(ticket, departs, order, covered)
+    first_moves = exp(departs.ln) - 1.0 if departs is not None and departs.first and not journal.actions.to_teach else None
+    if not why_not:
+        for load_number, mass_kg, share_std_dev_kg in shares:
+            monitor.ticket(load_number, mass_kg, share_std_dev_kg)
+    replaces = [n for n, t in journal.actions.ledger.tickets.items() if t.first_load <= last and t.last_load >= first]
+    number = journal.actions.ticket(ticket, request.who, std_dev_kg, is_reference=not why_not)
+    return {
+        "crop": covered[-1].crop,
+        "ticket": number,
+        "first_load": first,
+        "last_load": last,
+        "weighed_mass_kg": weighed_kg,
+        "measured_mass_kg": measured_kg,
+        "known_mass_kg": known_kg,
+        "factor": ticket.factor,
+        "anchor": not why_not,
+        "why_no_anchor": why_not,
+        "question": question,
+        "replaces": replaces,
+        "sets_scale_pct": None if first_moves is None else 100.0 * first_moves,
+    }
+
+
+def _departure(shares: Sequence[Weighing], order: _Order) -> ticket_doubt.Departure | None:
+    """Of a ticket with these shares of loads; None where there is no number."""
+    found = [(mass_kg, order.monitor.ticket_departure(number, mass_kg, sd_kg)) for number, mass_kg, sd_kg in shares]
+    parts = [(mass_kg, part) for mass_kg, part in found if part is not None]
+    if not parts or len(parts) != len(shares):
+        return None
+    return ticket_doubt.combined(
+        parts,
+        weighed_before=bool(order.monitor.counted_loads) or order.monitor.scale_counted,
+        only_one=bool(_only_tickets(order, [number for number, _, _ in shares])),
+    )
+
+
+def _only_tickets(order: _Order, covered: Sequence[int]) -> list[int]:
+    """Standing tickets for all the loads whose tickets have counted, where these loads are others: a single weighing has set the
+    scale."""
+    counted = order.monitor.counted_loads
+    if counted & set(covered) or order.monitor.scale_counted:
+        return []
+    standing = order.journal.actions.ledger.tickets.items()
+    return [n for n, t in standing if counted and counted <= set(range(t.first_load, t.last_load + 1))]
+
+
+def _question(ticket: Ticket, departs: ticket_doubt.Departure | None, order: _Order, covered: Sequence[Load]) -> str:
+    """See ticket_doubt."""
+    if departs is None:
+        return ""
+    known = order.journal.actions.ledger
+    known_kg = {load.number: load.mass_kg * known.factors.get(load.number, 1.0) for load in order.journal.loads}
+    weighed = {n for t in known.tickets.values() for n in range(t.first_load, t.last_load + 1)}
+    asked = ticket_doubt.question(ticket.weighed_mass_kg, departs, covered, known_kg, weighed)
+    alone = _only_tickets(order, [load.number for load in covered])
+    # A scale that one ticket alone has set is no better than that ticket.
+    if not (asked and alone):
+        return asked
+    return f"{asked}; or ticket {alone[-1]}, the only one before it, is the wrong one (`yieldmon ticket undo {alone[-1]}`)"
+
+
+def _tickets(order: _Order) -> Answer:
+    return {"tickets": order.journal.actions.ticket_table(order.monitor.doubted_loads)}
+
+
+def _ticket_undo(order: _Order) -> Answer:
+    number = order.request.number_of("ticket", "ticket")
+    return relearning.without_ticket(number, order.monitor, order.journal, order.request.who, order.now_s, order.stored)
+
+
+def _calibrations(order: _Order) -> Answer:
+    return {"calibrations": order.journal.parameters.table()}
+
+
+def _calibration_undo(order: _Order) -> Answer:
+    version = order.request.number_of("version", "version")
+    return relearning.without_version(version, order.monitor, order.journal, order.request.who, order.now_s, order.stored)
+
+
+def _covered(journal: Journal, first: int, last: int, what: str = "ticket for load") -> list[Load]:
+    loads = {load.number: load for load in journal.loads}
+    for number in (first, last):
+        if number not in loads:
+            known = f"{min(loads)} to {max(loads)}" if loads else "a load that was measured"
+            raise InputError(f"{what} {number}", "no such load", known)
+    if last < first:
+        raise InputError(f"{what}s {first} to {last}", "the last number is below the first", "the first load first")
+    return [loads[number] for number in sorted(loads) if first <= number <= last]
+
+
+def _zero(order: _Order) -> Answer:
+    monitor = order.monitor
+    signs = monitor.signs_of_grain
+    force = order.request.flag("force")
+    if signs and not force:
+        raise InputError("zero", f"there is grain: {signs}", "the elevator running empty; --force if it does")
+    goes_on = monitor.calibrate_zero(despite_signs=force)
+    order.journal.zero(order.request.who, signs, order.now_s, goes_on=goes_on)
+    return {"zero": "started; keep the elevator running empty"}
+
+
+def _zero_undo(order: _Order) -> Answer:
+    monitor, journal = order.monitor, order.journal
+    try:
+        restored, events = monitor.undo_zero()
+    except ValueError as error:
+        raise InputError("zero --undo", str(error), "an undo after `yieldmon zero`") from error
+    journal.happened(events)
+    reported = {event.load.number for event in events if isinstance(event, LoadOpened | LoadClosed)}
+    reported |= {monitor.totals.load_number} if monitor.totals.load_open else set()
+    journal.zero_undone(order.request.who, restored, reported, order.now_s)
+    return {"zero": "undone", "restored_kg": sum(missed.kg for missed in restored.values())}
+
+
+def _sweep_start(order: _Order) -> Answer:
+    monitor = order.monitor
+    if not monitor.settings.sweep.enabled:
+        if monitor.estimator.parameters.curve is not None:
+            raise InputError("sweep", "updates nothing: the flow comes from estimator_file", "the physical model")
+        raise InputError("sweep", "switched off by sweep.enabled in the configuration", "`enabled: true` there, and a reload")
+    monitor.request_sweep()
+    return {"sweep": "as soon as the conditions hold"}
+
+
+def _sweep_abort(order: _Order) -> Answer:
+    order.monitor.abort_sweep()
+    return {"sweep": "ended"}
+
+
+_COMMANDS: Mapping[str, tuple[Callable[[_Order], Answer], tuple[str, ...]]] = {
+    "load-start": (_load_start, ("field", "crop", "thousand_kernel_weight_g")),
+    "load-stop": (_load_stop, ()),
+    "load-correct": (_load_correct, ("first_load", "last_load", "field", "crop")),
+    "totals-reset": (_totals_reset, ("total_kg",)),
+    "loads": (_loads, ()),
+    "ticket": (_ticket, ("first_load", "last_load", "mass_kg", "std_dev_kg", "note")),
+    "tickets": (_tickets, ()),
+    "ticket-undo": (_ticket_undo, ("ticket",)),
+    "calibrations": (_calibrations, ()),
+    "calibration-undo": (_calibration_undo, ("version",)),
+    "zero": (_zero, ("force",)),
+    "zero-undo": (_zero_undo, ()),
+    "sweep-start": (_sweep_start, ()),
+    "sweep-abort": (_sweep_abort, ()),
+}
+"""What carries out each, and the arguments that it takes."""

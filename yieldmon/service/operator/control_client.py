@@ -1,0 +1,65 @@
+"""Asking a running daemon over its local socket."""
+
+from __future__ import annotations
+
+import json
+import socket
+from collections.abc import Mapping
+from pathlib import Path
+from time import monotonic, sleep
+from typing import Any
+
+from yieldmon.errors import reason
+from yieldmon.service.operator.control_protocol import ControlError
+
+_RETRY_S = 0.02
+_PIECE_BYTES = 65_536
+_MAX_ANSWER_BYTES = 64 * 1024 * 1024
+
+
+def _connect(connection: socket.socket, path: Path, end_s: float) -> None:
+    """Waits where more peers wait than the socket has room for; a socket with a time limit gets the error at once."""
+    while True:
+        try:
+            connection.connect(str(path))
+            return
+        except BlockingIOError:
+            if monotonic() > end_s:
+                raise
+            sleep(_RETRY_S)
+
+
+def ask(path: Path, request: Mapping[str, Any], timeout_s: float = 10.0) -> dict[str, Any]:
+    """The daemon's answer to a request. Raises ControlError when there is none within timeout_s seconds or it is an error."""
+    end_s = monotonic() + timeout_s
+    received = bytearray()
+    try:
+        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
+            connection.settimeout(timeout_s)
+            _connect(connection, path, end_s)
+            connection.sendall(json.dumps(request).encode() + b"\n")
+            while b"\n" not in received and len(received) <= _MAX_ANSWER_BYTES:
+                connection.settimeout(max(0.01, end_s - monotonic()))
+                piece = connection.recv(_PIECE_BYTES)
+                if not piece:
+                    break
+                received += piece
+                if monotonic() > end_s:
+                    raise TimeoutError("timed out")
+    except (FileNotFoundError, ConnectionRefusedError) as error:
+        raise ControlError(f"{path}: no daemon answers there; is the service running?") from error
+    except PermissionError as error:
+        raise ControlError(f"{path}: {reason(error)}; expected sudo, or a user of the group that status.group names") from error
+    except OSError as error:
+        raise ControlError(f"{path}: {reason(error)}") from error
+    if not received:
+        raise ControlError(f"{path}: the daemon closed the connection without an answer")
+    try:
+        answer = json.loads(received)
+        ok = answer.pop("ok")
+        problem = "" if ok else str(answer["error"])
+    except (ValueError, RecursionError, KeyError, TypeError, AttributeError) as error:
+        raise ControlError(f"{path}: the daemon's answer is cut or makes no sense") from error
+    if not ok:
+        raise ControlError(problem)
+    return dict(answer)

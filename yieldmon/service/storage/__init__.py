@@ -1,0 +1,1 @@
+"""The store: tables, writing and reading back, damage and repair."""

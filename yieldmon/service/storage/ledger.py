@@ -1,0 +1,176 @@
+"""What stands of tickets, postings and calibrations, after all that took something back."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from yieldmon.service.storage.batch import Action, Load, Ticket
+
+TICKET, TICKET_UNDO, ZERO, ZERO_UNDO = "ticket", "ticket-undo", "zero", "zero-undo"
+PARAMETERS, PARAMETERS_UNDO, POSTING, TOTALS_RESET = "parameters", "parameters-undo", "posting", "totals-reset"
+LOAD_NAMES = "load-names"
+"""Another field or crop for loads."""
+CROP = "crop"
+"""Origin of parameters that a change of crop brought."""
+
+
+@dataclass(frozen=True)
+class Ledger:
+    """tickets: those that stand, by number (from 1, in the order they were entered). factors: mass measured again over the mass
+    as measured, by load number."""
+
+    tickets: Mapping[int, Ticket]
+    factors: Mapping[int, float]
+
+    def ticket_of(self, load_number: int) -> tuple[int, Ticket] | None:
+        """The newest ticket that stands and covers a load, with its number."""
+        covering = [(n, t) for n, t in self.tickets.items() if t.first_load <= load_number <= t.last_load]
+        return max(covering, key=lambda item: item[0]) if covering else None
+
+    def row(self, load: Load) -> dict[str, Any]:
+        """A load as measured, as measured again, as weighed, and the best of these."""
+        found, posted = self.ticket_of(load.number), self.factors.get(load.number)
+        factor = found[1].factor if found is not None else 1.0 if posted is None else posted
+        measured = asdict(load)
+        std_dev_kg = measured.pop("std_dev_kg")
+        return measured | {
+            "posted_mass_kg": None if posted is None else load.mass_kg * posted,
+            "ticket_mass_kg": None if found is None else found[1].weighed_mass_kg,
+            "corrected_mass_kg": load.mass_kg * factor,
+            "corrected_dry_mass_kg": None if load.dry_mass_kg is None else load.dry_mass_kg * factor,
+            "ticket_id": None if found is None else found[0],
+            "std_dev_kg": std_dev_kg,
+        }
+
+
+@dataclass(frozen=True)
+class LoadRecord:
+    """A load with all its masses.
+
+    Parameters
+    ----------
+    number : int
+    field, crop : str
+        As an operator named them.
+    started_s, ended_s : float or None
+        Unix time, s.
+    mass_kg, dry_mass_kg : float or None
+        As measured, kg; None where the moisture of some of it is not known.
+    area_m2 : float or None
+        Harvested for it, m2.
+    posted_mass_kg : float or None
+        As measured again, kg.
+    ticket_mass_kg : float or None
+        As weighed, kg.
+    corrected_mass_kg, corrected_dry_mass_kg : float or None
+        The best of these, kg.
+    ticket_id : int or None
+        Number of the ticket that counts.
+    std_dev_kg : float or None
+        Of mass_kg, kg, as sweeps have shown it to be since; None in a store that does not have it.
+
+    Examples
+    --------
+    See `read_loads`.
+    """
+
+    number: int
+    field: str
+    crop: str
+    started_s: float | None
+    ended_s: float | None
+    mass_kg: float
+    dry_mass_kg: float | None
+    area_m2: float | None
+    posted_mass_kg: float | None
+    ticket_mass_kg: float | None
+    corrected_mass_kg: float
+    corrected_dry_mass_kg: float | None
+    ticket_id: int | None
+    std_dev_kg: float | None = None
+
+
+def ledger(tickets: Sequence[Ticket], actions: Iterable[Action]) -> Ledger:
+    """From all tickets and actions, in order."""
+    known = list(actions)
+    gone = {int(a.document["ticket"]) for a in known if a.kind == TICKET_UNDO}
+    undone = undone_versions(known)
+    factors: dict[int, float] = {}
+    for action in known:
+        stands = action.kind == POSTING and action.document["version"] not in undone
+        if stands and not gone.intersection(action.document["tickets"]):
+            factors.update({int(number): float(factor) for number, factor in action.document["factors"].items()})
+    return Ledger({n: t for n, t in enumerate(tickets, 1) if n not in gone}, factors)
+
+
+def ticket_rows(tickets: Sequence[Ticket], actions: Iterable[Action]) -> list[dict[str, Any]]:
+    """Each ticket with who entered it, and who took it back when."""
+    known = list(actions)
+    entered = {int(a.document["ticket"]): a for a in known if a.kind == TICKET}
+    undone = {int(a.document["ticket"]): a for a in known if a.kind == TICKET_UNDO}
+    return [
+        asdict(ticket) | {
+            "number": number,
+            "who": entered[number].who if number in entered else "",
+            "undone_s": undone[number].time_s if number in undone else None,
+            "undone_by": undone[number].who if number in undone else None,
+        }
+        for number, ticket in enumerate(tickets, 1)
+    ]  # fmt: skip
+
+
+def recropped(actions: Iterable[Action]) -> set[int]:
+    """Numbers of the loads that were given another crop than they began with."""
+    return {
+        int(row["load"])
+        for action in actions
+        if action.kind == LOAD_NAMES and action.document.get("crop") is not None
+        for row in action.document["before"]
+    }
+
+
+def silenced(actions: Iterable[Action]) -> frozenset[int]:
+    """Numbers of the tickets whose lesson was taken back by the version: they correct their loads and teach no more."""
+    undos = (action for action in actions if action.kind == PARAMETERS_UNDO)
+    return frozenset(int(number) for action in undos for number in action.document.get("tickets", ()))
+
+
+def undone_versions(actions: Iterable[Action]) -> set[int]:
+    """Versions of the parameters that were taken back, with those that followed on them."""
+    return {
+        int(version)
+        for action in actions
+        if action.kind == PARAMETERS_UNDO
+        for version in action.document.get("versions", (action.document["version"],))
+    }
+
+
+def calibration_rows(actions: Iterable[Action], in_use: int) -> list[dict[str, Any]]:
+    """Each change of parameters and each operator's zero, with who and when, and whether it stands."""
+    known = list(actions)
+    undone = undone_versions(known)
+    undone_zeros = {int(a.document["action"]) for a in known if a.kind == ZERO_UNDO}
+    # With one goes what was taken before it from the same second on.
+    back = {a.document.get("second") for a in known if a.kind == ZERO and a.number in undone_zeros}
+    rows = []
+    for action in known:
+        document = action.document
+        if action.kind == PARAMETERS:
+            version = int(document["version"])
+            state = "in use" if version == in_use else "undone" if version in undone else ""
+            rows.append({
+                "kind": "parameters", "version": version, "time_s": action.time_s, "who": action.who,
+                "origin": document.get("origin", ""), "what": document.get("reason", ""), "effects": document.get("effects", []),
+                "state": state,
+            })  # fmt: skip
+        elif action.kind == ZERO:
+            what = "zero calibration" + (f", forced although {document['signs']}" if document.get("signs") else "")
+            state = "undone" if document.get("second") in back else ""
+            rows.append({
+                "kind": "zero", "version": None, "time_s": action.time_s, "who": action.who, "origin": "operator", "what": what,
+                "effects": [], "state": state,
+            })  # fmt: skip
+    return rows

@@ -1,0 +1,327 @@
+"""What operators entered and what the monitor learnt, in order, with who and when; nothing in it is changed, only taken back."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from math import isclose
+from typing import Any
+
+from yieldmon.engine.self_calibration.learning import ParametersChanged
+from yieldmon.errors import InputError
+from yieldmon.files.ticket_file import RELATIVE_STD_DEV
+from yieldmon.service.storage import ledger as ledgers
+from yieldmon.service.storage.batch import Action, Ticket
+from yieldmon.service.tickets.ticket_states import ticket_states
+
+
+class ActionLog:
+    """All tickets and actions, and those that no batch has brought to the store yet."""
+
+    def __init__(
+        self,
+        tickets: Sequence[Ticket],
+        actions: Sequence[Action],
+        now_s: float,
+        unfinished: Sequence[int] = (),
+        of_crop: Mapping[str, Sequence[int]] | None = None,
+        restored: Sequence[int] = (),
+    ) -> None:
+        """tickets, actions: as the store has them. now_s: Unix time. unfinished, of_crop, restored: as a run before had them."""
+        self.now_s = now_s
+        """Unix time of an action of which nothing else is said."""
+        known = range(1, len(tickets) + 1)
+        self.waiting: list[int] = [number for number in unfinished if number in known]
+        """Numbers of the tickets that are to update the parameters, or did and whose loads are not measured again yet."""
+        self._of_crop = {crop: [number for number in kept if number in known] for crop, kept in (of_crop or {}).items()}
+        """Numbers of those that are to update the parameters of another crop than the present one, by its name."""
+        self._restored: list[int] = list(restored)
+        """Versions that an undo brought back and with which the loads that were measured since are still to be measured again;
+        the first `_restoring` of them are being taken."""
+        self._restoring = 0
+        self._taken: tuple[int, ...] = ()
+        self._taken_before = 0
+        """Number of the first action after the tickets were taken."""
+        self._tickets = list(tickets)
+        self._actions = list(actions)
+        self._new_tickets: list[Ticket] = []
+        self._new_actions: list[Action] = []
+
+    def __iter__(self) -> Iterator[Action]:
+        return iter(self._actions)
+
+    def add(self, kind: str, who: str, document: Mapping[str, Any], now_s: float | None = None) -> Action:
+        """Something that was entered or taken back. kind: of `ledger`. who: as `Action` has it. now_s: when, Unix time; None: as
+        the attribute of that name."""
+        action = Action(self._next_number, self.now_s if now_s is None else now_s, kind, who, document)
+        self._actions.append(action)
+        self._new_actions.append(action)
+        return action
+
+    @property
+    def _next_number(self) -> int:
+        return self._actions[-1].number + 1 if self._actions else 1
+
+    def ticket(self, ticket: Ticket, who: str = "", std_dev_kg: float | None = None, *, is_reference: bool = False) -> int:
+        """A ticket; returns its number. std_dev_kg: of the weighing. is_reference: it was handed to the calibration."""
+        self._tickets.append(ticket)
+        self._new_tickets.append(ticket)
+        number = len(self._tickets)
+        document = {"ticket": number, "std_dev_kg": std_dev_kg, "reference": is_reference}
+        self.add(ledgers.TICKET, who, document, ticket.time_s)
+        if is_reference:
+            self.waiting.append(number)
+        return number
+
+    def entered(self, number: int) -> Ticket:
+        """A ticket, whether or not it stands."""
+        return self._tickets[number - 1]
+
+    def standing_ticket(self, number: int) -> Ticket:
+        """A ticket that stands. Raises InputError where there is none of this number."""
+        standing = self.ledger.tickets
+        if number not in standing:
+            known = ", ".join(map(str, standing)) or "a ticket that was entered; there is none"
+            done = "is undone already" if 1 <= number <= len(self._tickets) else "no such ticket"
+            raise InputError(f"ticket {number}", done, known)
+        return standing[number]
+
+    def first_lesson(self, number: int, *, counts: bool) -> int | None:
+        """The first version of the parameters that rests on a ticket; None where none that stands does, or a parameter file has
+        replaced it since. counts: it is among the weighed loads that others are held against, though it led to no version."""
+        undone = self.undone_versions
+        for version, action in sorted(self.updates.items()):
+            led = action.document.get("tickets", ())
+            if version in undone or version <= self.calibrated_version:
+                continue
+            if number in led or (counts and any(int(other) > number for other in led)):
+                return version
+        return None
+
+    def lesson_before_file(self, number: int) -> int | None:
+        """The first version that rests on a ticket, of those that a parameter file has replaced since; None: none that stands."""
+        undone = self.undone_versions
+        led = (v for v, a in sorted(self.updates.items()) if number in a.document.get("tickets", ()) and v not in undone)
+        return next((version for version in led if version < self.calibrated_version), None)
+
+    def undo_ticket(self, number: int, who: str, now_s: float) -> Ticket:
+        """Take a ticket back; returns it. Raises InputError."""
+        ticket = self.standing_ticket(number)
+        self.add(ledgers.TICKET_UNDO, who, {"ticket": number}, now_s)
+        self.wait_no_more([number])
+        return ticket
+
+    def wait_again(self, numbers: Sequence[int], crop: str) -> None:
+        """These tickets are to update the parameters anew. crop: of them, where another one is harvested now, else ""."""
+        self.wait_no_more(numbers)
+        (self._of_crop.setdefault(crop, []) if crop else self.waiting).extend(numbers)
+
+    def wait_no_more(self, numbers: Sequence[int]) -> None:
+        """These tickets are not to update the parameters, nor to be gone on with after a restart."""
+        self._taken = tuple(number for number in self._taken if number not in numbers)
+        for kept in (self.waiting, *self._of_crop.values()):
+            kept[:] = [number for number in kept if number not in numbers]
+
+    def led_first_to(self, version: int) -> tuple[int, ...]:
+        """Numbers of the standing tickets that led to a version and to none before it that stands."""
+        standing, gone = self.ledger.tickets, self.undone_versions
+        before = [action for earlier, action in self.updates.items() if earlier < version and earlier not in gone]
+        known = {int(led) for action in before for led in action.document.get("tickets", ())}
+        update = self.updates.get(version)
+        led = () if update is None else update.document.get("tickets", ())
+        return tuple(sorted({int(number) for number in led if int(number) in standing and int(number) not in known}))
+
+    def last_ticket_before(self, version: int) -> int:
+        """Number of the last ticket that was entered before a version came; 0 for none."""
+        update = self.updates.get(version)
+        entered = (
+            int(a.document["ticket"])
+            for a in self._actions
+            if a.kind == ledgers.TICKET and (update is None or a.number < update.number)
+        )
+        return max(entered, default=0)
+
+    @property
+    def silenced(self) -> frozenset[int]:
+        """As `ledger.silenced`."""
+        return ledgers.silenced(self._actions)
+
+    def not_learnt_after(self, number: int) -> tuple[int, ...]:
+        """Numbers of the standing tickets after one, of the parameter file in use, that were handed to the calibration and led to
+        no version that stands; without those that are silenced."""
+        handed = [a for a in self._actions if a.kind == ledgers.TICKET and a.document.get("reference", False)]
+        file = self.updates.get(self.calibrated_version)
+        since = 0 if file is None else file.number
+        later = (int(a.document["ticket"]) for a in handed if a.number > since)
+        gone, standing = self.undone_versions, self.ledger.tickets
+        standing_updates = [action for version, action in self.updates.items() if version not in gone]
+        learnt = {int(led) for action in standing_updates for led in action.document.get("tickets", ())}
+        return tuple(n for n in later if n > number and n in standing and n not in {*learnt, *self.silenced})
+
+    def newest_of(self, numbers: Collection[int]) -> tuple[int, ...]:
+        """Of standing tickets with these numbers, the newest for the same loads."""
+        newest = {
+            (ticket.first_load, ticket.last_load): number for number, ticket in self.ledger.tickets.items() if number in numbers
+        }
+        return tuple(sorted(newest.values()))
+
+    def std_dev_kg(self, number: int) -> float:
+        """Of a ticket's weighing; where it was not kept the usual one."""
+        for action in self._actions:
+            if action.kind == ledgers.TICKET and action.document["ticket"] == number:
+                found = action.document.get("std_dev_kg")
+                if found is not None:
+                    return float(found)
+        return RELATIVE_STD_DEV * self._tickets[number - 1].weighed_mass_kg
+
+    def change_crop(self, before: str, now: str) -> None:
+        """Another crop from now on: tickets that have not updated the parameters wait for the return of theirs."""
+        learnt = self._learnt
+        self._of_crop[before] = [number for number in self.waiting if number not in learnt]
+        self.waiting = [number for number in self.waiting if number in learnt] + self._of_crop.pop(now, [])
+
+    def take_waiting(self, in_use: int) -> tuple[tuple[int, ...], int]:
+        """Tickets that wait, each once, and the version of the parameters with which loads are measured again after them.
+
+        in_use: the present version. Where a change of crop came since the tickets updated the parameters, it is the last version
+        that they led to; tickets of another version are left for the next time. Those taken before of which nothing
+        came wait again.
+        """
+        self.waiting = [*self._taken, *self.waiting]
+        self._taken_before = self._next_number
+        changed = max((version for version, a in self.updates.items() if a.document.get("origin") == ledgers.CROP), default=0)
+        learnt = {number: version for number, version in self._learnt.items() if version < changed}
+        version = learnt.get(self.waiting[0], in_use)
+        self._taken = tuple(number for number in self.waiting if learnt.get(number, in_use) == version)
+        self.waiting = [number for number in self.waiting if number not in self._taken]
+        return self._taken, version
+
+    @property
+    def _learnt(self) -> Mapping[int, int]:
+        """The newest version that each ticket has led to, by the ticket's number."""
+        undone = self.undone_versions
+        return {
+            int(number): version
+            for version, action in sorted(self.updates.items())
+            if version not in undone
+            for number in action.document.get("tickets", ())
+        }
+
+    def teaching(self, change: ParametersChanged) -> list[int]:
+        """Numbers of the tickets that a change of the parameters rests on: those handed over for it, of several entered together
+        one with each change; after them those that have taught already and whose loads are still to be measured again."""
+        learnt = self._learnt
+        return [number for number in self.waiting if number in learnt or self._is_of(number, change.taught)]
+
+    def _is_of(self, number: int, taught: Sequence[tuple[int, float]]) -> bool:
+        ticket = self._tickets[number - 1]
+        return isclose(
+            sum(kg for load, kg in taught if ticket.first_load <= load <= ticket.last_load), ticket.weighed_mass_kg, rel_tol=1e-6
+        )
+
+    def bring_back(self, version: int) -> None:
+        """An undo brought this version back: loads that were measured with what it took back are to be measured again."""
+        self._restored.append(version)
+
+    @property
+    def restored(self) -> tuple[int, ...]:
+        """Versions that an undo brought back and with which loads are still to be measured again, for a restart to go on with."""
+        return tuple(self._restored)
+
+    @property
+    def restored_waits(self) -> bool:
+        """Whether there is one for `take_restored`."""
+        return len(self._restored) > self._restoring
+
+    def take_restored(self) -> tuple[tuple[int, ...], int]:
+        """No ticket, and the first of `restored`. Where nothing comes of it, it is taken again after the next undo."""
+        self._restoring = len(self._restored)
+        return (), self._restored[0]
+
+    @property
+    def to_teach(self) -> frozenset[int]:
+        """Numbers of the tickets in the queue to teach the parameters in use, one with each second."""
+        return frozenset(self.waiting) - set(self._learnt)
+
+    @property
+    def unfinished(self) -> tuple[int, ...]:
+        """Numbers of the tickets that wait or whose loads are being measured again, which a restart has to go on with."""
+        return (*self._taken, *self.waiting)
+
+    @property
+    def unfinished_of_crop(self) -> Mapping[str, Sequence[int]]:
+        """Numbers of the tickets that wait for the return of another crop, by its name."""
+        return {crop: tuple(kept) for crop, kept in self._of_crop.items() if kept}
+
+    def posted(self, tickets: Sequence[int], version: int, factors: Mapping[int, float]) -> None:
+        """Loads were measured again with the parameters of this version, after these tickets. factors: by load number; none where
+        nothing came of it. Loads that were given another crop meanwhile keep what that crop's parameters measured."""
+        self._taken = ()
+        if not tickets:
+            self._restored, self._restoring = [waiting for waiting in self._restored if waiting != version], 0
+        recropped = ledgers.recropped(action for action in self._actions if action.number >= self._taken_before)
+        factors = {number: factor for number, factor in factors.items() if number not in recropped}
+        if not factors:
+            return
+        document = {
+            "tickets": list(tickets), "version": version, "factors": {str(n): factor for n, factor in sorted(factors.items())}
+        }  # fmt: skip
+        self.add(ledgers.POSTING, "", document)
+
+    def posted_by_crop(self, factors: Mapping[int, float], now_s: float) -> None:
+        """Loads that are of another crop than they were measured with were measured again with its parameters."""
+        document = {"tickets": [], "version": 0, "factors": {str(n): factor for n, factor in sorted(factors.items())}}
+        self.add(ledgers.POSTING, "", document, now_s)
+
+    @property
+    def updates(self) -> Mapping[int, Action]:
+        """Changes of the parameters, by the version that they made."""
+        return {int(a.document["version"]): a for a in self._actions if a.kind == ledgers.PARAMETERS}
+
+    @property
+    def undone_versions(self) -> set[int]:
+        """As `ledger.undone_versions`."""
+        return ledgers.undone_versions(self._actions)
+
+    def standing_of(self, versions: Collection[int]) -> tuple[int, ...]:
+        """Numbers of the tickets that led to these versions and stand, not silenced; of several for the same loads the newest."""
+        updates = [update for version, update in self.updates.items() if version in versions]
+        led = {int(number) for update in updates for number in update.document.get("tickets", ())}
+        return self.newest_of(led - self.silenced)
+
+    def learnt_from(self) -> tuple[int, ...]:
+        """Numbers of the standing tickets that led to versions which stand."""
+        return tuple(sorted(number for number in self._learnt if number in self.ledger.tickets))
+
+    @property
+    def calibrated_version(self) -> int:
+        """Version with which the newest parameter file that stands came; what was measured before it says nothing about it."""
+        gone = self.undone_versions
+        files = (version for version, a in self.updates.items() if a.document.get("origin") == "file" and version not in gone)
+        return max(files, default=0)
+
+    @property
+    def ledger(self) -> ledgers.Ledger:
+        """Tickets and postings that stand."""
+        return ledgers.ledger(self._tickets, self._actions)
+
+    def ticket_table(self, doubted_loads: Collection[int] = ()) -> list[dict[str, Any]]:
+        """All tickets, with who entered them and who took them back, and what became of each. doubted_loads: those whose tickets
+        contradict the ones that count."""
+        rows = ledgers.ticket_rows(self._tickets, self._actions)
+        states = ticket_states(
+            self.ledger,
+            self._actions,
+            to_teach=dict.fromkeys(self.to_teach, "") | {n: crop for crop, kept in self._of_crop.items() for n in kept},
+            doubted_loads=doubted_loads,
+        )
+        return [row | {"state": states.get(row["number"], "undone")} for row in rows]
+
+    def take(self) -> tuple[tuple[Ticket, ...], tuple[Action, ...]]:
+        """Those that no batch has brought yet; they count as brought."""
+        new = tuple(self._new_tickets), tuple(self._new_actions)
+        self._new_tickets, self._new_actions = [], []
+        return new
+
+    def report_all(self) -> None:
+        """The next batch brings them all."""
+        self._new_tickets, self._new_actions = list(self._tickets), list(self._actions)

@@ -1,0 +1,69 @@
+"""What became of each ticket, in the words that lists of tickets show."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+
+from yieldmon.service.storage import ledger as ledgers
+from yieldmon.service.storage.batch import Action, Ticket
+
+_CORRECTS = "corrects its load"
+_CONTRADICTS = "contradicts those before it, teaches when another agrees"
+
+
+def ticket_states(
+    ledger: ledgers.Ledger, actions: Sequence[Action], *, to_teach: Mapping[int, str], doubted_loads: Collection[int] = ()
+) -> dict[int, str]:
+    """The state of each ticket that stands, by its number.
+
+    Parameters
+    ----------
+    ledger : Ledger
+        Tickets that stand.
+    actions : sequence of Action
+        All that was entered, learnt and taken back, in order.
+    to_teach : mapping
+        Tickets that are still to update the parameters, with the crop whose return they wait for, "" where it is harvested now.
+    doubted_loads : collection of int
+        Loads whose tickets contradict those that count.
+
+    Returns
+    -------
+    dict
+    """
+    taught, silenced = _taught(actions), ledgers.silenced(actions)
+    newest = {load: number for number, ticket in sorted(ledger.tickets.items()) for load in _loads_of(ticket)}
+    states = {}
+    for number, ticket in ledger.tickets.items():
+        counting = {newest[load] for load in _loads_of(ticket)}
+        if number in to_teach:
+            state = f"to teach {to_teach[number]}".strip()
+        elif number in taught:
+            state = f"taught version {taught[number]}"
+        elif number in silenced:
+            state = "corrects its load, teaches no more"
+        elif any(load in doubted_loads for load in _loads_of(ticket)):
+            state = _CONTRADICTS
+        else:
+            state = _CORRECTS
+        if number not in counting:
+            replaced = f"replaced by ticket {', '.join(map(str, sorted(counting)))}"
+            state = replaced if state in (_CORRECTS, _CONTRADICTS) else f"{state}, {replaced}"
+        states[number] = state
+    return states
+
+
+def _taught(actions: Sequence[Action]) -> dict[int, int]:
+    """The first version that stands of those that each ticket has led to, by the ticket's number."""
+    gone = ledgers.undone_versions(actions)
+    led = (
+        (int(number), int(action.document["version"]))
+        for action in actions
+        if action.kind == ledgers.PARAMETERS and int(action.document["version"]) not in gone
+        for number in action.document.get("tickets", ())
+    )
+    return dict(sorted(led, reverse=True))
+
+
+def _loads_of(ticket: Ticket) -> range:
+    return range(ticket.first_load, ticket.last_load + 1)

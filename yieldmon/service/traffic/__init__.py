@@ -1,0 +1,1 @@
+"""Frames in and out: inputs, results, the daemon as a node of the network."""
