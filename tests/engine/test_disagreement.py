@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import replace
 from functools import cache
 
@@ -103,19 +104,22 @@ def begun_sweep(effects: Effects, steps: int, seed: int = 5) -> list[WindowRecor
     return [w for w in windows if w.sweep_step < steps]
 
 
+AWAY_RAD = math.radians(40.0)
+
+
 def test_a_sweep_under_way_shows_the_models_error_from_the_first_visit_home_on() -> None:
     target = Disagreement(SETTINGS, MACHINE)
     target.look(begun_sweep(STRONG, 3), SHIPPED)
-    assert target.model_error(SHIPPED).away < 0.01, "nothing brackets the windows away from home yet"
+    assert target.model_error(SHIPPED).at(AWAY_RAD) < 0.01, "nothing brackets the windows away from home yet"
     target.look(begun_sweep(STRONG, 4), SHIPPED)
     found = target.model_error(SHIPPED)
     # Plate friction of 0.2 adds 17 % of force at 40 deg and 5 % at home.
     assert 0.02 < found.home < 0.15
-    assert 0.05 < found.away < 0.3
+    assert 0.05 < found.at(AWAY_RAD) < 0.3
     target.look(begun_sweep(NONE, 4), SHIPPED)
     clean = target.model_error(SHIPPED)
     assert clean.home < 0.5 * found.home
-    assert clean.away < 0.5 * found.away
+    assert clean.at(AWAY_RAD) < 0.5 * found.at(AWAY_RAD)
 
 
 @pytest.mark.parametrize("usable", [True, False])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from yieldmon.engine.flow import Flow
-from yieldmon.engine.mass.budget import FlowBudget
+from yieldmon.engine.mass.budget import FlowBudget, MassBudget
 from yieldmon.engine.mass.loads import LoadClosed, LoadRestated, Loads
 from yieldmon.engine.sampling.since_zero import MissedMass
 from yieldmon.engine.settings import EngineSettings
@@ -205,6 +205,21 @@ def test_a_load_that_was_kept_without_its_angles_stays_as_stated() -> None:
     loads = Loads(EngineSettings())
     loads.resume_closed(EngineState.from_dict(json.loads(json.dumps(document))).closed, 1)
     assert loads.restate(SHOWN, 1) == ()
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_a_load_that_is_known_again_after_a_restart_has_the_budget_that_it_was_stated_with(version: int) -> None:
+    """Also where other parameters are in use by then; without it what sweeps may show would count as the zero's."""
+    before = Loads(EngineSettings())
+    harvest(before, 60)
+    before.start(60.0)
+    before.restate(SHOWN, 1)
+    stated = before.all[0]
+    loads = resumed(before, version)
+    whole = MassBudget(stated.budget.noise_kg2, 0.0, stated.std_dev_kg)
+    assert loads.as_stated(replace(stated, budget=whole)) == stated
+    other = replace(stated, number=99, budget=whole, std_dev_kg=whole.std_dev_kg)
+    assert loads.as_stated(other) == other
 
 
 def test_what_an_open_load_was_measured_at_outlives_a_restart() -> None:

@@ -7,10 +7,10 @@ from studies.coverage.__main__ import CASES, Case, Sizes, one, sd_range
 from studies.coverage.causes import causes
 
 
-def test_a_load_before_the_first_sweep_is_covered_once_the_sweep_has_shown_the_error() -> None:
+def test_a_load_before_the_first_sweep_is_covered_as_it_closes_and_once_the_sweep_has_shown_the_error() -> None:
     (sweeps,) = [case for case in CASES if case.name == "sweeps"]
     found = one(sweeps, 130.0, 41999, fixed=True)
-    assert found.load[0] > 4.0, "as it closed, it knows nothing of the friction"
+    assert abs(found.load[0]) < 2.0, "as it closes, it is stated with what the sweep may show"
     assert abs(found.load_posted[0]) < 2.0
 
 

@@ -295,7 +295,7 @@ class Monitor:
         seconds : sequence of KeptSecond
             Of that load.
         """
-        self._parts.learning.tickets.know_load(load, seconds)
+        self._parts.learning.tickets.know_load(self._parts.loads.as_stated(load), seconds)
 
     def remember_tickets(self, tickets: Sequence[TicketState]) -> None:
         """After `restore` and `know_load`: the state's tickets, of which those for other loads are passed over.

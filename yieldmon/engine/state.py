@@ -43,8 +43,7 @@ class TicketState:
 class EngineState:
     """windows: closed so far. sweep_due_in_s and calibration_age_s (None: not known) count from the moment of the snapshot.
     zero_undo: None where there is no zero calibration to take back. tickets: the newest, in the order they were entered.
-    moisture: of the grain for which the parameters hold, None where none was measured. closed: loads that the parameters in use
-    have measured."""
+    moisture: of the grain for which the parameters hold, None where none was measured. closed: the newest loads."""
 
     totals: Totals = field(default_factory=Totals)
     zero: ZeroState | None = None
@@ -122,7 +121,7 @@ def _zero(data: Mapping[str, Any]) -> ZeroState:
 
 def _by_angle(load: Mapping[str, Any]) -> bool:
     """Whether a closed load was kept by plate angle; an older one stays as stated."""
-    return not isinstance(load["shared"]["per_error_kg"], (int, float))
+    return load["shared"] is None or not isinstance(load["shared"]["per_error_kg"], (int, float))
 
 
 def _totals(data: Mapping[str, Any]) -> Totals:

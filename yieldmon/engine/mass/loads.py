@@ -26,7 +26,7 @@ from yieldmon.frames import EstimateQuality
 _NAN = float("nan")
 _KEPT_LOADS = 256
 _KEPT_CLOSED = 12
-"""Whose shares outlive a restart."""
+"""Whose budgets and shares outlive a restart."""
 _RESTATED = 0.01
 """Relative change of a closed load's standard deviation from which it is reported again."""
 _LONGEST_SILENCE_S, _LONGEST_WAKING_S = 60.0, 3.0
@@ -110,7 +110,7 @@ class Loads:
         self._shared: dict[int, SharedError] = {}
         """Of loads that the parameters in use have measured, by number."""
         self._before: dict[int, MassBudget] = {}
-        """Those of them that closed in a run before."""
+        """Of loads that closed in a run before."""
 
     @property
     def open(self) -> LoadSummary | None:
@@ -232,20 +232,25 @@ class Loads:
 
     @property
     def closed_states(self) -> tuple[ClosedLoadState, ...]:
-        """The newest loads that the parameters in use have measured, the open one among them."""
+        """The newest loads, the open one among them."""
         budgets = {**self._before, **{load.number: load.budget for load in self._closed}}
         if self.totals.load_open:
             budgets[self.totals.load_number] = self.totals.load_budget
-        known = [number for number in sorted(self._shared) if number in budgets and isfinite(budgets[number].std_dev_kg)]
-        return tuple(ClosedLoadState(n, budgets[n], self._shared[n]) for n in known[-_KEPT_CLOSED:])
+        known = [number for number in sorted(budgets) if 0.0 < budgets[number].std_dev_kg < inf]
+        return tuple(ClosedLoadState(n, budgets[n], self._shared.get(n)) for n in known[-_KEPT_CLOSED:])
 
     def resume_closed(self, states: Iterable[ClosedLoadState], version: int) -> None:
         """After `restore`: loads that a run before closed; version: of the parameters in use."""
         for state in states:
-            if state.shared.version == version:
+            if state.shared is not None and state.shared.version == version:
                 self._shared[state.number] = state.shared
-                if not (self.totals.load_open and state.number == self.totals.load_number):
-                    self._before[state.number] = state.budget
+            if not (self.totals.load_open and state.number == self.totals.load_number):
+                self._before[state.number] = state.budget
+
+    def as_stated(self, load: LoadSummary) -> LoadSummary:
+        """A load of a run before, with its budget as that run stated it where that is kept."""
+        budget = self._before.get(load.number, load.budget)
+        return replace(load, std_dev_kg=budget.std_dev_kg, budget=budget)
 
     def widen(self, error_kg: float) -> None:
         """What the open load holds turns out to be less sure: by error_kg at least, one standard deviation, by its parameters."""

@@ -64,16 +64,18 @@ class SharedError:
 
 @dataclass(frozen=True, slots=True)
 class ClosedLoadState:
-    """What of a closed load outlives a restart, so that it can be stated anew. budget: of its mass, as stated last."""
+    """What of a load outlives a restart, so that it can be stated anew and a ticket held against it. budget: of its mass, as
+    stated last. shared: None where other parameters than those in use have measured it."""
 
     number: int
     budget: MassBudget
-    shared: SharedError
+    shared: SharedError | None
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> ClosedLoadState:
         """Inverse of `dataclasses.asdict`. Raises KeyError or TypeError."""
-        return cls(int(data["number"]), MassBudget(**data["budget"]), SharedError.from_dict(data["shared"]))
+        shared = None if data["shared"] is None else SharedError.from_dict(data["shared"])
+        return cls(int(data["number"]), MassBudget(**data["budget"]), shared)
 
 
 def _with(at_nodes: tuple[float, ...], more: float, plate_angle_rad: float) -> tuple[float, ...]:
