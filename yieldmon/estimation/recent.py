@@ -40,5 +40,6 @@ class Recent(Generic[T]):
             found = make()
         self._found[key] = found
         if len(self._found) > self._most:
-            del self._found[next(iter(self._found))]
+            # Another thread may have been first.
+            self._found.pop(next(iter(self._found)), None)
         return found
