@@ -27,7 +27,7 @@ from yieldmon.fleet.worker import Outcome, Task, failed, left, there, work
 _RETRIES = 2
 """Of a task that failed for other reasons than its inputs, a storage that did not answer for instance."""
 _DEATHS = 3
-"""Workers that may die with a task before it is given up."""
+"""Workers that may die with a task before it is given up, and while they start before the run is."""
 _IN_FLIGHT = 256
 _FORKSERVER, _PREFORK = "forkserver", "yieldmon.fleet.prefork"
 _QUIET = logging.CRITICAL
@@ -147,23 +147,33 @@ def _client(cluster: Cluster) -> Iterator[Any]:
                 with suppress(*_lost()):
                     client.close(timeout=2)
             return
-        here = {"processes": False, "n_workers": 1} if cluster.workers == 0 else {"n_workers": cluster.workers}
-        try:
-            with _interrupts_are_ours():
-                if forked:
-                    _begin_forking()
-                started = untyped.LocalCluster(threads_per_worker=1, dashboard_address="127.0.0.1:0", silence_logs=_QUIET, **here)
-        except (RuntimeError, OSError) as error:
-            cause: BaseException = error
-            while before := cause.__cause__ or cause.__context__:
-                cause = before
-            instead = "; --workers 0 measures in this process alone" if cluster.workers else ""
-            raise OSError(f"the workers do not start: {cause}{instead}") from error
-        with started as local:
+        with _started(cluster.workers, forked=forked) as local:
             if cluster.adaptive:
                 local.adapt(minimum=1, maximum=max(1, cluster.workers))
             with untyped.Client(local) as client:
                 yield client
+
+
+def _started(workers: int, *, forked: bool) -> Any:
+    """Workers of this machine, begun anew where one of them dies while they start. Raises OSError."""
+    import distributed
+
+    untyped: Any = distributed
+    here = {"processes": False, "n_workers": 1} if workers == 0 else {"n_workers": workers}
+    failed: BaseException | None = None
+    for _ in range(_DEATHS):
+        try:
+            with _interrupts_are_ours():
+                if forked:
+                    _begin_forking()
+                return untyped.LocalCluster(threads_per_worker=1, dashboard_address="127.0.0.1:0", silence_logs=_QUIET, **here)
+        except (RuntimeError, OSError) as error:
+            failed = error
+    cause = failed
+    while cause is not None and (before := cause.__cause__ or cause.__context__):
+        cause = before
+    instead = "; --workers 0 measures in this process alone" if workers else ""
+    raise OSError(f"the workers do not start: {cause}{instead}") from failed
 
 
 @contextmanager
