@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from yieldmon.errors import InputError
 from yieldmon.field.table import DEFAULT_FLOW_S, Array, HarvestTable, Label, Source, build
 from yieldmon.frames import EstimateQuality
 from yieldmon.service.logs import recorded
+from yieldmon.service.storage.batch import Load
 from yieldmon.service.storage.rows import SecondRow
 from yieldmon.service.storage.store_names import SQLITE_MAGIC
 
@@ -34,8 +36,35 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
             loads = {load.number: load for load in store.loads()}
     except (UnicodeError, sqlite3.Error) as error:
         raise InputError(str(path), f"is damaged: {error}", "a daemon's store") from error
+    return table_of(rows, loads, path, KIND, options)
+
+
+def table_of(rows: list[SecondRow], loads: Mapping[int, Load], path: Path, kind: str, options: ReadOptions) -> HarvestTable:
+    """Recorded seconds as a harvest.
+
+    Parameters
+    ----------
+    rows : list of SecondRow
+        In order of time.
+    loads : mapping of int to Load
+        By number; those that are not there have no field and no crop.
+    path : path
+        Where they are from.
+    kind : str
+        What that is.
+    options : ReadOptions
+
+    Returns
+    -------
+    HarvestTable
+
+    Raises
+    ------
+    InputError
+        Where there are no seconds, or no width is given.
+    """
     if not rows:
-        raise InputError(str(path), "has no seconds", "a store with records")
+        raise InputError(str(path), "has no seconds", f"a {kind} with records")
     if options.width_m is None:
         raise InputError(str(path), "has no working width", "--width M")
     count = len(rows)
@@ -70,7 +99,7 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
     total = rows[-1].total_kg - rows[0].total_kg + rows[0].mass_kg
     source = Source(
         str(path),
-        KIND,
+        kind,
         count,
         mass_kg=total if total > 0 else None,
         notes=(*notes, *([] if harvesting.any() else ["no second of harvest"])),

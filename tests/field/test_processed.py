@@ -1,0 +1,56 @@
+"""Seconds that `process` wrote are a harvest as a store's are."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.service.test_store import batch, second
+from yieldmon.errors import InputError
+from yieldmon.field import sources
+from yieldmon.field.sources.options import ReadOptions
+from yieldmon.service.logs.tables import open_table
+from yieldmon.service.storage.rows import SecondRow
+from yieldmon.service.storage.store import Store
+
+WIDTH = ReadOptions(width_m=9.0)
+
+
+def harvest() -> list[SecondRow]:
+    """A minute to the north at 2 m/s."""
+    way = {"longitude_deg": 9.0, "ground_speed_m_s": 2.0, "course_deg": 0.0, "moisture_pct": 15.0}
+    return [replace(second(k, load_number=1 + k // 40), latitude_deg=48.0 + 1.8e-5 * k, **way) for k in range(1, 61)]
+
+
+@pytest.mark.parametrize("suffix", [".parquet", ".jsonl"])
+def test_a_table_of_seconds_is_read_as_the_store_with_the_same_seconds(tmp_path: Path, suffix: str) -> None:
+    rows = harvest()
+    with Store(tmp_path / "s.sqlite") as store:
+        store.commit([batch(1, seconds=tuple(rows))])
+    with open_table(str(tmp_path / f"rows{suffix}")) as writer:
+        for row in rows:
+            writer.write(row)
+    table, of_store = sources.read(tmp_path / f"rows{suffix}", WIDTH), sources.read(tmp_path / "s.sqlite", WIDTH)
+    assert table.columns.keys() == of_store.columns.keys()
+    for name, values in of_store.columns.items():
+        np.testing.assert_array_equal(table[name], values, err_msg=name)
+    assert table.sources[0].mass_kg == of_store.sources[0].mass_kg == pytest.approx(600.0)
+    np.testing.assert_array_equal(table.labels["load"].codes, of_store.labels["load"].codes)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "says"),
+    [
+        ("a.jsonl", b"", "has no seconds"),
+        ("a.jsonl", b'{"number": 1}\n', "has no time_s"),
+        ("a.parquet", b"PAR1 and no more", "Parquet"),
+    ],
+)
+def test_what_is_no_such_table_is_refused_in_one_line(tmp_path: Path, name: str, content: bytes, says: str) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(InputError, match=says) as refused:
+        sources.read(tmp_path / name, WIDTH)
+    assert "\n" not in str(refused.value)
