@@ -27,7 +27,8 @@ _log = logging.getLogger(__name__)
 
 #: Frames: over 10 s of a 250 kbit/s bus that is full.
 DEFAULT_CAPACITY = 20_000
-_LISTEN_S = 0.1
+#: One read of the bus waits so long for a frame, and a stop for that read.
+LISTEN_S = 0.1
 #: The kernel reports a lost interface to a socket once: if sending got the report, receiving would wait for ever.
 _INTERFACE_GONE = frozenset({errno.ENETDOWN, errno.ENODEV, errno.ENXIO})
 _FIRST_RETRY_S = 0.05
@@ -106,7 +107,7 @@ class Receiver:
         *,
         capacity: int = DEFAULT_CAPACITY,
         clock: Callable[[], float] = time.time,
-        listen_s: float = _LISTEN_S,
+        listen_s: float = LISTEN_S,
     ) -> None:
         """open_bus: opens the bus anew each time it is called, raises can.CanError or OSError when it cannot.
         capacity: frames that may wait for the consumer. clock: seconds, stamps events that carry no time of their

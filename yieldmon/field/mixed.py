@@ -109,7 +109,21 @@ def apart(table: HarvestTable) -> HarvestTable:
 
 
 def machine_names(time_s: Array, x_m: Array, y_m: Array, machine: Label) -> tuple[Label, str]:
-    """Names of the machines that made rows, where several have one name a name for each; and a note, empty where none has."""
+    """Names of the machines that made rows, where several have one name a name for each.
+
+    Parameters
+    ----------
+    time_s, x_m, y_m : array, shape (n,)
+        Of the rows, in the order of the file; NaN where not known.
+    machine : Label
+        Name of each row's machine, "" where it has none.
+
+    Returns
+    -------
+    names : Label
+    note : str
+        What was taken apart; empty where every name is one machine's.
+    """
     names: list[str] = []
     codes = np.zeros(len(time_s), np.int32)
     said: list[str] = []

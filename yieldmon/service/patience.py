@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from yieldmon.bus.receiver import LISTEN_S
+
 
 @dataclass(frozen=True, kw_only=True)
 class Patience:
@@ -31,7 +33,7 @@ class Patience:
     """
 
     silence_s: float = 0.15
-    listen_s: float = 0.1
+    listen_s: float = LISTEN_S
     store_s: float = 20.0
     kept_frames: int = 50_000
     reload_s: float = 20.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from math import pi
 
-from yieldmon.units import KG_PER_LB, N_PER_KGF
+from yieldmon.units import KG_PER_LB, KMH_PER_M_S, M3_PER_BUSHEL, M_PER_FT, M_S_PER_KNOT, M_S_PER_MPH, N_PER_KGF
 
 FACTORS: Mapping[str, Mapping[str, float]] = {
     "rpm": {
@@ -21,14 +21,29 @@ FACTORS: Mapping[str, Mapping[str, float]] = {
     },
     "deg": {"deg": 1.0, "°": 1.0, "degree": 1.0, "degrees": 1.0, "rad": 180.0 / pi, "mrad": 0.18 / pi},
     "%": {"%": 1.0, "percent": 1.0, "1": 100.0, "ppm": 1e-4},
-    "kg/m3": {"kg/m3": 1.0, "kg/m^3": 1.0, "kg/m³": 1.0, "g/l": 1.0, "g/L": 1.0, "kg/hl": 10.0, "lb/bu": 12.8718},
+    "kg/m3": {
+        "kg/m3": 1.0,
+        "kg/m^3": 1.0,
+        "kg/m³": 1.0,
+        "g/l": 1.0,
+        "g/L": 1.0,
+        "kg/hl": 10.0,
+        "lb/bu": KG_PER_LB / M3_PER_BUSHEL,
+    },
     "g": {"g": 1.0, "kg": 1000.0, "mg": 1e-3},
     "kg": {"kg": 1.0, "t": 1000.0, "g": 1e-3, "lb": KG_PER_LB},
-    "km/h": {"km/h": 1.0, "kph": 1.0, "m/s": 3.6, "mph": 1.609344, "kn": 1.852, "ft/s": 1.09728},
+    "km/h": {
+        "km/h": 1.0,
+        "kph": 1.0,
+        "m/s": KMH_PER_M_S,
+        "mph": M_S_PER_MPH * KMH_PER_M_S,
+        "kn": M_S_PER_KNOT * KMH_PER_M_S,
+        "ft/s": M_PER_FT * KMH_PER_M_S,
+    },
     "kg/s": {"kg/s": 1.0, "g/s": 1e-3, "mg/s": 1e-6, "t/h": 1 / 3.6, "kg/h": 1 / 3600, "lb/s": KG_PER_LB},
-    "degC": {"degC": 1.0, "°C": 1.0, "C": 1.0, "degF": 5.0 / 9.0, "°F": 5.0 / 9.0, "F": 5.0 / 9.0, "K": 1.0},
+    "degC": {"degC": 1.0, "°C": 1.0, "C": 1.0, "K": 1.0} | dict.fromkeys(("degF", "°F", "F"), 5.0 / 9.0),
     "mV": {"mV": 1.0, "V": 1000.0, "uV": 1e-3, "mV/V": 1.0, "counts": 1.0},
-    "N": {"N": 1.0, "kN": 1000.0, "daN": 10.0, "mN": 1e-3, "kgf": N_PER_KGF, "lbf": 4.4482216},
+    "N": {"N": 1.0, "kN": 1000.0, "daN": 10.0, "mN": 1e-3, "kgf": N_PER_KGF, "lbf": KG_PER_LB * N_PER_KGF},
     "min": {"min": 1.0, "s": 1 / 60, "h": 60.0, "d": 1440.0},
     "": {"": 1.0},
 }

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from datetime import UTC, datetime
+from math import isfinite, nan
 
 import numpy as np
 
@@ -41,15 +42,15 @@ def seconds_of_day(texts: Sequence[str]) -> Array:
 
 def _of_day(found: re.Match[str] | None, first: int = 1) -> float:
     if found is None:
-        return float("nan")
+        return nan
     hour, minute, second, half = found.group(first, first + 1, first + 2, first + 3)
     hours, seconds = int(hour), float((second or "0").replace(",", "."))
     if half is not None:
         if not 1 <= hours <= 12:
-            return float("nan")
+            return nan
         hours = hours % 12 + (12 if half.lower().startswith("p") else 0)
     if hours > 24 or int(minute) > 59 or seconds >= 61.0:
-        return float("nan")
+        return nan
     return hours * 3600.0 + int(minute) * 60.0 + seconds
 
 
@@ -79,7 +80,7 @@ def parsed(texts: Sequence[str]) -> tuple[Array, str]:
             first, _, second, year = found.group(1, 2, 3, 4)
             day, month = (first, second) if day_first else (second, first)
             moment = _unix(year, int(month), day, found, 5)
-            without_zone |= found.group(9) is None and moment == moment  # noqa: PLR0124
+            without_zone |= found.group(9) is None and isfinite(moment)
         else:
             moment, zone_missing = _other(text.strip())
             without_zone |= zone_missing
@@ -92,10 +93,11 @@ def _order(found: Sequence[re.Match[str]]) -> tuple[bool, list[str]]:
     if not found:
         return True, []
     pairs = {(int(one[1]), int(one[3]), one[4]) for one in found}
+    dotted = all(one[2] == "." for one in found)
     first, second = sum(one > 12 for one, _, _ in pairs), sum(one > 12 for _, one, _ in pairs)
     if first != second:
         day_first = first > second
-    elif all(one[2] == "." for one in found):
+    elif dotted:
         day_first = True
     else:
         spans = [
@@ -103,7 +105,6 @@ def _order(found: Sequence[re.Match[str]]) -> tuple[bool, list[str]]:
             for days in (True, False)
         ]
         day_first = spans[0] < spans[1]
-    dotted = all(one[2] == "." for one in found)
     return day_first, [] if dotted and day_first else [f"dates are read as {'day/month' if day_first else 'month/day'}/year"]
 
 
@@ -112,15 +113,15 @@ def _other(text: str) -> tuple[float, bool]:
     missing."""
     if _COUNT.fullmatch(text):
         # A count of seconds also reads as year, month, day and hour without anything between them.
-        return float("nan"), False
+        return nan, False
     named = _NAMED.fullmatch(text)
     if named is not None:
         moment = _unix(named[3], _month(named[2]), named[1], named, 4)
-        return moment, named[8] is None and moment == moment  # noqa: PLR0124
+        return moment, named[8] is None and isfinite(moment)
     year_first = _YEAR_FIRST.fullmatch(text)
     if year_first is not None:
         moment = _unix(year_first[1], int(year_first[2]), year_first[3], year_first, 4)
-        return moment, year_first[8] is None and moment == moment  # noqa: PLR0124
+        return moment, year_first[8] is None and isfinite(moment)
     plain = _ZONE_WORD.sub("+00:00", text)
     for read in (datetime.fromisoformat, lambda digits: datetime.strptime(digits, "%Y%m%d%H%M%S")):
         try:
@@ -128,7 +129,7 @@ def _other(text: str) -> tuple[float, bool]:
             return utc.in_utc(moment_of).timestamp(), moment_of.tzinfo is None
         except (ValueError, OverflowError, OSError):
             continue
-    return float("nan"), False
+    return nan, False
 
 
 def _month(name: str) -> int:
@@ -143,10 +144,10 @@ def _unix(year: str, month: int, day: str, found: re.Match[str] | None = None, c
     try:
         midnight = datetime(years, month, int(day), tzinfo=UTC)
     except ValueError:
-        return float("nan")
+        return nan
     if found is None or found.group(clock) is None:
         return midnight.timestamp()
     seconds = _of_day(found, clock)
-    if not np.isfinite(seconds):
-        return float("nan")
+    if not isfinite(seconds):
+        return nan
     return midnight.timestamp() + seconds
