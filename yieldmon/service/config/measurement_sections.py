@@ -234,7 +234,7 @@ class Waveform(Section):
     largest_misfit: float = quantity(_V.largest_misfit, 1.0, 1000.0, "1", "misfit above which pulses contradict")
     contradiction_windows: int = quantity(_V.contradiction_windows, 5, 3600, "s", "windows compared")
     contradiction_z: float = quantity(_V.contradiction_z, 1.0, 20.0, "1", "standard deviations that contradict")
-    hit_sd: float = quantity(_V.hit_sd, 0.0, 1.0, "1", "deviation of what mean force and kernels share")
+    hit_sd: float = quantity(_V.hit_sd, 0.0, 1.0, "1", "shared relative error of force and kernels")
     thousand_kernel_weight_g: float = quantity(
         _V.thousand_kernel_weight_g, 0.0, THOUSAND_KERNELS_G[1], "g", "mass of a thousand kernels; 0: not known"
     )
@@ -243,7 +243,7 @@ class Waveform(Section):
     )
     kernel_mass_sd: float = quantity(_V.kernel_mass_sd, 0.0, 1.0, "1", "its relative deviation")
     kernel_low_hz: float = quantity(_V.kernel_low_hz, 20.0, 5000.0, "Hz", "lowest frequency, above the pulses")
-    kernel_high_hz: float = quantity(_V.kernel_high_hz, 20.0, 5000.0, "Hz", "highest, below contacts")
+    kernel_high_hz: float = quantity(_V.kernel_high_hz, 20.0, 5000.0, "Hz", "highest, below 1/contact time")
     kernel_bias: float = quantity(_V.kernel_bias, 0.2, 3.0, "1", "kernel's impulse over mass times impulse per kilogram")
     kernel_bias_sd: float = quantity(_V.kernel_bias_sd, 0.0, 1.0, "1", "its deviation")
     quiet_error: float = quantity(_V.quiet_error, 0.0, 1.0, "1", "relative deviation of background noise")
