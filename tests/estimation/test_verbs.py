@@ -147,6 +147,20 @@ def test_estimate_gives_a_status_for_each_row(
     assert rows[1]["std_dev_kg_s"] > 0.0
 
 
+@pytest.mark.parametrize(("own", "said"), [(False, True), (True, False)], ids=["of other grain", "of its own calibration"])
+def test_estimate_says_where_flows_contradict_the_tables_own_loads(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, own: bool, said: bool
+) -> None:
+    dem, params = Path(__file__).resolve().parents[1] / "data" / "dem_table.csv", tmp_path / "p.yaml"
+    if own:
+        assert main(["calibrate", str(dem), "--out", str(params)]) == 0
+    capsys.readouterr()
+    assert main(["estimate", str(dem), "--params", str(params) if own else "corn"]) == 0
+    told = capsys.readouterr().err
+    assert ("of their standard deviations: expected parameters of its grain and machine" in told) == said
+    assert told.count("\n") == int(said)
+
+
 @pytest.mark.parametrize("sigma", ["-1", "nan", "inf"])
 def test_estimate_refuses_noise_that_is_none(capsys: pytest.CaptureFixture[str], tmp_path: Path, sigma: str) -> None:
     path = tmp_path / "t.csv"

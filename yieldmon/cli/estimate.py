@@ -16,6 +16,10 @@ from yieldmon.errors import InputError
 from yieldmon.estimation.estimators import estimator_of
 from yieldmon.estimation.open_loop import FlowStatus
 from yieldmon.files import table
+from yieldmon.physics.numerics import Array
+
+_CONTRADICTS_SDS = 3.0
+"""Standard deviations by which half of the flows are off the table's own loads, from which it is said."""
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -57,6 +61,9 @@ def run(args: argparse.Namespace) -> int:
         found = loop.estimate(force, angle, speed, noise, data.columns.get("moisture_pct"))
     except ValueError as error:
         raise InputError(data.path, str(error)) from error
+    true = None if data.load is None else data.columns[data.load] * (passes if data.load == "paddle_mass_kg" else 1.0)
+    if true is not None and (note := _contradiction(found.mass_flow_kg_s, found.std_dev_kg_s, true)):
+        print(f"yieldmon: {data.path}: {note}", file=sys.stderr)
     rows = []
     for i in range(len(data)):
         row: dict[str, Any] = {
@@ -66,10 +73,9 @@ def run(args: argparse.Namespace) -> int:
             "paddle_mass_kg": float(found.mass_flow_kg_s[i] / passes[i]),
             "status": FlowStatus(int(found.status[i])).name.lower(),
         }
-        if data.load is not None:
-            true = data.columns[data.load][i] * (passes[i] if data.load == "paddle_mass_kg" else 1.0)
-            row["true_mass_flow_kg_s"] = float(true)
-            row["error_pct"] = float(100.0 * (row["mass_flow_kg_s"] / true - 1.0)) if true > 0.0 else np.nan
+        if true is not None:
+            row["true_mass_flow_kg_s"] = float(true[i])
+            row["error_pct"] = float(100.0 * (row["mass_flow_kg_s"] / true[i] - 1.0)) if true[i] > 0.0 else np.nan
         rows.append(row)
     if args.json:
         print_json({"file": data.path, "rows": rows}, indent=1)
@@ -78,3 +84,19 @@ def run(args: argparse.Namespace) -> int:
         writer.writeheader()
         writer.writerows({k: f"{v:.8g}" if isinstance(v, float) else v for k, v in row.items()} for row in rows)
     return 0
+
+
+def _contradiction(flow_kg_s: Array, std_dev_kg_s: Array, true_kg_s: Array) -> str:
+    """What is to be said where the flows of a table contradict its own loads, all of shape (n,); "" where they do not."""
+    told = (true_kg_s > 0.0) & (std_dev_kg_s > 0.0) & np.isfinite(flow_kg_s)
+    if not told.any():
+        return ""
+    flow, std_dev, true = (column[told] for column in (flow_kg_s, std_dev_kg_s, true_kg_s))
+    away = float(np.median(np.abs(flow - true) / std_dev))
+    if away < _CONTRADICTS_SDS:
+        return ""
+    return (
+        f"half of the flows are {100.0 * np.median(np.abs(flow / true - 1.0)):.3g} % off the table's own loads, or more, and "
+        f"{away:.3g} of their standard deviations: expected parameters of its grain and machine (`yieldmon calibrate`), and the "
+        "noise of its readings (--sigma)"
+    )
