@@ -504,10 +504,13 @@ def test_loads_that_share_an_error_leave_the_scale_uncertain(offset_found, start
 
 def test_an_outlier_among_the_sealed_rows_is_left_out_and_counted(start, offset_rows, offset_seen) -> None:
     rows, first = offset_rows, offset_seen
-    value = rows.value.copy()
-    value[np.flatnonzero(first.sealed)[4]] += 0.5 * value.max()
+    value, row = rows.value.copy(), np.flatnonzero(first.sealed)[4]
+    value[row] += 0.5 * value.max()
     second = diagnosis.examine(replace(rows, value=value), start, QUICK)
     assert np.count_nonzero(second.outlier) == np.count_nonzero(first.outlier) + 1
+    angle = f"{np.degrees(rows.plate_angle_rad[row]):.3g} deg"
+    [told] = [note for note in second.notes if "outlying" in note]
+    assert f"{value[row]:.4g} at {angle} and {rows.load[row]:.3g} kg" in told
     assert second.held_out.rows == first.held_out.rows - 1
     assert second.held_out.closed_pct == pytest.approx(first.held_out.closed_pct, abs=10.0)
 

@@ -332,7 +332,7 @@ def test_an_outlier_is_named_by_its_row_in_the_file(capsys: pytest.CaptureFixtur
     found = document(capsys, "calibrate", path, "--starts", "1", "--robust", "--free", "friction", *words)
     found = found["by_moisture"][-1] if "by_moisture" in found else found
     assert found["residual"]["outlier_rows"] == [number]
-    assert any(f"rows {number} lie" in note for note in found["notes"])
+    assert any(f"row {number} lies" in note for note in found["notes"])
 
 
 @pytest.mark.parametrize(

@@ -150,7 +150,8 @@ def examine(
     outlier |= outlying_sealed
     angles = published.angles_asked(training, model, noise, parameters, keep_effects=options.keep_effects)
     notes = [
-        *diagnosis_notes.of_noise(noise, int(outlier.sum())),
+        diagnosis_notes.of_noise(noise),
+        *diagnosis_notes.of_outliers(rows.take(outlier)),
         *diagnosis_notes.of_scatter(noise, rows, int(outlier.sum())),
         *model.notes,
         *diagnosis_notes.of_gain(model.base),

@@ -29,6 +29,8 @@ MOST_SCATTER = 0.2
 """Scatter of repetitions, as a share of the median reading, from which nothing is named."""
 _MANY = 0.05
 """Share of outliers from which they are reported."""
+_NAMED_ROWS = 6
+"""Outliers that are named one by one."""
 
 
 def refuted(names: tuple[str, ...], proof: Proof) -> str:
@@ -125,8 +127,8 @@ def of_scatter(noise: Noise, rows: Rows, outliers: int) -> list[str]:
     return out
 
 
-def of_noise(noise: Noise, outliers: int) -> list[str]:
-    """Where the noise is known from, how large it is, and how many outliers are left out."""
+def of_noise(noise: Noise) -> str:
+    """Where the noise is known from, and how large it is."""
     how = {
         "replicates": f"noise from replicates ({noise.dof:.0f} degrees of freedom)",
         "smooth": "no replicates: noise from the scatter about a smooth surface through the rows",
@@ -136,7 +138,19 @@ def of_noise(noise: Noise, outliers: int) -> list[str]:
     form = f"sd = {noise.constant:.4g}" + (
         f" + {100.0 * noise.proportional:.2g} % of reading (in quadrature)" if noise.proportional else ""
     )
-    return [f"{how}: {form}"] + ([f"{outliers} outlying rows left out"] if outliers else [])
+    return f"{how}: {form}"
+
+
+def of_outliers(outlying: Rows) -> list[str]:
+    """Which rows are left out as outliers, by what a table states of them."""
+    count = len(outlying)
+    if not count:
+        return []
+    unit = "kg" if outlying.load_name == "paddle_mass_kg" else "kg/s"
+    rows = zip(np.degrees(outlying.plate_angle_rad), outlying.load, outlying.value, strict=True)
+    named = [f"{value:.4g} at {angle:.3g} deg and {load:.3g} {unit}" for angle, load, value in rows]
+    more = ", ..." if count > _NAMED_ROWS else ""
+    return [f"{count} outlying row{'s' * (count > 1)} left out: {', '.join(named[:_NAMED_ROWS])}{more}"]
 
 
 def of_all_rows(left: LackOfFit) -> str:

@@ -163,7 +163,8 @@ def sentences(
         )
     if quality.outlier_rows:
         rows = ", ".join(str(i + 1) for i in quality.outlier_rows[:10])
-        yield f"rows {rows} lie more than {OUTLIER_SDS:g} robust standard deviations from the fit; look at them, or use --robust."
+        which, them = (f"row {rows} lies", "it") if len(quality.outlier_rows) == 1 else (f"rows {rows} lie", "them")
+        yield f"{which} more than {OUTLIER_SDS:g} robust standard deviations from the fit; look at {them}, or use --robust."
 
 
 def of_model_error(fitted: Sequence[FittedParameter], known: ParameterSet) -> Iterable[str]:
