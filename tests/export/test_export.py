@@ -151,6 +151,9 @@ def test_a_table_of_seconds_has_no_loads(tmp_path):
 def test_loads_as_csv_and_parquet(exported):
     table = pyarrow.parquet.read_table(exported("l.parquet", "--what", "loads", record="r.sqlite")).to_pylist()
     stored = [dataclasses.asdict(load) for load in LOADS]
+    for row in stored:
+        # By cause, for the engine alone.
+        del row["budget"]
     assert [{name: row[name] for name in stored[0]} for row in table] == stored
     # No ticket came: what was measured is what is corrected, and nothing was posted.
     assert [(row["corrected_mass_kg"], row["ticket_mass_kg"], row["posted_mass_kg"]) for row in table] == [

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from tests.service.test_posting import MACHINE, known, rows
+from yieldmon.engine.mass.budget import MassBudget
 from yieldmon.files import parameter_file
 from yieldmon.frames import EstimateQuality
 from yieldmon.service.history.reference_loads import StoredLoad, of_store, reference
@@ -162,6 +163,14 @@ def test_the_budget_is_the_seconds_noise_and_what_is_left(
     assert budget.noise_kg2 + budget.parameters_kg**2 + budget.zero_kg**2 == pytest.approx(
         max(whole_kg**2, noise_kg2 + budget.parameters_kg**2)
     )
+
+
+def test_a_load_that_was_stored_with_its_budget_has_it_back() -> None:
+    """However many loads ago it was: what sweeps may show of the parameters is not taken for the zero's error."""
+    stated = MassBudget(noise_kg2=0.25, parameters_kg=3.5, zero_kg=0.2, moisture_kg=0.1, motion_kg=-0.05)
+    load = replace(LOAD, std_dev_kg=stated.std_dev_kg, budget=stated)
+    summary = reference(StoredLoad(load, SECONDS, {1: known()}, False), MACHINE, 0.75).summary
+    assert (summary.budget, summary.std_dev_kg) == (stated, stated.std_dev_kg)
 
 
 def test_the_budget_of_seconds_of_another_length_goes_with_their_length() -> None:

@@ -10,6 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tests.service.test_store import batch, second
+from yieldmon.engine.mass.budget import MassBudget
 from yieldmon.service.storage.batch import Action, FaultEvent, Load, ParameterVersion, Step, SweepRecord, Ticket
 from yieldmon.service.storage.rows import SecondRow
 from yieldmon.service.storage.store import Store
@@ -22,7 +23,7 @@ DOCUMENTS = st.dictionaries(TEXT, NUMBERS | TEXT | st.booleans() | st.none() | s
 OPTIONAL = st.none() | NUMBERS
 LOADS = st.builds(
     Load, number=SMALL, field=TEXT, crop=TEXT, started_s=OPTIONAL, ended_s=OPTIONAL, mass_kg=NUMBERS, dry_mass_kg=OPTIONAL,
-    area_m2=OPTIONAL, std_dev_kg=OPTIONAL,
+    area_m2=OPTIONAL, std_dev_kg=OPTIONAL, budget=st.none() | st.builds(MassBudget, NUMBERS, NUMBERS, NUMBERS, NUMBERS, NUMBERS),
 )  # fmt: skip
 EVENTS = {
     "sweeps": st.builds(SweepRecord, NUMBERS, TEXT, TEXT, DOCUMENTS),
@@ -66,9 +67,12 @@ def test_rows_of_every_kind_come_back(tmp_path: Path, first: dict, then: dict, c
         assert (store.counters(), store.state(), store.last_batch()) == (counters, state, 2)
 
 
-@pytest.mark.parametrize("then", [{"area_m2": None}, {"std_dev_kg": None}, {"area_m2": 12.0, "std_dev_kg": None}])
+@pytest.mark.parametrize(
+    "then",
+    [{"area_m2": None}, {"std_dev_kg": None}, {"area_m2": 12.0, "std_dev_kg": None}, {"budget": None}],
+)
 def test_a_load_that_is_in_a_batch_twice_is_kept_as_in_its_last_row(tmp_path: Path, then: dict[str, float | None]) -> None:
-    first = Load(7, "field", "corn", 1.7e9, None, 100.0, None, area_m2=10.0, std_dev_kg=2.0)
+    first = Load(7, "field", "corn", 1.7e9, None, 100.0, None, area_m2=10.0, std_dev_kg=2.0, budget=MassBudget(4.0))
     last = replace(first, **then)
     with Store(tmp_path / "s") as store:
         store.commit([batch(1, loads=(first, last))])

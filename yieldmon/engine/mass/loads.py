@@ -88,10 +88,15 @@ class Opening:
 
 @dataclass(frozen=True, slots=True)
 class LoadRestated:
-    """A load that closed in a run before is known otherwise than it was stated. std_dev_kg: of its mass."""
+    """A load that closed in a run before is known otherwise than it was stated. budget: of its mass."""
 
     number: int
-    std_dev_kg: float
+    budget: MassBudget
+
+    @property
+    def std_dev_kg(self) -> float:
+        """Of its mass, all causes together."""
+        return self.budget.std_dev_kg
 
 
 LoadEvents = tuple[LoadOpened | LoadClosed | LoadRestated, ...]
@@ -226,7 +231,7 @@ class Loads:
         changed = abs(budget.std_dev_kg - before.std_dev_kg) > _RESTATED * before.std_dev_kg
         if place is None:
             self._before[number] = budget
-            return (LoadRestated(number, budget.std_dev_kg),) if changed else ()
+            return (LoadRestated(number, budget),) if changed else ()
         self._closed[place] = replace(self._closed[place], budget=budget, std_dev_kg=budget.std_dev_kg)
         return (LoadClosed(self._closed[place]),) if changed else ()
 

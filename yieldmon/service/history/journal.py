@@ -115,7 +115,7 @@ class Journal:
             elif isinstance(event, LoadOpened | LoadClosed):
                 self.loads.measured(event.load, self.field, self.crop)
             elif isinstance(event, LoadRestated):
-                self.loads.restated(event.number, event.std_dev_kg)
+                self.loads.restated(event.number, event.budget)
             elif isinstance(event, ParametersChanged):
                 self.parameters.use(event.parameters, event.origin, "", event.reason, self.actions.teaching(event), event.step)
             elif isinstance(event, SweepEnded):

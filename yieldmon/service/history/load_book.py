@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from math import isfinite
 
+from yieldmon.engine.mass.budget import MassBudget
 from yieldmon.engine.mass.loads import LoadSummary
 from yieldmon.engine.sampling.since_zero import MissedMass
 from yieldmon.finite import finite
@@ -50,6 +52,7 @@ class LoadBook:
             dry_mass_kg=self._dry_kg(summary.number, summary.dry_kg if dry_known else None),
             area_m2=summary.area_m2 if area_known else None,
             std_dev_kg=finite(summary.std_dev_kg),
+            budget=_known(summary.budget) if isfinite(summary.std_dev_kg) else None,
         )
         if load != known:
             self._loads[load.number] = self._new[load.number] = load
@@ -60,6 +63,7 @@ class LoadBook:
         if known is None:
             return
         mass_kg = max(0.0, known.mass_kg + missed.kg)
+        budget = None if known.budget is None else known.budget.of_mass(known.mass_kg, mass_kg)
         dry_known = known.dry_mass_kg is not None and missed.unknown_moisture_kg <= _UNKNOWN_MOISTURE_KG
         area_known = missed.unknown_area_kg <= _UNKNOWN_AREA_SHARE * mass_kg
         self._loads[number] = self._new[number] = replace(
@@ -68,13 +72,14 @@ class LoadBook:
             dry_mass_kg=max(0.0, (known.dry_mass_kg or 0.0) + missed.dry_kg) if dry_known else None,
             area_m2=known.area_m2 if area_known else None,
             std_dev_kg=known.std_dev_kg * mass_kg / known.mass_kg if known.std_dev_kg and known.mass_kg > 0.0 else None,
+            budget=None if budget is None else _known(budget),
         )
 
-    def restated(self, number: int, std_dev_kg: float) -> None:
+    def restated(self, number: int, budget: MassBudget) -> None:
         """A load of an earlier run is known otherwise than it was stated; one that is not known stays so."""
         known = self._loads.get(number)
         if known is not None:
-            self._loads[number] = self._new[number] = replace(known, std_dev_kg=finite(std_dev_kg))
+            self._loads[number] = self._new[number] = replace(known, std_dev_kg=finite(budget.std_dev_kg), budget=_known(budget))
 
     def named(self, number: int, field: str | None, crop: str | None) -> None:
         """Other names for a load; None leaves one as it is."""
@@ -102,3 +107,8 @@ class LoadBook:
     def report_all(self) -> None:
         """The next batch brings them all."""
         self._new = dict(self._loads) | self._new
+
+
+def _known(budget: MassBudget) -> MassBudget | None:
+    """None where a part of the mass has none."""
+    return budget if isfinite(budget.std_dev_kg) else None

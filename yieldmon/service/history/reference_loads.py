@@ -104,7 +104,7 @@ def _zero_doubted(seconds: Sequence[SecondRow], actions: Sequence[Action]) -> bo
 
 def reference(stored: StoredLoad, machine: Machine, min_coverage: float) -> ReferenceLoad:
     """As the run that measured it knew it. min_coverage: of a window that counts whole."""
-    load, seconds = stored.load, stored.seconds
+    load, seconds, budget = stored.load, stored.seconds, _budget(stored, machine)
     summary = LoadSummary(
         number=load.number,
         start_s=seconds[0].time_s - seconds[0].duration_s if load.started_s is None else load.started_s,
@@ -113,7 +113,8 @@ def reference(stored: StoredLoad, machine: Machine, min_coverage: float) -> Refe
         dry_kg=load.dry_mass_kg or 0.0,
         unknown_moisture_kg=0.0 if load.dry_mass_kg is not None else load.mass_kg,
         complete=not stored.doubted and _whole(load, seconds, min_coverage),
-        budget=_budget(stored, machine),
+        std_dev_kg=budget.std_dev_kg,
+        budget=budget,
     )
     versions = frozenset(s.parameter_version for s in seconds if s.mass_kg > 0.0)
     return ReferenceLoad(summary, tuple(map(kept_second, seconds)), versions)
@@ -140,8 +141,10 @@ def _whole(load: Load, seconds: Sequence[SecondRow], min_coverage: float) -> boo
 
 
 def _budget(stored: StoredLoad, machine: Machine) -> MassBudget:
-    """Of the load's mass, by cause: noise is in the seconds, the parameters' share follows from them, and what is left of the
-    whole (that of zero and moisture) stands under zero."""
+    """Of the load's mass, by cause. Of a load that was stored without it noise is in the seconds, the parameters' share follows
+    from them, and what is left of the whole (that of zero and moisture) stands under zero."""
+    if stored.load.budget is not None:
+        return stored.load.budget
     at_its_end_kg = next((s.load_std_dev_kg for s in reversed(stored.seconds) if s.load_std_dev_kg is not None), None)
     whole_kg = stored.load.std_dev_kg or at_its_end_kg
     counted = [s for s in stored.seconds if s.mass_kg > 0.0]

@@ -6,13 +6,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from yieldmon.engine.mass.budget import MassBudget
 from yieldmon.service.storage.rows import SecondRow
 
 
 @dataclass(frozen=True)
 class Load:
     """A load: from one emptying of the tank, or one `load start`, to the next. `ended_s` is None while it is open, `area_m2`
-    where the area of its grain is not known. `std_dev_kg`: of mass_kg, None where it is not known; sweeps may change it later."""
+    where the area of its grain is not known. `std_dev_kg`: of mass_kg, None where it is not known; sweeps may change it later.
+    `budget`: the same by cause."""
 
     number: int
     field: str
@@ -23,6 +25,7 @@ class Load:
     dry_mass_kg: float | None
     area_m2: float | None = None
     std_dev_kg: float | None = None
+    budget: MassBudget | None = None
 
 
 @dataclass(frozen=True)

@@ -36,6 +36,7 @@ class Ledger:
         factor = found[1].factor if found is not None else 1.0 if posted is None else posted
         measured = asdict(load)
         std_dev_kg = measured.pop("std_dev_kg")
+        del measured["budget"]
         return measured | {
             "posted_mass_kg": None if posted is None else load.mass_kg * posted,
             "ticket_mass_kg": None if found is None else found[1].weighed_mass_kg,

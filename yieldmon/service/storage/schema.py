@@ -196,13 +196,41 @@ CREATE TABLE load_std_dev (
 ) STRICT;
 """
 
+# The same by cause, as the last word on the load has it; a load without a row is known by its seconds alone.
+_VERSION_14 = """
+CREATE TABLE load_budget (
+    number INTEGER PRIMARY KEY,
+    noise_kg2 REAL NOT NULL,       -- variance of what averages out
+    parameters_kg REAL NOT NULL,   -- standard deviations of what the seconds share
+    zero_kg REAL NOT NULL,
+    moisture_kg REAL NOT NULL,
+    motion_kg REAL NOT NULL,       -- of a moving plate, with its sign
+    checksum INTEGER NOT NULL
+) STRICT;
+"""
+
 #: From this version on rows carry checksums.
 CHECKED_FROM = 4
 
 #: From this version on there are actions and steps.
 ACTIONS_FROM = 8
 
-_SCRIPTS = (_VERSION_1, _VERSION_2, _VERSION_3, _VERSION_4, "", "", _VERSION_7, _VERSION_8, "", "", "", _VERSION_12, _VERSION_13)
+_SCRIPTS = (
+    _VERSION_1,
+    _VERSION_2,
+    _VERSION_3,
+    _VERSION_4,
+    "",
+    "",
+    _VERSION_7,
+    _VERSION_8,
+    "",
+    "",
+    "",
+    _VERSION_12,
+    _VERSION_13,
+    _VERSION_14,
+)
 _SQL_KINDS = {float: "REAL", int: "INTEGER", str: "TEXT"}
 _WITHOUT = {float: "0.0", int: "0", str: "''"}
 
@@ -252,6 +280,7 @@ COLUMNS: dict[str, tuple[str, ...]] = {
     "load": ("number", "field", "crop", "started_s", "ended_s", "mass_kg", "dry_mass_kg"),
     "load_area": ("number", "area_m2"),
     "load_std_dev": ("number", "std_dev_kg"),
+    "load_budget": ("number", "noise_kg2", "parameters_kg", "zero_kg", "moisture_kg", "motion_kg"),
     "ticket": ("time_s", "first_load", "last_load", "weighed_mass_kg", "measured_mass_kg", "note"),
     "counter": ("name", "value"),
     "sweep": ("time_s", "outcome", "reason", "document"),
@@ -261,6 +290,6 @@ COLUMNS: dict[str, tuple[str, ...]] = {
 }
 KEYS: dict[str, str] = {
     "state": "slot", "mark": "name", "parameter_set": "version", "load": "number", "load_area": "number",
-    "load_std_dev": "number", "ticket": "id",
+    "load_std_dev": "number", "load_budget": "number", "ticket": "id",
     "counter": "name", "sweep": "id", "fault": "id", "second": "number", "action": "number", "step": "version",
 }  # fmt: skip

@@ -9,8 +9,9 @@ from dataclasses import astuple, fields, replace
 from functools import partial
 from typing import Any
 
+from yieldmon.engine.mass.budget import MassBudget
 from yieldmon.service.storage import schema
-from yieldmon.service.storage.batch import Batch
+from yieldmon.service.storage.batch import Batch, Load
 from yieldmon.service.storage.checksums import UNCHECKED, row_checksum
 from yieldmon.service.storage.identity import KEY
 from yieldmon.service.storage.rows import SecondRow
@@ -24,21 +25,20 @@ def _put(table: str, verb: str = "INSERT") -> str:
     return f"{verb} INTO {table} ({', '.join(columns)}, checksum) VALUES ({', '.join('?' * len(columns))}, ?)"
 
 
+_OF_LOADS = ("load", "load_area", "load_std_dev", "load_budget")
 _INSERT_SECOND, _INSERT_SWEEP, _INSERT_FAULT = (_put(table) for table in ("second", "sweep", "fault"))
 (
     _UPSERT_LOAD,
     _UPSERT_AREA,
     _UPSERT_STD_DEV,
+    _UPSERT_BUDGET,
     _UPSERT_PARAMETERS,
     _UPSERT_COUNTER,
     _UPSERT_STATE,
     _UPSERT_MARK,
     _UPSERT_ACTION,
     _UPSERT_STEP,
-) = (
-    _put(table, "INSERT OR REPLACE")
-    for table in ("load", "load_area", "load_std_dev", "parameter_set", "counter", "state", "mark", "action", "step")
-)
+) = (_put(table, "INSERT OR REPLACE") for table in (*_OF_LOADS, "parameter_set", "counter", "state", "mark", "action", "step"))
 # A batch that is written again, to a store made anew, does not enter a ticket twice.
 _INSERT_TICKET = (
     f"INSERT INTO ticket ({', '.join(COLUMNS['ticket'])}, checksum) SELECT ?1, ?2, ?3, ?4, ?5, ?6, ?7 WHERE NOT EXISTS "
@@ -95,16 +95,17 @@ def write_in_part(database: sqlite3.Connection, batch: Batch, identity: int) -> 
 def _write_rows(database: sqlite3.Connection, batch: Batch) -> None:
     executemany = database.executemany
     executemany(_INSERT_SECOND, (_summed("second", astuple(row)) for row in batch.seconds))
-    executemany(_UPSERT_LOAD, (_summed("load", astuple(load)[:-2]) for load in batch.loads))
+    executemany(_UPSERT_LOAD, (_summed("load", _of_load(load)) for load in batch.loads))
     # A load that is in the batch twice counts as it is in its last row.
     loads = {load.number: load for load in batch.loads}.values()
     for table, upsert, values in (
         ("load_area", _UPSERT_AREA, [(load.number, load.area_m2) for load in loads]),
         ("load_std_dev", _UPSERT_STD_DEV, [(load.number, load.std_dev_kg) for load in loads]),
+        ("load_budget", _UPSERT_BUDGET, [(load.number, *_of_budget(load.budget)) for load in loads]),
     ):
         # What is not known any more has no row either.
-        executemany(f"DELETE FROM {table} WHERE number = ?", ((number,) for number, value in values if value is None))
-        executemany(upsert, (_summed(table, row) for row in values if row[1] is not None))
+        executemany(f"DELETE FROM {table} WHERE number = ?", ((number,) for number, *value in values if None in value))
+        executemany(upsert, (_summed(table, row) for row in values if None not in row))
     executemany(_INSERT_SWEEP, (_summed("sweep", (s.time_s, s.outcome, s.reason, _json(s.document))) for s in batch.sweeps))
     executemany(
         _UPSERT_PARAMETERS,
@@ -117,6 +118,14 @@ def _write_rows(database: sqlite3.Connection, batch: Batch) -> None:
     )
     executemany(_UPSERT_STEP, (_summed("step", (s.version, s.time_s, _json(s.document))) for s in batch.steps))
     executemany(_UPSERT_COUNTER, (_summed("counter", item) for item in batch.counters.items()))
+
+
+def _of_load(load: Load) -> tuple[Any, ...]:
+    return tuple(getattr(load, name) for name in COLUMNS["load"])
+
+
+def _of_budget(budget: MassBudget | None) -> tuple[float | None, ...]:
+    return (None,) if budget is None else astuple(budget)
 
 
 def _write_state(database: sqlite3.Connection, batch: Batch, identity: int) -> None:

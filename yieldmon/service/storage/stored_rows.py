@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, Self
 
+from yieldmon.engine.mass.budget import MassBudget
 from yieldmon.service.storage import schema
 from yieldmon.service.storage.batch import Action, FaultEvent, Load, ParameterVersion, Step, SweepRecord, Ticket
 from yieldmon.service.storage.checksums import row_checksum
@@ -20,6 +21,7 @@ from yieldmon.service.storage.store_sql import COLUMNS, second_is_sound
 #: Schema version that brought the loads' areas.
 _AREAS_FROM = 7
 _LOAD_STD_DEVS_FROM = 13
+_LOAD_BUDGETS_FROM = 14
 
 
 class StoredRows:
@@ -158,7 +160,11 @@ class StoredRows:
             return self._of_kind(Load, ((*row, None) for row in self._rows_of(columns, "load ORDER BY number")))
         areas = dict(self._checked("load_area")) if self._version() >= _AREAS_FROM else {}
         deviations = dict(self._checked("load_std_dev")) if self._version() >= _LOAD_STD_DEVS_FROM else {}
-        return self._of_kind(Load, ((*row, areas.get(row[0]), deviations.get(row[0])) for row in self._checked("load")))
+        stated = self._checked("load_budget") if self._version() >= _LOAD_BUDGETS_FROM else []
+        budgets = {number: MassBudget(*causes) for number, *causes in stated}
+        return self._of_kind(
+            Load, ((*row, *(known.get(row[0]) for known in (areas, deviations, budgets))) for row in self._checked("load"))
+        )
 
     def corrected_loads(self) -> list[dict[str, Any]]:
         """All loads as measured, as measured again, as weighed, and the best of these."""
