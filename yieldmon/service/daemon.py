@@ -438,22 +438,32 @@ class Daemon:
             job.answer.set_result({**answer, "units": self.configuration.document.units})
 
     def _post(self) -> None:
-        """After a ticket updated the parameters, or an undo brought others back, the last days' loads are measured again; what
-        comes of it goes to the store."""
+        """After a ticket updated the parameters, or an undo brought others back, the last days' loads are measured again, the one
+        that is open then once it is closed; what comes of it goes to the store."""
+        actions, totals = self._journal.actions, self._monitor.totals
         posted = self._poster.take()
         if posted is not None:
-            self._journal.actions.posted(posted.tickets, posted.version, posted.factors)
+            actions.posted(
+                posted.tickets,
+                posted.version,
+                posted.factors,
+                open_load=posted.open_load,
+                closed_load=posted.closed_load,
+            )
             if posted.factors:
                 self._commit()
-        actions = self._journal.actions
-        if (actions.restored_waits or actions.waiting) and not self._monitor.masses_wait and not self._poster.busy:
-            totals, now_s = self._monitor.totals, self._monitor.bus_time_s
+        if self._monitor.masses_wait or self._poster.busy:
+            return
+        machine, now_s = self._monitor.machine, self._monitor.bus_time_s
+        open_load = totals.load_number if totals.load_open else None
+        if actions.restored_waits or actions.waiting:
             # First what an undo brought back: what tickets teach after it counts.
-            back = actions.restored_waits
             in_use = self._monitor.estimator.parameters.version
-            tickets, version = actions.take_restored() if back else actions.take_waiting(in_use)
-            open_load = totals.load_number if totals.load_open else None
-            self._poster.start(self._monitor.machine, tickets, version, open_load, now_s)
+            taken = actions.take_restored() if actions.restored_waits else actions.take_waiting(in_use)
+            self._poster.start(machine, *taken, open_load, now_s)
+        elif (closed := actions.closed_load(open_load)) is not None:
+            number, by = closed
+            self._poster.start(machine, by.tickets, by.version, open_load, now_s, number)
 
     def _do_reload(self) -> None:
         self._reloads.take(self._use)

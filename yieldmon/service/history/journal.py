@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import asdict
 from typing import Any
 
 from yieldmon.engine.health import FaultEvent
@@ -40,6 +41,7 @@ class Journal:
             memory.unfinished_tickets,
             memory.unfinished_tickets_of_crop,
             memory.restored_versions,
+            memory.open_loads,
         )
         self.parameters = ParameterHistory(memory, configured, self.actions)
         self.loads = LoadBook(memory.loads)
@@ -159,6 +161,7 @@ class Journal:
             "faults": sorted(self._faults),
             "unfinished_tickets": list(self.actions.unfinished),
             "restored_versions": list(self.actions.restored),
+            "open_loads": {str(n): asdict(by) for n, by in self.actions.open_loads.items()},
             "doubted_loads": sorted(monitor.doubted_loads),
             "unfinished_tickets_of_crop": {crop: list(kept) for crop, kept in self.actions.unfinished_of_crop.items()},
         }

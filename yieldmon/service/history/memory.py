@@ -19,6 +19,7 @@ from yieldmon.service.storage.batch import Action, Load, ParameterVersion, Ticke
 from yieldmon.service.storage.rows import kept_second
 from yieldmon.service.storage.store import Store
 from yieldmon.service.storage.store_errors import StoreDamagedError
+from yieldmon.service.tickets.action_log import Remeasuring
 
 _log = logging.getLogger(__name__)
 
@@ -58,6 +59,8 @@ class Memory:
     """Those that are to update the parameters of a crop that is not harvested now, by its name."""
     restored_versions: tuple[int, ...] = ()
     """Versions that an undo brought back and with which loads are still to be measured again."""
+    open_loads: Mapping[int, Remeasuring] = field_of(default_factory=dict)
+    """Those that were open as others were measured again, and by what their turn comes."""
     since_zero: tuple[KeptSecond, ...] = ()
     """Seconds since the operator's last zero calibration, where that can be undone."""
     ticketed: tuple[StoredLoad, ...] = ()
@@ -97,6 +100,10 @@ def recall(store: Store) -> Memory:
                 str(crop): tuple(map(int, kept)) for crop, kept in dict(document.get("unfinished_tickets_of_crop", {})).items()
             },
             restored_versions=tuple(map(int, document.get("restored_versions", ()))),
+            open_loads={
+                int(number): Remeasuring(tuple(map(int, by["tickets"])), int(by["version"]))
+                for number, by in dict(document.get("open_loads", {})).items()
+            },
             since_zero=_since_zero(store, actions, engine.totals.first_load) if engine.zero_undo is not None else (),
             ticketed=_ticketed(store, engine),
         )

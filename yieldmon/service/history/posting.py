@@ -161,10 +161,18 @@ def factors(
 
 
 def of_store(
-    path: Path, machine: Machine, version: int, open_load: int | None, now_s: float, *, undone_only: bool = False
+    path: Path,
+    machine: Machine,
+    version: int,
+    open_load: int | None,
+    now_s: float,
+    *,
+    undone_only: bool = False,
+    only: int | None = None,
 ) -> dict[int, float]:
     """The factors of a store's loads of the last days, by the parameters of `version`; what a version that was taken back has
-    measured since they came is measured again with them. now_s: bus time. undone_only: nothing else is. Raises InputError."""
+    measured since they came is measured again with them. now_s: bus time. undone_only: nothing else is. only: this load alone.
+    Raises InputError."""
     out: dict[int, float] = {}
     with opened(path) as store:
         sets = parameter_sets(store)
@@ -175,7 +183,7 @@ def of_store(
         known = replace(known, versions=known.versions | gone)
         renamed, crop = recropped(actions), sets[version].provenance.get("crop")
         of_crop = {load.number: load.crop == crop for load in loads if load.number in renamed}
-        for rows in _newest_loads(store, begins(known, now_s), open_load):
+        for rows in _newest_loads(store, begins(known, now_s), open_load, only):
             measured = loads_of(of_loads(rows, loads), sets)
             if undone_only:
                 measured = tuple(load for load in measured if any(row.parameter_version in gone for row in load.seconds))
@@ -195,11 +203,24 @@ def begins(known: Timeline, now_s: float) -> float:
     return max(now_s - SPAN_S, min(now_s - S_PER_DAY, known.holds_from_s))
 
 
-def _newest_loads(store: Store, begin_s: float, open_load: int | None) -> Iterator[list[SecondRow]]:
-    """Rows of each load that is whole and began in the time that counts, the newest first: days at once would fill a memory."""
+def at_its_end(path: Path, load: int, version: int) -> int:
+    """The version that measured the end of a load, where it followed on this one and was not taken back. Raises InputError."""
+    with opened(path) as store:
+        last = store.seconds_of_load(load, on_damage=_passed_over)[-1:]
+        return max({version, *(row.parameter_version for row in last)} - undone_versions(store.actions()), default=version)
+
+
+def _passed_over(number: int) -> None:
+    """A second that is damaged is left out."""
+
+
+def _newest_loads(store: Store, begin_s: float, open_load: int | None, only: int | None) -> Iterator[list[SecondRow]]:
+    """Rows of each load that is whole and began in the time that counts, the newest first: days at once would fill a memory.
+    only: of this one alone."""
     last, oldest, read = store.last_second(), store.oldest_second(), 0
-    for number in range(last.load_number if last is not None else 0, 0, -1):
-        rows = store.seconds_of_load(number, on_damage=lambda number: None)
+    newest = last.load_number if last is not None else 0
+    for number in range(newest, 0, -1) if only is None else (only,):
+        rows = store.seconds_of_load(number, on_damage=_passed_over)
         read += len(rows)
         if read > _MOST_ROWS or (rows and rows[0].time_s < begin_s):
             return
@@ -215,12 +236,15 @@ def whole(rows: Sequence[SecondRow], begin_s: float, open_load: int | None, olde
 
 @dataclass(frozen=True)
 class Posted:
-    """The factors that came of tickets, of an undo where there are none, or why there are no factors."""
+    """The factors that came of tickets, of an undo where there are none, or why there are no factors. open_load: left out as it
+    was open; closed_load: the one that this is about, None for all of the last days."""
 
     tickets: tuple[int, ...]
     version: int
     factors: Mapping[int, float]
     problem: str = ""
+    open_load: int | None = None
+    closed_load: int | None = None
 
 
 class Poster:
@@ -238,11 +262,19 @@ class Poster:
         """Whether a job is under way, or its result not taken yet."""
         return self._thread is not None
 
-    def start(self, machine: Machine, tickets: tuple[int, ...], version: int, open_load: int | None, now_s: float) -> None:
-        """Begin a job; not while busy. tickets: none after an undo. Without room for a thread there is none, which is said."""
-        thread = threading.Thread(
-            target=self._work, args=(machine, tickets, version, open_load, now_s), name="posting", daemon=True
-        )
+    def start(
+        self,
+        machine: Machine,
+        tickets: tuple[int, ...],
+        version: int,
+        open_load: int | None,
+        now_s: float,
+        closed_load: int | None = None,
+    ) -> None:
+        """Begin a job; not while busy. tickets: none after an undo. closed_load: this load alone. Without room for a thread there
+        is none, which is said."""
+        asked = (machine, tickets, version, open_load, now_s, closed_load)
+        thread = threading.Thread(target=self._work, args=asked, name="posting", daemon=True)
         try:
             thread.start()
         except RuntimeError as error:
@@ -257,11 +289,22 @@ class Poster:
         self._thread, done, self._done = None, self._done, None
         return done
 
-    def _work(self, machine: Machine, tickets: tuple[int, ...], version: int, open_load: int | None, now_s: float) -> None:
+    def _work(
+        self,
+        machine: Machine,
+        tickets: tuple[int, ...],
+        version: int,
+        open_load: int | None,
+        now_s: float,
+        closed_load: int | None,
+    ) -> None:
+        found, problem = {}, ""
         try:
             self._written(_WRITING_S)
-            found = of_store(self._path, machine, version, open_load, now_s, undone_only=not tickets)
-            self._done = Posted(tickets, version, found)
+            if closed_load is not None:
+                version = at_its_end(self._path, closed_load, version)
+            found = of_store(self._path, machine, version, open_load, now_s, undone_only=not tickets, only=closed_load)
         except Exception as error:  # noqa: BLE001 - what was measured stays, and measuring goes on
             _log.error("the loads could not be measured again: %s", error)
-            self._done = Posted(tickets, version, {}, str(error))
+            problem = str(error)
+        self._done = Posted(tickets, version, found, problem, open_load, closed_load)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from math import isclose
 from typing import Any
 
@@ -12,6 +13,15 @@ from yieldmon.files.ticket_file import RELATIVE_STD_DEV
 from yieldmon.service.storage import ledger as ledgers
 from yieldmon.service.storage.batch import Action, Ticket
 from yieldmon.service.tickets.ticket_states import ticket_states
+
+
+@dataclass(frozen=True, slots=True)
+class Remeasuring:
+    """What a load is measured again by: after these tickets, of an undo where there are none, with the parameters of a version or
+    those that followed on it."""
+
+    tickets: tuple[int, ...]
+    version: int
 
 
 class ActionLog:
@@ -25,8 +35,10 @@ class ActionLog:
         unfinished: Sequence[int] = (),
         of_crop: Mapping[str, Sequence[int]] | None = None,
         restored: Sequence[int] = (),
+        open_loads: Mapping[int, Remeasuring] | None = None,
     ) -> None:
-        """tickets, actions: as the store has them. now_s: Unix time. unfinished, of_crop, restored: as a run before had them."""
+        """tickets, actions: as the store has them. now_s: Unix time. unfinished, of_crop, restored, open_loads: as a run before
+        had them."""
         self.now_s = now_s
         """Unix time of an action of which nothing else is said."""
         known = range(1, len(tickets) + 1)
@@ -38,6 +50,7 @@ class ActionLog:
         """Versions that an undo brought back and with which the loads that were measured since are still to be measured again;
         the first `_restoring` of them are being taken."""
         self._restoring = 0
+        self._open_loads = dict(open_loads or {})
         self._taken: tuple[int, ...] = ()
         self._taken_before = 0
         """Number of the first action after the tickets were taken."""
@@ -238,6 +251,16 @@ class ActionLog:
         return (), self._restored[0]
 
     @property
+    def open_loads(self) -> Mapping[int, Remeasuring]:
+        """Loads that were open as the others were measured again, by number: their turn comes when they are closed."""
+        return dict(self._open_loads)
+
+    def closed_load(self, open_load: int | None) -> tuple[int, Remeasuring] | None:
+        """The first of `open_loads` that is closed now, with what it is measured again by; None where there is none. open_load:
+        number of the load that is open, None for none."""
+        return next(((number, by) for number, by in sorted(self._open_loads.items()) if number != open_load), None)
+
+    @property
     def to_teach(self) -> frozenset[int]:
         """Numbers of the tickets in the queue to teach the parameters in use, one with each second."""
         return frozenset(self.waiting) - set(self._learnt)
@@ -252,12 +275,29 @@ class ActionLog:
         """Numbers of the tickets that wait for the return of another crop, by its name."""
         return {crop: tuple(kept) for crop, kept in self._of_crop.items() if kept}
 
-    def posted(self, tickets: Sequence[int], version: int, factors: Mapping[int, float]) -> None:
-        """Loads were measured again with the parameters of this version, after these tickets. factors: by load number; none where
-        nothing came of it. Loads that were given another crop meanwhile keep what that crop's parameters measured."""
-        self._taken = ()
-        if not tickets:
-            self._restored, self._restoring = [waiting for waiting in self._restored if waiting != version], 0
+    def posted(
+        self,
+        tickets: Sequence[int],
+        version: int,
+        factors: Mapping[int, float],
+        *,
+        open_load: int | None = None,
+        closed_load: int | None = None,
+    ) -> None:
+        """Loads were measured again with the parameters of this version, after these tickets.
+
+        factors: by load number; none where nothing came of it. Loads that were given another crop meanwhile keep what that crop's
+        parameters measured. open_load: that was left out since it was open; closed_load: the one of `open_loads` that this was
+        about, None for all other loads.
+        """
+        if closed_load is not None:
+            self._open_loads.pop(closed_load, None)
+        else:
+            self._taken = ()
+            if not tickets:
+                self._restored, self._restoring = [waiting for waiting in self._restored if waiting != version], 0
+            if open_load is not None:
+                self._open_loads[open_load] = Remeasuring(tuple(tickets), version)
         recropped = ledgers.recropped(action for action in self._actions if action.number >= self._taken_before)
         factors = {number: factor for number, factor in factors.items() if number not in recropped}
         if not factors:
