@@ -9,7 +9,7 @@ import pytest
 
 from yieldmon.estimation.fitting import empirical
 from yieldmon.estimation.fitting.batch import LOAD, MomentumBatch
-from yieldmon.estimation.fitting.calibration import calibrate, default_start, profile_curves
+from yieldmon.estimation.fitting.calibration import calibrate, default_start, profile_curves, search
 from yieldmon.estimation.fitting.calibration_result import Calibration
 from yieldmon.estimation.fitting.least_squares import levenberg_marquardt
 from yieldmon.estimation.fitting.measurements import Measurements
@@ -314,6 +314,13 @@ def test_at_bound_and_undetermined_parameters_are_reported_in_words() -> None:
     assert "friction sits on its upper bound 1" in text
     assert "density is determined on one side only" in text
     assert "trade off" in text
+
+
+def test_a_search_says_before_its_fit_is_examined_which_parameters_are_at_a_bound() -> None:
+    rows, free = published("dem", 70.0), ("friction", "density", "k1", "k2")
+    found = search(MODEL, rows, default_start(MODEL, rows, free[2:]), free)
+    assert found.at_bound == tuple(p.name for p in fit(rows).parameters if p.at_bound)
+    assert "friction" in found.at_bound
 
 
 def test_density_of_thin_loads_is_not_determined() -> None:

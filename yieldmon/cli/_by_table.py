@@ -8,7 +8,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from time import monotonic
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from yieldmon.cli._table_report import report, text
 from yieldmon.documents.calibrate import ComparedModel
 from yieldmon.errors import InputError
 from yieldmon.estimation.fitting import empirical, identifiability
-from yieldmon.estimation.fitting.calibration import calibrate, profile_curves
+from yieldmon.estimation.fitting.calibration import Searched, calibrate, examine, profile_curves, search
 from yieldmon.estimation.fitting.calibration_result import Calibration
 from yieldmon.estimation.fitting.measurements import Measurements, copied_rows
 from yieldmon.estimation.fitting.stop_gap import sentence, with_stop_gap
@@ -28,6 +29,9 @@ from yieldmon.estimation.self_calibration.moisture import fit as fit_moisture_ma
 from yieldmon.files import digests, moisture_file, parameter_file, table, whole_file
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import ForwardModel
+
+if TYPE_CHECKING:
+    from rich.progress import Progress, TaskID
 
 PROGRESS_AFTER_S = 2.0
 MAP_NAME = "moisture-map.yaml"
@@ -109,13 +113,15 @@ def _fit(args: argparse.Namespace, machine: Machine, data: table.Table, rows: Me
 
     A stop-gap takes up what drives it there, and knows nothing of exchange coefficients.
     """
-    result = _with_copies_named(_fit_form(args, machine, data, rows, args.impact), data, rows)
+    fitted, searched = _search(args, machine, data, rows, args.impact)
     asked = args.impact or args.free or args.prior or args.by_moisture or args.stop_gap
     asked = asked or any("restitution" in text for text in (*args.fix, *args.bounds))
-    if asked or not any(p.name == "restitution" and p.at_bound for p in result.parameters):
-        return result
-    result = _with_copies_named(_fit_form(args, machine, data, rows, "exchange"), data, rows)
-    return replace(result, sentences=(EXCHANGED, *result.sentences))
+    exchanged = not asked and "restitution" in searched.at_bound
+    if exchanged:
+        fitted, searched = _search(args, machine, data, rows, "exchange")
+    result = _examined(args, data, fitted, searched)
+    result = _with_copies_named(result, data, rows)
+    return replace(result, sentences=(EXCHANGED, *result.sentences)) if exchanged else result
 
 
 def _with_copies_named(result: Calibration, data: table.Table, rows: Measurements) -> Calibration:
@@ -131,13 +137,14 @@ def _with_copies_named(result: Calibration, data: table.Table, rows: Measurement
     return replace(result, sentences=(word, *result.sentences))
 
 
-def _fit_form(
+def _search(
     args: argparse.Namespace, machine: Machine, data: table.Table, rows: Measurements, impact: str | None
-) -> Calibration:
+) -> tuple[_table_model.Asked, Searched]:
+    """What is fitted with a form of the impact gain, and what the searches found."""
     asked = _table_model.asked(args, machine, data, rows, impact)
     try:
         with progress_bar("calibrating") as progress:
-            result = calibrate(
+            return asked, search(
                 asked.model,
                 rows,
                 asked.start,
@@ -147,9 +154,16 @@ def _fit_form(
                 starts=args.starts,
                 rng=np.random.default_rng(args.seed),
                 robust=args.robust,
-                response_unit=model_options.RESPONSE if asked.scaled else "N",
                 progress=progress,
             )
+    except ValueError as error:
+        raise InputError(data.path, str(error)) from error
+
+
+def _examined(args: argparse.Namespace, data: table.Table, asked: _table_model.Asked, searched: Searched) -> Calibration:
+    """The fit with its errors and where it comes from."""
+    try:
+        result = examine(searched, response_unit=model_options.RESPONSE if asked.scaled else "N")
     except ValueError as error:
         raise InputError(data.path, str(error)) from error
     return replace(result, parameter_set=_with_provenance(result.parameter_set, args, data, asked.prior))
@@ -261,24 +275,28 @@ def _compare(args: argparse.Namespace, result: Calibration, machine: Machine, ro
 @contextmanager
 def progress_bar(label: str) -> Iterator[Callable[[float], None]]:
     """A bar on stderr, if it is a terminal and the work takes over PROGRESS_AFTER_S; give the callable a share from 0 to 1."""
-    from time import monotonic
-
-    from rich.console import Console
-    from rich.progress import Progress
-
-    bar = Progress(console=Console(stderr=True), transient=True)
-    begin, task = monotonic(), bar.add_task(label, total=1.0)
-    started = False
+    begin, bar, task = monotonic(), None, None
 
     def report(share: float) -> None:
-        nonlocal started
-        if not started and monotonic() - begin > PROGRESS_AFTER_S and sys.stderr.isatty():
-            bar.start()
-            started = True
-        bar.update(task, completed=share)
+        nonlocal bar, task
+        if bar is None and monotonic() - begin > PROGRESS_AFTER_S and sys.stderr.isatty():
+            bar, task = _bar(label)
+        if bar is not None and task is not None:
+            bar.update(task, completed=share)
 
     try:
         yield report
     finally:
-        if started:
+        if bar is not None:
             bar.stop()
+
+
+def _bar(label: str) -> tuple[Progress, TaskID]:
+    """A bar that is on the terminal, and its one task."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    bar = Progress(console=Console(stderr=True), transient=True)
+    task = bar.add_task(label, total=1.0)
+    bar.start()
+    return bar, task

@@ -8,7 +8,7 @@ Regression Analysis" (pure error and lack of fit).
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import fdtrc
@@ -108,18 +108,69 @@ def calibrate(
     >>> {name: round(found.parameter_set.values[name], 3) for name in free}
     {'restitution': 0.6, 'friction': 0.2}
     """
+    found = search(model, data, start, free, prior=prior, bounds=bounds, starts=starts, rng=rng, robust=robust, progress=progress)
+    return examine(found, intervals=intervals, response_unit=response_unit)
+
+
+@dataclass(frozen=True, slots=True)
+class Searched:
+    """What the searches of a calibration found, before it is examined.
+
+    Parameters
+    ----------
+    problem : CalibrationProblem
+    basins : tuple of Basin
+        Distinct minima, best first.
+    theta : ndarray (n,)
+        Free parameters at the best one.
+    starts : int
+        Searches made.
+    """
+
+    problem: CalibrationProblem
+    basins: tuple[Basin, ...]
+    theta: Array
+    starts: int
+
+    @property
+    def at_bound(self) -> tuple[str, ...]:
+        """Names of the parameters that ended at a bound."""
+        sides = _bound_sides(self.problem, self.theta)
+        return tuple(name for name, side in zip(self.problem.names, sides, strict=True) if side)
+
+
+def search(
+    model: ForwardModel,
+    data: Measurements,
+    start: Mapping[str, float],
+    free: Sequence[str],
+    *,
+    prior: Prior | None = None,
+    bounds: Bounds | None = None,
+    starts: int = 20,
+    rng: np.random.Generator | None = None,
+    robust: bool = False,
+    progress: Callable[[float], None] | None = None,
+) -> Searched:
+    """The least squares of `calibrate`, with its arguments and errors, without what is derived from the best fit."""
     problem = CalibrationProblem(model, data, start, tuple(free), prior=prior, bounds=bounds, robust=robust)
-    rng = np.random.default_rng(0) if rng is None else rng
-    basins, theta = multistart.minimize(problem, starts, rng, progress)
-    found = _examined(problem, theta, basins, starts, response_unit, intervals)
+    basins, theta = multistart.minimize(problem, starts, np.random.default_rng(0) if rng is None else rng, progress)
+    return Searched(problem, basins, theta, starts)
+
+
+def examine(searched: Searched, *, intervals: bool = True, response_unit: str = "N") -> Calibration:
+    """Standard errors, intervals and quality of the best fit; `intervals` and `response_unit` as of `calibrate`."""
+    problem = searched.problem
+    found = _examined(searched, response_unit, intervals)
 
     def misfit(plate_angle_rad: Array) -> float:
-        turned = replace(data, conditions=replace(data.conditions, plate_angle_rad=plate_angle_rad))
-        other = CalibrationProblem(model, turned, start, tuple(free), prior=prior, bounds=bounds, robust=robust)
-        _, best = multistart.minimize(other, _OTHER_STARTS, np.random.default_rng(0), None)
-        return _examined(other, best, (), _OTHER_STARTS, response_unit, False).residuals.rms_over_max_pct / 100.0
+        data = problem.data
+        turned = problem.of(replace(data, conditions=replace(data.conditions, plate_angle_rad=plate_angle_rad)))
+        _, theta = multistart.minimize(turned, _OTHER_STARTS, np.random.default_rng(0), None)
+        error = turned.momentum(theta[None])[0][0][turned.cell] - data.momentum
+        return float(np.sqrt(np.mean(error**2))) / float(np.max(np.abs(data.momentum)))
 
-    asked = angle_lines.question(data.columns()[0], found.residuals.rms_over_max_pct / 100.0, misfit)
+    asked = angle_lines.question(problem.data.columns()[0], found.residuals.rms_over_max_pct / 100.0, misfit)
     return replace(found, sentences=(*found.sentences, asked)) if asked else found
 
 
@@ -179,10 +230,9 @@ def default_start(
     return values | {k: v for k, v in known.items() if k in values}
 
 
-def _examined(
-    problem: CalibrationProblem, theta: Array, basins: tuple[Basin, ...], starts: int, response_unit: str, intervals: bool
-) -> Calibration:
+def _examined(searched: Searched, response_unit: str, intervals: bool) -> Calibration:
     """What the best fit says, and how well."""
+    problem, theta = searched.problem, searched.theta
     value, jacobian = problem.momentum(theta[None])
     predicted, slopes = value[0][problem.cell], jacobian[0][problem.cell]
     error = predicted - problem.data.momentum
@@ -200,23 +250,28 @@ def _examined(
         known,
         fitted,
         uncertainty.correlation,
-        basins,
-        starts,
+        searched.basins,
+        searched.starts,
         quality,
         predicted,
         slopes,
         (
-            *sentences(fitted, uncertainty.correlation, basins, starts, quality, problem.model.effects),
+            *sentences(fitted, uncertainty.correlation, searched.basins, searched.starts, quality, problem.model.effects),
             *of_model_error(fitted, known),
         ),
     )
 
 
-def _fitted(problem: CalibrationProblem, theta: Array, errors: Array, ends: Array) -> tuple[FittedParameter, ...]:
-    at_bound = [
+def _bound_sides(problem: CalibrationProblem, theta: Array) -> list[str]:
+    """For each free parameter the bound that it is at, "lower" or "upper", else ""."""
+    return [
         "lower" if t <= lo + 1e-9 * u else "upper" if t >= hi - 1e-9 * u else ""
         for t, lo, hi, u in zip(theta, problem.lower, problem.upper, problem.unit, strict=True)
     ]
+
+
+def _fitted(problem: CalibrationProblem, theta: Array, errors: Array, ends: Array) -> tuple[FittedParameter, ...]:
+    at_bound = _bound_sides(problem, theta)
     return tuple(
         FittedParameter(
             name,

@@ -84,7 +84,7 @@ class CalibrationProblem:
         if missing:
             raise ValueError(f"free parameters {missing} are not among {list(start)}")
         self.model, self.data, self.names, self.robust = model, data, names, robust
-        self.start = dict(start)
+        self.start, self._prior, self._bounds = dict(start), prior, bounds
         cells, self.cell = data.cells()
         self.momentum = MomentumBatch(model, cells, names, {k: v for k, v in start.items() if k not in names})
         self.scale = data_scale(model, data) if any(follows_scale(n) for n in names) else 1.0
@@ -100,6 +100,12 @@ class CalibrationProblem:
             prior.restricted(names).whitening(names) if prior is not None else (np.zeros((0, len(names))), np.zeros(len(names)))
         )
         self.unit = np.array([self._unit(n, lo, hi) for n, lo, hi in zip(names, self.lower, self.upper, strict=True)])
+
+    def of(self, data: Measurements) -> CalibrationProblem:
+        """The same question asked of other rows."""
+        return CalibrationProblem(
+            self.model, data, self.start, self.names, prior=self._prior, bounds=self._bounds, robust=self.robust
+        )
 
     def _unit(self, name: str, low: float, high: float) -> float:
         first, last = self.ranges[name]
