@@ -178,6 +178,15 @@ def test_what_is_doubtful_is_said(name: str, unit: str, low: float, high: float,
     assert problems(config, seen, "a.log") == []
 
 
+@pytest.mark.parametrize(("width_m", "said"), [(None, 1), (9.1, 0)], ids=["no width", "a width"])
+def test_a_speed_without_the_headers_width_gives_no_yield(width_m: float | None, said: int, tmp_path: Path) -> None:
+    config = load(tmp_path)
+    machine = replace(config.machine, implement=replace(config.machine.implement, working_width_m=width_m))
+    seen = impact(config) | {"ground_speed": QuantitySeen("m/s", 9, 9, 10.0, 0.0, 2.1, 0.1, (0.0,), (0.0, 2.1))}
+    told = remarks(replace(config, machine=machine), seen)
+    assert [("area and yield stay unknown" in text, "working_width_m" in text) for text in told] == [(True, True)] * said
+
+
 OUTPUTS = """\
 outputs:
   signals:

@@ -69,6 +69,7 @@ class StandIn:
     start_s: float = field(default_factory=lambda: two_hours_of_a_day(time.time()))
     field_name: str = "north"
     crop: str = "corn"
+    parameters_crop: str = "corn"
     units: str = "metric"
     faults: list[dict[str, Any]] = field(default_factory=list)
     asked: list[Mapping[str, Any]] = field(default_factory=list)
@@ -113,6 +114,7 @@ class StandIn:
         document = json.loads(json.dumps(TEMPLATE))
         document |= {"age_s": 0.0, "stale": False, "state": "harvesting", "faults": self.faults, "units": self.units}
         document["load"] |= {"field": self.field_name, "crop": self.crop, "mass_kg": 7.0 * self.number, "std_dev_kg": 40.0}
+        document["crop"] = {"name": self.crop or self.parameters_crop, "bushel_kg": None, "market_moisture_pct": None}
         document["total"]["mass_kg"] = 7.0 * self.number
         document["store"]["file"] = str(self.store_path)
         document["windows"] = [shown(second) for second in self.windows]

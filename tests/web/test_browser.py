@@ -235,6 +235,24 @@ def test_us_units(browser: Browser, tmp_path: Path) -> None:
             assert "kg" not in watched.page.inner_text("main")
 
 
+@pytest.mark.parametrize(
+    ("parameters_crop", "flow", "band", "crop_yield"),
+    [("corn", "1,270 bu/h", "± 35 bu/h", "147 bu/ac"), ("", "19.8 lb/s", "± 0.6 lb/s", "8,208 lb/ac")],
+    ids=["bushels of the parameters' crop", "pounds where no crop is known"],
+)
+def test_us_units_of_a_load_without_a_crop(
+    browser: Browser, tmp_path: Path, parameters_crop: str, flow: str, band: str, crop_yield: str
+) -> None:
+    # 8.96 +- 0.25 kg/s; 0.92 kg/m2; 25.4 kg bushels
+    with standing_in(tmp_path, units="us", crop="", parameters_crop=parameters_crop) as daemon:
+        daemon.seconds(60)
+        with page(daemon.socket) as site, Watched(browser) as watched:
+            watched.page.goto(site)
+            watched.wait(READY)
+            text = " ".join(watched.page.inner_text("main").split())
+            assert [shown for shown in (flow, band, crop_yield) if shown not in text] == []
+
+
 def test_a_button_by_keyboard_alone(browser: Browser, daemon: StandIn, site: str) -> None:
     daemon.asked.clear()
     with Watched(browser) as watched:

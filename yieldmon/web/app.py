@@ -32,7 +32,7 @@ from yieldmon.web.guard import COMMANDS, COOKIE, SIGN_IN, Access, Door, Guard
 from yieldmon.web.history import History
 from yieldmon.web.limits import RateLimit, peer_name
 from yieldmon.web.tiles import Tiles
-from yieldmon.web.units import page_units
+from yieldmon.web.units import page_units, units_of_status
 
 STATIC = Path(__file__).resolve().parent / "static"
 MOST_BODY_BYTES = 4096
@@ -151,7 +151,7 @@ class _Page:
         """As the daemon's configuration has them; metric where it cannot be asked."""
         with contextlib.suppress(ControlError, KeyError, TypeError, TimeoutError):
             status = await asyncio.wait_for(self._feed.ask({"command": "status"}), _UNITS_S)
-            return page_units(status["units"], status["load"]["crop"])
+            return units_of_status(status)
         return page_units()
 
     async def live(self, request: Request) -> Response:

@@ -2,11 +2,36 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any
 
 from yieldmon.files.units import units_of
 from yieldmon.units import KG_PER_LB, KG_PER_T, Unit, UnitSystem
+
+#: Digits behind the point that the page shows; none of a unit that is not here.
+_DECIMALS = {"kg/s": 2, "lb/s": 1, "t/h": 1, "t": 2, "t/ha": 2, "ha": 2, "ac": 2, "km/h": 1, "mph": 1}
+
+
+def units_of_status(status: Mapping[str, Any]) -> dict[str, Any]:
+    """The units of a daemon's status document: of the crop that it measures, named by its load or its parameters.
+
+    Parameters
+    ----------
+    status : mapping
+
+    Returns
+    -------
+    dict
+        As `page_units`.
+
+    Raises
+    ------
+    KeyError, TypeError
+        The document lacks the load.
+    """
+    crop = status.get("crop") or {}
+    return page_units(status.get("units", UnitSystem.METRIC.value), crop.get("name") or status["load"]["crop"])
 
 
 @lru_cache(maxsize=64)
@@ -24,7 +49,7 @@ def page_units(system: str = "metric", crop: str = "") -> dict[str, Any]:
     -------
     dict
         ``mass``, ``total`` (of days and more), ``flow``, ``hourly`` (None where ``flow`` is one by the hour), ``yield``, ``area``
-        and ``speed``, each with ``name`` and ``si``.
+        and ``speed``, each with ``name``, ``si`` and ``decimals``.
     """
     units = units_of(system, crop=crop)
     us = units.system is UnitSystem.US
@@ -37,4 +62,7 @@ def page_units(system: str = "metric", crop: str = "") -> dict[str, Any]:
         "area": units.area_unit,
         "speed": units.speed_unit,
     }
-    return {name: None if unit is None else {"name": unit.name, "si": unit.si} for name, unit in shown.items()}
+    return {
+        name: None if unit is None else {"name": unit.name, "si": unit.si, "decimals": _DECIMALS.get(unit.name, 0)}
+        for name, unit in shown.items()
+    }

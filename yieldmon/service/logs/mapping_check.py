@@ -248,6 +248,12 @@ def remarks(configuration: Configuration, seen: dict[str, QuantitySeen]) -> list
         )
     if moisture is not None and moisture.high is not None and moisture.high < _LEAST_MOISTURE_PCT:
         found.append(f'moisture is never above {moisture.high:.3g} %: if it comes as a share of 1, unit: "1" makes it per cent')
+    driven = seen.get("ground_speed")
+    if machine.implement.working_width_m is None and driven is not None and driven.low is not None:
+        found.append(
+            "ground_speed is known and the header's width is not, so that area and yield stay unknown: "
+            "implement: {working_width_m: 9.1} in the machine file, as wide as the header is"
+        )
     return found
 
 

@@ -2,7 +2,7 @@
 
 import { BandChart } from "./chart.js";
 import { FieldMap } from "./map.js";
-import { getJson, getPoints, inUnit, make, number, set, table, time, words } from "./ui.js";
+import { amount, getJson, getPoints, inUnit, make, number, set, table, time, words } from "./ui.js";
 
 // Asked for together; what the map shows is in the page's address (?map=all, day 2025-10-09, load 3), else the newest day.
 const wanted = new URLSearchParams(location.search).get("map") ?? "";
@@ -17,9 +17,9 @@ asked.catch(() => {});
 const page = await getJson("/api/page");
 const { units } = page;
 for (const element of document.querySelectorAll("[data-unit]")) element.textContent = units[element.dataset.unit].name;
-const mass = (kg) => number(inUnit(kg, units.mass));
-const total = (kg) => number(inUnit(kg, units.total), units.total.name === "t" ? 2 : 0);
-const flow = (kgS, decimals = 2) => number(inUnit(kgS, units.flow), units.hourly ? decimals : 0);
+const mass = (kg) => amount(kg, units.mass);
+const total = (kg) => amount(kg, units.total);
+const flow = (kgS, most) => amount(kgS, units.flow, most);
 const map = new FieldMap(document.getElementById("map"), { tiles: page.tiles, name: "Map", unit: units.flow });
 
 function days(rows) {

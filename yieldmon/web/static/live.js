@@ -2,7 +2,7 @@
 
 import { BandChart } from "./chart.js";
 import { FieldMap } from "./map.js";
-import { command, getJson, getPoints, inUnit, make, number, set, time, words } from "./ui.js";
+import { amount, command, getJson, getPoints, inUnit, make, number, set, time, words } from "./ui.js";
 
 const HOUR = 3600;
 const RETRY_MS = 3000;
@@ -59,9 +59,8 @@ let arrived = [];
 
 // Values
 
-const mass = (kg) => number(inUnit(kg, units.mass));
-// Flows of tens by the second need decimals that those by the hour do not.
-const flow = (kgS, decimals = 2) => number(inUnit(kgS, units.flow), units.hourly ? decimals : 0);
+const mass = (kg) => amount(kg, units.mass);
+const flow = (kgS, most) => amount(kgS, units.flow, most);
 
 // Names of the units; the curve and the map are drawn anew where they change, with the crop or the daemon's configuration.
 function showUnits(begins) {
@@ -78,17 +77,17 @@ function show() {
   const harvesting = now.mass_flow_kg_s !== null && now.mass_flow_kg_s !== undefined;
   set("flow", flow(now.mass_flow_kg_s));
   set("flow-band", harvesting ? `± ${flow(now.std_dev_kg_s)} ${units.flow.name}` : words(now.quality ?? ""));
-  set("flow-hour", harvesting && units.hourly ? `${number(inUnit(now.mass_flow_kg_s, units.hourly), 1)} ${units.hourly.name}` : "");
+  set("flow-hour", harvesting && units.hourly ? `${amount(now.mass_flow_kg_s, units.hourly)} ${units.hourly.name}` : "");
   const load = state.load;
-  const area = load.area_m2 ? `${number(inUnit(load.area_m2, units.area), 2)} ${units.area.name}` : "";
+  const area = load.area_m2 ? `${amount(load.area_m2, units.area)} ${units.area.name}` : "";
   const names = [load.field, load.crop, area].filter(Boolean).join(", ");
   set("load-name", `Load ${load.number}${load.open ? "" : " (ended)"}${names ? `: ${names}` : ""}`);
   set("load", mass(load.mass_kg));
   set("load-band", load.std_dev_kg === null ? "" : `± ${mass(load.std_dev_kg)}`);
-  set("total", number(inUnit(state.total.mass_kg, units.total), units.total.name === "t" ? 2 : 0));
-  set("yield", number(inUnit(now.yield_kg_m2, units.yield), units.hourly ? 2 : 0));
+  set("total", amount(state.total.mass_kg, units.total));
+  set("yield", amount(now.yield_kg_m2, units.yield));
   set("moisture", number(now.moisture_pct, 1));
-  set("speed", number(inUnit(now.ground_speed_m_s, units.speed), 1));
+  set("speed", amount(now.ground_speed_m_s, units.speed));
   set("elevator", number(now.elevator_speed_rpm));
   set("plate", number(now.plate_angle_deg, 1));
   const sweep = state.sweep;
@@ -137,8 +136,8 @@ function take(rows, begins) {
 }
 
 function showTrend() {
-  const shown = (values) => values.map((value) => inUnit(value, units.flow));
-  trend.show(hour.time, shown(hour.flow), shown(hour.deviation));
+  const converted = (values) => values.map((value) => inUnit(value, units.flow));
+  trend.show(hour.time, converted(hour.flow), converted(hour.deviation));
 }
 
 function describe() {

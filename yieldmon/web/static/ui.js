@@ -38,6 +38,9 @@ export function number(value, decimals = 0) {
 // A value in SI in a unit of the page, null where it is not known.
 export const inUnit = (value, unit) => (value === null || value === undefined || !unit ? null : value / unit.si);
 
+// An SI value in a unit, with the unit's own decimals or fewer.
+export const amount = (value, unit, most = Infinity) => number(inUnit(value, unit), Math.min(unit.decimals, most));
+
 export function set(id, text) {
   const element = document.getElementById(id);
   if (element.textContent !== text) element.textContent = text;
