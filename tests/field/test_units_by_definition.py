@@ -7,13 +7,15 @@ from fractions import Fraction as Exact
 import pytest
 
 from yieldmon.errors import InputError
+from yieldmon.field.sources.naming import split_unit
 from yieldmon.field.units import FACTORS, crop, factor, known_crops
 
 LB, FT, INCH, MILE = Exact("0.45359237"), Exact("0.3048"), Exact("0.0254"), Exact("1609.344")
 ACRE = 43560 * FT**2
 MASS = {
     "kg": Exact(1), "g": Exact(1, 1000), "mg": Exact(1, 10**6), "t": Exact(1000), "tonne": Exact(1000), "lb": LB, "lbs": LB,
-    "ton": 2000 * LB, "dt": Exact(100), "q": Exact(100),
+    "ton": 2000 * LB, "dt": Exact(100), "q": Exact(100), "tonnes": Exact(1000), "cwt": 100 * LB, "short_ton": 2000 * LB,
+    "metric_ton": Exact(1000),
 }  # fmt: skip
 LENGTH = {
     "m": Exact(1), "cm": Exact(1, 100), "mm": Exact(1, 1000), "km": Exact(1000), "ft": FT, "in": INCH, "inch": INCH, "mi": MILE,
@@ -34,8 +36,10 @@ DEFINED: dict[str, dict[str, Exact]] = {
     "length": LENGTH,
     "time": TIME,
     "area": AREA,
-    "mass_flow": over(MASS, TIME),
-    "mass_per_area": over(MASS, AREA),
+    "mass_flow": over({unit: kg for unit, kg in MASS.items() if unit != "ton"}, TIME),
+    "mass_per_area": over(MASS, AREA)
+    # Per hectare a ton is the metric one, and mg a megagram in small letters.
+    | {"ton/ha": Exact(1000, 10000), "mg/ha": Exact(1000, 10000), "mg/ac": 1000 / ACRE, "mg/acre": 1000 / ACRE},
     "speed": over(LENGTH, TIME)
     | {"km/h": Exact(1000, 3600), "kmh": Exact(1000, 3600), "mph": MILE / 3600}
     | dict.fromkeys(("kn", "kt", "kts", "knot", "knots"), Exact(1852, 3600)),
@@ -73,6 +77,18 @@ def test_a_bushel_needs_a_crop_and_no_other_quantity_has_one() -> None:
     for kind in FACTORS.keys() - {"mass_per_area", "mass_flow"}:
         with pytest.raises(InputError, match="has the unit 'bu/ac'"):
             factor("bu/ac", kind, "f.csv", "corn")
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [("yield_Mg_ha", "t/ha"), ("yield_mg_ha", "mg/ha"), ("flow_Mg_h", "t/h"), ("Yield (Mg/ha)", "t/ha"),
+     ("Yield [t ha-1]", "t/ha"), ("Yield (t.ha-1)", "t/ha"),
+     ("Yield t/ha", "t/ha"), ("Yield, kg/ha", "kg/ha"), ("Yield (bushels/acre)", "bu/acre"), ("Yield (cwt/ac)", "cwt/ac"),
+     ("Yield kg ha\u207b\u00b9", "kg/ha"), ("Speed mph", "mph"), ("Swath ft", "ft"), ("Moisture %", "%"), ("Flow (ton/h)", ""),
+     ("Yld Mass(Dry)", ""), ("Load T", "")],
+)  # fmt: skip
+def test_units_as_people_write_them_behind_a_name(name: str, unit: str) -> None:
+    assert split_unit(name)[1] == unit
 
 
 def test_crops_without_parameters() -> None:

@@ -87,6 +87,7 @@ def crop(name: str) -> Crop | None:
 _SHORT_TON_KG = LB_PER_SHORT_TON * KG_PER_LB
 _MASS = {"kg": 1.0, "g": 1e-3, "t": 1e3, "lb": KG_PER_LB, "lbs": KG_PER_LB, "mg": 1e-6, "ton": _SHORT_TON_KG, "tonne": 1e3}
 _MASS |= {"dt": 100.0, "q": 100.0}  # decitonne (German) and quintal (French, Italian, Spanish), both 100 kg
+_MASS |= {"tonnes": 1e3, "cwt": 100.0 * KG_PER_LB, "short_ton": _SHORT_TON_KG, "metric_ton": 1e3}
 _LENGTH = {"m": 1.0, "cm": 0.01, "mm": 1e-3, "ft": M_PER_FT, "in": M_PER_IN, "km": 1e3, "mi": M_PER_MI, "inch": M_PER_IN}
 _TIME = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "min": 60.0, "h": 3600.0, "hr": 3600.0, "d": S_PER_DAY}
 _AREA = {"m2": 1.0, "ha": M2_PER_HA, "ac": M2_PER_ACRE, "acre": M2_PER_ACRE}
@@ -98,14 +99,18 @@ def _ratios(top: dict[str, float], bottom: dict[str, float]) -> dict[str, float]
     return {f"{a}/{b}": top[a] / bottom[b] for a in top for b in bottom}
 
 
+#: Where only one reading makes sense: per hectare a ton is the metric one, and Mg is a megagram where no case tells it from mg.
+_PER_LARGE_AREA = {"ton/ha": 1e3 / M2_PER_HA, "mg/ha": 1e3 / M2_PER_HA, "mg/ac": 1e3 / M2_PER_ACRE, "mg/acre": 1e3 / M2_PER_ACRE}
+
 #: Kind of quantity -> unit -> factor to the kind's SI unit (in the comment).
 FACTORS: dict[str, dict[str, float]] = {
     "mass": _MASS,  # kg
     "length": _LENGTH,  # m
     "time": _TIME,  # s
     "area": _AREA,  # m2
-    "mass_flow": _ratios(_MASS, _TIME),  # kg/s
-    "mass_per_area": _ratios(_MASS, _AREA),  # kg/m2
+    # A ton over time may be short or metric.
+    "mass_flow": _ratios({unit: kg for unit, kg in _MASS.items() if unit != "ton"}, _TIME),  # kg/s
+    "mass_per_area": _ratios(_MASS, _AREA) | _PER_LARGE_AREA,  # kg/m2
     "speed": _ratios(_LENGTH, _TIME)
     | {"km/h": M_S_PER_KMH, "kmh": M_S_PER_KMH, "mph": M_S_PER_MPH}
     | dict.fromkeys(("kn", "kt", "kts", "knot", "knots"), M_S_PER_KNOT),  # m/s
@@ -117,17 +122,33 @@ BUSHELS = ("bu/ac", "bu/acre", "bu/ha", "bu/h", "bu/hr", "bu/s")
 _OF_BUSHELS = ("mass_per_area", "mass_flow")
 
 
-def plain_unit(text: str) -> str:
-    """A unit in one spelling: lower case, no blanks, `bu1ac-1` as `bu/ac`, `m^2` as `m2`.
+#: Other spellings of parts of a unit.
+_WORDS = {
+    "bushels": "bu", "bushel": "bu", "tons": "ton", "pounds": "lb", "kilograms": "kg", "acres": "acre", "hectare": "ha",
+    "feet": "ft", "foot": "ft", "inches": "in", "metres": "m", "meters": "m", "meter": "m", "metre": "m", "seconds": "s",
+    "second": "s", "sec.": "s", "hour": "h", "hours": "h", "qx": "q", "qq": "q", "metrictons": "metric_ton",
+    "shorttons": "short_ton",
+}  # fmt: skip
+_BELOW = ("ac", "acre", "ha", "hr", "sec", "m2", "s", "h")
 
-    >>> plain_unit("lb1ac-1"), plain_unit("T / ha")
-    ('lb/ac', 't/ha')
+
+def plain_unit(text: str) -> str:
+    """A unit in one spelling: lower case, no blanks, `bu1ac-1` and `bu ac-1` as `bu/ac`, `m^2` as `m2`, `Mg` as `t`.
+
+    >>> plain_unit("lb1ac-1"), plain_unit("T / ha"), plain_unit("Mg ha^-1"), plain_unit("bushels per acre")
+    ('lb/ac', 't/ha', 't/ha', 'bu/acre')
     """
-    unit = "".join(text.lower().split()).replace("^", "").replace("²", "2").replace("°", "deg").replace("per", "/")
-    for below in ("ac", "ha", "hr", "sec", "m2", "s", "h"):
-        if unit.endswith(f"1{below}-1"):
-            return f"{unit.removesuffix(f'1{below}-1')}/{below}"
-    return unit if unit != "/cent" else "percent"
+    megagram = text.strip().startswith("Mg")
+    unit = "".join(text.lower().replace("⁻¹", "-1").replace("−", "-").split()).replace("^", "").replace("²", "2")
+    unit = unit.replace("°", "deg").replace("per", "/")
+    if unit == "/cent":
+        return "percent"
+    for below in _BELOW:
+        if unit.endswith(f"{below}-1"):
+            unit = f"{unit.removesuffix(f'{below}-1').rstrip('1.·*')}/{below}"
+            break
+    over = "/".join(_WORDS.get(part, part) for part in unit.split("/"))
+    return f"t{over.removeprefix('mg')}" if megagram and over.startswith("mg") else over
 
 
 def is_unit_of(unit: str, kind: str) -> bool:

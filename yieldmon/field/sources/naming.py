@@ -28,8 +28,10 @@ def _names(text: str) -> tuple[str, ...]:
 
 
 QUANTITIES: Mapping[str, Quantity] = {
-    "longitude": Quantity("angle", _names("longitude lon long x xcoord longitud langengrad laengengrad")),
-    "latitude": Quantity("angle", _names("latitude lat y ycoord latitud breitengrad")),
+    "longitude": Quantity(
+        "angle", _names("longitude lon long lng x xcoord pointx longitud langengrad laengengrad easting ostwert rechtswert")
+    ),
+    "latitude": Quantity("angle", _names("latitude lat y ycoord pointy latitud breitengrad northing nordwert hochwert")),
     "time": Quantity(
         "date",
         _names(
@@ -49,14 +51,21 @@ QUANTITIES: Mapping[str, Quantity] = {
     "yield": Quantity(
         "mass_per_area",
         _names(
-            "yield yld yldmasswet yieldmasswet wetmass massyield wetyield yieldmass yldmass yieldwet vryieldmas "
-            "yldvolwet yieldvolwet vryieldvol dryyield yldvoldry yldmassdry yieldvol drymatter ertrag rendimiento "
-            "rendement produtividade"
+            # As weighed, then what does not say, then dried; in each a mass before a volume, which needs the crop's bushel.
+            "yldmasswet yieldmasswet wetmass wetyield yieldwet wetyieldmass ertragfeucht ertragnass rendimientohumedo "
+            "rindehumedo rendementhumide produtividadeumida yldvolwet yieldvolwet wetyieldvol "
+            "yield yld massyield yieldmass yldmass grainyield cropyield yieldvol ertrag kornertrag rendimiento rinde rendement "
+            "produtividade rendimento produttivita resa "
+            "vryieldmas vryieldmass vryieldvol yldmassdry yieldmassdry dryyield yielddry dryyieldmass ertragtrocken "
+            "rendimientoseco rindeseco rendementsec produtividadeseca yldvoldry yieldvoldry dryyieldvol drymatter"
         ),
     ),
     "moisture": Quantity(
         "percent",
-        _names("moisture moist grainmoisture moisturepercent humidity feuchte feuchtigkeit kornfeuchte humedad humidite umidade"),
+        _names(
+            "moisture moist grainmoisture moisturepercent moisturewet wetmoisture humidity feuchte feuchtigkeit kornfeuchte "
+            "humedad humidite umidade umidita"
+        ),
     ),
     "interval": Quantity("time", _names("interval interv duration loginterval cycles cycle logint dt")),
     "distance": Quantity("length", _names("distance dist distancetravelled distancetraveled distanz strecke distancia")),
@@ -77,22 +86,32 @@ QUANTITIES: Mapping[str, Quantity] = {
     "position_sd": Quantity("length", _names("positionsd")),
     "header": Quantity(
         "state",
-        _names("headerdown header headerstatus headerstate harvesting inwork workstate areacount arbeitsstellung arbeitszustand"),
+        _names(
+            "headerdown header headerstatus headerstate headerposition harvesting inwork workstate workingstate recordingstatus "
+            "areacount arbeitsstellung arbeitszustand"
+        ),
     ),
     "pass": Quantity("none", _names("pass passnumber passnum")),
-    "section": Quantity("none", _names("section sectionid")),
+    "section": Quantity("none", _names("section sectionid sectionnumber sectionno boomsection teilbreite seccion secao")),
     "field": Quantity("text", _names("field fieldname schlag lote parcelle")),
     "load": Quantity("text", _names("load loadname loadnumber ladung fuhre carga")),
     "crop": Quantity("text", _names("crop grain cropname frucht kultur cultivo cultura culture")),
     "machine": Quantity(
-        "text", _names("machine serial serialnumber machineid machinename combine maschine mahdrescher maquina moissonneuse")
+        "text",
+        _names(
+            "machine serial serialnumber machineid machinename machineserial combine combineserial vehicle vehicleid vehiclename "
+            "equipment maschine mahdrescher maquina cosechadora colheitadeira moissonneuse machineserie"
+        ),
     ),
     "product": Quantity("text", _names("product variety hybrid")),
 }
 _NEEDS_NO_UNIT = ("longitude", "latitude", "time", "moisture", "heading")
 _SHAPEFILE_NAME, _LEAST_CUT = 10, 7
 """Longest name of a column in a shapefile, and shortest in plain letters that still says what was cut."""
+_DRIED = re.compile(r"dry|trocken|sec[oa]?$|^vryield")
 _BRACKETS = re.compile(r"[(\[]([^()\[\]]*)[)\]]\s*$")
+_BEHIND_A_BLANK = (re.compile(r"[\s,]+(\S+\s+\S+(?:-1|⁻¹))$"), re.compile(r"[\s,]+(\S*/\S+|mph|ft|cm|%|m)$"))
+"""Units without brackets: two words of which the second is a reciprocal, or one that cannot be a part of the name."""
 _UNIT_WORDS = [
     *sorted(
         {
@@ -120,17 +139,26 @@ class Column:
 def split_unit(name: str) -> tuple[str, str]:
     """A name without its unit, and the unit.
 
-    >>> split_unit("Flow(lb/s)"), split_unit("mass_flow_kg_s"), split_unit("Yld Mass(Wet)(lb/ac)")
-    (('Flow', 'lb/s'), ('mass_flow', 'kg/s'), ('Yld Mass(Wet)', 'lb/ac'))
+    >>> split_unit("Flow(lb/s)"), split_unit("mass_flow_kg_s"), split_unit("Yld Mass(Wet)(lb/ac)"), split_unit("Yield t ha-1")
+    (('Flow', 'lb/s'), ('mass_flow', 'kg/s'), ('Yld Mass(Wet)', 'lb/ac'), ('Yield', 't/ha'))
     """
     found = _BRACKETS.search(name)
-    if found and any(plain_unit(found[1]) in kind for kind in (*FACTORS.values(), BUSHELS)):
+    if found and _is_unit(plain_unit(found[1])):
         return name[: found.start()].strip(), plain_unit(found[1])
     lower = name.lower()
     for word, unit in _UNIT_WORDS:
         if lower.endswith("_" + word):
-            return name[: -len(word) - 1], unit
+            megagram = name[-len(word) :].startswith("Mg")
+            return name[: -len(word) - 1], f"t{unit.removeprefix('mg')}" if megagram else unit
+    for pattern in _BEHIND_A_BLANK:
+        behind = pattern.search(name)
+        if behind and _is_unit(plain_unit(behind[1])):
+            return name[: behind.start()].strip(), plain_unit(behind[1])
     return name, ""
+
+
+def _is_unit(plain: str) -> bool:
+    return any(plain in kind for kind in (*FACTORS.values(), BUSHELS))
 
 
 def _require_unit_of(quantity: str, unit: str) -> None:
@@ -193,8 +221,9 @@ def columns_of(
                 notes.append(f"{column.name} is taken as %")
             if column is not None:
                 out[quantity] = column
-    if "flow" not in out and "yield" in out and "dry" in plain_name(out["yield"].name):
-        notes.append(f"{out['yield'].name} is of dried grain: so are the masses")
+    if "flow" not in out and "yield" in out and _DRIED.search(plain_name(out["yield"].name)):
+        may_be = "may be" if plain_name(out["yield"].name).startswith("vr") else "is"
+        notes.append(f"{out['yield'].name} {may_be} of dried grain: so are the masses")
     _check_useful(out, lacking, names, where)
     notes += [f"{name} has no unit and is not used" for name in lacking if name not in {column.name for column in out.values()}]
     return out, tuple(notes)
