@@ -6,22 +6,22 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from yieldmon.errors import InputError
 from yieldmon.field.mixed import machine_names
 from yieldmon.field.plane import Sites
 from yieldmon.field.table import LABELS, Array, HarvestTable, Label, Source, build
-from yieldmon.field.tracks import GAP_INTERVALS, usual_steps
 from yieldmon.field.units import FACTORS, factor, is_bushels
 from yieldmon.field.units import crop as known_crop
 
 from .delimited import number
+from .derived import derive
 from .driven import ways_checked
 from .naming import QUANTITIES, Column
 from .options import ReadOptions
-from .positions import plausible
+from .positions import plausible, without_marks
 from .raw_table import Raw
+from .repeated_rows import without_repeats
 from .row_times import ColumnTimes, column_times, row_times
 
 _TABLE_NAMES = {
@@ -62,21 +62,42 @@ def assemble(raw: Raw, where: str, kind: str, options: ReadOptions) -> HarvestTa
     if "longitude" not in values or "latitude" not in values:
         raise InputError(where, "has no longitude and latitude", "--column longitude=NAME --column latitude=NAME")
     said = column_times(raw, options, where)
+    raw, values, said = without_repeats(raw, values, said)
     raw = _machines_apart(raw, values, said)
     time, unix_time, notes = row_times(raw, values, said, where)
     if options.width_m is not None:
         values["width"] = np.full(raw.count, options.width_m)
     if "width" not in values:
         raise InputError(where, "has no working width", "--width M")
+    unknown = _limited(values, raw.columns)
     ways = ways_checked(raw, values, time)
-    _derive(values, time, raw.machine_of_row, where)
+    derived = derive(values, time, raw.machine_of_row, where)
     columns, limits = plausible({"time_s": time} | {_TABLE_NAMES[q]: v for q, v in values.items() if q in _TABLE_NAMES})
     if "header_down" in columns:
         columns["header_down"] = _down(columns["header_down"])
     source = Source(
-        where, kind, raw.count, raw.skipped, notes=(*raw.notes, *of_crops, *ways, *notes, *strange, *_backwards(time), *limits)
+        where,
+        kind,
+        raw.count,
+        raw.skipped,
+        notes=(*raw.notes, *of_crops, *unknown, *ways, *notes, *strange, *_backwards(time), *derived, *limits),
     )
     return build(columns, _labels(raw, options), source, unix_time=unix_time, default_flow_s=raw.default_flow_s)
+
+
+def _limited(values: dict[str, Array], columns: Mapping[str, Column]) -> tuple[str, ...]:
+    """Takes as not known what no harvest has, before anything is derived from it; and notes.
+
+    A distance may be a sum that goes on, and is looked at after that.
+    """
+    chosen = [q for q in values if q in _TABLE_NAMES and q != "distance"]
+    limited, notes = plausible({_TABLE_NAMES[q]: values[q] for q in chosen})
+    values.update({q: limited[_TABLE_NAMES[q]] for q in chosen})
+    for quantity in ("flow", "yield", "width"):
+        if quantity in values:
+            values[quantity], note = without_marks(values[quantity], columns[quantity].name if quantity in columns else quantity)
+            notes += note
+    return notes
 
 
 def _machines_apart(raw: Raw, values: Mapping[str, Array], said: ColumnTimes) -> Raw:
@@ -174,38 +195,6 @@ def _states(label: Label, name: str) -> tuple[Array, tuple[str, ...]]:
 def _backwards(time: Array) -> tuple[str, ...]:
     number = int((np.diff(time[np.isfinite(time)]) < 0).sum())
     return (f"time runs backwards {number} times",) if number else ()
-
-
-def _derive(values: dict[str, Array], time: Array, machine: NDArray[np.int32], where: str) -> None:
-    """Interval, way and flow from what is there, between rows of one machine and section."""
-    count = len(time)
-    section = np.nan_to_num(values.get("section", np.zeros(count)))
-    order = np.lexsort((np.arange(count), time, section, machine))
-    before = np.full(count, -1)
-    before[order[1:]] = order[:-1]
-    joined = (before >= 0) & (section == section[before]) & (machine == machine[before])
-    step = np.where(joined, time - time[before], np.nan)
-    usual = np.empty(count)
-    usual[order] = usual_steps(step[order], ~joined[order])
-    steady = (step >= 0) & (step <= GAP_INTERVALS * usual)
-    if "interval" not in values:
-        values["interval"] = np.where(steady, step, usual)
-    if "distance" not in values:
-        if "speed" in values:
-            values["distance"] = values["speed"] * values["interval"]
-        else:
-            plane = Sites.about(values["longitude"], values["latitude"])
-            x, y = plane.to_m(values["longitude"], values["latitude"])
-            way = np.where(steady, np.hypot(x - x[before], y - y[before]), np.nan)
-            after = np.full(count, np.nan)
-            after[order[:-1]] = way[order[1:]]
-            values["distance"] = np.where(np.isfinite(way), way, after)
-    if "flow" not in values:
-        if "yield" not in values:
-            raise InputError(where, "has neither flow nor yield", "--column flow=NAME:UNIT or yield=NAME:UNIT")
-        with np.errstate(invalid="ignore", divide="ignore"):
-            area = values["distance"] * values["width"]
-            values["flow"] = np.where(values["interval"] > 0, values["yield"] * area / values["interval"], np.nan)
 
 
 def labels_from(texts: Sequence[object]) -> Label:

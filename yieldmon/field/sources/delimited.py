@@ -18,7 +18,10 @@ from yieldmon.field.table import Array, Label, Skipped
 from yieldmon.files.delimited import plain_number
 
 BLOCK_ROWS = 50_000
-UNKNOWN = frozenset({"", "-", "na", "n/a", "nan", "null", "none", "?"})
+UNKNOWN = frozenset(
+    {"", "-", "--", "---", "*", "**", "***", ".", "?", "na", "n/a", "#n/a", "#nv", "n.a.", "k.a.", "s/d", "nan", "null", "<null>",
+     "(null)", "nil", "none", "nodata", "no data", "missing", "#div/0!", "#value!", "#wert!"}
+)  # fmt: skip
 """What says that a value is not known, in lower case."""
 _NAMED = 5
 _COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?")

@@ -25,6 +25,41 @@ LIMITS: Mapping[str, tuple[float, float]] = {
     "elevation_m": (-1000.0, 10_000.0),
 }
 
+_LEAST_MARKS, _MOST_MARKED = 10, 0.2
+"""Rows with one value, and their share of all, that may be a mark for "not known"."""
+_FAR, _LEAST_OTHERS = 5.0, 100
+"""Times nearly all other values that a mark is, and how many others tell."""
+
+
+def without_marks(values: Array, name: str) -> tuple[Array, tuple[str, ...]]:
+    """Values without a largest one that many rows have and that is far above all others; and a note on it.
+
+    Parameters
+    ----------
+    values : array, shape (n,)
+        NaN where not known.
+    name : str
+        Of the column.
+
+    Examples
+    --------
+    >>> without_marks(np.r_[np.linspace(1.0, 9.0, 500), np.full(20, 99.9)], "yield")[1]
+    ('yield: 20 rows have one value, 11.1 times that of nearly all others: it is taken as unknown',)
+    """
+    known = values[np.isfinite(values) & (values > 0)]
+    if not known.size:
+        return values, ()
+    largest = float(known.max())
+    others = known[known < largest]
+    count = known.size - others.size
+    if count < _LEAST_MARKS or count > _MOST_MARKED * known.size or others.size < _LEAST_OTHERS:
+        return values, ()
+    usual = float(np.percentile(others, 99.5))
+    if largest < _FAR * usual:
+        return values, ()
+    note = f"{name}: {count} rows have one value, {largest / usual:.3g} times that of nearly all others: it is taken as unknown"
+    return np.where(values == largest, np.nan, values), (note,)
+
 
 def plausible(columns: Mapping[str, Array]) -> tuple[dict[str, Array], tuple[str, ...]]:
     """The columns with impossible values unknown, and a note on each column that had some. (0, 0) is a receiver without a fix."""

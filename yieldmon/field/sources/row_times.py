@@ -87,8 +87,7 @@ def row_times(raw: Raw, values: Mapping[str, Array], said: ColumnTimes, where: s
         return said.time_s, said.unix, tuple(notes)
     even_s, step_s = said.time_s.copy(), 0.0
     for rows in _of_machines(raw):
-        way_m = values["distance"][rows] if "distance" in values else _apart_m(values, rows)
-        even_s[rows], own_step_s = clocks.evened(said.time_s[rows], way_m)
+        even_s[rows], own_step_s = clocks.evened(said.time_s[rows], _driven_m(values, rows, said.time_s[rows]))
         step_s = max(step_s, own_step_s)
     if step_s:
         notes.append(f"{said.name} counts in steps of {step_s:.2g} s, more coarsely than the rows follow: times are evened out")
@@ -113,6 +112,17 @@ def _apart_m(values: Mapping[str, Array], rows: NDArray[np.intp] | slice = slice
     plane = Sites.about(longitude, latitude)
     x, y = plane.to_m(longitude, latitude)
     return np.hypot(np.diff(x, prepend=np.nan), np.diff(y, prepend=np.nan))
+
+
+def _driven_m(values: Mapping[str, Array], rows: NDArray[np.intp], time_s: Array) -> Array:
+    """From each row to the one before it, by the places; by its distances where places change as rarely as the clock.
+
+    Distances of a file are those of its rows, even where rows between them have been left out.
+    """
+    apart_m = _apart_m(values, rows)
+    at_once = apart_m[1:][np.diff(time_s) == 0]
+    as_coarse = at_once.size > 0 and float(np.median(np.nan_to_num(at_once))) == 0.0
+    return values["distance"][rows] if as_coarse and "distance" in values else apart_m
 
 
 def _in_order(raw: Raw, values: Mapping[str, Array], where: str, why: str) -> tuple[Array, bool, tuple[str, ...]]:
