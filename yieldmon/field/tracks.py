@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
+from .leaps import bridged
 from .plane import Sites
 from .table import Array, HarvestTable
 
@@ -188,7 +189,7 @@ def tracks(table: HarvestTable) -> Tracks:
         time_s=step_time,
         x_m=step_x,
         y_m=step_y,
-        heading_rad=_headings(step_x, step_y, run, driving),
+        heading_rad=_headings(*bridged(step_x, step_y, step_time, run), run, driving),
         speed_m_s=speed,
         width_m=width,
         flow_kg_s=flow,
