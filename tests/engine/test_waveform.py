@@ -481,7 +481,8 @@ def test_kernels_update_the_parameters_and_are_then_not_counted_a_second_time() 
     assert {change.origin for change in changes} == {"kernels"}
     assert all(re.match(r"kernel noise moved the scale by [+-][\d.]+ %; its bias is known to", c.reason) for c in changes)
     true_kg = 5.0 * sum(STEPS)
-    assert sum(r.mass_kg for r in records[-15:]) == pytest.approx(true_kg, rel=0.06)
+    # Lessons of five windows each err by 4 % by the kernels' chance.
+    assert sum(r.mass_kg for r in records[-15:]) == pytest.approx(true_kg, rel=0.08)
     assert sum(r.mass_kg for r in heard(DOUBTED, **sure)[0][-15:]) > 1.1 * true_kg
     together, _ = listened(learner(DOUBTED, FAST, combine=True, stretch_sd=1.0, **sure), stepping())
     assert sum(r.mass_kg for r in together[-15:]) == pytest.approx(sum(r.mass_kg for r in records[-15:]), rel=0.02)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from yieldmon.estimation.waveform.pattern_fold import residual
+from yieldmon.estimation.waveform.pattern_fold import fold, harmonics_of, residual
 from yieldmon.estimation.waveform.running_pulses import RunningPulses
 
 HOME = {"plate_angle_rad": 1.2, "elevator_speed_rad_s": 42.0}
@@ -67,3 +67,31 @@ def test_a_kind_not_met_for_a_minute_of_grain_is_forgotten(others: int, kept: bo
     for number in range(others):
         pulses.take(*window(number, 50.0, 1.0, 3), mean_force_n=20.0 * 1.2 ** (number % 8), **HOME)
     assert (pulses.take(*window(99, 50.0, 1.0, 3), mean_force_n=17.0, **HOME) is not None) is kept
+
+
+@pytest.mark.parametrize("late_turns", [0.0, 0.004, -0.013, 0.031])
+def test_how_late_a_window_comes_is_told_by_its_mean(late_turns: float) -> None:
+    """Within a hundredth of a pulse's width; an own time of a few milliseconds is beyond what a straight line takes off."""
+    pulses = RunningPulses()
+    kind = {"mean_force_n": 17.0, **HOME}
+
+    def asked(phase: np.ndarray, samples: np.ndarray) -> float:
+        wave = harmonics_of(fold(samples, phase), 20, elevator_speed_rad_s=42.0, plate_angle_rad=1.2)
+        return pulses.late_turns(wave.amplitudes_n, **kind)
+
+    for number in range(12):
+        samples, phase = window(number, 50.0, 1.0, 2)
+        if number == 0:
+            assert asked(phase, samples) == 0.0
+        pulses.take(samples, phase, **kind)
+    samples, phase = window(12, 50.0, 1.0, 2)
+    assert asked(phase + late_turns, samples) == pytest.approx(late_turns, abs=5e-4)
+
+
+def test_pulses_that_lie_elsewhere_are_left_where_they_are() -> None:
+    pulses = RunningPulses()
+    for number in range(12):
+        pulses.take(*window(number, 50.0, 1.0, 2), mean_force_n=17.0, **HOME)
+    samples, phase = window(12, 50.0, 1.0, 2)
+    wave = harmonics_of(fold(samples, phase + 0.25), 20, elevator_speed_rad_s=42.0, plate_angle_rad=1.2)
+    assert pulses.late_turns(wave.amplitudes_n, mean_force_n=17.0, **HOME) == 0.0

@@ -17,7 +17,7 @@ from yieldmon.estimation.waveform.kernel_noise import CLEAR_OF_ALIASES, KernelIm
 from yieldmon.estimation.waveform.noise_by_phase import PhaseNoise
 from yieldmon.estimation.waveform.noise_gain import power_gain
 from yieldmon.estimation.waveform.noise_scatter import excess_scatter
-from yieldmon.estimation.waveform.pattern_fold import FoldedPattern, residual_of_pulses
+from yieldmon.estimation.waveform.pattern_fold import FoldedPattern, PatternWave, residual_of_pulses
 from yieldmon.estimation.waveform.pulse_times import PulseTimes
 from yieldmon.estimation.waveform.running_pulses import RunningPulses
 from yieldmon.estimation.waveform.spectral_density import Density
@@ -111,9 +111,9 @@ class KernelChannel:
         return not abs(force_n - before) < _CHANGING * force_n
 
     def loaded(
-        self, force_n: Array, trace: Trace, reading: Reading, flow_kg_s: float, estimator: FlowEstimator
+        self, force_n: Array, trace: Trace, wave: PatternWave, reading: Reading, flow_kg_s: float, estimator: FlowEstimator
     ) -> KernelImpulse | None:
-        """A window with grain, the phase of its trace counted from the pulses themselves; flow_kg_s: by its mean force.
+        """A window with grain, the phase of trace and wave counted from the fitted pulses; flow_kg_s: by its mean force.
 
         A kernel's impulse goes with the load, the plate and the speed as that of a kilogram does: the mean force's model brings
         earlier windows to this one, and its scale drops out. Only windows of the plate at home are listened to, the kernels'
@@ -123,7 +123,7 @@ class KernelChannel:
         if estimator is not self._estimator:
             self._estimate_anew(estimator)
         if reading.at_home:
-            self._hear(force_n, trace, reading, flow_kg_s)
+            self._hear(force_n, trace, wave, reading, flow_kg_s)
         if min(len(self._quiet), len(self._loaded)) < self._settings.quiet_windows:
             return None
         if self._apparent is None or self._heard >= _EVERY or len(self._loaded) < _FEW:
@@ -188,16 +188,16 @@ class KernelChannel:
     def _band_hz(self, interval_s: float) -> tuple[float, float]:
         return self.noise.low_hz, min(self.noise.high_hz, CLEAR_OF_ALIASES / interval_s)
 
-    def _hear(self, force_n: Array, trace: Trace, reading: Reading, flow_kg_s: float) -> None:
+    def _hear(self, force_n: Array, trace: Trace, wave: PatternWave, reading: Reading, flow_kg_s: float) -> None:
         """Keep the noise of a window whose flow does not just change."""
         window, changed = reading.window, self._changed(reading.force_n)
-        like = self._pulses.take(
-            force_n,
-            trace.phase,
-            mean_force_n=reading.force_n,
-            plate_angle_rad=window.plate_angle_rad,
-            elevator_speed_rad_s=window.speed_rad_s,
-        )
+        kind = {
+            "mean_force_n": reading.force_n,
+            "plate_angle_rad": window.plate_angle_rad,
+            "elevator_speed_rad_s": window.speed_rad_s,
+        }
+        trace = replace(trace, phase=trace.phase - self._pulses.late_turns(wave.amplitudes_n, **kind))
+        like = self._pulses.take(force_n, trace.phase, **kind)
         if like is None or changed:
             return
         mean, own = like

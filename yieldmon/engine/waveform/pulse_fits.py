@@ -13,7 +13,7 @@ from yieldmon.engine.settings import WaveformSettings
 from yieldmon.engine.waveform.kernel_channel import SEGMENT
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.waveform.arrival_law import ArrivalLaw
-from yieldmon.estimation.waveform.pattern_fold import PatternWave, fold_all, harmonics_of_all
+from yieldmon.estimation.waveform.pattern_fold import PatternWave, fold_all, harmonics_of_all, later
 from yieldmon.estimation.waveform.pulse_fit import PulseEstimate
 from yieldmon.estimation.waveform.pulse_model import PulseModel, PulseSettings
 from yieldmon.estimation.waveform.pulse_shape import estimate, estimate_near
@@ -101,10 +101,11 @@ class PulseFits:
             self._model_of = estimator
         return self._model
 
-    def aligned(self, trace: Trace, shape: PulseEstimate, reading: Reading) -> Trace:
-        """The samples with their phase counted from the pulses themselves: the phase from ten speeds a second creeps."""
+    def aligned(self, trace: Trace, wave: PatternWave, shape: PulseEstimate, reading: Reading) -> tuple[Trace, PatternWave]:
+        """Samples and wave with their phase counted from the pulses themselves: the phase from ten speeds a second creeps."""
         turns_per_s = self._machine.paddle_speed_m_s(reading.window.speed_rad_s) / self._machine.pattern_length_m
-        return replace(trace, phase=trace.phase - shape.values["shift_s"] * turns_per_s)
+        late = shape.values["shift_s"] * turns_per_s
+        return replace(trace, phase=trace.phase - late), later(wave, -late)
 
     def outside(self, volume_flow_m3_s: float, reading: Reading, estimator: FlowEstimator) -> str:
         """Why the shape says nothing at a volume flow; empty where it does."""

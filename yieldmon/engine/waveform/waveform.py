@@ -100,8 +100,8 @@ class Waveform:
         fit = self._fits.of(reading, flow.rate_kg_s, estimator)
         kernels = None
         if fit is not None:
-            aligned = self._fits.aligned(trace, fit[1], reading)
-            kernels = self._kernel_channel.loaded(force_n, aligned, reading, flow.rate_kg_s, estimator)
+            aligned, wave = self._fits.aligned(trace, *fit, reading)
+            kernels = self._kernel_channel.loaded(force_n, aligned, wave, reading, flow.rate_kg_s, estimator)
         return self._judged(reading, flow, estimator, fit, kernels)
 
     def _judged(

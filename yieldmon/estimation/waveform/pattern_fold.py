@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -119,6 +119,12 @@ def harmonics_of_all(
     noise = np.sqrt(0.5 * of_means)[:, None] / width
     rows = zip(waves, noise, folded, elevator_speeds_rad_s, plate_angles_rad, strict=True)
     return [PatternWave(wave, sd, pattern.patterns, speed, angle) for wave, sd, pattern, speed, angle in rows]
+
+
+def later(wave: PatternWave, turns: float) -> PatternWave:
+    """The same pulses, so much of the pattern later."""
+    order = np.arange(1, wave.amplitudes_n.size + 1)
+    return replace(wave, amplitudes_n=wave.amplitudes_n * np.exp(-2j * np.pi * turns * order))
 
 
 def residual(samples_n: Array, phase: Array, folded: FoldedPattern) -> Array:

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from dataclasses import dataclass
+from functools import lru_cache
 from math import floor, log
 
 import numpy as np
 
-from yieldmon.physics.numerics import Array
+from yieldmon.physics.numerics import AnyArray, Array
 
 from .pattern_fold import FoldedPattern
 
@@ -24,6 +25,10 @@ _FORGOTTEN_AFTER = 60
 """Windows since the last one of a kind after which its mean no longer stands for it: pulses change with the grain."""
 _LOG_FORCE, _ANGLE_RAD, _LOG_SPEED = 0.1, float(np.deg2rad(2.0)), 0.03
 """Steps by which pulses are distinguished."""
+_MOST_LATE = 0.05
+"""Of a turn, how far a window's pulses may lie from the mean of their kind; a paddle's pulse is half a turn or less."""
+_PLACES = 129
+"""Looked at within that on either side, of which the best and its neighbours make a parabola."""
 _BETWEEN_BINS = 2.0 / 3.0
 """Of a bin's variance, what the straight line between two bins has in the mean."""
 
@@ -61,11 +66,7 @@ class RunningPulses:
             The mean pattern, and by what share of a sample's variance its own chance adds to that of a difference; None where
             too few such windows have been.
         """
-        kind = (
-            floor(log(mean_force_n) / _LOG_FORCE),
-            round(plate_angle_rad / _ANGLE_RAD),
-            round(log(elevator_speed_rad_s) / _LOG_SPEED),
-        )
+        kind = _kind(mean_force_n, plate_angle_rad, elevator_speed_rad_s)
         self._windows += 1
         self._forget()
         sums = self._kinds.pop(kind, None) or _Sums(np.zeros(_BINS), np.zeros(_BINS), np.zeros(_BINS), 0)
@@ -84,7 +85,62 @@ class RunningPulses:
         )
         return found
 
+    def late_turns(
+        self, amplitudes_n: AnyArray, *, mean_force_n: float, plate_angle_rad: float, elevator_speed_rad_s: float
+    ) -> float:
+        """How much later a window's pulses come than the mean of earlier windows like it.
+
+        A fit of the pulse model has a time of its own, but one that other parameters of the fit can stand for; on thin loads it
+        errs by milliseconds.
+
+        Parameters
+        ----------
+        amplitudes_n : ndarray (k,)
+            Harmonics 1 .. k of the window, as in `pattern_fold.PatternWave`, by the phase that `take` is given.
+        mean_force_n, plate_angle_rad, elevator_speed_rad_s : float
+            As in `take`.
+
+        Returns
+        -------
+        float
+            Turns of the pattern, where the two correlate most; 0 where there is no such mean yet, or none within reach.
+
+        Source: least squares of a shift under white noise is the largest correlation (Knapp and Carter, IEEE Trans. Acoust. 24
+        (1976) 320).
+        """
+        sums = self._kinds.get(_kind(mean_force_n, plate_angle_rad, elevator_speed_rad_s))
+        if sums is None or sums.weights.min() < _LEAST_SAMPLES:
+            return 0.0
+        count = amplitudes_n.size
+        waves = np.fft.rfft(sums.values / sums.weights)[1 : count + 1]
+        turned = np.exp(1j * np.pi / _BINS * np.arange(1, count + 1))
+        alike = (_shifts(count) @ (amplitudes_n * np.conj(waves) * turned)).real
+        best = int(alike.argmax())
+        if not 0 < best < _PLACES - 1:
+            return 0.0
+        before, here, after = alike[best - 1 : best + 2]
+        between = 0.5 * (before - after) / (before - 2.0 * here + after)
+        return float((best + between) * 2.0 * _MOST_LATE / (_PLACES - 1) - _MOST_LATE)
+
     def _forget(self) -> None:
         """Drop the kinds that have not been met for long, which come first."""
         while self._kinds and self._windows - next(iter(self._kinds.values())).window > _FORGOTTEN_AFTER:
             self._kinds.popitem(last=False)
+
+
+def _kind(mean_force_n: float, plate_angle_rad: float, elevator_speed_rad_s: float) -> tuple[int, int, int]:
+    """What windows have alike whose pulses are averaged."""
+    return (
+        floor(log(mean_force_n) / _LOG_FORCE),
+        round(plate_angle_rad / _ANGLE_RAD),
+        round(log(elevator_speed_rad_s) / _LOG_SPEED),
+    )
+
+
+@lru_cache(maxsize=4)
+def _shifts(harmonics: int) -> AnyArray:
+    """Factors (places, harmonics) that bring pulses forward by each of the places within reach."""
+    late = np.linspace(-_MOST_LATE, _MOST_LATE, _PLACES)
+    factors: AnyArray = np.exp(2j * np.pi * np.outer(late, np.arange(1, harmonics + 1)))
+    factors.flags.writeable = False
+    return factors
