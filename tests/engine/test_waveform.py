@@ -324,10 +324,12 @@ def test_a_shape_that_contradicts_the_mean_force_corrects_nothing() -> None:
     assert [r.mass_kg for r in together[-4:]] == [r.mass_kg for r in apart[-4:]]
 
 
-def test_a_cell_without_a_response_gives_no_warnings_and_a_flow_by_shape() -> None:
-    """The default of a machine file; warnings are errors here."""
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("stretch", [1.0, 1.4])
+def test_a_cell_without_a_response_gives_no_warnings_and_a_flow_by_shape(stretch: float) -> None:
+    """The default of a machine file; warnings are errors here. With the second the shape is far from the mean force."""
     machine = replace(MACHINE, sensor=replace(MACHINE.sensor, response_s=0.0))
-    waveform = replace(WaveformSettings(), shape=LAW, enabled=True)
+    waveform = replace(WaveformSettings(), shape=LAW, enabled=True, stretch=stretch, stretch_sd=0.05)
     engine = replace(EngineSettings(), sweep=replace(SweepSettings(), enabled=False), waveform=waveform)
     monitor = Monitor(engine, machine, OpenLoop(ForwardModel(machine, PARAMETERS.effects), PARAMETERS))
     records = [r for frame in struck(2e-4) for r in records_in(monitor.feed(frame))]

@@ -308,7 +308,7 @@ def rise(pulses: PulseModel, shown: WaveBatch, free: Array, held: Array, mean: A
     # One variance for both: that of the fit which comes nearer to the pulses.
     variance = shown.random + pulses.lasting_variance(at.envelope[:1])
     priors = _Priors(pulses, shown.patterns, flow_sd)
-    away = (both - mean)[:, priors.free]
+    away = both[:, priors.free] - mean[priors.free]
     away[0, priors.free[:FLOW].sum()] = 0.0
     sums = (np.abs(shown.amplitudes_n - at.waves) ** 2 / variance).sum(axis=1)
     sums += (away * _times(np.repeat(priors.precision, 2, axis=0), away)).sum(axis=1)
