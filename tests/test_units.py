@@ -60,3 +60,19 @@ def test_yields_of_both_systems_are_one(kg: float, m2: float) -> None:
 @pytest.mark.parametrize(("kg", "m2"), [(None, 1.0), (1.0, None), (1.0, 0.0), (nan, 1.0)])
 def test_no_yield_without_mass_or_area(kg: float | None, m2: float | None) -> None:
     assert crop_yield_kg_m2(kg, m2) is None
+
+
+@pytest.mark.parametrize(
+    ("said", "metric", "us"),
+    [
+        ("weighed 9072 kg, measured 1,840.4 kg", "weighed 9072 kg, measured 1,840.4 kg", "weighed 20,000 lb, measured 4,057 lb"),
+        ("9,072 kg (20,000 lb) is a lot", "9,072 kg (20,000 lb) is a lot", "20,000 lb (9,072 kg) is a lot"),
+        ("25.3 kg/s", "25.3 kg/s", "3,586 bu/h"),
+        ("a gap of +0.4536 kg", "a gap of +0.4536 kg", "a gap of +1.00 lb"),
+        ("from 0.001 to 1e+06 kg", "from 0.001 to 1e+06 kg", "from 0.001 to 2,204,623 lb"),
+        ("720 kg/m3, 9.8 m/s2, load 7, 12kg, 3 kgf", "720 kg/m3, 9.8 m/s2, load 7, 12kg, 3 kgf", None),
+    ],
+)
+def test_what_a_daemon_says_is_shown_in_the_units_chosen(said: str, metric: str, us: str | None) -> None:
+    assert METRIC.in_text(said) == metric
+    assert CORN.in_text(said) == (said if us is None else us)

@@ -6,6 +6,7 @@ appendix B (pound, inch, foot, acre, mile, kilogram-force).
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from enum import StrEnum
 from math import isfinite
@@ -29,6 +30,9 @@ S_PER_H = 3600.0
 S_PER_DAY = 86_400.0
 _TONNES_FROM_KG = 10_000.0
 UNKNOWN = "-"
+_NUMBER = r"(?<![\w.,])[+-]?\d[\d,]*(?:\.\d+)?(?:e[+-]?\d+)?"
+_IN_SI = re.compile(rf"({_NUMBER})(?: kg \(({_NUMBER}) lb\)| (kg/s|kg)(?![\w/]))")
+"""A mass or flow in a text; a mass may have its pounds behind it."""
 
 
 class UnitSystem(StrEnum):
@@ -123,6 +127,21 @@ class Units:
         if kg is None or not self._us or self.bushel_kg is None:
             return self.mass(kg)
         return f"{self.mass(kg)} ({rounded(kg / self.bushel_kg)} bu)"
+
+    def in_text(self, text: str) -> str:
+        """What a daemon says, with its masses and flows, which it has in SI, in these units.
+
+        >>> Units(UnitSystem.US).in_text("load 6 weighed 9072 kg, measured 1,840 kg (4,056 lb): 12.0 kg/s")
+        'load 6 weighed 20,000 lb, measured 4,056 lb (1,840 kg): 26.5 lb/s'
+        """
+        return _IN_SI.sub(self._restated, text) if self._us else text
+
+    def _restated(self, found: re.Match[str]) -> str:
+        kg, pounds, unit = found.groups()
+        if pounds is not None:
+            return f"{pounds} lb ({kg} kg)"
+        value, sign = float(kg.replace(",", "")), "+" * kg.startswith("+")
+        return sign + (self.flow(value) if unit == "kg/s" else self.mass(value))
 
     def flow(self, kg_s: float | None) -> str:
         """A mass flow."""

@@ -58,6 +58,7 @@ FILES = {
     "recs.csv": "time_s,flow\n1,2\n",
 }
 MISTAKES = {
+    "totals reset x": "TOTAL: 'x'; expected the total as `yieldmon status` shows it, such as 18.82 t",
     "calibrate table.csv --prior gcm3.yaml": "gcm3.yaml: density: is 1.1; expected kg/m3; this looks like g/cm3 or t/m3",
     "predict --mass-flow 5 --params gcm3.yaml": "gcm3.yaml: density: is 1.1; expected kg/m3; this looks like g/cm3 or t/m3",
     "calibrate rpm.csv": "rpm.csv: elevator_speed_rpm: is 4; expected 150 rpm or more, of the upper",
@@ -337,7 +338,6 @@ USAGE = (
     "calibrations undo x",
     "totals",
     "totals reset",
-    "totals reset x",
     "totals archive",
     "load",
     "load start --thousand-kernel-weight heavy",

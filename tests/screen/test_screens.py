@@ -100,6 +100,15 @@ WHEAT = {"command": "load-start", "crop": "wheat"}
 ALL_KEYS = ("l", "x", "t", "z", "w")
 
 
+@pytest.mark.parametrize(("units", "said"), [(Units(), "weighed 9072 kg"), (US, "weighed 20,000 lb")])
+def test_a_fault_in_the_cab_is_in_the_units_chosen(units: Units, said: str) -> None:
+    fault = {"code": "ScaleDisagrees", "detail": "load 6 weighed 9072 kg", "effect": "Off.", "remedy": "Check the ticket."}
+    waits = "an elevator that runs empty: the tank has gained 9072 kg"
+    shown = drawn(Cab({**STATUS, "faults": [fault], "zero_waits_for": waits}, units, "", View(cab=True)), 120, 40)
+    assert said in words(shown)
+    assert said.replace("weighed", "gained") in words(shown)
+
+
 def pressed(keys: list[str], status: dict[str, Any] | None = STATUS) -> tuple[Dialog, list[dict[str, Any]]]:
     dialog = Dialog(mass, shipped_name, lambda: tuple(crops()))
     return dialog, [request for key in keys for request in dialog.press(key, status, Units())]

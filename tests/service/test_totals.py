@@ -12,6 +12,7 @@ from yieldmon.cli.main import main
 from yieldmon.service.operator.control_client import ask
 from yieldmon.service.operator.control_protocol import ControlError
 from yieldmon.service.storage.store import Store
+from yieldmon.units import Units, UnitSystem
 
 
 def test_totals_are_archived_and_reset_and_stay_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -28,6 +29,11 @@ def test_totals_are_archived_and_reset_and_stay_so(tmp_path: Path, capsys: pytes
         assert bench.daemon.writer.wait_until_written(10.0)
         assert main(["totals", "archive", str(out), *socket]) == 0
         assert main(["totals", "archive", str(out), *socket]) == 2
+        capsys.readouterr()
+        assert main(["totals", "reset", "7 t", *socket]) == 2
+        assert capsys.readouterr().err.endswith(
+            f"is {Units().mass(total_kg)}; expected that figure, so that nothing is reset by mistake\n"
+        )
         assert main(["totals", "reset", str(round(total_kg)), *socket]) == 0
         assert "set to 0; load 2 begins" in capsys.readouterr().out
         bench.play(3, 0.0)
@@ -40,6 +46,21 @@ def test_totals_are_archived_and_reset_and_stay_so(tmp_path: Path, capsys: pytes
         assert bench.status["total"]["mass_kg"] == pytest.approx(left_kg, abs=1.0)
         assert bench.status["load"]["number"] == 2
         assert bench.status["store"]["note"] is None
+
+
+@pytest.mark.parametrize("system", UnitSystem)
+def test_totals_are_reset_by_the_figure_that_status_shows(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], system: UnitSystem
+) -> None:
+    with running(tmp_path, f"units: {system}\nbus: {{transmit_max_age_s: 60}}\n") as bench:
+        bench.play(14, 0.0)
+        bench.play(6, 60.0)
+        bench.played()
+        socket = ["--socket", str(tmp_path / "yieldmon.sock")]
+        assert main(["status", *socket]) == 0
+        shown = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("total"))
+        assert main(["totals", "reset", *shown.split()[1:], *socket]) == 0
+        assert capsys.readouterr().out == f"totals: {' '.join(shown.split()[1:])} set to 0; load 2 begins\n"
 
 
 def test_an_archive_that_outgrows_its_medium_is_one_line_about_that(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -55,6 +55,18 @@ def test_a_page_gets_the_last_hour_first_and_then_each_second_once(daemon: Stand
     asyncio.run(drive())
 
 
+@pytest.mark.parametrize(("units", "said"), [("metric", "at 12.0 kg/s"), ("us", "at 26.5 lb/s")])
+def test_faults_are_in_the_units_of_the_page(tmp_path: Path, units: str, said: str) -> None:
+    with standing_in(tmp_path, units=units, crop="", faults=[fault(detail="at 12.0 kg/s")]) as daemon:
+        daemon.seconds(3)
+
+        async def drive() -> None:
+            async with aclosing(Feed(daemon.socket).watch()) as events:
+                assert (await next_event(events))["faults"][0]["detail"] == said
+
+        asyncio.run(drive())
+
+
 def test_a_page_that_comes_back_gets_what_it_missed(daemon: StandIn) -> None:
     daemon.seconds(100)
 

@@ -17,6 +17,7 @@ from starlette.testclient import TestClient
 
 from yieldmon.cli.main import main
 from yieldmon.errors import InputError
+from yieldmon.service.storage.batch import FaultEvent
 from yieldmon.web.addresses import parse_listen
 from yieldmon.web.app import MOST_BODY_BYTES, STATIC, Sources, build_app
 from yieldmon.web.guard import COMMANDS, HEADERS, REQUESTS, WRONG_TOKENS, Access
@@ -99,6 +100,20 @@ def test_dns_rebinding_is_refused(daemon: StandIn, clock: Clock, path: str) -> N
         assert asking.get(path, headers={"host": host}).status_code == 421
     two = [(b"host", b"127.0.0.1:8090"), (b"host", b"evil.example")]
     assert asking.get(path, headers=two).status_code == 421
+
+
+@pytest.mark.parametrize(("units", "said"), [("metric", "measured 1840 kg"), ("us", "measured 4,057 lb")])
+def test_what_the_daemon_says_is_in_its_units(tmp_path: Path, clock: Clock, units: str, said: str) -> None:
+    """A fault's masses came in kilograms to a page in pounds, and a refusal's."""
+    with standing_in(tmp_path, units=units) as daemon:
+        daemon.seconds(3)
+        fault = FaultEvent(daemon.start_s, "ScaleDisagrees", active=True, detail="scale: measured 1840 kg")
+        daemon.commit(faults=(fault,))
+        asking = client(daemon, clock)
+        assert asking.get("/api/history").json()["faults"][0]["detail"] == f"scale: {said}"
+        daemon.refuses = "the load measured 1840 kg"
+        refusal = asking.post("/api/command", json={"command": "sweep-start"})
+        assert (refusal.status_code, refusal.json()["error"]) == (409, f"sweep-start: the load {said}")
 
 
 @pytest.mark.parametrize(

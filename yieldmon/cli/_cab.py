@@ -84,7 +84,7 @@ def _answered(request: Mapping[str, Any], answer: Mapping[str, Any]) -> str:
 
 
 def said(request: Mapping[str, Any], answer: Mapping[str, Any]) -> str:
-    """One sentence on what a request did."""
+    """One sentence on what a request did, its masses in SI."""
     match request["command"]:
         case "load-start" | "load-stop" | "load-correct":
             return _said_of_load(request["command"], answer)

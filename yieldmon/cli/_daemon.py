@@ -6,6 +6,7 @@ import argparse
 import os
 import sys
 from collections.abc import Mapping
+from contextlib import suppress
 from math import inf, nan
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from yieldmon.errors import InputError
 from yieldmon.service.folders import runtime_folder
 from yieldmon.service.operator.control_client import ask
 from yieldmon.service.operator.control_protocol import ControlError
-from yieldmon.units import KG_PER_LB, KG_PER_T, LB_PER_SHORT_TON
+from yieldmon.units import KG_PER_LB, KG_PER_T, LB_PER_SHORT_TON, Units, UnitSystem
 
 SYSTEM_SOCKET = Path("/run/yieldmon/yieldmon.sock")
 
@@ -28,11 +29,23 @@ def add_daemon_arguments(parser: argparse.ArgumentParser) -> None:
 
 def ask_daemon(args: argparse.Namespace, request: Mapping[str, Any]) -> dict[str, Any]:
     """The daemon's answer; ends the program with one line and exit code 1 when there is none."""
+    socket = daemon_socket(args)
     try:
-        return ask(daemon_socket(args), request)
+        return ask(socket, request)
     except ControlError as error:
-        print(f"yieldmon: {error}", file=sys.stderr)
+        print(f"yieldmon: {_in_units(str(error), args, socket)}", file=sys.stderr)
         raise SystemExit(1) from error
+
+
+def _in_units(text: str, args: argparse.Namespace, socket: Path) -> str:
+    """A refusal with its masses in the units that are shown."""
+    if " kg" not in text:
+        return text
+    system = getattr(args, "units", None)
+    if system is None:
+        with suppress(ControlError):
+            system = ask(socket, {"command": "loads"}).get("units")
+    return Units(UnitSystem(system or UnitSystem.METRIC)).in_text(text)
 
 
 def daemon_socket(args: argparse.Namespace) -> Path:
@@ -48,6 +61,8 @@ def daemon_socket(args: argparse.Namespace) -> Path:
     return SYSTEM_SOCKET if SYSTEM_SOCKET.exists() or not user.exists() else user
 
 
+MOST_KG = 1e6
+"""Of several loads on one ticket."""
 _MASS_UNITS = (
     ("kg", 1.0), ("lbs", KG_PER_LB), ("lb", KG_PER_LB), ("shorttons", LB_PER_SHORT_TON * KG_PER_LB),
     ("shortton", LB_PER_SHORT_TON * KG_PER_LB), ("tonnes", KG_PER_T), ("tonne", KG_PER_T), ("t", KG_PER_T),
@@ -74,4 +89,6 @@ def mass(text: str, where: str = "mass") -> float:
         if number.endswith(("bu", "bushel", "bushels")):
             point += "; bushels are reckoned from the mass, often less shrink: enter the pounds or kilograms of the slip"
         raise InputError(where, repr(text), f"kilograms above 0, such as 9120, 9120kg, 9.12t or 20106lb{point}")
+    if mass_kg > MOST_KG:
+        raise InputError(where, repr(text), f"at most {MOST_KG / KG_PER_T:,.0f} t; look at the unit")
     return mass_kg

@@ -170,7 +170,7 @@ class _Cab:
         """Take what the daemon has said since."""
         for news in self.daemon.news() if self.daemon is not None else ():
             if isinstance(news, str):
-                self.dialog.report(news)
+                self.dialog.report(self.view.units.in_text(news))
             else:
                 self._status, self._heard_s = news, time.monotonic()
 

@@ -52,7 +52,7 @@ def _show(status: Mapping[str, Any], units: Units, console: Console) -> None:
     if status["windows"]:
         console.print(_seconds(status["windows"][-_SHOWN_SECONDS:], units))
     for fault in status["faults"]:
-        detail = f" ({fault['detail']})" if fault["detail"] else ""
+        detail = f" ({units.in_text(fault['detail'])})" if fault["detail"] else ""
         console.print(Text.assemble((fault["code"], "bold"), f"{detail}: {fault['effect']} {fault['remedy']}"))
     if not status["faults"]:
         console.print("no faults")
@@ -64,13 +64,14 @@ def _facts(status: Mapping[str, Any], units: Units) -> Iterator[tuple[str, str]]
     state = f"{_words(status['state'])}, running for {_span(status['uptime_s'])}"
     yield "state", f"STALE, as it was {_span(status['age_s'])} ago: {state}" if status["stale"] else state
     if status["zero_waits_for"]:
-        yield "zero", f"waits for {status['zero_waits_for']}"
+        yield "zero", f"waits for {units.in_text(status['zero_waits_for'])}"
     yield "now", _now(status["now"], units)
     yield from _load(status["load"], status["crop"], units)
     contested_kg = status["total"]["contested_mass_kg"]
     apart = f", and {units.mass(contested_kg)} contested (more than one node sent samples)" if contested_kg else ""
     yield "total", f"{units.mass(status['total']['mass_kg'])}{apart}"
-    yield from _sweep(status["sweep"])
+    for name, text in _sweep(status["sweep"]):
+        yield name, units.in_text(text)
     yield from _waveform(status["waveform"], units)
     yield "parameters", _parameters(status["parameters"])
     dropped = bus["dropped"] + bus["kernel_drops"]

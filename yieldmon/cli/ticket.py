@@ -55,11 +55,14 @@ def run(args: argparse.Namespace) -> int:
     answer = ask_daemon(args, request)
     which = f"load {first}" if first == last else f"loads {first} to {last}"
     change_pct = 100.0 * (answer["factor"] - 1.0)
+    units = units_of(args.units, answer.get("units", "metric"), answer.get("crop", ""))
     # What earlier tickets made of the load tells a slip from a calibration that was off.
     off_pct = 100.0 * (answer["weighed_mass_kg"] / answer.get("known_mass_kg", answer["measured_mass_kg"]) - 1.0)
     doubt = answer.get("question") or (f"{off_pct:+.0f} % is a lot" if abs(off_pct) > UNLIKELY_PCT else "")
     if doubt:
-        print(f"yieldmon: {which}: {doubt}; if it is a slip, enter the right mass as another ticket", file=sys.stderr)
+        print(
+            f"yieldmon: {which}: {units.in_text(doubt)}; if it is a slip, enter the right mass as another ticket", file=sys.stderr
+        )
     if replaced := answer.get("replaces"):
         numbers = ", ".join(map(str, replaced))
         print(
@@ -77,9 +80,8 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print_json(answer)
     else:
-        why_not = f"no reference: {answer['why_no_anchor']}"
+        why_not = f"no reference: {units.in_text(answer['why_no_anchor'])}"
         use = "a reference for the calibration" if answer["anchor"] else why_not
-        units = units_of(args.units, answer.get("units", "metric"), answer.get("crop", ""))
         measured, weighed = (units.mass_with_bushels(answer[key]) for key in ("measured_mass_kg", "weighed_mass_kg"))
         print(f"{which}: measured {measured}, weighed {weighed} ({change_pct:+.2f} %); {use}")
         if answer["anchor"]:

@@ -9,6 +9,8 @@ from pathlib import Path
 
 from yieldmon.cli._daemon import add_daemon_arguments, ask_daemon
 from yieldmon.errors import InputError, database_errno
+from yieldmon.files.units import units_of
+from yieldmon.units import Units, UnitSystem
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -28,15 +30,16 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     archive.add_argument("--store", metavar="FILE", help="the store to copy (default: the running daemon's)")
     add_daemon_arguments(archive)
     reset = actions.add_parser("reset", help="set all masses to 0", epilog="example: yieldmon totals reset 41250")
-    reset.add_argument("total_kg", type=int, metavar="KG", help="the total as `status` shows it, in whole kg")
+    reset.add_argument("total", metavar="TOTAL", nargs="+", help="the total as `status` shows it, or in whole kg")
     add_daemon_arguments(reset)
 
 
 def run(args: argparse.Namespace) -> int:
     """Exit code 0 when it is done."""
     if args.action == "reset":
-        answer = ask_daemon(args, {"command": "totals-reset", "total_kg": args.total_kg})
-        print(f"totals: {answer['total_kg']:.0f} kg set to 0; load {answer['load']} begins")
+        answer = ask_daemon(args, {"command": "totals-reset", "total_kg": _named(args)})
+        total = units_of(None, answer.get("units", "metric")).mass(answer["total_kg"])
+        print(f"totals: {total} set to 0; load {answer['load']} begins")
         return 0
     from yieldmon.files.whole_file import scratch_for
     from yieldmon.service.logs.recorded import opened
@@ -58,3 +61,21 @@ def run(args: argparse.Namespace) -> int:
             raise OSError(number, what, args.out) from error
     print(f"{out}: a copy of {store}")
     return 0
+
+
+def _named(args: argparse.Namespace) -> int:
+    """The total in whole kg where what was typed names it. Raises InputError."""
+    typed = _plain(" ".join(args.total).lower())
+    if not typed[:1].isdecimal():
+        raise InputError("TOTAL", repr(" ".join(args.total)), "the total as `yieldmon status` shows it, such as 18.82 t")
+    status = ask_daemon(args, {"command": "status"})
+    total_kg = float(status["total"]["mass_kg"])
+    shown = [Units(system).mass(total_kg) for system in UnitSystem]
+    if typed.removesuffix("kg") == f"{total_kg:.0f}" or typed in map(_plain, shown):
+        return round(total_kg)
+    total = units_of(None, status["units"]).mass(total_kg)
+    raise InputError("totals reset", f"the total is {total}", "that figure, so that nothing is reset by mistake")
+
+
+def _plain(mass: str) -> str:
+    return mass.replace(",", "").replace(" ", "")

@@ -6,6 +6,7 @@ import argparse
 
 from yieldmon.cli._daemon import add_daemon_arguments, ask_daemon
 from yieldmon.cli._json import print_json
+from yieldmon.files.units import units_of
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -30,7 +31,9 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print_json(answer)
     elif args.undo:
-        print(f"zero calibration undone; {answer['restored_kg']:+.1f} kg since then")
+        units, kg = units_of(None, answer.get("units", "metric")), answer["restored_kg"]
+        restored = f"{'-' if kg < 0.0 else '+'}{units.mass(abs(kg))}"
+        print(f"zero calibration undone; {restored} since then")
     else:
         print(f"zero calibration {answer['zero']}")
     return 0

@@ -83,7 +83,7 @@ class Cab:
         else:
             lines += wrapped(title, width)
         if status["zero_waits_for"]:
-            lines += wrapped(f"waits for {status['zero_waits_for']}", width, style="yellow")
+            lines += wrapped(f"waits for {self._units.in_text(status['zero_waits_for'])}", width, style="yellow")
         return lines
 
     def _large(self, width: int, *, plain: bool) -> list[Text]:
@@ -137,7 +137,7 @@ class Cab:
             return [Text(" no faults", style="green")]
         paragraphs = []
         for fault in faults:
-            detail = f" ({fault['detail']})" if fault["detail"] else ""
+            detail = f" ({self._units.in_text(fault['detail'])})" if fault["detail"] else ""
             paragraphs.append(wrapped(f"{fault['code']}{detail}: {fault['effect']} {fault['remedy']}", width))
             paragraphs[-1][0].highlight_words([fault["code"]], "bold red")
         for shown in range(len(faults), -1, -1):

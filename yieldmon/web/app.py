@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
-from collections.abc import AsyncIterator, Callable, Coroutine
+from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic, time
@@ -26,13 +26,14 @@ from yieldmon.resources import shipped
 from yieldmon.service.config import configuration
 from yieldmon.service.operator.control_client import ask
 from yieldmon.service.operator.control_protocol import ControlError
+from yieldmon.units import Units
 from yieldmon.web import commands, tokens
 from yieldmon.web.feed import COLUMNS, Feed
 from yieldmon.web.guard import COMMANDS, COOKIE, SIGN_IN, Access, Door, Guard
 from yieldmon.web.history import History
 from yieldmon.web.limits import RateLimit, peer_name
 from yieldmon.web.tiles import Tiles
-from yieldmon.web.units import page_units, units_of_status
+from yieldmon.web.units import in_units, page_units, texts_of_status, units_of_status
 
 STATIC = Path(__file__).resolve().parent / "static"
 MOST_BODY_BYTES = 4096
@@ -149,10 +150,21 @@ class _Page:
 
     async def _units(self) -> dict[str, Any]:
         """As the daemon's configuration has them; metric where it cannot be asked."""
-        with contextlib.suppress(ControlError, KeyError, TypeError, TimeoutError):
-            status = await asyncio.wait_for(self._feed.ask({"command": "status"}), _UNITS_S)
-            return units_of_status(status)
+        with contextlib.suppress(KeyError, TypeError):
+            return units_of_status(await self._status())
         return page_units()
+
+    async def _texts(self) -> Units:
+        """The same for what the daemon says."""
+        with contextlib.suppress(KeyError, TypeError):
+            return texts_of_status(await self._status())
+        return Units()
+
+    async def _status(self) -> Mapping[str, Any]:
+        """The daemon's; empty where it does not answer in time."""
+        with contextlib.suppress(ControlError, TimeoutError):
+            return await asyncio.wait_for(self._feed.ask({"command": "status"}), _UNITS_S)
+        return {}
 
     async def live(self, request: Request) -> Response:
         if self._feed.full:
@@ -162,7 +174,8 @@ class _Page:
         return StreamingResponse(_closed_at_the_end(self._feed.watch(after)), media_type="text/event-stream", headers=_NO_STORE)
 
     async def history(self, _: Request) -> Response:
-        return await self._from_store(lambda path: _json(self._history.document(path)))
+        units = await self._texts()
+        return await self._from_store(lambda path: _json(in_units(self._history.document(path), units)))
 
     async def points(self, request: Request) -> Response:
         day, load = request.query_params.get("day", ""), request.query_params.get("load", "")
@@ -197,10 +210,14 @@ class _Page:
         try:
             document = await _body(request)
             status = await self._feed.ask({"command": "status"})
-            answer = await self._feed.ask(commands.request_of(document, status["load"]["number"]))
         except (InputError, ControlError) as error:
             return _error(409, str(error))
-        return _json(answer)
+        units = texts_of_status(status)
+        try:
+            answer = await self._feed.ask(commands.request_of(document, status["load"]["number"]))
+        except (InputError, ControlError) as error:
+            return _error(409, units.in_text(str(error)))
+        return _json(in_units(answer, units))
 
     async def sign_in(self, request: Request) -> Response:
         try:

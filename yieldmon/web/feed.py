@@ -19,7 +19,7 @@ from yieldmon.errors import InputError
 from yieldmon.service.logs.recorded import opened
 from yieldmon.service.operator.control_client import ask
 from yieldmon.service.operator.control_protocol import ControlError
-from yieldmon.web.units import units_of_status
+from yieldmon.web.units import in_units, texts_of_status, units_of_status
 
 #: Columns of a row as pages get it, with the decimals that they are worth on a screen.
 COLUMNS: Mapping[str, int] = {
@@ -225,7 +225,8 @@ class Feed:
 def _shown(status: Mapping[str, Any]) -> dict[str, Any]:
     parts = {name: {key: status[name].get(key) for key in keys} for name, keys in _SHOWN_OF.items()}
     now = {**status["windows"][-1], "yield_kg_m2": status.get("now", {}).get("yield_kg_m2")} if status["windows"] else None
-    return {"problem": None, **{name: status[name] for name in _SHOWN}, **parts, "now": now, "units": units_of_status(status)}
+    shown = in_units({name: status[name] for name in _SHOWN}, texts_of_status(status))
+    return {"problem": None, **shown, **parts, "now": now, "units": units_of_status(status)}
 
 
 def _row(window: Mapping[str, Any]) -> Row:

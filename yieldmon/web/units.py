@@ -7,7 +7,35 @@ from functools import lru_cache
 from typing import Any
 
 from yieldmon.files.units import units_of
-from yieldmon.units import KG_PER_LB, KG_PER_T, Unit, UnitSystem
+from yieldmon.units import KG_PER_LB, KG_PER_T, Unit, Units, UnitSystem
+
+#: What a daemon says to people, by its names in documents.
+_TEXTS = frozenset({"detail", "question", "why_no_anchor", "why", "reason", "last_update", "teaching_stays"})
+
+
+def in_units(document: Any, units: Units) -> Any:
+    """A document for a page, with the masses and flows of the daemon's sentences in these units.
+
+    Parameters
+    ----------
+    document : object
+        Fit for JSON.
+    units : Units
+
+    Returns
+    -------
+    object
+        As it was where the units are metric.
+    """
+    if units.system is UnitSystem.METRIC:
+        return document
+    if isinstance(document, Mapping):
+        return {
+            name: units.in_text(value) if name in _TEXTS and isinstance(value, str) else in_units(value, units)
+            for name, value in document.items()
+        }
+    return [in_units(value, units) for value in document] if isinstance(document, list) else document
+
 
 #: Digits behind the point that the page shows; none of a unit that is not here.
 _DECIMALS = {"kg/s": 2, "lb/s": 1, "t/h": 1, "t": 2, "t/ha": 2, "ha": 2, "ac": 2, "km/h": 1, "mph": 1}
@@ -30,8 +58,32 @@ def units_of_status(status: Mapping[str, Any]) -> dict[str, Any]:
     KeyError, TypeError
         The document lacks the load.
     """
+    return page_units(*_system_and_crop(status))
+
+
+def texts_of_status(status: Mapping[str, Any]) -> Units:
+    """The same for `in_units`.
+
+    Parameters
+    ----------
+    status : mapping
+
+    Returns
+    -------
+    Units
+
+    Raises
+    ------
+    KeyError, TypeError
+        The document lacks the load.
+    """
+    system, crop = _system_and_crop(status)
+    return units_of(system, crop=crop)
+
+
+def _system_and_crop(status: Mapping[str, Any]) -> tuple[str, str]:
     crop = status.get("crop") or {}
-    return page_units(status.get("units", UnitSystem.METRIC.value), crop.get("name") or status["load"]["crop"])
+    return status.get("units", UnitSystem.METRIC.value), crop.get("name") or status["load"]["crop"]
 
 
 @lru_cache(maxsize=64)
