@@ -55,9 +55,9 @@ def test_a_page_gets_the_last_hour_first_and_then_each_second_once(daemon: Stand
     asyncio.run(drive())
 
 
-@pytest.mark.parametrize(("units", "said"), [("metric", "at 12.0 kg/s"), ("us", "at 26.5 lb/s")])
+@pytest.mark.parametrize(("units", "said"), [("metric", "at 12.0 kg/s"), ("us", "at 1,701 bu/h")])
 def test_faults_are_in_the_units_of_the_page(tmp_path: Path, units: str, said: str) -> None:
-    with standing_in(tmp_path, units=units, crop="", faults=[fault(detail="at 12.0 kg/s")]) as daemon:
+    with standing_in(tmp_path, units=units, faults=[fault(detail="at 12.0 kg/s")]) as daemon:
         daemon.seconds(3)
 
         async def drive() -> None:
