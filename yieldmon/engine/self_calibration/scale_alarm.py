@@ -117,10 +117,12 @@ class ScaleAlarm:
         if check is None:
             return None
         agreed = f"; {state.agreed} still agreed" if state.agreed else ""
+        begin = _moment(state.since_s)
+        first = f"from {begin} on" if state.since == check.name else f"since {state.since} ({begin})"
         return (
             f"scale: {check.name} weighed {check.weighed_kg:.0f} kg, measured {check.measured_kg:.0f} kg: "
-            f"{check.error_pct:+.1f} +- {check.error_std_dev_pct:.1f} % (p {_probability(check.p_value)}), since {state.since} "
-            f"({_moment(state.since_s)}){agreed}; check ticket, chain slip, paddle wear, sensor gain"
+            f"{check.error_pct:+.1f} +- {check.error_std_dev_pct:.1f} % (p {_probability(check.p_value)}), {first}{agreed}; "
+            "check ticket, chain slip, paddle wear, sensor gain"
         )
 
 

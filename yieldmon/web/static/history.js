@@ -2,7 +2,7 @@
 
 import { BandChart } from "./chart.js";
 import { FieldMap } from "./map.js";
-import { amount, getJson, getPoints, inUnit, make, number, set, table, time, words } from "./ui.js";
+import { amount, getJson, getPoints, inUnit, make, number, set, table, time, withDeviation, words } from "./ui.js";
 
 // Asked for together; what the map shows is in the page's address (?map=all, day 2025-10-09, load 3), else the newest day.
 const wanted = new URLSearchParams(location.search).get("map") ?? "";
@@ -59,12 +59,14 @@ function parameters(versions) {
   box.replaceChildren();
   for (const name of names) {
     const known = versions.filter((version) => name in version.values);
-    const last = known.at(-1).values[name];
+    // What is exact and never changes is in the table alone.
+    if (known.every((version) => !version.values[name].std_dev && version.values[name].value === known[0].values[name].value)) continue;
+    const last = withDeviation(known.at(-1).values[name]);
     const figure = make("figure");
     const chart = make("div");
     chart.setAttribute("role", "img");
-    chart.setAttribute("aria-label", `${words(name)} by version, now ${number(last.value, 3)} ± ${number(last.std_dev, 3)}`);
-    figure.append(make("figcaption", `${words(name)}: ${number(last.value, 3)} ± ${number(last.std_dev, 3)}`), chart);
+    chart.setAttribute("aria-label", `${words(name)} by version, now ${last}`);
+    figure.append(make("figcaption", `${words(name)}: ${last}`), chart);
     box.append(figure);
     const values = known.map((version) => version.values[name]);
     new BandChart(chart, { height: 200, points: true }).show(
@@ -75,7 +77,7 @@ function parameters(versions) {
     ["From", (version) => version.origin], ["Crop", (version) => version.crop ?? "-"],
     ...names.map((name) => [words(name), (version) => {
       const entry = version.values[name];
-      return entry ? `${number(entry.value, 3)} ± ${number(entry.std_dev, 3)}` : "-";
+      return entry ? withDeviation(entry) : "-";
     }, true]),
   ], versions.toReversed());
 }

@@ -41,6 +41,13 @@ export const inUnit = (value, unit) => (value === null || value === undefined ||
 // An SI value in a unit, with the unit's own decimals or fewer.
 export const amount = (value, unit, most = Infinity) => number(inUnit(value, unit), Math.min(unit.decimals, most));
 
+// A value and its standard deviation to two digits that count; a value that is exact by itself.
+export function withDeviation({ value, std_dev: deviation }) {
+  if (!deviation || !Number.isFinite(deviation)) return Number.isFinite(value) ? String(Number(value.toPrecision(4))) : "-";
+  const decimals = Math.min(6, Math.max(0, 1 - Math.floor(Math.log10(deviation))));
+  return `${number(value, decimals)} ± ${number(deviation, decimals)}`;
+}
+
 export function set(id, text) {
   const element = document.getElementById(id);
   if (element.textContent !== text) element.textContent = text;
