@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from studies.waveform.kernel_reach import expected_impulse
 from yieldmon.estimation.waveform.kernel_noise import KernelImpulse, KernelNoiseSettings, kernel_impulse
+from yieldmon.estimation.waveform.kernel_reach import expected_impulse
 from yieldmon.estimation.waveform.spectral_density import Density
 
 Array = NDArray[np.float64]

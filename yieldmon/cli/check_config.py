@@ -72,10 +72,10 @@ def _held_against(
     loaded: configuration.Configuration, log: str | None
 ) -> tuple[dict[str, Any] | None, list[str], list[InputError]]:
     """What a recording shows of the mapping's quantities, what is to be known of the mapping, and what is wrong with it."""
-    from yieldmon.service.config import plausible
+    from yieldmon.service.config import plausible, waveform_needs
     from yieldmon.service.logs import mapping_check
 
-    notes = [*loaded.notes, *mapping_check.notes(loaded)]
+    notes = [*loaded.notes, *mapping_check.notes(loaded), *waveform_needs.notes(loaded)]
     problems = plausible.implausible(loaded)
     if log is None:
         return None, notes, [InputError(*problem) for problem in problems]

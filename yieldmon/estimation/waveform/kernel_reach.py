@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from yieldmon.estimation.waveform.kernel_noise import KernelImpulse, KernelNoiseSettings, kernel_impulse
-from yieldmon.estimation.waveform.noise_gain import power_gain
-from yieldmon.estimation.waveform.spectral_density import Density, expected_averages, frequencies_hz, in_pulses
+from .kernel_noise import KernelImpulse, KernelNoiseSettings, kernel_impulse
+from .noise_gain import power_gain
+from .spectral_density import Density, expected_averages, frequencies_hz, in_pulses
 
 
 def expected_impulse(
@@ -23,7 +23,25 @@ def expected_impulse(
 ) -> KernelImpulse:
     """What a sensor would reach: `kernel_impulse` on the densities that are to be expected, with a white background.
 
-    crest: as of `in_pulses`.
+    Parameters
+    ----------
+    mean_force_n, impulse_n_s : float
+        Of the grain, and of one kernel.
+    quiet_n2_hz : float
+        Two-sided density of the empty machine.
+    cell_response_s, sample_interval_s, settings :
+        As of `kernel_impulse`.
+    duration_s : float
+        Of grain, and of the empty machine.
+    segment : int
+        Samples of which a spectrum is made.
+    crest : float
+        As of `in_pulses`.
+
+    Returns
+    -------
+    KernelImpulse
+        Of the impulse given, with the deviations that are to be expected.
     """
     frequency = frequencies_hz(segment, sample_interval_s)
     averages = expected_averages(duration_s, sample_interval_s, segment=segment)
