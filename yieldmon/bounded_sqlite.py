@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import sqlite3
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from urllib.parse import quote
 
@@ -51,3 +53,19 @@ def bound(database: sqlite3.Connection, *, largest_value_bytes: int, most_cpu_s:
     database.setlimit(_LIMIT_LENGTH, largest_value_bytes)
     end_s = time.thread_time() + most_cpu_s
     database.set_progress_handler(lambda: time.thread_time() > end_s, _STEPS_BETWEEN_LOOKS)
+
+
+@contextmanager
+def reading() -> Iterator[None]:
+    """What the `sqlite3` module makes of a damaged file comes out as its own error.
+
+    Raises
+    ------
+    sqlite3.Error
+        Also where a value's false length asks for memory that there is not, and where SQLite's own message about a damaged schema
+        is no text.
+    """
+    try:
+        yield
+    except (MemoryError, UnicodeDecodeError) as error:
+        raise sqlite3.DatabaseError(str(error) or "a value too large to read") from error

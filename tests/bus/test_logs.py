@@ -6,6 +6,7 @@ import contextlib
 import gzip
 import itertools
 import shutil
+import sqlite3
 import sys
 from importlib.machinery import PathFinder
 from pathlib import Path
@@ -436,3 +437,17 @@ def test_a_database_that_outgrows_its_medium_is_reported_with_the_logs_name(tmp_
         write(path, sample_log() * (frames // 60))
     assert caught.value.filename == str(path)
     assert "Traceback" not in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("data", ["434041037028460038", "8", "'text'", "NULL", "1.5"])
+def test_a_database_whose_data_are_no_bytes_is_read_as_far_as_they_are(tmp_path: Path, data: str) -> None:
+    """A bytearray of a number is as many zeros, or more than there is memory."""
+    path, frames, damage = tmp_path / "drive.db", sample_log(), []
+    write(path, frames)
+    with sqlite3.connect(path) as database:
+        database.execute(f"UPDATE messages SET data = {data} WHERE rowid = 7")
+    database.close()
+    read = list(read_log(path, LogNotes(on_damage=damage.append)))
+    assert len(read) == 6
+    [told] = [str(note) for note in damage]
+    assert told.startswith(f"{path}: frame 7") and "its data are no bytes" in told

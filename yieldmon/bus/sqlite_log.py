@@ -5,10 +5,11 @@ from __future__ import annotations
 import sqlite3
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import can
 
-from yieldmon.bounded_sqlite import address, bound
+from yieldmon.bounded_sqlite import address, bound, reading
 
 SUFFIX = ".db"
 _COLUMNS = "ts, arbitration_id, extended, remote, error, dlc, data"
@@ -26,7 +27,8 @@ class SqliteLog:
         try:
             most_cpu_s = _READING_S + _READING_S_PER_MB * Path(path).stat().st_size / 1e6
             bound(self._database, largest_value_bytes=_LARGEST_VALUE_BYTES, most_cpu_s=most_cpu_s)
-            found = self._database.execute("SELECT type, sql FROM sqlite_schema WHERE name = 'messages'").fetchone()
+            with reading():
+                found = self._database.execute("SELECT type, sql FROM sqlite_schema WHERE name = 'messages'").fetchone()
             if found is None or found[0] != "table" or "GENERATED" in str(found[1]).upper() or "VIRTUAL" in str(found[1]).upper():
                 raise ValueError("no table 'messages' as python-can's SqliteWriter makes it")
         except BaseException:
@@ -34,11 +36,18 @@ class SqliteLog:
             raise
 
     def __iter__(self) -> Iterator[can.Message]:
-        for ts, identifier, extended, remote, error, dlc, data in self._database.execute(f"SELECT {_COLUMNS} FROM messages"):
+        for ts, identifier, extended, remote, error, dlc, data in self._rows():
+            if not isinstance(data, bytes):
+                # A bytearray of a number would be as many zeros.
+                raise ValueError(f"its data are no bytes but {data!r:.40}")
             yield can.Message(
                 timestamp=float(ts), arbitration_id=int(identifier), is_extended_id=bool(extended), is_remote_frame=bool(remote),
                 is_error_frame=bool(error), dlc=int(dlc), data=data,
             )  # fmt: skip
+
+    def _rows(self) -> Iterator[tuple[Any, ...]]:
+        with reading():
+            yield from self._database.execute(f"SELECT {_COLUMNS} FROM messages")
 
     def stop(self) -> None:
         """Close the file."""

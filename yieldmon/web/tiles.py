@@ -7,7 +7,7 @@ from contextlib import closing
 from pathlib import Path
 
 from yieldmon.bounded import why_no_file
-from yieldmon.bounded_sqlite import address, bound
+from yieldmon.bounded_sqlite import address, bound, reading
 from yieldmon.errors import InputError
 
 _KINDS = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg", b"RIFF": "image/webp"}
@@ -27,7 +27,7 @@ class Tiles:
         if not path.is_file():
             raise InputError(str(path), why_no_file(path), expected)
         try:
-            with closing(self._opened(_FIRST_LOOK_S)) as database:
+            with reading(), closing(self._opened(_FIRST_LOOK_S)) as database:
                 low, high = database.execute("SELECT min(zoom_level), max(zoom_level) FROM tiles").fetchone()
                 sample = database.execute("SELECT tile_data FROM tiles LIMIT 1").fetchone()
                 note = database.execute("SELECT value FROM metadata WHERE name = 'attribution'").fetchone()
@@ -43,7 +43,7 @@ class Tiles:
         if not 0 <= zoom <= _LARGEST_ZOOM or not 0 <= row < 1 << zoom:
             return None
         try:
-            with closing(self._opened(_LOOK_S)) as database:
+            with reading(), closing(self._opened(_LOOK_S)) as database:
                 query = "SELECT tile_data FROM tiles WHERE zoom_level = ? AND tile_column = ? AND tile_row = ?"
                 found = database.execute(query, (zoom, column, (1 << zoom) - 1 - row)).fetchone()
         except (sqlite3.Error, OverflowError):
