@@ -450,4 +450,5 @@ def test_a_database_whose_data_are_no_bytes_is_read_as_far_as_they_are(tmp_path:
     read = list(read_log(path, LogNotes(on_damage=damage.append)))
     assert len(read) == 6
     [told] = [str(note) for note in damage]
-    assert told.startswith(f"{path}: frame 7") and "its data are no bytes" in told
+    assert told.startswith(f"{path}: frame 7")
+    assert "its data are no bytes" in told
