@@ -328,7 +328,7 @@ WRONG = [
     (["r.csv", "--out", "x.csv", "--what", "loads"], "r.csv: "),
     (["r.csv", "--out", "x.txt", "--swath", "9", "--flow-delay", "61"], "yieldmon: --flow-delay: is 61; expected 0 to 60"),
     (["gone.sqlite", "--out", "x.csv"], "gone.sqlite: no such file"),
-    (["bad.csv", "--out", "x.csv"], "bad.csv: line 2: has no number; expected a table"),
+    (["bad.csv", "--out", "x.csv"], "bad.csv: line 2: has no column 'number'; expected a table"),
     (["word.csv", "--out", "x.csv"], "word.csv: line 2: number: is 'one'; expected a value of kind int"),
 ]
 

@@ -45,7 +45,7 @@ def test_a_table_of_seconds_is_read_as_the_store_with_the_same_seconds(tmp_path:
     ("name", "content", "says"),
     [
         ("a.jsonl", b"", "has no seconds"),
-        ("a.jsonl", b'{"number": 1}\n', "has no time_s"),
+        ("a.jsonl", b'{"number": 1}\n', "has no column 'time_s'"),
         ("a.parquet", b"PAR1 and no more", "Parquet"),
     ],
 )

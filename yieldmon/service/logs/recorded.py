@@ -216,7 +216,7 @@ def _row(values: Mapping[str, Any], where: str) -> SecondRow:
             if field.default is None:
                 # A column that came later than the table.
                 continue
-            raise InputError(where, f"has no {field.name}", "a table that `yieldmon process` wrote")
+            raise InputError(where, f"has no column '{field.name}'", "a table that `yieldmon process` wrote")
         fields[field.name] = _value(field.name, values[field.name], where)
     row = SecondRow(**fields)
     _check(row, where)
