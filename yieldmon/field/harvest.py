@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from yieldmon.estimation.gaussian import REACH_95
-from yieldmon.units import KG_PER_LB, M2_PER_ACRE, Units, UnitSystem
+from yieldmon.units import KG_PER_LB, M2_PER_ACRE, S_PER_DAY, Units, UnitSystem
 
 from .cleaning import Cleaned, Context, clean, mass_by_reason, much_left_out
 from .delay import Decision, Delay
@@ -26,6 +26,10 @@ KG_M2_TO_T_HA = 10.0
 SEED = 1
 DRAWS = 400
 _SAME_DELAY_S = 0.5
+_LEAST_KG_M2, _MOST_GRAIN_KG_M2, _MOST_KG_M2 = 0.005, 4.0, 20.0
+"""Mean yields beyond which units are wrong: of grain 40 t/ha is a record, of cane and beets 200."""
+_SEASONS_APART_DAYS, _SAME_GROUND = 60, 0.1
+"""Days without a row between seasons, and share of rows on ground that was cut before, from which seasons are named."""
 
 
 @dataclass(frozen=True)
@@ -197,7 +201,11 @@ def make_map(table: HarvestTable, options: MapOptions, progress: Callable[[str],
         name,
         None if facts is None else facts.bushel_lb * KG_PER_LB,
         transport,
-        (*_notes(table, machines, options.transport and transport is None), *much_left_out(cleaned, totals.by_reason)),
+        (
+            *_notes(table, machines, options.transport and transport is None),
+            *doubts(table, totals, cleaned),
+            *much_left_out(cleaned, totals.by_reason),
+        ),
     )
 
 
@@ -223,6 +231,36 @@ def _notes(table: HarvestTable, machines: Sequence[Machine], transport_left: boo
     crops = crops_of(table)
     if len(crops) > 1:
         out.append(f"the harvest has {len(crops)} crops ({', '.join(crops)}): yield and total are of all together")
+    return tuple(out)
+
+
+def doubts(table: HarvestTable, totals: Totals, cleaned: Cleaned) -> tuple[str, ...]:
+    """Notes on a harvest that cannot be as it is read: a yield that no crop has, seasons on the same ground.
+
+    Parameters
+    ----------
+    table : HarvestTable
+    totals : Totals
+        Of its map.
+    cleaned : Cleaned
+        Why its rows are left out.
+    """
+    out = []
+    mean = totals.measured_kg / totals.area_m2 if totals.area_m2 > 0 else 0.0
+    grain = all(crop(name) is not None for name in crops_of(table)) and bool(crops_of(table))
+    if totals.measured_kg > 0 and not _LEAST_KG_M2 < mean < (_MOST_GRAIN_KG_M2 if grain else _MOST_KG_M2):
+        out.append(
+            f"a yield of {mean * KG_M2_TO_T_HA:.3g} t/ha is no crop's: expected other units of yield, flow or width (--column)"
+        )
+    days = np.unique(np.floor(table["time_s"][np.isfinite(table["time_s"])] / S_PER_DAY)) if table.unix_time else np.zeros(0)
+    pauses = int((np.diff(days) > _SEASONS_APART_DAYS).sum())
+    twice = [cleaned.names.index(reason) for reason in ("overlap", "duplicate")]
+    if pauses and np.isin(cleaned.reason, twice).sum() >= _SAME_GROUND * len(table):
+        first, last = (str(np.datetime64(int(day), "D")) for day in (days[0], days[-1]))
+        out.append(
+            f"the harvest has {pauses + 1} seasons from {first} to {last} on the same ground, which counts as cut in the first: "
+            "expected a map for each"
+        )
     return tuple(out)
 
 

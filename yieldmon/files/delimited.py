@@ -140,6 +140,11 @@ def _text(raw: bytes, where: str) -> str:
         raise InputError(where, f"byte {error.start} is not UTF-8", "a UTF-8 CSV file") from error
 
 
+def workbook_cells(path: str | Path) -> list[tuple[int, list[str]]]:
+    """Line and cells of each row of a workbook's first sheet that is not empty. Raises InputError."""
+    return _workbook(bounded.read_whole(path, "a workbook", LARGEST_BYTES), str(path))
+
+
 def _workbook(raw: bytes, where: str) -> list[tuple[int, list[str]]]:
     """The first sheet. Raises ModuleNotFoundError without openpyxl."""
     # An extra: most tables are text.

@@ -23,6 +23,7 @@ from yieldmon.field.table import DEFAULT_FLOW_S, HarvestTable, Label, Source, bu
 from yieldmon.units import KG_PER_LB, M_PER_FT, M_PER_IN
 
 from . import clocks, csv_table
+from .crop_names import crop_names
 from .delimited import Rows, delimiter_of, encoding_of, has_decimal_comma, number, read_rows, rows_of
 from .naming import QUANTITIES, plain_name, split_unit
 from .options import ReadOptions
@@ -192,8 +193,7 @@ def _table(
     if layout["elevation"]:
         columns["elevation_m"] = values[layout["elevation"][0]] * M_PER_FT
     labels = {name: rows.texts[layout[name][0]] for name in ("field", "load", "crop", "product") if layout[name]}
-    if options.crop:
-        labels["crop"] = Label.constant(options.crop, rows.count)
+    labels["crop"], of_crop = crop_names(labels.get("crop", Label.constant("", rows.count)), options.crop)
     if options.field:
         labels["field"] = Label.constant(options.field, rows.count)
     if machine is not None:
@@ -204,7 +204,7 @@ def _table(
         KIND,
         rows.count,
         rows.skipped,
-        notes=(*of_header, *(f"says: {mark}" for mark in marks), *notes, *header_notes, *limits),
+        notes=(*of_header, *of_crop, *(f"says: {mark}" for mark in marks), *notes, *header_notes, *limits),
         taken_out=bool(marks),
     )
     default_s = 0.0 if marks else DEFAULT_FLOW_S

@@ -14,6 +14,7 @@ from yieldmon.field.table import LABELS, Array, HarvestTable, Label, Source, bui
 from yieldmon.field.units import FACTORS, factor, is_bushels
 from yieldmon.field.units import crop as known_crop
 
+from .crop_names import crop_names
 from .delimited import number
 from .derived import derive
 from .driven import ways_checked
@@ -75,14 +76,15 @@ def assemble(raw: Raw, where: str, kind: str, options: ReadOptions) -> HarvestTa
     columns, limits = plausible({"time_s": time} | {_TABLE_NAMES[q]: v for q, v in values.items() if q in _TABLE_NAMES})
     if "header_down" in columns:
         columns["header_down"] = _down(columns["header_down"])
+    labels, of_names = _labels(raw, options)
     source = Source(
         where,
         kind,
         raw.count,
         raw.skipped,
-        notes=(*raw.notes, *of_crops, *unknown, *ways, *notes, *strange, *_backwards(time), *derived, *limits),
+        notes=(*raw.notes, *of_crops, *of_names, *unknown, *ways, *notes, *strange, *_backwards(time), *derived, *limits),
     )
-    return build(columns, _labels(raw, options), source, unix_time=unix_time, default_flow_s=raw.default_flow_s)
+    return build(columns, labels, source, unix_time=unix_time, default_flow_s=raw.default_flow_s)
 
 
 def _limited(values: dict[str, Array], columns: Mapping[str, Column]) -> tuple[str, ...]:
@@ -154,17 +156,17 @@ def _bushels(raw: Raw, column: Column, kind: str, place: str, crop: str) -> tupl
     return scale[label.codes], said if several or other else ()
 
 
-def _labels(raw: Raw, options: ReadOptions) -> dict[str, Label]:
-    """Columns of texts; what the options say of the whole file comes first."""
+def _labels(raw: Raw, options: ReadOptions) -> tuple[dict[str, Label], tuple[str, ...]]:
+    """Columns of texts, and what was taken for granted; the field of the options comes first."""
     labels = {
         name: raw.texts[raw.columns[name].name] for name in LABELS if name in raw.columns and raw.columns[name].name in raw.texts
     }
     if "crop" not in labels and (product := labels.get("product")) is not None and all(map(known_crop, product.names)):
         labels["crop"] = product
-    for name, text in (("crop", options.crop), ("field", options.field)):
-        if text:
-            labels[name] = Label.constant(text, raw.count)
-    return labels
+    labels["crop"], notes = crop_names(labels.get("crop", Label.constant("", raw.count)), options.crop)
+    if options.field:
+        labels["field"] = Label.constant(options.field, raw.count)
+    return labels, notes
 
 
 def _down(state: Array) -> Array:

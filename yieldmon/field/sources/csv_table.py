@@ -1,97 +1,106 @@
-"""CSV with a header, columns found by names that say their unit or by a column map."""
+"""CSV with a header, or a sheet of a workbook, columns found by names that say their unit or by a column map."""
 
 from __future__ import annotations
 
 import csv
-import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
-from yieldmon.errors import InputError
-from yieldmon.field.table import DEFAULT_FLOW_S, HarvestTable
-from yieldmon.field.units import BUSHELS, FACTORS, plain_unit
-from yieldmon.repeats import repeated
+import numpy as np
 
+from yieldmon.errors import InputError
+from yieldmon.field.table import DEFAULT_FLOW_S, Array, HarvestTable
+from yieldmon.files import delimited as workbooks
+
+from . import heads
 from .assembled import assemble
-from .delimited import delimiter_of, encoding_of, has_decimal_comma, read_rows, rows_of
-from .naming import QUANTITIES, columns_of
+from .delimited import encoding_of, has_decimal_comma, pointed_columns, read_rows, rows_of
+from .naming import QUANTITIES, Column, columns_of
 from .options import ReadOptions
 from .raw_table import Raw
 from .vector import to_degrees
 
-KIND = "CSV with a header"
+KIND = "CSV with a header, or workbook"
 ORDER = 60
-_SEPARATOR = re.compile(r"sep=([,;\t])\s*", re.IGNORECASE)
-"""What spreadsheets write above the header."""
 _SUFFIXES = (".csv", ".txt", ".tsv")
+_LOOKED_AT = 2_000
 _OF_A_RECORD = frozenset({"time_s", "mass_flow_kg_s", "load_number", "zero_mv", "usable_for_calibration"})
 """Columns of a table of `yieldmon process` or `export`, whose places are those of the machine: the delay is still in it."""
+_MASS_OF_A_RECORD = frozenset({"mass_kg", "duration_s"})
 
 
 def recognises(path: Path, head: bytes) -> bool:
-    """By its suffix, where it is text with a first line of several names."""
-    if path.is_dir() or path.suffix.lower() not in _SUFFIXES or (b"\0" in head and encoding_of(head) != "utf-16"):
+    """By its suffix, where it is text with a header, or a workbook."""
+    if path.is_dir():
         return False
-    first = head.decode(encoding_of(head), "replace").splitlines()[:1]
-    return bool(first) and first[0].count(delimiter_of(first[0])) >= 1
-
-
-def _units_row(names: list[str], lines: list[str], delimiter: str) -> dict[str, str]:
-    """Unit of each column, where the line below the names holds units and no numbers; else empty."""
-    cells = [cell.strip().strip("[]()") for cell in next(csv.reader(lines, delimiter=delimiter, skipinitialspace=True), [])]
-    said = [plain_unit(cell) for cell in cells]
-    known = {unit for kind in FACTORS.values() for unit in kind if unit}
-    if (
-        len(cells) != len(names)
-        or any(_is_number(cell) for cell in cells)
-        or 2 * sum(unit in known for unit in said) < len(names)
-    ):
-        return {}
-    return {name: unit for name, unit in zip(names, said, strict=True) if unit in known or unit in BUSHELS}
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell.replace(",", "."))
-    except ValueError:
+    if path.suffix.lower() == workbooks.WORKBOOK:
+        return head.startswith(b"PK\x03\x04")
+    if path.suffix.lower() not in _SUFFIXES or (b"\0" in head and encoding_of(head) != "utf-16"):
         return False
-    return True
+    return heads.looks_like_one(head.decode(encoding_of(head), "replace"))
+
+
+@dataclass(frozen=True)
+class _Table:
+    """rows: below the head, with their line. sample: cells of some of them. comma: whether decimals have commas, None where
+    the cells tell."""
+
+    head: heads.Head
+    rows: Iterator[tuple[int, list[str]]]
+    sample: Sequence[Sequence[str]]
+    comma: bool | None
+
+
+def _text(path: Path, options: ReadOptions) -> _Table:
+    with path.open("rb") as stream:
+        raw = stream.read(1 << 16)
+    encoding = encoding_of(raw)
+    lines = raw.decode(encoding, "replace").splitlines()
+    head = heads.of_text(lines, [name for name, _ in options.columns.values()])
+    rows = ((line, row) for line, row in rows_of(path, encoding, head.delimiter) if line > head.above)
+    below = lines[head.above : -1] or lines[head.above :]
+    sample = list(csv.reader(below, delimiter=head.delimiter, skipinitialspace=True))
+    # With semicolons between fields, commas are within numbers.
+    return _Table(head, rows, sample, True if head.delimiter == ";" else None)
+
+
+def _workbook(path: Path, options: ReadOptions) -> _Table:
+    cells = workbooks.workbook_cells(path)
+    if not cells:
+        raise InputError(str(path), "is empty", "a sheet with a header and rows")
+    rows = [row for _, row in cells]
+    at = heads.header_among(rows, [name for name, _ in options.columns.values()])
+    head = heads.of_cells(rows[at : at + 2], at)
+    return _Table(head, iter(cells[head.above :]), rows[head.above :][:_LOOKED_AT], None)
 
 
 def read(path: Path, options: ReadOptions) -> HarvestTable:
     """All rows. Raises InputError."""
-    with path.open("rb") as stream:
-        head = stream.read(1 << 16)
-    encoding = encoding_of(head)
-    lines = head.decode(encoding, "replace").splitlines()
-    said_mark = _SEPARATOR.fullmatch(lines[0])
-    if said_mark:
-        lines = lines[1:] or [""]
-    delimiter = said_mark[1] if said_mark else delimiter_of(lines[0])
-    names = [name.strip() for name in next(csv.reader([lines[0]], delimiter=delimiter, skipinitialspace=True))]
-    if twice := repeated(names):
-        raise InputError(f"{path}: header", f"has {', '.join(sorted(twice))} more than once", "each column once")
-    units = _units_row(names, lines[1:2], delimiter)
-    columns, notes = columns_of(names, options.columns, units, str(path))
+    found = _workbook(path, options) if path.suffix.lower() == workbooks.WORKBOOK else _text(path, options)
+    names = found.head.names
+    heads.require_each_once(names, str(path))
+    given = dict(options.columns)
+    record = _OF_A_RECORD.issubset(names)
+    if record and _MASS_OF_A_RECORD.issubset(names):
+        given.setdefault("mass", ("mass_kg", "kg"))
+    columns, notes = columns_of(names, given, found.head.units, str(path))
     place = {name: number for number, name in enumerate(names)}
     text_kinds = ("text", "date", "state")
     numbers = [place[c.name] for c in columns.values() if QUANTITIES[c.quantity].kind not in text_kinds]
     texts = [place[c.name] for c in columns.values() if QUANTITIES[c.quantity].kind in text_kinds]
-    rows = rows_of(path, encoding, delimiter)
-    for _ in range(1 + bool(units) + bool(said_mark)):
-        next(rows, None)
     positions = [place[columns[q].name] for q in ("longitude", "latitude") if q in columns]
-    sample = csv.reader(lines[1:-1] or lines[1:], delimiter=delimiter, skipinitialspace=True)
-    degrees = [row[column] for row in sample for column in positions if column < len(row)]
-    # With semicolons between fields, commas are within numbers.
-    comma = delimiter == ";" or has_decimal_comma(degrees)
-    table = read_rows(rows, numbers, texts, max([*numbers, *texts]) + 1, decimal_comma=comma)
+    comma = found.comma
+    if comma is None:
+        comma = has_decimal_comma(row[column] for row in found.sample for column in positions if column < len(row))
+    pointed = pointed_columns(found.sample, numbers) if comma else frozenset()
+    rows = heads.without_headers(found.rows, names, str(path))
+    table = read_rows(rows, numbers, texts, max([*numbers, *texts]) + 1, decimal_comma=comma, pointed=pointed)
     if not table.count:
         why = f" ({table.skipped[0].why})" if table.skipped else ""
         raise InputError(str(path), f"has a header and no row that can be read{why}", "at least one row")
     values = {names[n]: v for n, v in table.numbers.items()}
-    if options.crs and "longitude" in columns and "latitude" in columns:
-        east, north = columns["longitude"].name, columns["latitude"].name
-        values[east], values[north], _ = to_degrees(values[east], values[north], None, options, str(path))
+    _to_degrees(values, columns, options, str(path))
     raw = Raw(
         columns,
         values,
@@ -99,6 +108,17 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
         table.count,
         table.skipped,
         notes,
-        default_flow_s=DEFAULT_FLOW_S if _OF_A_RECORD.issubset(names) else 0.0,
+        default_flow_s=DEFAULT_FLOW_S if record else 0.0,
     )
     return assemble(raw, str(path), KIND, options)
+
+
+def _to_degrees(values: dict[str, Array], columns: dict[str, Column], options: ReadOptions, where: str) -> None:
+    """Changes coordinates of a plane. Raises InputError where it is not said of which."""
+    if not {"longitude", "latitude"} <= columns.keys():
+        return
+    east, north = columns["longitude"].name, columns["latitude"].name
+    known = np.isfinite(values[east]) & np.isfinite(values[north])
+    degrees = (np.abs(values[east]) <= 360) & (np.abs(values[north]) <= 180)
+    if options.crs or (known.any() and 2 * np.count_nonzero(known & ~degrees) > np.count_nonzero(known)):
+        values[east], values[north], _ = to_degrees(values[east], values[north], None, options, where)

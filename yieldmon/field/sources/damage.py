@@ -18,7 +18,7 @@ ZIP_DAMAGE = (
     OverflowError,
 )
 
-_SUFFIXES = (".txt", ".csv", ".tsv", ".dat", ".shp", ".gpkg", ".geojson", ".gml", ".fgb", ".kml", ".sqlite", ".zip")
+_SUFFIXES = (".txt", ".csv", ".tsv", ".dat", ".shp", ".gpkg", ".geojson", ".gml", ".fgb", ".kml", ".sqlite", ".zip", ".xlsx")
 
 
 def may_be_harvest(name: str) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import codecs
 import csv
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
@@ -121,6 +121,7 @@ def read_rows(
     texts: Sequence[int],
     fields: int,
     decimal_comma: bool = False,
+    pointed: Collection[int] = (),
 ) -> Rows:
     """The rows as columns.
 
@@ -134,13 +135,15 @@ def read_rows(
         Fewest fields that a row must have.
     decimal_comma : bool
         Whether numbers are written with a comma.
+    pointed : collection of int
+        Columns of which points part the thousands, see pointed_columns.
     """
     arrays: dict[int, list[Array]] = {column: [] for column in numbers}
     labels = {column: _Labels(column) for column in texts}
     short, wrong = _Bad(), _Bad()
     count = 0
     while taken := _block(source, fields, short):
-        block, values = _block_numbers(*taken, numbers, wrong, decimal_comma)
+        block, values = _block_numbers(*taken, numbers, wrong, decimal_comma, pointed)
         count += len(block)
         for column in numbers:
             arrays[column].append(values[column])
@@ -187,25 +190,40 @@ class _Labels:
 
 
 def _block_numbers(
-    lines: list[int], block: list[list[str]], numbers: Sequence[int], wrong: _Bad, decimal_comma: bool
+    lines: list[int],
+    block: list[list[str]],
+    numbers: Sequence[int],
+    wrong: _Bad,
+    decimal_comma: bool,
+    pointed: Collection[int],
 ) -> tuple[list[list[str]], dict[int, Array]]:
     """The rows whose wanted fields are numbers, and these by column. lines: number of each row."""
 
     def cell(row: list[str], column: int) -> str:
         text = row[column] if column < len(row) else ""
+        if column in pointed and "." in text:
+            # A number that does not fit is looked at below.
+            text = text.replace(".", "") if _THOUSANDS["."].fullmatch(text.strip()) else "?"
         return text.replace(",", ".") if decimal_comma else text
 
     try:
         return block, {column: np.fromiter((float(cell(row, column)) for row in block), float, len(block)) for column in numbers}
     except ValueError:
         pass
-    marks = {column: _mark_of_thousands([row[column] for row in block if column < len(row)], decimal_comma) for column in numbers}
+    marks = {
+        column: "."
+        if column in pointed
+        else _mark_of_thousands([row[column] for row in block if column < len(row)], decimal_comma)
+        for column in numbers
+    }
 
     def value(row: list[str], column: int) -> float:
         text = _SPACES.sub("", row[column].strip()) if column < len(row) else ""
         mark = marks[column]
         if mark and _THOUSANDS[mark].fullmatch(text):
             text = text.replace(mark, "")
+        elif column in pointed and "." in text:
+            raise ValueError(text)
         return number(text.replace(",", ".") if decimal_comma else text)
 
     good, values = [], []
@@ -221,6 +239,24 @@ def _block_numbers(
         good.append(row)
     table = np.array(values, dtype=float).reshape(len(values), len(numbers))
     return good, {column: table[:, place] for place, column in enumerate(numbers)}
+
+
+def pointed_columns(rows: Sequence[Sequence[str]], columns: Sequence[int]) -> frozenset[int]:
+    """Columns whose numbers have points between thousands only, in a file whose decimals are all written with commas.
+
+    >>> sorted(pointed_columns([["48,1234567", "8.123"], ["48,1234569", "987"]], [0, 1]))
+    [1]
+    >>> sorted(pointed_columns([["48.1234567", "9.144", "8,5"], ["48.1234569", "9.144", "7,5"]], [0, 1, 2]))
+    []
+    """
+    cells = {column: [row[column].strip() for row in rows if column < len(row)] for column in columns}
+    decimals = [cell for found in cells.values() for cell in found if _COMMA.fullmatch(cell)]
+    if not any(len(cell.split(",")[1]) != 3 for cell in decimals):
+        return frozenset()
+    with_points = {column: [cell for cell in found if "." in cell] for column, found in cells.items()}
+    if not all(_THOUSANDS["."].fullmatch(cell) for found in with_points.values() for cell in found):
+        return frozenset()
+    return frozenset(column for column, found in with_points.items() if found)
 
 
 def _mark_of_thousands(cells: Sequence[str], decimal_comma: bool) -> str:

@@ -59,6 +59,10 @@ def derive(values: dict[str, Array], time_s: Array, machine: NDArray[np.int32], 
             after = np.full(count, np.nan)
             after[order[:-1]] = way[order[1:]]
             values["distance"] = np.where(np.isfinite(way), way, after)
+    if "mass" in values:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            values["flow"] = np.where(values["interval"] > 0, values["mass"] / values["interval"], np.nan)
+        return ()
     if "yield" not in values:
         if "flow" not in values:
             raise InputError(where, "has neither flow nor yield", "--column flow=NAME:UNIT or yield=NAME:UNIT")

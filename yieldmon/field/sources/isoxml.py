@@ -21,6 +21,7 @@ from yieldmon.field.plane import Sites
 from yieldmon.field.table import DEFAULT_FLOW_S, FORAGE_FLOW_S, Array, HarvestTable, Label, Skipped, Source, build, joined
 
 from . import timelog
+from .crop_names import crop_names
 from .damage import ZIP_DAMAGE, may_be_harvest
 from .options import ReadOptions
 from .positions import plausible
@@ -196,6 +197,8 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
             str(path), f"has no log that can be read ({reasons or 'none is named'})", "a time log with yield and position"
         )
     whole = joined(_machines_apart(parts))
+    crop_of_row, of_crop = crop_names(whole.labels["crop"], options.crop)
+    whole = replace(whole, labels={**whole.labels, "crop": crop_of_row})
     masses = [source.mass_kg for source in whole.sources]
     areas = [source.area_m2 for source in whole.sources]
     notes = dict.fromkeys(note for source in whole.sources for note in source.notes)
@@ -206,7 +209,7 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
         tuple(skipped),
         None if None in masses else float(sum(m for m in masses if m is not None)),
         None if None in areas else float(sum(a for a in areas if a is not None)),
-        tuple(notes),
+        (*of_crop, *notes),
         whole.declared_flow_s,
         whole.declared_moisture_s,
         whole.default_flow_s,
@@ -312,7 +315,7 @@ def _log(folder: Folder, task: _Task, device: _Device, options: ReadOptions) -> 
     labels = {
         "field": Label.constant(options.field or task.field, count),
         "load": Label.constant(task.task, count),
-        "crop": Label.constant(options.crop or task.crop, count),
+        "crop": Label.constant(task.crop, count),
         "machine": Label.constant(of.device_name(), count),
     }
     lag = of.single(LAG) or of.single(LEAD)

@@ -60,6 +60,7 @@ QUANTITIES: Mapping[str, Quantity] = {
             "rendimientoseco rindeseco rendementsec produtividadeseca yldvoldry yieldvoldry dryyieldvol drymatter"
         ),
     ),
+    "mass": Quantity("mass", ()),
     "moisture": Quantity(
         "percent",
         _names(
@@ -183,6 +184,12 @@ def _is_called(wanted: str, name: str, bare: str) -> bool:
     return len(name) == _SHAPEFILE_NAME and len(plain) >= _LEAST_CUT and (wanted.startswith(plain) or wanted == plain[:-1])
 
 
+def is_known_name(name: str) -> bool:
+    """Whether a column of this name would be taken as a quantity."""
+    bare, _ = split_unit(name)
+    return any(wanted in _spellings(name, bare) for facts in QUANTITIES.values() for wanted in facts.names)
+
+
 def plain_name(name: str) -> str:
     """Small letters and digits only; letters without their accents."""
     return re.sub(r"[^a-z0-9]", "", unicodedata.normalize("NFKD", name.lower()))
@@ -268,7 +275,7 @@ def _named_column(
 def _check_useful(out: Mapping[str, Column], lacking: Mapping[str, str], names: Sequence[str], where: str) -> None:
     """Raises InputError where there is no flow, or a width of no known unit."""
     width_lacks = "width" not in out and any(plain_name(name) in QUANTITIES["width"].names for name in lacking)
-    if not width_lacks and ("flow" in out or "yield" in out):
+    if not width_lacks and ("flow" in out or "yield" in out or "mass" in out):
         return
     if lacking:
         first, quantity = next(iter(lacking.items()))

@@ -18,7 +18,7 @@ class ReadOptions:
     width_m : float or None
         Working width where the file has none.
     crop : str
-        Name of the crop where the file has none, or bushels need one.
+        Name of the crop where the file has none or one that is wrong, see crop_names; bushels need one.
     field : str
         Name of the field, where the file has none.
     first_date : date or None

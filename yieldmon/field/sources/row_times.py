@@ -15,6 +15,7 @@ from yieldmon.field.units import FACTORS, factor, plain_unit
 from yieldmon.units import S_PER_DAY
 
 from . import clocks, written_times
+from .delimited import has_decimal_comma
 from .naming import Column
 from .options import ReadOptions
 from .raw_table import Raw
@@ -245,10 +246,10 @@ def _dated_column(raw: Raw) -> Column | None:
 
 
 def _as_numbers(label: Label) -> Array:
-    out = []
+    out, comma = [], has_decimal_comma(label.names)
     for name in label.names:
         try:
-            out.append(float(name))
+            out.append(float(name.replace(",", ".") if comma else name))
         except ValueError:
             out.append(float("nan"))
     return np.array(out)[label.codes]

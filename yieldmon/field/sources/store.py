@@ -16,6 +16,7 @@ from yieldmon.service.storage.batch import Load
 from yieldmon.service.storage.rows import SecondRow
 from yieldmon.service.storage.store_names import SQLITE_MAGIC
 
+from .crop_names import crop_names
 from .options import ReadOptions
 from .positions import plausible
 
@@ -91,10 +92,11 @@ def table_of(rows: list[SecondRow], loads: Mapping[int, Load], path: Path, kind:
     )
     fields = [loads[row.load_number].field if row.load_number in loads else "" for row in rows]
     crops = [loads[row.load_number].crop if row.load_number in loads else "" for row in rows]
+    crop_of_row, of_crop = crop_names(Label.of(crops), options.crop)
     labels = {
         "load": Label.of([str(row.load_number) for row in rows]),
         "field": Label.constant(options.field, count) if options.field else Label.of(fields),
-        "crop": Label.constant(options.crop, count) if options.crop else Label.of(crops),
+        "crop": crop_of_row,
     }
     total = rows[-1].total_kg - rows[0].total_kg + rows[0].mass_kg
     source = Source(
@@ -102,7 +104,7 @@ def table_of(rows: list[SecondRow], loads: Mapping[int, Load], path: Path, kind:
         kind,
         count,
         mass_kg=total if total > 0 else None,
-        notes=(*notes, *([] if harvesting.any() else ["no second of harvest"])),
+        notes=(*of_crop, *notes, *([] if harvesting.any() else ["no second of harvest"])),
     )
     return build(columns, labels, source, unix_time=True, default_flow_s=DEFAULT_FLOW_S)
 

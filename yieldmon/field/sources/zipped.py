@@ -15,6 +15,7 @@ from typing import Any
 
 from yieldmon.errors import InputError, brief, of_the_computer, reason
 from yieldmon.field.table import HarvestTable, Skipped, joined
+from yieldmon.files.delimited import WORKBOOK
 
 from . import isoxml, vector
 from .damage import ZIP_DAMAGE
@@ -124,7 +125,7 @@ class _Found:
 
     def _file(self, path: Path, name: str, depth: int) -> None:
         try:
-            if zipfile.is_zipfile(path):
+            if zipfile.is_zipfile(path) and path.suffix.lower() != WORKBOOK:
                 self.look(path, name, depth + 1)
             else:
                 self.parts.append(_Part(name, path, None))
