@@ -11,8 +11,9 @@ import selectors
 import socket
 import threading
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
+from time import monotonic
 from typing import Any
 
 import pytest
@@ -241,6 +242,24 @@ def test_beyond_eight_at_once_a_request_is_refused(tmp_path):
     finally:
         gate.set()
         server.stop()
+
+
+def test_many_that_only_connect_keep_nobody_waiting(tmp_path):
+    """One connection in a look made the last of sixty wait for sixty of them."""
+    path = tmp_path / "s.sock"
+    server = ControlServer(path, None, answer, pace=Pace(patience_s=60.0, crowded_pause_s=0.25))
+    server.start()
+    with ExitStack() as open_peers:
+        try:
+            for _ in range(60):
+                peer = open_peers.enter_context(socket.socket(socket.AF_UNIX))
+                peer.settimeout(60.0)
+                peer.connect(str(path))
+            begun_s = monotonic()
+            assert ask(path, {"command": "status"}, 60.0)["echo"]["command"] == "status"
+            assert monotonic() - begun_s < 7.0
+        finally:
+            server.stop()
 
 
 def test_half_a_request_is_refused_with_a_line(path):

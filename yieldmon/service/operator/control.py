@@ -30,6 +30,8 @@ _BUSY = f'{{"ok": false, "error": "{_ANSWERS_AT_ONCE} requests are being answere
 _NO_THREAD = b'{"ok": false, "error": "the system gives the daemon no thread to answer on; nothing was done, ask again"}\n'
 #: From so many connections on the thread rests between two looks at them.
 _CROWDED = 8
+#: New connections in one look. Each is looked at once more, at least, before those that come after it can take its place.
+_ACCEPTED_AT_ONCE = 8
 _PIECE_BYTES = 65_536
 
 
@@ -240,19 +242,28 @@ class _Server:
         return new
 
     def _accept(self, selector: selectors.BaseSelector, listening: socket.socket) -> None:
-        try:
-            connection, _ = listening.accept()
-        except OSError as error:
-            _log.warning("control: %s", error)
-            # Out of descriptors the listening socket stays readable.
-            sleep(_POLL_S)
-            return
+        """Those that wait, a few at once: behind many that only connect nobody waits for a look each."""
+        for _ in range(_ACCEPTED_AT_ONCE):
+            try:
+                connection, _ = listening.accept()
+            except BlockingIOError:
+                return
+            except OSError as error:
+                _log.warning("control: %s", error)
+                # Out of descriptors the listening socket stays readable.
+                sleep(_POLL_S)
+                return
+            self._take(selector, connection)
+
+    def _take(self, selector: selectors.BaseSelector, connection: socket.socket) -> None:
+        """A connection; what it has asked already is taken at once."""
         if len(self._asking) >= _CONNECTIONS:
             _log.warning("control: more than %d connections; the one that has asked nothing for longest is cut off", _CONNECTIONS)
             self._drop(selector, min(self._asking.values(), key=lambda asking: asking.until_s))
         connection.setblocking(False)
         asking = self._asking[connection.fileno()] = _Asking(connection, monotonic() + self._pace.patience_s)
         selector.register(connection, selectors.EVENT_READ, asking)
+        self._read(selector, asking)
 
     def _read(self, selector: selectors.BaseSelector, asking: _Asking) -> None:
         try:
