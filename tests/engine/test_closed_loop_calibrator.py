@@ -727,6 +727,53 @@ def test_a_ticket_of_another_crop_taken_back_leaves_the_present_one() -> None:
     assert [mass.load_number for mass in learning.tickets.waiting] == [2]
 
 
+def tank_mass(estimator: OpenLoop, start_s: float, sd_kg: float, factor: float = 1.1) -> ReferenceMass:
+    """By the tank's scale, so much more than was there: another mass each time, as no two readings are alike."""
+    mass = ticket(estimator, 12.0, start_s, start_s + 500.0, sd_kg)
+    return dataclasses.replace(mass, source=AnchorSource.TANK_SCALE, reference_kg=factor * mass.reference_kg + 1e-3 * start_s)
+
+
+def tank_season(*, wrong: bool) -> OpenLoop:
+    """Two masses of the tank's scale; wrong: with a ticket between them that is undone after both."""
+    known = OpenLoop(MODEL, PRIOR)
+    calibrator = ClosedLoopCalibrator(MODEL, EXACT)
+    at = records(12.0)[0]
+
+    def weigh(at_s: float, *masses: ReferenceMass, using: OpenLoop) -> OpenLoop:
+        found = calibrator.weigh(dataclasses.replace(at, time_s=at_s, total_kg=12.0 * at_s), masses, using).estimator
+        assert isinstance(found, OpenLoop)
+        return found
+
+    first = tank_mass(known, 0.0, 300.0)
+    taught = weigh(600.0, first, using=known)
+    if not wrong:
+        second = tank_mass(taught, 2000.0, 30.0)
+        now = weigh(2600.0, first, second, using=taught)
+    else:
+        slip = dataclasses.replace(ticket(taught, 12.0, 1000.0, 1500.0, 30.0), load_number=1)
+        slip = dataclasses.replace(slip, reference_kg=0.8 * slip.reference_kg)
+        slipped = weigh(1600.0, first, slip, using=taught)
+        second = tank_mass(slipped, 2000.0, 30.0)
+        weigh(2600.0, first, slip, second, using=slipped)
+        back = OpenLoop(MODEL, dataclasses.replace(taught.parameters, version=9))
+        calibrator.use(back)
+        assert calibrator.forget(frozenset({1}), back, (), (first, second)), "the second is to teach again"
+        assert len(calibrator.counted) == 1, "the first is what others are held against"
+        now = weigh(2600.0, first, second, using=back)
+        assert calibrator.weigh(at, (first, second), now).estimator is None, "each has been used"
+        assert not calibrator.forget(frozenset({2}), now, (), (first, second)), "and stays so"
+    assert len(calibrator.counted) == 2
+    return now
+
+
+def test_what_the_tank_scale_weighed_counts_after_an_undo() -> None:
+    """It was forgotten: nothing held later tickets against it, and what it had taught after the wrong one was lost."""
+    without, undone = tank_season(wrong=False), tank_season(wrong=True)
+    assert home_error_pct(without, 12.0) == pytest.approx(10.0, abs=1.0)
+    assert undone.parameters.values == pytest.approx(dict(without.parameters.values), rel=2e-3)
+    assert undone.parameters.covariance == pytest.approx(without.parameters.covariance, rel=0.02, abs=1e-6)
+
+
 def curve_ticket(known: OpenLoop, number: int, flow: float, at_ten_n: float = 62.0) -> tuple[WindowRecord, ReferenceMass]:
     """Of a machine whose force is 62 N (flow / 10)^1.2, as these parameters measure it."""
     force = at_ten_n * (flow / 10.0) ** 1.2

@@ -388,10 +388,15 @@ class SelfCalibrator(Protocol):
         """Names of those that contradict them and wait until another agrees with them, of any crop."""
 
     def forget(
-        self, load_numbers: frozenset[int], estimator: FlowEstimator, counted: Sequence[ReferenceMass] | None = None
-    ) -> None:
-        """What was weighed of these loads counts no more and may be used anew. counted: reference masses of the present crop
-        that the parameters in use rest on; None: as before, less those."""
+        self,
+        load_numbers: frozenset[int],
+        estimator: FlowEstimator,
+        counted: Sequence[ReferenceMass] | None = None,
+        scale: Sequence[ReferenceMass] = (),
+    ) -> bool:
+        """What was weighed of these loads counts no more and may be used anew. counted: tickets of the present crop that the
+        parameters in use rest on, which came back; None: the parameters are as before. scale: masses of the tank scale; those
+        that taught what went are used anew. Returns whether there are such."""
 
     def change_grain(self, before: str, now: str, used: Sequence[ReferenceMass], estimator: FlowEstimator | None = None) -> None:
         """Another crop from now on: what was weighed of the one before is kept for its return, and what its parameters were

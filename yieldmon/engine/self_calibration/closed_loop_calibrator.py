@@ -6,9 +6,10 @@ Between sweeps the parameters' covariance grows (drift), and moisture moves the 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
-from math import isfinite, nan
+from math import inf, isfinite, nan
+from typing import NamedTuple
 
 import numpy as np
 
@@ -57,6 +58,14 @@ _KEPT_SETS = 8
 """Parameters before, of which a reference mass may have been measured with any."""
 
 
+class _Before(NamedTuple):
+    """Parameters before, the bus time until which they were in use, and the masses that had been handed over by then."""
+
+    until_s: float
+    parameters: ParameterSet
+    handed: frozenset[ReferenceMass]
+
+
 class ClosedLoopCalibrator:
     """A `records.SelfCalibrator`. Each reference mass is used once."""
 
@@ -68,8 +77,7 @@ class ClosedLoopCalibrator:
         self._used: frozenset[ReferenceMass] = frozenset()
         self._checked: frozenset[ReferenceMass] = frozenset()
         """Held against what was counted."""
-        self._history: list[tuple[float, ParameterSet]] = []
-        """Parameters before, each with the bus time until which it was in use."""
+        self._history: list[_Before] = []
         self._given: ParameterSet | None = None
         """As they came from outside, for as long as no reference mass has changed them since."""
         self._origin: ParameterSet | None = None
@@ -148,8 +156,8 @@ class ClosedLoopCalibrator:
             outcome, drifting = update.of(drifting, masses, {name_of(reference) for reference, _ in found})
         except ValueError as error:
             return CalibrationOutcome(None, f"{error}; the parameters stay", identifiable=False, checks=checks)
-        self._used = frozenset(anchors)
         taken = self._taken(outcome, Carried(drifting, step), used, at)
+        self._used = frozenset(anchors)
         return replace(taken, reason=f"{taken.reason}; {doubt}" if doubt else taken.reason, weighed=True, checks=checks)
 
     def hear(self, record: WindowRecord, lesson: KernelLesson, estimator: FlowEstimator) -> CalibrationOutcome:
@@ -216,7 +224,7 @@ class ClosedLoopCalibrator:
 
     def _from_outside(self, used: ParameterSet) -> bool:
         """Whether no lesson led to these parameters, and no undo brought them back."""
-        before = any(dict(used.values) == dict(known.values) for _, known in self._history)
+        before = any(dict(used.values) == dict(before.parameters.values) for before in self._history)
         return used is not self._updated and used is not self._restored and not before
 
     def sweep_worth(
@@ -315,7 +323,7 @@ class ClosedLoopCalibrator:
 
     def _replaced(self, used: ParameterSet, until_s: float, known: ParameterSet) -> None:
         """Other parameters than those used until a bus time."""
-        self._history = [*self._history[1 - _KEPT_SETS :], (until_s, used)]
+        self._history = [*self._history[1 - _KEPT_SETS :], _Before(until_s, used, self._used)]
         self._updated = known
 
     def _without_sweeps(self, used: ParameterSet, now_s: float) -> CalibrationOutcome:
@@ -341,18 +349,42 @@ class ClosedLoopCalibrator:
         return self._crops.doubted
 
     def forget(
-        self, load_numbers: frozenset[int], estimator: FlowEstimator, counted: Sequence[ReferenceMass] | None = None
-    ) -> None:
+        self,
+        load_numbers: frozenset[int],
+        estimator: FlowEstimator,
+        counted: Sequence[ReferenceMass] | None = None,
+        scale: Sequence[ReferenceMass] = (),
+    ) -> bool:
         """See records.SelfCalibrator."""
         self._crops.forget({f"load {number}" for number in load_numbers})
-        self._used = frozenset(anchor for anchor in self._used if anchor.load_number not in load_numbers)
+        self._use_again({anchor for anchor in self._used | self._checked if anchor.load_number in load_numbers})
         if counted is None:
-            return
+            return False
         used = self._in_use(estimator)
+        handed = self._handed_before(used)
         if self._origin is not None:
             # Parameters from before an update come from where it came.
             self._updated, self._restored = None, used
-        self._weigh_again([name_of(anchor) for anchor in counted][-KEPT_LOADS:], "", counted, used)
+        again = {mass for mass in scale if mass not in handed}
+        self._use_again(again)
+        left = sorted((*counted, *(mass for mass in scale if mass in handed)), key=lambda mass: mass.end_s)
+        self._weigh_again([name_of(mass) for mass in left][-KEPT_LOADS:], "", left, used)
+        return bool(again)
+
+    def _use_again(self, masses: Collection[ReferenceMass]) -> None:
+        """These teach and are held against what was counted as if they had not been handed over."""
+        self._used, self._checked = self._used.difference(masses), self._checked.difference(masses)
+
+    def _handed_before(self, restored: ParameterSet) -> frozenset[ReferenceMass]:
+        """The masses that had been handed over when parameters were in use that an undo has brought back; by the oldest that are
+        known where these are older."""
+        now = () if self._updated is None else (_Before(inf, self._updated, self._used),)
+        known: list[_Before] = [*self._history, *now]
+        for before in reversed(known):
+            same = dict(before.parameters.values) == dict(restored.values)
+            if same and np.array_equal(before.parameters.covariance, restored.covariance):
+                return before.handed
+        return self._history[0].handed if self._history else self._used
 
     def change_grain(self, before: str, now: str, used: Sequence[ReferenceMass], estimator: FlowEstimator | None = None) -> None:
         """See records.SelfCalibrator."""
@@ -437,5 +469,6 @@ class ClosedLoopCalibrator:
         return out
 
     def _mass_anchor(self, anchor: ReferenceMass, used: ParameterSet) -> MassAnchor:
-        spans = ((until_s, self._knowledge.patterned(known)) for until_s, known in (*self._history, (float("inf"), used)))
-        return mass_anchor(anchor, self._model, spans, self._settings.anchor_error)
+        spans = (*((before.until_s, before.parameters) for before in self._history), (inf, used))
+        patterned = ((until_s, self._knowledge.patterned(known)) for until_s, known in spans)
+        return mass_anchor(anchor, self._model, patterned, self._settings.anchor_error)

@@ -126,14 +126,16 @@ class Learning:
         anchors = [self.tickets.ticket(*weighing, loads, now_s) for weighing in again]
         gone = load_numbers | {anchor.load_number for anchor in anchors}
         left = self.tickets.take_back(gone, anchors, crop)
+        scale_again = False
         if self.calibrator is not None:
             counted = None
             if learnt is not None and not crop:
                 waiting = self.tickets.waiting
                 counted = [ticket for ticket in left if ticket.load_number in learnt and ticket not in waiting]
-            self.calibrator.forget(gone, self.estimator, counted)
+            scale_again = self.calibrator.forget(gone, self.estimator, counted, tuple(self._scale.anchors))
         if not crop:
-            self._masses_new = bool(self.tickets.waiting) or (self._masses_new and bool(self._scale.anchors))
+            scale_waits = scale_again or (self._masses_new and bool(self._scale.anchors))
+            self._masses_new = bool(self.tickets.waiting) or scale_waits
 
     @property
     def last_update(self) -> str:
