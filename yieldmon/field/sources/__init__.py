@@ -17,6 +17,7 @@ from types import ModuleType
 from yieldmon.errors import NO_ROOM, InputError, no_room_to_unpack, reason
 from yieldmon.field.mixed import with_note
 from yieldmon.field.seconds import per_second
+from yieldmon.field.sections import together
 from yieldmon.field.table import HarvestTable
 
 from .options import ReadOptions
@@ -52,7 +53,7 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
             raise InputError(str(path), "is neither a file nor a folder", "a harvest")
         for module in modules():
             if module.recognises(path, head):
-                table, mixed = with_note(module.read(path, options))
+                table, mixed = with_note(together(module.read(path, options)))
                 # The rows of a second are no one's where two machines made them.
                 return table if mixed else per_second(table)
     except OSError as error:

@@ -24,6 +24,7 @@ from .positions import plausible, without_marks
 from .raw_table import Raw
 from .repeated_rows import without_repeats
 from .row_times import ColumnTimes, column_times, row_times
+from .side_by_side import numbered
 
 _TABLE_NAMES = {
     "longitude": "longitude_deg",
@@ -65,12 +66,18 @@ def assemble(raw: Raw, where: str, kind: str, options: ReadOptions) -> HarvestTa
     said = column_times(raw, options, where)
     raw, values, said = without_repeats(raw, values, said)
     raw = _machines_apart(raw, values, said)
-    time, unix_time, notes = row_times(raw, values, said, where)
     if options.width_m is not None:
         values["width"] = np.full(raw.count, options.width_m)
     if "width" not in values:
         raise InputError(where, "has no working width", "--width M")
     unknown = _limited(values, raw.columns)
+    if said.time_s is not None and "section" not in values:
+        places = values["longitude"], values["latitude"]
+        section = numbered(*places, values["width"], said.time_s, raw.machine_of_row)
+        if section is not None:
+            values["section"] = section
+            unknown += (f"rows of one time stand side by side: they are taken as {int(section.max())} sections of the header",)
+    time, unix_time, notes = row_times(raw, values, said, where)
     ways = ways_checked(raw, values, time)
     derived = derive(values, time, raw.machine_of_row, where)
     columns, limits = plausible({"time_s": time} | {_TABLE_NAMES[q]: v for q, v in values.items() if q in _TABLE_NAMES})

@@ -19,6 +19,7 @@ from .delimited import has_decimal_comma
 from .naming import Column
 from .options import ReadOptions
 from .raw_table import Raw
+from .side_by_side import steps_of_sections
 
 _LOOKED_AT = 100
 _MOST_REPEAT = 0.6
@@ -84,10 +85,14 @@ def row_times(raw: Raw, values: Mapping[str, Array], said: ColumnTimes, where: s
     if said.time_s is None:
         return _in_order(raw, values, where, said.notes[0])
     notes = list(said.notes)
-    if "section" in values or ("interval" in values and not _repeats(said.time_s, raw)):
+    if "section" not in values and "interval" in values and not _repeats(said.time_s, raw):
         return said.time_s, said.unix, tuple(notes)
     even_s, step_s = said.time_s.copy(), 0.0
     for rows in _of_machines(raw):
+        if "section" in values:
+            even_s[rows], own_step_s = _of_steps(values, rows, said.time_s[rows])
+            step_s = max(step_s, own_step_s)
+            continue
         even_s[rows], own_step_s = clocks.evened(said.time_s[rows], _driven_m(values, rows, said.time_s[rows]))
         step_s = max(step_s, own_step_s)
     if step_s:
@@ -113,6 +118,22 @@ def _apart_m(values: Mapping[str, Array], rows: NDArray[np.intp] | slice = slice
     plane = Sites.about(longitude, latitude)
     x, y = plane.to_m(longitude, latitude)
     return np.hypot(np.diff(x, prepend=np.nan), np.diff(y, prepend=np.nan))
+
+
+def _of_steps(values: Mapping[str, Array], rows: NDArray[np.intp], time_s: Array) -> tuple[Array, float]:
+    """Times evened out as those of the header's steps, of which each section has a row; and the clock's step, s."""
+    step = steps_of_sections(time_s, np.nan_to_num(values["section"][rows]))
+    first = np.zeros(int(step.max()) + 1, np.intp)
+    first[step[::-1]] = np.arange(len(step))[::-1]
+    if "interval" in values and (np.diff(time_s[first]) > 0).mean() > 1.0 - _MOST_REPEAT:
+        return time_s, 0.0
+    ways = {name: values[name][rows] for name in ("longitude", "latitude")}
+    middle = {
+        name: np.bincount(step, np.nan_to_num(way)) / np.maximum(np.bincount(step, np.isfinite(way)), 1)
+        for name, way in ways.items()
+    }
+    even_s, clock_s = clocks.evened(time_s[first], _apart_m(middle))
+    return even_s[step], clock_s
 
 
 def _driven_m(values: Mapping[str, Array], rows: NDArray[np.intp], time_s: Array) -> Array:
