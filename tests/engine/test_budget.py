@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from yieldmon.engine.faults import FaultCode
 from yieldmon.engine.mass.budget import EMPTY, FlowBudget, MassBudget, MoistureReference, zero_std_dev_mv
-from yieldmon.engine.mass.loads import Loads
+from yieldmon.engine.mass.loads import LoadClosed, Loads
 from yieldmon.engine.mass.totals import Totals
 from yieldmon.engine.settings import BudgetSettings, EngineSettings
 from yieldmon.engine.state import EngineState
@@ -215,13 +215,17 @@ def test_a_ticket_that_contradicts_widens_what_the_open_load_holds() -> None:
     assert weighed is not None
     assert before is not None
     target.ticket(weighed.number, 1.25 * weighed.measured_kg, 5.0)
-    feed(target, frames[ticket:])
+    results = [result for frame in frames[ticket:] for result in target.feed(frame)]
     after = target.open_load
     assert after is not None
     assert FaultCode.SCALE_DISAGREES in target.records[-1].faults
     assert before.std_dev_kg < 0.06 * before.measured_kg
-    # Measured 20 % less than weighed: what the load held then is unsure by as much.
-    assert after.budget.parameters_kg == pytest.approx(0.2 * before.measured_kg, rel=0.2)
+    # Weighed 25 % more than measured: what the load held then, and the one that was weighed, are unsure by as much.
+    assert after.budget.parameters_kg == pytest.approx(0.25 * before.measured_kg, rel=0.2)
+    closed = {load.number: load for load in target.loads}
+    assert closed[weighed.number].budget.parameters_kg == pytest.approx(0.25 * weighed.measured_kg)
+    restated = [event.load.number for result in results for event in result.events if isinstance(event, LoadClosed)]
+    assert weighed.number in restated
 
 
 @pytest.mark.parametrize("error_kg", [0.0, 0.5, 50.0])

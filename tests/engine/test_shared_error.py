@@ -155,6 +155,41 @@ def test_what_was_found_out_of_one_load_otherwise_is_not_restated(what: str, is_
         assert loads.all[1].budget.parameters_kg == pytest.approx(hypot(0.5, 4.0)), "another load is"
 
 
+@pytest.mark.parametrize("restart", [False, True])
+def test_a_weighed_mass_shows_what_all_loads_of_the_scale_are_off_by(restart: bool) -> None:
+    """Whichever parameters measured them since it was set, a sweep's among them; until the ticket is taken back."""
+    loads = Loads(EngineSettings())
+    harvest(loads, 60)
+    loads.scale_is_set()
+    loads.start(60.0)
+    harvest(loads, 60)
+    loads.start(120.0)
+    harvest(loads, 60, version=2)
+    loads.start(180.0)
+    harvest(loads, 10, version=2)
+    stated = {load.number: load.budget.parameters_kg for load in loads.all}
+    assert stated == {n: pytest.approx(kg) for n, kg in ((1, 3.0), (2, 3.0), (3, 3.0), (4, 0.5))}
+    if restart:
+        loads = resumed(loads, 2)
+    events = loads.scale_is_off(0.2, by_load=2)
+    known = {state.number: state.budget.parameters_kg for state in loads.closed_states}
+    assert known == {n: pytest.approx(kg) for n, kg in ((1, 3.0), (2, 120.0), (3, 120.0), (4, 20.0))}
+    assert {e.number if isinstance(e, LoadRestated) else e.load.number for e in events} == {2, 3}
+    assert loads.totals.total_budget.parameters_kg == pytest.approx(263.0)
+    loads.scale_is_set()
+    assert loads.scale_is_off(0.3, by_load=3) == ()
+    harvest(loads, 10, version=3)
+    loads.restate(SHOWN, 3)
+    if restart:
+        loads = resumed(loads, 3)
+    assert loads.scale_was_right({7}) == ()
+    loads.scale_was_right({2})
+    loads.restate(NO_ERROR, 3)
+    known = {state.number: state.budget.parameters_kg for state in loads.closed_states}
+    assert known == {n: pytest.approx(kg) for n, kg in ((1, 3.0), (2, 3.0), (3, 3.0), (4, 1.0))}
+    assert loads.totals.total_budget.parameters_kg == pytest.approx(10.0)
+
+
 def test_a_budget_that_is_not_known_stays_so() -> None:
     loads = Loads(EngineSettings())
     unknown = replace(FLOW, budget=FlowBudget(nan, nan, covariance_kg_s=nan, per_error_kg_s=0.0))

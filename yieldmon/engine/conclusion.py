@@ -90,7 +90,7 @@ class Conclusion:
         if parts.waveform is not None and parts.settings.sweep.when == "information":
             channels = parts.waveform.channels(window.end_s, estimator)
         learnt = learning.learn(window.end_s, record, sweep, channels)
-        restated = self._restate(*believed)
+        restated = self._restate(*believed, learnt)
         self._hold_moisture(learnt)
         if parts.waveform is not None and not (sweep.driving or learnt):
             lesson = parts.waveform.lessons.take()
@@ -166,14 +166,22 @@ class Conclusion:
         if totals.load_open:
             learning.tickets.measured(totals.load_number, reading, flow, mass_kg)
 
-    def _restate(self, model_error: AngleError, contradiction: ScaleCheck | None) -> LoadEvents:
-        """Loads are as unsure as sweeps, and the open one as a weighed mass, have just shown them to be. Before: the model's
-        error, and the mass that contradicted."""
+    def _restate(
+        self, model_error: AngleError, contradiction: ScaleCheck | None, learnt: Sequence[ParametersChanged]
+    ) -> LoadEvents:
+        """Loads are as unsure as sweeps and weighed masses have just shown them to be. Before: the model's error, and the mass
+        that contradicted. A mass that contradicts and is doubted says nothing of loads that are closed."""
         loads, learning = self._parts.loads, self._parts.learning
         error, found = learning.load_error, learning.scale_alarm.state.contradiction
         restated = loads.restate(error, learning.estimator.parameters.version) if error != model_error else ()
         if found is not None and found is not contradiction:
-            loads.widen(abs(found.error_pct) / 100.0 * loads.totals.load_kg)
+            relative = abs(found.weighed_kg / found.measured_kg - 1.0)
+            if learnt or learning.calibrator is None:
+                restated = (*restated, *loads.scale_is_off(relative, learning.load_of(found)))
+            else:
+                loads.widen(relative * loads.totals.load_kg)
+        if any(change.origin == "ticket" for change in learnt):
+            loads.scale_is_set()
         return restated
 
     def _hold_moisture(self, learnt: Sequence[ParametersChanged]) -> None:

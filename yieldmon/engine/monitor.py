@@ -322,7 +322,7 @@ class Monitor:
 
     def teach_again(
         self, load_numbers: Sequence[int], again: Sequence[Weighing], learnt: Sequence[int] | None = None, crop: str = ""
-    ) -> None:
+    ) -> LoadEvents:
         """Tickets were taken back; where they had taught, the parameters are those from before that, and others teach again.
 
         Parameters
@@ -337,6 +337,11 @@ class Monitor:
         crop : str
             Of all these, where another crop is harvested now: then they wait for its return.
 
+        Returns
+        -------
+        list of LoadClosed or LoadRestated
+            Loads whose standard deviation held what these tickets had shown.
+
         Raises
         ------
         ValueError
@@ -344,6 +349,7 @@ class Monitor:
         """
         taught, known = frozenset(load_numbers), None if learnt is None else frozenset(learnt)
         self._parts.learning.teach_again(taught, again, known, self.loads, self._parts.bus_now, crop)
+        return self._parts.loads.scale_was_right(taught) if known is not None else ()
 
     @property
     def counted_loads(self) -> frozenset[int]:
@@ -394,6 +400,7 @@ class Monitor:
             self._parts.flow_meter.moisture.state = None
         self._parts.learning.use(estimator, calibration_age_s, harvested_kg)
         self._parts.learning.scale_alarm.accept()
+        self._parts.loads.scale_is_set()
 
     def change_crop(self, estimator: FlowEstimator, calibration_age_s: float | None, before: str, now: str) -> None:
         """Parameters of another crop. Tickets of the crop before wait for its return, and a sweep under way ends.

@@ -9,7 +9,7 @@ counted apart and in no total.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Container, Iterable, Mapping
 from dataclasses import dataclass, replace
 from math import inf, isfinite
 
@@ -116,6 +116,10 @@ class Loads:
         """Of loads that the parameters in use have measured, by number."""
         self._before: dict[int, MassBudget] = {}
         """Of loads that closed in a run before."""
+        self._of_scale: dict[int, float] = {}
+        """Mass, kg, measured since the parameters' scale was set last, by load."""
+        self._off: dict[tuple[int, int], float] = {}
+        """What of a load's deviation, kg, is there because the scale was found to be off, by load and by the load weighed."""
 
     @property
     def open(self) -> LoadSummary | None:
@@ -195,6 +199,7 @@ class Loads:
         totals, number = self.totals, self.totals.load_number
         if not (totals.load_open and mass_kg > 0.0):
             return
+        self._of_scale[number] = self._of_scale.get(number, 0.0) + mass_kg
         seconds, known = mass_kg / flow.rate_kg_s, self._shared.get(number)
         if known is None or known.version != version:
             # What other parameters measured stays as stated.
@@ -212,6 +217,46 @@ class Loads:
             if shared.version == version:
                 events += self._restated(number, shared.parameters_kg(error))
         return tuple(events)
+
+    def scale_is_off(self, relative: float, by_load: int = 0) -> LoadEvents:
+        """A weighed mass shows the scale that the parameters have had since `scale_is_set` to be off by so much: that is the
+        least standard deviation of all that was measured with it; closed loads that it changes are returned. by_load: number of
+        the load that was weighed."""
+        events: list[LoadClosed | LoadOpened | LoadRestated] = []
+        for number, mass_kg in self._of_scale.items():
+            self._shared.pop(number, None)
+            known = self._budget_of(number)
+            more_kg = relative * mass_kg - (inf if known is None else known.parameters_kg)
+            if known is not None and more_kg > 0.0:
+                self._off[number, by_load] = self._off.get((number, by_load), 0.0) + more_kg
+                events += self._restated(number, known.parameters_kg + more_kg)
+        return tuple(events)
+
+    def scale_was_right(self, by_loads: Container[int]) -> LoadEvents:
+        """The tickets for these loads are taken back, what they have shown of the scale, and the parameters that they led to; as
+        `scale_is_off`."""
+        events: list[LoadClosed | LoadOpened | LoadRestated] = []
+        masses = {load.number: load.measured_kg for load in self.all}
+        for number, by_load in [key for key in self._off if key[1] in by_loads]:
+            more_kg, known, shared = self._off.pop((number, by_load)), self._budget_of(number), self._shared.get(number)
+            if known is None:
+                continue
+            if number in masses:
+                self._of_scale[number] = masses[number]
+            if shared is not None:
+                self._shared[number] = replace(shared, before_kg=max(shared.before_kg - more_kg, 0.0))
+            events += self._restated(number, max(known.parameters_kg - more_kg, 0.0))
+        return tuple(events)
+
+    def scale_is_set(self) -> None:
+        """From now on the parameters have another scale: by a weighed mass, or from outside."""
+        self._of_scale = {}
+
+    def _budget_of(self, number: int) -> MassBudget | None:
+        if self.totals.load_open and number == self.totals.load_number:
+            return self.totals.load_budget
+        closed = next((load.budget for load in self._closed if load.number == number), None)
+        return self._before.get(number) if closed is None else closed
 
     def _restated(self, number: int, parameters_kg: float) -> LoadEvents:
         totals = self.totals
@@ -242,13 +287,22 @@ class Loads:
         if self.totals.load_open:
             budgets[self.totals.load_number] = self.totals.load_budget
         known = [number for number in sorted(budgets) if 0.0 < budgets[number].std_dev_kg < inf]
-        return tuple(ClosedLoadState(n, budgets[n], self._shared.get(n)) for n in known[-_KEPT_CLOSED:])
+        return tuple(
+            ClosedLoadState(
+                n, budgets[n], self._shared.get(n), self._of_scale.get(n, 0.0),
+                tuple((by_load, more_kg) for (number, by_load), more_kg in self._off.items() if number == n),
+            )
+            for n in known[-_KEPT_CLOSED:]
+        )  # fmt: skip
 
     def resume_closed(self, states: Iterable[ClosedLoadState], version: int) -> None:
         """After `restore`: loads that a run before closed; version: of the parameters in use."""
         for state in states:
             if state.shared is not None and state.shared.version == version:
                 self._shared[state.number] = state.shared
+            if state.of_scale_kg > 0.0:
+                self._of_scale[state.number] = state.of_scale_kg
+            self._off |= {(state.number, by_load): more_kg for by_load, more_kg in state.off_kg}
             if not (self.totals.load_open and state.number == self.totals.load_number):
                 self._before[state.number] = state.budget
 
@@ -274,7 +328,7 @@ class Loads:
 
     def restore(self, totals: Totals) -> None:
         """Go on from totals that were kept; what passed since was not measured."""
-        self._shared, self._before = {}, {}
+        self._shared, self._before, self._of_scale, self._off = {}, {}, {}, {}
         self.totals = self._at_market(totals)
         self._complete, self._opening = not (totals.load_open and totals.load_kg > 0.0), Opening()
 
@@ -329,6 +383,8 @@ class Loads:
         self._closed.append(self._summary(now_s))
         kept = {load.number for load in self._closed} | set(self._before)
         self._shared = {number: shared for number, shared in self._shared.items() if number in kept}
+        self._of_scale = {number: mass_kg for number, mass_kg in self._of_scale.items() if number in kept}
+        self._off = {key: more_kg for key, more_kg in self._off.items() if key[0] in kept}
         return (LoadClosed(self._closed[-1]),)
 
 

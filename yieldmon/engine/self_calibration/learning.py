@@ -15,7 +15,7 @@ from yieldmon.engine.mass.loads import LoadSummary
 from yieldmon.engine.records import CalibrationOutcome, CalibrationStep, FlowEstimator, SelfCalibrator, WindowRecord
 from yieldmon.engine.sampling.windows import Window
 from yieldmon.engine.self_calibration.anchors import ReferenceMass, TankScale, Weighing
-from yieldmon.engine.self_calibration.scale_alarm import ScaleAlarm, as_stated, name_of
+from yieldmon.engine.self_calibration.scale_alarm import ScaleAlarm, ScaleCheck, as_stated, name_of
 from yieldmon.engine.self_calibration.ticket_book import TicketBook
 from yieldmon.engine.self_calibration.ticket_check import departure_of
 from yieldmon.engine.settings import EngineSettings
@@ -101,6 +101,10 @@ class Learning:
     def doubted_loads(self) -> frozenset[int]:
         """See `Monitor.doubted_loads`."""
         return self._ticketed(frozenset() if self.calibrator is None else self.calibrator.doubted)
+
+    def load_of(self, check: ScaleCheck) -> int:
+        """Number of the load whose ticket was checked; 0 for a mass of the tank scale."""
+        return next((ticket.load_number for ticket in self.tickets.of_any_crop if name_of(ticket) == check.name), 0)
 
     def _ticketed(self, names: frozenset[str]) -> frozenset[int]:
         """Loads of these names that have a ticket."""

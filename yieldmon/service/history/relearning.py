@@ -179,7 +179,7 @@ def _teach_again(
         load for n in journal.actions.learnt_from() if n not in taught
         for load in range(tickets[n].first_load, tickets[n].last_load + 1)
     ]  # fmt: skip
-    monitor.teach_again(gone, again, learnt if goes_back else None, crop)
+    journal.happened(monitor.teach_again(gone, again, learnt if goes_back else None, crop))
     journal.actions.wait_again(taught, crop)
     return taught, why_not
 
