@@ -398,7 +398,7 @@ class Scales:
     def update(self, records, estimator, *, use_sweep=True):  # type: ignore[no-untyped-def]
         raise AssertionError("no sweep here")
 
-    def weigh(self, record, anchors, estimator):  # type: ignore[no-untyped-def]
+    def weigh(self, record, anchors, estimator, model_error):  # type: ignore[no-untyped-def]
         self.weighed.append(tuple(anchors))
         known = replace(estimator.parameters, version=estimator.parameters.version + 1)
         return CalibrationOutcome(ForceProportional(parameters=known), "weighed", weighed=True)

@@ -20,6 +20,7 @@ from yieldmon.engine.sampling.windows import WindowBuilder
 from yieldmon.engine.self_calibration.anchors import ReferenceMass
 from yieldmon.engine.settings import EngineSettings, SweepSettings, WindowSettings
 from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.self_calibration.angle_error import NO_ERROR, AngleError
 from yieldmon.frames import ERROR, NOT_AVAILABLE, Frame, SweepState
 from yieldmon.physics.machine import RPM
 
@@ -44,7 +45,9 @@ class Teacher:
         self.lessons += 1
         return CalibrationOutcome(ForceProportional(relative_std_dev=0.03 * (self.lessons + 1)), "learnt")
 
-    def weigh(self, record: WindowRecord, anchors: Sequence[ReferenceMass], estimator: FlowEstimator) -> CalibrationOutcome:
+    def weigh(
+        self, record: WindowRecord, anchors: Sequence[ReferenceMass], estimator: FlowEstimator, model_error: AngleError = NO_ERROR
+    ) -> CalibrationOutcome:
         return self.update([record], estimator)
 
     def drift_std_dev(self, record: WindowRecord, estimator: FlowEstimator) -> float:

@@ -17,6 +17,7 @@ from yieldmon.engine.self_calibration.anchors import ReferenceMass
 from yieldmon.engine.settings import EngineSettings, SweepSettings
 from yieldmon.engine.sweeps.sweep_inputs import SweepAbort
 from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.self_calibration.angle_error import NO_ERROR, AngleError
 from yieldmon.frames import EstimateQuality, Frame, SweepState
 from yieldmon.resources import shipped
 from yieldmon.service.config import configuration
@@ -45,7 +46,9 @@ class Teacher:
         self.given.append(records)
         return self.outcome
 
-    def weigh(self, record: WindowRecord, anchors: Sequence[ReferenceMass], estimator: FlowEstimator) -> CalibrationOutcome:
+    def weigh(
+        self, record: WindowRecord, anchors: Sequence[ReferenceMass], estimator: FlowEstimator, model_error: AngleError = NO_ERROR
+    ) -> CalibrationOutcome:
         raise AssertionError("nothing was weighed")
 
     def drift_std_dev(self, record: WindowRecord, estimator: FlowEstimator) -> float:

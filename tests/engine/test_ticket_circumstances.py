@@ -1,4 +1,4 @@
-"""What a ticket teaches depends on the zero of its load, and on grain of another moisture than before."""
+"""What a ticket teaches depends on the zero of its load, on grain of another moisture than before, and on the model's error."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from yieldmon.engine.self_calibration.closed_loop_calibrator import ClosedLoopCa
 from yieldmon.engine.self_calibration.load_forces import LoadForces
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.self_calibration.angle_error import NO_ERROR, NODES_RAD, AngleError
 from yieldmon.physics.model import Conditions
 
 FLOW_KG_S, SECONDS = 10.0, 500.0
@@ -34,18 +35,18 @@ def ticket(weaker: float, budget: MassBudget, moisture_pct: float = 18.0) -> Ref
     )
 
 
-def learnt(anchor: ReferenceMass) -> ParameterSet:
-    """The parameters after it."""
+def learnt(anchor: ReferenceMass, error: AngleError = NO_ERROR) -> ParameterSet:
+    """The parameters after it, where loads were stated with this error of the model."""
     settings = CalibratorSettings(steady_per_kilotonne={})
-    outcome = ClosedLoopCalibrator(MODEL, settings).weigh(records(FLOW_KG_S)[0], (anchor,), OpenLoop(MODEL, SURE))
+    outcome = ClosedLoopCalibrator(MODEL, settings).weigh(records(FLOW_KG_S)[0], (anchor,), OpenLoop(MODEL, SURE), error)
     assert outcome.estimator is not None
     return outcome.estimator.parameters
 
 
-def left(anchor: ReferenceMass) -> tuple[float, float]:
+def left(anchor: ReferenceMass, error: AngleError = NO_ERROR) -> tuple[float, float]:
     """Error with which the ticket's own load is measured after it, and its standard deviation, as shares."""
     assert anchor.forces is not None
-    found = OpenLoop(MODEL, learnt(anchor)).estimate(
+    found = OpenLoop(MODEL, learnt(anchor, error)).estimate(
         anchor.forces.force_n, anchor.forces.plate_angle_rad, anchor.forces.elevator_speed_rad_s
     )
     rate = float(np.mean(found.mass_flow_kg_s))
@@ -68,3 +69,41 @@ def test_a_ticket_is_no_surer_than_the_zero_of_its_load() -> None:
     known, unsure = (left(ticket(0.005, MassBudget(zero_kg=share * FLOW_KG_S * SECONDS))) for share in (0.0, 0.01))
     assert unsure[1] > 1.15 * known[1]
     assert unsure[0] < known[0] < 0.0
+
+
+HOME_RAD = MACHINE.home_plate_angle_rad
+
+
+def one_cause(at_home: float, away: float) -> AngleError:
+    """That changes the force by so much at home, and at 40 deg."""
+    change = np.interp(NODES_RAD, [np.radians(40.0), HOME_RAD], [away, at_home])
+    return AngleError.of(np.outer(change, change), HOME_RAD)
+
+
+@pytest.mark.parametrize("weaker", [0.015, 0.04])
+def test_a_ticket_sets_a_scale_that_the_models_error_has_left_open(weaker: float) -> None:
+    """A load that is stated with 5 % is not drawn back to parameters that the ticket finds off by less."""
+    found = left(ticket(weaker, MassBudget()), one_cause(0.05, 0.05))
+    assert abs(found[0]) < 0.1 * weaker
+    assert abs(found[0]) < found[1] < 0.01
+
+
+def test_a_load_away_from_home_says_less_of_the_scale_there() -> None:
+    anchor = ticket(0.04, MassBudget())
+    assert anchor.forces is not None
+    angle = np.where(np.arange(10) < 5, HOME_RAD, np.radians(40.0))
+    force = np.real(MODEL.force(Conditions(angle, SPEED, mass_flow_kg_s=FLOW_KG_S), SURE.values))
+    half = replace(anchor, forces=replace(anchor.forces, force_n=0.96 * force, plate_angle_rad=angle))
+
+    def sd(reference: ReferenceMass, error: AngleError) -> float:
+        known = OpenLoop(MODEL, learnt(reference, error)).estimate(*(anchor.forces.force_n, HOME_RAD, SPEED))  # type: ignore[union-attr]
+        return float(np.mean(known.std_dev_kg_s / known.mass_flow_kg_s))
+
+    same, other = one_cause(0.05, 0.05), one_cause(0.05, 0.15)
+    assert sd(anchor, other) == pytest.approx(sd(anchor, same), rel=1e-6)
+    assert sd(half, other) > 3.0 * sd(half, same)
+
+
+def test_parameters_say_that_a_weighed_mass_has_set_their_scale() -> None:
+    assert not SURE.is_weighed
+    assert learnt(ticket(0.04, MassBudget())).is_weighed

@@ -13,6 +13,7 @@ from yieldmon.engine.self_calibration.learning import Learning
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.sweeps.disagreement import DisagreementState, SweepPattern
 from yieldmon.estimation.open_loop import OpenLoop
+from yieldmon.estimation.parameters import SCALE, WEIGHED
 from yieldmon.estimation.self_calibration.angle_error import NO_ERROR
 from yieldmon.estimation.self_calibration.misfit import ReducedSweep
 from yieldmon.files import parameter_file
@@ -66,3 +67,15 @@ def test_a_weighed_mass_ends_it() -> None:
     found = learning()
     found.judge_model(weighed=True)
     assert found.load_error == NO_ERROR
+
+
+def test_parameters_whose_scale_was_weighed_need_no_sweep_wherever_they_come_from() -> None:
+    """A file of `calibrate --loads`, or those that an undo or a crop's return brings back."""
+    weighed = replace(PARAMETERS, provenance={SCALE: WEIGHED})
+    found = learning()
+    found.use(OpenLoop(MODEL, weighed), None)
+    assert found.load_error == NO_ERROR
+    found.use(OpenLoop(MODEL, PARAMETERS), None)
+    assert found.load_error.home > 0.01
+    found.use(OpenLoop(MODEL, weighed), None)
+    assert swept(found).load_error.home == 0.0

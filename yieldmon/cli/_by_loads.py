@@ -16,7 +16,7 @@ from yieldmon.errors import InputError
 from yieldmon.estimation.fitting.calibration_result import CONFIDENCE
 from yieldmon.estimation.gaussian import REACH_95
 from yieldmon.estimation.load_pattern import EFFECT
-from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.parameters import SCALE, WEIGHED, ParameterSet
 from yieldmon.estimation.weighing.load_inputs import WeighedLoad
 from yieldmon.estimation.weighing.load_outcome import LoadCalibration
 from yieldmon.estimation.weighing.loads import calibrate_loads
@@ -212,6 +212,7 @@ def _with_provenance(
         "method": f"{len(found.loads) - len(found.outliers)} weighed loads"
         + (f", {found.sweeps_used} sweeps" if found.sweeps_used else ""),
         "parent_version": str(prior.version),
+        SCALE: WEIGHED,
     }
     if "crop" in prior.provenance:
         facts["crop"] = prior.provenance["crop"]

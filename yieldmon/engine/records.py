@@ -21,6 +21,7 @@ from yieldmon.engine.self_calibration.learnt_before import Places
 from yieldmon.engine.self_calibration.scale_alarm import ScaleCheck
 from yieldmon.estimation.open_loop import FlowEstimate
 from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.self_calibration.angle_error import NO_ERROR, AngleError
 from yieldmon.estimation.self_calibration.steady_drift import Advance
 from yieldmon.estimation.self_calibration.sweep_worth import OtherChannels, SweepWorth
 from yieldmon.estimation.waveform.common_bias import KernelLesson
@@ -355,8 +356,15 @@ class SelfCalibrator(Protocol):
         use_sweep: False while the model disagrees with what sweeps show; then only an independent density updates.
         """
 
-    def weigh(self, record: WindowRecord, anchors: Sequence[ReferenceMass], estimator: FlowEstimator) -> CalibrationOutcome:
-        """What reference masses change. record: the last window; anchors: all reference masses kept."""
+    def weigh(
+        self,
+        record: WindowRecord,
+        anchors: Sequence[ReferenceMass],
+        estimator: FlowEstimator,
+        model_error: AngleError = NO_ERROR,
+    ) -> CalibrationOutcome:
+        """What reference masses change. record: the last window; anchors: all reference masses kept; model_error: that their
+        loads are stated with."""
 
     def hear(self, record: WindowRecord, lesson: KernelLesson, estimator: FlowEstimator) -> CalibrationOutcome:
         """What kernel noise changes. record: the last window."""

@@ -19,6 +19,9 @@ from yieldmon.physics.numerics import Array
 if TYPE_CHECKING:
     from .flow_curve import FlowCurve
 
+SCALE, WEIGHED = "scale", "weighed"
+"""Key and value of the provenance of parameters whose scale weighed masses have set."""
+
 
 @dataclass(frozen=True, slots=True)
 class CalibratedRange:
@@ -145,6 +148,12 @@ class ParameterSet:
     def effects(self) -> tuple[str, ...]:
         """Names of the effects that the values speak of, in alphabetical order."""
         return tuple(sorted({name.partition(".")[0] for name in self.values if "." in name}))
+
+    @property
+    def is_weighed(self) -> bool:
+        """Whether weighed masses have set the scale: at the angle where these were measured it is that of the machine, whatever
+        the model lacks."""
+        return self.provenance.get(SCALE) == WEIGHED
 
     def standard_deviation(self, name: str) -> float:
         """Standard deviation of one parameter.

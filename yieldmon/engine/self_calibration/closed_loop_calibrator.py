@@ -26,7 +26,7 @@ from yieldmon.engine.self_calibration.anchors import ReferenceMass
 from yieldmon.engine.self_calibration.crop_weighings import CropWeighings
 from yieldmon.engine.self_calibration.curve_states import aligned
 from yieldmon.engine.self_calibration.load_update import LoadUpdate
-from yieldmon.engine.self_calibration.mass_anchors import checked, mass_anchor, moisture_sd, weighed
+from yieldmon.engine.self_calibration.mass_anchors import checked, mass_anchor, moisture_sd, weighed, with_angle_error
 from yieldmon.engine.self_calibration.parameter_knowledge import KERNEL_NOISE, Carried, Instant, ParameterKnowledge
 from yieldmon.engine.self_calibration.prior_states import as_prior_state, as_set, says_as
 from yieldmon.engine.self_calibration.scale_alarm import ScaleCheck, name_of
@@ -35,7 +35,8 @@ from yieldmon.engine.sweeps.sweep_records import density_anchor, median_moisture
 from yieldmon.estimation.admission import allowing_for, refusal
 from yieldmon.estimation.load_pattern import EFFECT as LOAD_PATTERN
 from yieldmon.estimation.open_loop import OpenLoop
-from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.parameters import SCALE, WEIGHED, ParameterSet
+from yieldmon.estimation.self_calibration.angle_error import NO_ERROR, AngleError
 from yieldmon.estimation.self_calibration.angle_pattern import EFFECT
 from yieldmon.estimation.self_calibration.closed_loop import self_calibrate, update_from_tickets
 from yieldmon.estimation.self_calibration.closed_loop_inputs import MassAnchor
@@ -126,7 +127,13 @@ class ClosedLoopCalibrator:
             return CalibrationOutcome(None, f"{error}; the parameters stay", identifiable=False)
         return self._taken(outcome, carried, used, at, sweep_alone=density is None)
 
-    def weigh(self, record: WindowRecord, anchors: Sequence[ReferenceMass], estimator: FlowEstimator) -> CalibrationOutcome:
+    def weigh(
+        self,
+        record: WindowRecord,
+        anchors: Sequence[ReferenceMass],
+        estimator: FlowEstimator,
+        model_error: AngleError = NO_ERROR,
+    ) -> CalibrationOutcome:
         """See records.SelfCalibrator."""
         used = self._in_use(estimator)
         self._know_origin(used)
@@ -136,7 +143,9 @@ class ClosedLoopCalibrator:
         stated = self._knowledge.stated(used, Carried(drifting, step), at.total_kg)
         checks = self._checks(found, stated)
         drifting, step = unsure_of_gain(drifting, step, moisture_sd(reference for reference, _ in found))
+        drifting, step = unsure_of_gain(drifting, step, model_error.home, all_along=True)
         prior = drifting.parameters
+        found = [(reference, with_angle_error(mass, self._model, prior, model_error)) for reference, mass in found]
         try:
             masses, doubt = self._accepted(found, prior, stated)
         except ValueError as error:
@@ -156,6 +165,10 @@ class ClosedLoopCalibrator:
             outcome, drifting = update.of(drifting, masses, {name_of(reference) for reference, _ in found})
         except ValueError as error:
             return CalibrationOutcome(None, f"{error}; the parameters stay", identifiable=False, checks=checks)
+        if outcome.updated:
+            found_set = outcome.parameter_set
+            facts = {**used.provenance, **found_set.provenance, SCALE: WEIGHED}
+            outcome = replace(outcome, parameter_set=replace(found_set, provenance=facts))
         taken = self._taken(outcome, Carried(drifting, step), used, at)
         self._used = frozenset(anchors)
         return replace(taken, reason=f"{taken.reason}; {doubt}" if doubt else taken.reason, weighed=True, checks=checks)

@@ -64,6 +64,7 @@ class Learning:
         self._sweeps_come = (
             drives_plate and calibrator is not None and settings.sweep.enabled and settings.sweep.when == "interval"
         )
+        self._weighed = False
         self._put(estimator, None, weighed=False)
         self.outcome: CalibrationOutcome | None = None
         """What the last whole sweep or weighed mass changed."""
@@ -159,14 +160,13 @@ class Learning:
         """Relative, of the force, by drift since the parameters in use were learnt."""
         self.calibration_age_s = calibration_age_s
         self._sweeps_teach = not refusal(estimator.parameters)
-        self._weighed = weighed
-        self.judge_model()
+        self.judge_model(weighed=weighed)
 
     def judge_model(self, *, weighed: bool | None = None) -> None:
         """Ask the sweeps' patterns how far the force of the parameters in use may be off. weighed: whether a weighed mass has set
         them; None: as before."""
-        self._weighed = self._weighed if weighed is None else weighed
         parameters = self.estimator.parameters
+        self._weighed = parameters.is_weighed or (self._weighed if weighed is None else weighed)
         found = self.disagreement.model_error(parameters)
         home = 0.0 if self._weighed else max(found.home**2 - parameters.model_error**2, 0.0) ** 0.5
         self.model_error = found.with_home(home, self._home_rad)
@@ -346,7 +346,7 @@ class Learning:
         waiting = self.tickets.waiting
         self._masses_new = bool(waiting)
         anchors = tuple(anchor for anchor in self.anchors if anchor not in waiting)
-        changed = self._take(self.calibrator.weigh(record, anchors, self.estimator))
+        changed = self._take(self.calibrator.weigh(record, anchors, self.estimator, self.load_error))
         taught = tuple((ticket.load_number, ticket.reference_kg) for ticket in handed)
         return tuple(replace(change, taught=taught) for change in changed)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from math import hypot, isfinite, sqrt
 
 import numpy as np
@@ -12,9 +13,14 @@ from yieldmon.engine.self_calibration.scale_alarm import ScaleCheck, as_stated, 
 from yieldmon.estimation.load_pattern import following
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.self_calibration.angle_error import NODES_RAD, AngleError, node_shares
 from yieldmon.estimation.self_calibration.closed_loop_inputs import MassAnchor
 from yieldmon.estimation.weighing.load_inputs import WeighedLoad
+from yieldmon.physics.machine import SAME_ANGLE_RAD
 from yieldmon.physics.model import ForwardModel
+
+_STEP = 1e-3
+"""Relative, of the force, for the derivative of a mass."""
 
 
 def mass_anchor(
@@ -85,6 +91,27 @@ def moisture_sd(anchors: Iterable[ReferenceMass]) -> float:
         if known and isfinite(anchor.budget.moisture_kg):
             found.append(anchor.budget.moisture_kg / anchor.measured_kg)
     return max(found)
+
+
+def with_angle_error(mass: MassAnchor, model: ForwardModel, parameters: ParameterSet, error: AngleError) -> MassAnchor:
+    """The same where the force away from home may be off otherwise than at home, by a model's error that the gain has at home.
+
+    What a load that holds a sweep weighs says the less of the scale at home.
+    """
+    home_rad = model.machine.home_plate_angle_rad
+    beside = error.with_home(0.0, home_rad)
+    if not beside.moments or np.all(np.abs(mass.plate_angle_rad - home_rad) < SAME_ANGLE_RAD):
+        return mass
+    known = OpenLoop(model, parameters)
+    inputs = mass.plate_angle_rad, mass.elevator_speed_rad_s, mass.moisture_pct
+    flow, more = (known.invert(factor * mass.force_n, *inputs) for factor in (1.0, 1.0 + _STEP))
+    per_error_kg = mass.duration_s * (more - flow) / _STEP
+    at_nodes = np.zeros(NODES_RAD.size)
+    for angle_rad, kg in zip(mass.plate_angle_rad.tolist(), np.nan_to_num(per_error_kg).tolist(), strict=True):
+        first, share = node_shares(angle_rad)
+        at_nodes[first] += (1.0 - share) * kg
+        at_nodes[first + 1] += share * kg
+    return replace(mass, std_dev_kg=hypot(mass.std_dev_kg, beside.of_sum(at_nodes.tolist())))
 
 
 def weighed(anchor: ReferenceMass, mass: MassAnchor) -> WeighedLoad:

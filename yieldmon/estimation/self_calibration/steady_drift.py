@@ -162,7 +162,9 @@ def forgotten(
     return added
 
 
-def unsure_of_gain(known: DriftingParameters, step: Advance, relative: float) -> tuple[DriftingParameters, Advance]:
+def unsure_of_gain(
+    known: DriftingParameters, step: Advance, relative: float, *, all_along: bool = False
+) -> tuple[DriftingParameters, Advance]:
     """The same where the impact gain is less sure besides, as by grain of a moisture that the parameters do not follow.
 
     Parameters
@@ -172,6 +174,8 @@ def unsure_of_gain(known: DriftingParameters, step: Advance, relative: float) ->
         That led to it.
     relative : float
         Standard deviation of the gain, 0 or more; parameters without a gain that is unsure stay as they are.
+    all_along : bool
+        Whether it was so before the step as well, so that what a lesson says of it holds for the time before.
 
     Returns
     -------
@@ -180,13 +184,16 @@ def unsure_of_gain(known: DriftingParameters, step: Advance, relative: float) ->
     names = [name for name in known.parameters.covariance_names if drift_key(name) == "restitution"]
     if not (relative > 0.0 and names):
         return known, step
-    direction = np.zeros(len(known.joint))
+    direction, then = np.zeros((2, len(known.joint)))
     for name in names:
-        direction[known.parameters.covariance_names.index(name)] = natural_scale(name, known.parameters.values[name])
+        place = known.parameters.covariance_names.index(name)
+        direction[place] = natural_scale(name, known.parameters.values[name])
+        then[place] = natural_scale(name, float(step.before[place]))
     joint = known.joint + relative**2 * np.outer(direction, direction)
     count = len(known.parameters.covariance_names)
     wider = replace(known, parameters=replace(known.parameters, covariance=joint[:count, :count]), joint=joint)
-    return wider, replace(step, covariance_after=joint)
+    before = step.covariance_before + (relative**2 * np.outer(then, then) if all_along else 0.0)
+    return wider, replace(step, covariance_before=before, covariance_after=joint)
 
 
 def _forgetting(grain_kt: float, memory_kt: float) -> tuple[float, float, float, float, float]:

@@ -8,7 +8,7 @@ from typing import Any
 
 from yieldmon.engine.records import CalibrationStep
 from yieldmon.errors import InputError
-from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.parameters import SCALE, ParameterSet
 from yieldmon.files import parameter_file
 from yieldmon.files.crops import crops
 from yieldmon.service.history.memory import KEPT_VERSIONS, Memory
@@ -56,7 +56,9 @@ class ParameterHistory:
         self._of_crop[before] = kept
         self.use(kept, ledgers.CROP, who, f"what is known of {before} is kept")
         if known is None:
-            chosen = replace(in_use, version=self.version + 1, provenance={**in_use.provenance, "crop": crop})
+            # What was weighed was grain of the crop before.
+            facts = {key: text for key, text in in_use.provenance.items() if key != SCALE}
+            chosen = replace(in_use, version=self.version + 1, provenance={**facts, "crop": crop})
             self.use(chosen, ledgers.CROP, who, f"{crop} begins with what is known of {before}")
             return chosen
         chosen = replace(known, version=self.version + 1)
