@@ -261,6 +261,46 @@ def test_a_harvest_measures_the_same_from_any_logger(tmp_path: Path, harvest: Pa
     np.testing.assert_allclose(tables[1]["time_s"], tables[0]["time_s"], atol=2e-4)
 
 
+VECTOR = """date Sam Sep 30 10:06:13.191 PM 2017
+base hex  timestamps absolute
+internal events logged
+// version 9.0.0
+Begin Triggerblock Sam Sep 30 10:06:13.191 PM 2017
+   0.000000 Start of measurement
+   0.015991 CAN 1 Status:chip status error active
+   0.015991 1  Statistic: D 0 R 0 XD 0 XR 0 E 0 O 0 B 0.00%
+   1.015991 1  Statistic: D 1 R 0 XD 0 XR 0 E 0 O 0 B 0.04%
+   2.501000 1  ErrorFrame
+   2.501010 1  ErrorFrame       ECC: 10100010
+   2.510001 2  100              Rx   d 8 00 01 02 03 04 05 06 07  Length = 0 BitCount = 64 ID = 256
+   2.520002 3  200              Tx   r
+   3.097000 1  J1939TP FEE3p 6   0   0 - Rx  d 23 A0 0F A6 60 3B D1 40 1F DE 80 25 DF C0 2B E1 00 4B FF FF 3C
+   3.148421 1  18EBFF00x        Rx   d 8 01 A0 0F A6 60 3B D1 40  Length = 273910 BitCount = 141 ID = 418119424x
+   4.876870 CANFD   1 Rx        300                  Generic_Name_12 1 0 8 8 01 02 03 04 05 06 07 08  102203  133 303000 e0006659
+   5.000000 SV: 2 0 1 ::Sys::Speed = 2
+   6.113476 log trigger event
+End TriggerBlock
+"""
+
+
+def test_every_line_of_vectors_that_should_be_a_frame_is_one_or_is_reported(tmp_path: Path) -> None:
+    """python-can passes over what it does not take for a frame: every fiftieth line, damaged in its time, was lost unsaid."""
+    notes = LogNotes()
+    path = written(tmp_path, "sound.asc", VECTOR)
+    assert len(list(read_log(path, notes))) == 6
+    assert notes.damages == []
+    lost = {
+        "2.510001 2": "2?,510001 2", "   2.520002 3": "(1790000000.004000) can1 2A1#00F8", "Rx   d 8 01 A0": "R?   d 8 01 A0",
+        "   2.501000 1  E": "2,501000 1  E",
+    }  # fmt: skip
+    for sound, damaged in lost.items():
+        notes = LogNotes()
+        path = written(tmp_path, "damaged.asc", VECTOR.replace(sound, damaged))
+        assert len(list(read_log(path, notes))) == 5
+        assert len(notes.damages) == 1
+        assert notes.damages[0].problem.endswith("is no frame as .asc has it")
+
+
 @pytest.mark.parametrize("base", ["hex", "dec"])
 def test_times_of_vector_since_the_line_before(tmp_path: Path, base: str) -> None:
     identifier = {"hex": "18FF1380x", "dec": "419369856x"}[base]

@@ -217,6 +217,16 @@ def test_a_bus_log_in_a_database_is_no_store(capsys, tmp_path) -> None:
     assert found[".db"]["total_mass_kg"] > 50.0
 
 
+def test_a_log_that_lacks_samples_in_each_second_says_so(capsys, tmp_path, logs) -> None:
+    """Of every 30th frame none: such seconds give no zero, and the log was said to begin in grain."""
+    lines = logs["whole"].read_text().splitlines(keepends=True)
+    (tmp_path / "lossy.log").write_text("".join(line for number, line in enumerate(lines) if number % 30))
+    code, _, err = process(capsys, tmp_path, tmp_path / "lossy.log")
+    assert code == 0
+    assert "no mass: no second has all its samples (FramesLost)" in err
+    assert "begins in grain" not in err
+
+
 @pytest.mark.parametrize(
     ("content", "said"),
     [

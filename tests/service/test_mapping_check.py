@@ -91,6 +91,23 @@ def test_one_value_has_no_rate_and_none_at_all_has_no_figure(tmp_path: Path) -> 
     assert (where, problem, expected) == (f"{tmp_path / 'a.log'}: elevator_speed", "no frame of it", "frames that are mapped")
 
 
+@pytest.mark.parametrize(
+    ("second_rpm", "seconds", "told"), [(None, 20, False), (160.0, 20, True), (160.0, 8, False), (401.0, 20, False)]
+)
+def test_two_nodes_that_send_one_quantity_are_told(tmp_path: Path, second_rpm: float | None, seconds: int, told: bool) -> None:
+    """The mapping passed, and the recording gave 0 kg. Of a second node that speaks for a part of the time only, the daemon says
+    it when it comes."""
+    config = load(tmp_path)
+    cell = [(100.0 + 0.004 * k, 257, struct.pack("<hh", 10, 20)) for k in range(250)]
+    shaft = [(100.0 + 0.1 * k, 258, struct.pack("<H", 800 + k % 3)) for k in range(200)]
+    if second_rpm is not None:
+        shaft += [(100.05 + 0.1 * k, 258, struct.pack("<H", round(2 * second_rpm))) for k in range(10 * seconds)]
+    log = log_of(tmp_path, *cell, *shaft)
+    seen, _ = seen_in(config, log)
+    found = [problem for where, problem, _ in problems(config, seen, str(log)) if where.endswith(": elevator_speed")]
+    assert found == (["leaps between 160 and 401 rpm, as where two nodes send it"] if told else [])
+
+
 def impact(config: Configuration, **figures: float) -> dict[str, QuantitySeen]:
     good = QuantitySeen("mV", 9, 9, 500.0, 0.0, 1.0, 0.002, (0.0,), (0.0, 1.0))
     speed = QuantitySeen("rpm", 9, 9, 10.0, 400.0, 400.0, 0.1, (400.0,), (400.0, 400.0))

@@ -222,6 +222,17 @@ def test_a_dbc_that_cannot_be_used(content: bytes, wanted: str, tmp_path: Path, 
     assert wanted in line
 
 
+@pytest.mark.parametrize("suffix", ["kcd", "SYM", "arxml"])
+def test_a_database_of_another_format_is_told_how_to_become_a_dbc(
+    suffix: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / f"counts.{suffix}").write_text("<xml/>")
+    path = tmp_path / "c.yaml"
+    path.write_text(f"signals:\n  {IMPACT.replace('counts.dbc', f'counts.{suffix}')}\n")
+    expected = f"is no DBC; expected a DBC file; `cantools convert counts.{suffix} counts.dbc` makes one"
+    assert expected in said(capsys, path)
+
+
 @pytest.mark.parametrize(
     "signals",
     [" SG_ A : 0|16@1+ (1,0) [0|1] \"\" X\n SG_ B : 8|16@1+ (1,0) [0|1] \"\" X\n", ' SG_ A : 56|16@1+ (1,0) [0|1] "" X\n',

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 #: Makers' largest files have some ten megabytes.
 LARGEST_BYTES = 64_000_000
 
+_OTHER_DATABASES = frozenset({".kcd", ".sym", ".arxml"})
+"""Of CAN, which cantools reads too."""
 _MESSAGE = re.compile(r"^[ \t]*BO_[ \t]+(\d+)", re.MULTILINE)
 _IDENTIFIER = re.compile(
     r"^([ \t]*(?:(?:BO_|VAL_|SG_MUL_VAL_|SIG_VALTYPE_|SIG_GROUP_|BO_TX_BU_)"
@@ -56,7 +58,9 @@ def read(path: Path | str, *, strict: bool = True) -> Database:
     from cantools.database.can import Database
     from cantools.database.errors import Error as DbcError
 
-    where = str(path)
+    where, file = str(path), Path(path)
+    if file.suffix.lower() in _OTHER_DATABASES and file.exists():
+        raise InputError(where, "is no DBC", f"a DBC file; `cantools convert {file.name} {file.stem}.dbc` makes one")
     data = read_whole(path, "a readable DBC file", LARGEST_BYTES)
     if b"\x00" in data:
         raise InputError(where, "is in UTF-16 or no text at all", "a DBC file in UTF-8 or Windows-1252")

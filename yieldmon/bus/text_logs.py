@@ -19,7 +19,7 @@ from yieldmon.bus.loggers import canedge, kvaser, savvycan
 from yieldmon.bus.loggers.busmaster import Busmaster, begins
 from yieldmon.bus.loggers.fields import Parser
 from yieldmon.bus.loggers.peak import Trace
-from yieldmon.bus.loggers.vector import Times
+from yieldmon.bus.loggers.vector import Times, unread
 from yieldmon.errors import InputError
 
 #: By their ending; candump's is the first.
@@ -58,7 +58,7 @@ def read_stream(stream: io.BufferedReader, path: Path, suffix: str, notes: LogNo
         case ".csv":
             return _read_csv(lines, notes)
         case _:
-            lines.rewritten = Times()
+            lines.rewritten, lines.unread = Times(), unread
             return _read_with_python_can(lines, suffix)
 
 
@@ -71,7 +71,7 @@ class _Lines:
     """Line by line what a text reader of python-can may see; damaged bytes never reach it.
 
     Stands in for an open text file: iterable, with close(). `number` is the line handed out last, from 1; `rewritten` makes of
-    each sound line the one to hand out.
+    each sound line the one to hand out; `unread` says what is wrong with one that the reader would pass over.
     """
 
     def __init__(self, stream: io.BufferedReader, path: Path, notes: LogNotes) -> None:
@@ -79,6 +79,7 @@ class _Lines:
         self.damaged = False
         self.resume_with: str | None = None
         self.rewritten: Callable[[str], str] = str
+        self.unread: Callable[[str], str | None] | None = None
         self._stream = stream
         self._path = path
         self._notes = notes
@@ -101,7 +102,10 @@ class _Lines:
                 self.damage(given_up)
                 raise StopIteration
             if problem is None:
-                return self.rewritten(raw.decode("utf-8", errors="replace").rstrip("\r\n"))
+                line = raw.decode("utf-8", errors="replace").rstrip("\r\n")
+                problem = self.unread(line) if self.unread is not None else None
+                if problem is None:
+                    return self.rewritten(line)
             self.damage(problem)
 
     def close(self) -> None:

@@ -254,6 +254,8 @@ def _one_record(
         "gaps": check.gaps, "gap_s": check.gap_s, "overlap_s": check.overlap_s, "overlap_kg": check.overlap_kg,
         "missing": check.missing,
     }  # fmt: skip
+    if check.frames_lost_share:
+        document["frames_lost_share"] = check.frames_lost_share
     if factory.document is not None:
         document["factory"] = factory.document
     return document
@@ -291,6 +293,11 @@ def _line(document: ProcessSummary, units: Units) -> str:
         lines.append(
             "no mass: no frame reports the elevator's speed, and without it there is no zero; what the log holds is shown by "
             "`yieldmon check-config CONFIG --log LOG`"
+        )
+    elif not document["zero_known"] and document.get("frames_lost_share", 0.0) > _MOSTLY:
+        lines.append(
+            "no mass: no second has all its samples (FramesLost): frames are lost, or two nodes or channels send them, and such "
+            "seconds give no zero; `yieldmon check-config CONFIG --log LOG` shows what is there"
         )
     elif not document["zero_known"]:
         lines.append(

@@ -53,4 +53,5 @@ class ProcessSummary(Harvested):
     overlap_s: NotRequired[float]
     overlap_kg: NotRequired[float]
     missing: NotRequired[dict[str, float]]
+    frames_lost_share: NotRequired[float]
     factory: NotRequired[FactoryComparisonSummary]

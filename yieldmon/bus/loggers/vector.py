@@ -1,4 +1,5 @@
-"""Times of Vector's .asc, which count from the beginning of the measurement or, as the header may say, from the line before."""
+"""What python-can's reader of Vector's .asc leaves open: times since the line before, as the header may say, and lines that it
+passes over without a word."""
 
 from __future__ import annotations
 
@@ -7,6 +8,22 @@ import re
 _HEADER = re.compile(r"\s*base\s+(?:hex|dec)\s+timestamps\s+(absolute|relative)\b", re.IGNORECASE)
 _TIME = re.compile(r"\s*(\d{1,12}\.\d{1,9})(?=\s)")
 _NS_PER_S = 1_000_000_000
+_FRAME = re.compile(r"\d+\.\d+\s+(?:\d+\s+(?:\w+\s+(?:Tx|Rx)|ErrorFrame)|CANFD)", re.IGNORECASE | re.ASCII)
+"""What python-can takes for a frame."""
+_NUMBERED = re.compile(r"[\d(]")
+_EVENT = re.compile(r"\d{1,12}\.\d{1,9}(?:\s|$)")
+_OF_AN_IDENTIFIER = re.compile(r"\d{1,12}\.\d{1,9}\s+\d{1,3}\s+[0-9A-F]{1,8}x?\s", re.IGNORECASE)
+
+
+def unread(line: str) -> str | None:
+    """What is wrong with a line that should be a frame and is none to python-can, which passes it over; None for a frame, a line
+    of the header and an event of another kind."""
+    text = line.strip()
+    if _FRAME.match(text) or not _NUMBERED.match(text):
+        return None
+    if _EVENT.match(text) and not _OF_AN_IDENTIFIER.match(text):
+        return None
+    return f"{text[:60]!r} is no frame as .asc has it"
 
 
 class Times:

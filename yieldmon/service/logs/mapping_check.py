@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from math import degrees
+from dataclasses import asdict, dataclass, replace
+from math import degrees, radians
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from yieldmon.engine.rivals import RivalLimits, RivalWatch, angle_limits, speed_limits
 from yieldmon.engine.sampling.aliasing import ALIAS_FREE_HZ, aliasing_share
 from yieldmon.engine.sources import QUANTITIES, SampleSource
 from yieldmon.physics.machine import RPM, Machine
@@ -17,6 +18,7 @@ from yieldmon.physics.numerics import Array
 from yieldmon.service.config.configuration import Configuration
 from yieldmon.signals.packing import Packing, span
 from yieldmon.signals.published import PUBLISHED
+from yieldmon.units import S_PER_DAY
 
 if TYPE_CHECKING:
     from yieldmon.engine.runs import FrameRun
@@ -39,6 +41,8 @@ _LEAST_SHARE = 0.25
 """Of the full scale, below 0: a cell that pulls."""
 _SPEED_BAND = np.linspace(0.98, 1.02, 9)
 """A loaded elevator turns up to this share off its stated speed: enough to fold a harmonic onto 0."""
+_MOSTLY = 0.5
+"""Of the seconds of a recording."""
 _FORCES_N = np.geomspace(5.0, 500.0, 24)
 
 
@@ -59,6 +63,8 @@ class QuantitySeen:
     decoded: tuple[float, float] | None
     step_share: float | None = None
     """Median difference between one value and the next over the range of most of them."""
+    leaping_share: float = 0.0
+    """Of the seconds, those whose values leap up and down as no one sender's do."""
 
 
 def aliasing_pct(configuration: Configuration) -> dict[str, float]:
@@ -143,7 +149,27 @@ def seen_in(configuration: Configuration, log: Path | str) -> tuple[dict[str, Qu
             for run in stretch.runs:
                 _take(run, configuration, parts)
     expected = [*(_impact_name(k) for k in range(len(sources.impact))), *(source.quantity for source in sources.inputs)]
-    return {name: _summary(name, parts.get(name, [])) for name in dict.fromkeys(expected)}, incomplete
+    found = {name: _summary(name, parts.get(name, [])) for name in dict.fromkeys(expected)}
+    for name, limits in _rival_limits(configuration.machine).items():
+        if name in found and parts.get(name):
+            found[name] = replace(found[name], leaping_share=_leaping_share(parts[name], *limits))
+    return found, incomplete
+
+
+def _rival_limits(machine: Machine) -> dict[str, tuple[RivalLimits, float]]:
+    """By quantity, what one sender's values do, and the unit of these in that of the mapping."""
+    return {"elevator_speed": (speed_limits(machine, np.nan), RPM), "plate_angle": (angle_limits(np.nan), radians(1.0))}
+
+
+def _leaping_share(parts: list[tuple[Array, Array, Array]], limits: RivalLimits, unit: float) -> float:
+    times, values, _ = (np.concatenate(column) for column in zip(*parts, strict=True))
+    known = np.isfinite(values)
+    times, values = times[known], values[known] * unit
+    if times.size < 2 or not 1.0 < times[-1] - times[0] < S_PER_DAY:
+        return 0.0
+    edges = np.arange(times[0], times[-1] + 1.0)
+    bounds = np.searchsorted(np.maximum.accumulate(times), edges)
+    return float(np.mean(RivalWatch(limits).take(times, values, bounds, edges) > 0))
 
 
 def _impact_name(number: int) -> str:
@@ -211,6 +237,15 @@ def problems(configuration: Configuration, seen: dict[str, QuantitySeen], log: s
             )
             found.append((f"{log}: {name}", f"{what}: {instead}".rstrip() if instead else what, expected))
     found += _angle_problems(configuration.machine, seen, log)
+    found += [
+        (
+            f"{log}: {name}",
+            f"leaps between {entry.low:.6g} and {entry.high:.6g} {entry.unit}, as where two nodes send it",
+            "the values of one node: name it by `source`, or record one channel",
+        )
+        for name, entry in seen.items()
+        if entry.leaping_share > _MOSTLY
+    ]
     sensor = configuration.machine.sensor
     most_mv = configuration.engine.windows.plausible_full_scales * sensor.full_scale_mv
     for number, source in enumerate(configuration.signals.sources.impact):
@@ -290,4 +325,5 @@ def _instead(configuration: Configuration, name: str, log: str) -> str | None:
 
 def as_json(seen: dict[str, QuantitySeen]) -> dict[str, Any]:
     """For `--json`."""
-    return {name: {key: value for key, value in asdict(entry).items() if key != "step_share"} for name, entry in seen.items()}
+    left_out = ("step_share", "leaping_share")
+    return {name: {key: value for key, value in asdict(entry).items() if key not in left_out} for name, entry in seen.items()}

@@ -29,6 +29,7 @@ class RecordCheck:
     gap_s: float = 0.0
     overlap_s: float = 0.0
     overlap_kg: float = 0.0
+    _frames_lost: int = 0
     _latest_s: float = float("-inf")
     _before_s: float | None = None
     _silent: bool = False
@@ -51,10 +52,16 @@ class RecordCheck:
         if silent:
             return
         self.seconds += 1
+        self._frames_lost += FaultCode.FRAMES_LOST in (row.faults or "").split()
         for name in _INPUTS:
             # In stores and tables of version 0.1.0 such a second has the nominal speed.
             unknown = name == _SPEED and FaultCode.SPEED_MISSING in (row.faults or "").split()
             self._unknown[name] += unknown or getattr(row, name) is None
+
+    @property
+    def frames_lost_share(self) -> float:
+        """Of the seconds with samples, those under FramesLost."""
+        return self._frames_lost / self.seconds if self.seconds else 0.0
 
     @property
     def missing(self) -> dict[str, float]:
