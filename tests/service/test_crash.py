@@ -5,17 +5,15 @@ from __future__ import annotations
 import json
 import shutil
 import subprocess
-import sys
-from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[2]
+from tests.in_process import program
 
 
 def run(*options: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "tests.robustness", "crash-test", "--seed", "20261121", *options]
-    return subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
+    """The daemon's lives are processes of their own; what kills and checks them need not be."""
+    return program("tests.robustness.__main__", "crash-test", "--seed", "20261121", *options)
 
 
 def crash_test(*options: str) -> dict:

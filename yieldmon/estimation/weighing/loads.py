@@ -130,15 +130,13 @@ def _calibration(
         errors = _left_out_together(problem, fit, sweeps, active, sweep_settings)
         next_sd, level_sd = problem.spread(posterior, active)
     before = problem.mass(problem.given)
-    unseen = active & np.array([load.name not in learnt for load in problem.loads])
-    judges = unseen if np.any(unseen) else active
-    rms_before, rms_after = _rms(np.log(before / problem.weighed)[judges]), _rms(errors[judges])
+    judges, rms_before, rms_after = _judged(problem, before, errors, active, learnt)
     expected = _expected_rms(np.log(after / problem.weighed)[judges], errors[judges])
     refused = bool(active.sum() > 1 and expected > rms_before)
     chosen, after = (problem.given, before) if refused else (posterior, after)
     results = _results(problem, before, after, errors, active)
     moving = _moved_names(problem.given, chosen)
-    calibration = LoadCalibration(
+    return LoadCalibration(
         parameter_set=chosen,
         names=moving,
         held=tuple(n for n in chosen.values if n not in moving),
@@ -153,7 +151,16 @@ def _calibration(
         sweeps_used=0 if together is None else len(sweeps),
         contradiction=_contradiction(problem, errors) if (against or not active.all()) and together is None else None,
     )
-    return calibration
+
+
+def _judged(
+    problem: LoadProblem, before: Array, errors: Array, active: NDArray[np.bool_], learnt: Container[str]
+) -> tuple[NDArray[np.bool_], float, float]:
+    """Loads (n,) that judge a calibration, those that the prior has not learnt from where there are any, and rms ln error of
+    their masses before it and left out of it."""
+    unseen = active & np.array([load.name not in learnt for load in problem.loads])
+    judges = unseen if np.any(unseen) else active
+    return judges, _rms(np.log(before / problem.weighed)[judges]), _rms(errors[judges])
 
 
 def _results(
@@ -182,9 +189,7 @@ def _by_another_law(
     errors, away = left_out(law, active, found.step)
     after = problem.weighed * np.exp(found.error)
     before = problem.mass(problem.given)
-    unseen = active & np.array([load.name not in learnt for load in problem.loads])
-    judges = unseen if np.any(unseen) else active
-    rms_before, rms_after = _rms(np.log(before / problem.weighed)[judges]), _rms(errors[judges])
+    judges, rms_before, rms_after = _judged(problem, before, errors, active, learnt)
     expected = _expected_rms(found.error[judges], errors[judges])
     # A load that another curve may well put there says nothing against the calibration, however far it is.
     refused = bool(active.sum() > 1 and expected > rms_before and _rms(away[judges]) > _CONTRADICTED)
@@ -194,7 +199,7 @@ def _by_another_law(
     mean = np.column_stack((found.by_held, found.by_step))[active].mean(axis=0)
     results = _results(problem, before, after, errors, active)
     moving = _moved_names(problem.given, chosen)
-    calibration = LoadCalibration(
+    return LoadCalibration(
         parameter_set=chosen,
         names=moving,
         held=tuple(n for n in chosen.values if n not in moving),
@@ -209,7 +214,6 @@ def _by_another_law(
         sweeps_used=0,
         another_law=AnotherLaw(found.law, found.scatter, found.scatters),
     )
-    return calibration
 
 
 def _next_sd(problem: LoadProblem, active: NDArray[np.bool_], found: LawAverage) -> float:
