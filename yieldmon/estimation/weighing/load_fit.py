@@ -85,8 +85,6 @@ class LoadProblem:
         self._throw: Throw | None = None
         """The last one."""
         self._flows: Recent[tuple[Array, Array]] = Recent(_RECENT)
-        self.at_step: Recent[tuple[Array, Array]] = Recent(_RECENT)
-        """ln of measured over weighed mass and its slopes, by a step's bytes."""
         self._fits: dict[tuple[bytes, int], LoadFit] = {}
         """Fits from the start, by active loads and directions."""
 

@@ -15,29 +15,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from yieldmon.estimation.load_pattern import EFFECT, NAMES, with_weights
+from yieldmon.estimation.load_pattern import NAMES, with_weights
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.physics.effects import load_pattern
-from yieldmon.physics.effects.load_pattern import reference_load_kg
-from yieldmon.physics.model import Conditions
+from yieldmon.estimation.recent import Recent
 from yieldmon.physics.numerics import Array
 
 from .density_and_gain import DENSITY, moved
+from .force_curves import ForceCurve, curves
 from .load_fit import LoadProblem
 from .ticket_slips import Slip, slips
 
-_WEIGHT_SD = np.array([parameter.prior_sd for parameter in load_pattern.EFFECT.parameters])
-_OWN, _POWER, _FREE = 0.6, 0.25, ((1.0, 0.1), (2.0, 0.05))
-"""How likely are, before any load, the model's own curve, a power of the flow, and weights of a size over `_WEIGHT_SD`. These
-and `_POWER_SD` were chosen on a linear model of loads that is not kept (studies/load_laws)."""
-_POWER_SD = np.array([0.15, 0.1, _WEIGHT_SD[2]])
-"""Of the weights about those with which the force is proportional to the flow."""
-_LOADS = np.linspace(0.3, 2.0, 12)
-"""Over the pattern's reference, on which those are found."""
 _SCATTERS = ((0.0, 0.9), (0.01, 0.08), (0.03, 0.02))
 """Of a load's mass beside what is stated, relative, and how likely each is."""
 _REST = 0.004
@@ -48,8 +40,22 @@ _ITERATIONS = 25
 _SETTLED = 1e-4
 _MOST_STEP = 1.0
 _GAIN_STEP, _GAIN_STEPS = 0.1, 25
-_LEAST_POINTS = 6
-"""Loads of a paddle at which the force is known, to find the weights of a curve."""
+_RECENT = 64
+"""Steps whose errors and slopes are kept."""
+
+
+class LawProblem(LoadProblem):
+    """Weighed loads in the model with `load_pattern`, whose weights `step` moves after ln density and ln gain."""
+
+    @cached_property
+    def curves(self) -> tuple[ForceCurve, ...]:
+        """What the curve of the force may be, before any load."""
+        return curves(self)
+
+    @cached_property
+    def at_step(self) -> Recent[tuple[Array, Array]]:
+        """ln of measured over weighed mass and its slopes, by a step's bytes."""
+        return Recent(_RECENT)
 
 
 @dataclass(frozen=True)
@@ -79,16 +85,6 @@ class LawAverage:
     wrong: float
     slips: tuple[tuple[Slip, float], ...]
     along: tuple[float, ...]
-
-
-@dataclass(frozen=True)
-class _Curve:
-    """A prior of the step: its mean and covariance, whether the curve is another than the model's, and how likely it is."""
-
-    mean: Array
-    covariance: Array
-    another: bool
-    likely: float
 
 
 @dataclass(frozen=True)
@@ -125,13 +121,13 @@ def placed(start: ParameterSet, step: Array) -> ParameterSet:
     )
 
 
-def average(problem: LoadProblem, active: NDArray[np.bool_], near: Array | None = None) -> LawAverage | None:
+def average(problem: LawProblem, active: NDArray[np.bool_], near: Array | None = None) -> LawAverage | None:
     """What the active loads say; None where no flow explains their forces.
 
     Parameters
     ----------
-    problem : LoadProblem
-        Of a model with `load_pattern`, its start from `load_pattern.with_weights`.
+    problem : LawProblem
+        See `law_problem`.
     active : ndarray (n,)
     near : ndarray (5,), optional
         Where to begin.
@@ -145,10 +141,10 @@ def average(problem: LoadProblem, active: NDArray[np.bool_], near: Array | None 
     names = [load.name for load, ok in zip(problem.loads, active, strict=True) if ok]
     with np.errstate(divide="ignore", invalid="ignore"):
         factor = np.min((problem.weighed / problem.mass(problem.given))[active])
-    wrong, curves = slips(problem.weighed[active], names, all_off=bool(factor > _ALL_OFF)), _curves(problem)
+    wrong = slips(problem.weighed[active], names, all_off=bool(factor > _ALL_OFF))
     tickets = _tickets(wrong, int(active.sum()))
     for _ in range(_ITERATIONS):
-        wanted = _mixture(problem, active, step, error, slope, tickets, curves).step
+        wanted = _mixture(problem, active, step, error, slope, tickets).step
         change = np.clip(wanted - step, -_MOST_STEP, _MOST_STEP)
         for _ in range(8):
             after, after_slope = _slopes(problem, step + change)
@@ -160,62 +156,17 @@ def average(problem: LoadProblem, active: NDArray[np.bool_], near: Array | None 
         step, error, slope = step + change, after, after_slope
         if float(np.max(np.abs(change))) < _SETTLED:
             break
-    found = _mixture(problem, active, step, error, slope, tickets, curves)
+    found = _mixture(problem, active, step, error, slope, tickets)
     held = problem.held_slopes(placed(problem.start, step))
     whole = _with_held(problem, active, slope, held, found.covariance, found.scatter)
-    strain = float(np.sqrt(step @ np.linalg.solve(_prior(problem, _FREE[-1][0] * _WEIGHT_SD), step)))
+    strain = float(np.sqrt(step @ np.linalg.solve(problem.curves[-1].covariance, step)))
     each = tuple(zip(wrong, found.of_slip[1:].tolist(), strict=True))
     right = float(found.of_slip[0])
     along = tuple(found.along[1:].tolist())
     return LawAverage(step, whole, error, slope, held, found.law, found.scatter, found.scatters, strain, 1.0 - right, each, along)
 
 
-def _prior(problem: LoadProblem, weight_sd: Array) -> Array:
-    """Covariance of the step, with these standard deviations of the pattern's weights."""
-    prior = np.diag(np.concatenate((np.zeros(2), weight_sd)) ** 2)
-    prior[:2, :2] = problem.prior[-2:, -2:]
-    return prior
-
-
-def _curves(problem: LoadProblem) -> tuple[_Curve, ...]:
-    """What the curve of the force may be, before any load."""
-    about = np.zeros(2 + len(NAMES))
-    own = _Curve(about, _prior(problem, np.zeros(len(NAMES))), another=False, likely=_OWN)
-    free = [_Curve(about, _prior(problem, size * _WEIGHT_SD), another=True, likely=likely) for size, likely in _FREE]
-    proportional = _proportional(problem)
-    if proportional is None:
-        return own, *free
-    return own, _Curve(np.concatenate((about[:2], proportional)), _prior(problem, _POWER_SD), another=True, likely=_POWER), *free
-
-
-def _proportional(problem: LoadProblem) -> Array | None:
-    """The change of the pattern's weights (exponent, bend, speed) with which the force is proportional to the flow at the home
-    angle and nominal speed, by least squares; None where a paddle cannot carry enough."""
-    machine, start = problem.model.machine, problem.start
-    loads_kg = _LOADS * reference_load_kg(machine)
-    moisture = None if problem.moisture is None else np.full(loads_kg.shape, np.mean(problem.moisture))
-    at = Conditions(
-        np.full(loads_kg.shape, machine.home_plate_angle_rad),
-        np.full(loads_kg.shape, machine.nominal_elevator_speed_rad_s),
-        paddle_mass_kg=loads_kg,
-        moisture_pct=moisture,
-    )
-
-    def ln_force(**weights: float) -> Array:
-        values = dict(start.values) | {f"{EFFECT}.{name}": start.values[f"{EFFECT}.{name}"] + v for name, v in weights.items()}
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return np.asarray(np.log(np.real(problem.model.force(at, values, overfull="nan"))))
-
-    here = ln_force()
-    columns = np.column_stack((np.ones(loads_kg.size), ln_force(exponent=1.0) - here, ln_force(bend=1.0) - here))
-    known = np.isfinite(columns).all(axis=1) & np.isfinite(here)
-    if known.sum() < _LEAST_POINTS:
-        return None
-    found = np.linalg.lstsq(columns[known], (np.log(loads_kg) - here)[known], rcond=None)[0]
-    return np.array([found[1], found[2], 0.0])
-
-
-def _begin(problem: LoadProblem) -> Array | None:
+def _begin(problem: LawProblem) -> Array | None:
     """A step at which every force has a flow."""
     for k in range(_GAIN_STEPS):
         step = np.zeros(2 + len(NAMES))
@@ -225,11 +176,11 @@ def _begin(problem: LoadProblem) -> Array | None:
     return None
 
 
-def _slopes(problem: LoadProblem, step: Array) -> tuple[Array, Array]:
+def _slopes(problem: LawProblem, step: Array) -> tuple[Array, Array]:
     return problem.at_step.of(step.tobytes(), lambda: _slopes_at(problem, step))
 
 
-def _slopes_at(problem: LoadProblem, step: Array) -> tuple[Array, Array]:
+def _slopes_at(problem: LawProblem, step: Array) -> tuple[Array, Array]:
     known = placed(problem.start, step)
     flow, by_flow = problem.flow(known)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -242,26 +193,31 @@ def _slopes_at(problem: LoadProblem, step: Array) -> tuple[Array, Array]:
 def _tickets(wrong: Sequence[Slip], count: int) -> _Tickets:
     right = Slip((), np.zeros(count), np.zeros(count), 1.0 - sum(slip.prior for slip in wrong), "")
     every = (right, *wrong)
-    covariances, of_covariance = np.unique(np.array([slip.covariance for slip in every]), axis=0, return_inverse=True)
+    # Most slips share the covariance of right tickets: each is made, and compared with the others, once.
+    keys = [(slip.variance.tobytes(), slip.along.tobytes()) for slip in every]
+    first = dict(zip(reversed(keys), reversed(every), strict=True))
+    place = {key: index for index, key in enumerate(first)}
+    made = np.array([slip.covariance for slip in first.values()])
+    covariances, of_made = np.unique(made, axis=0, return_inverse=True)
+    of_covariance = of_made.ravel()[[place[key] for key in keys]]
     shifts = np.array([slip.shift for slip in every])
-    return _Tickets(every, np.log([slip.prior for slip in every]), shifts, covariances, of_covariance.ravel())
+    return _Tickets(every, np.log([slip.prior for slip in every]), shifts, covariances, of_covariance)
 
 
 def _mixture(
-    problem: LoadProblem,
+    problem: LawProblem,
     active: NDArray[np.bool_],
     step: Array,
     error: Array,
     slope: Array,
     tickets: _Tickets,
-    curves: Sequence[_Curve],
 ) -> _Mixture:
     """Mean and covariance of the step over all combinations in the model that is linear about `step`."""
     h, target = slope[active], slope[active] @ step - error[active]
     size = step.size
     every, covariances, of_covariance, priors = tickets.slips, tickets.covariances, tickets.of_covariance, tickets.ln_priors
     shifted = target - tickets.shifts
-    combinations = [(curve, scatter, probable) for curve in curves for scatter, probable in _SCATTERS]
+    combinations = [(curve, scatter, probable) for curve in problem.curves for scatter, probable in _SCATTERS]
     logs, steps = np.empty((len(combinations), len(every))), np.empty((len(combinations), len(every), size))
     after = np.empty((len(combinations), len(covariances), size, size))
     tare = np.zeros((len(combinations), len(every)))
@@ -314,13 +270,13 @@ def _with_held(
     return out
 
 
-def law_problem(problem: LoadProblem) -> LoadProblem:
+def law_problem(problem: LoadProblem) -> LawProblem:
     """The same loads in the model with `load_pattern`."""
     start = with_weights(problem.start)
-    return LoadProblem(problem.model, with_weights(problem.given), start, problem.loads, problem.settings, beside=NAMES)
+    return LawProblem(problem.model, with_weights(problem.given), start, problem.loads, problem.settings, beside=NAMES)
 
 
-def left_out(law: LoadProblem, active: NDArray[np.bool_], near: Array) -> tuple[Array, Array]:
+def left_out(law: LawProblem, active: NDArray[np.bool_], near: Array) -> tuple[Array, Array]:
     """(n,) ln error of each load as the other active ones have it, and how many standard deviations of that it is; nan where
     there is no other."""
     errors, away = np.full((2, len(law.loads)), np.nan)
@@ -341,7 +297,7 @@ class Against:
     away: float
 
 
-def against_others(law: LoadProblem, others: NDArray[np.bool_], k: int, near: Array | None = None) -> Against:
+def against_others(law: LawProblem, others: NDArray[np.bool_], k: int, near: Array | None = None) -> Against:
     """Load k as the others have it."""
     found = average(law, others, near)
     if found is None:
@@ -351,7 +307,7 @@ def against_others(law: LoadProblem, others: NDArray[np.bool_], k: int, near: Ar
     return Against(float(found.error[k]), std_dev, float(abs(found.error[k])) / std_dev)
 
 
-def inliers(problem: LoadProblem, law: LoadProblem) -> NDArray[np.bool_]:
+def inliers(problem: LoadProblem, law: LawProblem) -> NDArray[np.bool_]:
     """Loads that the others do not contradict, by whatever curve; at least three, and more than half of them, are left.
 
     The one to go is that without which the others agree best.
@@ -379,7 +335,7 @@ def inliers(problem: LoadProblem, law: LoadProblem) -> NDArray[np.bool_]:
     return active
 
 
-def carrying(known: ParameterSet, law: LoadProblem, covariance: Array) -> ParameterSet:
+def carrying(known: ParameterSet, law: LawProblem, covariance: Array) -> ParameterSet:
     """The set of density and gain with the pattern's weights in its covariance.
 
     Parameters

@@ -31,7 +31,7 @@ from .density_and_gain import DENSITY, gain_names, moved, widened
 from .flow_curve_fit import fit_loads
 from .load_fit import LoadFit, LoadProblem
 from .load_inputs import LoadSettings, WeighedLoad
-from .load_law import LawAverage, average, carrying, inliers, law_problem, left_out, placed
+from .load_law import LawAverage, LawProblem, average, carrying, inliers, law_problem, left_out, placed
 from .load_outcome import AnotherLaw, Contradiction, LoadCalibration, LoadResult, sentences
 from .wrong_tickets import LEAST_LOADS, by_no_plate, known_slips, of_several, probabilities, without_wrong, wrong_ticket
 
@@ -183,7 +183,7 @@ def _is_another(found: LawAverage, problem: LoadProblem, active: NDArray[np.bool
 
 
 def _by_another_law(
-    problem: LoadProblem, law: LoadProblem, active: NDArray[np.bool_], found: LawAverage, learnt: Container[str]
+    problem: LoadProblem, law: LawProblem, active: NDArray[np.bool_], found: LawAverage, learnt: Container[str]
 ) -> LoadCalibration:
     """The calibration where the force may follow another curve over the flow than the model's."""
     errors, away = left_out(law, active, found.step)
@@ -224,7 +224,7 @@ def _next_sd(problem: LoadProblem, active: NDArray[np.bool_], found: LawAverage)
 
 
 def _with_wrong_ticket(
-    problem: LoadProblem, law: LoadProblem, active: NDArray[np.bool_], found: LawAverage, sweeps: int
+    problem: LoadProblem, law: LawProblem, active: NDArray[np.bool_], found: LawAverage, sweeps: int
 ) -> LoadCalibration:
     """Nothing learnt: a ticket is wrong."""
     errors, _ = left_out(law, active, found.step)
@@ -249,7 +249,7 @@ def _with_wrong_ticket(
     return replace(calibration, sentences=tuple(sentences(calibration, sweeps)))
 
 
-def _as_law_set(law: LoadProblem, found: LawAverage) -> ParameterSet:
+def _as_law_set(law: LawProblem, found: LawAverage) -> ParameterSet:
     """With the pattern's weights, and what loads scatter by in the gain: it is common to a load's seconds."""
     count = len(law.held)
     covariance = found.covariance.copy()

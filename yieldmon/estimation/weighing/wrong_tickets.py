@@ -14,7 +14,7 @@ from yieldmon.physics.model import ForwardModel
 from .density_and_gain import widened
 from .load_fit import LoadProblem
 from .load_inputs import LoadSettings, WeighedLoad
-from .load_law import LawAverage, against_others, average, law_problem
+from .load_law import LawAverage, LawProblem, against_others, average, law_problem
 from .load_outcome import WrongTicket
 from .ticket_slips import SlipKind, slips, tare_kg
 
@@ -110,7 +110,7 @@ def by_no_plate(problem: LoadProblem, active: NDArray[np.bool_]) -> bool:
 
 
 def without_wrong(
-    problem: LoadProblem, law: LoadProblem, active: NDArray[np.bool_], found: LawAverage | None
+    problem: LoadProblem, law: LawProblem, active: NDArray[np.bool_], found: LawAverage | None
 ) -> tuple[NDArray[np.bool_], LawAverage | None]:
     """The active loads without those of which one's ticket is likelier wrong than not, and what they say; at least three, and
     more than half of all, are left."""
@@ -132,13 +132,13 @@ def of_several(found: LawAverage | None) -> bool:
     return found is not None and sum(likely for slip, likely in found.slips if slip.kind is not SlipKind.ONE) > _WRONG
 
 
-def known_slips(law: LoadProblem, active: NDArray[np.bool_]) -> tuple[tuple[str, str], ...]:
+def known_slips(law: LawProblem, active: NDArray[np.bool_]) -> tuple[tuple[str, str], ...]:
     """Names of the loads left out whose ticket a known slip explains, and that slip."""
     each = ((law.loads[k].name, _known_slip(law, active, k)) for k in np.flatnonzero(~active).tolist())
     return tuple((name, what) for name, what in each if what)
 
 
-def _known_slip(law: LoadProblem, others: NDArray[np.bool_], k: int) -> str:
+def _known_slip(law: LawProblem, others: NDArray[np.bool_], k: int) -> str:
     """The known slip that explains a load's ticket by the others; "" where none does."""
     said = against_others(law, others, k)
     known = [slip for slip in slips(law.weighed, [load.name for load in law.loads]) if slip.loads == (k,) and slip.what]
@@ -147,7 +147,7 @@ def _known_slip(law: LoadProblem, others: NDArray[np.bool_], k: int) -> str:
     return known[best].what if away[best] < _EXPLAINED_SDS and abs(said.error) > _LARGE_SDS * said.std_dev else ""
 
 
-def wrong_ticket(law: LoadProblem, active: NDArray[np.bool_], found: LawAverage) -> WrongTicket:
+def wrong_ticket(law: LawProblem, active: NDArray[np.bool_], found: LawAverage) -> WrongTicket:
     """Which ticket is likely to be wrong, and how."""
     where = np.flatnonzero(active).tolist()
     by_loads: dict[tuple[SlipKind, tuple[int, ...]], float] = {}
