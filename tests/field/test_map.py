@@ -93,6 +93,9 @@ def test_grid_by_rasterio(corn_map: tuple[Path, dict[str, Any]]) -> None:
     with rasterio.open(out / "yield.tif") as raster:
         assert raster.crs.to_epsg() == 4326
         assert raster.count == 2
+        assert raster.descriptions == ("yield_t_ha", "standard_error_t_ha")
+        assert raster.units == ("t/ha", "t/ha")
+        assert np.isnan(raster.nodata)
         places = blocks.geometry.representative_point()
         values = np.array(list(raster.sample([(p.x, p.y) for p in places])))
     assert values[:, 0] == pytest.approx(blocks.yield_t_ha.to_numpy(), rel=1e-5)

@@ -45,6 +45,11 @@ def write_products(
     written: list[Path] = []
     for name in FORMATS:
         if name in formats:
-            progress(f"writing {name}")
+            coarser = (
+                ""
+                if name != "geotiff" or grid.fits()
+                else f", in blocks over {grid_m:g} m: the fields lie too far apart for these"
+            )
+            progress(f"writing {name}{coarser}")
             written += importlib.import_module(f"{__name__}.{name}").write(folder, result, grid)
     return written

@@ -1,6 +1,6 @@
 """The grid as a GeoTIFF of two bands, yield and its standard error in t/ha, WGS 84; blocks without points are NaN.
 
-Sources: TIFF 6.0 (Adobe, 1992); OGC 19-008, GeoTIFF 1.1.
+Sources: TIFF 6.0 (Adobe, 1992); OGC 19-008, GeoTIFF 1.1; GDAL's GeoTIFF driver, for names and units of bands.
 """
 
 from __future__ import annotations
@@ -20,6 +20,8 @@ from . import FILES
 _SHORT, _LONG, _DOUBLE, _ASCII = 3, 4, 12, 2
 _FORMATS = {_SHORT: "H", _LONG: "I", _DOUBLE: "d"}
 ROWS_PER_STRIP = 64
+_BANDS = ("yield_t_ha", "standard_error_t_ha")
+_UNIT = "t/ha"
 
 
 def write(folder: Path, result: HarvestMap, grid: Grid) -> list[Path]:
@@ -43,18 +45,27 @@ def write(folder: Path, result: HarvestMap, grid: Grid) -> list[Path]:
     return [path]
 
 
+def _metadata() -> str:
+    """Names and units of the bands, as GDAL reads them."""
+    items = [
+        f'<Item name="{name}" sample="{band}" role="{role}">{value}</Item>'
+        for band, title in enumerate(_BANDS)
+        for name, role, value in (("DESCRIPTION", "description", title), ("UNITTYPE", "unittype", _UNIT))
+    ]
+    return f"<GDALMetadata>{''.join(items)}</GDALMetadata>"
+
+
 def tiff(bands: np.ndarray, grid: Grid) -> bytes:
     """bands: shape (rows, columns, bands), float32."""
     rows, columns, depth = bands.shape
     strips = [zlib.compress(bands[first : first + ROWS_PER_STRIP].tobytes(), 6) for first in range(0, rows, ROWS_PER_STRIP)]
-    description = "yield_t_ha, standard_error_t_ha"
     tags: dict[int, tuple[int, list[float] | str]] = {
         256: (_LONG, [columns]),
         257: (_LONG, [rows]),
         258: (_SHORT, [32] * depth),
         259: (_SHORT, [8]),
         262: (_SHORT, [1]),
-        270: (_ASCII, description),
+        270: (_ASCII, ", ".join(_BANDS)),
         277: (_SHORT, [depth]),
         278: (_LONG, [ROWS_PER_STRIP]),
         284: (_SHORT, [1]),
@@ -64,6 +75,7 @@ def tiff(bands: np.ndarray, grid: Grid) -> bytes:
         33550: (_DOUBLE, [grid.width_deg, grid.height_deg, 0.0]),
         33922: (_DOUBLE, [0.0, 0.0, 0.0, grid.west_deg, grid.north_deg, 0.0]),
         34735: (_SHORT, [1, 1, 0, 3, 1024, 0, 1, 2, 1025, 0, 1, 1, 2048, 0, 1, 4326]),
+        42112: (_ASCII, _metadata()),
         42113: (_ASCII, "nan"),
     }
     offsets, at = [], 8
