@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from xml.etree import ElementTree as ET
@@ -25,25 +25,34 @@ from .crop_names import crop_names
 from .damage import ZIP_DAMAGE, may_be_harvest
 from .options import ReadOptions
 from .positions import plausible
+from .task_values import (
+    DEFAULT_WIDTH,
+    KNOWN,
+    LAG,
+    LEAD,
+    LENGTH_OF_CUT,
+    MASS_PER_AREA,
+    MASS_PER_TIME,
+    MAX_WIDTH,
+    MOISTURE,
+    TOTAL_AREA,
+    TOTAL_MASS,
+    WIDTH,
+    Devices,
+    Values,
+    devices,
+)
 
 KIND = "ISO 11783-10 task data"
 ORDER = 10
 TASK_FILE = "TASKDATA.XML"
 MAX_MEMBER_BYTES = 1 << 30
 
-WIDTH, DEFAULT_WIDTH, MAX_WIDTH = 67, 68, 70
-MASS_PER_AREA, MASS_PER_TIME, TOTAL_MASS, MOISTURE = 84, 87, 90, 99
-TOTAL_AREA, WORK_STATE, LAG, LEAD = 116, 141, 259, 260
-CONDENSED_STATES = range(161, 177)
-LENGTH_OF_CUT = 177
-"""Only a forage harvester has one."""
-_KNOWN = {WIDTH, MASS_PER_AREA, MASS_PER_TIME, TOTAL_MASS, MOISTURE, TOTAL_AREA, WORK_STATE, LAG, LEAD, *CONDENSED_STATES}
 _PART_NAME = re.compile(r"^[A-Z]{3}\d{5}\.(XML|BIN)$")
 _LOG_NAME = re.compile(r"^TLG\d+$", re.IGNORECASE)
 _LONGEST_INTERVAL_S = 10.0
 _AT_ONCE_S = 60.0
 """For how long logs of one device are recorded at once before they are of several machines."""
-_SECTION = "4"
 
 
 @dataclass(frozen=True)
@@ -146,15 +155,6 @@ def _refuse_large(size: int) -> None:
 
 
 @dataclass(frozen=True)
-class _Device:
-    """Constants of the device descriptions: DDI -> raw value; elements that are sections; element -> name of its device."""
-
-    constants: Mapping[int, float] = field(default_factory=dict)
-    sections: frozenset[str] = frozenset()
-    names: Mapping[str, str] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
 class _Task:
     """A log's task: names for its rows, and the totals that the task states, where it has one log and states them once."""
 
@@ -175,7 +175,7 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
     except InputError as error:
         skipped.append(Skipped(TASK_FILE, error.problem))
         root = ET.Element("ISO11783_TaskData")
-    device, tasks = _device(root), _tasks(root)
+    device, tasks = devices(root), _tasks(root)
     listed = {task.log.upper() for task in tasks}
     tasks += [
         _Task(name[:-4])
@@ -264,23 +264,7 @@ def _stated(task: ET.Element, ddi: int) -> float | None:
         return None
 
 
-def _device(root: ET.Element) -> _Device:
-    constants = {}
-    for element in root.iter("DPT"):
-        try:
-            constants[int(element.get("B", ""), 16)] = timelog.process_value(element.get("C", ""))
-        except ValueError:
-            continue
-    sections = frozenset(element.get("A", "") for element in root.iter("DET") if element.get("C") == _SECTION)
-    names = {
-        element.get("A", ""): " ".join(device.get("B", "").split()) or device.get("A", "")
-        for device in root.iter("DVC")
-        for element in device.iter("DET")
-    }
-    return _Device(constants, sections, names)
-
-
-def _log(folder: Folder, task: _Task, device: _Device, options: ReadOptions) -> tuple[HarvestTable, str]:
+def _log(folder: Folder, task: _Task, device: Devices, options: ReadOptions) -> tuple[HarvestTable, str]:
     head = timelog.header(folder.bytes_of(f"{task.log}.XML"), f"{task.log}.xml")
     log = timelog.read(folder.bytes_of(f"{task.log}.BIN"), head)
     count = len(log.time_s)
@@ -289,7 +273,7 @@ def _log(folder: Folder, task: _Task, device: _Device, options: ReadOptions) -> 
         raise InputError(where, log.problem, "records of a binary time log")
     if not np.isfinite(log.longitude_deg).any():
         raise InputError(where, "has no positions", "records with PositionNorth and PositionEast")
-    of = _Values(log.values, device)
+    of = Values(log.values, device)
     interval, way = _steps(log)
     width = of.width_m() if options.width_m is None else np.full(count, options.width_m)
     if width is None:
@@ -326,12 +310,12 @@ def _log(folder: Folder, task: _Task, device: _Device, options: ReadOptions) -> 
         unix_time=True,
         declared_flow_s=None if lag is None else lag * 1e-3,
         default_flow_s=FORAGE_FLOW_S if of.of(LENGTH_OF_CUT) else DEFAULT_FLOW_S,
-        extra={f"DDI {ddi:04X} {element}".strip(): values for (ddi, element), values in log.values.items() if ddi not in _KNOWN},
+        extra={f"DDI {ddi:04X} {element}".strip(): values for (ddi, element), values in log.values.items() if ddi not in KNOWN},
     )
     return table, log.problem
 
 
-def _totals(of: _Values, task: _Task) -> tuple[float | None, float | None]:
+def _totals(of: Values, task: _Task) -> tuple[float | None, float | None]:
     """Mass, kg, and area, m2, by the machine's counters in the log, else as the task states them."""
     mass_kg, area_m2 = of.risen(TOTAL_MASS), of.risen(TOTAL_AREA)
     return task.mass_kg if mass_kg is None else mass_kg, task.area_m2 if area_m2 is None else area_m2
@@ -348,83 +332,3 @@ def _steps(log: timelog.TimeLog) -> tuple[Array, Array]:
     x, y = Sites.about(log.longitude_deg, log.latitude_deg).to_m(log.longitude_deg, log.latitude_deg)
     way = np.hypot(np.diff(x, prepend=x[0]), np.diff(y, prepend=y[0]))
     return np.where(begins, usual, interval), np.where(begins, np.append(np.where(begins, 0.0, way)[1:], 0.0), way)
-
-
-def _risen(counter: Array) -> float:
-    """What a counter counted; where it falls it began again."""
-    known = counter[np.isfinite(counter)]
-    steps = np.diff(known)
-    return float(np.where(steps >= 0, steps, known[1:]).sum())
-
-
-@dataclass(frozen=True)
-class _Values:
-    """Values of a log by DDI."""
-
-    values: Mapping[tuple[int, str], Array]
-    device: _Device
-
-    def of(self, ddi: int) -> list[tuple[str, Array]]:
-        return [(element, values) for (key, element), values in self.values.items() if key == ddi]
-
-    def device_name(self) -> str:
-        """Of the device that measured the yield."""
-        found = [element for ddi in (MASS_PER_TIME, MASS_PER_AREA) for element, _ in self.of(ddi)]
-        return next((self.device.names[element] for element in found if element in self.device.names), "")
-
-    def one(self, ddi: int, scale: float) -> Array | None:
-        """The values of the element that has most of them, or the sum of sections."""
-        found = self.of(ddi)
-        if not found:
-            return None
-        whole = [values for element, values in found if element not in self.device.sections]
-        if whole:
-            return scale * max(whole, key=lambda values: int(np.isfinite(values).sum()))
-        together: Array = scale * np.nansum([values for _, values in found], axis=0)
-        return together
-
-    def single(self, ddi: int) -> float | None:
-        """A value that stays: from the log's last record or the device description."""
-        found = self.one(ddi, 1.0)
-        if found is not None and np.isfinite(found).any():
-            return float(found[np.isfinite(found)][-1])
-        return self.device.constants.get(ddi)
-
-    def risen(self, ddi: int) -> float | None:
-        """What a counter counted over the log."""
-        counter = self.one(ddi, 1.0)
-        return None if counter is None else _risen(counter)
-
-    def flow_kg_s(self, interval_s: Array, way_m: Array, width_m: Array) -> tuple[Array | None, tuple[str, ...]]:
-        """Mass flow, and notes on it. interval_s, way_m, width_m: of each record."""
-        flow = self.one(MASS_PER_TIME, 1e-6)
-        per_area = self.one(MASS_PER_AREA, 1e-6)
-        if flow is not None or per_area is None:
-            return flow, ()
-        with np.errstate(invalid="ignore", divide="ignore"):
-            flow = np.where(interval_s > 0, per_area * way_m * width_m / interval_s, np.nan)
-        return flow, (f"flow is yield by area (DDI {MASS_PER_AREA}) times way and width",)
-
-    def width_m(self) -> Array | None:
-        width = self.one(WIDTH, 1e-3)
-        fallback = next((self.single(ddi) for ddi in (DEFAULT_WIDTH, MAX_WIDTH) if self.single(ddi)), None)
-        if width is None:
-            count = len(next(iter(self.values.values()), np.zeros(0)))
-            return None if fallback is None else np.full(count, fallback * 1e-3)
-        return width if fallback is None else np.where(np.isfinite(width), width, fallback * 1e-3)
-
-    def header_down(self, count: int) -> Array:
-        state = self.one(WORK_STATE, 1.0)
-        if state is not None:
-            return np.where(np.isfinite(state), (state == 1).astype(float), np.nan)
-        any_on = np.full(count, np.nan)
-        for ddi in CONDENSED_STATES:
-            condensed = self.one(ddi, 1.0)
-            if condensed is None:
-                continue
-            bits = np.nan_to_num(condensed).astype(np.int64)
-            on = np.zeros(count, bool)
-            for section in range(16):
-                on |= (bits >> (2 * section)) & 3 == 1
-            any_on = np.where(np.isfinite(condensed), np.fmax(any_on, on.astype(float)), any_on)
-        return any_on

@@ -1,0 +1,199 @@
+"""Values of a log of task data by the data dictionary of ISO 11783-11, and the devices whose they are."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yieldmon.field.table import Array
+
+from . import timelog
+
+WIDTH, DEFAULT_WIDTH, MAX_WIDTH = 67, 68, 70
+MASS_PER_AREA, MASS_PER_TIME, TOTAL_MASS, MOISTURE = 84, 87, 90, 99
+TOTAL_AREA, WORK_STATE, LAG, LEAD = 116, 141, 259, 260
+CONDENSED_STATES = range(161, 177)
+LENGTH_OF_CUT = 177
+"""Only a forage harvester has one."""
+KNOWN = {WIDTH, MASS_PER_AREA, MASS_PER_TIME, TOTAL_MASS, MOISTURE, TOTAL_AREA, WORK_STATE, LAG, LEAD, *CONDENSED_STATES}
+_SECTION = "4"
+
+
+@dataclass(frozen=True)
+class Devices:
+    """The device descriptions.
+
+    Parameters
+    ----------
+    constants : mapping of (int, str) to float
+        DDI and element -> raw value.
+    sections : tuple of str
+        Elements that are sections, by their number.
+    names : mapping of str to str
+        Element -> name of its device.
+    of_element : mapping of str to str
+        Element -> identifier of its device.
+    """
+
+    constants: Mapping[tuple[int, str], float] = field(default_factory=dict)
+    sections: tuple[str, ...] = ()
+    names: Mapping[str, str] = field(default_factory=dict)
+    of_element: Mapping[str, str] = field(default_factory=dict)
+
+
+def devices(root: ET.Element) -> Devices:
+    """The devices of a task file."""
+    constants: dict[tuple[int, str], float] = {}
+    for device in root.iter("DVC"):
+        elements = list(device.iter("DET"))
+        referring = {reference.get("A", ""): one.get("A", "") for one in elements for reference in one.iter("DOR")}
+        first = elements[0].get("A", "") if elements else ""
+        for property_ in device.iter("DPT"):
+            try:
+                ddi, value = int(property_.get("B", ""), 16), timelog.process_value(property_.get("C", ""))
+            except ValueError:
+                continue
+            constants[ddi, referring.get(property_.get("A", ""), first)] = value
+    sections = [element for element in root.iter("DET") if element.get("C") == _SECTION]
+    return Devices(
+        constants,
+        tuple(element.get("A", "") for element in sorted(sections, key=_number)),
+        {
+            element.get("A", ""): " ".join(device.get("B", "").split()) or device.get("A", "")
+            for device in root.iter("DVC")
+            for element in device.iter("DET")
+        },
+        {element.get("A", ""): device.get("A", "") for device in root.iter("DVC") for element in device.iter("DET")},
+    )
+
+
+def _number(element: ET.Element) -> int:
+    number = element.get("E", "")
+    return int(number) if number.isdecimal() and len(number) < 10 else 0
+
+
+def _risen(counter: Array) -> float:
+    """What a counter counted; where it falls it began again."""
+    known = counter[np.isfinite(counter)]
+    steps = np.diff(known)
+    return float(np.where(steps >= 0, steps, known[1:]).sum())
+
+
+@dataclass(frozen=True)
+class Values:
+    """Values of a log by DDI and element: those of the device that measured the yield, of others where it has none."""
+
+    values: Mapping[tuple[int, str], Array]
+    device: Devices
+
+    def of(self, ddi: int) -> list[tuple[str, Array]]:
+        """Element and values."""
+        found = self._all(ddi)
+        own = [one for one in found if self.device.of_element.get(one[0], "") == self._measuring]
+        return own or found
+
+    def _all(self, ddi: int) -> list[tuple[str, Array]]:
+        return [(element, values) for (key, element), values in self.values.items() if key == ddi]
+
+    @cached_property
+    def _measuring(self) -> str:
+        """The device that measured the yield."""
+        found = [one for ddi in (MASS_PER_TIME, MASS_PER_AREA) for one in self._all(ddi)]
+        if not found:
+            return ""
+        return self.device.of_element.get(max(found, key=lambda one: int(np.isfinite(one[1]).sum()))[0], "")
+
+    def device_name(self) -> str:
+        """Of the device that measured the yield."""
+        found = [element for ddi in (MASS_PER_TIME, MASS_PER_AREA) for element, _ in self.of(ddi)]
+        return next((self.device.names[element] for element in found if element in self.device.names), "")
+
+    def one(self, ddi: int, scale: float) -> Array | None:
+        """The values of the element that has most of them, or the sum of sections."""
+        found = self.of(ddi)
+        if not found:
+            return None
+        whole = [values for element, values in found if element not in self.device.sections]
+        if whole:
+            return scale * max(whole, key=lambda values: int(np.isfinite(values).sum()))
+        together: Array = scale * np.nansum([values for _, values in found], axis=0)
+        return together
+
+    def single(self, ddi: int) -> float | None:
+        """A value that stays: from the log's last record or the device description."""
+        found = self.one(ddi, 1.0)
+        if found is not None and np.isfinite(found).any():
+            return float(found[np.isfinite(found)][-1])
+        return self._constant(ddi)
+
+    def _constant(self, ddi: int) -> float | None:
+        """Of the device description: of the whole, else of its sections together."""
+        found = {element: value for (key, element), value in self.device.constants.items() if key == ddi}
+        own = {element: value for element, value in found.items() if self.device.of_element.get(element, "") == self._measuring}
+        found = own or found
+        whole = [value for element, value in found.items() if element not in self.device.sections]
+        return max(whole) if whole else sum(found.values()) or None
+
+    def _of_sections(self) -> list[float]:
+        """Width of each section of the measuring device, mm, from left to right; empty where one is not known."""
+        own = [element for element in self.device.sections if self.device.of_element.get(element, "") == self._measuring]
+        for ddi in (DEFAULT_WIDTH, MAX_WIDTH):
+            widths = [self.device.constants.get((ddi, element)) for element in own]
+            known = [width for width in widths if width]
+            if len(known) == len(widths):
+                return known
+        return []
+
+    def _on(self, count: int) -> tuple[Array, NDArray[np.bool_]]:
+        """By condensed work states: 1 where a section works, 0 where none does, NaN where it is not said; and which sections."""
+        blocks = [block for block, ddi in enumerate(CONDENSED_STATES) if self.of(ddi)]
+        any_on, which = np.full(count, np.nan), np.zeros((count, 16 * (max(blocks, default=-1) + 1)), bool)
+        for block, ddi in enumerate(CONDENSED_STATES):
+            condensed = self.one(ddi, 1.0)
+            if condensed is None:
+                continue
+            bits = np.nan_to_num(condensed).astype(np.int64)
+            for section in range(16):
+                which[:, 16 * block + section] = (bits >> (2 * section)) & 3 == 1
+            on = which[:, 16 * block : 16 * block + 16].any(axis=1)
+            any_on = np.where(np.isfinite(condensed), np.fmax(any_on, on.astype(float)), any_on)
+        return any_on, which
+
+    def risen(self, ddi: int) -> float | None:
+        """What a counter counted over the log."""
+        counter = self.one(ddi, 1.0)
+        return None if counter is None else _risen(counter)
+
+    def flow_kg_s(self, interval_s: Array, way_m: Array, width_m: Array) -> tuple[Array | None, tuple[str, ...]]:
+        """Mass flow, and notes on it. interval_s, way_m, width_m: of each record."""
+        flow = self.one(MASS_PER_TIME, 1e-6)
+        per_area = self.one(MASS_PER_AREA, 1e-6)
+        if flow is not None or per_area is None:
+            return flow, ()
+        with np.errstate(invalid="ignore", divide="ignore"):
+            flow = np.where(interval_s > 0, per_area * way_m * width_m / interval_s, np.nan)
+        return flow, (f"flow is yield by area (DDI {MASS_PER_AREA}) times way and width",)
+
+    def width_m(self) -> Array | None:
+        width = self.one(WIDTH, 1e-3)
+        fallback = next((self.single(ddi) for ddi in (DEFAULT_WIDTH, MAX_WIDTH) if self.single(ddi)), None)
+        if width is None:
+            count = len(next(iter(self.values.values()), np.zeros(0)))
+            sections = self._of_sections()
+            said, which = self._on(count)
+            if len(sections) > 1 and (said == 1).any():
+                working = 1e-3 * which[:, : len(sections)] @ np.array(sections)
+                return np.where(said == 1, working, 1e-3 * (fallback or sum(sections)))
+            return None if fallback is None else np.full(count, fallback * 1e-3)
+        return width if fallback is None else np.where(np.isfinite(width), width, fallback * 1e-3)
+
+    def header_down(self, count: int) -> Array:
+        state = self.one(WORK_STATE, 1.0)
+        if state is not None:
+            return np.where(np.isfinite(state), (state == 1).astype(float), np.nan)
+        return self._on(count)[0]
