@@ -46,7 +46,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("check-config", {"numpy", "pydantic", "yaml"}),
         ("monitor LOG --once --speed 0", {"can", "cantools", "rich"}),
         ("calibrate --help", {"numpy"}),
-        ("calibrate TABLE --starts 1", {"numpy", "rich", "scipy", "yaml", "yieldmon.estimation.fitting.calibration"}),
+        ("calibrate TABLE --starts 1", {"numpy", "scipy", "yaml", "yieldmon.estimation.fitting.calibration"}),
         ("estimate --help", {"numpy", "yaml"}),
     ],
     ids=["help", "status", "check-config", "monitor", "calibrate-help", "calibrate", "estimate-help"],

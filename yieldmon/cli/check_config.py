@@ -72,10 +72,15 @@ def _held_against(
     loaded: configuration.Configuration, log: str | None
 ) -> tuple[dict[str, Any] | None, list[str], list[InputError]]:
     """What a recording shows of the mapping's quantities, what is to be known of the mapping, and what is wrong with it."""
-    from yieldmon.service.config import plausible, waveform_needs
+    from yieldmon.service.config import plausible
     from yieldmon.service.logs import mapping_check
 
-    notes = [*loaded.notes, *mapping_check.notes(loaded), *waveform_needs.notes(loaded)]
+    notes = [*loaded.notes, *mapping_check.notes(loaded)]
+    if loaded.engine.waveform.enabled:
+        # Brings the engine along, which other configurations are checked without.
+        from yieldmon.service.config import waveform_needs
+
+        notes += waveform_needs.notes(loaded)
     problems = plausible.implausible(loaded)
     if log is None:
         return None, notes, [InputError(*problem) for problem in problems]
