@@ -176,6 +176,30 @@ def test_says_whether_the_cell_lets_kernels_through(response_s: float, verdict: 
     assert seen.volume_m3_s * VALUES["density"] == pytest.approx(seen.shape_kg_s)
 
 
+@pytest.mark.parametrize("delay_ms", [1.0, 4.0])
+def test_frames_that_the_bus_delays_give_the_flows_of_frames_in_time(delay_ms: float) -> None:
+    """Samples are taken by the sensor's clock; delays of 5 ms laid pulses beside one another, three times the kernels' noise."""
+    rng = np.random.default_rng(31)
+    before_s, late = 0.0, []
+    for frame in struck(2e-4):
+        if frame.message == "ImpactSensorSamples":
+            before_s = max(frame.time_s + 1e-3 * delay_ms * rng.exponential(), before_s + 1e-4)
+            late.append(frame._replace(time_s=before_s))
+        elif frame.message != GRAIN_KERNELS:
+            late.append(frame)
+    late.sort(key=lambda frame: frame.time_s)
+    waveform = replace(WaveformSettings(), shape=LAW, enabled=True, thousand_kernel_weight_g=350.0, quiet_windows=2)
+    engine = replace(EngineSettings(), sweep=replace(SweepSettings(), enabled=False), waveform=waveform)
+    monitor = Monitor(engine, FAST, OpenLoop(ForwardModel(FAST, PARAMETERS.effects), PARAMETERS))
+    for frame in late:
+        monitor.feed(frame)
+    seen, in_time = monitor.waveform, monitored(2e-4, 350.0).waveform
+    assert seen is not None
+    assert in_time is not None
+    assert seen.kernels_kg_s == pytest.approx(in_time.kernels_kg_s, rel=0.1)
+    assert seen.shape_kg_s == pytest.approx(in_time.shape_kg_s, rel=0.1)
+
+
 def test_a_frame_s_kernel_weight_takes_precedence() -> None:
     """In the frame 350 g, entered 175 g; flow is in proportion."""
     heard, reported = monitored(2e-4, 175.0, reported=True), monitored(2e-4, 175.0)

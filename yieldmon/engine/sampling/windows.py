@@ -34,6 +34,8 @@ _DISPUTED = {
     (True, True): "elevator speed and plate angle",
 }
 
+_MOST_LATE_S = 0.1
+"""Between the earliest and the latest frame of a window; beyond, their times do not lie on a line."""
 _LONGEST_EXACT_S = 0.0105
 """Frames further apart than this may leave a whole window with less than full coverage."""
 _NO_RANGE = (float("inf"), float("-inf"))
@@ -145,7 +147,8 @@ class WindowBuilder:
         self.angle = InterpolatedSignal(angle_rad, RivalWatch(angle_limits(angle_interval_s)))
         self._traces = traces
         self._max_ramp_s = settings.max_ramp_s
-        self._chain = ChainPhase(machine.sprocket_pitch_radius_m / machine.pattern_length_m, 1.0 / settings.max_ramp_s)
+        self._turns_per_rad = machine.sprocket_pitch_radius_m / machine.pattern_length_m
+        self._chain = ChainPhase(self._turns_per_rad, 1.0 / settings.max_ramp_s)
         samples = len(source.signals)
         self._sample_interval_s = source.interval_s
         self._lags_s = np.arange(samples - 1, -1, -1, dtype=np.float64) * source.interval_s
@@ -203,9 +206,14 @@ class WindowBuilder:
         lists = (column.tolist() if isinstance(column, np.ndarray) else column for column in columns)
         if not self._traces:
             return [_made(*row, None) for row in zip(*lists, strict=True)]
+        turns_per_s = (speed * self._turns_per_rad).tolist()
         traces = [
-            _trace(frames, phase.reshape(frames.samples.shape), slice(first, last), self._sample_interval_s)
-            for first, last in zip(frames.bounds[:-1].tolist(), frames.bounds[1:].tolist(), strict=True)
+            _trace(
+                frames, phase.reshape(frames.samples.shape), slice(first, last), self._sample_interval_s, 0.0 if lost else rate
+            )
+            for first, last, rate, lost in zip(
+                frames.bounds[:-1].tolist(), frames.bounds[1:].tolist(), turns_per_s, frames.lost.tolist(), strict=True
+            )
         ]
         return [_made(*row) for row in zip(*lists, traces, strict=True)]
 
@@ -225,8 +233,24 @@ class WindowBuilder:
         return np.minimum(before[:-1], angles.values.min(axis=1)), np.maximum(above[:-1], angles.values.max(axis=1))
 
 
-def _trace(frames: SampleFrames, phase: Array, rows: slice, interval_s: float) -> Trace | None:
-    """The samples of some frames; None where one is not usable, for then they are not evenly spaced."""
+def _trace(frames: SampleFrames, phase: Array, rows: slice, interval_s: float, turns_per_s: float) -> Trace | None:
+    """The samples of some frames; None where one is not usable, for then they are not evenly spaced.
+
+    turns_per_s: of the pattern. Frames are late by what the bus and a gateway make of it, samples are taken by the sensor's clock:
+    the phase is that of times on a straight line over the frames. 0: as their times say, where frames are missing.
+    """
     if not frames.usable[rows].all() or rows.start == rows.stop:
         return None
-    return Trace(frames.samples[rows].ravel(), phase[rows].ravel(), interval_s)
+    shown = phase[rows]
+    late_s = _late_s(frames.times[rows])
+    if turns_per_s > 0.0 and late_s.max() - late_s.min() < _MOST_LATE_S:
+        shown = shown - turns_per_s * late_s[:, None]
+    return Trace(frames.samples[rows].ravel(), shown.ravel(), interval_s)
+
+
+def _late_s(times_s: Array) -> Array:
+    """How late each frame (n,) is after the straight line of least squares through all of them."""
+    place = np.arange(times_s.size) - 0.5 * (times_s.size - 1)
+    since_s = times_s - times_s[0]
+    since_s = since_s - since_s.sum() / since_s.size
+    return np.asarray(since_s - place * ((place * since_s).sum() / max((place * place).sum(), 1.0)))
