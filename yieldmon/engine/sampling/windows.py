@@ -236,7 +236,7 @@ class WindowBuilder:
 def _trace(frames: SampleFrames, phase: Array, rows: slice, interval_s: float, turns_per_s: float) -> Trace | None:
     """The samples of some frames; None where one is not usable, for then they are not evenly spaced.
 
-    turns_per_s: of the pattern. Frames are late by what the bus and a gateway make of it, samples are taken by the sensor's clock:
+    turns_per_s: of the pattern. Frames are late by what bus and gateway make of it, samples are taken by the sensor's clock:
     the phase is that of times on a straight line over the frames. 0: as their times say, where frames are missing.
     """
     if not frames.usable[rows].all() or rows.start == rows.stop:
