@@ -109,6 +109,42 @@ def test_a_fault_in_the_cab_is_in_the_units_chosen(units: Units, said: str) -> N
     assert said.replace("weighed", "gained") in words(shown)
 
 
+@settings(max_examples=40, deadline=None)
+@given(
+    width=st.integers(30, 130), height=st.integers(8, 40), faults=st.integers(0, 8),
+    prompt=st.sampled_from(["", "ticket: number of the load and its weighed mass, such as 7 9.12t: 7_"]),
+)  # fmt: skip
+def test_a_low_window_shows_what_is_asked_and_that_there_are_faults(width: int, height: int, faults: int, prompt: str) -> None:
+    """At 40x12 a ticket was typed and confirmed unseen, and no fault was shown."""
+    status = {**STATUS, "faults": MANY_FAULTS[:faults], "load": {**STATUS["load"], "field": "", "crop": ""}}
+    shown = words(drawn(Cab(status, Units(), prompt, View(cab=True)), width, height))
+    assert prompt in shown
+    assert "HARVESTING" in shown
+    assert height < 12 or ("ZeroDrifted" if faults else "no faults") in shown
+
+
+@pytest.mark.parametrize(("width", "height"), [(40, 12), (30, 8), (80, 24), (60, 7)])
+def test_a_low_window_of_the_bus_shows_flow_state_and_filter(width: int, height: int) -> None:
+    shown = words(drawn(Screen(traffic(), CODEC, View(needle="mass", typing=True)), width, height))
+    assert "faults: ZeroDrifted" in shown
+    assert "filter: mass_" in shown
+    assert "id message" in shown
+
+
+def test_a_terminal_that_draws_nothing_is_refused_in_a_line(tmp_path: Path) -> None:
+    """TERM=dumb gave an empty screen for ever."""
+    log = tmp_path / "a.log"
+    log.write_text("(1.000000) can0 123#00\n")
+    terminal = pexpect.spawn(
+        sys.executable, ["-m", "yieldmon.cli.main", "monitor", str(log)], env={**os.environ, "TERM": "dumb"}, encoding="utf-8"
+    )
+    terminal.expect(pexpect.EOF, timeout=60)
+    said = " ".join(terminal.before.split())
+    assert said == "yieldmon: TERM: is 'dumb', which draws no screen; expected `--once`, or another terminal"
+    terminal.close()
+    assert terminal.exitstatus == 2
+
+
 def pressed(keys: list[str], status: dict[str, Any] | None = STATUS) -> tuple[Dialog, list[dict[str, Any]]]:
     dialog = Dialog(mass, shipped_name, lambda: tuple(crops()))
     return dialog, [request for key in keys for request in dialog.press(key, status, Units())]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -277,6 +278,8 @@ def _refreshes(source: Source, traffic: Traffic, record: _Recorder, act: Callabl
 
 def _show(source: Source, traffic: Traffic, codec: Codec, cab: _Cab, record: _Recorder, stack: ExitStack) -> None:
     console = Console()
+    if console.is_dumb_terminal:
+        raise InputError("TERM", f"is {os.environ.get('TERM', '')!r}, which draws no screen", "`--once`, or another terminal")
     if cab.daemon is not None:
         stack.enter_context(cab.daemon)
     with keys.raw_keys(), Live(cab.screen(traffic, codec), console=console, screen=True, auto_refresh=False) as live:

@@ -64,8 +64,22 @@ class Cab:
         head = [*self._title(width), *self._large(width, plain=plain), *self._figures(width), rule(width, plain=plain)]
         foot = self._foot(width, plain=plain)
         faults = self._faults(width, max(height - 1 - len(head) - len(foot), 1))
+        if len(head) + len(faults) + len(foot) >= height:
+            yield Group(*fitted(self._short(width, height - 1, plain=plain), width))
+            return
         rest = max(height - 1 - len(head) - len(faults) - len(foot), 0)
         yield Group(*fitted([*head, *faults, *[Text("")] * rest, *foot], width))
+
+    def _short(self, width: int, height: int, *, plain: bool) -> list[Text]:
+        """What a low window has room for: what is asked first, then state and faults, then figures."""
+        title, faults, asked = self._title(width), self._faults(width, 1), self._asked(width)
+        left = max(height - len(title) - len(faults) - len(asked), 0)
+        figures = self._figures(width)
+        flow = self._large(width, plain=plain)
+        if len(flow) + 2 > left:
+            flow = [Text(f" flow   {self._units.flow(self._status['now']['mass_flow_kg_s'])}", no_wrap=True)]
+        body = [*flow, *figures][:left]
+        return [*[*title, *faults, *body][: max(height - len(asked), 0)], *asked[-height:]]
 
     def _title(self, width: int) -> list[Text]:
         status, load = self._status, self._status["load"]
@@ -149,12 +163,11 @@ class Cab:
         return lines
 
     def _foot(self, width: int, *, plain: bool) -> list[Text]:
-        lines = [rule(width, plain=plain)]
-        if self._prompt:
-            lines += wrapped(self._prompt, width, style="bold")
-        if self._view.paused:
-            lines.append(Text(" PAUSED", style="bold yellow"))
-        return [*lines, *wrapped(KEYS, width, hanging=" ", style="dim")]
+        return [rule(width, plain=plain), *self._asked(width), *wrapped(KEYS, width, hanging=" ", style="dim")]
+
+    def _asked(self, width: int) -> list[Text]:
+        lines = wrapped(self._prompt, width, style="bold") if self._prompt else []
+        return [*lines, Text(" PAUSED", style="bold yellow")] if self._view.paused else lines
 
 
 def from_frames(traffic: Traffic) -> Status:

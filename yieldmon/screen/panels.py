@@ -37,6 +37,8 @@ _CHANGE_SHOWN_S = 1.0
 _BYTES = 8
 _BYTES_W = 3 * _BYTES - 1
 _LEAST_ROWS = 3
+_DIGITS_AND_TREND = 4
+"""Lines of the head that show the flow large."""
 
 
 @dataclass(slots=True)
@@ -65,6 +67,12 @@ class Screen:
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         width, plain = options.max_width, options.ascii_only
         head, foot = self._head(width, plain=plain), self._foot(width)
+        if len(head) + len(foot) + _LEAST_ROWS >= (options.height or console.height):
+            # A low window: the digits go, then the keys.
+            flow = f" {self._view.units.flow(self._flow()[0])}   {self._flow()[1]}"
+            head = [Text(flow, no_wrap=True), *head[_DIGITS_AND_TREND:]]
+            if len(head) + len(foot) + _LEAST_ROWS >= (options.height or console.height):
+                foot = self._status_line(width)
         height = max((options.height or console.height) - len(head) - len(foot) - 1, 1)
         rows = self._traffic.sorted_rows(self._view.order, self._view.needle)
         self._view.selected = max(0, min(self._view.selected, len(rows) - 1))
@@ -121,6 +129,10 @@ class Screen:
         return _number(frame.signals["MassFlowRate"]), quality
 
     def _foot(self, width: int) -> list[Text]:
+        keys = "q quit  space pause  s sort  / filter  j k choose  r record  c cab  u units"
+        return [*self._status_line(width), *wrapped(keys, width, hanging=" ", style="dim")]
+
+    def _status_line(self, width: int) -> list[Text]:
         view, traffic = self._view, self._traffic
         total = sum(row.rate_hz(traffic.now_s) for row in traffic.rows.values())
         parts = [
@@ -140,8 +152,7 @@ class Screen:
         for line in lines:
             line.highlight_words(["PAUSED"], "bold yellow")
             line.highlight_words([f"recording {view.recording}", f"filter: {view.needle}"], "bold red")
-        keys = "q quit  space pause  s sort  / filter  j k choose  r record  c cab  u units"
-        return [*lines, *wrapped(keys, width, hanging=" ", style="dim")]
+        return lines
 
     # List and signals
 
