@@ -61,8 +61,10 @@ def test_an_undo_reaches_the_open_load_once_it_is_closed(tmp_path, plain: float,
         harvest_on(bench, 4)
         assert season_ticket(season, 5, factor)["anchor"]
         harvest_on(bench, 12)
+        assert "moved the scale by" in bench.status["sweep"]["last_update"]
         assert ask(season.folder, "ticket", "undo", "1")["undone"] == 2
         harvest_on(bench, 4)
+        assert bench.status["sweep"]["last_update"] is None, "what is taken back is not what the parameters rest on"
         if not restart:
             found = closed(season, bench)
         season.now_s = bench.now_s

@@ -67,7 +67,7 @@ class Learning:
         self._weighed = False
         self._put(estimator, None, weighed=False)
         self.outcome: CalibrationOutcome | None = None
-        """What the last whole sweep or weighed mass changed."""
+        """What the last whole sweep or weighed mass changed; None once that is taken back or of another crop."""
         self.scale_alarm = ScaleAlarm(settings.faults)
         self._scale = TankScale(settings.anchors)
         self.tickets = TicketBook(settings.anchors.keep)
@@ -130,6 +130,8 @@ class Learning:
         """
         anchors = [self.tickets.ticket(*weighing, loads, now_s) for weighing in again]
         gone = load_numbers | {anchor.load_number for anchor in anchors}
+        if learnt is not None and not crop:
+            self.outcome = None
         left = self.tickets.take_back(gone, anchors, crop)
         scale_again = False
         if self.calibrator is not None:
@@ -145,7 +147,9 @@ class Learning:
     @property
     def last_update(self) -> str:
         """What the last whole sweep or weighed mass changed, in a sentence."""
-        return self.outcome.reason if self.outcome is not None else "no calibrator"
+        if self.outcome is not None:
+            return self.outcome.reason
+        return "no calibrator" if self.calibrator is None else "the parameters have been replaced since"
 
     def use(self, estimator: FlowEstimator, calibration_age_s: float | None, harvested_kg: float = 0.0) -> None:
         """Other parameters; calibration_age_s: time since they were calibrated, None where it is not known; harvested_kg: grain
@@ -179,6 +183,7 @@ class Learning:
         """Another crop from now on: weighed masses of the one before teach its parameters alone, when it is back. estimator: in
         use from now on."""
         used = self.tickets.change_crop(before, now)
+        self.outcome = None
         self._scale.forget()
         self._scale.anchors.clear()
         self._masses_new = bool(self.tickets.waiting)
