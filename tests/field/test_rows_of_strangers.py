@@ -158,3 +158,56 @@ def test_a_hybrid_s_bushel_is_not_needed_beside_a_mass(capsys: pytest.CaptureFix
     document, said = mapped(capsys, changed(row_of))
     assert mass_kg(document) == pytest.approx(MASS_KG, rel=0.01)
     assert "Yld Mass(Dry)(lb/ac) is of dried grain" in said
+
+
+@pytest.mark.parametrize("clock", [lambda s: s + 7200.0, lambda s: s % 86400.0, lambda s: s + 18.0])
+def test_a_copy_by_another_clock_counts_once(clock: Callable[[float], float], capsys: pytest.CaptureFixture[str]) -> None:
+    document, said = mapped(capsys, rows(), changed(lambda _, row: row | {"time": clock(row["time"])})[200:])
+    assert mass_kg(document) == pytest.approx(MASS_KG, rel=0.01)
+    assert document["yield_t_ha"] == pytest.approx(YIELD_T_HA, rel=0.02)
+    assert "are those of h0.csv by a clock that is" in said
+
+
+def test_the_next_year_on_the_same_tracks_is_no_copy(capsys: pytest.CaptureFixture[str]) -> None:
+    year = changed(lambda n, row: row | {"time": row["time"] + 3.2e7 + 0.05 * n})
+    document, _ = mapped(capsys, rows(), year)
+    assert mass_kg(document) == pytest.approx(2 * MASS_KG, rel=0.07)
+
+
+def test_times_of_the_day_in_no_order_go_on_over_midnight(capsys: pytest.CaptureFixture[str]) -> None:
+    table = [row | {"time": row["time"] % 86400.0} for row in rows(start_s=86400.0 * 19000 - 500.0)]
+    order = np.random.default_rng(5).permutation(len(table))
+    document, said = mapped(capsys, [table[n] for n in order.tolist()])
+    assert "the rows are in no order: the clock is taken to go on over midnight" in said
+    assert mass_kg(document) == pytest.approx(MASS_KG, rel=0.01)
+    assert document["area_ha"] * 1e4 == pytest.approx(AREA_M2, rel=0.01)
+
+
+@pytest.mark.parametrize("swapped", [True, False])
+def test_exchanged_longitude_and_latitude_are_named(swapped: bool, capsys: pytest.CaptureFixture[str]) -> None:
+    def headland(_: int, row: Row) -> Row:
+        """The same ways, to the east and the west."""
+        north, east = row["latitude"] - 48.0, (row["longitude"] - 11.0) * np.cos(np.radians(48.0))
+        return row | {"time": row["time"] + 3600.0, "longitude": 11.0 + north / np.cos(np.radians(48.0)), "latitude": 47.9 + east}
+
+    table = with_distance(rows(speeds=False)) + changed(headland, with_distance(rows(speeds=False)))
+    if swapped:
+        table = [row | {"longitude": row["latitude"], "latitude": row["longitude"]} for row in table]
+    _, said = mapped(capsys, table)
+    assert ("longitude and latitude seem exchanged" in said) == swapped
+
+
+@pytest.mark.parametrize("scale", [1e3, 1e6, 1e9])
+def test_unix_time_in_parts_of_a_second(scale: float, capsys: pytest.CaptureFixture[str]) -> None:
+    document, _ = mapped(capsys, changed(lambda _, row: row | {"time": int(row["time"] * scale)}))
+    assert mass_kg(document) == pytest.approx(MASS_KG, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    "states", [("Abaixada", "Levantada"), ("Baissée", "Relevée"), ("engaged", "disengaged"), ("WAHR", "FALSCH")]
+)
+def test_states_of_a_header_in_other_words(states: tuple[str, str], capsys: pytest.CaptureFixture[str]) -> None:
+    table = changed(lambda n, row: row | {"header": states[n >= PASS_S]})
+    document, said = mapped(capsys, table)
+    assert "neither on nor off" not in said
+    assert document["area_ha"] * 1e4 == pytest.approx(AREA_M2 / PASSES, rel=0.02)

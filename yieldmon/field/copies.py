@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from .table import Array, HarvestTable, Skipped
 
@@ -15,6 +16,10 @@ _PLACE_DEG = 3e-6
 """Decimals of degrees differ between formats: a third of a metre."""
 _CLOCK_S = 0.01
 _MOST_AT_ONCE = 16
+_SAMPLE, _LEAST_OF_SAMPLE = 200, 0.03
+"""Rows of the smaller source that are looked up first, and the share of them that must be at places of the other."""
+_CLOCKS_S, _NEARLY_ALL = 1.0, 0.8
+"""How well two clocks agree on a copy, and the share of rows at the same places that do; a machine that stands has others."""
 
 
 def without_copies(table: HarvestTable) -> HarvestTable:
@@ -35,18 +40,24 @@ def without_copies(table: HarvestTable) -> HarvestTable:
     key = _ticks(table["time_s"])
     placed = np.isfinite(table["longitude_deg"]) & np.isfinite(table["latitude_deg"]) & (key >= 0)
     sources, again = list(table.sources), np.zeros(len(table), bool)
-    reach = _Reach(table, key, placed)
+    reach, other_clocks = _Reach(table, key, placed), _OtherClocks(table)
     for later in range(1, len(sources)):
         for former in range(later):
-            if not reach.meet(former, later):
+            if not reach.meet_in_place(former, later):
                 continue
             mine = np.flatnonzero(placed & ~again & (table.source_of_row == later))
             theirs = np.flatnonzero(placed & ~again & (table.source_of_row == former))
-            same = mine[_held(table, key, mine, theirs)]
-            if len(same) < max(_LEAST_ROWS, _LEAST_SHARE * min(len(mine), len(theirs))):
+            least = max(_LEAST_ROWS, _LEAST_SHARE * min(len(mine), len(theirs)))
+            same, clock = mine[:0], ""
+            if reach.meet(former, later):
+                same = mine[_held(table, key, mine, theirs)]
+            if len(same) < least:
+                same, off_s = other_clocks.copies(later, mine, former, theirs)
+                clock = f" by a clock that is {off_s:.0f} s off"
+            if len(same) < least:
                 continue
             again[same] = True
-            left = Skipped(f"{len(same)} rows", f"are those of {sources[former].path}: the same harvest counts once")
+            left = Skipped(f"{len(same)} rows", f"are those of {sources[former].path}{clock}: the same harvest counts once")
             whole = len(same) >= 0.9 * len(mine)
             sources[later] = replace(
                 sources[later],
@@ -72,9 +83,16 @@ class _Reach:
 
     def meet(self, one: int, other: int) -> bool:
         """Whether two sources have a time and a place in common."""
+        return bool(self._common(one, other).all())
+
+    def meet_in_place(self, one: int, other: int) -> bool:
+        """Whether two sources have a place in common."""
+        return bool(self._common(one, other)[1:].all())
+
+    def _common(self, one: int, other: int) -> NDArray[np.bool_]:
         margin = np.array([0.0, _PLACE_DEG, _PLACE_DEG])
         low, high = np.maximum(self._low[one], self._low[other]), np.minimum(self._high[one], self._high[other])
-        return bool((low <= high + margin).all())
+        return np.asarray(low <= high + margin)
 
 
 def _ticks(time_s: Array) -> NDArray[np.int64]:
@@ -82,6 +100,48 @@ def _ticks(time_s: Array) -> NDArray[np.int64]:
     known = np.isfinite(time_s)
     first = float(time_s[known].min()) if known.any() else 0.0
     return np.where(known, np.round((np.where(known, time_s, first) - first) / _CLOCK_S), -1).astype(np.int64)
+
+
+class _OtherClocks:
+    """Rows at the places of another source's, by a clock of their own."""
+
+    def __init__(self, table: HarvestTable) -> None:
+        self._time_s = table["time_s"]
+        # Sections are far from each other.
+        self._places = np.column_stack((table["longitude_deg"], table["latitude_deg"], np.nan_to_num(table["section"])))
+        self._trees: dict[int, tuple[NDArray[np.intp], cKDTree]] = {}
+
+    def copies(self, later: int, mine: NDArray[np.intp], former: int, theirs: NDArray[np.intp]) -> tuple[NDArray[np.intp], float]:
+        """Which of `mine` have the place of one of `theirs` as much later as nearly all have, and how much, s: nobody drives a way
+        again to the second.
+
+        later, former: the sources whose rows they are.
+        """
+        none = mine[:0], 0.0
+        if not len(mine) or not len(theirs):
+            return none
+        less, other = (mine, (former, theirs)) if len(mine) <= len(theirs) else (theirs, (later, mine))
+        sample = less[:: max(1, len(less) // _SAMPLE)]
+        if np.isfinite(self._nearest(sample, *other)[0]).sum() < _LEAST_OF_SAMPLE * len(sample):
+            return none
+        away, nearest = self._nearest(mine, former, theirs)
+        met = np.flatnonzero(np.isfinite(away))
+        if not len(met):
+            return none
+        off_s = self._time_s[mine[met]] - self._time_s[nearest[met]]
+        middle = float(np.median(off_s))
+        as_much = np.abs(off_s - middle) <= _CLOCKS_S
+        if np.mean(as_much) < _NEARLY_ALL:
+            return none
+        return mine[met[as_much]], middle
+
+    def _nearest(self, rows: NDArray[np.intp], source: int, among: NDArray[np.intp]) -> tuple[Array, NDArray[np.intp]]:
+        """How far the nearest row of a source is, infinite where none is at the place, and which row it is."""
+        if source not in self._trees:
+            self._trees[source] = among, cKDTree(self._places[among])
+        those, tree = self._trees[source]
+        away, nearest = (np.asarray(one) for one in tree.query(self._places[rows], distance_upper_bound=2.0 * _PLACE_DEG))
+        return away, those[np.minimum(nearest, len(those) - 1)]
 
 
 def _held(table: HarvestTable, key: NDArray[np.int64], mine: NDArray[np.intp], theirs: NDArray[np.intp]) -> NDArray[np.bool_]:

@@ -43,12 +43,17 @@ _TABLE_NAMES = {
     "section": "section",
 }
 _WORDS = dict.fromkeys(
-    ("on", "down", "true", "yes", "y", "working", "in work", "harvesting", "active", "lowered", "header down", "header on", "an",
-     "ein", "ja", "unten", "abgesenkt", "arbeitet", "in arbeit", "si", "sí", "sim", "oui", "abajo", "bajo", "bas", "abaixado"),
+    ("on", "down", "true", "yes", "y", "working", "work", "in work", "harvesting", "harvest", "active", "engaged", "lowered",
+     "recording", "header down", "header on", "an", "ein", "ja", "j", "wahr", "aktiv", "unten", "abgesenkt", "arbeitet",
+     "in arbeit", "ernte", "si", "sí", "sì", "sim", "oui", "vrai", "verdadero", "verdadeiro", "vero", "abajo", "bajo", "bajado",
+     "bajada", "bas", "en bas", "abaissé", "abaissée", "baissé", "baissée", "abaixado", "abaixada", "ligado", "encendido",
+     "activo", "ativo", "cosechando", "trabajando", "colhendo", "tak", "omlaag"),
     1.0,
 ) | dict.fromkeys(
-    ("off", "up", "false", "no", "n", "not working", "raised", "inactive", "header up", "header off", "aus", "nein", "oben",
-     "angehoben", "nicht in arbeit", "não", "nao", "non", "arriba", "alto", "haut", "levantado"),
+    ("off", "up", "false", "no", "n", "not working", "raised", "inactive", "disengaged", "transport", "not recording", "paused",
+     "header up", "header off", "aus", "nein", "falsch", "inaktiv", "oben", "angehoben", "ausgehoben", "nicht in arbeit", "não",
+     "nao", "non", "faux", "falso", "arriba", "alto", "levantado", "levantada", "haut", "en haut", "relevé", "relevée", "levé",
+     "levée", "desligado", "apagado", "inactivo", "inativo", "nie", "omhoog"),
     0.0,
 )  # fmt: skip
 """What files call a header that is at work, or not."""

@@ -15,6 +15,8 @@ _UNIX_S = (631_152_000.0, 4_102_444_800.0)
 """1990 and 2100."""
 _WEEK_S = 7.0 * S_PER_DAY
 _LATE_S = 600.0
+_MOST_ROUNDS, _NIGHT_S = 40, 3600.0
+"""Rounds of a harvest's clock beyond which its rows are in no order, and a pause that is no part of the work."""
 _GAP_STEPS = 3.0
 """Times the usual step: a longer one is a gap."""
 _LEAST_STEADY = 0.9
@@ -53,6 +55,8 @@ def unwrapped(time_s: Array) -> tuple[Array, tuple[str, ...]]:
         back = steps < -0.5 * round_s
         if highest >= round_s or not back.any():
             continue
+        if back.sum() > _MOST_ROUNDS:
+            return _in_no_order(time_s, round_s, name)
         late = (steps > round_s - _LATE_S) & (np.cumsum(back) > 0)
         rounds = np.cumsum(back.astype(int) - late)
         values = values + round_s * np.concatenate(([0.0], np.maximum(rounds, 0)))
@@ -62,15 +66,28 @@ def unwrapped(time_s: Array) -> tuple[Array, tuple[str, ...]]:
     return out, tuple(notes)
 
 
+def _in_no_order(time_s: Array, round_s: float, name: str) -> tuple[Array, tuple[str, ...]]:
+    """A clock of rows in no order, which goes on from its longest pause; as it is where it has none."""
+    known = np.unique(time_s[np.isfinite(time_s)])
+    pauses = np.diff(known, append=known[0] + round_s)
+    longest = int(np.argmax(pauses))
+    if pauses[longest] < _NIGHT_S or longest == known.size - 1:
+        return time_s, ()
+    begins = known[longest + 1]
+    pause_h = float(pauses[longest]) / 3600.0
+    note = f"the rows are in no order: the clock is taken to go on over {name} from its longest pause, of {pause_h:.1f} h"
+    return np.where(time_s < begins, time_s + round_s, time_s), (note,)
+
+
 def of_unix(time_s: Array) -> tuple[Array, str]:
-    """Numbers as large as Unix time of these decades, s or ms, in s, and what they were taken for; any others as they are.
+    """Numbers as large as Unix time of these decades, s to ns, in s, and what they were taken for; any others as they are.
 
     >>> of_unix(np.array([1.7e12, 1.700000001e12]))[0]
     array([1.7e+09, 1.7e+09])
     """
     known = time_s[np.isfinite(time_s)]
     middle = float(np.median(known)) if known.size else 0.0
-    for scale, name in ((1.0, "seconds"), (1e-3, "milliseconds")):
+    for scale, name in ((1.0, "seconds"), (1e-3, "milliseconds"), (1e-6, "microseconds"), (1e-9, "nanoseconds")):
         if _UNIX_S[0] <= middle * scale < _UNIX_S[1]:
             return time_s * scale, f"Unix time in {name}"
     return time_s, ""

@@ -17,6 +17,8 @@ _RISING = 0.98
 """Share of a machine's rows from which a distance that never falls is a sum."""
 _FAR_OFF = 1.6
 """Times that distances may differ from positions: a knot is 1.15 miles an hour and 1.85 km/h."""
+_HIGHEST_DEG, _UNLIKE = 85.0, 0.15
+"""Latitude up to which fields are looked for, and how unlike (log) ways to the east and the north must be."""
 _LEAST_M = 0.3
 """Between two positions, that they say something."""
 
@@ -50,7 +52,42 @@ def ways_checked(raw: Raw, values: dict[str, Array], time_s: Array) -> tuple[str
             name = raw.columns[quantity].name
             mend = f"--column {quantity}={name}:UNIT"
             notes.append(f"{name}: says {times:.2g} times the way between positions; expected another unit ({mend})")
+        if _are_swapped(raw, values, way_m, time_s):
+            notes.append(
+                f"longitude and latitude seem exchanged: only then does {raw.columns[quantity].name} fit the ways between them"
+            )
     return tuple(notes)
+
+
+def _are_swapped(raw: Raw, values: dict[str, Array], way_m: Array, time_s: Array) -> bool:
+    """Whether ways to the east and to the north fit equally well only where longitude and latitude are exchanged."""
+    exchanged = values | {"longitude": values["latitude"], "latitude": values["longitude"]}
+    if not np.nanmax(np.abs(exchanged["latitude"]), initial=0.0) <= _HIGHEST_DEG:
+        return False
+    as_they_are, other = (_east_to_north(raw, one, way_m, time_s) for one in (values, exchanged))
+    if as_they_are is None or other is None:
+        return False
+    unlike, exchanged_unlike = abs(float(np.log(as_they_are))), abs(float(np.log(other)))
+    return unlike > _UNLIKE and exchanged_unlike < 0.25 * unlike
+
+
+def _east_to_north(raw: Raw, values: dict[str, Array], way_m: Array, time_s: Array) -> float | None:
+    """How many times better ways to the east than to the north agree with positions, in the medians; None where too few tell."""
+    places, _ = plausible({"longitude_deg": values["longitude"], "latitude_deg": values["latitude"]})
+    x, y = Sites.about(places["longitude_deg"], places["latitude_deg"]).to_m(places["longitude_deg"], places["latitude_deg"])
+    found = []
+    for along, across in ((x, y), (y, x)):
+        ratios = []
+        for rows in _orders(raw, time_s):
+            step, beside = np.abs(np.diff(along[rows])), np.abs(np.diff(across[rows]))
+            with np.errstate(invalid="ignore"):
+                told = (step > _LEAST_M) & (beside < 0.3 * step) & (way_m[rows][1:] > 0)
+            ratios.append(way_m[rows][1:][told] / step[told])
+        ratio = np.concatenate(ratios)
+        if ratio.size < _LEAST_ROWS:
+            return None
+        found.append(float(np.median(ratio)))
+    return found[0] / found[1]
 
 
 def _orders(raw: Raw, time_s: Array) -> list[NDArray[np.intp]]:
