@@ -214,43 +214,59 @@ def _mixture(
 ) -> _Mixture:
     """Mean and covariance of the step over all combinations in the model that is linear about `step`."""
     h, target = slope[active], slope[active] @ step - error[active]
-    size = step.size
-    every, covariances, of_covariance, priors = tickets.slips, tickets.covariances, tickets.of_covariance, tickets.ln_priors
     shifted = target - tickets.shifts
-    combinations = [(curve, scatter, probable) for curve in problem.curves for scatter, probable in _SCATTERS]
-    logs, steps = np.empty((len(combinations), len(every))), np.empty((len(combinations), len(every), size))
-    after = np.empty((len(combinations), len(covariances), size, size))
-    tare = np.zeros((len(combinations), len(every)))
-    scatters = np.array([np.hypot(scatter, _REST if curve.another else 0.0) for curve, scatter, _ in combinations])
-    for c, (curve, _, probable) in enumerate(combinations):
-        by_prior = curve.covariance @ h.T
-        noise = problem.sd[active] ** 2 + scatters[c] ** 2
-        spread = h @ by_prior + np.diag(noise) + covariances
-        inverse, (_, log_det) = np.linalg.inv(spread), np.linalg.slogdet(spread)
-        gain = by_prior @ inverse
-        away = shifted - h @ curve.mean
-        weighted = np.einsum("sij,sj->si", inverse[of_covariance], away)
-        steps[c] = curve.mean + np.einsum("sij,sj->si", gain[of_covariance], away)
-        after[c] = curve.covariance - gain @ by_prior.T
-        misfit = np.sum(away * weighted, axis=1)
-        logs[c] = np.log(curve.likely * probable) + priors - 0.5 * (misfit + log_det[of_covariance])
-        tare[c] = [float(slip.along @ row) if slip.along.size else 0.0 for slip, row in zip(every, weighted, strict=True)]
+    parts = [_under(curve, h, shifted, problem.sd[active], tickets) for curve in problem.curves]
+    logs, steps, after, along = (np.concatenate(part) for part in zip(*parts, strict=True))
+    of_covariance = tickets.of_covariance
+    combinations = [(curve, scatter) for curve in problem.curves for scatter, _ in _SCATTERS]
+    scatters = np.array([_whole_scatter(curve, scatter) for curve, scatter in combinations])
     weight = np.exp(logs - logs.max())
     weight /= weight.sum()
     of_combination, of_slip = weight.sum(axis=1), weight.sum(axis=0)
     mean = np.einsum("cs,csi->i", weight, steps)
     apart = steps - mean
-    of_group = np.stack([np.bincount(of_covariance, row, minlength=len(covariances)) for row in weight])
+    of_group = np.stack([np.bincount(of_covariance, row, minlength=len(tickets.covariances)) for row in weight])
     covariance = np.einsum("cg,cgij->ij", of_group, after) + np.einsum("cs,csi,csj->ij", weight, apart, apart)
     return _Mixture(
         step=mean,
         covariance=covariance,
-        law=float(sum(w for w, (curve, _, _) in zip(of_combination, combinations, strict=True) if curve.another)),
+        law=float(sum(w for w, (curve, _) in zip(of_combination, combinations, strict=True) if curve.another)),
         scatter=float(np.sqrt(of_combination @ scatters**2)),
-        scatters=float(sum(w for w, (_, scatter, _) in zip(of_combination, combinations, strict=True) if scatter > 0.0)),
+        scatters=float(sum(w for w, (_, scatter) in zip(of_combination, combinations, strict=True) if scatter > 0.0)),
         of_slip=of_slip,
-        along=np.sum(weight * tare, axis=0) / np.maximum(of_slip, 1e-300),
+        along=np.sum(weight * along, axis=0) / np.maximum(of_slip, 1e-300),
     )
+
+
+def _whole_scatter(curve: ForceCurve, scatter: float) -> float:
+    """Of a load's mass beside what is stated, with what the pattern's weights leave of another curve."""
+    return float(np.hypot(scatter, _REST if curve.another else 0.0))
+
+
+def _under(curve: ForceCurve, h: Array, shifted: Array, sd: Array, tickets: _Tickets) -> tuple[Array, Array, Array, Array]:
+    """With one curve, for each of c scatters and s slips: (c, s) ln of prior times likelihood, (c, s, 5) mean of the step, its
+    covariance (c, g, 5, 5) by the tickets' covariances, and (c, s) expected place on a slip's common direction.
+
+    h (n, 5), shifted (s, n): ln of weighed over measured mass is `shifted` = h @ step beside the loads' deviations sd (n,).
+    """
+    scatters = [_whole_scatter(curve, scatter) for scatter, _ in _SCATTERS]
+    priors = np.array([np.log(curve.likely * probable) for _, probable in _SCATTERS])
+    noise = np.stack([np.diag(sd**2 + scatter**2) for scatter in scatters])
+    by_prior = curve.covariance @ h.T
+    spread = (h @ by_prior + noise)[:, None] + tickets.covariances
+    inverse, (_, log_det) = np.linalg.inv(spread), np.linalg.slogdet(spread)
+    gain = by_prior @ inverse
+    away = shifted - h @ curve.mean
+    of_slip = tickets.of_covariance
+    weighted = np.einsum("csij,sj->csi", inverse[:, of_slip], away)
+    steps = curve.mean + np.einsum("csij,sj->csi", gain[:, of_slip], away)
+    misfit = np.sum(away * weighted, axis=-1)
+    logs = priors[:, None] + tickets.ln_priors - 0.5 * (misfit + log_det[:, of_slip])
+    along = np.zeros(logs.shape)
+    for place, slip in enumerate(tickets.slips):
+        if slip.along.size:
+            along[:, place] = [float(slip.along @ row) for row in weighted[:, place]]
+    return logs, steps, curve.covariance - gain @ by_prior.T, along
 
 
 def _with_held(
