@@ -222,6 +222,20 @@ def test_a_dbc_that_cannot_be_used(content: bytes, wanted: str, tmp_path: Path, 
     assert wanted in line
 
 
+def test_each_quantity_s_mistake_has_a_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """One was shown, and the next when that was mended."""
+    (tmp_path / "counts.dbc").write_bytes(COUNTS.dbc.encode())
+    path = tmp_path / "c.yaml"
+    speed, angle = "{dbc: counts.dbc, message: Shaft, signal: Tuns}", "{dbc: none.dbc, message: Angle, signal: Deg}"
+    wrong = IMPACT.replace("unit: counts", "unit: kN")
+    path.write_text(f"signals:\n  {wrong}\n  elevator_speed: {speed}\n  plate_angle: {angle}\n  moisture: {angle}\n")
+    assert main(["check-config", str(path)]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert [word in line for word, line in zip(("impact_voltage", "elevator_speed", "none.dbc"), lines, strict=True)] == [
+        True
+    ] * 3
+
+
 @pytest.mark.parametrize("suffix", ["kcd", "SYM", "arxml"])
 def test_a_database_of_another_format_is_told_how_to_become_a_dbc(
     suffix: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -34,7 +34,7 @@ from yieldmon.service.config.document_text import problems_of
 from yieldmon.service.config.former_keys import with_present_keys
 from yieldmon.service.config.output_section import output_map
 from yieldmon.service.config.own_files import file_conflicts
-from yieldmon.service.config.signal_section import signal_map
+from yieldmon.service.config.signal_section import mistakes, signal_map
 from yieldmon.service.folders import runtime_folder, state_folder, where_sqlite_writes
 from yieldmon.service.storage.retention import Retention
 from yieldmon.signals.mapping import SignalMap
@@ -127,7 +127,11 @@ def build(content: Any, path: Path, environment: Mapping[str, str] = os.environ)
     moisture_map = moisture_file.load(path.parent / named) if named is not None else None
     shape_path = _beside(path, document.pulse_shape_file, pulse_shape_file.SHIPPED)
     shape = pulse_shape_file.load(shape_path)
-    mapping, databases = signal_map(document.signals, path, machine, document.plate.fixed_angle_deg)
+    asked = (document.signals, path, machine, document.plate.fixed_angle_deg)
+    try:
+        mapping, databases = signal_map(*asked)
+    except InputError as error:
+        raise ConfigurationError(mistakes(*asked) or [error]) from error
     outputs, written = output_map(
         document.outputs.signals, path, machine, mapping,
         with_shipped=document.outputs.shipped,

@@ -96,9 +96,14 @@ _OF_PLATE = ("plate_angle", "actuator_state")
 
 
 def signal_map(
-    content: Mapping[str, Any], path: Path, machine: Machine, fixed_plate_deg: float | None
+    content: Mapping[str, Any],
+    path: Path,
+    machine: Machine,
+    fixed_plate_deg: float | None,
+    read: Callable[[str], dict[str, MessageBits]] | None = None,
 ) -> tuple[SignalMap, tuple[Path, ...]]:
-    """The mapping that a configuration at `path` asks for, and the DBC files that it names. Raises InputError."""
+    """The mapping that a configuration at `path` asks for, and the DBC files that it names. read: as `database_reader` has it.
+    Raises InputError."""
     fixed = {} if fixed_plate_deg is None else {"plate_angle": fixed_plate_deg}
     off = {"actuator_state"} if fixed_plate_deg is not None else set()
     if not content:
@@ -117,11 +122,24 @@ def signal_map(
             off.add(str(quantity))
     if len({binding.quantity for binding in bindings if binding.is_impact}) > 1:
         raise InputError(f"{path}: signals", "binds impact_voltage and impact_force", "one of the two")
-    read = database_reader(path)
-    found = build(bindings, read, machine, switched_off=sorted(off), fixed=fixed)
+    found = build(bindings, read or database_reader(path), machine, switched_off=sorted(off), fixed=fixed)
     _check_constants(found, path)
     names = dict.fromkeys(binding.dbc for binding in bindings if binding.dbc is not None)
     return found, tuple(database_path(name, path) for name in names)
+
+
+def mistakes(content: Mapping[str, Any], path: Path, machine: Machine, fixed_plate_deg: float | None) -> list[InputError]:
+    """What is wrong with a mapping that `signal_map` refuses: the first mistake of each quantity by itself, else of all
+    together."""
+    read, found = database_reader(path), dict[str, InputError]()
+    for part in (*({quantity: entries} for quantity, entries in content.items()), content):
+        try:
+            if part is not content or not found:
+                signal_map(part, path, machine, fixed_plate_deg, read)
+        except InputError as error:
+            # A file that cannot be read is said once.
+            found.setdefault(str(error), error)
+    return list(found.values())
 
 
 def database_path(name: str, configuration: Path) -> Path:
