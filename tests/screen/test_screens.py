@@ -145,6 +145,16 @@ def test_a_terminal_that_draws_nothing_is_refused_in_a_line(tmp_path: Path) -> N
     assert terminal.exitstatus == 2
 
 
+@pytest.mark.parametrize(
+    ("is_open", "state", "told"),
+    [(False, "harvesting", True), (False, "sweeping", True), (True, "harvesting", False), (False, "not_harvesting", False)],
+)
+def test_grain_while_no_load_is_open_is_told(is_open: bool, state: str, told: bool) -> None:
+    status = {**STATUS, "state": state, "load": {**STATUS["load"], "open": is_open}}
+    shown = words(drawn(Cab(status, Units(), "", View(cab=True)), 80, 24))
+    assert ("no load is open, grain counts in the total alone: l, n begins one" in shown) is told
+
+
 def pressed(keys: list[str], status: dict[str, Any] | None = STATUS) -> tuple[Dialog, list[dict[str, Any]]]:
     dialog = Dialog(mass, shipped_name, lambda: tuple(crops()))
     return dialog, [request for key in keys for request in dialog.press(key, status, Units())]

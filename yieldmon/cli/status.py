@@ -58,6 +58,11 @@ def _show(status: Mapping[str, Any], units: Units, console: Console) -> None:
         console.print("no faults")
 
 
+def _grain_without_load(status: Mapping[str, Any]) -> bool:
+    """Whether grain comes and no load is open, as after a `yieldmon load stop` that nothing followed."""
+    return status["load"]["open"] is False and status["state"] in ("harvesting", "sweeping")
+
+
 def _facts(status: Mapping[str, Any], units: Units) -> Iterator[tuple[str, str]]:
     """Name and text of each row, most wanted first."""
     bus, store, configuration = (status[key] for key in ("bus", "store", "configuration"))
@@ -67,6 +72,8 @@ def _facts(status: Mapping[str, Any], units: Units) -> Iterator[tuple[str, str]]
         yield "zero", f"waits for {units.in_text(status['zero_waits_for'])}"
     yield "now", _now(status["now"], units)
     yield from _load(status["load"], status["crop"], units)
+    if _grain_without_load(status):
+        yield "", "no load is open: grain counts in the total alone until `yieldmon load start`"
     contested_kg = status["total"]["contested_mass_kg"]
     apart = f", and {units.mass(contested_kg)} contested (more than one node sent samples)" if contested_kg else ""
     yield "total", f"{units.mass(status['total']['mass_kg'])}{apart}"

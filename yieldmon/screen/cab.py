@@ -96,6 +96,8 @@ class Cab:
             line.append(" " * (width - line.cell_len - len(title) - 1) + title)
         else:
             lines += wrapped(title, width)
+        if load["open"] is False and status["state"] in ("harvesting", "sweeping"):
+            lines += wrapped("no load is open, grain counts in the total alone: l, n begins one", width, style="bold yellow")
         if status["zero_waits_for"]:
             lines += wrapped(f"waits for {self._units.in_text(status['zero_waits_for'])}", width, style="yellow")
         return lines

@@ -81,7 +81,9 @@ function show() {
   const load = state.load;
   const area = load.area_m2 ? `${amount(load.area_m2, units.area)} ${units.area.name}` : "";
   const names = [load.field, load.crop, area].filter(Boolean).join(", ");
-  set("load-name", `Load ${load.number}${load.open ? "" : " (ended)"}${names ? `: ${names}` : ""}`);
+  const grain = ["harvesting", "sweeping"].includes(state.state);
+  const ended = grain ? " (ended: grain counts in the total alone)" : " (ended)";
+  set("load-name", `Load ${load.number}${load.open ? "" : ended}${names ? `: ${names}` : ""}`);
   set("load", mass(load.mass_kg));
   set("load-band", load.std_dev_kg === null ? "" : `± ${mass(load.std_dev_kg)}`);
   set("total", amount(state.total.mass_kg, units.total));
