@@ -19,6 +19,7 @@
     python -m studies.waveform season-bound               # the best that mean force and shape can do in those seasons
     python -m studies.waveform placed                     # discrete-element pulses on uneven chains, through the monitor
     python -m studies.waveform again                      # what the samples show of grain that strikes the plate again
+    python -m studies.waveform common-error               # what mean force and kernels are off by alike: waveform.hit_sd
     python -m studies.waveform noise-by-force             # noise of kernels along the pulse of discrete elements
     python -m studies.waveform shape --out F.yaml         # the law of those pulses, with its range (config/pulse-shape.yaml)
     python -m studies.waveform pack LEDGER... --out F.npz # a campaign's forces at 10 kHz
@@ -179,6 +180,12 @@ def _noise_by_force(args: argparse.Namespace) -> Any:
     return kernels.by_force(kernels.heaps(kernels.FORCES, kernels.MORE_FORCES))
 
 
+def _common_error(args: argparse.Namespace) -> Any:
+    from studies.waveform import common_error
+
+    return common_error.report()
+
+
 def _shape(args: argparse.Namespace) -> Any:
     from studies.waveform import fill
     from yieldmon.files import pulse_shape_file
@@ -199,7 +206,7 @@ _PARTS = {
     "pictures": _pictures, "season": _season, "daemon-season": _daemon_season, "verdicts": _verdicts, "shape": _shape,
     "pack": _pack, "edges": _edges, "teaching": _teaching, "heaps": _heaps, "scheduling": _scheduling, "between": _between,
     "identifiability": _identifiability, "season-causes": _season_causes, "noise-by-force": _noise_by_force,
-    "many-heaps": _many_heaps, "season-bound": _season_bound, "placed": _placed, "again": _again,
+    "many-heaps": _many_heaps, "season-bound": _season_bound, "placed": _placed, "again": _again, "common-error": _common_error,
 }  # fmt: skip
 
 

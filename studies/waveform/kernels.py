@@ -102,7 +102,8 @@ def heaps(*files: Path) -> Heaps:
     return Heaps(keys, data["seed"].astype(np.int64), force)
 
 
-def _through(force_n: Array, cell_s: float, every: int) -> Array:
+def shown_through(force_n: Array, cell_s: float, every: int) -> Array:
+    """Forces (n, bins) behind a cell, as means over so many bins."""
     padded = np.concatenate((force_n, np.zeros((len(force_n), _PADDED - force_n.shape[1]))), axis=1)
     if cell_s > 0.0:
         frequency = np.fft.rfftfreq(padded.shape[1], INTERVAL_S)
@@ -127,7 +128,7 @@ def measured(
     """
     every = round(1.0 / rate_hz / INTERVAL_S)
     interval = every * INTERVAL_S
-    shown = _through(force_n, cell_s, every)
+    shown = shown_through(force_n, cell_s, every)
     count = len(shown)
     left = (shown - shown.mean(axis=0)) * np.sqrt(count / (count - 1.0))
     if fitted:
@@ -315,7 +316,7 @@ def by_force(pulses: Heaps) -> list[dict[str, Any]]:
     1 throughout: `noise_by_phase` rests on it. Levels: force as the band follows it, over its largest.
     """
     interval = 1e-3
-    shown = _through(pulses.force_n, 0.0002, round(interval / INTERVAL_S))
+    shown = shown_through(pulses.force_n, 0.0002, round(interval / INTERVAL_S))
     frequency = np.fft.rfftfreq(shown.shape[1], interval)
     weights = np.where((frequency > 200.0) & (frequency < 400.0), np.sin(np.pi * (frequency - 200.0) / 200.0), 0.0)
     answer = np.fft.irfft(weights, shown.shape[1]) ** 2

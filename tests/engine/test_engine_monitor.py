@@ -176,7 +176,23 @@ def test_a_sensor_that_pauses_is_reported_by_what_it_leaves_uncovered(paused_s: 
     begun = next(e for e in target.fault_events if e.code is FaultCode.FRAMES_LOST and e.active)
     (partly,) = (r for r in target.records if 0.0 < r.coverage < 0.98 and r.time_s > 1002.0)
     assert (partly.lost_frames, partly.coverage) == (0, pytest.approx(1.0 - paused_s, abs=0.01))
-    assert begun.detail == f"samples for {100.0 * partly.coverage:.0f} % of the second"
+    assert begun.detail is not None
+    assert begun.detail.startswith(f"samples for {100.0 * partly.coverage:.0f} % of the second, no frame missing")
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "told"), [(900.0, "samples for 90 % of the second, no"), (1200.0, "too many: a second sender, or")]
+)
+def test_a_sensor_of_another_sample_rate_than_is_configured_is_said_to_be_that(rate_hz: float, told: str) -> None:
+    """Frames of four samples each, further apart or nearer than 1000 samples a second make them."""
+    target, first_s = monitor(), STEADY_FRAMES[0].time_s
+    frames = [
+        f._replace(time_s=first_s + (f.time_s - first_s) * 1000.0 / rate_hz) if f.message == bus.IMPACT_SENSOR_SAMPLES else f
+        for f in STEADY_FRAMES
+    ]
+    feed(target, sorted(frames, key=lambda f: f.time_s))
+    details = [e.detail for e in target.fault_events if e.code is FaultCode.FRAMES_LOST and e.active]
+    assert any(told in (detail or "") and "rate_hz" in (detail or "") for detail in details)
 
 
 def without(message: str, first_s: float, last_s: float) -> list[Frame]:

@@ -29,6 +29,7 @@ FULL, SLOWEST = SETTINGS.windows.full_coverage, MACHINE.min_elevator_speed_rad_s
 TURNING, STANDING = (SETTINGS.gate.min_turning_rpm * share * RPM for share in (1.001, 0.999))
 STABLE, FAULT = float(ScaleStatus.STABLE.value), float(ScaleStatus.FAULT.value)
 HELD_S = SETTINGS.inputs.sensor_timeout_s
+NONE_MISSING = ", no frame missing: if it lasts, is rate_hz right?"
 
 
 def harvest(**of: Any) -> Reading:
@@ -124,11 +125,11 @@ CASES: dict[str, tuple[Callable[[], dict[FaultCode, str]], dict[FaultCode, str]]
         lambda: seen(harvest(surplus_frames=9, disputed="plate angle", in_tank_disputed=True)),
         {F.FRAMES_LOST: "0 lost, 9 too many; two nodes send plate angle and tank mass"}),
     "whole enough": (lambda: covered(FULL), {}),
-    "not whole": (lambda: covered(nextafter(FULL, 0.0)), {F.FRAMES_LOST: "samples for 98 % of the second"}),
+    "not whole": (lambda: covered(nextafter(FULL, 0.0)), {F.FRAMES_LOST: "samples for 98 % of the second" + NONE_MISSING}),
     "not measured at all": (lambda: covered(0.0), {}),
     "the sensor began": (lambda: seen(replace(harvest(covered_s=0.5), sampled_before=False)), {}),
     "it ended": (lambda: covered(0.5, last_frame_s=7.0 - nextafter(HELD_S, 1.0)), {}),
-    "it goes on": (lambda: covered(0.5, last_frame_s=7.0 - 0.5 * HELD_S), {F.FRAMES_LOST: "samples for 50 % of the second"}),
+    "it goes on": (lambda: covered(0.5, last_frame_s=7.0 - 0.5 * HELD_S), {F.FRAMES_LOST: "samples for 50 % of the second" + NONE_MISSING}),
     "clock jumped": (lambda: since(0), {F.CLOCK_JUMPED: ""}),
     "ten seconds ago": (lambda: since(9), {F.CLOCK_JUMPED: ""}),
     "longer ago": (lambda: since(10), {}),

@@ -134,7 +134,9 @@ def _frames_lost_detail(o: Observation) -> str:
     rivals = f"; two nodes send {' and '.join(disputed)}" if disputed else ""
     if o.window.lost_frames == 0 and o.window.surplus_frames == 0 and not rivals:
         # By the counters none is missing: as many as the counters have room for are, or the times are not those of the samples.
-        return f"samples for {100.0 * o.window.coverage:.0f} % of the second"
+        return f"samples for {100.0 * o.window.coverage:.0f} % of the second, no frame missing: if it lasts, is rate_hz right?"
+    if o.window.lost_frames == 0 and not rivals:
+        rivals = ": a second sender, or more samples per second than rate_hz says"
     return f"{o.window.lost_frames} lost, {o.window.surplus_frames} too many{rivals}"
 
 
