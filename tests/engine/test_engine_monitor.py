@@ -195,6 +195,9 @@ def test_a_sensor_of_another_sample_rate_than_is_configured_is_said_to_be_that(r
     assert any(told in (detail or "") and "rate_hz" in (detail or "") for detail in details)
 
 
+SAMPLES = frozenset({"Sample0", "Sample1", "Sample2", "Sample3"})
+
+
 def without(message: str, first_s: float, last_s: float) -> list[Frame]:
     return [f for f in STEADY_FRAMES if f.message != message or not first_s <= f.time_s < last_s]
 

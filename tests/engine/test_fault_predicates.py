@@ -129,7 +129,9 @@ CASES: dict[str, tuple[Callable[[], dict[FaultCode, str]], dict[FaultCode, str]]
     "not measured at all": (lambda: covered(0.0), {}),
     "the sensor began": (lambda: seen(replace(harvest(covered_s=0.5), sampled_before=False)), {}),
     "it ended": (lambda: covered(0.5, last_frame_s=7.0 - nextafter(HELD_S, 1.0)), {}),
-    "it goes on": (lambda: covered(0.5, last_frame_s=7.0 - 0.5 * HELD_S), {F.FRAMES_LOST: "samples for 50 % of the second" + NONE_MISSING}),
+    "it goes on": (
+        lambda: covered(0.5, last_frame_s=7.0 - 0.5 * HELD_S), {F.FRAMES_LOST: "samples for 50 % of the second" + NONE_MISSING},
+    ),
     "clock jumped": (lambda: since(0), {F.CLOCK_JUMPED: ""}),
     "ten seconds ago": (lambda: since(9), {F.CLOCK_JUMPED: ""}),
     "longer ago": (lambda: since(10), {}),

@@ -120,6 +120,15 @@ def _if(present: bool) -> str | None:
     return "" if present else None
 
 
+def _saturated_detail(o: Observation) -> str:
+    share = f"{100.0 * o.window.saturated_share:.0f} % of the samples"
+    if o.window.ceiling_mv == 0.0:
+        return share
+    return (
+        f"{share} are cut off at {o.window.ceiling_mv:.0f} mV: the amplifier's end, or full_scale_mv of the machine file is wrong"
+    )
+
+
 def _frames_lost(o: Observation) -> bool:
     if o.window.lost_frames > 0 or o.window.contested or o.reading.inputs.tank_disputed:
         return True
@@ -194,7 +203,7 @@ _TABLE = (
         "Samples are at the end of the sensor's range, or the sensor reports it.",
         "Flow is a lower bound and is marked as saturated.",
         "Reduce ground speed; check the zero-load voltage and the plate for wedged material.",
-        lambda o: f"{100.0 * o.window.saturated_share:.0f} % of the samples" if o.sensor_saturated else None,
+        lambda o: _saturated_detail(o) if o.sensor_saturated else None,
     ),
     FaultDefinition(
         _C.ZERO_DRIFTED, 520193, 13, _W, 3, 10,

@@ -18,6 +18,7 @@ from yieldmon.engine.interpolation import InterpolatedSignal, Knots
 from yieldmon.engine.quick import maker_of
 from yieldmon.engine.rivals import RivalWatch, angle_limits, speed_limits
 from yieldmon.engine.sampling import segments
+from yieldmon.engine.sampling.cut_off import cut_off
 from yieldmon.engine.sampling.sample_frames import SampleBuffer, SampleFrames
 from yieldmon.engine.sampling.window_means import Leftover, pulse_harmonics, weighted_means
 from yieldmon.engine.sampling.window_spread import extremes, scatter
@@ -64,6 +65,7 @@ class Window:
     allows, or the same counter with other samples, as a second sender makes them, and elevator speeds and plate angles of a
     second sender (disputed: which of them); repeated_frames: same counter twice (one is used). last_frame_s: engine time of the
     last sample frame until now.
+    saturated_share: samples at the range's end, or at a ceiling below it (`cut_off`); ceiling_mv: that, 0: none.
     span_mv: largest less smallest sample. held_s: how long the last sample had not moved at the end. plate_min_rad ..
     plate_max_rad: over the whole support.
     """
@@ -93,6 +95,7 @@ class Window:
     surplus_frames: int
     repeated_frames: int
     disputed: str = ""
+    ceiling_mv: float = 0.0
     trace: Trace | None = field(default=None, compare=False, repr=False)
 
     @property
@@ -194,7 +197,9 @@ class WindowBuilder:
         std_dev[empty], trend[empty], patterns[empty] = np.nan, np.nan, 0
         span, held, samples = extremes(frames)
         pulse = np.sqrt(np.cumsum(np.square(harmonics.real) + np.square(harmonics.imag), axis=1)[:, -1])
-        saturated = segments.count(frames.over.ravel(), frames.sample_bounds) / np.maximum(of_window, 1)
+        plateau, ceiling = cut_off(frames)
+        over = np.maximum(segments.count(frames.over.ravel(), frames.sample_bounds), plateau)
+        saturated = over / np.maximum(of_window, 1)
         waves = [() if none else tuple(row) for none, row in zip(empty.tolist(), harmonics.tolist(), strict=True)]
         columns = (
             edges[:-1], edges[1:], mean, std_dev, waves, pulse, trend, patterns, chain.weight_s,
@@ -202,6 +207,7 @@ class WindowBuilder:
             span, held * self._sample_interval_s, saturated, segments.count(frames.fault, frames.bounds),
             frames.lost, frames.surplus + rival_speeds + rival_angles, frames.repeated,
             [_DISPUTED[speed > 0, angle > 0] for speed, angle in zip(rival_speeds.tolist(), rival_angles.tolist(), strict=True)],
+            ceiling,
         )  # fmt: skip
         lists = (column.tolist() if isinstance(column, np.ndarray) else column for column in columns)
         if not self._traces:
