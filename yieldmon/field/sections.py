@@ -32,18 +32,18 @@ def together(table: HarvestTable) -> HarvestTable:
         return table
     stream = table.labels["machine"].codes
     order = np.lexsort((np.arange(len(table)), time, stream))
-    new = np.r_[True, (np.diff(time[order]) != 0) | (np.diff(stream[order]) != 0) | ~np.isfinite(time[order][1:])]
+    with np.errstate(invalid="ignore"):
+        new = np.r_[True, (np.diff(time[order]) != 0) | (np.diff(stream[order]) != 0) | ~np.isfinite(time[order][1:])]
     step = np.empty(len(table), np.intp)
     step[order] = np.cumsum(new) - 1
     count = int(step.max()) + 1
     size = np.bincount(step, minlength=count)
     spread = np.zeros(count)
     for name in ("longitude_deg", "latitude_deg"):
-        high, low = np.full(count, -np.inf), np.full(count, np.inf)
-        np.maximum.at(high, step, table[name])
-        np.minimum.at(low, step, table[name])
-        with np.errstate(invalid="ignore"):
-            spread = np.fmax(spread, high - low)
+        high, low, known = np.full(count, -np.inf), np.full(count, np.inf), np.isfinite(table[name])
+        np.maximum.at(high, step[known], table[name][known])
+        np.minimum.at(low, step[known], table[name][known])
+        spread = np.maximum(spread, np.where(high >= low, high - low, 0.0))
     several = size > 1
     if not several.any() or np.mean(spread[several] <= _SAME_DEG) < _MOST:
         return table

@@ -42,6 +42,8 @@ _TABLE_NAMES = {
     "pass": "pass_number",
     "section": "section",
 }
+_LARGEST = 1e12
+"""In SI, of what has no limits of its own."""
 _WORDS = dict.fromkeys(
     ("on", "down", "true", "yes", "y", "working", "work", "in work", "harvesting", "harvest", "active", "engaged", "lowered",
      "recording", "header down", "header on", "an", "ein", "ja", "j", "wahr", "aktiv", "unten", "abgesenkt", "arbeitet",
@@ -107,6 +109,12 @@ def _limited(values: dict[str, Array], columns: Mapping[str, Column]) -> tuple[s
     chosen = [q for q in values if q in _TABLE_NAMES and q != "distance"]
     limited, notes = plausible({_TABLE_NAMES[q]: values[q] for q in chosen})
     values.update({q: limited[_TABLE_NAMES[q]] for q in chosen})
+    for quantity in sorted(set(values) - set(chosen)):
+        with np.errstate(invalid="ignore"):
+            huge = np.abs(values[quantity]) > _LARGEST
+        if huge.any():
+            values[quantity] = np.where(huge, np.nan, values[quantity])
+            notes += (f"{int(huge.sum())} values of {quantity} over {_LARGEST:g} are taken as unknown",)
     for quantity in ("flow", "yield", "width"):
         if quantity in values:
             values[quantity], note = without_marks(values[quantity], columns[quantity].name if quantity in columns else quantity)

@@ -70,8 +70,8 @@ def _are_parts(values: dict[str, Array], time_s: Array, kept: np.ndarray) -> boo
         if quantity not in values:
             continue
         own = values[quantity][order][1:]
-        with np.errstate(invalid="ignore"):
+        with np.errstate(invalid="ignore", over="ignore"):
             told = (own > 0) & (step > (_LEAST_M if quantity == "distance" else 0.0))
-        if told.any() and float(np.median(own[told] / step[told])) < _WHOLE:
-            return True
+            if told.any() and float(np.median(own[told] / step[told])) < _WHOLE:
+                return True
     return False
