@@ -185,3 +185,61 @@ def test_a_dataset_without_sweeps_is_refused(tmp_path: Path, capsys: pytest.Capt
         sweeps_of(str(tmp_path / "season"))
     assert main(["fleet", "diagnose", str(tmp_path / "season")]) == 2
     assert "expected at least 3" in capsys.readouterr().err
+
+
+LOG_COLUMNS = ("kind", "name", "first_number", "last_number")
+
+
+def commit_logs(dataset: Dataset, token: str, name: str, logs: dict[str, tuple[list, str]]) -> None:
+    """A day of several logs: name -> seconds and digest."""
+    with dataset.workspace() as folder:
+        output = folder / "output"
+        output.mkdir()
+        rows, spans = [], []
+        for log, (seconds, _) in logs.items():
+            first = len(rows) + 1
+            rows += [replace(row, number=first + k) for k, row in enumerate(seconds)]
+            spans.append(dict(zip(LOG_COLUMNS, (tables.LOG, log, first, len(rows)), strict=True)))
+        columns = {field: [getattr(row, field) for row in rows] for field in rows[0].__dataclass_fields__}
+        pq.write_table(pa.table(columns), output / "records.parquet")
+        tables.write(tables.LOADS, spans, output / "loads.parquet")
+        for table in (tables.SWEEPS, tables.FAULTS, tables.PARAMETERS):
+            tables.write(table, [], output / f"{table}.parquet")
+        known = {
+            "machine_document": json.dumps(machine_file.to_document(MACHINE)),
+            "parameters_document": json.dumps(parameter_file.to_document(SHIPPED)),
+            "logs": json.dumps([[log, digest] for log, (_, digest) in logs.items()]),
+        }
+        tables.write(tables.PROVENANCE, [known], output / "provenance.parquet")
+        dataset.commit(name, output, {"key": name, "poisoned": []}, token)
+
+
+def dated(rows: list, later_s: float = 0.0) -> list:
+    return [replace(row, time_s=row.time_s + 1.79e9 + later_s) for row in rows]
+
+
+def test_a_sweep_that_two_logs_hold_is_one_sweep(tmp_path: Path) -> None:
+    """A second recorder's log, a converted one and a copy under a second machine."""
+    dataset = Dataset(str(tmp_path / "season"))
+    token = dataset.begin()
+    of_machine = [dated(rows_of(0, 10 * machine)) for machine in range(3)]
+    for machine, rows in enumerate(of_machine):
+        commit_logs(dataset, token, f"machine=m{machine}/day=0", {"a.log": (rows, f"a{machine}")})
+    once = {m.name: m.days for m in sweeps_of(str(tmp_path / "season"))}
+    second = dated(rows_of(0, 0), 0.3)[40:]
+    commit_logs(dataset, token, "machine=m0/day=0", {"a.log": (of_machine[0], "a0"), "second recorder.log": (second, "b0")})
+    commit_logs(dataset, token, "machine=m1/day=1", {"converted.mf4": (dated(rows_of(0, 10)), "b1")})
+    commit_logs(dataset, token, "machine=renamed/day=0", {"a.log": (of_machine[2], "a2")})
+    assert {m.name: m.days for m in sweeps_of(str(tmp_path / "season"))} == once
+
+
+def test_what_a_second_log_alone_holds_counts(tmp_path: Path) -> None:
+    dataset = Dataset(str(tmp_path / "season"))
+    token = dataset.begin()
+    for machine in range(3):
+        rows = dated(rows_of(0, 10 * machine))
+        logs = {"a.log": (rows[:100], f"a{machine}"), "b.log": (rows[80:], f"b{machine}")}
+        commit_logs(dataset, token, f"machine=m{machine}/day=0", logs)
+    for machine, found in enumerate(sweeps_of(str(tmp_path / "season"))):
+        times = [row.time_s for row in found.days[0]]
+        assert times == [row.time_s for row in dated(rows_of(0, 10 * machine)) if row.usable_for_calibration]

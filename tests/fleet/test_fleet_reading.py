@@ -371,6 +371,23 @@ def test_prior_from_the_tickets_of_a_dataset(tmp_path: Path, capsys: pytest.Capt
     assert main(["fleet", "prior", dataset, "--crop", "grass"]) == 2
 
 
+def test_a_ticket_of_a_renamed_machine_counts_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for number, weighed in enumerate((20.0, 21.0, 22.0)):
+        day = tmp_path / "tree" / f"m{number}" / "d"
+        logs.write(day / "a.log", 60.0 + number)
+        (day / "tickets.csv").write_text(f"load,weighed_kg\na.log,{weighed}\n")
+    dataset = str(tmp_path / "season")
+    assert measure(tmp_path / "tree", dataset, "--crop", "corn") == 0
+    assert main(["fleet", "prior", dataset, "--crop", "corn", "--json"]) == 0
+    once = json.loads(capsys.readouterr().out)
+    (tmp_path / "tree" / "m2").rename(tmp_path / "tree" / "renamed")
+    assert measure(tmp_path / "tree", dataset, "--crop", "corn") == 0
+    assert main(["fleet", "prior", dataset, "--crop", "corn", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["left_out"] == ["renamed d: a.log repeats m2 d: a.log, with the same logs and weight"]
+    assert found | {"left_out": []} == once
+
+
 def test_a_machine_without_a_ticket_that_can_be_used_does_not_stop_the_prior(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -25,6 +25,7 @@ from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.self_calibration.home_flow import AwayVisits
 from yieldmon.files import machine_file, parameter_file
 from yieldmon.fleet.querying import Query, opened
+from yieldmon.fleet.usable_seconds import usable_seconds
 from yieldmon.physics.machine import ImpactSensor, Implement, Machine
 from yieldmon.physics.model import ForwardModel
 from yieldmon.service.logs.sweep_table import away_of_seconds
@@ -33,7 +34,6 @@ from yieldmon.service.storage.rows import SecondRow
 SharedVerdict = Literal["effect", "unknown", "none", "not compared"]
 _ORDER: tuple[SharedVerdict, ...] = get_args(SharedVerdict)
 """Of several geometries the verdict is the first of these that one of them has."""
-_SECONDS = "SELECT * FROM {} WHERE usable_for_calibration = 1 ORDER BY number"
 _LEAST_ANGLES = 3
 """Away from home."""
 _LEAST_VISITS = 40
@@ -224,7 +224,7 @@ def _verdict(name: str, own: Own, policy: Policy, *, differs: bool) -> MachineVe
 
 
 def sweeps_of(address: str) -> tuple[MachineSweeps, ...]:
-    """The sweeps in a dataset, by machine. Raises InputError where too few machines have any."""
+    """The sweeps in a dataset, by machine, each once (`usable_seconds`). Raises InputError where too few machines have any."""
     with opened(address) as query:
         found = tuple(_machines(query))
     if len(found) < LEAST_MACHINES:
@@ -234,10 +234,8 @@ def sweeps_of(address: str) -> tuple[MachineSweeps, ...]:
 
 def _machines(query: Query) -> Iterable[MachineSweeps]:
     days: dict[str, list[tuple[SecondRow, ...]]] = {}
-    for commit in query.commits:
-        rows = query.rows(_SECONDS.format(query.of_partition("records", commit.machine, commit.day)))
-        if rows:
-            days.setdefault(commit.machine, []).append(tuple(SecondRow(**row) for row in rows))
+    for name, rows in usable_seconds(query):
+        days.setdefault(name, []).append(rows)
     statement = "SELECT machine_document, parameters_document FROM provenance WHERE machine = ? ORDER BY day LIMIT 1"
     for name, found in days.items():
         [known] = query.rows(statement, (name,))

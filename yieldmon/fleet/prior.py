@@ -14,7 +14,9 @@ from yieldmon.estimation.weighing.load_inputs import WeighedLoad
 from yieldmon.files import machine_file
 from yieldmon.files.crops import crop
 from yieldmon.files.ticket_file import WeighedTicket
+from yieldmon.fleet import tables
 from yieldmon.fleet.querying import Query, opened
+from yieldmon.fleet.repeats import contents_of
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import ForwardModel
 from yieldmon.service.logs import weighed_loads
@@ -22,6 +24,7 @@ from yieldmon.service.storage.rows import SecondRow
 
 _DAYS = "SELECT machine, day, machine_document FROM provenance WHERE lower(crop) = lower(?) ORDER BY machine, day"
 _TICKETS = "SELECT * FROM loads WHERE kind = 'ticket' AND machine = ? AND day = ? ORDER BY first_number"
+_LOGS = f"SELECT name, first_number, last_number FROM loads WHERE kind = '{tables.LOG}' AND machine = ? AND day = ? ORDER BY 2"
 _RECORDS = "SELECT * FROM {} WHERE number BETWEEN ? AND ? ORDER BY number"
 _VERSIONS = "SELECT version, name, value FROM parameters WHERE machine = ? AND day = ? ORDER BY version, name"
 
@@ -85,13 +88,21 @@ def _machines(query: Query, name: str, start: ParameterSet) -> tuple[list[Machin
     loads: dict[str, list[WeighedLoad]] = {}
     models: dict[str, ForwardModel] = {}
     left_out = []
+    contents = contents_of(query)
+    seen: dict[_Weighed, str] = {}
     for day in query.rows(_DAYS, (name,)):
         machine = machine_file.from_document(json.loads(day["machine_document"]), f"{day['machine']} {day['day']}")
         if day["machine"] in models and models[day["machine"]].machine != machine:
             left_out.append(f"{day['machine']} {day['day']}: another geometry than on days before")
             continue
         models[day["machine"]] = ForwardModel(machine, start.effects)
-        for ticket in query.rows(_TICKETS, (day["machine"], day["day"])):
+        where = day["machine"], day["day"]
+        logs = [(contents.get((*where, log["name"]), ""), log) for log in query.rows(_LOGS, where)]
+        for ticket in query.rows(_TICKETS, where):
+            here = f"{where[0]} {where[1]}: {ticket['name']}"
+            if (first := seen.setdefault(_what_it_weighs(ticket, logs), here)) != here:
+                left_out.append(f"{here} repeats {first}, with the same logs and weight")
+                continue
             try:
                 found = _weighed(query, day, ticket, machine)
             except InputError as error:
@@ -99,6 +110,19 @@ def _machines(query: Query, name: str, start: ParameterSet) -> tuple[list[Machin
             else:
                 loads.setdefault(day["machine"], []).append(found)
     return [MachineLoads(name, models[name], tuple(weighed)) for name, weighed in loads.items()], left_out
+
+
+_Weighed = tuple[tuple[str, ...], int, int, float]
+"""What the logs of a ticket hold, its first and last second in the first and last of them, and its weight, kg."""
+
+
+def _what_it_weighs(ticket: dict[str, Any], logs: Sequence[tuple[str, dict[str, Any]]]) -> _Weighed:
+    first, last, weighed_kg = ticket["first_number"], ticket["last_number"], float(ticket["weighed_kg"])
+    covered = [(content, log) for content, log in logs if log["first_number"] <= last and first <= log["last_number"]]
+    names = tuple(content or str(log) for content, log in covered)
+    if not covered:
+        return (str(ticket),), first, last, weighed_kg
+    return names, first - covered[0][1]["first_number"], last - covered[-1][1]["first_number"], weighed_kg
 
 
 def _weighed(query: Query, day: dict[str, Any], ticket: dict[str, Any], machine: Machine) -> WeighedLoad:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from math import sqrt
 from typing import Any
@@ -15,6 +14,7 @@ from yieldmon.fleet import tables
 from yieldmon.fleet.names import LATEST_DATE_S, in_order, off_by_days
 from yieldmon.fleet.overlaps import Overlap, overlaps
 from yieldmon.fleet.querying import Query, opened
+from yieldmon.fleet.repeats import Log, Repeats, logs_of, samples_of
 from yieldmon.utc import EARLIEST_BUS_TIME_S
 
 Rows = list[dict[str, Any]]
@@ -49,10 +49,6 @@ WHERE kind = 'ticket' AND weighed_kg > 0 ORDER BY machine, day, name
 """
 
 
-_OF_NOTHING = hashlib.sha256().hexdigest()
-"""What empty logs have in common is no mass."""
-
-
 def summarise(address: str) -> dict[str, Any]:
     """The summary as plain data.
 
@@ -85,7 +81,7 @@ def summarise(address: str) -> dict[str, Any]:
         poisoned = _poisoned(query)
         overlapping = overlaps(query, places)
         measured_kg = {(row["machine"], row["day"], row["name"]): row["measured_kg"] for row in query.rows(_LOG_MASSES)}
-    doubtful, repeated = _doubtful(days, overlapping.pairs, _samples(query), address)
+    doubtful, repeated = _doubtful(days, overlapping.pairs, samples_of(query), address)
     _leave_out(days, {**overlapping.again_kg, **{log: measured_kg.get(log) or 0.0 for log in repeated}})
     by_day: dict[tuple[str, str], dict[str, int]] = {}
     for row in faults:
@@ -126,20 +122,7 @@ def _in_order(rows: Rows) -> Rows:
     return ordered
 
 
-_Log = tuple[str, str, str]
-"""Machine, day and name."""
-
-
-def _samples(query: Query) -> dict[_Log, str]:
-    """What each log's samples are known by; none of days that a yieldmon before this one measured."""
-    return {
-        (commit.machine, commit.day, str(name)): str(digest)
-        for commit in query.commits
-        for name, digest in commit.content.get("samples", {}).items()
-    }
-
-
-def _leave_out(days: Rows, again_kg: Mapping[_Log, float]) -> None:
+def _leave_out(days: Rows, again_kg: Mapping[Log, float]) -> None:
     """Give each day the mass of what is there twice, of its logs, and its mass without that."""
     by_day: dict[tuple[str, str], float] = {}
     for (machine, day, _), mass_kg in again_kg.items():
@@ -149,15 +132,15 @@ def _leave_out(days: Rows, again_kg: Mapping[_Log, float]) -> None:
         row["mass_kg"] = max(row["total_mass_kg"] - row["counted_again_kg"], 0.0)
 
 
-def _doubtful(days: Rows, overlapping: Sequence[Overlap], samples: Mapping[_Log, str], address: str) -> tuple[Rows, list[_Log]]:
+def _doubtful(days: Rows, overlapping: Sequence[Overlap], samples: Mapping[Log, str], address: str) -> tuple[Rows, list[Log]]:
     """Days whose mass may be too small, for damage or want of a zero, or that hold a log or time that is there twice; and the
     logs that are there twice as a whole."""
     found: Rows = []
-    repeated: list[_Log] = []
+    repeated: list[Log] = []
     pairs = {((e.machine, e.day, e.log), (e.machine, e.other_day, e.other_log)) for e in overlapping}
-    repeats = _Repeats(samples, pairs)
+    repeats = Repeats(samples, pairs)
     for row in days:
-        damages, logs = _provenance(row, address)
+        damages, logs = _damages(row, address), logs_of(row["logs"], row["machine"], row["day"], address)
         of_day = list(repeats.of_day(row["machine"], row["day"], logs))
         repeated += [log for log, _ in of_day]
         problems = [*_of_one_day(row, damages), *(problem for _, problem in of_day)]
@@ -173,15 +156,13 @@ def _doubtful(days: Rows, overlapping: Sequence[Overlap], samples: Mapping[_Log,
     return found, repeated
 
 
-def _provenance(row: Mapping[str, Any], address: str) -> tuple[list[str], list[tuple[str, str]]]:
-    """Damages of a day's logs, and its logs with their digests. Raises InputError where they cannot be read."""
+def _damages(row: Mapping[str, Any], address: str) -> list[str]:
+    """Of a day's logs. Raises InputError where they cannot be read."""
     try:
-        damages = [str(text) for text in json.loads(row["damages"] or "[]")]
-        logs = [(str(name), str(digest)) for name, digest in json.loads(row["logs"] or "[]")]
+        return [str(text) for text in json.loads(row["damages"] or "[]")]
     except (TypeError, ValueError, RecursionError) as error:
         problem = f"provenance of {row['machine']} {row['day']} is damaged"
         raise InputError(address, problem, "a dataset that `yieldmon fleet run` wrote") from error
-    return damages, logs
 
 
 def _of_one_day(row: Mapping[str, Any], damages: Sequence[str]) -> Iterator[str]:
@@ -194,34 +175,6 @@ def _of_one_day(row: Mapping[str, Any], damages: Sequence[str]) -> Iterator[str]
         yield f"{row['first_log']} begins on {begin} by its clock"
     if row["seconds"] and not row["zero_known"]:
         yield f"no zero of the sensor is known, so none of the {row['seconds']} s has a flow"
-
-
-class _Repeats:
-    """Logs that hold what another holds, day by day; overlapping: pairs that share times, the later first."""
-
-    def __init__(self, samples: Mapping[_Log, str], overlapping: Collection[tuple[_Log, _Log]]) -> None:
-        self._samples = samples
-        self._overlapping = overlapping
-        self._first: dict[str, str] = {}
-        """By digest."""
-        self._first_samples: dict[tuple[str, str], _Log] = {}
-        """By machine and what the samples are known by."""
-        self.digests: dict[_Log, str] = {}
-
-    def of_day(self, machine: str, day: str, logs: Sequence[tuple[str, str]]) -> Iterator[tuple[_Log, str]]:
-        """What of a day's logs, (name, digest), was there before, and a line on it."""
-        for name, digest in logs:
-            log = machine, day, name
-            if content := self._samples.get(log):
-                earlier = self._first_samples.setdefault((machine, content), log)
-                if earlier != log and self.digests[earlier] != digest and (log, earlier) not in self._overlapping:
-                    yield log, f"{name} holds the samples of {earlier[1]} {earlier[2]} at other times; the sums leave it out"
-            self.digests[log] = digest
-            if digest == _OF_NOTHING:
-                continue
-            if digest in self._first:
-                yield log, f"{name} holds the same as {self._first[digest]}; the sums leave it out"
-            self._first.setdefault(digest, f"{machine} {day} {name}")
 
 
 def _by_machine(rows: Iterable[dict[str, Any]]) -> dict[str, Rows]:
