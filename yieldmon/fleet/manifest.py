@@ -25,6 +25,9 @@ from yieldmon.fleet.names import folder_of, in_order, is_name
 
 CONFIG, TICKETS = "config.yaml", "tickets.csv"
 _UNREAD_COMPRESSIONS = (".zst", ".bz2", ".xz", ".lz4", ".7z", ".zip")
+_ARCHIVES = (".zip", ".7z", ".rar", ".tar", ".tgz", ".tar.gz", ".tar.xz", ".tar.bz2", ".tar.zst")
+_BEING_COPIED = (".part", ".partial", ".filepart", ".crdownload", ".download", ".tmp", ".temp")
+"""What programs that copy or fetch a file put behind its name until it is whole."""
 _OF_OTHERS_TOO = (".csv", ".db", ".parquet")
 _ROTATED = re.compile(r"(.+)[.-]\d+(\.gz)?")
 """As `logrotate` names what it moves away: candump.log.1, candump.log-20261001.gz."""
@@ -171,7 +174,7 @@ def _of_tree(files: Any, root: str, source: str) -> Manifest:
             refused += _astray(files, machine, left_out)
             days = _folders(files, machine, left_out, refused)
             if not days:
-                left_out.append(machine)
+                _without_logs(machine, left_out, refused)
         except (InputError, PermissionError) as error:
             refused.append(_refusal(machine, error))
             continue
@@ -189,7 +192,8 @@ def _of_tree(files: Any, root: str, source: str) -> Manifest:
                 refused.append(_refusal(day, error))
                 continue
             if not logs:
-                left_out += [day] if len(refused) == before else []
+                if len(refused) == before:
+                    _without_logs(day, left_out, refused)
                 continue
             found.append(
                 Partition(
@@ -203,6 +207,16 @@ def _of_tree(files: Any, root: str, source: str) -> Manifest:
     if not found:
         raise refused[0] if refused else InputError(source, "holds no logs", "folders MACHINE/DAY with logs in them")
     return Manifest(tuple(found), tuple(left_out), tuple(refused))
+
+
+def _without_logs(folder: str, left_out: list[str], refused: list[InputError]) -> None:
+    """A machine or day without a log: an archive in its place is refused, as nobody would miss the mass of the logs in it."""
+    archives = [path for path in left_out if path.startswith(f"{folder}/") and path.lower().endswith(_ARCHIVES)]
+    if not archives:
+        left_out.append(folder)
+    for path in archives:
+        left_out.remove(path)
+        refused.append(InputError(path, "is an archive, which is not read", "the logs that are in it"))
 
 
 def _refusal(folder: str, error: InputError | PermissionError) -> InputError:
@@ -227,6 +241,8 @@ def _logs(files: Any, day: str, left_out: list[str], refused: list[InputError]) 
             refused.append(InputError(path, "is a log under a name that is not read", "one that ends in .log, .asc or the like"))
         elif other := _unread_compression(name):
             refused.append(InputError(path, f"is compressed as {other}, which is not read", "the log as it is, or as .gz"))
+        elif _is_being_copied(name):
+            refused.append(InputError(path, "is a log that is not whole yet, by its name", "the log under its own name"))
         elif _is_left_behind(name) or not _is_log(name):
             left_out.append(path)
         elif kind == _FILE:
@@ -245,7 +261,7 @@ def _astray(files: Any, path: str, left_out: list[str]) -> list[InputError]:
             continue
         if name.lower() == TICKETS or _is_surely_log(name):
             refused.append(InputError(entry, "lies beside the folders of machines or days", _LAYOUT))
-        elif _is_log(name):
+        elif _is_log(name) or name.lower().endswith(_ARCHIVES):
             left_out.append(entry)
     return refused
 
@@ -313,6 +329,12 @@ def _unread_compression(name: str) -> str:
     """Of a log; "" for all else."""
     stem, dot, suffix = name.lower().rpartition(".")
     return dot + suffix if dot + suffix in _UNREAD_COMPRESSIONS and stem.endswith(SUFFIXES) else ""
+
+
+def _is_being_copied(name: str) -> bool:
+    """A log under the name of a copy that is not complete."""
+    stem, dot, suffix = name.lower().rpartition(".")
+    return dot + suffix in _BEING_COPIED and _is_log(stem) and not name.startswith(".")
 
 
 def _is_left_behind(name: str) -> bool:

@@ -31,6 +31,8 @@ from yieldmon.service.config import configuration
 from yieldmon.service.config.configuration import Configuration
 
 _SAID_EVERY_S = 10.0
+_MOST_LEFT_OUT = 50
+"""Lines on what a tree holds beside logs: of ten thousand, those on what is wrong would not be read."""
 _Configured = tuple[Configuration, str]
 """And its hash."""
 
@@ -39,8 +41,10 @@ def run(args: argparse.Namespace) -> int:
     """Exit code 0 when all that is in the source is in the dataset, 1 when something of it could not be used."""
     _check_options(args)
     found = manifest.load(args.source)
-    for path in found.left_out:
+    for path in found.left_out[:_MOST_LEFT_OUT]:
         _say(f"{path}: left out, holds no log of a day (MACHINE/DAY/LOGS)")
+    if (more := len(found.left_out) - _MOST_LEFT_OUT) > 0:
+        _say(f"{more} more left out, hold no log of a day (`left_out` of --json has them)")
     dataset = Dataset(args.out)
     configurations = _configurations(found.partitions, args)
     unusable = [*found.refused, *(each for each in configurations.values() if isinstance(each, InputError))]
