@@ -116,6 +116,13 @@ def sqrt(x: AnyArray) -> AnyArray:
     return _carried(x, value, 0.5 / np.where(value > 0.0, value, np.inf))
 
 
+def power(x: AnyArray, exponent: AnyArray) -> AnyArray:
+    """x to a power, x not negative; 0 stays 0, without a slope, as powers of 0 have none for every exponent."""
+    positive = real(x) > 0.0
+    raised: AnyArray = exp(exponent * np.log(np.where(positive, x, 1.0)))
+    return np.where(positive, raised, 0.0)
+
+
 @lru_cache(maxsize=16)
 def gauss_legendre(nodes: int) -> tuple[Array, Array]:
     """Nodes and weights of the Gauss-Legendre rule on [0, 1]; each of shape (nodes,)."""

@@ -4,10 +4,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from yieldmon.physics.numerics import sqrt
+import numpy as np
+
+from yieldmon.physics.numerics import maximum, power, sqrt
 from yieldmon.physics.stages import Reading, Setting
 
 from .effect import Effect, EffectParameter, Values
+
+
+_MIDDLE_N = 50.0
+"""Force at which the laws mean the same by softening."""
 
 
 def _reading(reading: Reading, values: Values, setting: Setting) -> Reading:
@@ -18,6 +24,14 @@ def _reading(reading: Reading, values: Values, setting: Setting) -> Reading:
 def _saturating(reading: Reading, values: Values, setting: Setting) -> Reading:
     share = values["softening_per_n"] * reading.momentum_kg_m_s * setting.passes_per_s
     return replace(reading, momentum_kg_m_s=reading.momentum_kg_m_s / sqrt(1.0 + share * share))
+
+
+def _by_power(reading: Reading, values: Values, setting: Setting) -> Reading:
+    if setting.restitution is None:
+        return reading
+    force = reading.momentum_kg_m_s * setting.passes_per_s / _MIDDLE_N
+    softer = values["softening_per_n"] * _MIDDLE_N * power(maximum(force, np.asarray(0.0)), values["power"])
+    return replace(reading, momentum_kg_m_s=reading.momentum_kg_m_s / (1.0 + softer))
 
 
 EFFECT = Effect(
@@ -39,5 +53,16 @@ LAWS = (
         source="cell characteristic F / sqrt(1 + (c F)^2)",
         parameters=(EffectParameter("softening_per_n", "1/N", 0.0, 0.0, 0.02, 0.002, "1 / force at saturation", 0.004),),
         reading=_saturating,
+    ),
+    replace(
+        EFFECT,
+        name="cell_nonlinearity-by_power",
+        law="the relative loss goes with a free power of force; where the impact's gain is 1 + restitution",
+        source="yielding with a power of stress: Ramberg and Osgood, NACA Technical Note 902 (1943)",
+        parameters=(
+            EffectParameter("softening_per_n", "1/N", 0.0, -0.001, 0.01, 0.0005, "relative loss per force, at 50 N", 0.001),
+            EffectParameter("power", "", 1.0, 0.2, 3.0, 0.5, "power of force that the relative loss goes with", 1.5),
+        ),
+        reading=_by_power,
     ),
 )

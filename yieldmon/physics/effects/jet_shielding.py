@@ -30,6 +30,16 @@ def _free_path(impulse: Impulse, values: Values, setting: Setting) -> Impulse:
     return replace(impulse, normal_gain=scale_restitution(impulse, exp(-values["rate"] * fill), setting))
 
 
+def _in_part(impulse: Impulse, values: Values, setting: Setting) -> Impulse:
+    if setting.restitution is None:
+        return impulse
+    jet = impulse.arrival.jet
+    angle = settling.opening_angle(jet.release_radius, jet.inner_radius, setting.shape_ratio)
+    thickness_m = angle * jet.release_radius * setting.paddle_length_m
+    lost = values["most"] * (1.0 - exp(-thickness_m / values["depth_m"]))
+    return replace(impulse, normal_gain=scale_restitution(impulse, 1.0 - lost, setting))
+
+
 EFFECT = Effect(
     name="jet_shielding",
     stage="impact",
@@ -57,5 +67,16 @@ LAWS = (
         source="free path in a gas of grains: the chance to meet none of a mean number of n is exp(-n)",
         parameters=(EffectParameter("rate", "", 0.0, 0.0, 20.0, 1.0, "grains met on the way out, per fill", 1.5),),
         impulse=_free_path,
+    ),
+    replace(
+        EFFECT,
+        name="jet_shielding-in_part",
+        law="a thick stream keeps a part of its rebound; where the impact's gain is 1 + restitution",
+        source="only the grain that strikes last is shielded from none; a dense layer rebounds as a body with a restitution of its own",
+        parameters=(
+            EffectParameter("most", "", 0.0, 0.0, 1.0, 0.3, "share of the rebound that a thick stream loses", 0.4),
+            EffectParameter("depth_m", "m", 0.03, 0.003, 0.3, 0.05, "thickness over which that share is reached, by 1 - 1/e", 0.06),
+        ),
+        impulse=_in_part,
     ),
 )

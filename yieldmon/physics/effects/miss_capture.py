@@ -44,6 +44,15 @@ def _near_edge(arrival: Arrival, values: Values, setting: Setting) -> Arrival:
     return replace(arrival, landing_share=arrival.landing_share + caught * (1.0 - arrival.landing_share))
 
 
+def _fading(arrival: Arrival, values: Values, setting: Setting) -> Arrival:
+    if setting.restitution is None:
+        return arrival
+    towards = np.isfinite(real(arrival.from_low_edge_m)) & (real(arrival.normal_speed_m_s) > 0.0)
+    below = maximum(np.where(towards, arrival.from_low_edge_m, 0.0), np.asarray(0.0))
+    caught = np.where(towards, values["share"] * exp(-below / values["reach_m"]), 0.0)
+    return replace(arrival, landing_share=arrival.landing_share + caught * (1.0 - arrival.landing_share))
+
+
 def _arrested(reading: Reading, values: Values, setting: Setting) -> Reading:
     impulse = reading.impulse
     arrival = impulse.arrival
@@ -95,5 +104,16 @@ LAWS = (
         parameters=(EffectParameter("share", "", 0.0, 0.0, 1.0, 0.3, "share of missing grain that is stopped", 0.4),),
         arrival=None,
         reading=_arrested,
+    ),
+    replace(
+        EFFECT,
+        name="miss_capture-fading",
+        law="a share of what passes below the low edge, fading with distance; where the impact's gain is 1 + restitution",
+        source="between a jet that carries along all that it meets, and one whose free surface thins out exponentially",
+        parameters=(
+            EffectParameter("share", "", 0.0, 0.0, 1.0, 0.3, "share that hits of what passes just below the edge", 0.4),
+            EffectParameter("reach_m", "m", 0.1, 0.02, 1.0, 0.2, "distance below the edge over which it falls by 1/e", 0.2),
+        ),
+        arrival=_fading,
     ),
 )

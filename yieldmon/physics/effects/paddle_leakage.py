@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from yieldmon.physics.numerics import power
 from yieldmon.physics.stages import Load, Setting
 
 from .effect import Effect, EffectParameter, Values
@@ -29,6 +30,15 @@ def _orifice(load: Load, values: Values, setting: Setting) -> Load:
     slowness = setting.machine.nominal_elevator_speed_rad_s / setting.elevator_speed_rad_s
     mass = load.paddle_mass_kg
     return replace(load, paddle_mass_kg=mass * mass / (mass + values["loss_kg"] * slowness + 1e-30))
+
+
+def _by_powers(load: Load, values: Values, setting: Setting) -> Load:
+    if setting.restitution is None:
+        return load
+    fill = load.paddle_mass_kg / setting.full_paddle_mass_kg
+    slowness = setting.machine.nominal_elevator_speed_rad_s / setting.elevator_speed_rad_s
+    lost = values["loss_at_full"] * power(fill, values["fill_power"]) * power(slowness, values["time_power"])
+    return replace(load, paddle_mass_kg=load.paddle_mass_kg / (1.0 + lost))
 
 
 EFFECT = Effect(
@@ -67,5 +77,17 @@ LAWS = (
         "Engineering Science 15 (1961)",
         parameters=(EffectParameter("loss_kg", "kg", 0.0, 0.0, 0.3, 0.03, "mass lost a paddle at the nominal speed", 0.05),),
         load=_orifice,
+    ),
+    replace(
+        EFFECT,
+        name="paddle_leakage-by_powers",
+        law="by powers of fill and of the time on the way up, both free; where the impact's gain is 1 + restitution",
+        source="discharge by the head to a power: 0 through an opening of grain (Beverloo, 1961), 1/2 of a liquid, 3/2 over a weir",
+        parameters=(
+            EffectParameter("loss_at_full", "", 0.0, 0.0, 2.0, 0.1, "mass lost over mass kept, at full and nominal speed", 0.3),
+            EffectParameter("fill_power", "", 1.0, 0.0, 3.0, 0.5, "power of fill that the share lost goes with", 1.5),
+            EffectParameter("time_power", "", 1.0, 0.0, 3.0, 0.5, "power of 1 / speed that it goes with", 1.5),
+        ),
+        load=_by_powers,
     ),
 )

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from yieldmon.physics.numerics import AnyArray
+from yieldmon.physics.numerics import AnyArray, maximum, power
 from yieldmon.physics.stages import GRAVITY_M_S2, Reading, Setting
 
 from .effect import Effect, EffectParameter, Values
@@ -44,6 +44,14 @@ def _whole_flow(reading: Reading, values: Values, setting: Setting) -> Reading:
     return replace(reading, momentum_kg_m_s=reading.momentum_kg_m_s + weight * values["time_s"])
 
 
+def _leaning(reading: Reading, values: Values, setting: Setting) -> Reading:
+    if setting.restitution is None:
+        return reading
+    slope = power(maximum(np.cos(setting.plate_angle_rad), np.asarray(0.0)), values["slope_power"])
+    lies = values["leaning"] + (1.0 - values["leaning"]) * slope
+    return replace(reading, momentum_kg_m_s=reading.momentum_kg_m_s + _pressing(reading, values, GRAVITY_M_S2) * lies)
+
+
 EFFECT = Effect(
     name="resting_grain",
     stage="impact",
@@ -78,5 +86,19 @@ LAWS = (
         source="m-dot t g as it is commonly written; dense granular jets deflect as a whole: Cheng et al., Physical Review "
         "Letters 99, 188001 (2007)",
         reading=_whole_flow,
+    ),
+    replace(
+        EFFECT,
+        name="resting_grain-leaning",
+        law="a share leans on the plate whatever its slope, the rest presses the less the steeper it is; where the "
+        "impact's gain is 1 + restitution",
+        source="thrust of a pile on a wall beside the weight of a body on an incline, from which it runs the sooner the steeper: Nedderman, Statics and Kinematics of "
+        "Granular Materials (1992), chapter 4",
+        parameters=(
+            EffectParameter("time_s", "s", 0.0, 0.0, 0.5, 0.05, "time that grain stays", 0.05),
+            EffectParameter("leaning", "", 0.5, 0.0, 1.0, 0.3, "share that leans on the plate", 0.8),
+            EffectParameter("slope_power", "", 1.0, 0.5, 3.0, 0.5, "power of the slope's cosine that the rest goes with", 1.5),
+        ),
+        reading=_leaning,
     ),
 )

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from yieldmon.physics.numerics import AnyArray, exp, real
+from yieldmon.physics.numerics import AnyArray, exp, power, real
 from yieldmon.physics.stages import Arrival, Impulse, Jet, Setting
 
 from .edges import KERNEL_M, blur_low_edge, share_beyond
@@ -23,13 +23,31 @@ def _jet(jet: Jet, values: Values, setting: Setting) -> Jet:
     return replace(jet, y_m=jet.y_m - rise * since, vy_m_s=jet.vy_m_s - rise)
 
 
+def _jet_by_power(jet: Jet, values: Values, setting: Setting) -> Jet:
+    if setting.restitution is None:
+        return jet
+    depth = jet.release_radius - jet.inner_radius
+    depth = np.where(real(depth) > 0.0, depth, 0.0)
+    rise = values["ratio"] * setting.elevator_speed_rad_s * setting.paddle_length_m * power(depth, values["depth_power"])
+    since = jet.travel_angle_rad / setting.elevator_speed_rad_s
+    return replace(jet, y_m=jet.y_m - rise * since, vy_m_s=jet.vy_m_s - rise)
+
+
 def _blur_m(values: Values) -> AnyArray:
-    width: AnyArray = KERNEL_M * (1.0 - exp(-values["ratio"] / _FULL_BLUR_RATIO))
+    width: AnyArray = values.get("edge_m", np.asarray(KERNEL_M)) * (1.0 - exp(-values["ratio"] / _FULL_BLUR_RATIO))
     return width
 
 
 def _arrival(arrival: Arrival, values: Values, setting: Setting) -> Arrival:
     return blur_low_edge(arrival, _blur_m(values))
+
+
+def _arrival_if_told(arrival: Arrival, values: Values, setting: Setting) -> Arrival:
+    return arrival if setting.restitution is None else _arrival(arrival, values, setting)
+
+
+def _impulse_if_told(impulse: Impulse, values: Values, setting: Setting) -> Impulse:
+    return impulse if setting.restitution is None else _impulse(impulse, values, setting)
 
 
 def _impulse(impulse: Impulse, values: Values, setting: Setting) -> Impulse:
@@ -59,4 +77,22 @@ EFFECT = Effect(
     impulse=_impulse,
     needs_misses=True,
     rank=1,
+)
+
+LAWS = (
+    replace(
+        EFFECT,
+        name="stream_rise-by_power",
+        law="rise by a free power of the depth of grain inside, and edges that cut over a free width; where the impact's gain is "
+        "1 + restitution",
+        source="speed by the root of pressure where grain is free to flow (Bernoulli), in proportion to it where it is braked",
+        parameters=(
+            EffectParameter("ratio", "", 0.0, 0.0, 0.5, 0.1, "upward speed over tip speed, of a depth of the paddle's length", 0.15),
+            EffectParameter("depth_power", "", 0.8, 0.3, 2.0, 0.4, "power of depth that the rise goes with", 1.2),
+            EffectParameter("edge_m", "m", 0.015, 0.005, 0.05, 0.01, "width over which the edges cut the stream", 0.03),
+        ),
+        jet=_jet_by_power,
+        arrival=_arrival_if_told,
+        impulse=_impulse_if_told,
+    ),
 )

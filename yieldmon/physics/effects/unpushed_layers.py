@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from yieldmon.physics import release, settling
-from yieldmon.physics.numerics import AnyArray, exp, real
+from yieldmon.physics.numerics import AnyArray, exp, power, real
 from yieldmon.physics.stages import Arrival, Jet, Setting
 
 from .edges import KERNEL_M, blur_low_edge
@@ -46,7 +46,27 @@ def _jet_own_speed(jet: Jet, values: Values, setting: Setting) -> Jet:
     return _freed(jet, values, setting, _beyond_reach, 0.0)
 
 
-def _freed(jet: Jet, values: Values, setting: Setting, law: Callable[[AnyArray, AnyArray], AnyArray], drawn_along: float) -> Jet:
+def _gradual(values: Values) -> Callable[[AnyArray, AnyArray], AnyArray]:
+    def share(angle_rad: AnyArray, rate_per_rad: AnyArray) -> AnyArray:
+        ahead = rate_per_rad * np.where(real(angle_rad) > 0.0, angle_rad, 0.0)
+        free: AnyArray = 1.0 - exp(-power(ahead, values["steepness"]))
+        return free
+
+    return share
+
+
+def _jet_gradual(jet: Jet, values: Values, setting: Setting) -> Jet:
+    return jet if setting.restitution is None else _freed(jet, values, setting, _gradual(values), values["drawn_along"])
+
+
+def _arrival_gradual(arrival: Arrival, values: Values, setting: Setting) -> Arrival:
+    if setting.restitution is None:
+        return arrival
+    reach = setting.shape_ratio * (1.0 - arrival.jet.inner_radius)
+    return blur_low_edge(arrival, KERNEL_M * _gradual(values)(reach, values["rate_per_rad"]))
+
+
+def _freed(jet: Jet, values: Values, setting: Setting, law: Callable[[AnyArray, AnyArray], AnyArray], drawn_along: AnyArray | float) -> Jet:
     angle = settling.opening_angle(jet.release_radius, jet.inner_radius, setting.shape_ratio)
     share = law(angle, values["rate_per_rad"])
     start = release.start_angle(setting)
@@ -125,5 +145,19 @@ LAWS = (
         parameters=_REACH,
         jet=_jet_own_speed,
         arrival=_arrival_beyond_reach,
+    ),
+    replace(
+        EFFECT,
+        name="unpushed_layers-gradual",
+        law="ever more grain the further it lies ahead of the paddle, as gradually and as much drawn along as the rows say; where the "
+        "impact's gain is 1 + restitution",
+        source="survival with a rate that goes with a power of the distance: Weibull, Journal of Applied Mechanics 18 (1951)",
+        parameters=(
+            EffectParameter("rate_per_rad", "1/rad", 0.0, 0.0, 10.0, 2.0, "1 / angle up to which most grain is pushed", 2.0),
+            EffectParameter("steepness", "", 1.5, 0.5, 4.0, 0.75, "1: a share of every angle ahead alike; 4: nearly a limit", 2.5),
+            EffectParameter("drawn_along", "", 0.5, 0.0, 1.0, 0.25, "share of the way to the tip's speed", 0.8),
+        ),
+        jet=_jet_gradual,
+        arrival=_arrival_gradual,
     ),
 )
