@@ -13,6 +13,7 @@ from yieldmon.discrepancy import candidates, diagnosis
 from yieldmon.discrepancy.candidates import Score
 from yieldmon.discrepancy.choice import Candidate, Step
 from yieldmon.discrepancy.fit import Fit, fit
+from yieldmon.discrepancy.merit import parameter_costs
 from yieldmon.discrepancy.policy import Policy
 from yieldmon.discrepancy.selection import Search
 from yieldmon.estimation.parameters import ParameterSet
@@ -50,8 +51,12 @@ def test_an_effect_that_stuck_at_nothing_is_found_again_from_where_it_was(publis
     assert helped.chi2 < alone.chi2 - 50.0
 
 
-def test_a_law_that_a_few_steps_leave_behind_another_may_be_the_better_one() -> None:
-    """Free layers fitted as all that lies beyond the tip's reach are ahead after six steps, and far behind at the end."""
+def test_a_law_that_a_few_steps_leave_behind_another_may_be_the_better_one(monkeypatch) -> None:
+    """Free layers fitted as all that lies beyond the tip's reach are ahead after six steps, and far behind at the end.
+
+    Of the laws of one size alone: the one of free shape is better than either.
+    """
+    monkeypatch.setattr(candidates, "laws", lambda effect: [law for law in laws(effect) if not law.endswith("-gradual")])
     case = np.random.default_rng([zlib.crc32(b"third/unpushed_layers/0"), 940117])
     rows, _, _ = law_cases.rows_of("third", "unpushed_layers", case)
     seen = diagnosis.examine(rows, ParameterSet(values=law_cases.START), replace(NAMED_NOTHING, hold_out="cells"))
@@ -62,6 +67,40 @@ def test_a_law_that_a_few_steps_leave_behind_another_may_be_the_better_one() -> 
     rough, ahead = (candidates.refit(base, s, iterations=USUAL.short_search) for s in (ours, other))
     assert ahead.chi2 < rough.chi2
     assert found[0].fit.chi2 < 0.8 * candidates.polished(ahead).chi2
+
+
+def test_another_form_of_the_same_cause_needs_no_second_effect() -> None:
+    """Leakage by the fill to 1.5 over the speed squared was paddle_leakage with a wrong second effect that mends its law."""
+    case = np.random.default_rng([zlib.crc32(b"third/paddle_leakage/1"), 480317])
+    rows, _, _ = law_cases.rows_of("third", "paddle_leakage", case)
+    options = diagnosis.Options(without=("speed_dependent_friction", "speed_dependent_shape", "gravity", "air_drag"))
+    seen = diagnosis.examine(rows, ParameterSet(values=law_cases.START), options)
+    assert seen.choice.named == ("paddle_leakage",)
+    assert seen.choice.best_gap.f < 1.3
+
+
+def test_a_shape_that_the_rows_leave_open_costs_little(published) -> None:
+    """A power of fill that leakage goes with is settled where much is lost, and open where next to nothing is."""
+    name = "paddle_leakage-by_powers"
+    costs = []
+    for loss in (0.6, 0.002):
+        base, _ = published({"paddle_leakage": loss})
+        found = fit(base.frame, (name,), base.values | {f"{name}.loss_at_full": loss})
+        shapes, cost = found.shapes, parameter_costs(found, USUAL.per_parameter)
+        assert [found.parameters[i].name for i in shapes] == [f"{name}.fill_power", f"{name}.time_power"]
+        assert all(c == USUAL.per_parameter for i, c in enumerate(cost) if i not in shapes)
+        costs.append(sum(cost[i] for i in shapes))
+    assert costs[0] == pytest.approx(2.0 * USUAL.per_parameter, abs=1.0)
+    assert costs[1] < 0.7 * costs[0]
+
+
+def test_an_effect_that_does_nothing_here_promises_nothing(published) -> None:
+    """What rounding leaves of its change has directions as well, of which no gain may come."""
+    base, _ = published({"zero_offset": 4.0})
+    drawn = candidates.signature(base, "paddle_leakage-by_powers")
+    silent = replace(drawn, change=1e-14 * np.random.default_rng(1).standard_normal(drawn.change.shape))
+    assert candidates.score(base, drawn).gain > 0.0
+    assert candidates.score(base, silent).gain == 0.0
 
 
 def test_other_starts_leave_a_poor_minimum_and_never_make_a_fit_worse(published) -> None:

@@ -61,3 +61,49 @@ def test_its_derivative_is_the_one_of_differences(name: str) -> None:
     slope = np.imag(_force(name, sizes | {leading: sizes[leading] + 1j * COMPLEX_STEP})) / COMPLEX_STEP
     scale = np.nanmax(np.abs(slope))
     np.testing.assert_allclose(slope / scale, (up - down) / (2.0 * step) / scale, atol=2e-3)
+
+
+FREE = {
+    "paddle_leakage-by_powers": ("paddle_leakage", {"loss_at_full": 0.4}, {"fill_power": 1.0, "time_power": 1.0}),
+    "cell_nonlinearity-by_power": ("cell_nonlinearity", {"softening_per_n": 0.002}, {"power": 1.0}),
+    "resting_grain-leaning": ("resting_grain", {"time_s": 0.1}, {"leaning": 1.0, "slope_power": 2.0}),
+    "miss_capture-fading": ("miss_capture-any_incidence", {"share": 0.4}, {"reach_m": 1e6}),
+    "unpushed_layers-gradual": ("unpushed_layers", {"rate_per_rad": 2.0}, {"steepness": 1.0, "drawn_along": 0.5}),
+    "stream_rise-by_power": ("stream_rise", {"ratio": 0.1}, {"depth_power": 1.0, "edge_m": 0.01}),
+    "jet_shielding-in_part": ("", {"most": 1.0}, {"depth_m": 1e-9}),
+}
+"""Laws of a free shape: the law that each is at some shape, the size, and that shape."""
+
+
+@pytest.mark.parametrize("name", FREE)
+def test_a_law_of_free_shape_is_another_one_at_some_shape(name: str) -> None:
+    other, size, shape = FREE[name]
+    freely = _force(name, {f"{name}.{key}": value for key, value in (size | shape).items()})
+    if other:
+        expected = _force(other, {f"{other}.{key}": value for key, value in size.items()})
+    else:
+        model = ForwardModel(Machine(), ("gravity",))
+        expected = np.asarray(model.force(CONDITIONS, GRAIN | {"restitution": 0.0}, overfull="nan"))
+    np.testing.assert_allclose(freely, expected, rtol=2e-6)
+
+
+@pytest.mark.parametrize("name", FREE)
+def test_a_law_of_free_shape_is_silent_beside_exchange_coefficients(name: str) -> None:
+    grain = {k: v for k, v in GRAIN.items() if k != "restitution"} | {"k1": -0.2, "k2": 1.5}
+    model = ForwardModel(Machine(), ("gravity", name))
+    plain = np.asarray(ForwardModel(Machine(), ("gravity",)).force(CONDITIONS, grain, overfull="nan"))
+    changed = np.asarray(model.force(CONDITIONS, grain | _sizes(name, "typical"), overfull="nan"))
+    np.testing.assert_allclose(changed, plain, rtol=1e-12)
+
+
+def test_an_orifice_and_a_weir_lose_by_their_powers_of_fill() -> None:
+    """Share lost over share kept, of paddles half and wholly filled: 2 to the power of fill."""
+    name = "paddle_leakage-by_powers"
+    machine = Machine()
+    full = 0.5 * GRAIN["shape_ratio"] * GRAIN["density"] * machine.paddle_width_m * machine.paddle_length_m**2
+    for power in (0.0, 1.5):
+        values = GRAIN | {f"{name}.loss_at_full": 0.2, f"{name}.fill_power": power, f"{name}.time_power": 1.0}
+        throw = ForwardModel(machine, ("gravity", name)).throw(1.2, machine.nominal_elevator_speed_rad_s, values)
+        half, whole = (0.0 + offered / float(throw.load_mass(np.asarray(offered))) - 1.0 for offered in (0.5 * full, full))
+        assert whole == pytest.approx(0.2, rel=1e-6)
+        assert whole / half == pytest.approx(2.0**power, rel=1e-6)

@@ -113,11 +113,11 @@ def score(current: Fit, drawn: Signature) -> Score:
                 p.name: float(np.clip(p.start + amplitude * (v - p.start), p.lower, p.upper))
                 for p, v in zip(drawn.parameters, drawn.points[i], strict=True)
             }
-    if len(drawn.parameters) > 1:
-        tangent = np.linalg.svd(drawn.change, full_matrices=False)
-        rows = tangent[2][tangent[1] > 1e-6 * tangent[1][0]][: len(drawn.parameters)] if tangent[1][0] > 0.0 else np.zeros((0, 1))
-        if rows.size:
-            best_gain = max(best_gain, float(np.sum((rows @ current.residual) ** 2)))
+    # The span of what can be seen; rounding of an effect that does nothing here has directions too.
+    if len(drawn.parameters) > 1 and drawn.directions.size:
+        _, singular, rows = np.linalg.svd(drawn.change, full_matrices=False)
+        rows = rows[singular > 1e-6 * singular[0]][: len(drawn.parameters)]
+        best_gain = max(best_gain, float(np.sum((rows @ current.residual) ** 2)))
     return Score(drawn.effect, best_gain, best)
 
 
@@ -148,8 +148,14 @@ def polished(rough: Fit) -> Fit:
     return found if found is not None and found.chi2 <= rough.chi2 else rough
 
 
+def _elsewhere(p: Parameter, at: float) -> list[float]:
+    """A quarter and three quarters of the way between the bounds, but for what lies near `at`."""
+    return [v for share in (0.25, 0.75) if abs((v := p.lower + share * (p.upper - p.lower)) - at) > 0.1 * (p.upper - p.lower)]
+
+
 def refit_from_restarts(found: Fit) -> Fit:
-    """The same model from other frictions, densities and sizes of its effects: the best of the fits, `found` among them.
+    """The same model from other frictions, densities, sizes of its effects and shapes of their laws: the best of the fits, `found`
+    among them.
 
     A fit that needs a bound of an effect's leading parameter, where `found` does not, is no better.
     """
@@ -157,6 +163,7 @@ def refit_from_restarts(found: Fit) -> Fit:
     null = {p.name: p.start for p in found.parameters}
     points = [{"friction": mu, "density": rho} for mu in evenly("friction", 3) for rho in evenly("density", 2)]
     points += [{name: null[name] + share * (found.values[name] - null[name])} for name in names for share in (0.4, 2.0)]
+    points += [{found.parameters[i].name: v} for i in found.shapes for v in _elsewhere(found.parameters[i], float(found.x[i]))]
     # A few steps show which starts are worth the rest of the way.
     begun = [f for f in fit_all(found.frame, found.effects, [found.values | p for p in points], iterations=5) if f is not None]
     begun = sorted(begun, key=lambda f: f.chi2)[:3]

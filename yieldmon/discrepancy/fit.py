@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from yieldmon.estimation import model_error
 from yieldmon.estimation.fitting.least_squares import levenberg_marquardt
+from yieldmon.physics.effects import get_effect
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.numerics import COMPLEX_STEP, Array, real
 
@@ -62,6 +63,16 @@ class Fit:
             for p, v in zip(self.parameters, self.x, strict=True)
             if v <= p.lower + 1e-3 * (p.upper - p.lower) or v >= p.upper - 1e-3 * (p.upper - p.lower)
         )
+
+    @property
+    def shapes(self) -> list[int]:
+        """Places of the parameters that say no size but the shape of an effect's law: a further law's, all but its first."""
+        out, at = list[int](), len(self.frame.base)
+        for effect in self.effects:
+            count = len(get_effect(effect).parameters)
+            out += range(at + 1, at + count) if get_effect(effect).law else ()
+            at += count
+        return out
 
     def covariance(self) -> Array:
         """Covariance of the parameters in the tangent plane, shape (parameters, parameters).

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from yieldmon.estimation.model_error import off
+from yieldmon.estimation.model_error import off, orthonormal
 
 from .alternatives import FREE_SHAPE, chosen_from_all, of_other_laws
 from .choice import Step
@@ -46,14 +46,26 @@ def misfit(fits: Sequence[Fit]) -> float:
 def merit(candidate: Fit, scale: float, policy: Policy) -> float:
     """-2 log of a fit's evidence: chi-square over `scale` with its errors integrated out, and what its parameters cost.
 
-    That is their number, and their distance in wide prior widths.
+    That is their number, and their distance in wide prior widths; the shape of a law costs by how far the rows settle it, no
+    more than its number: what they leave open is integrated over its prior.
     """
     chi2, volume = candidate.integrated
-    cost = volume + policy.per_parameter * len(candidate.parameters)
+    cost = volume + sum(parameter_costs(candidate, policy.per_parameter))
     for p, v in zip(candidate.parameters, candidate.x, strict=True):
         if np.isfinite(p.prior_sd):
             cost += min(((float(v) - p.start) / (5.0 * p.prior_sd)) ** 2, 4.0)
     return chi2 / scale + cost
+
+
+def parameter_costs(found: Fit, per_parameter: float) -> list[float]:
+    """What each parameter costs in -2 log evidence."""
+    shapes = found.shapes
+    out = [per_parameter] * len(found.parameters)
+    for place in shapes:
+        others = np.delete(found.jacobian, shapes, axis=1) * np.delete([p.scale for p in found.parameters], shapes)
+        settled = off(found.jacobian[:, place], orthonormal(others)) * found.parameters[place].prior_sd
+        out[place] = min(per_parameter, float(np.log1p(settled @ settled)))
+    return out
 
 
 def by_weight(current: Fit, order: Sequence[str]) -> list[str]:

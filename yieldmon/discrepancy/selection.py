@@ -178,7 +178,8 @@ class Search:
         limit = least + self.policy.hopeless * scale + 0.25 * (current.chi2 - least)
         # A few steps do not rank the laws of one effect: what leads after them may be behind at the end.
         ended = [[(s, polished(f) if f.chi2 <= limit else f) for s, f in laws] for laws in begun if laws]
-        return [min(laws, key=lambda found: found[1].chi2) for laws in ended]
+        dear = self.policy.per_parameter
+        return [min(laws, key=lambda found: found[1].chi2 + dear * len(found[1].shapes)) for laws in ended]
 
     def admissible(self, found: Sequence[Candidate], current: Fit) -> list[Candidate]:
         """Those that may be added to `current`: significant, large enough, predictive, within bounds."""
