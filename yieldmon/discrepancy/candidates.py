@@ -154,8 +154,7 @@ def _elsewhere(p: Parameter, at: float) -> list[float]:
 
 
 def refit_from_restarts(found: Fit) -> Fit:
-    """The same model from other frictions, densities, sizes of its effects and shapes of their laws: the best of the fits, `found`
-    among them.
+    """The same model from other frictions, densities, sizes of its effects and shapes of their laws: the best fit, with `found`.
 
     A fit that needs a bound of an effect's leading parameter, where `found` does not, is no better.
     """

@@ -11,7 +11,6 @@ from yieldmon.physics.stages import Reading, Setting
 
 from .effect import Effect, EffectParameter, Values
 
-
 _MIDDLE_N = 50.0
 """Force at which the laws mean the same by softening."""
 

@@ -72,10 +72,10 @@ LAWS = (
         EFFECT,
         name="jet_shielding-in_part",
         law="a thick stream keeps a part of its rebound; where the impact's gain is 1 + restitution",
-        source="only the grain that strikes last is shielded from none; a dense layer rebounds as a body with a restitution of its own",
+        source="a dense layer rebounds as a body, with a restitution of its own",
         parameters=(
             EffectParameter("most", "", 0.0, 0.0, 1.0, 0.3, "share of the rebound that a thick stream loses", 0.4),
-            EffectParameter("depth_m", "m", 0.03, 0.003, 0.3, 0.05, "thickness over which that share is reached, by 1 - 1/e", 0.06),
+            EffectParameter("depth_m", "m", 0.03, 0.003, 0.3, 0.05, "thickness that loses 1 - 1/e of that share", 0.06),
         ),
         impulse=_in_part,
     ),

@@ -82,7 +82,7 @@ LAWS = (
         EFFECT,
         name="paddle_leakage-by_powers",
         law="by powers of fill and of the time on the way up, both free; where the impact's gain is 1 + restitution",
-        source="discharge by the head to a power: 0 through an opening of grain (Beverloo, 1961), 1/2 of a liquid, 3/2 over a weir",
+        source="discharge by a power of the head: 0 of grain (Beverloo, 1961), 1/2 of a liquid, 3/2 of one over a weir",
         parameters=(
             EffectParameter("loss_at_full", "", 0.0, 0.0, 2.0, 0.1, "mass lost over mass kept, at full and nominal speed", 0.3),
             EffectParameter("fill_power", "", 1.0, 0.0, 3.0, 0.5, "power of fill that the share lost goes with", 1.5),

@@ -92,8 +92,8 @@ LAWS = (
         name="resting_grain-leaning",
         law="a share leans on the plate whatever its slope, the rest presses the less the steeper it is; where the "
         "impact's gain is 1 + restitution",
-        source="thrust of a pile on a wall beside the weight of a body on an incline, from which it runs the sooner the steeper: Nedderman, Statics and Kinematics of "
-        "Granular Materials (1992), chapter 4",
+        source="thrust of a pile on a wall beside the weight of a body on an incline, from which it runs the sooner the steeper: "
+        "Nedderman, Statics and Kinematics of Granular Materials (1992), chapter 4",
         parameters=(
             EffectParameter("time_s", "s", 0.0, 0.0, 0.5, 0.05, "time that grain stays", 0.05),
             EffectParameter("leaning", "", 0.5, 0.0, 1.0, 0.3, "share that leans on the plate", 0.8),

@@ -87,7 +87,7 @@ LAWS = (
         "1 + restitution",
         source="speed by the root of pressure where grain is free to flow (Bernoulli), in proportion to it where it is braked",
         parameters=(
-            EffectParameter("ratio", "", 0.0, 0.0, 0.5, 0.1, "upward speed over tip speed, of a depth of the paddle's length", 0.15),
+            EffectParameter("ratio", "", 0.0, 0.0, 0.5, 0.1, "upward speed over tip speed, at a paddle's depth", 0.15),
             EffectParameter("depth_power", "", 0.8, 0.3, 2.0, 0.4, "power of depth that the rise goes with", 1.2),
             EffectParameter("edge_m", "m", 0.015, 0.005, 0.05, 0.01, "width over which the edges cut the stream", 0.03),
         ),

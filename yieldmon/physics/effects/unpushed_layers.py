@@ -66,7 +66,9 @@ def _arrival_gradual(arrival: Arrival, values: Values, setting: Setting) -> Arri
     return blur_low_edge(arrival, KERNEL_M * _gradual(values)(reach, values["rate_per_rad"]))
 
 
-def _freed(jet: Jet, values: Values, setting: Setting, law: Callable[[AnyArray, AnyArray], AnyArray], drawn_along: AnyArray | float) -> Jet:
+def _freed(
+    jet: Jet, values: Values, setting: Setting, law: Callable[[AnyArray, AnyArray], AnyArray], drawn_along: AnyArray | float
+) -> Jet:
     angle = settling.opening_angle(jet.release_radius, jet.inner_radius, setting.shape_ratio)
     share = law(angle, values["rate_per_rad"])
     start = release.start_angle(setting)
@@ -149,12 +151,12 @@ LAWS = (
     replace(
         EFFECT,
         name="unpushed_layers-gradual",
-        law="ever more grain the further it lies ahead of the paddle, as gradually and as much drawn along as the rows say; where the "
-        "impact's gain is 1 + restitution",
+        law="the more grain the further it lies ahead of the paddle, as gradually and as much drawn along as the rows say; where "
+        "the impact's gain is 1 + restitution",
         source="survival with a rate that goes with a power of the distance: Weibull, Journal of Applied Mechanics 18 (1951)",
         parameters=(
             EffectParameter("rate_per_rad", "1/rad", 0.0, 0.0, 10.0, 2.0, "1 / angle up to which most grain is pushed", 2.0),
-            EffectParameter("steepness", "", 1.5, 0.5, 4.0, 0.75, "1: a share of every angle ahead alike; 4: nearly a limit", 2.5),
+            EffectParameter("steepness", "", 1.5, 0.5, 4.0, 0.75, "1: every angle ahead alike; 4: nearly a limit", 2.5),
             EffectParameter("drawn_along", "", 0.5, 0.0, 1.0, 0.25, "share of the way to the tip's speed", 0.8),
         ),
         jet=_jet_gradual,
