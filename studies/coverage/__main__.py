@@ -9,10 +9,10 @@
 z = (published - true) / published standard deviation. Flow: every second from 4 kg/s. Load: every load of a minute. An error that
 all seconds of a run share is one draw, however long the run: so every run is a machine of its own, whose parameters are the
 shipped ones with an error drawn from their covariance, and whose effect has a size drawn from a distribution. Rows "after"
-count from the first whole sweep (sweeps) or the first ticket (slip) on: what nothing has shown yet, no budget can hold. Rows
-"load_posted" are all loads as they are stated at the end of the run, when sweeps have shown what they show. Behind sd stands the
-range in which 90 % of it lie when the machines are drawn again: what few machines leave open. Rows "together" are of all
-scenarios of the command.
+count from the first whole sweep (sweeps) or the first ticket (slip, ticketed) on: what nothing has shown yet, no budget can hold.
+Rows "load_posted" are all loads as they are stated at the end of the run, when sweeps and tickets have shown what they show,
+"total" their total mass. Behind sd stands the range in which 90 % of it lie when the machines are drawn again: what few machines
+leave open. Rows "together" are of all scenarios of the command.
 """
 
 from __future__ import annotations
@@ -148,6 +148,11 @@ CASES = (
         lambda rng: Sizes(sweep_every_s=30.0, swings=False),
         Sizes(sweep_every_s=30.0, swings=False),
     ),
+    Case(
+        "ticketed",
+        lambda rng: Sizes(plate_friction=_friction(rng), sweep_every_s=90.0, weighs=True),
+        Sizes(plate_friction=0.15, sweep_every_s=90.0, weighs=True),
+    ),
     Case("slip", lambda rng: Sizes(slip=float(rng.uniform(0.03, 0.09)), weighs=True), Sizes(slip=0.06, weighs=True)),
 )
 
@@ -155,13 +160,14 @@ CASES = (
 @dataclass(frozen=True)
 class Found:
     """z of seconds and loads of one run, all and those after the first whole sweep or ticket, and whether the alarm of scale was
-    shown after the first ticket. load_posted: of the loads as they are stated at the end of the run."""
+    shown after the first ticket. load_posted: of the loads as they are stated at the end of the run; total: of all mass."""
 
     flow: NDArray[np.float64]
     load: NDArray[np.float64]
     flow_after: NDArray[np.float64]
     load_after: NDArray[np.float64]
     load_posted: NDArray[np.float64]
+    total: NDArray[np.float64]
     alarm: bool
 
 
@@ -204,12 +210,13 @@ class Load:
 
 @dataclass(frozen=True)
 class Harvest:
-    """A run: records, loads by number as they closed and as they are stated at its end, the combine, when the first whole sweep
-    or the ticket came (inf: never), and whether the alarm of scale was shown."""
+    """A run: records, loads by number as they closed and as they are stated at its end, all mass and its standard deviation, kg,
+    the combine, when the first whole sweep or the ticket came (inf: never), and whether the alarm of scale was shown."""
 
     records: list[WindowRecord]
     loads: dict[int, Load]
     posted: dict[int, LoadSummary]
+    total: tuple[float, float]
     combine: VirtualCombine
     delay_s: float
     known_s: float
@@ -251,7 +258,8 @@ def harvest(loaded: configuration.Configuration, parameters: ParameterSet, sizes
                     known_s = end_s + 1.0
         monitor.start_load()
     posted = {load.number: load for load in monitor.loads}
-    return Harvest(records, loads, posted, combine, delay_s, known_s, alarm)
+    total = monitor.totals.total_kg, monitor.totals.total_budget.std_dev_kg
+    return Harvest(records, loads, posted, total, combine, delay_s, known_s, alarm)
 
 
 def drawn(case: Case, loaded: configuration.Configuration, seed: int, *, fixed: bool = False) -> tuple[Sizes, ParameterSet]:
@@ -276,7 +284,9 @@ def one(case: Case, duration_s: float, seed: int, *, fixed: bool) -> Found:
     load_z = np.array([(load.closed.measured_kg - load.true_kg) / load.closed.std_dev_kg for load in run.loads.values()])
     after = np.array([load.end_s > run.known_s for load in run.loads.values()], dtype=bool)
     posted = [(k.measured_kg - run.loads[n].true_kg) / k.std_dev_kg for n, k in run.posted.items() if n in run.loads]
-    return Found(z[counts], load_z, z[counts & (time_s > run.known_s)], load_z[after], np.array(posted), run.alarm)
+    (true_kg,) = run.combine.delivered_kg(time_s[-1:] - run.delay_s)
+    total = np.array([(run.total[0] - true_kg) / run.total[1]])
+    return Found(z[counts], load_z, z[counts & (time_s > run.known_s)], load_z[after], np.array(posted), total, run.alarm)
 
 
 def sd_range(runs: Sequence[NDArray[np.float64]]) -> tuple[float, float]:
@@ -320,7 +330,7 @@ def main() -> int:
         return 0
     for case in (case for case in CASES if case.name in args.only):
         runs = [one(case, args.duration, args.first + k, fixed=args.fixed) for k in range(args.machines)]
-        for what in ("flow", "load", "flow_after", "load_after", "load_posted"):
+        for what in ("flow", "load", "flow_after", "load_after", "load_posted", "total"):
             values = [getattr(run, what) for run in runs]
             if any(part.size for part in values):
                 rows.append({"scenario": case.name, **row(what, values)})
@@ -329,7 +339,7 @@ def main() -> int:
         if case.fixed.weighs:
             rows[-1]["alarm"] = [run.alarm for run in runs]
             print(f"{case.name:>10} alarm after the first ticket: {sum(run.alarm for run in runs)} of {len(runs)}", flush=True)
-    for what in ("flow", "load", "load_posted") if len(args.only) > 1 else ():
+    for what in ("flow", "load", "load_posted", "total") if len(args.only) > 1 else ():
         rows.append({"scenario": "together", **row(what, together[what])})
         print(LINE.format(**rows[-1]), flush=True)
     found = {"commit": commit, "first_seed": args.first, "machines": args.machines, "duration_s": args.duration}

@@ -14,7 +14,6 @@ from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.sweeps.disagreement import DisagreementState, SweepPattern
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import SCALE, WEIGHED
-from yieldmon.estimation.self_calibration.angle_error import NO_ERROR
 from yieldmon.estimation.self_calibration.misfit import ReducedSweep
 from yieldmon.files import parameter_file
 from yieldmon.physics.machine import RPM, Machine
@@ -25,6 +24,7 @@ MACHINE = Machine()
 PARAMETERS = parameter_file.load(shipped("config/parameters/corn.yaml"))
 MODEL = ForwardModel(MACHINE, PARAMETERS.effects)
 SETTINGS = EngineSettings()
+AWAY_RAD = np.radians(40.0)
 
 
 def learning(settings: EngineSettings = SETTINGS, *, drives_plate: bool = True, learns: bool = True) -> Learning:
@@ -45,7 +45,9 @@ def swept(of: Learning) -> Learning:
 def test_before_the_first_sweep_a_load_is_as_unsure_as_that_may_show() -> None:
     before, after = learning(), swept(learning())
     assert before.load_error.home > 0.01
-    assert before.model_error == NO_ERROR, "no second is stated otherwise: rows are not stated anew"
+    assert before.model_error.home == 0.0, "no second at home is stated otherwise: rows are not stated anew"
+    assert before.model_error.at(AWAY_RAD) > 0.05, "of the first seconds away from home nothing is known"
+    assert after.model_error.at(AWAY_RAD) < 0.2 * before.model_error.at(AWAY_RAD)
     assert after.load_error == after.model_error
     assert after.load_error.home < 0.2 * before.load_error.home
 
@@ -60,13 +62,13 @@ def test_before_the_first_sweep_a_load_is_as_unsure_as_that_may_show() -> None:
     ],
 )
 def test_where_no_sweep_is_to_come_the_parameters_are_taken_at_their_word(of) -> None:  # type: ignore[no-untyped-def]
-    assert of().load_error == NO_ERROR
+    assert of().load_error.home == 0.0
 
 
 def test_a_weighed_mass_ends_it() -> None:
     found = learning()
     found.judge_model(weighed=True)
-    assert found.load_error == NO_ERROR
+    assert found.load_error.home == 0.0
 
 
 def test_parameters_whose_scale_was_weighed_need_no_sweep_wherever_they_come_from() -> None:
@@ -74,7 +76,7 @@ def test_parameters_whose_scale_was_weighed_need_no_sweep_wherever_they_come_fro
     weighed = replace(PARAMETERS, provenance={SCALE: WEIGHED})
     found = learning()
     found.use(OpenLoop(MODEL, weighed), None)
-    assert found.load_error == NO_ERROR
+    assert found.load_error.home == 0.0
     found.use(OpenLoop(MODEL, PARAMETERS), None)
     assert found.load_error.home > 0.01
     found.use(OpenLoop(MODEL, weighed), None)

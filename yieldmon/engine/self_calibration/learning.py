@@ -61,6 +61,7 @@ class Learning:
         self.disagreement = Disagreement(settings.disagreement, machine)
         self._sweeps = settings.sweep
         self._home_rad = machine.home_plate_angle_rad
+        self._leaves_home = drives_plate and settings.sweep.enabled
         self._sweeps_come = (
             drives_plate and calibrator is not None and settings.sweep.enabled and settings.sweep.when == "interval"
         )
@@ -171,13 +172,15 @@ class Learning:
         them; None: as before."""
         parameters = self.estimator.parameters
         self._weighed = parameters.is_weighed or (self._weighed if weighed is None else weighed)
-        found = self.disagreement.model_error(parameters)
-        home = 0.0 if self._weighed else max(found.home**2 - parameters.model_error**2, 0.0) ** 0.5
+        unseen = self._leaves_home and not self.disagreement.seen
+        found = self.disagreement.unswept_error(parameters) if unseen else self.disagreement.model_error(parameters)
+        home = 0.0 if unseen or self._weighed else max(found.home**2 - parameters.model_error**2, 0.0) ** 0.5
         self.model_error = found.with_home(home, self._home_rad)
-        """By what sweeps show; at home beyond the parameters' own model_error, and none once a weighed mass has set the scale."""
-        unswept = self._sweeps_come and self._sweeps_teach and not (self._weighed or self.disagreement.seen)
-        self.load_error = self.disagreement.unswept_error(parameters) if unswept else self.model_error
-        """That loads and total are stated with: before the first sweep by schedule, what it may show."""
+        """By what sweeps show, away from home before the first one by what it may show; at home beyond the parameters' own
+        model_error, and none once a weighed mass has set the scale."""
+        unswept = unseen and self._sweeps_come and self._sweeps_teach and not self._weighed
+        self.load_error = found if unswept else self.model_error
+        """That loads and total are stated with: before the first sweep by schedule, what it may show at home too."""
 
     def change_grain(self, before: str, now: str, estimator: FlowEstimator | None = None) -> None:
         """Another crop from now on: weighed masses of the one before teach its parameters alone, when it is back. estimator: in
