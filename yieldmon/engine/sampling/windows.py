@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -248,15 +249,25 @@ def _trace(frames: SampleFrames, phase: Array, rows: slice, interval_s: float, t
     if not frames.usable[rows].all() or rows.start == rows.stop:
         return None
     shown = phase[rows]
-    late_s = _late_s(frames.times[rows])
-    if turns_per_s > 0.0 and late_s.max() - late_s.min() < _MOST_LATE_S:
-        shown = shown - turns_per_s * late_s[:, None]
+    if turns_per_s > 0.0:
+        late_s = _late_s(frames.times[rows])
+        if late_s.max() - late_s.min() < _MOST_LATE_S:
+            shown = shown - (turns_per_s * late_s)[:, None]
     return Trace(frames.samples[rows].ravel(), shown.ravel(), interval_s)
 
 
 def _late_s(times_s: Array) -> Array:
     """How late each frame (n,) is after the straight line of least squares through all of them."""
-    place = np.arange(times_s.size) - 0.5 * (times_s.size - 1)
+    place, squares = _places(times_s.size)
     since_s = times_s - times_s[0]
-    since_s = since_s - since_s.sum() / since_s.size
-    return np.asarray(since_s - place * ((place * since_s).sum() / max((place * place).sum(), 1.0)))
+    since_s -= since_s.sum() / since_s.size
+    since_s -= place * ((place * since_s).sum() / squares)
+    return np.asarray(since_s)
+
+
+@lru_cache(maxsize=64)
+def _places(frames: int) -> tuple[Array, float]:
+    """Numbers of frames from their middle, and the sum of their squares (1 for a single frame)."""
+    place: Array = np.arange(frames, dtype=np.float64) - 0.5 * (frames - 1)
+    place.flags.writeable = False
+    return place, max(float((place * place).sum()), 1.0)

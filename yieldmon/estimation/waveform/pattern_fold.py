@@ -170,7 +170,7 @@ def residual_of_pulses(samples_n: Array, phase: Array, folded: FoldedPattern, sp
     from_valley = phase - _valley(mean_n, edges)
     turn = np.floor(from_valley)
     within = from_valley - turn
-    paddle = np.searchsorted(edges[:-1], within, side="right")
+    paddle = (within >= edges[0]).astype(np.intp) if edges.size == 2 else np.searchsorted(edges[:-1], within, side="right")
     height = np.abs(mean)
     middle = np.bincount(paddle, height * within) / np.maximum(np.bincount(paddle, height), _TINY)
     np.multiply(within - middle[paddle], slope, out=wider)

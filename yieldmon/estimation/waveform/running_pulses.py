@@ -113,8 +113,9 @@ class RunningPulses:
             return 0.0
         count = amplitudes_n.size
         waves = np.fft.rfft(sums.values / sums.weights)[1 : count + 1]
-        turned = np.exp(1j * np.pi / _BINS * np.arange(1, count + 1))
-        alike = (_shifts(count) @ (amplitudes_n * np.conj(waves) * turned)).real
+        in_phase, across = _shifts(count)
+        product = amplitudes_n * waves.conj()
+        alike = in_phase @ product.real - across @ product.imag
         best = int(alike.argmax())
         if not 0 < best < _PLACES - 1:
             return 0.0
@@ -138,9 +139,12 @@ def _kind(mean_force_n: float, plate_angle_rad: float, elevator_speed_rad_s: flo
 
 
 @lru_cache(maxsize=4)
-def _shifts(harmonics: int) -> AnyArray:
-    """Factors (places, harmonics) that bring pulses forward by each of the places within reach."""
-    late = np.linspace(-_MOST_LATE, _MOST_LATE, _PLACES)
-    factors: AnyArray = np.exp(2j * np.pi * np.outer(late, np.arange(1, harmonics + 1)))
-    factors.flags.writeable = False
+def _shifts(harmonics: int) -> tuple[Array, Array]:
+    """Cosines and sines (places, harmonics) that bring pulses forward by each of the places within reach; a mean over a bin is
+    that at its middle."""
+    late = np.linspace(-_MOST_LATE, _MOST_LATE, _PLACES) + 0.5 / _BINS
+    turned = 2.0 * np.pi * np.outer(late, np.arange(1, harmonics + 1))
+    factors: tuple[Array, Array] = np.cos(turned), np.sin(turned)
+    for factor in factors:
+        factor.flags.writeable = False
     return factors
