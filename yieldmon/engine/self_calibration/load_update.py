@@ -19,7 +19,7 @@ from yieldmon.estimation.self_calibration.closed_loop_inputs import MassAnchor
 from yieldmon.estimation.self_calibration.closed_loop_outcome import Outcome, ScaleReport
 from yieldmon.estimation.self_calibration.steady_drift import DriftingParameters
 from yieldmon.estimation.weighing.density_and_gain import in_form_of, widened
-from yieldmon.estimation.weighing.load_departures import departure, departures, errors_of
+from yieldmon.estimation.weighing.load_departures import departure, departures, errors_of, spread
 from yieldmon.estimation.weighing.load_inputs import LoadSettings, WeighedLoad
 from yieldmon.estimation.weighing.load_outcome import LIKELY_ANOTHER, LoadCalibration, curve_sentence, wrong_ticket_sentence
 from yieldmon.estimation.weighing.loads import calibrate_loads
@@ -27,6 +27,8 @@ from yieldmon.physics.model import ForwardModel
 
 _DRIFT_WIDENING = 16.0
 """Of the parameters' covariance: with up to so much of it, what a later ticket says is drift, and no other scale."""
+_DRIFT_SD = 0.02
+"""Relative, of a load: parameters that are widened further do not tell drift from a wrong ticket."""
 _KNOWN_SCALE = 0.1
 """Relative standard deviation of a load up to which the parameters know the machine's scale."""
 
@@ -63,7 +65,7 @@ class LoadUpdate:
         prior, counted = drifting.parameters, self.counted
         outcome = update_from_tickets(self.model, prior, masses, settings=self.closed_loop)
         doubtful = 1.0 if len(counted) <= len(masses) else _DRIFT_WIDENING
-        near = outcome.consistent and outcome.prior_widening <= doubtful
+        near = outcome.consistent and outcome.prior_widening <= doubtful and self._is_drift(outcome.prior_widening, prior, names)
         near = near and self._without_curve(prior) is prior and self._knows_scale(prior, names)
         earlier = [load for load in counted if load.name not in names]
         if near and not self._leaves(earlier, prior, outcome.parameter_set):
@@ -105,11 +107,20 @@ class LoadUpdate:
         outcome = Outcome(known, not found.refused, True, reason, "", (), (), scale, 0.0, len(self.counted), 1.0, ())
         return outcome, drifting
 
+    def _is_drift(self, widening: float, prior: ParameterSet, names: Container[str]) -> bool:
+        """Whether a covariance that is multiplied by `widening` is no wider than drift makes it."""
+        if widening == 1.0:
+            return True
+        spreads = (spread(self.model, prior, load, self.load_settings) for load in self._of(names))
+        return all(widening**0.5 * known <= _DRIFT_SD for known in spreads)
+
+    def _of(self, names: Container[str]) -> list[WeighedLoad]:
+        return [load for load in self.counted if load.name in names]
+
     def _knows_scale(self, prior: ParameterSet, names: Container[str]) -> bool:
         """Whether the parameters predict the loads of these names to `_KNOWN_SCALE`. On a machine that was never calibrated
         only the loads together determine the scale and how far the force follows the model's curve."""
-        new = [load for load in self.counted if load.name in names]
-        return all(departure(self.model, prior, load, self.load_settings)[1] < _KNOWN_SCALE for load in new)
+        return all(departure(self.model, prior, load, self.load_settings)[1] < _KNOWN_SCALE for load in self._of(names))
 
     def _without_curve(self, prior: ParameterSet) -> ParameterSet:
         """What was known before weighed loads taught a curve of their own, to which all of them are to be fitted together."""

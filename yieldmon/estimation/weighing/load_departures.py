@@ -25,6 +25,11 @@ def departure(
     return float(errors[0]), float(std_devs[0])
 
 
+def spread(model: ForwardModel, known: ParameterSet, load: WeighedLoad, settings: LoadSettings | None = None) -> float:
+    """Relative standard deviation of a load by the covariance of these parameters alone."""
+    return float(_measured(model, known, [load], settings).spreads(known)[0])
+
+
 def departures(
     model: ForwardModel, known: ParameterSet, loads: Sequence[WeighedLoad], settings: LoadSettings | None = None
 ) -> tuple[Array, Array]:
