@@ -108,7 +108,7 @@ def test_too_few_rows_for_a_surface_repeat_or_leave_the_noise_assumed(make_rows)
     assert (found.how, found.dof) == ("replicates", 6)
     single, _ = noise.estimate(few.take(np.array([t == "0" for t in few.trial])))
     assert single.how == "assumed"
-    assert "noise assumed" in diagnosis_notes.of_noise(single, 0)[0]
+    assert "noise assumed" in diagnosis_notes.of_noise(single)
 
 
 def test_stated_sigma_is_taken_at_its_word(make_rows) -> None:

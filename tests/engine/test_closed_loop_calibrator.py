@@ -751,7 +751,7 @@ def tank_season(*, wrong: bool) -> OpenLoop:
         now = weigh(2600.0, first, second, using=taught)
     else:
         slip = dataclasses.replace(ticket(taught, 12.0, 1000.0, 1500.0, 30.0), load_number=1)
-        slip = dataclasses.replace(slip, reference_kg=0.8 * slip.reference_kg)
+        slip = dataclasses.replace(slip, reference_kg=0.9 * slip.reference_kg)
         slipped = weigh(1600.0, first, slip, using=taught)
         second = tank_mass(slipped, 2000.0, 30.0)
         weigh(2600.0, first, slip, second, using=slipped)

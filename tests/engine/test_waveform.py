@@ -240,12 +240,12 @@ STEPS = (6.0, 14.0, 10.0)
 
 
 @cache
-def stepping() -> tuple[Frame, ...]:
+def stepping(seed: int = 8) -> tuple[Frame, ...]:
     """Kernels through a fast cell; the flow changes every five seconds."""
     pieces = [{"kind": "steady", "duration_s": 12, "flow_kg_s": 0}, {"kind": "step", "duration_s": 15, "flows_kg_s": list(STEPS)}]
     flow = {"pieces": [pieces[0], *pieces[1:] * 4], "smoothing_s": 0.3}
     values = {"duration_s": 72, "flow": flow, "kernels": {"noise_ratio": 1.2}, "sensor": {"response_s": 2e-4}}
-    return tuple(VirtualCombine(from_mapping(values, "test"), seed=8).frames_until(72.0))
+    return tuple(VirtualCombine(from_mapping(values, "test"), seed=seed).frames_until(72.0))
 
 
 def heard(parameters: ParameterSet = PARAMETERS, **settings: object) -> tuple[list[WindowRecord], Monitor]:
@@ -500,6 +500,21 @@ def listened(monitor: Monitor, frames: tuple[Frame, ...]) -> tuple[list[WindowRe
     return [r.record for r in results], [e for r in results for e in r.events if isinstance(e, ParametersChanged)]
 
 
+def least_stated(records: list[WindowRecord]) -> float:
+    """Relative standard deviation of flow in the best of these windows."""
+    return min(r.std_dev_kg_s / r.mass_flow_kg_s for r in records)
+
+
+def test_a_scale_that_kernels_teach_is_off_by_no_more_than_is_stated() -> None:
+    """Lessons of five windows each err by some 4 % by the kernels' chance, and parameters were 14 % off."""
+    errors = []
+    for seed in (1, 2, 3, 4):
+        last = listened(learner(DOUBTED, FAST, kernel_bias_sd=0.03), stepping(seed))[0][-15:]
+        errors.append(sum(r.mass_kg for r in last) / (5.0 * sum(STEPS)) - 1.0)
+        assert abs(errors[-1]) < 2.0 * least_stated(last)
+    assert np.mean(errors) == pytest.approx(0.0, abs=0.06)
+
+
 def test_kernels_update_the_parameters_and_are_then_not_counted_a_second_time() -> None:
     sure = {"kernel_bias_sd": 0.03}
     records, changes = listened(learner(DOUBTED, FAST, **sure), stepping())
@@ -507,8 +522,7 @@ def test_kernels_update_the_parameters_and_are_then_not_counted_a_second_time() 
     assert {change.origin for change in changes} == {"kernels"}
     assert all(re.match(r"kernel noise moved the scale by [+-][\d.]+ %; its bias is known to", c.reason) for c in changes)
     true_kg = 5.0 * sum(STEPS)
-    # Lessons of five windows each err by 4 % by the kernels' chance.
-    assert sum(r.mass_kg for r in records[-15:]) == pytest.approx(true_kg, rel=0.08)
+    assert abs(sum(r.mass_kg for r in records[-15:]) / true_kg - 1.0) < 2.0 * least_stated(records[-15:])
     assert sum(r.mass_kg for r in heard(DOUBTED, **sure)[0][-15:]) > 1.1 * true_kg
     together, _ = listened(learner(DOUBTED, FAST, combine=True, stretch_sd=1.0, **sure), stepping())
     assert sum(r.mass_kg for r in together[-15:]) == pytest.approx(sum(r.mass_kg for r in records[-15:]), rel=0.02)

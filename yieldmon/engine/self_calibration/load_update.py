@@ -27,8 +27,9 @@ from yieldmon.physics.model import ForwardModel
 
 _DRIFT_WIDENING = 16.0
 """Of the parameters' covariance: with up to so much of it, what a later ticket says is drift, and no other scale."""
+_DOUBLED = 4.0
 _DRIFT_SD = 0.02
-"""Relative, of a load: parameters that are widened further do not tell drift from a wrong ticket."""
+"""Relative, of a load: beyond it, parameters that are made more than twice as unsure do not tell drift from a wrong ticket."""
 _KNOWN_SCALE = 0.1
 """Relative standard deviation of a load up to which the parameters know the machine's scale."""
 
@@ -109,7 +110,7 @@ class LoadUpdate:
 
     def _is_drift(self, widening: float, prior: ParameterSet, names: Container[str]) -> bool:
         """Whether a covariance that is multiplied by `widening` is no wider than drift makes it."""
-        if widening == 1.0:
+        if widening <= _DOUBLED:
             return True
         spreads = (spread(self.model, prior, load, self.load_settings) for load in self._of(names))
         return all(widening**0.5 * known <= _DRIFT_SD for known in spreads)
