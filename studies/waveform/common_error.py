@@ -33,7 +33,7 @@ CHANGES: dict[str, Callable[[Key, Key], bool]] = {
 def logarithms(pulses: Heaps) -> dict[Key, tuple[float, float, int]]:
     """Logarithms of impulse per kilogram and of b by group, and how many heaps; size, time and width of each heap taken off."""
     samples = shown_through(pulses.force_n, CELL_S, round(SAMPLE_S / INTERVAL_S))
-    frequency = np.fft.rfftfreq(samples.shape[1], SAMPLE_S)
+    frequency = np.asarray(np.fft.rfftfreq(samples.shape[1], SAMPLE_S), dtype=np.float64)
     band = (frequency >= LOW_HZ) & (frequency <= HIGH_HZ)
     gain, duration = power_gain(frequency[band], CELL_S, SAMPLE_S), samples.shape[1] * SAMPLE_S
     out = {}
