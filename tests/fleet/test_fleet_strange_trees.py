@@ -9,6 +9,7 @@ import pytest
 
 from tests.fleet import logs
 from yieldmon.cli.main import main
+from yieldmon.errors import InputError
 from yieldmon.fleet import manifest
 
 
@@ -51,3 +52,25 @@ def test_of_many_empty_machines_not_every_one_is_a_line(tmp_path: Path, capsys: 
     assert len(json.loads(said.out)["left_out"]) == 300
     assert said.err.count("left out") == 51
     assert "250 more left out" in said.err
+
+
+COMPOSED, APART = "M\u00fcller", "Mu\u0308ller"
+
+
+@pytest.mark.parametrize(("first", "second"), [((COMPOSED, "d"), (APART, "e")), (("m0", COMPOSED), ("m0", APART))])
+def test_one_name_in_two_codings_is_refused(first: tuple[str, str], second: tuple[str, str], tmp_path: Path) -> None:
+    for machine, day in (first, second):
+        logs.write(tmp_path / machine / day / "a.log")
+    found = manifest.load(str(tmp_path))
+    assert len(found.partitions) == 1
+    [refused] = found.refused
+    assert "accents coded otherwise" in str(refused)
+
+
+def test_one_name_in_two_codings_in_a_table_is_refused(tmp_path: Path) -> None:
+    logs.write(tmp_path / "a.log")
+    (tmp_path / "b.log").write_bytes((tmp_path / "a.log").read_bytes())
+    table = tmp_path / "manifest.csv"
+    table.write_text(f"machine,day,log\n{COMPOSED},d,a.log\n{APART},d,b.log\n", encoding="utf-8")
+    with pytest.raises(InputError, match=r"line 3, machine: .*accents coded otherwise"):
+        manifest.load(str(table))

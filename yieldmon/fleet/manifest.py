@@ -12,6 +12,7 @@ from __future__ import annotations
 import os
 import re
 import stat
+import unicodedata
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -106,8 +107,9 @@ def _of_table(source: str) -> Manifest:
     others: dict[tuple[str, str], tuple[str, ...]] = {}
     seen: set[str] = set()
     refused: list[InputError] = []
+    known: dict[str, dict[str, str]] = {"machine": {}, "day": {}}
     for row in range(len(table.rows)):
-        machine, day = (_name(table.column(name)[row], table.where(row, name)) for name in ("machine", "day"))
+        machine, day = (_name(table.column(name)[row], table.where(row, name), names) for name, names in known.items())
         path = _log_path(table, row, source, seen)
         rest = tuple(table.column(name)[row] if name in table.header else "" for name in _OPTIONAL)
         key = machine, day
@@ -166,9 +168,10 @@ def _of_tree(files: Any, root: str, source: str) -> Manifest:
     found: list[Partition] = []
     left_out = list[str]()
     refused = _astray(files, root, left_out)
+    machines = dict[str, str]()
     for machine in _folders(files, root, left_out, refused):
         try:
-            name = _name(machine.rpartition("/")[2], machine)
+            name = _name(machine.rpartition("/")[2], machine, machines)
             config = _present(files, f"{machine}/{CONFIG}")
             _refuse_other_spelling(files, machine, CONFIG)
             refused += _astray(files, machine, left_out)
@@ -178,6 +181,7 @@ def _of_tree(files: Any, root: str, source: str) -> Manifest:
         except (InputError, PermissionError) as error:
             refused.append(_refusal(machine, error))
             continue
+        known_days = dict[str, str]()
         for day in days:
             if day.rpartition("/")[2].startswith("machine="):
                 # A dataset of `fleet run` that lies in its own source.
@@ -185,7 +189,7 @@ def _of_tree(files: Any, root: str, source: str) -> Manifest:
                 continue
             before = len(refused)
             try:
-                day_name = _name(day.rpartition("/")[2], day)
+                day_name = _name(day.rpartition("/")[2], day, known_days)
                 _refuse_other_spelling(files, day, CONFIG)
                 logs = _logs(files, day, left_out, refused)
             except (InputError, PermissionError) as error:
@@ -357,8 +361,13 @@ def _is_log(name: str) -> bool:
     return lower.endswith(SUFFIXES)
 
 
-def _name(text: str, where: str) -> str:
+def _name(text: str, where: str, known: dict[str, str]) -> str:
+    """A machine's or day's name. known: those of one kind so far, by their composed form."""
     if not is_name(text):
         expected = "a name that begins with a letter or digit, without '/', '\\' and control characters, at most 200 bytes (%XX)"
         raise InputError(where, f"is {text[:120]!r}", expected)
+    if known.setdefault(unicodedata.normalize("NFC", text), text) != text:
+        # As macOS writes names: the same to whoever reads it, and another machine to a dataset.
+        problem = f"is {text[:120]!r} with its accents coded otherwise than before"
+        raise InputError(where, problem, "one coding of Unicode for a name")
     return text
