@@ -18,6 +18,8 @@ from yieldmon.files.units import units_of
 from yieldmon.units import Units
 
 _SHOWN_SECONDS = 5
+_LARGE_SHARE = 0.02
+"""Of a load's mass, as its standard deviation."""
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -142,10 +144,20 @@ def _load(load: Mapping[str, Any], crop: Mapping[str, Any], units: Units) -> Ite
         dry = f"{units.mass_with_bushels(load['dry_mass_kg'])} dry, at {crop['market_moisture_pct']:g} % moisture"
     title = f"{load['number']}{'' if load['open'] else ' (closed)'}{' ' if names else ''}{names}"
     yield "load", f"{title}: {units.mass_with_bushels(load['mass_kg'])}{around} wet, {dry}"
+    if _by_calibration(load):
+        yield "", "± is the calibration's for the most part: a weighed load (`yieldmon ticket`) narrows it"
     if load["area_m2"] is not None:
         dry_yield = load["dry_yield_kg_m2"]
         text = f"{units.area(load['area_m2'])}, {units.crop_yield(load['yield_kg_m2'])} wet"
         yield "", text + (f", {units.crop_yield(dry_yield)} dry" if dry_yield is not None else "")
+
+
+def _by_calibration(load: Mapping[str, Any]) -> bool:
+    """Whether a load's standard deviation is large, and more than half of its variance the parameters'."""
+    spread, parameters = load["std_dev_kg"], load["std_dev_by_cause_kg"]["parameters"]
+    if spread is None or parameters is None or spread <= _LARGE_SHARE * load["mass_kg"]:
+        return False
+    return bool(parameters**2 > 0.5 * spread**2)
 
 
 def _sweep(sweep: Mapping[str, Any]) -> Iterator[tuple[str, str]]:

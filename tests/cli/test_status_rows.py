@@ -1,0 +1,52 @@
+"""What `status` says of a load's standard deviation."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.service.bench import running
+from yieldmon.cli import main as cli
+from yieldmon.service.operator.control import ControlServer
+
+
+@pytest.fixture(scope="module")
+def document(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """Of a daemon that has begun."""
+    folder = tmp_path_factory.mktemp("daemon")
+    with running(folder) as bench:
+        bench.play(14, 0.0)
+        bench.played()
+        with contextlib.redirect_stdout(io.StringIO()) as out:
+            assert cli.main(["status", "--socket", str(folder / "yieldmon.sock"), "--json"]) == 0
+    status: dict[str, Any] = json.loads(out.getvalue())
+    return status
+
+
+@pytest.mark.parametrize(
+    ("spread_kg", "parameters_kg", "said"),
+    [(87.0, 80.0, True), (87.0, 60.0, False), (19.0, 19.0, False), (None, 80.0, False), (87.0, None, False)],
+    ids=["by the calibration", "by something else", "small", "not known", "parts not known"],
+)
+def test_a_load_that_the_calibration_leaves_unsure_is_told_what_helps(
+    document: dict[str, Any],
+    spread_kg: float | None,
+    parameters_kg: float | None,
+    said: bool,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    causes = {"noise": 5.0, "parameters": parameters_kg, "zero": 5.0, "moisture": 5.0}
+    load = {**document["load"], "mass_kg": 1000.0, "std_dev_kg": spread_kg, "std_dev_by_cause_kg": causes}
+    server = ControlServer(tmp_path / "yieldmon.sock", None, lambda _: {**document, "load": load})
+    server.start()
+    try:
+        assert cli.main(["status", "--socket", str(tmp_path / "yieldmon.sock")]) == 0
+    finally:
+        server.stop()
+    assert ("a weighed load (`yieldmon ticket`) narrows it" in " ".join(capsys.readouterr().out.split())) is said
