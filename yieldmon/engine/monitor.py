@@ -380,9 +380,9 @@ class Monitor:
         """Sweep as soon as the conditions hold."""
         self.sweep.request()
 
-    def abort_sweep(self) -> None:
-        """End a sweep and take the plate home."""
-        self.sweep.abort(self._parts.clock.now_s or 0.0)
+    def abort_sweep(self) -> bool:
+        """End a sweep, under way or asked for, and take the plate home. False where there was none."""
+        return self.sweep.abort(self._parts.clock.now_s or 0.0)
 
     def set_estimator(self, estimator: FlowEstimator, calibration_age_s: float | None, harvested_kg: float = 0.0) -> None:
         """Other parameters.

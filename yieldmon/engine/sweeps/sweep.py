@@ -129,14 +129,17 @@ class SweepMachine:
         """Operator: sweep as soon as the conditions hold, due or not."""
         self._requested = True
 
-    def abort(self, now_s: float, reason: SweepAbort = SweepAbort.OPERATOR) -> None:
-        """End the sweep under way, if any, and take the plate home. An open request is withdrawn."""
-        self._requested = False
+    def abort(self, now_s: float, reason: SweepAbort = SweepAbort.OPERATOR) -> bool:
+        """End the sweep under way, if any, and take the plate home; withdraw an open request. False where there was neither."""
+        requested, self._requested = self._requested, False
         if self.visiting or self.completed:
             self._abort(now_s, reason)
         elif self.state is SweepState.WAITING:
             self._enter(SweepState.IDLE)
             self.schedule(now_s, self._settings.interval_s)
+        else:
+            return requested
+        return True
 
     def finish(self, now_s: float, updated: bool) -> None:
         """After `completed`: whether the sweep changed the parameters."""

@@ -145,12 +145,14 @@ class SweepFollower(SweepMachine):
         self.abort_reason = reason
         self._enter(SweepState.ABORTED)
 
-    def abort(self, now_s: float, reason: SweepAbort = SweepAbort.OPERATOR) -> None:
-        """The sweep of the log counts for nothing."""
-        if self.visiting or self.completed:
-            self.completed = False
-            self.not_following = reason is SweepAbort.FORCE_DOES_NOT_FOLLOW
-            self._give_up(reason)
+    def abort(self, now_s: float, reason: SweepAbort = SweepAbort.OPERATOR) -> bool:
+        """The sweep of the log counts for nothing. False where there is none."""
+        if not (self.visiting or self.completed):
+            return False
+        self.completed = False
+        self.not_following = reason is SweepAbort.FORCE_DOES_NOT_FOLLOW
+        self._give_up(reason)
+        return True
 
 
 def _stops(sequence: tuple[float, ...]) -> tuple[float, ...]:

@@ -327,8 +327,7 @@ def _sweep_start(order: _Order) -> Answer:
 
 
 def _sweep_abort(order: _Order) -> Answer:
-    order.monitor.abort_sweep()
-    return {"sweep": "ended"}
+    return {"sweep": "ended" if order.monitor.abort_sweep() else "is not under way"}
 
 
 _COMMANDS: Mapping[str, tuple[Callable[[_Order], Answer], tuple[str, ...]]] = {
