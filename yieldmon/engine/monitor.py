@@ -381,7 +381,13 @@ class Monitor:
         self.sweep.request()
 
     def abort_sweep(self) -> bool:
-        """End a sweep, under way or asked for, and take the plate home. False where there was none."""
+        """End a sweep, under way or asked for, and take the plate home.
+
+        Returns
+        -------
+        bool
+            False where there was none.
+        """
         return self.sweep.abort(self._parts.clock.now_s or 0.0)
 
     def set_estimator(self, estimator: FlowEstimator, calibration_age_s: float | None, harvested_kg: float = 0.0) -> None:
