@@ -9,7 +9,7 @@ import numpy as np
 from yieldmon.physics.numerics import maximum, power, sqrt
 from yieldmon.physics.stages import Reading, Setting
 
-from .effect import Effect, EffectParameter, Values
+from .effect import Effect, EffectParameter, Values, where_restitution
 
 _MIDDLE_N = 50.0
 """Force at which the laws mean the same by softening."""
@@ -25,9 +25,8 @@ def _saturating(reading: Reading, values: Values, setting: Setting) -> Reading:
     return replace(reading, momentum_kg_m_s=reading.momentum_kg_m_s / sqrt(1.0 + share * share))
 
 
+@where_restitution
 def _by_power(reading: Reading, values: Values, setting: Setting) -> Reading:
-    if setting.restitution is None:
-        return reading
     force = reading.momentum_kg_m_s * setting.passes_per_s / _MIDDLE_N
     softer = values["softening_per_n"] * _MIDDLE_N * power(maximum(force, np.asarray(0.0)), values["power"])
     return replace(reading, momentum_kg_m_s=reading.momentum_kg_m_s / (1.0 + softer))

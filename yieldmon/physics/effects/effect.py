@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import wraps
+from typing import TypeVar
 
 from yieldmon.physics.numerics import AnyArray
 from yieldmon.physics.stages import Arrival, Impulse, Jet, Load, Reading, Setting
@@ -13,6 +15,30 @@ PLACES = ("fill", "settle", "release", "flight", "impact", "sensor", "crop")
 
 Values = Mapping[str, AnyArray]
 """An effect's own parameters by short name, each with a trailing node axis."""
+
+_State = TypeVar("_State")
+
+
+def where_restitution(hook: Callable[[_State, Values, Setting], _State]) -> Callable[[_State, Values, Setting], _State]:
+    """A hook that acts where the impact's gain is 1 + restitution, and leaves the state alone beside k1 and k2.
+
+    Exchange coefficients are fitted to the same readings and stand for what laws of free shape would describe.
+
+    Parameters
+    ----------
+    hook : callable
+        As of `Effect`: takes the state of one step of the throw, the effect's own values and the setting.
+
+    Returns
+    -------
+    callable
+    """
+
+    @wraps(hook)
+    def where(state: _State, values: Values, setting: Setting) -> _State:
+        return state if setting.restitution is None else hook(state, values, setting)
+
+    return where
 
 
 @dataclass(frozen=True, slots=True)

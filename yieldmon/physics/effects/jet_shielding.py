@@ -8,7 +8,7 @@ from yieldmon.physics import settling
 from yieldmon.physics.numerics import exp
 from yieldmon.physics.stages import Impulse, Setting
 
-from .effect import Effect, EffectParameter, Values
+from .effect import Effect, EffectParameter, Values, where_restitution
 from .rebound import scale_restitution
 
 
@@ -30,9 +30,8 @@ def _free_path(impulse: Impulse, values: Values, setting: Setting) -> Impulse:
     return replace(impulse, normal_gain=scale_restitution(impulse, exp(-values["rate"] * fill), setting))
 
 
+@where_restitution
 def _in_part(impulse: Impulse, values: Values, setting: Setting) -> Impulse:
-    if setting.restitution is None:
-        return impulse
     jet = impulse.arrival.jet
     angle = settling.opening_angle(jet.release_radius, jet.inner_radius, setting.shape_ratio)
     thickness_m = angle * jet.release_radius * setting.paddle_length_m

@@ -10,7 +10,7 @@ from yieldmon.physics.numerics import AnyArray, exp, maximum, real
 from yieldmon.physics.stages import Arrival, Reading, Setting
 
 from .edges import landing_momentum
-from .effect import Effect, EffectParameter, Values
+from .effect import Effect, EffectParameter, Values, where_restitution
 from .rebound import NOMINAL_RESTITUTION
 
 
@@ -44,9 +44,8 @@ def _near_edge(arrival: Arrival, values: Values, setting: Setting) -> Arrival:
     return replace(arrival, landing_share=arrival.landing_share + caught * (1.0 - arrival.landing_share))
 
 
+@where_restitution
 def _fading(arrival: Arrival, values: Values, setting: Setting) -> Arrival:
-    if setting.restitution is None:
-        return arrival
     towards = np.isfinite(real(arrival.from_low_edge_m)) & (real(arrival.normal_speed_m_s) > 0.0)
     below = maximum(np.where(towards, arrival.from_low_edge_m, 0.0), np.asarray(0.0))
     caught = np.where(towards, values["share"] * exp(-below / values["reach_m"]), 0.0)

@@ -7,7 +7,7 @@ from dataclasses import replace
 from yieldmon.physics.numerics import power
 from yieldmon.physics.stages import Load, Setting
 
-from .effect import Effect, EffectParameter, Values
+from .effect import Effect, EffectParameter, Values, where_restitution
 
 
 def _load(load: Load, values: Values, setting: Setting) -> Load:
@@ -32,9 +32,8 @@ def _orifice(load: Load, values: Values, setting: Setting) -> Load:
     return replace(load, paddle_mass_kg=mass * mass / (mass + values["loss_kg"] * slowness + 1e-30))
 
 
+@where_restitution
 def _by_powers(load: Load, values: Values, setting: Setting) -> Load:
-    if setting.restitution is None:
-        return load
     fill = load.paddle_mass_kg / setting.full_paddle_mass_kg
     slowness = setting.machine.nominal_elevator_speed_rad_s / setting.elevator_speed_rad_s
     lost = values["loss_at_full"] * power(fill, values["fill_power"]) * power(slowness, values["time_power"])

@@ -8,7 +8,7 @@ import numpy as np
 
 from yieldmon.physics.stages import Reading, Setting
 
-from .effect import Effect, EffectParameter, Values
+from .effect import Effect, EffectParameter, Values, where_restitution
 
 
 def _reading(reading: Reading, values: Values, setting: Setting) -> Reading:
@@ -22,9 +22,8 @@ def _zeroed(reading: Reading, values: Values, setting: Setting) -> Reading:
     return replace(reading, momentum_kg_m_s=reading.momentum_kg_m_s + force / setting.passes_per_s)
 
 
+@where_restitution
 def _zeroed_across(reading: Reading, values: Values, setting: Setting) -> Reading:
-    if setting.restitution is None:
-        return reading
     force = values["weight_n"] * (np.cos(setting.plate_angle_rad) - np.cos(setting.machine.home_plate_angle_rad))
     return replace(reading, momentum_kg_m_s=reading.momentum_kg_m_s + force / setting.passes_per_s)
 

@@ -9,7 +9,7 @@ import numpy as np
 from yieldmon.physics.numerics import AnyArray, maximum, power
 from yieldmon.physics.stages import GRAVITY_M_S2, Reading, Setting
 
-from .effect import Effect, EffectParameter, Values
+from .effect import Effect, EffectParameter, Values, where_restitution
 
 
 def _pressing(reading: Reading, values: Values, gravity_m_s2: AnyArray | float) -> AnyArray:
@@ -30,23 +30,20 @@ def _across(reading: Reading, values: Values, setting: Setting) -> Reading:
     return replace(reading, momentum_kg_m_s=reading.momentum_kg_m_s + across * np.sin(setting.plate_angle_rad))
 
 
+@where_restitution
 def _by_slope(reading: Reading, values: Values, setting: Setting) -> Reading:
-    if setting.restitution is None:
-        return reading
     across = _pressing(reading, values, GRAVITY_M_S2) * np.cos(setting.plate_angle_rad)
     return replace(reading, momentum_kg_m_s=reading.momentum_kg_m_s + across)
 
 
+@where_restitution
 def _whole_flow(reading: Reading, values: Values, setting: Setting) -> Reading:
-    if setting.restitution is None:
-        return reading
     weight = reading.impulse.arrival.jet.load.paddle_mass_kg * GRAVITY_M_S2
     return replace(reading, momentum_kg_m_s=reading.momentum_kg_m_s + weight * values["time_s"])
 
 
+@where_restitution
 def _leaning(reading: Reading, values: Values, setting: Setting) -> Reading:
-    if setting.restitution is None:
-        return reading
     slope = power(maximum(np.cos(setting.plate_angle_rad), np.asarray(0.0)), values["slope_power"])
     lies = values["leaning"] + (1.0 - values["leaning"]) * slope
     return replace(reading, momentum_kg_m_s=reading.momentum_kg_m_s + _pressing(reading, values, GRAVITY_M_S2) * lies)

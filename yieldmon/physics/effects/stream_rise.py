@@ -10,7 +10,7 @@ from yieldmon.physics.numerics import AnyArray, exp, power, real
 from yieldmon.physics.stages import Arrival, Impulse, Jet, Setting
 
 from .edges import KERNEL_M, blur_low_edge, share_beyond
-from .effect import Effect, EffectParameter, Values
+from .effect import Effect, EffectParameter, Values, where_restitution
 
 _FULL_BLUR_RATIO = 0.02
 """Rise from which on the edges cut over a whole kernel; below it they sharpen towards the published cut."""
@@ -23,9 +23,8 @@ def _jet(jet: Jet, values: Values, setting: Setting) -> Jet:
     return replace(jet, y_m=jet.y_m - rise * since, vy_m_s=jet.vy_m_s - rise)
 
 
+@where_restitution
 def _jet_by_power(jet: Jet, values: Values, setting: Setting) -> Jet:
-    if setting.restitution is None:
-        return jet
     depth = jet.release_radius - jet.inner_radius
     depth = np.where(real(depth) > 0.0, depth, 0.0)
     rise = values["ratio"] * setting.elevator_speed_rad_s * setting.paddle_length_m * power(depth, values["depth_power"])
@@ -42,12 +41,14 @@ def _arrival(arrival: Arrival, values: Values, setting: Setting) -> Arrival:
     return blur_low_edge(arrival, _blur_m(values))
 
 
-def _arrival_if_told(arrival: Arrival, values: Values, setting: Setting) -> Arrival:
-    return arrival if setting.restitution is None else _arrival(arrival, values, setting)
+@where_restitution
+def _arrival_by_power(arrival: Arrival, values: Values, setting: Setting) -> Arrival:
+    return _arrival(arrival, values, setting)
 
 
-def _impulse_if_told(impulse: Impulse, values: Values, setting: Setting) -> Impulse:
-    return impulse if setting.restitution is None else _impulse(impulse, values, setting)
+@where_restitution
+def _impulse_by_power(impulse: Impulse, values: Values, setting: Setting) -> Impulse:
+    return _impulse(impulse, values, setting)
 
 
 def _impulse(impulse: Impulse, values: Values, setting: Setting) -> Impulse:
@@ -92,7 +93,7 @@ LAWS = (
             EffectParameter("edge_m", "m", 0.015, 0.005, 0.05, 0.01, "width over which the edges cut the stream", 0.03),
         ),
         jet=_jet_by_power,
-        arrival=_arrival_if_told,
-        impulse=_impulse_if_told,
+        arrival=_arrival_by_power,
+        impulse=_impulse_by_power,
     ),
 )

@@ -12,7 +12,7 @@ from yieldmon.physics.numerics import AnyArray, exp, power, real
 from yieldmon.physics.stages import Arrival, Jet, Setting
 
 from .edges import KERNEL_M, blur_low_edge
-from .effect import Effect, EffectParameter, Values
+from .effect import Effect, EffectParameter, Values, where_restitution
 
 _DRAWN_ALONG = 0.5
 """How far the grain that follows brings a free layer's speed from its own towards the tip's (mean of all records)."""
@@ -55,13 +55,13 @@ def _gradual(values: Values) -> Callable[[AnyArray, AnyArray], AnyArray]:
     return share
 
 
+@where_restitution
 def _jet_gradual(jet: Jet, values: Values, setting: Setting) -> Jet:
-    return jet if setting.restitution is None else _freed(jet, values, setting, _gradual(values), values["drawn_along"])
+    return _freed(jet, values, setting, _gradual(values), values["drawn_along"])
 
 
+@where_restitution
 def _arrival_gradual(arrival: Arrival, values: Values, setting: Setting) -> Arrival:
-    if setting.restitution is None:
-        return arrival
     reach = setting.shape_ratio * (1.0 - arrival.jet.inner_radius)
     return blur_low_edge(arrival, KERNEL_M * _gradual(values)(reach, values["rate_per_rad"]))
 
