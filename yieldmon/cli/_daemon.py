@@ -14,7 +14,7 @@ from typing import Any
 from yieldmon.errors import InputError
 from yieldmon.service.folders import runtime_folder
 from yieldmon.service.operator.control_client import ask
-from yieldmon.service.operator.control_protocol import ControlError
+from yieldmon.service.operator.control_protocol import TICKET_KG, ControlError
 from yieldmon.units import KG_PER_LB, KG_PER_T, LB_PER_SHORT_TON, Units, UnitSystem
 
 SYSTEM_SOCKET = Path("/run/yieldmon/yieldmon.sock")
@@ -61,8 +61,6 @@ def daemon_socket(args: argparse.Namespace) -> Path:
     return SYSTEM_SOCKET if SYSTEM_SOCKET.exists() or not user.exists() else user
 
 
-MOST_KG = 1e6
-"""Of several loads on one ticket."""
 _MASS_UNITS = (
     ("kg", 1.0), ("lbs", KG_PER_LB), ("lb", KG_PER_LB), ("shorttons", LB_PER_SHORT_TON * KG_PER_LB),
     ("shortton", LB_PER_SHORT_TON * KG_PER_LB), ("tonnes", KG_PER_T), ("tonne", KG_PER_T), ("t", KG_PER_T),
@@ -89,6 +87,6 @@ def mass(text: str, where: str = "mass") -> float:
         if number.endswith(("bu", "bushel", "bushels")):
             point += "; bushels are reckoned from the mass, often less shrink: enter the pounds or kilograms of the slip"
         raise InputError(where, repr(text), f"kilograms above 0, such as 9120, 9120kg, 9.12t or 20106lb{point}")
-    if mass_kg > MOST_KG:
-        raise InputError(where, repr(text), f"at most {MOST_KG / KG_PER_T:,.0f} t; look at the unit")
+    if mass_kg > TICKET_KG[1]:
+        raise InputError(where, repr(text), f"at most {TICKET_KG[1] / KG_PER_T:,.0f} t; look at the unit")
     return mass_kg

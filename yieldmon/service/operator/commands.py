@@ -20,6 +20,7 @@ from yieldmon.service.history import load_names, relearning
 from yieldmon.service.history.journal import Journal
 from yieldmon.service.history.reference_loads import StoredLoad
 from yieldmon.service.history.relearning import weighings, why_no_reference
+from yieldmon.service.operator.control_protocol import TICKET_KG
 from yieldmon.service.operator.requests import Request
 from yieldmon.service.storage import ledger
 from yieldmon.service.storage.batch import Load, Ticket
@@ -27,7 +28,6 @@ from yieldmon.service.tickets import ticket_doubt
 
 Answer = Mapping[str, Any]
 
-_TICKETS_KG = (1e-3, 1e6)
 _MOST_LOADS = 63
 """Between the first and the last of a ticket that is a reference mass for loads of an earlier run."""
 
@@ -182,8 +182,8 @@ def _ticket(order: _Order) -> Answer:
     request, monitor, journal = order.request, order.monitor, order.journal
     first = request.number_of("first_load", "load")
     last = request.number_of("last_load", "load") if request.given("last_load") else first
-    weighed_kg = request.mass("mass_kg", *_TICKETS_KG, "kg")
-    std_dev_kg = request.mass_or_none("std_dev_kg", *_TICKETS_KG, "kg")
+    weighed_kg = request.mass("mass_kg", *TICKET_KG, "kg")
+    std_dev_kg = request.mass_or_none("std_dev_kg", *TICKET_KG, "kg")
     if std_dev_kg is None:
         std_dev_kg = ticket_file.RELATIVE_STD_DEV * weighed_kg
     if monitor.totals.load_open and first <= monitor.totals.load_number <= last:
