@@ -33,7 +33,8 @@ def configured(
 
 
 SAID = {
-    "slow cell": ({"response_s": 0.008}, ["behind a cell of 8 ms", "within 0.3 ms, sampled 1000 times a second"]),
+    "slow cell": ({"response_s": 0.008}, ["behind a cell of 8 ms", "nothing is left of it", "answers within 0.3 ms"]),
+    "cell too slow by little": ({"response_s": 0.003}, ["behind a cell of 3 ms", "8 kg/s for a minute", "and 25 % is the limit"]),
     "slow samples": ({"response_s": 0.0002, "rate_hz": 100.0}, ["100 samples per second", "needs 256", "mean force alone"]),
     "no band": (
         {"response_s": 0.0002, "rate_hz": 400.0},

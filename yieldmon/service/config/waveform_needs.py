@@ -98,7 +98,8 @@ def _why(expected: KernelImpulse, configuration: Configuration, rate_hz: float) 
     if expected.verdict is KernelVerdict.NO_BAND and CLEAR_OF_ALIASES * rate_hz < low_hz:
         return f"{rate_hz:g} samples per second show nothing above {CLEAR_OF_ALIASES * rate_hz:g} Hz, it begins at {low_hz:g} Hz"
     cell_ms, known_pct = 1000.0 * configuration.machine.sensor.response_s, 100.0 * expected.relative_sd
-    return (
-        f"behind a cell of {cell_ms:g} ms (sensor.response_s of the machine file) {_FLOW_KG_S:g} kg/s for a minute would be "
-        f"known to {known_pct:.0f} %, and {100.0 * KernelNoiseSettings().largest_sd:.0f} % is the limit"
-    )
+    cell = f"behind a cell of {cell_ms:g} ms (sensor.response_s of the machine file)"
+    if not known_pct < 100.0:
+        return f"{cell} nothing is left of it"
+    limit_pct = 100.0 * KernelNoiseSettings().largest_sd
+    return f"{cell} {_FLOW_KG_S:g} kg/s for a minute would be known to {known_pct:.0f} %, and {limit_pct:.0f} % is the limit"
