@@ -19,8 +19,10 @@ from studies.season import study
 from studies.season.season import Season
 from studies.season.study import Array, Keeper, Strategy, StudySettings
 from yieldmon.engine.calibrator_settings import CalibratorSettings
-from yieldmon.engine.records import CalibrationOutcome, FlowEstimator, WindowRecord
+from yieldmon.engine.flow_estimator import FlowEstimator
+from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.self_calibration.anchors import AnchorSource, ReferenceMass
+from yieldmon.engine.self_calibration.calibrator import CalibrationOutcome
 from yieldmon.engine.self_calibration.closed_loop_calibrator import ClosedLoopCalibrator
 from yieldmon.engine.self_calibration.load_forces import LoadForceSums
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings

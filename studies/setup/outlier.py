@@ -17,8 +17,9 @@ import numpy as np
 from studies.setup.study import LOAD_FLOWS, TICKET_SD, Combine, answers, combine, noise_sd
 from yieldmon.cli._setup import derive
 from yieldmon.engine.mass.budget import MassBudget
-from yieldmon.engine.records import CalibrationOutcome, WindowRecord
+from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.self_calibration.anchors import AnchorSource, ReferenceMass
+from yieldmon.engine.self_calibration.calibrator import CalibrationOutcome
 from yieldmon.engine.self_calibration.closed_loop_calibrator import ClosedLoopCalibrator
 from yieldmon.engine.self_calibration.load_forces import LoadForceSums
 from yieldmon.estimation.open_loop import OpenLoop

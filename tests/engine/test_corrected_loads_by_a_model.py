@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from yieldmon.engine.mass.loads import LoadClosed, Loads, LoadSummary
-from yieldmon.engine.sampling.since_zero import NO_LOAD, MissedMass
+from yieldmon.engine.mass.missed_mass import NO_LOAD, MissedMass
 from yieldmon.engine.settings import EngineSettings
 
 MARKET_PCT = 15.5

@@ -27,10 +27,10 @@ from hypothesis import strategies as st
 from yieldmon import frames as bus
 from yieldmon.engine.faults import FaultCode
 from yieldmon.engine.monitor import Monitor
-from yieldmon.engine.records import CalibrationOutcome
 from yieldmon.engine.results import frames_in
 from yieldmon.engine.runs import run_of
 from yieldmon.engine.self_calibration.anchors import ReferenceMass
+from yieldmon.engine.self_calibration.calibrator import CalibrationOutcome
 from yieldmon.engine.settings import AnchorSettings, BudgetSettings, EngineSettings
 from yieldmon.engine.state import EngineState
 from yieldmon.estimation.open_loop import FlowEstimate

@@ -13,11 +13,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from yieldmon import frames as bus
-from yieldmon.engine.records import CalibrationOutcome, CalibratorState, FlowEstimator, WindowRecord
+from yieldmon.engine.flow_estimator import FlowEstimator
+from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.results import Result, events_in, frames_in
 from yieldmon.engine.runs import run_of
 from yieldmon.engine.sampling.windows import WindowBuilder
 from yieldmon.engine.self_calibration.anchors import ReferenceMass
+from yieldmon.engine.self_calibration.calibrator import CalibrationOutcome
+from yieldmon.engine.self_calibration.calibrator_state import CalibratorState
 from yieldmon.engine.settings import EngineSettings, SweepSettings, WindowSettings
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.self_calibration.angle_error import NO_ERROR, AngleError

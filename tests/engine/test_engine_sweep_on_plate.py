@@ -11,9 +11,12 @@ from engine_bench import HOME_DEG, Actuator, Bench, ForceProportional, monitor, 
 
 from yieldmon import frames as bus
 from yieldmon.engine.faults import FaultCode
+from yieldmon.engine.flow_estimator import FlowEstimator
 from yieldmon.engine.monitor import Monitor
-from yieldmon.engine.records import CalibrationOutcome, CalibratorState, FlowEstimator, WindowRecord
+from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.self_calibration.anchors import ReferenceMass
+from yieldmon.engine.self_calibration.calibrator import CalibrationOutcome
+from yieldmon.engine.self_calibration.calibrator_state import CalibratorState
 from yieldmon.engine.settings import EngineSettings, SweepSettings
 from yieldmon.engine.sweeps.sweep_inputs import SweepAbort
 from yieldmon.estimation.parameters import ParameterSet

@@ -10,7 +10,7 @@ import pytest
 from yieldmon.engine.flow import Flow
 from yieldmon.engine.mass.budget import FlowBudget, MassBudget
 from yieldmon.engine.mass.loads import LoadClosed, LoadRestated, Loads
-from yieldmon.engine.sampling.since_zero import MissedMass
+from yieldmon.engine.mass.missed_mass import MissedMass
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.state import EngineState
 from yieldmon.estimation.self_calibration.angle_error import NO_ERROR, NODES_RAD, AngleError

@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from yieldmon.engine.sampling.since_zero import KEPT_S, NO_LOAD, KeptSecond, MissedMass, SinceZero
+from yieldmon.engine.mass.missed_mass import NO_LOAD, MissedMass
+from yieldmon.engine.sampling.since_zero import KEPT_S, KeptSecond, SinceZero
 
 GAIN_N_PER_MV, GRAIN_ON_N, LEAST_COVERAGE = 0.5, 2.0, 0.25
 #: kg/s of one N.

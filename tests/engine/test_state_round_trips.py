@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from yieldmon.engine.mass.budget import MassBudget
 from yieldmon.engine.mass.totals import Totals
-from yieldmon.engine.records import CalibratorState, GrainState, PriorState
 from yieldmon.engine.sampling.zero import ZeroState
+from yieldmon.engine.self_calibration.calibrator_state import CalibratorState, GrainState, PriorState
 from yieldmon.engine.self_calibration.scale_alarm import ScaleAlarmState, ScaleCheck
 from yieldmon.engine.state import EngineState, TicketState, ZeroUndo
 from yieldmon.engine.sweeps.disagreement import DisagreementState, SweepPattern

@@ -13,9 +13,9 @@ from test_engine_sweep_on_plate import BENCH, SETTINGS, SWEEP_S, Teacher
 
 from yieldmon import frames as bus
 from yieldmon.engine.faults import FaultCode
-from yieldmon.engine.records import CalibrationOutcome
 from yieldmon.engine.results import events_in, frames_in
 from yieldmon.engine.runs import run_of
+from yieldmon.engine.self_calibration.calibrator import CalibrationOutcome
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.sweeps.plate import SweepEnded
 from yieldmon.engine.sweeps.sweep_inputs import SweepAbort

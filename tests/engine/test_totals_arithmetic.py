@@ -8,8 +8,8 @@ from math import isnan
 import pytest
 
 from yieldmon.engine.mass.budget import EMPTY, FlowBudget, MassBudget
+from yieldmon.engine.mass.missed_mass import MissedMass
 from yieldmon.engine.mass.totals import Totals, dry_mass
-from yieldmon.engine.sampling.since_zero import MissedMass
 from yieldmon.engine.settings import TotalsSettings
 
 BEGUN = Totals(

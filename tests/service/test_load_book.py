@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from yieldmon.engine.mass.loads import LoadSummary
-from yieldmon.engine.sampling.since_zero import MissedMass
+from yieldmon.engine.mass.missed_mass import MissedMass
 from yieldmon.service.history.load_book import LoadBook
 from yieldmon.service.logs.recorded import read_loads
 from yieldmon.service.storage.batch import Batch, Load

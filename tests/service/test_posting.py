@@ -14,7 +14,7 @@ import pytest
 
 from tests.service.bench import START_S, ask, running, wait_for
 from yieldmon.cli import main as cli
-from yieldmon.engine.records import CalibrationStep
+from yieldmon.engine.self_calibration.calibrator import CalibrationStep
 from yieldmon.engine.self_calibration.curve_states import aligned
 from yieldmon.estimation.load_pattern import NAMES
 from yieldmon.estimation.parameters import ParameterSet

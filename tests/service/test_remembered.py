@@ -13,8 +13,8 @@ import pytest
 
 from tests.service.test_store import second
 from yieldmon.engine.mass.loads import LoadSummary
+from yieldmon.engine.mass.missed_mass import NO_LOAD, MissedMass
 from yieldmon.engine.mass.totals import Totals
-from yieldmon.engine.sampling.since_zero import NO_LOAD, MissedMass
 from yieldmon.engine.sampling.zero import ZeroState
 from yieldmon.engine.state import EngineState, ZeroUndo
 from yieldmon.engine.sweeps.disagreement import SweepPattern

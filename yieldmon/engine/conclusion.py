@@ -9,15 +9,17 @@ from math import isfinite, nan
 
 from yieldmon.engine.faults import FAULTS, FaultCode, Observation, Severity
 from yieldmon.engine.flow import Circumstances, Estimate, Flow
+from yieldmon.engine.flow_estimator import FlowEstimator
 from yieldmon.engine.health import conditions
 from yieldmon.engine.mass.loads import LoadEvents
+from yieldmon.engine.mass.missed_mass import NO_LOAD, MissedMass
 from yieldmon.engine.measurement import Reading
 from yieldmon.engine.parts import Parts
 from yieldmon.engine.publishing import Published
 from yieldmon.engine.quick import maker_of
-from yieldmon.engine.records import FlowEstimator, Second, record_of
+from yieldmon.engine.records import Second, record_of
 from yieldmon.engine.results import Event, Result, WindowResult, ZeroTaken
-from yieldmon.engine.sampling.since_zero import NO_LOAD, KeptSecond, MissedMass
+from yieldmon.engine.sampling.since_zero import KeptSecond
 from yieldmon.engine.self_calibration.learning import ParametersChanged
 from yieldmon.engine.self_calibration.scale_alarm import ScaleCheck
 from yieldmon.engine.sweeps.sweep_inputs import SweepWindow, support_start_s

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from yieldmon.engine.flow import Flow
     from yieldmon.engine.inputs import InputSnapshot
     from yieldmon.engine.measurement import Reading
-    from yieldmon.engine.records import CalibrationOutcome
     from yieldmon.engine.sampling.windows import Window
+    from yieldmon.engine.self_calibration.calibrator import CalibrationOutcome
     from yieldmon.engine.settings import EngineSettings
     from yieldmon.engine.sweeps.disagreement import Disagreement
     from yieldmon.engine.sweeps.sweep import SweepMachine

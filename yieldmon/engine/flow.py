@@ -9,11 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from yieldmon.engine.flow_estimator import FlowEstimator
 from yieldmon.engine.flow_filter import FlowFilter
 from yieldmon.engine.mass.budget import NO_BUDGET, FlowBudget, MoistureReference, zero_std_dev_mv
 from yieldmon.engine.measurement import Reading
 from yieldmon.engine.quick import maker_of
-from yieldmon.engine.records import FlowEstimator
 from yieldmon.engine.sampling.windows import Window
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.estimation.open_loop import FlowStatus

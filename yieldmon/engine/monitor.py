@@ -14,15 +14,17 @@ from collections.abc import Sequence
 
 from yieldmon.engine import operator_zero
 from yieldmon.engine.faults import FaultCode
+from yieldmon.engine.flow_estimator import FlowEstimator
 from yieldmon.engine.mass.loads import LoadEvents, LoadSummary
+from yieldmon.engine.mass.missed_mass import MissedMass
 from yieldmon.engine.mass.totals import Totals
 from yieldmon.engine.parts import Parts
-from yieldmon.engine.records import CalibrationOutcome, FlowEstimator, SelfCalibrator
 from yieldmon.engine.restart import remember_tickets, restore, snapshot, take_over
 from yieldmon.engine.results import Result
 from yieldmon.engine.runs import FrameRun
-from yieldmon.engine.sampling.since_zero import KeptSecond, MissedMass
+from yieldmon.engine.sampling.since_zero import KeptSecond
 from yieldmon.engine.self_calibration.anchors import ReferenceMass, Weighing
+from yieldmon.engine.self_calibration.calibrator import CalibrationOutcome, SelfCalibrator
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.sources import DEFAULT_SOURCES, Sources
 from yieldmon.engine.state import EngineState, TicketState

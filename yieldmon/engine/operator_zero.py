@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from yieldmon.engine.mass.loads import LoadEvents
+from yieldmon.engine.mass.missed_mass import MissedMass
 from yieldmon.engine.parts import Parts
-from yieldmon.engine.sampling.since_zero import MissedMass
 
 
 def calibrate(parts: Parts, *, despite_signs: bool) -> bool:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from yieldmon.engine.clock import BusClock
 from yieldmon.engine.flow import FlowMeter
+from yieldmon.engine.flow_estimator import FlowEstimator
 from yieldmon.engine.health import FaultBook
 from yieldmon.engine.inputs import Inputs
 from yieldmon.engine.mass.area import AreaCounter
@@ -13,10 +14,10 @@ from yieldmon.engine.mass.loads import Loads
 from yieldmon.engine.mass.unloading import Unloading
 from yieldmon.engine.measurement import Measurement
 from yieldmon.engine.publishing import Publisher
-from yieldmon.engine.records import FlowEstimator, SelfCalibrator
 from yieldmon.engine.sampling.impact_sensors import ImpactSensors
 from yieldmon.engine.sampling.since_zero import SinceZero
 from yieldmon.engine.schedule import Schedule
+from yieldmon.engine.self_calibration.calibrator import SelfCalibrator
 from yieldmon.engine.self_calibration.learning import Learning
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.sources import Sources

@@ -1,4 +1,4 @@
-"""What the engine hands on about each window, and the seam to the self-calibration.
+"""What the engine hands on about each window.
 
 `WindowRecord` is the one declaration of the columns of a second: each of its fields says where its value comes from, under which
 name and unit a row carries it, and which signal publishes it. Store, tables, exports, `status` and frames follow from it.
@@ -6,25 +6,14 @@ name and unit a row carries it, and which signal publishes it. Store, tables, ex
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, fields
 from enum import IntEnum
 from math import degrees, isfinite
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
-
-from numpy.typing import ArrayLike
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from yieldmon.engine.faults import FaultCode
 from yieldmon.engine.quick import maker_of
-from yieldmon.engine.self_calibration.anchors import ReferenceMass
-from yieldmon.engine.self_calibration.learnt_before import Places
-from yieldmon.engine.self_calibration.scale_alarm import ScaleCheck
-from yieldmon.estimation.open_loop import FlowEstimate
-from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.estimation.self_calibration.angle_error import NO_ERROR, AngleError
-from yieldmon.estimation.self_calibration.steady_drift import Advance
-from yieldmon.estimation.self_calibration.sweep_worth import OtherChannels, SweepWorth
-from yieldmon.estimation.waveform.common_bias import KernelLesson
 from yieldmon.estimation.waveform.kernel_noise import KernelVerdict
 from yieldmon.estimation.waveform.shape_verdict import ShapeVerdict
 from yieldmon.frames import EstimateQuality, OperatingState
@@ -233,191 +222,3 @@ COLUMNS: tuple[Column, ...] = tuple(
 def record_of(second: Second) -> WindowRecord:
     """The record of a second."""
     return _made(*[take(second) for take in _TAKES])
-
-
-class FlowEstimator(Protocol):
-    """Force to mass flow with the parameters in use; `estimation.open_loop.OpenLoop` is one."""
-
-    @property
-    def parameters(self) -> ParameterSet:
-        """The parameters in use."""
-
-    def estimate(
-        self,
-        force_n: ArrayLike,
-        plate_angle_rad: ArrayLike,
-        elevator_speed_rad_s: ArrayLike,
-        force_std_dev_n: ArrayLike = ...,
-        moisture_pct: ArrayLike | None = ...,
-    ) -> FlowEstimate:
-        """Mass flow, standard deviation and status; inputs that are nan give a status, never an exception."""
-
-
-@dataclass(frozen=True, slots=True)
-class CalibrationStep:
-    """From one update to the next, as a smoother needs it to correct the time between.
-
-    from_version: parameters in use between them. begin_s, end_s: bus time. advance: states (parameters, then their rates) and
-    covariances at both ends, before the second update; state: what that made of them. widening: what it multiplied the
-    parameters' covariance before it by. sweep_alone: whether a sweep has taught it, without a weighed mass or a known density.
-    names: of the parameters in the states; empty where they are not known.
-    """
-
-    from_version: int
-    begin_s: float
-    end_s: float
-    advance: Advance
-    state: tuple[float, ...]
-    widening: float = 1.0
-    sweep_alone: bool = False
-    names: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class CalibrationOutcome:
-    """What a sweep or a weighed mass changed. estimator: the one to use from now on, or None where the parameters stay.
-
-    reason: one sentence for the operator. identifiable: what was to be determined was narrowed. weighed: a reference mass alone
-    changed it, no sweep. checks: masses weighed since the last call, held against the parameters as they were before it.
-    step: what a smoother needs to correct the time before; None where the update does not follow on the one before it.
-    moved_by_moisture: the parameters hold at the moisture of the last window, to which a map has moved them.
-    """
-
-    estimator: FlowEstimator | None
-    reason: str
-    identifiable: bool = True
-    weighed: bool = False
-    checks: tuple[ScaleCheck, ...] = ()
-    step: CalibrationStep | None = None
-    moved_by_moisture: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class PriorState:
-    """What was known of the parameters before those of this version: values by name; covariance: (n, n) of covariance_names."""
-
-    version: int
-    values: tuple[tuple[str, float], ...]
-    covariance_names: tuple[str, ...]
-    covariance: tuple[tuple[float, ...], ...]
-
-
-@dataclass(frozen=True, slots=True)
-class GrainState:
-    """What weighed loads have taught of a crop that is not harvested now, for its return.
-
-    crop: its name. weighed, doubted: as in `CalibratorState`. origin: its parameters as they came from outside; left: those that
-    weighed loads made of them; None for both where they have made none.
-    """
-
-    crop: str
-    weighed: tuple[str, ...]
-    doubted: str = ""
-    origin: PriorState | None = None
-    left: PriorState | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class CalibratorState:
-    """What self-calibration knows beside the parameters.
-
-    waited_s, harvested_kg: since the last update. moisture_pct: of the grain for which the parameters hold. drifting: the r
-    parameters that have a steady rate; rates: (r,), per kilotonne; covariance: (r, n + r) of the rates with the n parameters that
-    have a variance, and with each other. at_s: bus time of the last update, None where it is not known. weighed: names of the
-    loads that a new one is held against; doubted: of the one that contradicts them, "" for none. bias: of kernel noise (value,
-    variance, largest variance, then its covariance with parameters and rates), empty where it has taught nothing. origin: the
-    parameters before weighed loads taught a curve of their own, None where they have not. grains: the crops before. spread: what
-    rates of unknown size may have added (`estimation.self_calibration.drift_spread`), (n + r + 1, n + r + 1), empty where nothing
-    has taught. past: since when parameters that were in use before hold.
-    """
-
-    waited_s: float
-    harvested_kg: float
-    moisture_pct: float | None
-    drifting: tuple[str, ...]
-    rates: tuple[float, ...]
-    covariance: tuple[tuple[float, ...], ...]
-    at_s: float | None = None
-    weighed: tuple[str, ...] = ()
-    doubted: str = ""
-    bias: tuple[float, ...] = ()
-    origin: PriorState | None = None
-    grains: tuple[GrainState, ...] = ()
-    spread: tuple[tuple[float, ...], ...] = ()
-    past: Places = ()
-
-
-class SelfCalibrator(Protocol):
-    """Learns from the windows of a sweep and from reference masses."""
-
-    def update(self, records: Sequence[WindowRecord], estimator: FlowEstimator, *, use_sweep: bool = True) -> CalibrationOutcome:
-        """records: the usable windows of one whole sweep. estimator: the one in use.
-
-        use_sweep: False while the model disagrees with what sweeps show; then only an independent density updates.
-        """
-
-    def weigh(
-        self,
-        record: WindowRecord,
-        anchors: Sequence[ReferenceMass],
-        estimator: FlowEstimator,
-        model_error: AngleError = NO_ERROR,
-    ) -> CalibrationOutcome:
-        """What reference masses change. record: the last window; anchors: all reference masses kept; model_error: that their
-        loads are stated with."""
-
-    def hear(self, record: WindowRecord, lesson: KernelLesson, estimator: FlowEstimator) -> CalibrationOutcome:
-        """What kernel noise changes. record: the last window."""
-
-    def follow(self, record: WindowRecord, estimator: FlowEstimator) -> CalibrationOutcome | None:
-        """Where the drift that has been learnt has led the parameters since the last update; None: no further than is worth a
-        step. record: the last window."""
-
-    def drift_std_dev(self, record: WindowRecord, estimator: FlowEstimator) -> float:
-        """Relative standard deviation of the force by drift since the parameters in use were learnt, beyond their covariance.
-        record: the last window."""
-
-    def sweep_worth(
-        self, record: WindowRecord, stops_deg: Sequence[float], channels: OtherChannels, estimator: FlowEstimator
-    ) -> SweepWorth | None:
-        """What a sweep from now on is worth. record: the last window, at home; stops_deg: plate angle of each window of
-        the sweep; None: not known."""
-
-    def use(self, estimator: FlowEstimator, harvested_kg: float = 0.0) -> None:
-        """Other parameters than what was learnt led to: those from before a lesson, since when they hold again; or from outside,
-        learnt so much grain ago."""
-
-    @property
-    def counted(self) -> frozenset[str]:
-        """Names of the weighed loads that count, of any crop."""
-
-    @property
-    def doubted(self) -> frozenset[str]:
-        """Names of those that contradict them and wait until another agrees with them, of any crop."""
-
-    def forget(
-        self,
-        load_numbers: frozenset[int],
-        estimator: FlowEstimator,
-        counted: Sequence[ReferenceMass] | None = None,
-        scale: Sequence[ReferenceMass] = (),
-    ) -> bool:
-        """What was weighed of these loads counts no more and may be used anew. counted: tickets of the present crop that the
-        parameters in use rest on, which came back; None: the parameters are as before. scale: masses of the tank scale; those
-        that taught what went are used anew. Returns whether there are such."""
-
-    def change_grain(self, before: str, now: str, used: Sequence[ReferenceMass], estimator: FlowEstimator | None = None) -> None:
-        """Another crop from now on: what was weighed of the one before is kept for its return, and what its parameters were
-        before that. used: masses of the new one that were handed over before; estimator: in use from now on."""
-
-    def totals_reset(self, before_kg: float) -> None:
-        """The total begins anew at 0; it was before_kg."""
-
-    def snapshot(self, now_s: float, total_kg: float) -> CalibratorState | None:
-        """What is to outlive a restart beside the parameters; None: nothing."""
-
-    def restore(self, state: CalibratorState, parameters: ParameterSet, total_kg: float) -> None:
-        """Go on from a snapshot, with the parameters that were in use then."""
-
-    def remember(self, masses: Sequence[ReferenceMass], estimator: FlowEstimator) -> None:
-        """After `restore`: reference masses that were handed over before."""

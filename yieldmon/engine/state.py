@@ -10,8 +10,8 @@ from typing import Any
 from yieldmon.engine.mass.budget import MassBudget, MoistureState
 from yieldmon.engine.mass.shared_error import ClosedLoadState
 from yieldmon.engine.mass.totals import Totals
-from yieldmon.engine.records import CalibratorState, GrainState, PriorState
 from yieldmon.engine.sampling.zero import ZeroState
+from yieldmon.engine.self_calibration.calibrator_state import CalibratorState, GrainState, PriorState
 from yieldmon.engine.self_calibration.learnt_before import LearntBefore
 from yieldmon.engine.self_calibration.scale_alarm import ScaleAlarmState, ScaleCheck
 from yieldmon.engine.sweeps.disagreement import DisagreementState, SweepPattern

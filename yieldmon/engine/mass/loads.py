@@ -15,9 +15,9 @@ from math import inf, isfinite
 
 from yieldmon.engine.flow import Flow
 from yieldmon.engine.mass.budget import EMPTY, MassBudget
+from yieldmon.engine.mass.missed_mass import NO_LOAD, MissedMass
 from yieldmon.engine.mass.shared_error import ClosedLoadState, SharedError
 from yieldmon.engine.mass.totals import Totals, dry_mass
-from yieldmon.engine.sampling.since_zero import NO_LOAD, MissedMass
 from yieldmon.engine.sampling.windows import Window
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.estimation.self_calibration.angle_error import NO_ERROR, AngleError

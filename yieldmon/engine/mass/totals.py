@@ -7,8 +7,8 @@ from math import isfinite
 from operator import attrgetter
 
 from yieldmon.engine.mass.budget import EMPTY, NO_BUDGET, FlowBudget, MassBudget
+from yieldmon.engine.mass.missed_mass import MissedMass
 from yieldmon.engine.quick import maker_of
-from yieldmon.engine.sampling.since_zero import MissedMass
 from yieldmon.engine.settings import TotalsSettings
 
 CORN_MARKET_MOISTURE_PCT = 15.5

@@ -9,12 +9,12 @@ from math import isfinite
 
 import numpy as np
 
-from yieldmon.engine.records import FlowEstimator, WindowRecord
+from yieldmon.engine.flow_estimator import FlowEstimator
+from yieldmon.engine.mass.missed_mass import NO_LOAD, MissedMass
+from yieldmon.engine.records import WindowRecord
 
 KEPT_S = 7200
 """Newest seconds that are kept."""
-NO_LOAD = 0
-"""In place of a load's number: no load was open."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,26 +39,6 @@ class KeptSecond:
     def of(cls, record: WindowRecord) -> KeptSecond:
         """Of a window's record."""
         return cls(*(getattr(record, name) for name in cls.__dataclass_fields__))
-
-
-@dataclass(frozen=True, slots=True)
-class MissedMass:
-    """Mass of one load that was missed, kg; below 0 what it had too much. dry_kg: of what had a known moisture;
-    unknown_moisture_kg, unknown_area_kg: of kg what has no known moisture, no known area."""
-
-    kg: float = 0.0
-    dry_kg: float = 0.0
-    unknown_moisture_kg: float = 0.0
-    unknown_area_kg: float = 0.0
-
-    def plus(self, kg: float, dry_kg: float | None, *, area_known: bool) -> MissedMass:
-        """With kg more. dry_kg: None where it is not known."""
-        return MissedMass(
-            self.kg + kg,
-            self.dry_kg + (0.0 if dry_kg is None else dry_kg),
-            self.unknown_moisture_kg + (kg if dry_kg is None else 0.0),
-            self.unknown_area_kg + (0.0 if area_known else kg),
-        )
 
 
 class SinceZero:

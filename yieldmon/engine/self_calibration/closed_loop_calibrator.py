@@ -14,15 +14,11 @@ from typing import NamedTuple
 import numpy as np
 
 from yieldmon.engine.calibrator_settings import CalibratorSettings
-from yieldmon.engine.records import (
-    CalibrationOutcome,
-    CalibrationStep,
-    CalibratorState,
-    FlowEstimator,
-    PriorState,
-    WindowRecord,
-)
+from yieldmon.engine.flow_estimator import FlowEstimator
+from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.self_calibration.anchors import ReferenceMass
+from yieldmon.engine.self_calibration.calibrator import CalibrationOutcome, CalibrationStep
+from yieldmon.engine.self_calibration.calibrator_state import CalibratorState, PriorState
 from yieldmon.engine.self_calibration.crop_weighings import CropWeighings
 from yieldmon.engine.self_calibration.curve_states import aligned
 from yieldmon.engine.self_calibration.load_update import LoadUpdate
@@ -68,7 +64,7 @@ class _Before(NamedTuple):
 
 
 class ClosedLoopCalibrator:
-    """A `records.SelfCalibrator`. Each reference mass is used once."""
+    """A `calibrator.SelfCalibrator`. Each reference mass is used once."""
 
     def __init__(self, model: ForwardModel, settings: CalibratorSettings | None = None) -> None:
         self._settings = CalibratorSettings() if settings is None else settings
@@ -96,7 +92,7 @@ class ClosedLoopCalibrator:
         self.last: Outcome | None = None
 
     def update(self, records: Sequence[WindowRecord], estimator: FlowEstimator, *, use_sweep: bool = True) -> CalibrationOutcome:
-        """See records.SelfCalibrator."""
+        """See calibrator.SelfCalibrator."""
         if not records:
             return CalibrationOutcome(None, "the sweep has no usable window; the parameters stay", identifiable=False)
         used = self._in_use(estimator)
@@ -134,7 +130,7 @@ class ClosedLoopCalibrator:
         estimator: FlowEstimator,
         model_error: AngleError = NO_ERROR,
     ) -> CalibrationOutcome:
-        """See records.SelfCalibrator."""
+        """See calibrator.SelfCalibrator."""
         used = self._in_use(estimator)
         self._know_origin(used)
         at = self._at(record)
@@ -174,7 +170,7 @@ class ClosedLoopCalibrator:
         return replace(taken, reason=f"{taken.reason}; {doubt}" if doubt else taken.reason, weighed=True, checks=checks)
 
     def hear(self, record: WindowRecord, lesson: KernelLesson, estimator: FlowEstimator) -> CalibrationOutcome:
-        """See records.SelfCalibrator."""
+        """See calibrator.SelfCalibrator."""
         used = self._in_use(estimator)
         at = self._at(record)
         carried = self._knowledge.now(used, at)
@@ -207,7 +203,7 @@ class ClosedLoopCalibrator:
         return CalibrationOutcome(OpenLoop(self._model, known), reason)
 
     def follow(self, record: WindowRecord, estimator: FlowEstimator) -> CalibrationOutcome | None:
-        """See records.SelfCalibrator."""
+        """See calibrator.SelfCalibrator."""
         used = self._in_use(estimator)
         if not self._knowledge.has_drifted(used, record.total_kg):
             return None
@@ -223,7 +219,7 @@ class ClosedLoopCalibrator:
         return replace(taken, reason="moved by steady drift", moved_by_moisture=False)
 
     def drift_std_dev(self, record: WindowRecord, estimator: FlowEstimator) -> float:
-        """See records.SelfCalibrator."""
+        """See calibrator.SelfCalibrator."""
         used = self._in_use(estimator)
         self._knowledge.begin_counting(used, record.time_s, record.total_kg)
         if self._knowledge.is_new(used) and self._from_outside(used):
@@ -231,7 +227,7 @@ class ClosedLoopCalibrator:
         return self._knowledge.deviation(self._model, used, record)
 
     def use(self, estimator: FlowEstimator, harvested_kg: float = 0.0) -> None:
-        """See records.SelfCalibrator."""
+        """See calibrator.SelfCalibrator."""
         before, used = self._last, self._in_use(estimator)
         self._knowledge.use(before, used, harvested_kg)
 
@@ -243,7 +239,7 @@ class ClosedLoopCalibrator:
     def sweep_worth(
         self, record: WindowRecord, stops_deg: Sequence[float], channels: OtherChannels, estimator: FlowEstimator
     ) -> SweepWorth | None:
-        """See records.SelfCalibrator. Drift counts from the first time that it is asked for, as from a first update."""
+        """See calibrator.SelfCalibrator. Drift counts from the first time that it is asked for, as from a first update."""
         used = self._in_use(estimator)
         if refusal(used) or not (record.mass_flow_kg_s > 0.0 and record.force_n > 0.0):
             return None
@@ -353,12 +349,12 @@ class ClosedLoopCalibrator:
 
     @property
     def counted(self) -> frozenset[str]:
-        """See records.SelfCalibrator."""
+        """See calibrator.SelfCalibrator."""
         return self._crops.counted
 
     @property
     def doubted(self) -> frozenset[str]:
-        """See records.SelfCalibrator."""
+        """See calibrator.SelfCalibrator."""
         return self._crops.doubted
 
     def forget(
@@ -368,7 +364,7 @@ class ClosedLoopCalibrator:
         counted: Sequence[ReferenceMass] | None = None,
         scale: Sequence[ReferenceMass] = (),
     ) -> bool:
-        """See records.SelfCalibrator."""
+        """See calibrator.SelfCalibrator."""
         self._crops.forget({f"load {number}" for number in load_numbers})
         self._use_again({anchor for anchor in self._used | self._checked if anchor.load_number in load_numbers})
         if counted is None:
@@ -400,7 +396,7 @@ class ClosedLoopCalibrator:
         return self._history[0].handed if self._history else self._used
 
     def change_grain(self, before: str, now: str, used: Sequence[ReferenceMass], estimator: FlowEstimator | None = None) -> None:
-        """See records.SelfCalibrator."""
+        """See calibrator.SelfCalibrator."""
         known, origin = self._updated or self._restored, None
         if self._origin is not None and known is not None:
             origin = as_prior_state(self._origin), as_prior_state(known)
@@ -416,11 +412,11 @@ class ClosedLoopCalibrator:
         self._given = None
 
     def totals_reset(self, before_kg: float) -> None:
-        """See records.SelfCalibrator."""
+        """See calibrator.SelfCalibrator."""
         self._knowledge.totals_reset(before_kg)
 
     def snapshot(self, now_s: float, total_kg: float) -> CalibratorState | None:
-        """See records.SelfCalibrator."""
+        """See calibrator.SelfCalibrator."""
         state = self._knowledge.snapshot(now_s, total_kg)
         if state is None:
             return None
@@ -439,7 +435,7 @@ class ClosedLoopCalibrator:
         return replace(as_prior_state(origin), version=known.version)
 
     def restore(self, state: CalibratorState, parameters: ParameterSet, total_kg: float) -> None:
-        """See records.SelfCalibrator."""
+        """See calibrator.SelfCalibrator."""
         if state.origin is not None and state.origin.version == parameters.version:
             self._restored, self._origin = parameters, as_set(state.origin, parameters)
         self._before = state
@@ -447,7 +443,7 @@ class ClosedLoopCalibrator:
         self._knowledge.restore(state, parameters, total_kg)
 
     def remember(self, masses: Sequence[ReferenceMass], estimator: FlowEstimator) -> None:
-        """See records.SelfCalibrator."""
+        """See calibrator.SelfCalibrator."""
         self._used = self._checked = frozenset(masses)
         state, used = self._before, self._in_use(estimator)
         if state is None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Container
 from dataclasses import replace
 
-from yieldmon.engine.records import GrainState, PriorState
+from yieldmon.engine.self_calibration.calibrator_state import GrainState, PriorState
 from yieldmon.engine.self_calibration.weighings import Weighings
 from yieldmon.estimation.weighing.load_inputs import LoadSettings
 

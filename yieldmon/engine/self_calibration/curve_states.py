@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from yieldmon.engine.records import CalibrationStep
+from yieldmon.engine.self_calibration.calibrator import CalibrationStep
 from yieldmon.estimation.load_pattern import NAMES, with_weights
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.self_calibration.steady_drift import Advance, DriftingParameters

@@ -9,12 +9,14 @@ from math import hypot, nan
 import numpy as np
 
 from yieldmon.engine.flow import Flow
+from yieldmon.engine.flow_estimator import FlowEstimator
 from yieldmon.engine.inputs import InputSnapshot
 from yieldmon.engine.mass.budget import MassBudget
 from yieldmon.engine.mass.loads import LoadSummary
-from yieldmon.engine.records import CalibrationOutcome, CalibrationStep, FlowEstimator, SelfCalibrator, WindowRecord
+from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.sampling.windows import Window
 from yieldmon.engine.self_calibration.anchors import ReferenceMass, TankScale, Weighing
+from yieldmon.engine.self_calibration.calibrator import CalibrationOutcome, CalibrationStep, SelfCalibrator
 from yieldmon.engine.self_calibration.scale_alarm import ScaleAlarm, ScaleCheck, as_stated, name_of
 from yieldmon.engine.self_calibration.ticket_book import TicketBook
 from yieldmon.engine.self_calibration.ticket_check import departure_of
@@ -34,7 +36,7 @@ from yieldmon.physics.machine import Machine
 @dataclass(frozen=True, slots=True)
 class ParametersChanged:
     """Other parameters from now on. origin: "sweep", "ticket" (a reference mass alone), "kernels" or "drift"; reason: one
-    sentence; step: see `records.CalibrationOutcome`. moisture_pct: of the grain for which they hold, nan where it is not known;
+    sentence; step: see `CalibrationOutcome`. moisture_pct: of the grain for which they hold, nan where it is not known;
     None: as measured now. taught: number and weighed mass, kg, of the loads whose tickets were handed over for it."""
 
     parameters: ParameterSet

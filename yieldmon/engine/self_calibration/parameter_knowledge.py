@@ -13,7 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from yieldmon.engine.calibrator_settings import CalibratorSettings
-from yieldmon.engine.records import CalibratorState, WindowRecord
+from yieldmon.engine.records import WindowRecord
+from yieldmon.engine.self_calibration.calibrator_state import CalibratorState
 from yieldmon.engine.self_calibration.drift_deviation import DriftDeviation, RateSpread, after_lesson, as_stated, force_deviation
 from yieldmon.engine.self_calibration.learnt_before import Places, moved, place_of, remembered
 from yieldmon.engine.self_calibration.prior_states import as_tuples

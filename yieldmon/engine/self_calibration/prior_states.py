@@ -7,7 +7,7 @@ from math import isclose
 
 import numpy as np
 
-from yieldmon.engine.records import PriorState
+from yieldmon.engine.self_calibration.calibrator_state import PriorState
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.numerics import Array
 

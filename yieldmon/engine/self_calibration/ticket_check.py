@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import hypot, inf, isfinite, log1p
 
-from yieldmon.engine.records import FlowEstimator
+from yieldmon.engine.flow_estimator import FlowEstimator
 from yieldmon.engine.self_calibration.anchors import ReferenceMass
 from yieldmon.engine.self_calibration.mass_anchors import mass_anchor, weighed
 from yieldmon.estimation.open_loop import OpenLoop

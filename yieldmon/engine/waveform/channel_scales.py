@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from math import exp, hypot, inf, isfinite, log, sqrt
 
 from yieldmon.engine.flow import Flow
-from yieldmon.engine.records import FlowEstimator
+from yieldmon.engine.flow_estimator import FlowEstimator
 from yieldmon.engine.settings import WaveformSettings
 from yieldmon.engine.waveform.shape_difference import ShapeDifference
 from yieldmon.estimation.self_calibration.sweep_worth import OtherChannels

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from math import exp, isfinite, log
 
+from yieldmon.engine.flow_estimator import FlowEstimator
 from yieldmon.engine.measurement import Reading
-from yieldmon.engine.records import FlowEstimator
 from yieldmon.engine.settings import WaveformSettings
 from yieldmon.estimation.waveform.channel_combination import heap_slope
 from yieldmon.estimation.waveform.pulse_fit import PulseEstimate

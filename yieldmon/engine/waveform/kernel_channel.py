@@ -8,8 +8,8 @@ from math import isfinite
 
 import numpy as np
 
+from yieldmon.engine.flow_estimator import FlowEstimator
 from yieldmon.engine.measurement import Reading
-from yieldmon.engine.records import FlowEstimator
 from yieldmon.engine.sampling.windows import Trace
 from yieldmon.engine.settings import WaveformSettings
 from yieldmon.estimation.waveform import noise_by_phase, pulse_times, spectral_density

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from math import isfinite, log
 
+from yieldmon.engine.flow_estimator import FlowEstimator
 from yieldmon.engine.measurement import Reading
-from yieldmon.engine.records import FlowEstimator
 from yieldmon.engine.sampling.windows import Trace
 from yieldmon.engine.settings import WaveformSettings
 from yieldmon.engine.waveform.kernel_channel import SEGMENT

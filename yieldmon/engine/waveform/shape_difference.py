@@ -6,7 +6,7 @@ from collections import deque
 from math import isfinite
 from statistics import median
 
-from yieldmon.engine.records import FlowEstimator
+from yieldmon.engine.flow_estimator import FlowEstimator
 from yieldmon.engine.settings import WaveformSettings
 from yieldmon.estimation.waveform.channel_combination import Combined
 from yieldmon.estimation.waveform.pattern_fold import PatternWave

@@ -8,10 +8,10 @@ from typing import Any
 
 from yieldmon.engine.health import FaultEvent
 from yieldmon.engine.mass.loads import LoadClosed, LoadOpened, LoadRestated
+from yieldmon.engine.mass.missed_mass import MissedMass
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.results import Event, Result, WindowResult
-from yieldmon.engine.sampling.since_zero import MissedMass
 from yieldmon.engine.self_calibration.learning import ParametersChanged
 from yieldmon.engine.sweeps.plate import SweepEnded
 from yieldmon.estimation.parameters import ParameterSet

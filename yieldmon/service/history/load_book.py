@@ -8,7 +8,7 @@ from math import isfinite
 
 from yieldmon.engine.mass.budget import MassBudget
 from yieldmon.engine.mass.loads import LoadSummary
-from yieldmon.engine.sampling.since_zero import MissedMass
+from yieldmon.engine.mass.missed_mass import MissedMass
 from yieldmon.finite import finite
 from yieldmon.service.storage.batch import Load
 

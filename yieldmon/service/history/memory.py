@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 from dataclasses import field as field_of
 from math import inf
 
-from yieldmon.engine.sampling.since_zero import KEPT_S, NO_LOAD, KeptSecond
+from yieldmon.engine.mass.missed_mass import NO_LOAD
+from yieldmon.engine.sampling.since_zero import KEPT_S, KeptSecond
 from yieldmon.engine.state import EngineState
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-from yieldmon.engine.records import CalibrationStep
+from yieldmon.engine.self_calibration.calibrator import CalibrationStep
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import SCALE, ParameterSet
 from yieldmon.files import parameter_file

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from yieldmon.engine.records import CalibrationStep
+from yieldmon.engine.self_calibration.calibrator import CalibrationStep
 from yieldmon.engine.self_calibration.curve_states import in_names
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from yieldmon.engine.records import CalibrationStep
+from yieldmon.engine.self_calibration.calibrator import CalibrationStep
 from yieldmon.estimation.self_calibration.steady_drift import Advance
 
 _MATRICES = ("before", "covariance_before", "transition", "after", "covariance_after")

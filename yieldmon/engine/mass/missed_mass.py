@@ -1,0 +1,28 @@
+"""Mass that came and was not counted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+NO_LOAD = 0
+"""In place of a load's number: no load was open."""
+
+
+@dataclass(frozen=True, slots=True)
+class MissedMass:
+    """Mass of one load that was missed, kg; below 0 what it had too much. dry_kg: of what had a known moisture;
+    unknown_moisture_kg, unknown_area_kg: of kg what has no known moisture, no known area."""
+
+    kg: float = 0.0
+    dry_kg: float = 0.0
+    unknown_moisture_kg: float = 0.0
+    unknown_area_kg: float = 0.0
+
+    def plus(self, kg: float, dry_kg: float | None, *, area_known: bool) -> MissedMass:
+        """With kg more. dry_kg: None where it is not known."""
+        return MissedMass(
+            self.kg + kg,
+            self.dry_kg + (0.0 if dry_kg is None else dry_kg),
+            self.unknown_moisture_kg + (kg if dry_kg is None else 0.0),
+            self.unknown_area_kg + (0.0 if area_known else kg),
+        )
