@@ -1,0 +1,129 @@
+"""Reference masses as the calibrator takes them: each once, held against those of its crop that counted before it."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+
+from yieldmon.engine.self_calibration.anchors import ReferenceMass
+from yieldmon.engine.self_calibration.crop_weighings import CropWeighings
+from yieldmon.engine.self_calibration.mass_anchors import checked, mass_anchor, weighed
+from yieldmon.engine.self_calibration.scale_alarm import ScaleCheck, name_of
+from yieldmon.engine.self_calibration.weighings import KEPT_LOADS
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.self_calibration.closed_loop_inputs import MassAnchor
+from yieldmon.estimation.weighing.load_inputs import LoadSettings
+from yieldmon.estimation.weighing.wrong_tickets import known_slip
+from yieldmon.physics.model import ForwardModel
+
+_LEAST_LOAD_ERROR = 1e-4
+"""Of a weighed load's measured mass."""
+
+Found = tuple[ReferenceMass, MassAnchor]
+"""A reference mass with the forces over it."""
+Spans = Sequence[tuple[float, ParameterSet]]
+"""Bus time, s, until which parameters were in use, and these in the model's effects, in order; the last ones to inf."""
+
+
+class WeighedMasses:
+    """Which masses were handed over, which count, and which one contradicts these.
+
+    Parameters
+    ----------
+    anchor_error : float
+        Relative standard deviation of a reference mass beside its own.
+
+    Attributes
+    ----------
+    settings : LoadSettings
+        How weighed loads are read.
+    crops : CropWeighings
+        Those that count, by crop.
+    used : frozenset of ReferenceMass
+        Handed over before.
+    """
+
+    def __init__(self, anchor_error: float) -> None:
+        self._anchor_error = anchor_error
+        self.settings = LoadSettings(load_error=max(anchor_error, _LEAST_LOAD_ERROR))
+        self.crops = CropWeighings(self.settings)
+        self.used: frozenset[ReferenceMass] = frozenset()
+        self._checked: frozenset[ReferenceMass] = frozenset()
+        """Held against what was counted."""
+
+    def handed_over(self, masses: Collection[ReferenceMass]) -> None:
+        """All masses kept, which a lesson has used or refused."""
+        self.used = frozenset(masses)
+
+    def remember(self, masses: Collection[ReferenceMass]) -> None:
+        """All masses that were handed over, and held against what was counted, before now."""
+        self.used = self._checked = frozenset(masses)
+
+    def use_again(self, masses: Collection[ReferenceMass]) -> None:
+        """These teach and are held against what was counted as if they had not been handed over."""
+        self.used, self._checked = self.used.difference(masses), self._checked.difference(masses)
+
+    def forget(self, load_numbers: frozenset[int]) -> None:
+        """What was weighed of these loads counts no more and may be used anew."""
+        self.crops.forget({f"load {number}" for number in load_numbers})
+        self.use_again({mass for mass in self.used | self._checked if mass.load_number in load_numbers})
+
+    def new(self, masses: Sequence[ReferenceMass], model: ForwardModel, spans: Spans) -> list[Found]:
+        """Those that were measured whole and have not been handed over, each with the forces over it."""
+        found = []
+        for mass in masses:
+            if not mass.complete or mass in self.used or mass.measured_kg <= 0.0 or mass.end_s - mass.start_s <= 0.0:
+                continue
+            found.append((mass, mass_anchor(mass, model, spans, self._anchor_error)))
+        return found
+
+    def checks(
+        self, found: Sequence[Found], model: ForwardModel, stated: ParameterSet, *, moisture_pct: float, model_error: float
+    ) -> tuple[ScaleCheck, ...]:
+        """New masses held against what is stated now; each mass once, although a refused update may come again.
+
+        moisture_pct, model_error: as `mass_anchors.checked` has them.
+        """
+        fresh = [pair for pair in found if pair[0] not in self._checked]
+        self._checked = frozenset((*self.used, *(reference for reference, _ in found)))
+        checks = (checked(*pair, model, stated, moisture_pct=moisture_pct, model_error=model_error) for pair in fresh)
+        return tuple(check for check in checks if check is not None)
+
+    def take(
+        self, found: Sequence[Found], model: ForwardModel, prior: ParameterSet, stated: ParameterSet
+    ) -> tuple[list[MassAnchor], str]:
+        """The masses to update from, and one sentence about one that the loads before it contradict ("" where there is none).
+
+        prior: what is known now; stated: with all that drift may have added to it. Raises ValueError as `Weighings.take`.
+        """
+        current = self.crops.current
+        accepted, doubt = [], ""
+        for reference, mass in found:
+            load = weighed(reference, mass)
+            error = current.take(load, model, prior, stated)
+            if error is None:
+                accepted.append(mass)
+                continue
+            what = known_slip(model, prior, current.counted, load, self.settings)
+            doubt = (
+                f"{name_of(reference)} contradicts the {len(current.counted)} weighed before it by {100.0 * error:+.1f} %"
+                f"{f', as if {what},' if what else ''} and counts for nothing until another agrees with it"
+            )
+        return accepted, doubt
+
+    def go_on_with(self, masses: Sequence[ReferenceMass], model: ForwardModel, spans: Spans) -> None:
+        """These count, by time, the newest of them; none is doubted."""
+        by_time = sorted(masses, key=lambda mass: mass.end_s)
+        self.weigh_again([name_of(mass) for mass in by_time][-KEPT_LOADS:], "", by_time, model, spans)
+
+    def weigh_again(
+        self, names: Sequence[str], doubted: str, masses: Sequence[ReferenceMass], model: ForwardModel, spans: Spans
+    ) -> None:
+        """Go on with the loads of these names, that a run before counted, and the one that it doubted."""
+        # Of two tickets for one load the newer counts.
+        known = {name_of(mass): mass for mass in masses}
+        found = {
+            name: weighed(mass, mass_anchor(mass, model, spans, self._anchor_error))
+            for name, mass in known.items()
+            if name in (*names, doubted)
+        }
+        self.crops.current.restore([found[name] for name in names if name in found], found.get(doubted))
