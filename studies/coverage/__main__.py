@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from yieldmon import frames as bus
 from yieldmon.engine.faults import FaultCode
-from yieldmon.engine.mass.loads import LoadSummary
+from yieldmon.engine.mass.load_summary import LoadSummary
 from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.results import events_in, frames_in, records_in
 from yieldmon.engine.sweeps.plate import SweepEnded

@@ -13,7 +13,7 @@ import pytest
 
 from yieldmon.engine.calibrator_settings import CalibratorSettings
 from yieldmon.engine.mass.budget import MassBudget
-from yieldmon.engine.mass.loads import LoadSummary
+from yieldmon.engine.mass.load_summary import LoadSummary
 from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.self_calibration.anchors import AnchorSource, ReferenceMass
 from yieldmon.engine.self_calibration.closed_loop_calibrator import ClosedLoopCalibrator

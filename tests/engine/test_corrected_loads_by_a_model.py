@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from yieldmon.engine.mass.loads import LoadClosed, Loads, LoadSummary
+from yieldmon.engine.mass.load_summary import LoadClosed, LoadSummary
+from yieldmon.engine.mass.loads import Loads
 from yieldmon.engine.mass.missed_mass import NO_LOAD, MissedMass
 from yieldmon.engine.settings import EngineSettings
 

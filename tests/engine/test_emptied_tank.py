@@ -10,7 +10,7 @@ from numpy import interp
 
 from yieldmon import frames as bus
 from yieldmon.engine.faults import FaultCode
-from yieldmon.engine.mass.loads import LoadClosed, LoadOpened
+from yieldmon.engine.mass.load_summary import LoadClosed, LoadOpened
 from yieldmon.engine.mass.totals import Totals
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.results import events_in

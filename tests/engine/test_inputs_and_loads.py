@@ -11,8 +11,9 @@ from engine_bench import MACHINE, Bench, ForceProportional, Kept
 
 from yieldmon import frames as bus
 from yieldmon.engine.inputs import Inputs
-from yieldmon.engine.mass.loads import Loads, Opening
+from yieldmon.engine.mass.loads import Loads
 from yieldmon.engine.mass.missed_mass import MissedMass
+from yieldmon.engine.mass.opening import Opening
 from yieldmon.engine.mass.totals import Totals
 from yieldmon.engine.runs import run_of
 from yieldmon.engine.settings import EngineSettings, InputSettings, TotalsSettings

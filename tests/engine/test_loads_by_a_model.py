@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from yieldmon.engine.flow import Flow
 from yieldmon.engine.mass.budget import FlowBudget
-from yieldmon.engine.mass.loads import LoadClosed, LoadOpened, Loads, LoadSummary
+from yieldmon.engine.mass.load_summary import LoadClosed, LoadOpened, LoadSummary
+from yieldmon.engine.mass.loads import Loads
 from yieldmon.engine.mass.totals import Totals
 from yieldmon.engine.measurement import Window
 from yieldmon.engine.settings import EngineSettings

@@ -9,7 +9,8 @@ import pytest
 
 from yieldmon.engine.flow import Flow
 from yieldmon.engine.mass.budget import FlowBudget, MassBudget
-from yieldmon.engine.mass.loads import LoadClosed, LoadRestated, Loads
+from yieldmon.engine.mass.load_summary import LoadClosed, LoadRestated
+from yieldmon.engine.mass.loads import Loads
 from yieldmon.engine.mass.missed_mass import MissedMass
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.state import EngineState

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from yieldmon.engine.mass.loads import LoadSummary
+from yieldmon.engine.mass.load_summary import LoadSummary
 from yieldmon.errors import InputError
 from yieldmon.files import parameter_file
 from yieldmon.files.crops import crop

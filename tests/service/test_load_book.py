@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from yieldmon.engine.mass.loads import LoadSummary
+from yieldmon.engine.mass.load_summary import LoadSummary
 from yieldmon.engine.mass.missed_mass import MissedMass
 from yieldmon.service.history.load_book import LoadBook
 from yieldmon.service.logs.recorded import read_loads

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from tests.service.test_store import second
-from yieldmon.engine.mass.loads import LoadSummary
+from yieldmon.engine.mass.load_summary import LoadSummary
 from yieldmon.engine.mass.missed_mass import NO_LOAD, MissedMass
 from yieldmon.engine.mass.totals import Totals
 from yieldmon.engine.sampling.zero import ZeroState

@@ -11,7 +11,7 @@ from yieldmon.engine.faults import FAULTS, FaultCode, Observation, Severity
 from yieldmon.engine.flow import Circumstances, Estimate, Flow
 from yieldmon.engine.flow_estimator import FlowEstimator
 from yieldmon.engine.health import conditions
-from yieldmon.engine.mass.loads import LoadEvents
+from yieldmon.engine.mass.load_summary import LoadEvents
 from yieldmon.engine.mass.missed_mass import NO_LOAD, MissedMass
 from yieldmon.engine.measurement import Reading
 from yieldmon.engine.parts import Parts

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from yieldmon.engine import operator_zero
 from yieldmon.engine.faults import FaultCode
 from yieldmon.engine.flow_estimator import FlowEstimator
-from yieldmon.engine.mass.loads import LoadEvents, LoadSummary
+from yieldmon.engine.mass.load_summary import LoadEvents, LoadSummary
 from yieldmon.engine.mass.missed_mass import MissedMass
 from yieldmon.engine.mass.totals import Totals
 from yieldmon.engine.parts import Parts

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from yieldmon.engine.mass.loads import LoadEvents
+from yieldmon.engine.mass.load_summary import LoadEvents
 from yieldmon.engine.mass.missed_mass import MissedMass
 from yieldmon.engine.parts import Parts
 

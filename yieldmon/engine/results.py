@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from yieldmon.engine.health import FaultEvent
-from yieldmon.engine.mass.loads import LoadClosed, LoadOpened, LoadRestated
+from yieldmon.engine.mass.load_summary import LoadClosed, LoadOpened, LoadRestated
 from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.self_calibration.learning import ParametersChanged
 from yieldmon.engine.sweeps.plate import SweepEnded

@@ -10,13 +10,16 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Container, Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import inf, isfinite
 
 from yieldmon.engine.flow import Flow
-from yieldmon.engine.mass.budget import EMPTY, MassBudget
+from yieldmon.engine.mass.budget import MassBudget
+from yieldmon.engine.mass.load_errors import Deviations, LoadErrors
+from yieldmon.engine.mass.load_summary import LoadClosed, LoadEvents, LoadOpened, LoadRestated, LoadSummary
 from yieldmon.engine.mass.missed_mass import NO_LOAD, MissedMass
-from yieldmon.engine.mass.shared_error import ClosedLoadState, SharedError
+from yieldmon.engine.mass.opening import Opening
+from yieldmon.engine.mass.shared_error import ClosedLoadState
 from yieldmon.engine.mass.totals import Totals, dry_mass
 from yieldmon.engine.sampling.windows import Window
 from yieldmon.engine.settings import EngineSettings
@@ -29,77 +32,6 @@ _KEPT_CLOSED = 12
 """Whose budgets and shares outlive a restart."""
 _RESTATED = 0.01
 """Relative change of a closed load's standard deviation from which it is reported again."""
-_LONGEST_SILENCE_S, _LONGEST_WAKING_S = 60.0, 3.0
-"""How long all sensors' nodes may be silent at a load's begin, and one of them after another: assumed, by no study."""
-
-
-@dataclass(frozen=True, slots=True)
-class LoadSummary:
-    """One load: bus times of its start and end (nan while open), masses in kg. complete: every second of it was measured.
-    std_dev_kg: of measured_kg, nan where it is not known; budget: the same by cause. area_m2: harvested for it; unknown_area_kg:
-    mass whose area is not known."""
-
-    number: int
-    start_s: float
-    end_s: float
-    measured_kg: float
-    dry_kg: float
-    unknown_moisture_kg: float
-    complete: bool
-    std_dev_kg: float = _NAN
-    budget: MassBudget = EMPTY
-    area_m2: float = 0.0
-    unknown_area_kg: float = 0.0
-
-
-@dataclass(frozen=True, slots=True)
-class LoadOpened:
-    """A load began."""
-
-    load: LoadSummary
-
-
-@dataclass(frozen=True, slots=True)
-class LoadClosed:
-    """A load is complete."""
-
-    load: LoadSummary
-
-
-class Opening:
-    """The seconds at a load's begin in which no sensor sends yet, because its node wakes later than the bus, and the next few in
-    which one does and the other not: they are taken for time without grain."""
-
-    def __init__(self) -> None:
-        self._silent_s = self._waking_s = 0.0
-
-    def lacks_nothing(self, duration_s: float, *, available: bool, silent: bool) -> bool:
-        """Whether a further second leaves the load whole. available: its inputs were there. silent: no impact sample, and no
-        elevator speed above 0."""
-        if available:
-            self._silent_s = inf
-            return True
-        if silent and self._waking_s == 0.0:
-            self._silent_s += duration_s
-        else:
-            self._waking_s += duration_s
-        return 0.0 < self._silent_s <= _LONGEST_SILENCE_S and self._waking_s <= _LONGEST_WAKING_S
-
-
-@dataclass(frozen=True, slots=True)
-class LoadRestated:
-    """A load that closed in a run before is known otherwise than it was stated. budget: of its mass."""
-
-    number: int
-    budget: MassBudget
-
-    @property
-    def std_dev_kg(self) -> float:
-        """Of its mass, all causes together."""
-        return self.budget.std_dev_kg
-
-
-LoadEvents = tuple[LoadOpened | LoadClosed | LoadRestated, ...]
 
 
 class Loads:
@@ -112,14 +44,9 @@ class Loads:
         self._start_s = _NAN
         self._complete = True
         self._opening = Opening()
-        self._shared: dict[int, SharedError] = {}
-        """Of loads that the parameters in use have measured, by number."""
+        self._errors = LoadErrors()
         self._before: dict[int, MassBudget] = {}
         """Of loads that closed in a run before."""
-        self._of_scale: dict[int, float] = {}
-        """Mass, kg, measured since the parameters' scale was set last, by load."""
-        self._off: dict[tuple[int, int], float] = {}
-        """What of a load's deviation, kg, is there because the scale was found to be off, by load and by the load weighed."""
 
     @property
     def open(self) -> LoadSummary | None:
@@ -188,75 +115,56 @@ class Loads:
         """After `restore`: the open load was measured with the parameters of this version, which are in use, and its standard
         deviation holds this error of the model. What of it was measured away from home, rad, is not known."""
         totals = self.totals
-        if totals.load_open and totals.load_kg > 0.0 and totals.load_number not in self._shared:
-            by_error_kg = error.home * totals.load_kg
-            own_kg = max(totals.load_budget.parameters_kg**2 - by_error_kg**2, 0.0) ** 0.5
-            self._shared[totals.load_number] = SharedError.at(version, own_kg, totals.load_kg, home_rad)
+        if totals.load_open and totals.load_kg > 0.0:
+            self._errors.resume_share(totals.load_number, totals.load_kg, totals.load_budget, error, version, home_rad)
 
     def share(self, mass_kg: float, flow: Flow, version: int, plate_angle_rad: float, error: AngleError = NO_ERROR) -> None:
         """After `count`: what of the window's error all of the load shares. version: of the parameters that measured it. error:
         of the model, at the window's angle and at those of the load before it."""
-        totals, number = self.totals, self.totals.load_number
-        if not (totals.load_open and mass_kg > 0.0):
-            return
-        self._of_scale[number] = self._of_scale.get(number, 0.0) + mass_kg
-        seconds, known = mass_kg / flow.rate_kg_s, self._shared.get(number)
-        if known is None or known.version != version:
-            # What other parameters measured stays as stated.
-            self._shared = {n: shared for n, shared in self._shared.items() if shared.version == version}
-            known = SharedError(version, totals.load_budget.parameters_kg - flow.budget.parameters_kg_s * seconds)
-        self._shared[number] = known = known.plus(flow.budget, seconds, plate_angle_rad)
-        if error is not NO_ERROR:
-            self._restated(number, known.parameters_kg(error))
+        totals = self.totals
+        if totals.load_open and mass_kg > 0.0:
+            self._state(
+                self._errors.measured(totals.load_number, mass_kg, flow, totals.load_budget, version, plate_angle_rad, error)
+            )
 
     def restate(self, error: AngleError, version: int) -> LoadEvents:
         """Sweeps show another error of the model with these parameters: all loads that these have measured are as unsure as that
         says; closed ones that it changes are returned."""
-        events: list[LoadClosed | LoadOpened | LoadRestated] = []
-        for number, shared in self._shared.items():
-            if shared.version == version:
-                events += self._restated(number, shared.parameters_kg(error))
-        return tuple(events)
+        return self._state(self._errors.by_model(error, version))
 
     def scale_is_off(self, relative: float, by_load: int = 0) -> LoadEvents:
         """A weighed mass shows the scale that the parameters have had since `scale_is_set` to be off by so much: that is the
         least standard deviation of all that was measured with it; closed loads that it changes are returned. by_load: number of
         the load that was weighed."""
-        events: list[LoadClosed | LoadOpened | LoadRestated] = []
-        for number, mass_kg in self._of_scale.items():
-            self._shared.pop(number, None)
-            known = self._budget_of(number)
-            more_kg = relative * mass_kg - (inf if known is None else known.parameters_kg)
-            if known is not None and more_kg > 0.0:
-                self._off[number, by_load] = self._off.get((number, by_load), 0.0) + more_kg
-                events += self._restated(number, known.parameters_kg + more_kg)
-        return tuple(events)
+        return self._state(self._errors.scale_is_off(relative, by_load, self._budget_of))
 
     def scale_was_right(self, by_loads: Container[int]) -> LoadEvents:
         """The tickets for these loads are taken back, what they have shown of the scale, and the parameters that they led to; as
         `scale_is_off`."""
         events: list[LoadClosed | LoadOpened | LoadRestated] = []
-        masses = {load.number: load.measured_kg for load in self.all}
-        for number, by_load in [key for key in self._off if key[1] in by_loads]:
-            more_kg, known, shared = self._off.pop((number, by_load)), self._budget_of(number), self._shared.get(number)
-            if known is None:
-                continue
-            if number in masses:
-                self._of_scale[number] = masses[number]
-            if shared is not None:
-                self._shared[number] = replace(shared, before_kg=max(shared.before_kg - more_kg, 0.0))
-            events += self._restated(number, max(known.parameters_kg - more_kg, 0.0))
+        masses_kg = {load.number: load.measured_kg for load in self.all}
+        for number, less_kg in self._errors.scale_was_right(by_loads, masses_kg):
+            known = self._budget_of(number)
+            if known is not None:
+                events += self._restated(number, max(known.parameters_kg - less_kg, 0.0))
         return tuple(events)
 
     def scale_is_set(self) -> None:
         """From now on the parameters have another scale: by a weighed mass, or from outside."""
-        self._of_scale = {}
+        self._errors.scale_is_set()
 
     def _budget_of(self, number: int) -> MassBudget | None:
         if self.totals.load_open and number == self.totals.load_number:
             return self.totals.load_budget
         closed = next((load.budget for load in self._closed if load.number == number), None)
         return self._before.get(number) if closed is None else closed
+
+    def _state(self, deviations: Deviations) -> LoadEvents:
+        """State loads anew; closed ones that this changes are returned."""
+        events: list[LoadClosed | LoadOpened | LoadRestated] = []
+        for number, parameters_kg in deviations:
+            events += self._restated(number, parameters_kg)
+        return tuple(events)
 
     def _restated(self, number: int, parameters_kg: float) -> LoadEvents:
         totals = self.totals
@@ -287,22 +195,12 @@ class Loads:
         if self.totals.load_open:
             budgets[self.totals.load_number] = self.totals.load_budget
         known = [number for number in sorted(budgets) if 0.0 < budgets[number].std_dev_kg < inf]
-        return tuple(
-            ClosedLoadState(
-                n, budgets[n], self._shared.get(n), self._of_scale.get(n, 0.0),
-                tuple((by_load, more_kg) for (number, by_load), more_kg in self._off.items() if number == n),
-            )
-            for n in known[-_KEPT_CLOSED:]
-        )  # fmt: skip
+        return tuple(self._errors.state(number, budgets[number]) for number in known[-_KEPT_CLOSED:])
 
     def resume_closed(self, states: Iterable[ClosedLoadState], version: int) -> None:
         """After `restore`: loads that a run before closed; version: of the parameters in use."""
         for state in states:
-            if state.shared is not None and state.shared.version == version:
-                self._shared[state.number] = state.shared
-            if state.of_scale_kg > 0.0:
-                self._of_scale[state.number] = state.of_scale_kg
-            self._off |= {(state.number, by_load): more_kg for by_load, more_kg in state.off_kg}
+            self._errors.resume(state, version)
             if not (self.totals.load_open and state.number == self.totals.load_number):
                 self._before[state.number] = state.budget
 
@@ -316,7 +214,7 @@ class Loads:
         totals = self.totals
         if not (totals.load_open and error_kg > 0.0):
             return
-        self._shared.pop(totals.load_number, None)
+        self._errors.forget_parameters(totals.load_number)
         load = totals.load_budget.with_common(error_kg)
         more_kg = load.parameters_kg - totals.load_budget.parameters_kg
         total = totals.total_budget.with_common(totals.total_budget.parameters_kg + more_kg)
@@ -328,7 +226,8 @@ class Loads:
 
     def restore(self, totals: Totals) -> None:
         """Go on from totals that were kept; what passed since was not measured."""
-        self._shared, self._before, self._of_scale, self._off = {}, {}, {}, {}
+        self._errors.clear()
+        self._before = {}
         self.totals = self._at_market(totals)
         self._complete, self._opening = not (totals.load_open and totals.load_kg > 0.0), Opening()
 
@@ -337,7 +236,7 @@ class Loads:
         returned."""
         events: list[LoadClosed | LoadOpened | LoadRestated] = []
         for number, found in missed.items():
-            self._shared.pop(number, None)
+            self._errors.forget_parameters(number)
             totals = self.totals
             here = totals.load_open and number == totals.load_number
             taken = max(found.kg, -totals.load_kg) if here else found.kg
@@ -345,7 +244,7 @@ class Loads:
                 self.totals = totals.with_missed(replace(found, kg=taken), in_load=here)
             for place, load in enumerate(self._closed):
                 if load.number == number and not here:
-                    self._closed[place] = _with_missed(load, found)
+                    self._closed[place] = load.with_missed(found)
                     events.append(LoadClosed(self._closed[place]))
         return tuple(events)
 
@@ -381,22 +280,5 @@ class Loads:
         if not self.totals.load_open:
             return ()
         self._closed.append(self._summary(now_s))
-        kept = {load.number for load in self._closed} | set(self._before)
-        self._shared = {number: shared for number, shared in self._shared.items() if number in kept}
-        self._of_scale = {number: mass_kg for number, mass_kg in self._of_scale.items() if number in kept}
-        self._off = {key: more_kg for key, more_kg in self._off.items() if key[0] in kept}
+        self._errors.keep({load.number for load in self._closed} | set(self._before))
         return (LoadClosed(self._closed[-1]),)
-
-
-def _with_missed(load: LoadSummary, missed: MissedMass) -> LoadSummary:
-    measured_kg = max(load.measured_kg + missed.kg, 0.0)
-    budget = load.budget.of_mass(load.measured_kg, measured_kg)
-    return replace(
-        load,
-        measured_kg=measured_kg,
-        dry_kg=max(load.dry_kg + missed.dry_kg, 0.0),
-        unknown_moisture_kg=max(load.unknown_moisture_kg + missed.unknown_moisture_kg, 0.0),
-        std_dev_kg=budget.std_dev_kg,
-        budget=budget,
-        unknown_area_kg=max(load.unknown_area_kg + missed.unknown_area_kg, 0.0),
-    )

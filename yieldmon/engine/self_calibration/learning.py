@@ -12,7 +12,7 @@ from yieldmon.engine.flow import Flow
 from yieldmon.engine.flow_estimator import FlowEstimator
 from yieldmon.engine.inputs import InputSnapshot
 from yieldmon.engine.mass.budget import MassBudget
-from yieldmon.engine.mass.loads import LoadSummary
+from yieldmon.engine.mass.load_summary import LoadSummary
 from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.sampling.windows import Window
 from yieldmon.engine.self_calibration.anchors import ReferenceMass, TankScale, Weighing

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from math import isclose, isfinite, nan
 
 from yieldmon.engine.flow import Flow
-from yieldmon.engine.mass.loads import LoadSummary
+from yieldmon.engine.mass.load_summary import LoadSummary
 from yieldmon.engine.measurement import Reading
 from yieldmon.engine.sampling.since_zero import KeptSecond
 from yieldmon.engine.self_calibration.anchors import AnchorSource, ReferenceMass

@@ -7,7 +7,7 @@ from dataclasses import asdict
 from typing import Any
 
 from yieldmon.engine.health import FaultEvent
-from yieldmon.engine.mass.loads import LoadClosed, LoadOpened, LoadRestated
+from yieldmon.engine.mass.load_summary import LoadClosed, LoadOpened, LoadRestated
 from yieldmon.engine.mass.missed_mass import MissedMass
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.records import WindowRecord

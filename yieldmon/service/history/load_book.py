@@ -7,7 +7,7 @@ from dataclasses import replace
 from math import isfinite
 
 from yieldmon.engine.mass.budget import MassBudget
-from yieldmon.engine.mass.loads import LoadSummary
+from yieldmon.engine.mass.load_summary import LoadSummary
 from yieldmon.engine.mass.missed_mass import MissedMass
 from yieldmon.finite import finite
 from yieldmon.service.storage.batch import Load

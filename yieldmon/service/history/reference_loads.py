@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from yieldmon.engine.mass.budget import MassBudget
-from yieldmon.engine.mass.loads import LoadSummary, Opening
+from yieldmon.engine.mass.load_summary import LoadSummary
+from yieldmon.engine.mass.opening import Opening
 from yieldmon.engine.sampling.since_zero import KeptSecond
 from yieldmon.estimation.estimators import estimator_of
 from yieldmon.estimation.parameters import ParameterSet

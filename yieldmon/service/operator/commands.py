@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from math import exp
 from typing import Any
 
-from yieldmon.engine.mass.loads import LoadClosed, LoadOpened
+from yieldmon.engine.mass.load_summary import LoadClosed, LoadOpened
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.self_calibration.anchors import Weighing
 from yieldmon.engine.sources import THOUSAND_KERNELS_G
