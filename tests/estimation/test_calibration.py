@@ -363,11 +363,33 @@ def test_a_standard_deviation_covers_the_truth_where_the_fit_ends_at_a_bound() -
         (lambda: Measurements(HOME, np.full(8, np.nan)), "finite numbers"),
         (lambda: Measurements(HOME, np.ones(8), np.zeros(8)), "sigma must hold a number above 0"),
         (lambda: Measurements(Conditions(1.2, 42.0, paddle_mass_kg=np.full(8, 50.0)), np.ones(8)), "heaviest load"),
+        (lambda: Measurements(Conditions(1.2, 42.0, mass_flow_kg_s=np.full(8, -5.0)), np.ones(8)), "load must be 0 or more"),
+        (lambda: Measurements(Conditions(1.2, np.full(7, 42.0), mass_flow_kg_s=5.0), np.ones(8)), r"rad_s has the shape \(7,\)"),
     ],
 )
 def test_bad_rows_are_refused(rows, message: str) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(ValueError, match=message):
         calibrate(MODEL, rows(), START, FREE)
+
+
+@pytest.mark.parametrize(
+    ("free", "changes", "message"),
+    [
+        (("friktion",), {}, r"\['friktion'\] are not among"),
+        (("friction", "friction"), {}, "expected each once"),
+        (FREE, {"starts": 0}, "starts 0: expected 1 or more"),
+        (FREE, {"bounds": {"friction": (1.0, 0.0)}}, r"bounds of friction \(1, 0\): expected the lower one first"),
+    ],
+)
+def test_a_search_that_cannot_be_made_is_refused(free: tuple[str, ...], changes: dict, message: str) -> None:  # type: ignore[type-arg]
+    rows = generated(Conditions(1.2, 42.0, mass_flow_kg_s=np.array([1.0, 2.0, 5.0, 9.0])))
+    with pytest.raises(ValueError, match=message):
+        calibrate(MODEL, rows, START, free, **changes)
+
+
+def test_a_start_needs_one_form_of_the_impact() -> None:
+    with pytest.raises(ValueError, match="impact 'restitution': expected"):
+        default_start(MODEL, generated(Conditions(1.2, 42.0, mass_flow_kg_s=np.array([1.0, 2.0]))), "restitution")
 
 
 # The batch

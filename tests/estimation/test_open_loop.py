@@ -71,6 +71,8 @@ RANGE = CalibratedRange((2.0, 20.0), (np.radians(50.0), np.radians(80.0)), (350.
         (100.0, ANGLE, np.nan, 15.0, FlowStatus.NOT_AVAILABLE),
         (100.0, ANGLE, 0.0, 15.0, FlowStatus.NOT_AVAILABLE),
         (100.0, ANGLE, -1.0, 15.0, FlowStatus.NOT_AVAILABLE),
+        (100.0, 70.0, SPEED, 15.0, FlowStatus.NOT_AVAILABLE),
+        (100.0, -4.0, SPEED, 15.0, FlowStatus.NOT_AVAILABLE),
     ],
 )
 def test_status(force: float, angle: float, speed: float, moisture: float, status: FlowStatus) -> None:
@@ -92,6 +94,19 @@ def test_no_flow_is_as_uncertain_as_next_to_none(force: float, effects: tuple[st
     found = OpenLoop(model, ParameterSet(values)).estimate(float(np.real(thin[0])) + force, ANGLE, SPEED, 0.5)
     assert found.std_dev_kg_s == pytest.approx(0.5 / slope, rel=2e-3)
     assert found.noise_std_dev_kg_s == pytest.approx(0.5 / slope, rel=2e-3)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(("angle", "speed"), [(70.0, SPEED), (ANGLE, 0.0), (ANGLE, -1.0), (np.nan, SPEED), (ANGLE, np.inf)])
+def test_no_flow_of_an_angle_or_a_speed_that_cannot_be(angle: float, speed: float) -> None:
+    flow = loop().invert([60.0, 60.0], [angle, ANGLE], [speed, SPEED])
+    assert np.isnan(flow[0])
+    assert flow[1] == loop().invert(60.0, ANGLE, SPEED)
+
+
+def test_no_rows_give_no_rows() -> None:
+    assert loop().invert([], ANGLE, SPEED).shape == (0,)
+    assert loop().estimate([], ANGLE, SPEED).status.shape == (0,)
 
 
 def test_one_bad_row_does_not_spoil_the_others() -> None:

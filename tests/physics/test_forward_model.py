@@ -152,6 +152,20 @@ def test_a_load_above_a_full_paddle_is_refused_with_both_numbers(excess: float) 
     assert np.isnan(value[1])
 
 
+@pytest.mark.parametrize(
+    ("angle", "speed", "message"),
+    [
+        (70.0, 42.0, r"plate_angle_rad 70: expected radians"),
+        ([1.2, -4.0], 42.0, r"plate_angle_rad -4: expected radians"),
+        (1.2, 0.0, r"elevator_speed_rad_s 0: expected rad/s above 0"),
+        (1.2, np.array([42.0, -1.0]), r"elevator_speed_rad_s -1: expected rad/s above 0"),
+    ],
+)
+def test_an_angle_or_a_speed_that_cannot_be_is_refused(angle: float, speed: float, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Conditions(angle, speed, mass_flow_kg_s=10.0)
+
+
 def test_a_negative_load_is_refused() -> None:
     with pytest.raises(ValueError, match=r"load of -0\.1 kg"):
         momentum(-0.1, 1.2, 42.0, GRAIN)

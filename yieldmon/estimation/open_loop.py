@@ -177,7 +177,7 @@ def broadcast_inputs(
     inputs = (force_n, plate_angle_rad, elevator_speed_rad_s, force_std_dev_n, moisture)
     arrays = np.broadcast_arrays(*(np.asarray(v, dtype=float) for v in inputs))
     force, angle, speed, noise, _ = arrays
-    usable = np.isfinite(force) & np.isfinite(angle) & np.isfinite(speed) & (speed > 0.0) & np.isfinite(noise)
+    usable = np.isfinite(force) & (np.abs(angle) <= np.pi) & np.isfinite(speed) & (speed > 0.0) & np.isfinite(noise)
     return tuple(arrays), usable
 
 
@@ -261,19 +261,18 @@ class OpenLoop:
         force_n : array_like
             Mean horizontal force above zero load, N.
         plate_angle_rad, elevator_speed_rad_s : array_like
-            rad, rad/s.
+            rad, -pi to pi; rad/s, above 0.
         moisture_pct : array_like, optional
             %, where an effect needs it.
 
         Returns
         -------
         ndarray
-            kg/s: 0 at or below the empty reading, nan above that of a full paddle. For finite input only.
+            kg/s: 0 at or below the empty reading; nan above that of a full paddle, and where an input is missing or outside its
+            range.
         """
-        moisture = np.nan if moisture_pct is None else moisture_pct
-        inputs = (force_n, plate_angle_rad, elevator_speed_rad_s, moisture)
-        force, angle, speed, moist = np.broadcast_arrays(*(np.asarray(v, dtype=float) for v in inputs))
-        return self._inverted(force, angle, speed, moist)[0]
+        (force, angle, speed, _, moist), usable = self._inputs(force_n, plate_angle_rad, elevator_speed_rad_s, 0.0, moisture_pct)
+        return np.where(usable, self._inverted(force, angle, speed, moist)[0], np.nan)
 
     def estimate(
         self,
@@ -296,6 +295,27 @@ class OpenLoop:
         -------
         FlowEstimate
         """
+        (force, angle, speed, noise, moist), usable = self._inputs(
+            force_n, plate_angle_rad, elevator_speed_rad_s, force_std_dev_n, moisture_pct
+        )
+        varied = self.model.throw(angle[..., None], speed[..., None], self._rows, moist[..., None]) if len(self._steps) else None
+        flow, gain = self._inverted(force, angle, speed, moist, varied)
+        spread = np.hypot(noise, self._parameter_force_sd(flow, varied))
+        spread = np.hypot(spread, self.parameters.model_error * np.abs(force))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            sd, noise_sd = spread / np.abs(gain), noise / np.abs(gain)
+        outside = self.parameters.calibrated.outside(flow, angle, speed, moist)
+        return with_status(flow, sd, noise_sd, outside=outside, empty=flow <= 0.0, usable=usable)
+
+    def _inputs(
+        self,
+        force_n: ArrayLike,
+        plate_angle_rad: ArrayLike,
+        elevator_speed_rad_s: ArrayLike,
+        force_std_dev_n: ArrayLike,
+        moisture_pct: ArrayLike | None,
+    ) -> tuple[tuple[Array, ...], NDArray[np.bool_]]:
+        """`broadcast_inputs` with those of an empty machine at home in place of what cannot be used."""
         (force, angle, speed, noise, moist), usable = broadcast_inputs(
             force_n, plate_angle_rad, elevator_speed_rad_s, force_std_dev_n, moisture_pct
         )
@@ -306,15 +326,7 @@ class OpenLoop:
         force = np.where(usable, force, 0.0)
         angle = np.where(usable, angle, machine.home_plate_angle_rad)
         speed = np.where(usable, speed, machine.nominal_elevator_speed_rad_s)
-        varied = self.model.throw(angle[..., None], speed[..., None], self._rows, moist[..., None]) if len(self._steps) else None
-        flow, gain = self._inverted(force, angle, speed, moist, varied)
-        noise = np.where(usable, noise, 0.0)
-        spread = np.hypot(noise, self._parameter_force_sd(flow, varied))
-        spread = np.hypot(spread, self.parameters.model_error * np.abs(force))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            sd, noise_sd = spread / np.abs(gain), noise / np.abs(gain)
-        outside = self.parameters.calibrated.outside(flow, angle, speed, moist)
-        return with_status(flow, sd, noise_sd, outside=outside, empty=flow <= 0.0, usable=usable)
+        return (force, angle, speed, np.where(usable, noise, 0.0), moist), usable
 
     def _inverted(
         self, force: Array, angle: Array, speed: Array, moisture: Array, varied: Throw | None = None
@@ -324,6 +336,8 @@ class OpenLoop:
         if self.model.needs_moisture:
             return invert_force(self._throw(angle, speed, moisture), force)
         shape = force.shape
+        if not force.size:
+            return np.empty(shape), np.empty(shape)
         rows = [column.ravel() for column in (force, angle, speed)]
         near = self._curves.near(*rows[1:])
         sure = decided_by(near, rows[0], self.model.machine.passes_per_s(rows[2]))

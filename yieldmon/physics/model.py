@@ -26,9 +26,9 @@ class Conditions:
     Parameters
     ----------
     plate_angle_rad : array_like
-        rad.
+        rad, -pi to pi.
     elevator_speed_rad_s : array_like
-        Of the upper sprocket, rad/s.
+        Of the upper sprocket, rad/s, above 0.
     mass_flow_kg_s, paddle_mass_kg : array_like, optional
         The load: one of the two, kg/s or kg.
     moisture_pct : array_like, optional
@@ -39,7 +39,7 @@ class Conditions:
     Raises
     ------
     ValueError
-        Unless one of mass_flow_kg_s and paddle_mass_kg is given.
+        Unless one of mass_flow_kg_s and paddle_mass_kg is given; for an angle or a speed outside its range (nan is within).
 
     Examples
     --------
@@ -57,6 +57,11 @@ class Conditions:
     def __post_init__(self) -> None:
         if (self.mass_flow_kg_s is None) == (self.paddle_mass_kg is None):
             raise ValueError("conditions: exactly one of mass_flow_kg_s and paddle_mass_kg is needed")
+        angle, speed = np.ravel(np.real(self.plate_angle_rad)), np.ravel(np.real(self.elevator_speed_rad_s))
+        for value in angle[np.abs(angle) > np.pi][:1]:
+            raise ValueError(f"conditions: plate_angle_rad {value:g}: expected radians, -pi to pi")
+        for value in speed[speed <= 0.0][:1]:
+            raise ValueError(f"conditions: elevator_speed_rad_s {value:g}: expected rad/s above 0")
 
 
 class ForwardModel:

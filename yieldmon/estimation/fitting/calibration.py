@@ -18,7 +18,7 @@ from yieldmon.estimation.gaussian import SD_PER_MAD
 from yieldmon.estimation.parameters import CalibratedRange, ParameterSet
 from yieldmon.estimation.priors import Bounds, Prior, stretch
 from yieldmon.physics.effects import effect_parameter
-from yieldmon.physics.grain import GRAIN
+from yieldmon.physics.grain import EXCHANGE_FORM, GRAIN, RESTITUTION_FORM
 from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array, span
 
@@ -63,7 +63,8 @@ def calibrate(
     model : ForwardModel
     data : Measurements
     start : mapping of str to float
-        Values of all parameters of the model; those not free keep theirs. See `default_start`.
+        Values of all parameters of the model; those not free keep theirs, a free one outside its bounds begins at the nearer
+        bound. See `default_start`.
     free : sequence of str
         Parameters to fit.
     prior : Prior, optional
@@ -71,7 +72,7 @@ def calibrate(
     bounds : mapping of str to (float, float), optional
         In place of the published or physical ones.
     starts : int
-        Searches: one from `start`, the others from random places within the bounds.
+        Searches, 1 or more: one from `start`, the others from random places within the bounds.
     rng : numpy.random.Generator, optional
         Of the random places; None: seed 0.
     robust : bool
@@ -90,7 +91,8 @@ def calibrate(
     Raises
     ------
     ValueError
-        For fewer rows than free parameters, or where the model cannot carry the loads.
+        For fewer rows than free parameters, for parameters, bounds or starts that make no search, or where the model cannot carry
+        the loads.
 
     References
     ----------
@@ -153,6 +155,8 @@ def search(
     progress: Callable[[float], None] | None = None,
 ) -> Searched:
     """The least squares of `calibrate`, with its arguments and errors, without what is derived from the best fit."""
+    if starts < 1:
+        raise ValueError(f"starts {starts}: expected 1 or more")
     problem = CalibrationProblem(model, data, start, tuple(free), prior=prior, bounds=bounds, robust=robust)
     basins, theta = multistart.minimize(problem, starts, np.random.default_rng(0) if rng is None else rng, progress)
     return Searched(problem, basins, theta, starts)
@@ -214,6 +218,11 @@ def default_start(
     dict of str to float
         All parameters of the model: the given ones, else middling grain and effects at their typical size.
 
+    Raises
+    ------
+    ValueError
+        For another `impact`.
+
     Examples
     --------
     >>> at = api.Conditions(np.radians([50.0, 70.0]), 400.0 * api.RPM, mass_flow_kg_s=np.array([5.0, 10.0]))
@@ -221,6 +230,8 @@ def default_start(
     >>> sorted(api.default_start(api.ForwardModel(api.Machine()), rows, ["restitution"]))
     ['density', 'friction', 'restitution', 'shape_ratio']
     """
+    if tuple(impact) not in (RESTITUTION_FORM, EXCHANGE_FORM):
+        raise ValueError(f"impact {impact!r}: expected {list(RESTITUTION_FORM)} or {list(EXCHANGE_FORM)}")
     known = dict(known or {})
     scale = data_scale(model, data) if any(GRAIN[name].follows_response for name in impact) else 1.0
     chosen = (*(p.name for p in GRAIN.values() if not p.form), *impact)

@@ -83,6 +83,11 @@ class CalibrationProblem:
         missing = [n for n in names if n not in start]
         if missing:
             raise ValueError(f"free parameters {missing} are not among {list(start)}")
+        if len(set(names)) < len(names):
+            raise ValueError(f"free parameters {list(names)}: expected each once")
+        for name, (low, high) in (bounds or {}).items():
+            if not low < high:
+                raise ValueError(f"bounds of {name} ({low:g}, {high:g}): expected the lower one first")
         self.model, self.data, self.names, self.robust = model, data, names, robust
         self.start, self._prior, self._bounds = dict(start), prior, bounds
         cells, self.cell = data.cells()

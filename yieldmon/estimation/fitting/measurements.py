@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from yieldmon.physics.model import Conditions
 from yieldmon.physics.numerics import Array
+
+_COLUMNS = tuple(column.name for column in fields(Conditions))
 
 
 @dataclass(frozen=True)
@@ -30,7 +32,8 @@ class Measurements:
     Raises
     ------
     ValueError
-        For a momentum, angle, speed, load or plate position that is nan, and for a sigma that is not above 0.
+        For a momentum, angle, speed, load or plate position that is nan, a load below 0, a sigma that is not above 0, and columns
+        of other lengths.
 
     Examples
     --------
@@ -50,8 +53,14 @@ class Measurements:
             raise ValueError("measurements: momentum must be one row of finite numbers")
         if self.sigma is not None and not (self.sigma.shape == self.momentum.shape and np.all(self.sigma > 0.0)):
             raise ValueError("measurements: sigma must hold a number above 0 for each row")
+        for name in _COLUMNS:
+            shape = np.shape(getattr(self.conditions, name))
+            if shape not in ((), self.momentum.shape):
+                raise ValueError(f"measurements: {name} has the shape {shape}: expected a number or {self.momentum.shape}")
         if not np.all(np.isfinite(self._all()[[0, 1, 2, 4]])):
             raise ValueError("measurements: angle, speed, load and plate position must be finite")
+        if np.any(self.columns()[2] < 0.0):
+            raise ValueError("measurements: load must be 0 or more")
 
     def columns(self) -> Array:
         """The rows as columns.

@@ -11,6 +11,14 @@ from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.numerics import Array
 
 
+def _refuse_uneven(windows: Sweep | MassAnchor, what: str, names: tuple[str, ...]) -> None:
+    shape = windows.force_n.shape
+    for name in names:
+        value = getattr(windows, name)
+        if value.shape != shape or len(shape) != 1 or not shape[0] or not np.all(np.isfinite(value)):
+            raise ValueError(f"{what}: {name} must hold one finite number for each window")
+
+
 @dataclass(frozen=True)
 class Sweep:
     """Windows of one sweep of the plate.
@@ -49,11 +57,7 @@ class Sweep:
     moisture_pct: Array | None = None
 
     def __post_init__(self) -> None:
-        shape = self.force_n.shape
-        for name in ("time_s", "plate_angle_rad", "elevator_speed_rad_s", "force_n", "force_std_dev_n"):
-            value = getattr(self, name)
-            if value.shape != shape or len(shape) != 1 or not shape[0] or not np.all(np.isfinite(value)):
-                raise ValueError(f"sweep: {name} must hold one finite number for each window")
+        _refuse_uneven(self, "sweep", ("time_s", "plate_angle_rad", "elevator_speed_rad_s", "force_n", "force_std_dev_n"))
         if np.any(self.force_std_dev_n <= 0.0):
             raise ValueError("sweep: force_std_dev_n must be above 0")
 
@@ -73,6 +77,11 @@ class MassAnchor:
     moisture_pct : ndarray, optional
         (n,) %, where an effect needs it.
 
+    Raises
+    ------
+    ValueError
+        For shapes that differ, values that are not finite, or a standard deviation that is not above 0.
+
     Examples
     --------
     >>> seconds = np.ones(3000)
@@ -88,6 +97,12 @@ class MassAnchor:
     plate_angle_rad: Array
     elevator_speed_rad_s: Array
     moisture_pct: Array | None = None
+
+    def __post_init__(self) -> None:
+        _refuse_uneven(self, "mass anchor", ("duration_s", "force_n", "plate_angle_rad", "elevator_speed_rad_s"))
+        if not (np.isfinite(self.reference_kg) and 0.0 < self.std_dev_kg < np.inf):
+            known = f"{self.reference_kg:g} kg within {self.std_dev_kg:g} kg"
+            raise ValueError(f"mass anchor: {known}: expected a mass, and a standard deviation above 0")
 
     @classmethod
     def from_windows(
@@ -184,7 +199,12 @@ class DensityAnchor:
     Parameters
     ----------
     density_kg_m3, std_dev_kg_m3 : float
-        In the terms of the parameter `density`, and its standard deviation, kg/m3.
+        In the terms of the parameter `density`, and its standard deviation, kg/m3; both above 0.
+
+    Raises
+    ------
+    ValueError
+        For one that is not.
 
     Examples
     --------
@@ -194,6 +214,11 @@ class DensityAnchor:
 
     density_kg_m3: float
     std_dev_kg_m3: float
+
+    def __post_init__(self) -> None:
+        for name in ("density_kg_m3", "std_dev_kg_m3"):
+            if not 0.0 < getattr(self, name) < np.inf:
+                raise ValueError(f"density anchor: {name} {getattr(self, name):g}: expected a number above 0")
 
     @classmethod
     def from_test_weight(
