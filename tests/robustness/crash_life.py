@@ -94,8 +94,8 @@ def live(folder: Path, seconds: int, broken: str = "") -> None:
         bus_factory=lambda: can.Bus(interface="virtual", channel="life"),
         patience=Patience(silence_s=float("inf")),
     )
-    daemon._open_store = lambda: TellingStore(loaded.store_path, loaded.retention)  # type: ignore[method-assign]
-    daemon.writer._open_store = daemon._open_store
+    daemon._store.open = lambda: TellingStore(loaded.store_path, loaded.retention)  # type: ignore[method-assign]
+    daemon.writer._open_store = daemon._store.open
     submit = daemon.writer.submit
     closed: list[int] = []
 

@@ -26,7 +26,6 @@ from yieldmon.frames import NOT_AVAILABLE, Frame
 from yieldmon.service.config import configuration
 from yieldmon.service.daemon import Daemon
 from yieldmon.service.patience import Patience
-from yieldmon.service.storage.writer import StoreWriter
 
 CODEC = Codec()
 START_S = 1_760_000_000.0
@@ -229,11 +228,6 @@ def ask(folder: Path, capsys: pytest.CaptureFixture[str], *words: str) -> dict[s
     assert cli.main([*words, "--socket", str(folder / "yieldmon.sock"), "--json"]) == 0
     answer: dict[str, Any] = json.loads(capsys.readouterr().out)
     return answer
-
-
-def retry_writing_soon(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Daemons made from now on try a failed write again after 0.05 s, not after two seconds."""
-    monkeypatch.setattr("yieldmon.service.daemon.StoreWriter", functools.partial(StoreWriter, retry_s=0.05))
 
 
 @contextlib.contextmanager

@@ -26,7 +26,6 @@ from tests.service.bench import (
     START_S,
     ZERO_MV,
     ask,
-    retry_writing_soon,
     running,
     wait_for,
     warm_up,
@@ -144,9 +143,8 @@ def test_bad_frames_are_counted_and_stop_nothing(tmp_path):
         assert bench.status["bus"]["malformed"] == len(frames.INPUTS)
 
 
-def test_store_failing_is_a_fault_and_measuring_goes_on(tmp_path, monkeypatch):
-    retry_writing_soon(monkeypatch)
-    with running(tmp_path) as bench:
+def test_store_failing_is_a_fault_and_measuring_goes_on(tmp_path):
+    with running(tmp_path, retry_s=0.05) as bench:
         bench.play(3, EMPTY_MV)
         bench.played()
         wait_for(lambda: bench.daemon.writer.health().pending == 0, "the first seconds in the store")
@@ -267,7 +265,7 @@ def calibrated(path: Path, days_ago: float) -> None:
 def test_the_age_of_the_calibration_goes_on_over_restarts_and_reloads(tmp_path, monkeypatch):
     text, played_s = "parameter_file: p.yaml\nbus: {transmit_max_age_s: 60}", 45
     now, later_s = time.time, [0.0]
-    monkeypatch.setattr("yieldmon.service.daemon.time.time", lambda: now() + later_s[0])
+    monkeypatch.setattr("time.time", lambda: now() + later_s[0])
 
     def age_s(bench) -> float:
         return bench.status["parameters"]["age_s"]

@@ -16,7 +16,7 @@ import can
 import numpy as np
 import pytest
 
-from tests.service.bench import CODEC, EMPTY_MV, GRAIN_MV, ZERO_MV, Bench, encoded, retry_writing_soon, running, traffic, wait_for
+from tests.service.bench import CODEC, EMPTY_MV, GRAIN_MV, ZERO_MV, Bench, encoded, running, traffic, wait_for
 from yieldmon import frames
 from yieldmon.engine.faults import FAULTS, FaultCode
 from yieldmon.engine.mass.totals import Totals
@@ -377,11 +377,10 @@ def trouble_codes(bench: Bench) -> set[tuple[int, int]]:
 
 
 @pytest.mark.parametrize(("code", "case"), CASES)
-def test_fault_is_on_the_bus_in_status_and_in_the_store(folder, monkeypatch, code, case):
-    retry_writing_soon(monkeypatch)
+def test_fault_is_on_the_bus_in_status_and_in_the_store(folder, code, case):
     with ExitStack() as stack:
         text = f"{case.configuration}\nbus: {{transmit_max_age_s: 60, {case.bus}}}"
-        bench = stack.enter_context(running(folder, text, silence_s=case.silence_s))
+        bench = stack.enter_context(running(folder, text, silence_s=case.silence_s, retry_s=0.05))
         shown: dict[str, str] = {}
         watching = threading.Event()
 

@@ -20,7 +20,6 @@ from yieldmon.engine.mass.budget import FlowBudget
 from yieldmon.engine.mass.totals import Totals
 from yieldmon.errors import InputError
 from yieldmon.service import answering
-from yieldmon.service import daemon as service
 from yieldmon.service.config import configuration
 from yieldmon.service.daemon import Daemon
 from yieldmon.service.history.late_store import KeptInput
@@ -58,7 +57,7 @@ class Disk:
 @pytest.fixture
 def disk(monkeypatch) -> Iterator[Disk]:
     hanging = Disk()
-    monkeypatch.setattr(service, "recover", hanging.recover)
+    monkeypatch.setattr("yieldmon.service.history.run_store.recover", hanging.recover)
     yield hanging
     hanging.answer()
 

@@ -16,7 +16,6 @@ from tests.service.bench import (
     START_S,
     UNHURRIED,
     Bench,
-    retry_writing_soon,
     running,
     traffic,
     wait_for,
@@ -125,8 +124,7 @@ def test_a_medium_that_takes_no_writing_is_read_and_measuring_goes_on(tmp_path, 
         raise sqlite3.OperationalError("unable to open database file")
 
     monkeypatch.setattr(Store, "_prepare", refuse)
-    retry_writing_soon(monkeypatch)
-    with running(tmp_path, start_s=START_S + 60.0) as bench:
+    with running(tmp_path, start_s=START_S + 60.0, retry_s=0.05) as bench:
         assert bench.status["total"]["mass_kg"] == pytest.approx(before_kg, abs=10.0)
         bench.play(2, GRAIN_MV)
         wait_for(lambda: bench.daemon.writer.health().failing, "the failing to be noticed")
@@ -167,8 +165,7 @@ def test_a_medium_that_is_full_before_there_is_a_store_does_not_stop_the_measuri
     if left is not None:
         path.write_bytes(left)
     monkeypatch.setattr(Store, "_prepare", no_room)
-    retry_writing_soon(monkeypatch)
-    with running(tmp_path) as bench:
+    with running(tmp_path, retry_s=0.05) as bench:
         warm_up(bench)
         wait_for(lambda: "StoreFailing" in bench.faults, "StoreFailing")
         assert bench.faults["StoreFailing"].endswith("database or disk is full")

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.service.bench import EMPTY_MV, GRAIN_MV, START_S, retry_writing_soon, running, wait_for
+from tests.service.bench import EMPTY_MV, GRAIN_MV, START_S, running, wait_for
 from tests.service.test_store import second
 from yieldmon.engine.mass.totals import Totals
 from yieldmon.engine.state import EngineState
@@ -73,7 +73,6 @@ HARM = {
 @pytest.mark.parametrize("journal", [False, True])
 def test_a_damaged_store_that_cannot_be_set_aside_stops_no_measuring(tmp_path, monkeypatch, harm, journal):
     monkeypatch.setattr("yieldmon.service.storage.writer._REPAIR_AGAIN_S", 0.0)
-    retry_writing_soon(monkeypatch)
     state = tmp_path / "state"
     with running(tmp_path, state=state) as bench:
         bench.play(14, EMPTY_MV)
@@ -90,7 +89,7 @@ def test_a_damaged_store_that_cannot_be_set_aside_stops_no_measuring(tmp_path, m
     if journal:
         for part, content in kept.items():
             part.write_bytes(content)
-    with without_writing(state), running(tmp_path, state=state, start_s=START_S + 60.0) as bench:
+    with without_writing(state), running(tmp_path, state=state, start_s=START_S + 60.0, retry_s=0.05) as bench:
         assert bench.status["total"]["mass_kg"] == pytest.approx(before_kg, rel=1e-12)
         assert "read from a copy" in bench.status["store"]["note"]
         bench.play(4, GRAIN_MV)

@@ -15,7 +15,7 @@ from tests.service.bench import PATIENCE_S, Bench, running, wait_for
 from yieldmon.files import parameter_file
 from yieldmon.files.machine_file import load as load_machine
 from yieldmon.service import metrics, supervision
-from yieldmon.service.history.posting import Poster
+from yieldmon.service.history.poster import Poster
 from yieldmon.service.operator import command_loads, control
 from yieldmon.service.operator.control import ControlServer
 from yieldmon.service.operator.control_client import ask

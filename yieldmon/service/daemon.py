@@ -10,10 +10,7 @@ from __future__ import annotations
 import logging
 import os
 import threading
-import time
-from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from time import monotonic
 from typing import Any
 
@@ -22,32 +19,24 @@ import can
 from yieldmon import frames
 from yieldmon.bus.receiver import BusEvent, Receiver
 from yieldmon.engine.monitor import Monitor
-from yieldmon.engine.records import WindowRecord
-from yieldmon.engine.results import Result, records_in
-from yieldmon.service.assembly import monitor_of
+from yieldmon.engine.results import Result
 from yieldmon.service.config.configuration import Configuration
 from yieldmon.service.config.reload_check import at_next_start, usable_now
-from yieldmon.service.history.journal import Journal
-from yieldmon.service.history.late_store import KeptInput, StoreReading, without_sweeps_for
-from yieldmon.service.history.memory import Memory, choose_parameters
-from yieldmon.service.history.posting import Poster
-from yieldmon.service.history.recovery import Recovery, recover
-from yieldmon.service.history.resumption import resume, successor
+from yieldmon.service.history.late_store import without_sweeps_for
+from yieldmon.service.history.poster import Poster
+from yieldmon.service.history.run_store import RunStore
+from yieldmon.service.measuring import Measuring
 from yieldmon.service.metrics import MetricsFile
 from yieldmon.service.notify import ServiceManager
 from yieldmon.service.operator import commands
 from yieldmon.service.operator.command_loads import CommandLoads
-from yieldmon.service.operator.command_queue import CommandQueue, Job
+from yieldmon.service.operator.command_queue import CommandQueue
 from yieldmon.service.operator.control import ControlServer
 from yieldmon.service.operator.control_protocol import Answer, ControlError
 from yieldmon.service.operator.snapshot import snapshot
 from yieldmon.service.patience import DEFAULT, Patience
 from yieldmon.service.reloading import Reloading
 from yieldmon.service.reloads import Reloads
-from yieldmon.service.storage.identity import this_computer
-from yieldmon.service.storage.ownership import Ownership
-from yieldmon.service.storage.rows import SecondRow
-from yieldmon.service.storage.store import Store
 from yieldmon.service.storage.writer import StoreWriter
 from yieldmon.service.supervision import Supervisor, ended, require_alive
 from yieldmon.service.traffic.bus_node import BusNode
@@ -95,28 +84,18 @@ class Daemon:
         self._stop_wanted = self._reload_wanted = False
         self._commands = CommandQueue(patience.command_s, self._receiver.wake)
         self._command_loads = CommandLoads(patience.written_s)
-        self._rows: deque[SecondRow] = deque(maxlen=_LAST_ROWS)
-        self._record: WindowRecord | None = None
-        """Of the last window of the monitor in use."""
         self._started_s = monotonic()
-        self._store_note = ""
         self._answer: Answer = {}
-        self._ownership = Ownership(configuration.store_path)
-        pending_seconds, keep = configuration.document.store.pending_seconds, self._ownership.keep
-        self._writer = StoreWriter(self._open_store, pending_seconds, path=configuration.store_path, keep=keep)
-        self._poster = Poster(configuration.store_path, self._writer.wait_until_written)
         self._answered_s = monotonic()
-        self._replacements = 0
-        self._computer = this_computer()
+        self._store = RunStore(configuration, patience)
+        self._writer = self._store.writer
+        self._poster = Poster(configuration.store_path, self._writer.wait_until_written)
         self._supervisors: list[Supervisor] = []
-        self._reading_store: StoreReading | None = None
-        """Until the store has been read; from then on batches go to it."""
-        self._kept = KeptInput(patience.kept_frames)
 
     @property
     def monitor(self) -> Monitor:
         """The one in use, from the start on; a reload makes another. The engine's thread feeds it."""
-        return self._monitor
+        return self._measuring.monitor
 
     @property
     def receiver(self) -> Receiver:
@@ -160,19 +139,16 @@ class Daemon:
         try:
             return self._run()
         finally:
-            self._ownership.release()
+            self._store.release()
 
     def _run(self) -> int:
         # Frames are kept from here on, however long the disk takes.
         self._receiver.start()
         try:
-            self._reading_store = reading = StoreReading(self._take_store)
-            reading.wait(self._patience.store_s, lambda: self._stop_wanted)
-            if not reading.done and self._stop_wanted:
-                _log.error("%s: the disk has not answered since the start", self.configuration.store_path)
+            if not self._store.read(lambda: self._stop_wanted):
                 self._receiver.stop()
                 return 0
-            self._begin(reading)
+            self._measuring = Measuring(self.configuration, self._store.remembered())
             self._answer = self._snapshot()
             status = self.configuration.document.status
             control = ControlServer(self.configuration.socket_path, status.group, self.command)
@@ -181,7 +157,7 @@ class Daemon:
             raise
         metrics = MetricsFile(self.configuration.prometheus_path, status.prometheus_interval_s, self._status)
         self._supervisors = [Supervisor("control", control), Supervisor("metrics", metrics)]
-        helpers = (self._bus.transmitter, *(() if self._reading_store else (self._writer,)), control, metrics)
+        helpers = (self._bus.transmitter, *((self._writer,) if self._store.known else ()), control, metrics)
         for helper in helpers:
             helper.start()
         self._report_faults()
@@ -196,15 +172,15 @@ class Daemon:
                 self._round()
         finally:
             whole = self._end(metrics, control)
-        _log.info("stopped; total %.1f kg", self._monitor.totals.total_kg)
+        _log.info("stopped; total %.1f kg", self.monitor.totals.total_kg)
         return 0 if whole else 1
 
     def _end(self, metrics: MetricsFile, control: ControlServer) -> bool:
         """Everything is stopped and written; False where a step failed. None takes for ever."""
 
         def write() -> None:
-            if self._reading_store is not None:
-                lost_kg = self._monitor.totals.total_kg
+            if not self._store.known:
+                lost_kg = self.monitor.totals.total_kg
                 _log.error("the disk has not answered since the start; %.1f kg measured since then are in no store", lost_kg)
             elif not self._writer.stop(self._patience.stop_s):
                 _log.error("the disk hangs; %d batches are not written", self._writer.health().pending)
@@ -224,76 +200,27 @@ class Daemon:
             control.stop,
         )
 
-    # Start
-
-    def _take_store(self) -> Recovery:
-        """On a thread of its own: the disk may hang."""
-        self._ownership.take()
-        return recover(self.configuration.store_path, self.configuration.retention, self._open_store, self._computer)
-
-    def _begin(self, reading: StoreReading) -> None:
-        """The first monitor; on a disk that does not answer one that knows nothing of the store until it does."""
-        if reading.done:
-            self._reading_store = None
-            self._go_on_from(reading.result())
-            return
-        self._store_note = f"the disk has not answered for {reading.age_s:.0f} s; until it does, totals are those since the start"
-        _log.error("%s: %s", self.configuration.store_path, self._store_note)
-        self._remember(Memory())
-
-    def _go_on_from(self, recovery: Recovery) -> None:
-        self._store_note = recovery.note
-        if recovery.made:
-            self._writer.expect(recovery.last_batch)
-        self._remember(recovery.memory)
-
-    def _remember(self, memory: Memory) -> None:
-        """A journal and a monitor that go on from what a store remembers."""
-        configured = self.configuration.parameters
-        parameters, origin = choose_parameters(memory, configured)
-        self._journal = Journal(memory, configured, now_s=time.time())
-        self._journal.new_monitor(parameters, origin)
-        self._monitor = monitor_of(self.configuration, parameters, waveform_later=True)
-        resume(self._monitor, memory, origin, configured, time.time())
-        commands.set_crop(self._monitor, self._journal)
-
-    def _take_late_store(self, reading: StoreReading) -> None:
+    def _take_late_store(self) -> None:
         """The disk has answered after all: what came meanwhile is measured again from what the store remembers."""
-        recovery, without, kept = reading.result(), self._monitor, self._kept
-        self._reading_store, self._kept = None, KeptInput(0)
-        self._rows.clear()
-        self._record = None
-        self._go_on_from(replace(recovery, memory=without_sweeps_for(recovery.memory, kept.duration_s)))
+        age_s, without, kept = self._store.reading_age_s, self.monitor, self._store.take_kept()
+        recovery = self._store.take()
+        memory = without_sweeps_for(recovery.memory, kept.duration_s)
+        self._measuring = measuring = Measuring(self.configuration, memory)
         self._writer.start()
-        for results in kept.into(self._monitor):
-            rows = self._journal.take(results)
-            if rows:
-                self._rows.extend(rows)
-                self._record = records_in(results)[-1]
+        for results in kept.into(measuring.monitor):
+            if measuring.take(results):
                 self._commit()
-        note = f"the disk answered {reading.age_s:.0f} s after the start"
+        note = f"the disk answered {age_s:.0f} s after the start"
         if kept.full:
             more = without.totals
             note += f"; {more.total_kg:.1f} kg from {kept.duration_s:.0f} s after it on are in the totals, without records"
-            self._monitor = successor(self._monitor, self.configuration, None, time.time(), more)
-            commands.set_crop(self._monitor, self._journal)
-            self._record = None
-        self._store_note = "; ".join(part for part in (recovery.note, note if kept.full else "") if part)
-        _log.warning("%s: %s", self.configuration.store_path, note)
+            measuring.add(self.configuration, more)
+            self._store.note = "; ".join(part for part in (recovery.note, note) if part)
+        _log.warning("%s: %s", self._store.path, note)
         self._bus.faults.report_all_anew()
         self._report_faults()
         self._commit()
         self._answer = self._snapshot()
-
-    def _keep(self, item: frames.Frame | float) -> None:
-        """For when the store is known."""
-        if self._kept.add(item):
-            _log.error("%s: still does not answer; seconds from now on have no records", self.configuration.store_path)
-            # What these count now is what cannot be measured again.
-            self._journal.happened(self._monitor.reset_totals())
-
-    def _open_store(self) -> Store:
-        return Store(self.configuration.store_path, self.configuration.retention, computer=self._computer)
 
     # The engine's thread
 
@@ -312,7 +239,7 @@ class Daemon:
         silent_until_s = self._bus.silent_until_s(empty_until_s)
         if silent_until_s is not None:
             windows += self._feed(silent_until_s)
-        if self._bus.poll(self._monitor.due_s):
+        if self._bus.poll(self.monitor.due_s):
             self._answer = self._snapshot()
         self._report_faults()
         # A command has ended the wait for frames early.
@@ -321,8 +248,8 @@ class Daemon:
         if windows:
             self._post()
         between_windows = bool(windows or not (items or asked))
-        if self._reading_store is not None and self._reading_store.done and between_windows:
-            self._take_late_store(self._reading_store)
+        if self._store.answers and between_windows:
+            self._take_late_store()
         if self._reload_wanted and not self._reloads.under_way:
             # Before the reading: what is written from now on may need another one.
             self._reload_wanted = False
@@ -335,7 +262,7 @@ class Daemon:
 
     def _threads(self) -> dict[str, bool]:
         """Those without which measuring is of no use, and whether they are alive."""
-        own = {} if self._reading_store is not None else {"store": self._writer.alive}
+        own = {"store": self._writer.alive} if self._store.known else {}
         return {"receive": self._receiver.alive, "transmit": self._transmitter.alive, **own}
 
     def _take_message(self, message: can.Message) -> int:
@@ -344,26 +271,24 @@ class Daemon:
 
     def _feed(self, item: frames.Frame | float) -> int:
         """A frame, or a bus time up to which there is none; returns how many windows that closed."""
-        if self._reading_store is not None:
-            self._keep(item)
-        results = self._monitor.feed(item) if isinstance(item, frames.Frame) else self._monitor.tick(item)
+        if self._store.keep(item):
+            # What these count now is what cannot be measured again.
+            self._measuring.reset_totals()
+        results = self.monitor.feed(item) if isinstance(item, frames.Frame) else self.monitor.tick(item)
         return self._happened(results) if results else 0
 
     def _happened(self, results: Sequence[Result]) -> int:
         """Frames go out, records and events to the journal; with a window the second is done. Returns the windows closed."""
-        self._bus.send(results, self._monitor.totals)
-        completed = self._monitor.completed(results)
-        rows = self._journal.take(completed)
-        if rows:
-            self._rows.extend(rows)
-            self._record = records_in(completed)[-1]
+        self._bus.send(results, self.monitor.totals)
+        windows = self._measuring.take(self.monitor.completed(results))
+        if windows:
             self._second_done()
-        return len(rows)
+        return windows
 
     def _second_done(self) -> None:
         """A window has closed: the engine lives, its frames are out, and the second goes to the store."""
         self._fill_new_store()
-        self._bus.report_second(self._record, self._monitor.faults.active, self._monitor.totals)
+        self._bus.report_second(self._measuring.record, self.monitor.faults.active, self.monitor.totals)
         self._commit()
         if self._bus.lives:
             # A daemon that hears or says nothing any more is one to start anew.
@@ -376,18 +301,13 @@ class Daemon:
 
     def _fill_new_store(self) -> bool:
         """Let the next batch bring all that is known where the store was replaced since the last look; whether it was."""
-        replacements = self._writer.health().replacements
-        replaced = replacements != self._replacements
+        replaced = self._store.replaced()
         if replaced:
-            self._replacements = replacements
-            self._journal.report_all()
+            self._measuring.journal.report_all()
         return replaced
 
     def _commit(self) -> None:
-        batch = self._journal.batch(self._monitor, time.time(), self._bus.traffic().counters())
-        if self._reading_store is None:
-            self._writer.submit(batch)
-        # Else it has the number of a batch that the store may have already.
+        self._store.submit(self._measuring.batch(self._bus.traffic().counters()))
 
     # Faults that only the service sees
 
@@ -398,11 +318,11 @@ class Daemon:
             sent=self._transmitter.counters(),
             hangs_s=self._bus.hangs_s(),
             store=self._writer.health(),
-            store_note=self._store_note,
+            store_note=self._store.note,
             network=self._bus.network_troubles(),
         )
         for code, detail in changed.items():
-            self._monitor.report_fault(code, bool(detail), detail)
+            self.monitor.report_fault(code, bool(detail), detail)
 
     def _status(self) -> Answer:
         """The last snapshot with its age: the engine's thread makes one each second, whoever asks."""
@@ -418,7 +338,7 @@ class Daemon:
         """
         if request["command"] == "status":
             return self._status()
-        if self._reading_store is not None:
+        if not self._store.known:
             raise ControlError("the disk has not answered since the start, so the store is not known yet; nothing was done")
         answer = self._commands.ask(request, self._command_loads.of(request, self.configuration.store_path))
         if request["command"] not in commands.QUERIES and not self._writer.wait_until_written(self._patience.written_s):
@@ -426,10 +346,7 @@ class Daemon:
         return answer
 
     def _do_commands(self) -> None:
-        def execute(job: Job) -> Answer:
-            return commands.execute(job.request, self._monitor, self._journal, time.time(), job.stored)
-
-        done = self._commands.carry_out(execute)
+        done = self._commands.carry_out(self._measuring.execute)
         if done:
             self._commit()
             self._answer = self._snapshot()
@@ -438,32 +355,11 @@ class Daemon:
             job.answer.set_result({**answer, "units": self.configuration.document.units})
 
     def _post(self) -> None:
-        """After a ticket updated the parameters, or an undo brought others back, the last days' loads are measured again, the one
-        that is open then once it is closed; what comes of it goes to the store."""
-        actions, totals = self._journal.actions, self._monitor.totals
-        posted = self._poster.take()
-        if posted is not None:
-            actions.posted(
-                posted.tickets,
-                posted.version,
-                posted.factors,
-                open_load=posted.open_load,
-                closed_load=posted.closed_load,
-            )
-            if posted.factors:
-                self._commit()
-        if self._monitor.masses_wait or self._poster.busy:
-            return
-        machine, now_s = self._monitor.machine, self._monitor.bus_time_s
-        open_load = totals.load_number if totals.load_open else None
-        if actions.restored_waits or actions.waiting:
-            # First what an undo brought back: what tickets teach after it counts.
-            in_use = self._monitor.estimator.parameters.version
-            taken = actions.take_restored() if actions.restored_waits else actions.take_waiting(in_use)
-            self._poster.start(machine, *taken, open_load, now_s)
-        elif (closed := actions.closed_load(open_load)) is not None:
-            number, by = closed
-            self._poster.start(machine, by.tickets, by.version, open_load, now_s, number)
+        """Measure loads again where tickets or an undo ask for it; what comes of it goes to the store."""
+        actions = self._measuring.journal.actions
+        if self._poster.take_into(actions):
+            self._commit()
+        self._poster.start_next(actions, self.monitor)
 
     def _do_reload(self) -> None:
         self._reloads.take(self._use)
@@ -474,14 +370,8 @@ class Daemon:
         """Goes on with a configuration; returns its sections that will be taken at the next start only."""
         later = at_next_start(self._at_start, new)
         new = usable_now(self._at_start, new)
-        fresh = self._journal.parameters.unlike(new.parameters)
         self._commit()
-        monitor = successor(self._monitor, new, fresh, time.time(), loads=self._journal.loads)
-        commands.set_crop(monitor, self._journal)
-        self._monitor, self._record = monitor, None
-        # The next batch brings both: the file's name alone would make a start take the parameters before it for the file's.
-        self._journal.parameters.configure(new.parameters)
-        self._journal.new_monitor(monitor.estimator.parameters, "file")
+        self._measuring.use(new)
         self._bus.faults.report_all_anew()
         self.configuration = new
         self._bus.use(new)
@@ -492,13 +382,13 @@ class Daemon:
         self._answered_s = monotonic()
         return snapshot(
             configuration=self.configuration,
-            monitor=self._monitor,
-            record=self._record,
-            journal=self._journal,
-            rows=tuple(self._rows),
+            monitor=self.monitor,
+            record=self._measuring.record,
+            journal=self._measuring.journal,
+            rows=self._measuring.rows,
             traffic=self._bus.traffic(),
             store=self._writer.health(),
-            store_note=self._store_note,
+            store_note=self._store.note,
             reload_note=self._reloads.note,
             reloads=self._reloads.count,
             uptime_s=monotonic() - self._started_s,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from yieldmon.bus.receiver import LISTEN_S
+from yieldmon.service.storage.writer import RETRY_S
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,6 +27,8 @@ class Patience:
         Reading the configuration and the files that it names anew may take so long; a pipe alone takes up to 5 s.
     command_s : float
         A command waits so long for the engine.
+    retry_s : float
+        A write that failed is tried again after so long.
     written_s : float
         An answer waits so long for the disk to have what was entered.
     stop_s : float
@@ -38,6 +41,7 @@ class Patience:
     kept_frames: int = 50_000
     reload_s: float = 20.0
     command_s: float = 5.0
+    retry_s: float = RETRY_S
     written_s: float = 2.0
     stop_s: float = 1.5
 

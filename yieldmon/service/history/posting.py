@@ -10,8 +10,7 @@ first stays as it is: a posting is a factor for each load.
 from __future__ import annotations
 
 import logging
-import threading
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -42,7 +41,6 @@ SPAN_S = 72.0 * 3600.0
 _CONTRADICTION = 10.83
 """Squared standard deviations that a lesson moves the parameters by, which chance reaches once in a thousand."""
 _MOST_ROWS = 270_000
-_WRITING_S = 10.0
 
 
 @dataclass(frozen=True)
@@ -232,79 +230,3 @@ def whole(rows: Sequence[SecondRow], begin_s: float, open_load: int | None, olde
     holds it has lost what came before, unless it is the first of all."""
     cut = {row.load_number for row in rows if row.time_s < begin_s or row.number == oldest > 1}
     return [row for row in rows if row.load_number not in cut and row.load_number != open_load]
-
-
-@dataclass(frozen=True)
-class Posted:
-    """The factors that came of tickets, of an undo where there are none, or why there are no factors. open_load: left out as it
-    was open; closed_load: the one that this is about, None for all of the last days."""
-
-    tickets: tuple[int, ...]
-    version: int
-    factors: Mapping[int, float]
-    problem: str = ""
-    open_load: int | None = None
-    closed_load: int | None = None
-
-
-class Poster:
-    """Measures loads again on a thread of its own, one job at a time."""
-
-    def __init__(self, path: Path, written: Callable[[float], bool]) -> None:
-        """path: of the store. written: waits so many seconds until the store holds all that was handed to it."""
-        self._path = path
-        self._written = written
-        self._thread: threading.Thread | None = None
-        self._done: Posted | None = None
-
-    @property
-    def busy(self) -> bool:
-        """Whether a job is under way, or its result not taken yet."""
-        return self._thread is not None
-
-    def start(
-        self,
-        machine: Machine,
-        tickets: tuple[int, ...],
-        version: int,
-        open_load: int | None,
-        now_s: float,
-        closed_load: int | None = None,
-    ) -> None:
-        """Begin a job; not while busy. tickets: none after an undo. closed_load: this load alone. Without room for a thread there
-        is none, which is said."""
-        asked = (machine, tickets, version, open_load, now_s, closed_load)
-        thread = threading.Thread(target=self._work, args=asked, name="posting", daemon=True)
-        try:
-            thread.start()
-        except RuntimeError as error:
-            _log.error("the loads cannot be measured again: %s", error)
-            return
-        self._thread = thread
-
-    def take(self) -> Posted | None:
-        """What came of the job, once."""
-        if self._thread is None or self._thread.is_alive():
-            return None
-        self._thread, done, self._done = None, self._done, None
-        return done
-
-    def _work(
-        self,
-        machine: Machine,
-        tickets: tuple[int, ...],
-        version: int,
-        open_load: int | None,
-        now_s: float,
-        closed_load: int | None,
-    ) -> None:
-        found, problem = {}, ""
-        try:
-            self._written(_WRITING_S)
-            if closed_load is not None:
-                version = at_its_end(self._path, closed_load, version)
-            found = of_store(self._path, machine, version, open_load, now_s, undone_only=not tickets, only=closed_load)
-        except Exception as error:  # noqa: BLE001 - what was measured stays, and measuring goes on
-            _log.error("the loads could not be measured again: %s", error)
-            problem = str(error)
-        self._done = Posted(tickets, version, found, problem, open_load, closed_load)

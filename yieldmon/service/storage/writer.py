@@ -22,7 +22,8 @@ from yieldmon.service.storage.store_names import beside
 
 _log = logging.getLogger(__name__)
 
-_RETRY_S = 2.0
+RETRY_S = 2.0
+"""A write that failed is tried again after so long."""
 #: A medium that damages what is written to it would be filled with stores set aside.
 _REPAIR_EVERY_S = 60.0
 #: For files that were removed or replaced again, and for another try where a repair failed on a medium without room, say.
@@ -54,7 +55,7 @@ class StoreWriter:
     """Writes batches in order on its own thread; a batch is written once, whatever fails in between."""
 
     def __init__(
-        self, open_store: Callable[[], Store], capacity: int, retry_s: float = _RETRY_S, path: Path | None = None,
+        self, open_store: Callable[[], Store], capacity: int, retry_s: float = RETRY_S, path: Path | None = None,
         keep: Callable[[], None] = lambda: None,
     ) -> None:  # fmt: skip
         """open_store: opens the store anew each time it is called. capacity: batches that may wait with their records;

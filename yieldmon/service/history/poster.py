@@ -1,0 +1,128 @@
+"""Postings on a thread of their own: which loads are to be measured again, and what came of it."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from yieldmon.engine.monitor import Monitor
+from yieldmon.physics.machine import Machine
+from yieldmon.service.history.posting import at_its_end, of_store
+from yieldmon.service.tickets.action_log import ActionLog
+
+_log = logging.getLogger(__name__)
+
+_WRITING_S = 10.0
+"""A job waits so long for the store to hold what was handed to it."""
+
+
+@dataclass(frozen=True)
+class Posted:
+    """The factors that came of tickets, of an undo where there are none, or why there are no factors. open_load: left out as it
+    was open; closed_load: the one that this is about, None for all of the last days."""
+
+    tickets: tuple[int, ...]
+    version: int
+    factors: Mapping[int, float]
+    problem: str = ""
+    open_load: int | None = None
+    closed_load: int | None = None
+
+
+class Poster:
+    """Measures loads again on a thread of its own, one job at a time."""
+
+    def __init__(self, path: Path, written: Callable[[float], bool]) -> None:
+        """path: of the store. written: waits so many seconds until the store holds all that was handed to it."""
+        self._path = path
+        self._written = written
+        self._thread: threading.Thread | None = None
+        self._done: Posted | None = None
+
+    @property
+    def busy(self) -> bool:
+        """Whether a job is under way, or its result not taken yet."""
+        return self._thread is not None
+
+    def start(
+        self,
+        machine: Machine,
+        tickets: tuple[int, ...],
+        version: int,
+        open_load: int | None,
+        now_s: float,
+        closed_load: int | None = None,
+    ) -> None:
+        """Begin a job; not while busy. tickets: none after an undo. closed_load: this load alone. Without room for a thread there
+        is none, which is said."""
+        asked = (machine, tickets, version, open_load, now_s, closed_load)
+        thread = threading.Thread(target=self._work, args=asked, name="posting", daemon=True)
+        try:
+            thread.start()
+        except RuntimeError as error:
+            _log.error("the loads cannot be measured again: %s", error)
+            return
+        self._thread = thread
+
+    def start_next(self, actions: ActionLog, monitor: Monitor) -> None:
+        """Begin what is to be measured again, where there is something and no job is under way.
+
+        Those are the last days' loads, after a ticket updated the parameters or an undo brought others back, and the load that
+        was open then, once it is closed.
+        """
+        if monitor.masses_wait or self.busy:
+            return
+        machine, now_s, totals = monitor.machine, monitor.bus_time_s, monitor.totals
+        open_load = totals.load_number if totals.load_open else None
+        if actions.restored_waits or actions.waiting:
+            # First what an undo brought back: what tickets teach after it counts.
+            in_use = monitor.estimator.parameters.version
+            taken = actions.take_restored() if actions.restored_waits else actions.take_waiting(in_use)
+            self.start(machine, *taken, open_load, now_s)
+        elif (closed := actions.closed_load(open_load)) is not None:
+            number, by = closed
+            self.start(machine, by.tickets, by.version, open_load, now_s, number)
+
+    def take_into(self, actions: ActionLog) -> bool:
+        """Enter what came of the job, once; whether it brought factors, which are to be written before another job reads them."""
+        posted = self.take()
+        if posted is None:
+            return False
+        actions.posted(
+            posted.tickets,
+            posted.version,
+            posted.factors,
+            open_load=posted.open_load,
+            closed_load=posted.closed_load,
+        )
+        return bool(posted.factors)
+
+    def take(self) -> Posted | None:
+        """What came of the job, once."""
+        if self._thread is None or self._thread.is_alive():
+            return None
+        self._thread, done, self._done = None, self._done, None
+        return done
+
+    def _work(
+        self,
+        machine: Machine,
+        tickets: tuple[int, ...],
+        version: int,
+        open_load: int | None,
+        now_s: float,
+        closed_load: int | None,
+    ) -> None:
+        found, problem = {}, ""
+        try:
+            self._written(_WRITING_S)
+            if closed_load is not None:
+                version = at_its_end(self._path, closed_load, version)
+            found = of_store(self._path, machine, version, open_load, now_s, undone_only=not tickets, only=closed_load)
+        except Exception as error:  # noqa: BLE001 - what was measured stays, and measuring goes on
+            _log.error("the loads could not be measured again: %s", error)
+            problem = str(error)
+        self._done = Posted(tickets, version, found, problem, open_load, closed_load)
