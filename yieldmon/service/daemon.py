@@ -44,7 +44,6 @@ from yieldmon.service.traffic.transmit import Transmitter
 
 _log = logging.getLogger(__name__)
 
-_LAST_ROWS = 10
 #: From this age on what `status` says is marked as stale.
 _STALE_S = 5.0
 
