@@ -635,14 +635,14 @@ def test_a_ticket_that_waits_during_a_sweep_updates_as_one_before_it(
             weighed_kg = load.reference_kg * (factor if number == 3 else 1.0)
             learning.ticket(number, weighed_kg, 0.003 * weighed_kg, (summary,), at_s)
             learning.learn(at_s, dataclasses.replace(windows[0], time_s=at_s + 600.0), sweep)
-            assert [mass.load_number for mass in learning.tickets.waiting] == [3] * (waits and number == 3)
+            assert [mass.load_number for mass in learning.masses.tickets.waiting] == [3] * (waits and number == 3)
         sweep.state = SweepState.MEASURING
         for i, window in enumerate(windows):
             sweep.completed = i == len(windows) - 1
             learning.learn(window.time_s, window, sweep)
         masses.append(home_error_pct(learning.estimator, flows[-1]))  # type: ignore[arg-type]
         assert not learning.masses_wait
-        assert learning.tickets.waiting == ()
+        assert learning.masses.tickets.waiting == ()
     assert masses[1] == pytest.approx(masses[0], abs=0.02)
     assert abs(masses[1] - before) > 0.1
 
@@ -724,7 +724,7 @@ def test_a_ticket_of_another_crop_taken_back_leaves_the_present_one() -> None:
     assert learn_at(learning, sweep, at_s + 1.0) == 0
     learning.change_grain("rapeseed", "wheat")
     learning.use(wheat, 0.0)
-    assert [mass.load_number for mass in learning.tickets.waiting] == [2]
+    assert [mass.load_number for mass in learning.masses.tickets.waiting] == [2]
 
 
 def tank_mass(estimator: OpenLoop, start_s: float, sd_kg: float, factor: float = 1.1) -> ReferenceMass:

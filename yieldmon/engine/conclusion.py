@@ -148,7 +148,7 @@ class Conclusion:
         """Hold the window's mass against the tank scale, which keeps the mass while the zero is doubted."""
         loads, learning, doubted = self._parts.loads, self._parts.learning, self._parts.measurement.zero.suspect
         totals = loads.totals
-        missed_kg = learning.match_tank_scale(
+        missed_kg = learning.masses.match_tank_scale(
             reading.window,
             reading.inputs,
             flow,
@@ -160,13 +160,13 @@ class Conclusion:
         if doubted:
             loads.doubt()
         elif reading.zero_taken:
-            learning.empty_since(self._parts.measurement.zero.taken_from_s)
+            learning.masses.empty_since(self._parts.measurement.zero.taken_from_s)
         if missed_kg > 0.0:
             number = totals.load_number if totals.load_open else NO_LOAD
             self._parts.since_zero.add_scale(number, missed_kg)
             loads.correct({number: MissedMass().plus(missed_kg, None, area_known=True)})
         if totals.load_open:
-            learning.tickets.measured(totals.load_number, reading, flow, mass_kg)
+            learning.masses.tickets.measured(totals.load_number, reading, flow, mass_kg)
 
     def _restate(
         self, model_error: AngleError, contradiction: ScaleCheck | None, learnt: Sequence[ParametersChanged]
@@ -179,7 +179,7 @@ class Conclusion:
         if found is not None and found is not contradiction:
             relative = abs(found.weighed_kg / found.measured_kg - 1.0)
             if learnt or learning.calibrator is None:
-                restated = (*restated, *loads.scale_is_off(relative, learning.load_of(found)))
+                restated = (*restated, *loads.scale_is_off(relative, learning.masses.load_of(found)))
             else:
                 loads.widen(relative * loads.totals.load_kg)
         if any(change.origin == "ticket" for change in learnt):

@@ -297,7 +297,7 @@ class Monitor:
         seconds : sequence of KeptSecond
             Of that load.
         """
-        self._parts.learning.tickets.know_load(self._parts.loads.as_stated(load), seconds)
+        self._parts.learning.masses.tickets.know_load(self._parts.loads.as_stated(load), seconds)
 
     def remember_tickets(self, tickets: Sequence[TicketState]) -> None:
         """After `restore` and `know_load`: the state's tickets, of which those for other loads are passed over.
@@ -513,7 +513,7 @@ class Monitor:
     @property
     def anchors(self) -> tuple[ReferenceMass, ...]:
         """Reference masses kept, by time."""
-        return self._parts.learning.anchors
+        return self._parts.learning.masses.kept
 
     @property
     def sweep(self) -> SweepMachine:

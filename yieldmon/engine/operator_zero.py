@@ -26,5 +26,5 @@ def undo(parts: Parts) -> tuple[dict[int, MissedMass], LoadEvents]:
     found = parts.since_zero.missed(known.zero_mv, parts.learning.estimator, gain, on_n, least, parts.loads.dry_kg)
     parts.since_zero.clear()
     zero.undo()
-    parts.learning.zero_undone()
+    parts.learning.masses.zero_undone()
     return found, parts.loads.correct(found)

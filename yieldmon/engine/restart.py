@@ -25,7 +25,7 @@ def snapshot(parts: Parts, windows: int) -> EngineState:
         scale_alarm=learning.scale_alarm.state,
         calibrator=calibrator.snapshot(parts.bus_now, totals.total_kg) if calibrator is not None else None,
         zero_undo=_zero_undo(parts),
-        tickets=learning.tickets.states,
+        tickets=learning.masses.tickets.states,
         moisture=parts.flow_meter.moisture.state,
         closed=parts.loads.closed_states,
     )
@@ -60,7 +60,7 @@ def remember_tickets(parts: Parts, tickets: Sequence[TicketState]) -> None:
     learning = parts.learning
     of_crop: dict[str | None, list[tuple[ReferenceMass, bool]]] = {None: []}
     for ticket in tickets:
-        known = learning.tickets.of_earlier_load(ticket.load_number, ticket.weighed_kg, ticket.std_dev_kg)
+        known = learning.masses.tickets.of_earlier_load(ticket.load_number, ticket.weighed_kg, ticket.std_dev_kg)
         if known is not None:
             of_crop.setdefault(ticket.crop, []).append((known, ticket.waits))
     for crop, pairs in of_crop.items():
@@ -68,7 +68,7 @@ def remember_tickets(parts: Parts, tickets: Sequence[TicketState]) -> None:
         if crop is None:
             learning.remember_tickets(masses, waiting)
         else:
-            learning.tickets.remember(masses, waiting, crop)
+            learning.masses.tickets.remember(masses, waiting, crop)
 
 
 def take_over(parts: Parts, before: Parts, *, tickets: bool) -> None:

@@ -166,7 +166,7 @@ class Timeline:
             if index == len(found) or learning.estimator is not estimator:
                 estimator = learning.estimator
                 ahead = readings[index : index + _ESTIMATED_TOGETHER]
-                weighed = learning.next_weighed(reading.inputs for reading in ahead)
+                weighed = learning.masses.next_weighed(reading.inputs for reading in ahead)
                 found[index:] = self._estimated(ahead[:weighed] if weighed else ahead)
             if feeding is not None:
                 results += self._ticks_before(reading.window.end_s, feeding)

@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import hypot, nan
 
 import numpy as np
 
-from yieldmon.engine.flow import Flow
 from yieldmon.engine.flow_estimator import FlowEstimator
-from yieldmon.engine.inputs import InputSnapshot
-from yieldmon.engine.mass.budget import MassBudget
 from yieldmon.engine.mass.load_summary import LoadSummary
 from yieldmon.engine.records import WindowRecord
-from yieldmon.engine.sampling.windows import Window
-from yieldmon.engine.self_calibration.anchors import ReferenceMass, TankScale, Weighing
+from yieldmon.engine.self_calibration.anchors import ReferenceMass, Weighing
 from yieldmon.engine.self_calibration.calibrator import CalibrationOutcome, CalibrationStep, SelfCalibrator
-from yieldmon.engine.self_calibration.scale_alarm import ScaleAlarm, ScaleCheck, as_stated, name_of
-from yieldmon.engine.self_calibration.ticket_book import TicketBook
+from yieldmon.engine.self_calibration.reference_masses import ReferenceMasses
+from yieldmon.engine.self_calibration.scale_alarm import ScaleAlarm, name_of
 from yieldmon.engine.self_calibration.ticket_check import departure_of
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.sweeps.disagreement import Disagreement
@@ -29,7 +25,7 @@ from yieldmon.estimation.admission import refusal
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.self_calibration.sweep_worth import OtherChannels
 from yieldmon.estimation.waveform.common_bias import KernelLesson
-from yieldmon.frames import EstimateQuality, SweepState
+from yieldmon.frames import SweepState
 from yieldmon.physics.machine import Machine
 
 
@@ -72,49 +68,28 @@ class Learning:
         self.outcome: CalibrationOutcome | None = None
         """What the last whole sweep or weighed mass changed; None once that is taken back or of another crop."""
         self.scale_alarm = ScaleAlarm(settings.faults)
-        self._scale = TankScale(settings.anchors)
-        self.tickets = TicketBook(settings.anchors.keep)
-        self._masses_new = False
-        self._compared: frozenset[ReferenceMass] = frozenset()
-        self._weighed_s = float("-inf")
+        self.masses = ReferenceMasses(settings.anchors)
         self._sweep_windows = SweepWindows(self.disagreement, machine.home_plate_angle_rad)
-
-    @property
-    def anchors(self) -> tuple[ReferenceMass, ...]:
-        """Reference masses kept, by time."""
-        return tuple(sorted((*self._scale.anchors, *self.tickets.kept), key=lambda anchor: anchor.end_s))
 
     @property
     def masses_wait(self) -> bool:
         """Whether a reference mass has come that was not handed to the calibrator yet."""
-        return self._masses_new and self.calibrator is not None
+        return self.masses.wait and self.calibrator is not None
 
     @property
     def counted_loads(self) -> frozenset[int]:
         """See `Monitor.counted_loads`."""
-        counted = frozenset() if self.calibrator is None else self.calibrator.counted
-        return self._ticketed(counted)
+        return frozenset() if self.calibrator is None else self.masses.loads_named(self.calibrator.counted)
 
     @property
     def scale_counted(self) -> bool:
         """See `Monitor.scale_counted`."""
-        counted = frozenset() if self.calibrator is None else self.calibrator.counted
-        return any(name_of(anchor) in counted for anchor in self._scale.anchors)
+        return self.calibrator is not None and any(name_of(mass) in self.calibrator.counted for mass in self.masses.of_scale)
 
     @property
     def doubted_loads(self) -> frozenset[int]:
         """See `Monitor.doubted_loads`."""
-        return self._ticketed(frozenset() if self.calibrator is None else self.calibrator.doubted)
-
-    def load_of(self, check: ScaleCheck) -> int:
-        """Number of the load whose ticket was checked; 0 for a mass of the tank scale."""
-        return next((ticket.load_number for ticket in self.tickets.of_any_crop if name_of(ticket) == check.name), 0)
-
-    def _ticketed(self, names: frozenset[str]) -> frozenset[int]:
-        """Loads of these names that have a ticket."""
-        if not names:
-            return frozenset()
-        return frozenset(ticket.load_number for ticket in self.tickets.of_any_crop if name_of(ticket) in names)
+        return frozenset() if self.calibrator is None else self.masses.loads_named(self.calibrator.doubted)
 
     def teach_again(
         self,
@@ -131,21 +106,19 @@ class Learning:
 
         Raises ValueError as `ticket`.
         """
-        anchors = [self.tickets.ticket(*weighing, loads, now_s) for weighing in again]
+        tickets = self.masses.tickets
+        anchors = [tickets.ticket(*weighing, loads, now_s) for weighing in again]
         gone = load_numbers | {anchor.load_number for anchor in anchors}
+        left = tickets.take_back(gone, anchors, crop)
+        counted = None
         if learnt is not None and not crop:
             self.outcome = None
-        left = self.tickets.take_back(gone, anchors, crop)
-        scale_again = False
-        if self.calibrator is not None:
-            counted = None
-            if learnt is not None and not crop:
-                waiting = self.tickets.waiting
-                counted = [ticket for ticket in left if ticket.load_number in learnt and ticket not in waiting]
-            scale_again = self.calibrator.forget(gone, self.estimator, counted, tuple(self._scale.anchors))
+            waiting = tickets.waiting
+            counted = [ticket for ticket in left if ticket.load_number in learnt and ticket not in waiting]
+        calibrator = self.calibrator
+        scale = calibrator is not None and calibrator.forget(gone, self.estimator, counted, self.masses.of_scale)
         if not crop:
-            scale_waits = scale_again or (self._masses_new and bool(self._scale.anchors))
-            self._masses_new = bool(self.tickets.waiting) or scale_waits
+            self.masses.wait_again(scale=scale)
 
     @property
     def last_update(self) -> str:
@@ -187,101 +160,48 @@ class Learning:
     def change_grain(self, before: str, now: str, estimator: FlowEstimator | None = None) -> None:
         """Another crop from now on: weighed masses of the one before teach its parameters alone, when it is back. estimator: in
         use from now on."""
-        used = self.tickets.change_crop(before, now)
+        used = self.masses.change_crop(before, now)
         self.outcome = None
-        self._scale.forget()
-        self._scale.anchors.clear()
-        self._masses_new = bool(self.tickets.waiting)
         if self.calibrator is not None:
             self.calibrator.change_grain(before, now, used, estimator)
 
     def totals_reset(self, before_kg: float) -> None:
         """The total begins anew at 0; it was before_kg."""
-        self._scale.forget()
+        self.masses.totals_reset()
         if self.calibrator is not None:
             self.calibrator.totals_reset(before_kg)
 
-    def zero_undone(self) -> None:
-        """Masses have changed that were measured with another zero: forces over them say nothing, nor does the total's rise."""
-        self.tickets.forces.forget()
-        self._scale.forget()
-
     def take_tickets_of(self, before: Learning) -> None:
         """After a reload: the tickets of the one that learnt until now."""
-        self.tickets.take_crops_of(before.tickets)
-        self.remember_tickets(before.tickets.kept, before.tickets.waiting)
+        tickets = before.masses.tickets
+        self.masses.tickets.take_crops_of(tickets)
+        self.remember_tickets(tickets.kept, tickets.waiting)
 
     def grow_older(self, seconds: float) -> None:
         """Time passes since the calibration."""
         if self.calibration_age_s is not None:
             self.calibration_age_s += seconds
 
-    def match_tank_scale(
-        self,
-        window: Window,
-        inputs: InputSnapshot,
-        flow: Flow,
-        total_before_kg: float,
-        mass_kg: float,
-        budget: MassBudget,
-        *,
-        zero_doubted: bool,
-    ) -> float:
-        """Match the tank scale's stable readings with what a window measured; budget: of the total after it.
-
-        Returns kg that were missed, by the scale, while the zero was doubted.
-        """
-        if zero_doubted:
-            self._scale.doubt_zero()
-        if inputs.tank_disputed:
-            self._scale.forget()
-            return 0.0
-        if inputs.tank_time_s != self._weighed_s:
-            self._weighed_s = inputs.tank_time_s
-            self._scale.reading(inputs.tank_time_s, inputs.tank_kg)
-        # Between passes the plate is watched as in them, and no grain comes.
-        watched = (flow.measured or flow.quality is EstimateQuality.NOT_HARVESTING) and not window.contested
-        weighed = self._scale.window(window.start_s, window.end_s, total_before_kg, mass_kg, watched, budget)
-        if weighed is None:
-            return 0.0
-        if not weighed.zero_doubted:
-            self._masses_new = True
-            return 0.0
-        missed_kg = max(0.0, weighed.reference_kg - weighed.measured_kg)
-        self._scale.counted(missed_kg)
-        return missed_kg
-
-    def next_weighed(self, ahead: Iterable[InputSnapshot]) -> int:
-        """With which of the windows ahead a mass may be weighed that changes the parameters, counted from 1; 0 for none."""
-        return self._scale.next_mass(inputs.tank_kg for inputs in ahead)
-
-    def empty_since(self, time_s: float) -> None:
-        """No grain came between a time and now, though no flow could be given."""
-        self._scale.empty_since(time_s)
-
     def ticket(
         self, load_number: int, mass_kg: float, std_dev_kg: float, loads: tuple[LoadSummary, ...], now_s: float
     ) -> ReferenceMass:
         """A scale ticket for a load; see `Monitor.ticket`."""
-        anchor = self.tickets.ticket(load_number, mass_kg, std_dev_kg, loads, now_s)
-        self.tickets.enter(anchor)
-        self._masses_new = True
+        anchor = self.masses.tickets.ticket(load_number, mass_kg, std_dev_kg, loads, now_s)
+        self.masses.enter(anchor)
         return anchor
 
     def departure(
         self, load_number: int, mass_kg: float, std_dev_kg: float, loads: tuple[LoadSummary, ...], now_s: float
     ) -> tuple[float, float] | None:
         """See `Monitor.ticket_departure`."""
-        anchor = self.tickets.ticket(load_number, mass_kg, std_dev_kg, loads, now_s)
+        anchor = self.masses.tickets.ticket(load_number, mass_kg, std_dev_kg, loads, now_s)
         return departure_of(anchor, self.estimator, hypot(self.drift_sd, self.model_error.home))
 
     def remember_tickets(self, tickets: Sequence[ReferenceMass], waiting: Sequence[ReferenceMass]) -> None:
         """After a restart or a reload: tickets entered before it; `waiting` are those among them that have not been used."""
-        self.tickets.remember(tickets, waiting)
-        self._compared = frozenset(tickets)
+        self.masses.remember(tickets, waiting)
         if self.calibrator is not None:
             self.calibrator.remember([a for a in tickets if a not in waiting], self.estimator)
-        self._masses_new = self._masses_new or bool(waiting)
 
     def learn(
         self, at_s: float, record: WindowRecord, sweep: SweepMachine, channels: OtherChannels | None = None
@@ -345,17 +265,12 @@ class Learning:
     def _learn_from_masses(self, record: WindowRecord) -> tuple[ParametersChanged, ...]:
         """Hand reference masses that have come since the last update to the calibrator; of several tickets one with each window,
         in the order of entry, so that they teach what they would have one by one."""
-        if not self._masses_new:
+        if not self.masses.wait:
             return ()
         if self.calibrator is None:
-            self._masses_new = False
-            self.tickets.none_waits()
-            self._compare()
+            self.scale_alarm.see(self.masses.compare())
             return ()
-        handed = self.tickets.hand_over()
-        waiting = self.tickets.waiting
-        self._masses_new = bool(waiting)
-        anchors = tuple(anchor for anchor in self.anchors if anchor not in waiting)
+        handed, anchors = self.masses.hand_over()
         changed = self._take(self.calibrator.weigh(record, anchors, self.estimator, self.load_error))
         taught = tuple((ticket.load_number, ticket.reference_kg) for ticket in handed)
         return tuple(replace(change, taught=taught) for change in changed)
@@ -371,12 +286,6 @@ class Learning:
         self._put(outcome.estimator, self.calibration_age_s, weighed=self._weighed)
         return (ParametersChanged(outcome.estimator.parameters, "drift", outcome.reason, outcome.step, nan),)
 
-    def _compare(self) -> None:
-        """Nothing learns: hold new masses against what was counted."""
-        checks = [as_stated(anchor) for anchor in self.anchors if anchor not in self._compared]
-        self._compared = frozenset(self.anchors)
-        self.scale_alarm.see([check for check in checks if check is not None])
-
     def _take(self, outcome: CalibrationOutcome, by: str = "") -> tuple[ParametersChanged, ...]:
         self.outcome = outcome
         self.scale_alarm.see(outcome.checks)
@@ -390,7 +299,7 @@ class Learning:
 
     def _weighed_moisture_pct(self) -> float:
         """Of the grain that was weighed last, mean over its time; nan where it is not known."""
-        anchors = self.anchors
+        anchors = self.masses.kept
         forces = anchors[-1].forces if anchors else None
         if forces is None:
             return nan

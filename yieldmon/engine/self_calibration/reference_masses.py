@@ -1,0 +1,163 @@
+"""All reference masses of one machine: what the tank scale weighs, the tickets, and which of them are still to be used."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from yieldmon.engine.flow import Flow
+from yieldmon.engine.inputs import InputSnapshot
+from yieldmon.engine.mass.budget import MassBudget
+from yieldmon.engine.sampling.windows import Window
+from yieldmon.engine.self_calibration.anchors import ReferenceMass, TankScale
+from yieldmon.engine.self_calibration.scale_alarm import ScaleCheck, as_stated, name_of
+from yieldmon.engine.self_calibration.ticket_book import TicketBook
+from yieldmon.engine.settings import AnchorSettings
+from yieldmon.frames import EstimateQuality
+
+
+class ReferenceMasses:
+    """Tank scale and tickets.
+
+    Parameters
+    ----------
+    settings : AnchorSettings
+
+    Attributes
+    ----------
+    tickets : TicketBook
+    """
+
+    def __init__(self, settings: AnchorSettings) -> None:
+        self.tickets = TicketBook(settings.keep)
+        self._scale = TankScale(settings)
+        self._weighed_s = float("-inf")
+        """Bus time of the scale's last reading."""
+        self._wait = False
+        self._compared: frozenset[ReferenceMass] = frozenset()
+
+    @property
+    def wait(self) -> bool:
+        """Whether one has come that was not handed over yet."""
+        return self._wait
+
+    @property
+    def kept(self) -> tuple[ReferenceMass, ...]:
+        """All that are kept, by time."""
+        return tuple(sorted((*self._scale.anchors, *self.tickets.kept), key=lambda mass: mass.end_s))
+
+    @property
+    def of_scale(self) -> tuple[ReferenceMass, ...]:
+        """Those of the tank scale."""
+        return tuple(self._scale.anchors)
+
+    def loads_named(self, names: frozenset[str]) -> frozenset[int]:
+        """Loads of these names that have a ticket, of any crop."""
+        if not names:
+            return frozenset()
+        return frozenset(ticket.load_number for ticket in self.tickets.of_any_crop if name_of(ticket) in names)
+
+    def load_of(self, check: ScaleCheck) -> int:
+        """Number of the load whose ticket was checked; 0 for a mass of the tank scale."""
+        return next((ticket.load_number for ticket in self.tickets.of_any_crop if name_of(ticket) == check.name), 0)
+
+    # Tank scale
+
+    def match_tank_scale(
+        self,
+        window: Window,
+        inputs: InputSnapshot,
+        flow: Flow,
+        total_before_kg: float,
+        mass_kg: float,
+        budget: MassBudget,
+        *,
+        zero_doubted: bool,
+    ) -> float:
+        """Match the tank scale's stable readings with what a window measured; budget: of the total after it.
+
+        Returns kg that were missed, by the scale, while the zero was doubted.
+        """
+        if zero_doubted:
+            self._scale.doubt_zero()
+        if inputs.tank_disputed:
+            self._scale.forget()
+            return 0.0
+        if inputs.tank_time_s != self._weighed_s:
+            self._weighed_s = inputs.tank_time_s
+            self._scale.reading(inputs.tank_time_s, inputs.tank_kg)
+        # Between passes the plate is watched as in them, and no grain comes.
+        watched = (flow.measured or flow.quality is EstimateQuality.NOT_HARVESTING) and not window.contested
+        weighed = self._scale.window(window.start_s, window.end_s, total_before_kg, mass_kg, watched, budget)
+        if weighed is None:
+            return 0.0
+        if not weighed.zero_doubted:
+            self._wait = True
+            return 0.0
+        missed_kg = max(0.0, weighed.reference_kg - weighed.measured_kg)
+        self._scale.counted(missed_kg)
+        return missed_kg
+
+    def next_weighed(self, ahead: Iterable[InputSnapshot]) -> int:
+        """With which of the windows ahead a mass may be weighed that changes the parameters, counted from 1; 0 for none."""
+        return self._scale.next_mass(inputs.tank_kg for inputs in ahead)
+
+    def empty_since(self, time_s: float) -> None:
+        """No grain came between a time and now, though no flow could be given."""
+        self._scale.empty_since(time_s)
+
+    def totals_reset(self) -> None:
+        """The total begins anew, so that the scale's next reading is the first."""
+        self._scale.forget()
+
+    def zero_undone(self) -> None:
+        """Masses have changed that were measured with another zero: forces over them say nothing, nor does the total's rise."""
+        self.tickets.forces.forget()
+        self._scale.forget()
+
+    # What is handed over
+
+    def enter(self, ticket: ReferenceMass) -> None:
+        """A ticket that teaches."""
+        self.tickets.enter(ticket)
+        self._wait = True
+
+    def hand_over(self) -> tuple[tuple[ReferenceMass, ...], tuple[ReferenceMass, ...]]:
+        """All that are to be used now; of several tickets one with each call, in the order of entry.
+
+        Returns
+        -------
+        tickets : tuple of ReferenceMass
+            Those handed over with this call.
+        masses : tuple of ReferenceMass
+            All that were handed over with this or an earlier one.
+        """
+        handed, waiting = self.tickets.hand_over(), self.tickets.waiting
+        self._wait = bool(waiting)
+        return handed, tuple(mass for mass in self.kept if mass not in waiting)
+
+    def compare(self) -> list[ScaleCheck]:
+        """Nothing learns: new masses held against what was counted."""
+        self._wait = False
+        self.tickets.none_waits()
+        checks = [as_stated(mass) for mass in self.kept if mass not in self._compared]
+        self._compared = frozenset(self.kept)
+        return [check for check in checks if check is not None]
+
+    def wait_again(self, *, scale: bool) -> None:
+        """Tickets wait again after others were taken back; scale: so do masses of the tank scale that had been used."""
+        scale_waits = scale or (self._wait and bool(self._scale.anchors))
+        self._wait = bool(self.tickets.waiting) or scale_waits
+
+    def change_crop(self, before: str, now: str) -> list[ReferenceMass]:
+        """Another crop from now on; returns its masses that were handed over before."""
+        used = self.tickets.change_crop(before, now)
+        self._scale.forget()
+        self._scale.anchors.clear()
+        self._wait = bool(self.tickets.waiting)
+        return used
+
+    def remember(self, tickets: Sequence[ReferenceMass], waiting: Sequence[ReferenceMass]) -> None:
+        """After a restart or a reload: tickets entered before it; `waiting` are those among them that have not been used."""
+        self.tickets.remember(tickets, waiting)
+        self._compared = frozenset(tickets)
+        self._wait = self._wait or bool(waiting)
