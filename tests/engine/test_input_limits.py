@@ -53,3 +53,12 @@ def test_grain_is_wetter_than_nothing_and_drier_than_water() -> None:
 
 def test_every_quantity_is_looked_at() -> None:
     assert {*LIMITS, *CODES, "test_weight"} == {*QUANTITIES}
+
+
+@pytest.mark.parametrize("name", QUANTITIES)
+def test_what_is_no_finite_number_is_no_value_of_any_quantity(name: str) -> None:
+    """Floating-point signals can carry them; one by one and in columns."""
+    usable = QUANTITIES[name].usable
+    column = np.array([math.inf, -math.inf, math.nan])
+    assert not np.any(usable(column))
+    assert not any(usable(value) for value in column.tolist())

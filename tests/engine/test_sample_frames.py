@@ -142,3 +142,24 @@ def test_texts_in_the_place_of_numbers_are_not_usable() -> None:
     target.rows.append((0.1, 3, 0, "ERROR", 4.0))
     found = target.take(edges(1))
     assert (found.samples.tolist(), found.usable.tolist()) == ([[0.0, 4.0]], [[False, True]])
+
+
+@pytest.mark.parametrize("together", [1, 3, 12])
+@pytest.mark.parametrize(("stated", "turns_at"), [(15, 15), (15, 16), (16, 16)])
+def test_a_counter_turns_where_its_range_ends_unless_it_counts_on(stated: int, turns_at: int, together: int) -> None:
+    """Four bits of which the DBC names fifteen values; some senders use all sixteen."""
+    target, draw = buffer(replace(SOURCE, counter_modulus=stated, counter_values=16)), random.Random(3)
+    lost, counted = 0, 0
+    for first in range(0, 12, together):
+        for index in range(first * A_SECOND + 1, (first + together) * A_SECOND + 1):
+            # Until the counter has come round once nobody can know where it turns.
+            if index > turns_at and draw.random() < 0.01:
+                lost += 1
+            else:
+                sent = row(index)
+                target.rows.append((sent[0], float(index % turns_at), *sent[2:]))
+        found = target.take(edges(12)[first : first + together + 1])
+        counted += int(found.lost.sum())
+        assert not found.repeated.any()
+        assert not found.surplus.any()
+    assert counted == lost > 0

@@ -20,7 +20,7 @@ from yieldmon.signals.pulses import PulseSpeed
 @st.composite
 def signals(draw: st.DrawFn) -> tuple[str, int]:
     """A message of eight bytes with one signal, and a frame's bytes as a number."""
-    bits = draw(st.integers(1, 63))
+    bits = draw(st.integers(1, 64))
     big = draw(st.booleans())
     place = draw(st.integers(0, 64 - bits))
     # Motorola: the start is the highest bit's number, 7..0 in each byte.

@@ -30,7 +30,8 @@ class SignalBits:
     little: least significant byte first; byte: the first of the eight bytes that hold it, 0 in a message of no more; shift: of
     its lowest bit in these, read as one number in that order. kind: "int", "uint" or "float". Physical value = raw * scale +
     offset. raw_max: largest raw value that is a measurement (J1939 signals; None elsewhere). mux_by, mux: multiplexer, and its
-    values in frames that hold the signal; None and empty: all do. choices: name of a raw value -> the value.
+    values in frames that hold the signal; None and empty: all do. choices: name of a raw value -> the value. turns_at: raw values
+    that a counter runs through by the DBC's range, which often is less than its bits hold; 2**bits where that names none.
     """
 
     name: str
@@ -47,6 +48,7 @@ class SignalBits:
     mux: tuple[int, ...]
     choices: Mapping[str, int]
     byte: int = 0
+    turns_at: int = 0
 
     @property
     def readable(self) -> bool:
@@ -174,4 +176,14 @@ def _signal(signal: DbcSignal, j1939: bool, length: int) -> SignalBits:
         mux=tuple(signal.multiplexer_ids or ()),
         choices={str(name): int(raw) for raw, name in (signal.choices or {}).items()},
         byte=byte,
+        turns_at=_turns_at(signal),
     )
+
+
+def _turns_at(signal: DbcSignal) -> int:
+    """Of a counter, by the DBC's range where that begins at the raw value 0 and ends at another."""
+    every = 1 << signal.length
+    if signal.is_float or signal.is_signed or signal.minimum is None or signal.maximum is None:
+        return every
+    first, last = ((end - signal.offset) / signal.scale for end in (signal.minimum, signal.maximum))
+    return round(last) + 1 if first == 0 and 1 <= round(last) < every else every

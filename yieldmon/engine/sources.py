@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from math import inf, nextafter
 from typing import Any
 
 from yieldmon import frames as bus
@@ -44,11 +45,15 @@ def _is_flag(value: Any) -> Any:
 
 
 def _is_number(value: Any) -> Any:
-    return value == value  # noqa: PLR0124
+    return abs(value) < inf
 
 
 def _within(low: float, high: float) -> Callable[[Any], Any]:
     return lambda value: (value >= low) & (value <= high)
+
+
+def _finite_from(low: float) -> Callable[[Any], Any]:
+    return lambda value: (value >= low) & (value < inf)
 
 
 _ACTUATOR_STATES = tuple(float(state) for state in ActuatorState)
@@ -69,7 +74,7 @@ QUANTITIES: Mapping[str, Quantity] = {
         Quantity("plate_angle", "deg", _within(0.0, _MAX_PLAUSIBLE_ANGLE_DEG), "feedback_timeout_s", "of the impact plate"),
         Quantity("moisture", "%", lambda value: (value >= 0.0) & (value < 100.0), "condition_timeout_s", "wet basis"),
         Quantity("grain_temperature", "degC", _within(*_PLAUSIBLE_DEGC), "condition_timeout_s", "of the grain"),
-        Quantity("test_weight", "kg/m3", lambda value: value > 0.0, "condition_timeout_s", "bulk density at rest"),
+        Quantity("test_weight", "kg/m3", _finite_from(nextafter(0.0, 1.0)), "condition_timeout_s", "bulk density at rest"),
         Quantity(
             "thousand_kernel_weight", "g", _within(*THOUSAND_KERNELS_G), "condition_timeout_s", "mass of a thousand kernels"
         ),
@@ -79,7 +84,7 @@ QUANTITIES: Mapping[str, Quantity] = {
         Quantity("work_state", "", _is_flag, "vehicle_timeout_s", "1 threshing and header drives engaged"),
         Quantity("unloading", "", _is_flag, "vehicle_timeout_s", "1 while the grain tank is being emptied"),
         Quantity("course", "deg", _within(0.0, 360.0), "vehicle_timeout_s", "over ground, clockwise from north"),
-        Quantity("ground_speed", "km/h", lambda value: value >= 0.0, "vehicle_timeout_s", "over ground", M_S_PER_KMH),
+        Quantity("ground_speed", "km/h", _finite_from(0.0), "vehicle_timeout_s", "over ground", M_S_PER_KMH),
         Quantity("latitude", "deg", lambda value: abs(value) <= 90.0, "vehicle_timeout_s", "positive north, WGS 84"),
         Quantity("longitude", "deg", lambda value: abs(value) <= 180.0, "vehicle_timeout_s", "positive east, WGS 84"),
         Quantity("position_group", "", _is_number, "vehicle_timeout_s", "parameter group of the standard source in use"),
@@ -104,7 +109,8 @@ class SampleSource:
     """Where an impact sensor's samples come from.
 
     signals: the samples of one frame, oldest first, interval_s apart, the last one taken at the frame's time. counter: signal
-    that counts frames modulo counter_modulus, None: frames are counted by time alone. status: signal with a `SensorStatus`, None:
+    that counts frames modulo counter_modulus, or modulo counter_values once a value shows that it does not turn before, None:
+    frames are counted by time alone. status: signal with a `SensorStatus`, None:
     the sensor says nothing of itself. scale_mv, offset_mv: from the signal's unit to millivolts. time_constant_s: of a low-pass
     filter in the sensor, 0: none.
     """
@@ -114,6 +120,7 @@ class SampleSource:
     interval_s: float
     counter: str | None = None
     counter_modulus: int = 256
+    counter_values: int = 256
     status: str | None = None
     scale_mv: float = 1.0
     offset_mv: float = 0.0

@@ -10,7 +10,7 @@ from yieldmon.bus.databases import SOUND_MESSAGE, MessageBits
 from yieldmon.engine.sources import QUANTITIES
 from yieldmon.errors import InputError
 from yieldmon.network.name import NameMatch
-from yieldmon.signals.units import factor
+from yieldmon.signals.units import factor, period_s
 
 IMPACT = {"impact_voltage": "mV", "impact_force": "N"}
 """The two ways in which an impact sensor speaks, and their units."""
@@ -29,10 +29,10 @@ class Binding:
 
     where: place in the configuration, for messages. value: a constant, and nothing is bound. signals: one, or for impact samples
     several of one frame, oldest first. scale, offset: value = physical value of the DBC * scale + offset, in `unit` (None: the
-    DBC's). source: see `Source`. mux: value of the message's multiplexer. low, high: range in the quantity's unit in which a
-    value can be true. not_available: raw values that mean it. values: raw value -> the quantity's code. rate_hz: impact samples
-    per second. counter, status: signals of the same message. pulses_per_turn: the signal counts pulses of a turning shaft.
-    time_constant_s: of a filter in the sensor.
+    DBC's). ratio: a further factor, of speeds. source: see `Source`. mux: value of the message's multiplexer. low, high: range in
+    the quantity's unit in which a value can be true. not_available: raw values that mean it. values: raw value -> the quantity's
+    code. rate_hz: impact samples per second. counter, status: signals of the same message. pulses_per_turn: the signal counts
+    pulses of a turning shaft, or is their frequency or the time between two. time_constant_s: of a filter in the sensor.
     """
 
     where: str
@@ -41,6 +41,7 @@ class Binding:
     message: str | None = None
     signals: tuple[str, ...] = ()
     scale: float = 1.0
+    ratio: float = 1.0
     offset: float = 0.0
     unit: str | None = None
     source: Source = None
@@ -142,13 +143,14 @@ def _check_constant(binding: Binding, value: str) -> None:
 
 
 def _check_no_effect_on_pulses(binding: Binding) -> None:
-    """A counter of pulses becomes rpm and nothing else."""
+    """Pulses become rpm and nothing else."""
     refused = {"offset": binding.offset != 0.0, "range": binding.low is not None, "values": bool(binding.values)}
     for key, present in refused.items():
         if present:
             raise binding.refuse(key, "is given together with pulses_per_turn", "no such key for a counter of pulses")
-    if binding.unit is not None and factor("rpm", binding.unit) != 1.0:
-        raise binding.refuse("unit", repr(binding.unit), "no unit or rpm, which a counter of pulses becomes")
+    if binding.unit is not None and factor("rpm", binding.unit) not in (1.0, 60.0) and period_s(binding.unit) is None:
+        expected = "no unit or rpm, which a counter of pulses becomes; Hz of a frequency; s, ms or us of the time between two"
+        raise binding.refuse("unit", repr(binding.unit), expected)
 
 
 def _check_values(binding: Binding) -> None:

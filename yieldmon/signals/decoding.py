@@ -250,7 +250,7 @@ class _GroupDecoder:
         bits = [extraction.bits for extraction in (*group.signals.values(), *(page for page, _ in group.pages))]
         self.needed = max((one.end for one in bits), default=0) if group.message.is_long else group.message.length
         """Bytes that a message must have. Long ones are often longer in the DBC than on the bus."""
-        self._pulses = [(pulses, PulseSpeed(pulses.pulses_per_turn, pulses.modulus)) for pulses in group.pulses]
+        self._pulses = [(pulses, PulseSpeed(pulses.pulses_per_turn, pulses.modulus, pulses.values)) for pulses in group.pulses]
         self._signals = tuple(group.signals.items())
         self._bytes = tuple(sorted({one.byte for one in bits}))
 
@@ -275,7 +275,8 @@ class _GroupDecoder:
         wanted = np.ones(rows.shape, bool)
         for page, values in self.group.pages:
             little = at[page.bits.byte]
-            wanted &= np.isin(page.raws(little, little.byteswap()), values)
+            raws = page.raws(little, little.byteswap())
+            wanted &= np.isin(raws, np.array(values, raws.dtype))
         if not wanted.all():
             rows, at = rows[wanted], {byte: little[wanted] for byte, little in at.items()}
         if not rows.size:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 from dataclasses import dataclass
 
@@ -14,9 +15,27 @@ from yieldmon.physics.numerics import Array
 _FLOATS = {16: ("<e", np.uint16, np.float16), 32: ("<f", np.uint32, np.float32), 64: ("<d", np.uint64, np.float64)}
 
 
+_WIDEST = 64
+_NO_VALUE = re.compile(
+    r"not.?av|unavail|\bn/?a\b|\bsna\b|(?<!no)(?<!no[ _-])(?:error|invalid|fault)|nicht.?verf|fehler|ung.ltig", re.IGNORECASE
+)
+"""Names in a DBC's value tables of raw values that are none."""
+
+
+def named_no_value(bits: SignalBits) -> frozenset[int]:
+    """Raw values of a measurement that the DBC's value table calls none, beside those that J1939 keeps."""
+    named = {raw for name, raw in bits.choices.items() if _NO_VALUE.search(name)}
+    if bits.kind == "int":
+        # Tables have them as numbers or as patterns of bits.
+        named = {raw - (1 << bits.bits) if raw >> bits.bits - 1 == 1 else raw for raw in named}
+    return frozenset(raw for raw in named if bits.raw_max is None or raw <= bits.raw_max)
+
+
 @dataclass(frozen=True, slots=True)
 class Extraction:
     """value = raw * scale + offset, nan for raw values that are no measurement and for values outside low .. high.
+
+    over: of a signal that is a period; the value is this over that. 0: it is none.
 
     codes: raw value -> value in place of that; not in it: nan. None: as above.
     """
@@ -28,6 +47,7 @@ class Extraction:
     high: float = float("inf")
     not_available: frozenset[int] = frozenset()
     codes: tuple[tuple[int, float], ...] | None = None
+    over: float = 0.0
 
     def raw(self, little: int, big: int) -> int:
         """Raw value, unsigned or signed; a float's pattern of bits. little, big: the frame's eight bytes as a number."""
@@ -46,17 +66,21 @@ class Extraction:
         if self.bits.kind == "float":
             (number,) = struct.unpack(_FLOATS[self.bits.bits][0], raw.to_bytes(self.bits.bits // 8, "little"))
         value = number * self.scale + self.offset
+        if self.over:
+            value = self.over / value if value else float("nan")
         return value if self.low <= value <= self.high else float("nan")
 
-    def raws(self, little: NDArray[np.uint64], big: NDArray[np.uint64]) -> NDArray[np.int64]:
-        """Raw values of many frames (n,); 64-bit unsigned ones above 2**63 wrap."""
+    def raws(self, little: NDArray[np.uint64], big: NDArray[np.uint64]) -> NDArray[np.int64] | NDArray[np.uint64]:
+        """Raw values of many frames (n,); uint64 where all 64 bits are one without a sign."""
         bits = self.bits
-        mask = np.uint64((1 << bits.bits) - 1)
-        raw: NDArray[np.int64] = ((little if bits.little else big) >> np.uint64(bits.shift) & mask).astype(np.int64)
+        raw: NDArray[np.uint64] = (little if bits.little else big) >> np.uint64(bits.shift) & np.uint64((1 << bits.bits) - 1)
+        if bits.bits == _WIDEST and bits.kind != "int":
+            return raw
+        signed = raw.astype(np.int64)
         if bits.kind == "int":
-            spare = np.int64(64 - bits.bits)
-            raw = (raw << spare) >> spare
-        return raw
+            spare = np.int64(_WIDEST - bits.bits)
+            signed = (signed << spare) >> spare
+        return signed
 
     def values(self, little: NDArray[np.uint64], big: NDArray[np.uint64]) -> Array:
         """Values of many frames (n,)."""
@@ -65,7 +89,7 @@ class Extraction:
         if self.bits.raw_max is not None:
             usable &= raw <= self.bits.raw_max
         if self.not_available:
-            usable &= ~np.isin(raw, np.array(sorted(self.not_available)))
+            usable &= ~np.isin(raw, np.array(sorted(self.not_available), raw.dtype))
         if self.codes is not None:
             found = np.full(raw.shape, np.nan)
             for code, value in self.codes:
@@ -78,4 +102,6 @@ class Extraction:
             numbers = raw.astype(np.float64)
         with np.errstate(invalid="ignore", over="ignore"):
             found = numbers * self.scale + self.offset
+            if self.over:
+                found = np.divide(self.over, found, out=np.full(found.shape, np.nan), where=found != 0.0)
             return np.where(usable & (found >= self.low) & (found <= self.high), found, np.nan)

@@ -17,8 +17,8 @@ from yieldmon.identifiers import GROUP_MASK, IDENTITY_MASK, NULL_ADDRESS
 from yieldmon.network.assembly import MAX_BYTES
 from yieldmon.physics.machine import Machine
 from yieldmon.signals.binding import IMPACT, Binding, Source, check, named_message
-from yieldmon.signals.extraction import Extraction
-from yieldmon.signals.units import accepted, factor, zero
+from yieldmon.signals.extraction import Extraction, named_no_value
+from yieldmon.signals.units import accepted, factor, period_s, zero
 
 Pages = tuple[tuple[Extraction, tuple[int, ...]], ...]
 Load = Callable[[str], Mapping[str, MessageBits]]
@@ -26,17 +26,21 @@ Load = Callable[[str], Mapping[str, MessageBits]]
 
 
 _MOST_IN_A_FRAME = 64
+_HZ = 60.0
+"""Turns per minute."""
 _NEEDS_SCALE = {"counts": "millivolts per count", "mV/V": "volts that feed the bridge"}
 
 
 @dataclass(frozen=True, slots=True)
 class Pulses:
-    """A signal of a group that counts pulses, and the quantity made of it."""
+    """A signal of a group that counts pulses, and the quantity made of it. modulus, values: where the counter turns by the DBC's
+    range, and how many values it can have."""
 
     signal: str
     pulses_per_turn: float
     factor: float
     modulus: int
+    values: int
 
 
 @dataclass(frozen=True)
@@ -245,7 +249,10 @@ def _unit_factor(binding: Binding, unit_of_dbc: str) -> float:
         return 1.0
     if found is None:
         said = f"{unit!r}" if binding.unit is not None else f"is {unit!r} in the DBC"
-        raise binding.refuse("unit", said, f"one of {accepted(wanted)} for {binding.quantity}" if wanted else "no unit")
+        known = (
+            f"{accepted(wanted)}, or s, ms, us between two pulses" if binding.quantity == "elevator_speed" else accepted(wanted)
+        )
+        raise binding.refuse("unit", said, f"one of {known} for {binding.quantity}" if wanted else "no unit")
     return found
 
 
@@ -257,19 +264,26 @@ def _zero(binding: Binding, unit_of_dbc: str) -> float:
 
 def _extraction(binding: Binding, signal: SignalBits, into: float = 1.0) -> Extraction:
     """Of a value in the quantity's unit times `into`."""
-    absent = frozenset(_raw(binding, signal, "not_available", raw) for raw in binding.not_available)
+    absent = _not_available(binding, signal)
     if binding.values:
         codes = tuple((_raw(binding, signal, "values", raw), float(code)) for raw, code in binding.values.items())
         return Extraction(signal, 1.0, 0.0, not_available=absent, codes=codes)
     found = _unit_factor(binding, signal.unit) * into
     return Extraction(
         bits=signal,
-        scale=signal.scale * binding.scale * found,
-        offset=(signal.offset * binding.scale + binding.offset) * found + _zero(binding, signal.unit) * into,
+        scale=signal.scale * (binding.scale * binding.ratio) * found,
+        offset=(signal.offset * (binding.scale * binding.ratio) + binding.offset) * found + _zero(binding, signal.unit) * into,
         low=float("-inf") if binding.low is None else binding.low * into,
         high=float("inf") if binding.high is None else binding.high * into,
         not_available=absent,
     )
+
+
+def _not_available(binding: Binding, signal: SignalBits) -> frozenset[int]:
+    """Raw values that the binding says mean it and, of a measurement, those that the DBC's value table names so."""
+    given = frozenset(_raw(binding, signal, "not_available", raw) for raw in binding.not_available)
+    measured = binding.is_impact or QUANTITIES[binding.quantity].unit != ""
+    return given | named_no_value(signal) if measured else given
 
 
 def _raw(binding: Binding, signal: SignalBits, key: str, raw: int) -> int:
@@ -290,10 +304,10 @@ def _impact(binding: Binding, draft: _Draft, number: int, machine: Machine) -> S
         names.append(f"impact{number}.{index}")
         draft.signals[names[-1]] = _extraction(binding, signal, into_mv)
     counter = status = None
-    modulus = 256
+    modulus = values = 256
     if binding.counter is not None:
         found = _signal(binding, draft.message, binding.counter, "counter")
-        counter, modulus = f"impact{number}.counter", 1 << found.bits
+        counter, modulus, values = f"impact{number}.counter", found.turns_at, 1 << found.bits
         draft.signals[counter] = Extraction(replace(found, raw_max=None), 1.0, 0.0)
     if binding.status is not None:
         found = _signal(binding, draft.message, binding.status, "status")
@@ -305,6 +319,7 @@ def _impact(binding: Binding, draft: _Draft, number: int, machine: Machine) -> S
         interval_s=1.0 / binding.rate_hz,
         counter=counter,
         counter_modulus=modulus,
+        counter_values=values,
         status=status,
         time_constant_s=binding.time_constant_s,
     )
@@ -312,16 +327,44 @@ def _impact(binding: Binding, draft: _Draft, number: int, machine: Machine) -> S
 
 def _input(binding: Binding, draft: _Draft) -> InputSource:
     signal = _signal(binding, draft.message, binding.signals[0])
-    if binding.pulses_per_turn is not None:
-        if signal.kind == "float":
-            raise binding.refuse("signal", f"{signal.name} is a floating-point number", "a counter of pulses")
-        counter = replace(signal, raw_max=None)
-        absent = frozenset(_raw(binding, signal, "not_available", raw) for raw in binding.not_available)
-        draft.signals[binding.quantity] = Extraction(counter, 1.0, 0.0, not_available=absent)
-        draft.pulses.append(Pulses(binding.quantity, binding.pulses_per_turn, binding.scale, 1 << signal.bits))
+    unit = signal.unit if binding.unit is None else binding.unit
+    of_speed = factor("rpm", unit)
+    if binding.quantity == "elevator_speed" and (second := period_s(unit)) is not None:
+        extraction = _of_period(binding, signal, second)
+    elif binding.pulses_per_turn is None:
+        extraction = _extraction(binding, signal)
+    elif of_speed == _HZ:
+        extraction = _extraction(binding, signal, 1.0 / binding.pulses_per_turn)
+    elif of_speed is not None and binding.unit is None:
+        raise binding.refuse("pulses_per_turn", f"{signal.name} is in {unit}", "no such key for a speed")
     else:
-        draft.signals[binding.quantity] = _extraction(binding, signal)
+        extraction = _count(binding, signal, draft, binding.pulses_per_turn)
+    draft.signals[binding.quantity] = extraction
     return InputSource(binding.quantity, draft.name, binding.quantity)
+
+
+def _of_period(binding: Binding, signal: SignalBits, second: float) -> Extraction:
+    """Of a signal that is the time between two pulses. second: seconds of its unit."""
+    pulses_per_turn = 1.0 if binding.pulses_per_turn is None else binding.pulses_per_turn
+    return Extraction(
+        bits=signal,
+        scale=signal.scale * binding.scale * second,
+        offset=(signal.offset * binding.scale + binding.offset) * second,
+        low=float("-inf") if binding.low is None else binding.low,
+        high=float("inf") if binding.high is None else binding.high,
+        not_available=_not_available(binding, signal),
+        over=_HZ / pulses_per_turn * binding.ratio,
+    )
+
+
+def _count(binding: Binding, signal: SignalBits, draft: _Draft, pulses_per_turn: float) -> Extraction:
+    """Of a signal that counts pulses; its DBC may give it a factor."""
+    if signal.kind == "float":
+        raise binding.refuse("signal", f"{signal.name} is a floating-point number", "a counter of pulses")
+    into = binding.scale * binding.ratio * signal.scale
+    draft.pulses.append(Pulses(binding.quantity, pulses_per_turn, into, signal.turns_at, 1 << signal.bits))
+    absent = _not_available(binding, signal)
+    return Extraction(replace(signal, raw_max=None), 1.0, 0.0, not_available=absent)
 
 
 def default_map(*, fixed: Mapping[str, float] | None = None) -> SignalMap:

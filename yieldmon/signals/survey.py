@@ -17,7 +17,7 @@ from yieldmon.network.addresses import AddressTable
 from yieldmon.network.name import Name
 from yieldmon.physics.numerics import Array
 from yieldmon.signals.binding import IMPACT, MIN_RATE_HZ
-from yieldmon.signals.extraction import Extraction
+from yieldmon.signals.extraction import Extraction, named_no_value
 from yieldmon.signals.group_names import group_name
 from yieldmon.signals.long_messages import LongMessages, Numbers, Whole, numbers
 from yieldmon.signals.units import factor, zero
@@ -53,8 +53,6 @@ _BY_UNIT = frozenset({"elevator_speed", "plate_angle", "test_weight", "tank_mass
 """Quantities whose unit says enough for a guess where no name does."""
 _WEAK = 0.25
 """Score of such a guess; every other one is higher."""
-_NO_VALUE = re.compile(r"not.?av|unavail|\bn/?a\b|\bsna\b|error|invalid|fault|nicht.?verf|fehler|ung.ltig", re.IGNORECASE)
-"""Names in a DBC's value tables of raw values that are none."""
 SHAFTS_ELSEWHERE = re.compile(r"engine|pto|front|rear|feeder", re.IGNORECASE)
 """Names of shafts that are not the elevator's."""
 
@@ -302,7 +300,7 @@ def _take(seen: _Identifier, numbers: Numbers, count: int, end: int) -> None:
     assert seen.message is not None, "asked before"
     message = seen.message[1]
 
-    def raws(bits: SignalBits) -> NDArray[np.int64]:
+    def raws(bits: SignalBits) -> NDArray[np.int64] | NDArray[np.uint64]:
         little = numbers(bits.byte)
         return Extraction(bits, 1.0, 0.0).raws(little, little.byteswap())
 
@@ -337,8 +335,7 @@ def _not_available(quantity: str, bits: SignalBits) -> tuple[int, ...]:
     """Raw values that a value table calls no value, beside those that J1939 keeps. A state may well be "fault"."""
     if quantity not in IMPACT and not QUANTITIES[quantity].unit:
         return ()
-    named = {raw for name, raw in bits.choices.items() if _NO_VALUE.search(name)}
-    return tuple(sorted(raw for raw in named if bits.raw_max is None or raw <= bits.raw_max))
+    return tuple(sorted(named_no_value(bits)))
 
 
 def _score(quantity: str, message: MessageSeen, signal: SignalSeen) -> float:

@@ -55,6 +55,8 @@ ZEROS: Mapping[str, Mapping[str, float]] = {
 }
 """Unit of a quantity -> unit on the bus -> what its 0 is in the quantity's own; 0 for those that are not here."""
 
+_PERIODS_S = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "usec": 1e-6}
+
 _IN_ANY_CASE = ("rpm", "deg", "degree", "degrees", "percent", "kph", "mph", "km/h", "degC", "degF", "deg/s", "ft/s")
 """Those of which no other case means anything else, as mg and Mg do."""
 _SPELT = {
@@ -111,6 +113,15 @@ def zero(quantity_unit: str, unit: str) -> float:
     """
     known = _known(quantity_unit, unit)
     return 0.0 if known is None else ZEROS.get(quantity_unit, {}).get(known, 0.0)
+
+
+def period_s(unit: str) -> float | None:
+    """Seconds of a unit of the time between two pulses; None for one that is none.
+
+    >>> [period_s(unit) for unit in ("ms", "µs", "rpm")]
+    [0.001, 1e-06, None]
+    """
+    return _PERIODS_S.get(unit.strip().replace("Â", "").replace("μ", "u").replace("µ", "u"))
 
 
 def accepted(quantity_unit: str) -> str:

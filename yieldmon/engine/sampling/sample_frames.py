@@ -74,7 +74,7 @@ class SampleBuffer:
         self._blocks: list[Array] = []
         self._full_scale_mv = full_scale_mv
         self._limit_mv = plausible_full_scales * full_scale_mv
-        self._modulus = float(source.counter_modulus)
+        self._modulus, self._counter_values = float(source.counter_modulus), float(source.counter_values)
         self._counted = source.counter is not None
         self._columns = ROW_COLUMNS + len(source.signals)
         self._interval_s = source.interval_s * len(source.signals)
@@ -154,10 +154,19 @@ class SampleBuffer:
         with np.errstate(invalid="ignore"):
             difference = segments.steps(self._last_counter, counters)
             # numpy.mod gives the same and takes several times as long.
-            difference -= self._modulus * np.floor(difference / self._modulus)
-        by_counter = difference + self._modulus * np.rint((by_time - difference) / self._modulus)
+            modulus = self._modulus_of(counters)
+            difference -= modulus * np.floor(difference / modulus)
+        by_counter = difference + modulus * np.rint((by_time - difference) / modulus)
         steps = np.where(np.isfinite(by_counter), by_counter, np.maximum(by_time, 1.0))
         return np.where(np.isfinite(steps), steps, 1.0)
+
+    def _modulus_of(self, counters: Array) -> float | Array:
+        """At which the counter turns, as known at each frame (n,): a value beyond that shows that it does not."""
+        before = self._modulus
+        if before >= self._counter_values or not (beyond := counters >= before).any():
+            return before
+        self._modulus = self._counter_values
+        return np.where(np.arange(counters.size) < beyond.argmax(), before, self._modulus)
 
 
 def _contradicted(table: Array, new: NDArray[np.bool_], bounds: Counts) -> Counts:

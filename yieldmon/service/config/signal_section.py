@@ -65,7 +65,7 @@ class SignalEntry(StrictModel):
     )
     counter: str | None = Field(None, description="signal that counts the frames")
     status: str | None = Field(None, description="signal: 0 good, 1 over range, 2 fault")
-    pulses_per_turn: float | None = Field(None, gt=0.0, le=1e5, description="the signal counts pulses, so many per turn")
+    pulses_per_turn: float | None = Field(None, gt=0.0, le=1e5, description="the signal counts pulses, or is their Hz, s, ms, us")
     time_constant_s: float = Field(0.0, ge=0.0, le=10.0, description="of a filter in the sensor")
     value: float | None = Field(None, description="a constant in the quantity's unit; nothing is bound")
 
@@ -191,7 +191,8 @@ def _binding(quantity: str, entry: Any, where: str) -> Binding:
         dbc=found.dbc,
         message=found.message,
         signals=tuple(found.signals or ([found.signal] if found.signal is not None else [])),
-        scale=found.scale * found.ratio,
+        scale=found.scale,
+        ratio=found.ratio,
         offset=found.offset,
         unit=found.unit,
         source=_source(found.source, f"{where}.source"),

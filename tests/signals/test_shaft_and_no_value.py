@@ -1,0 +1,120 @@
+"""A shaft's speed as makers send it, and raw values that a DBC's table says are none: one by one and in blocks."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from yieldmon.cli.main import main
+from yieldmon.service.config import configuration
+from yieldmon.signals.decoding import MapDecoder
+
+DBC = """\
+VERSION ""
+BU_: Node
+BO_ 256 Shaft: 4 Node
+ SG_ Value : 0|{bits}@1+ ({scale},0) [{low}|{high}] "{unit}" Node
+"""
+RPM = 400.0
+PERIOD_S = 0.1
+
+
+def decoded(folder: Path, dbc: str, binding: str, raws: list[int]) -> list[float]:
+    """The speeds of frames 0.1 s apart with these raw values, nan for none."""
+    (folder / "shaft.dbc").write_text(dbc, encoding="utf-8")
+    entry = f"{{dbc: shaft.dbc, message: Shaft, signal: Value{binding}}}"
+    (folder / "c.yaml").write_text(f"plate: {{fixed_angle_deg: 70}}\nsignals: {{elevator_speed: {entry}}}\n", encoding="utf-8")
+    signals = configuration.load(folder / "c.yaml").signals
+    one_by_one, found = MapDecoder(signals), []
+    for number, raw in enumerate(raws):
+        (frame,) = one_by_one.decode(PERIOD_S * number, 256, False, raw.to_bytes(4, "little"))
+        value = frame.signals["elevator_speed"]
+        found.append(value if isinstance(value, float) else math.nan)
+    count = len(raws)
+    columns = (PERIOD_S * np.arange(count), np.full(count, 256, np.uint32), np.full(count, 4, np.uint8))
+    (group,), _ = MapDecoder(signals).decode_block(*columns, np.array(raws, np.uint64))
+    assert np.array_equal(group.signals["elevator_speed"], found, equal_nan=True)
+    return found
+
+
+def counts(pulses_per_turn: float, turns_at: int) -> list[int]:
+    return [int(pulses_per_turn * RPM / 60.0 * PERIOD_S * number) % turns_at for number in range(200)]
+
+
+@pytest.mark.parametrize(
+    ("bits", "high", "turns_at"),
+    [(8, 255, 256), (8, 0, 256), (8, 250, 251), (8, 250, 256), (16, 9999, 10_000), (4, 14, 15), (32, 4_294_967_295, 1 << 32)],
+)
+def test_a_counter_of_pulses_turns_where_the_range_ends_unless_it_counts_on(
+    bits: int, high: int, turns_at: int, tmp_path: Path
+) -> None:
+    """J1939 has 251 values in eight bits, and some senders use all 256 whatever their DBC says."""
+    pulses_per_turn = 12 if bits > 4 else 3
+    dbc = DBC.format(bits=bits, scale=1, low=0, high=high, unit="")
+    found = decoded(tmp_path, dbc, f", pulses_per_turn: {pulses_per_turn}", counts(pulses_per_turn, turns_at))
+    assert math.isnan(found[0])
+    assert found[10:] == pytest.approx([RPM] * 190, rel=1e-9)
+
+
+def test_a_count_of_pulses_has_the_factor_of_its_dbc(tmp_path: Path) -> None:
+    dbc = DBC.format(bits=16, scale=0.5, low=0, high=0, unit="")
+    assert decoded(tmp_path, dbc, ", pulses_per_turn: 12", counts(24, 1 << 16))[10:] == pytest.approx([RPM] * 190)
+
+
+@pytest.mark.parametrize(
+    ("scale", "unit", "binding", "raw"),
+    [
+        (1, "us", ", pulses_per_turn: 4", 37_500),
+        (1, "µs", ", pulses_per_turn: 4, ratio: 0.5", 18_750),
+        (0.01, "ms", ", range: [100, 900]", 15_000),
+        (1, "", ", unit: us, pulses_per_turn: 4", 37_500),
+        (1, "", ", unit: s, scale: 0.001", 150),
+        (0.1, "Hz", ", pulses_per_turn: 60", 4000),
+        (0.1, "", ", unit: Hz, pulses_per_turn: 60, ratio: 0.5", 8000),
+    ],
+)
+def test_a_shaft_by_the_time_between_pulses_or_their_frequency(
+    scale: float, unit: str, binding: str, raw: int, tmp_path: Path
+) -> None:
+    dbc = DBC.format(bits=32, scale=scale, low=0, high=0, unit=unit)
+    found = decoded(tmp_path, dbc, binding, [raw, 0, 2 * raw])
+    standing, other = (0.0, 2.0) if "Hz" in unit + binding else (math.nan, 0.5)
+    assert found == pytest.approx([RPM, standing, other * RPM], nan_ok=True)
+
+
+@pytest.mark.parametrize(
+    ("unit", "binding", "problem"),
+    [
+        ("rpm", ", pulses_per_turn: 60", "pulses_per_turn: Value is in rpm; expected no such key for a speed"),
+        ("kg", "", "'kg' in the DBC; expected one of rpm"),
+        ("", ", pulses_per_turn: 60, unit: rad/s", "unit: 'rad/s'; expected no unit or rpm, which a counter of pulses becomes"),
+    ],
+)
+def test_what_is_no_shaft_is_refused_in_a_line(
+    unit: str, binding: str, problem: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "shaft.dbc").write_text(DBC.format(bits=16, scale=1, low=0, high=0, unit=unit))
+    entry = f"{{dbc: shaft.dbc, message: Shaft, signal: Value{binding}}}"
+    (tmp_path / "c.yaml").write_text(f"plate: {{fixed_angle_deg: 70}}\nsignals: {{elevator_speed: {entry}}}\n")
+    assert main(["check-config", str(tmp_path / "c.yaml")]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert problem in line
+
+
+@pytest.mark.parametrize(
+    ("names", "unusable"),
+    [('1022 "Error" 1023 "SNA"', [1022, 1023]), ('1023 "Signal not available"', [1023]), ('0 "No error" 1000 "Max"', [])],
+)
+def test_a_raw_value_that_the_dbc_names_none_is_none(names: str, unusable: list[int], tmp_path: Path) -> None:
+    dbc = DBC.format(bits=10, scale=1, low=0, high=1023, unit="rpm") + f"VAL_ 256 Value {names} ;\n"
+    found = decoded(tmp_path, dbc, "", [400, 1022, 1023])
+    assert found == pytest.approx([raw if raw not in unusable else math.nan for raw in (400.0, 1022.0, 1023.0)], nan_ok=True)
+
+
+def test_of_a_signed_signal_it_is_named_by_its_number_or_by_its_bits(tmp_path: Path) -> None:
+    for named in (-1, 65535):
+        dbc = DBC.format(bits=16, scale=1, low=0, high=0, unit="rpm").replace("@1+", "@1-") + f'VAL_ 256 Value {named} "SNA" ;\n'
+        assert decoded(tmp_path, dbc, "", [400, 65535]) == pytest.approx([400.0, math.nan], nan_ok=True)
