@@ -403,6 +403,10 @@ def test_the_covariance_after_a_refusal_in_part_is_one() -> None:
         assert np.all(np.diag(outcome.parameter_set.covariance) <= sd**2 * (1.0 + 1e-9))
 
 
+def weighed(anchor: MassAnchor) -> object:
+    return self_calibrate(MODEL, prior(), (), anchors=[anchor])
+
+
 @pytest.mark.parametrize(
     ("call", "message"),
     [
@@ -413,10 +417,18 @@ def test_the_covariance_after_a_refusal_in_part_is_one() -> None:
         (lambda: Sweep(np.zeros(2), ANGLES[:2], np.full(2, SPEED), np.ones(2), np.zeros(2)), "above 0"),
         (lambda: Sweep(np.zeros(3), ANGLES[:2], np.full(2, SPEED), np.ones(2), np.ones(2)), "time_s must hold"),
         (lambda: self_calibrate(MODEL, prior(), [dataclasses.replace(sweep(5.0), force_n=np.full(11, 1e5))]), "full paddle"),
-        (lambda: MassAnchor(900.0, 9.0, np.ones(3), np.ones(2), np.ones(3), np.ones(3)), "mass anchor: duration_s must hold"),
-        (lambda: MassAnchor(900.0, 0.0, np.ones(3), np.ones(3), np.ones(3), np.ones(3)), "900 kg within 0 kg: expected"),
-        (lambda: DensityAnchor(-720.0, 10.0), "density_kg_m3 -720: expected a number above 0"),
-        (lambda: DensityAnchor(720.0, 0.0), "std_dev_kg_m3 0: expected a number above 0"),
+        (lambda: weighed(MassAnchor(900.0, 9.0, np.ones(3), np.ones(2), np.ones(3), np.ones(3))), "duration_s must hold"),
+        (lambda: weighed(MassAnchor(900.0, 0.0, np.ones(3), np.ones(3), np.ones(3), np.ones(3))), "900 kg within 0 kg: expected"),
+        (lambda: weighed(MassAnchor(900.0, 9.0, np.ones(3), np.ones(3), 70.0 * np.ones(3), np.ones(3))), "70: expected radians"),
+        (lambda: self_calibrate(MODEL, prior(), [dataclasses.replace(sweep(5.0), plate_angle_rad=np.full(11, 70.0))]), "sweep: "),
+        (
+            lambda: self_calibrate(MODEL, prior(), [sweep(5.0)], density=DensityAnchor(-720.0, 10.0)),
+            "density_kg_m3 -720: expected a number above 0",
+        ),
+        (
+            lambda: self_calibrate(MODEL, prior(), [sweep(5.0)], density=DensityAnchor(720.0, 0.0)),
+            "std_dev_kg_m3 0: expected a number above 0",
+        ),
         (lambda: ClosedLoopSettings(flow="cubic"), "expected constant, linear or process"),
     ],
 )

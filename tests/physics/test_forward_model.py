@@ -162,8 +162,10 @@ def test_a_load_above_a_full_paddle_is_refused_with_both_numbers(excess: float) 
     ],
 )
 def test_an_angle_or_a_speed_that_cannot_be_is_refused(angle: float, speed: float, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        Conditions(angle, speed, mass_flow_kg_s=10.0)
+    conditions = Conditions(angle, speed, mass_flow_kg_s=10.0)
+    for reading in (MODEL.force, MODEL.paddle_momentum):
+        with pytest.raises(ValueError, match=message):
+            reading(conditions, GRAIN)
 
 
 def test_a_negative_load_is_refused() -> None:

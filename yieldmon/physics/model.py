@@ -39,7 +39,7 @@ class Conditions:
     Raises
     ------
     ValueError
-        Unless one of mass_flow_kg_s and paddle_mass_kg is given; for an angle or a speed outside its range (nan is within).
+        Unless one of mass_flow_kg_s and paddle_mass_kg is given.
 
     Examples
     --------
@@ -57,11 +57,28 @@ class Conditions:
     def __post_init__(self) -> None:
         if (self.mass_flow_kg_s is None) == (self.paddle_mass_kg is None):
             raise ValueError("conditions: exactly one of mass_flow_kg_s and paddle_mass_kg is needed")
-        angle, speed = np.ravel(np.real(self.plate_angle_rad)), np.ravel(np.real(self.elevator_speed_rad_s))
-        for value in angle[np.abs(angle) > np.pi][:1]:
-            raise ValueError(f"conditions: plate_angle_rad {value:g}: expected radians, -pi to pi")
-        for value in speed[speed <= 0.0][:1]:
-            raise ValueError(f"conditions: elevator_speed_rad_s {value:g}: expected rad/s above 0")
+
+
+def refuse_impossible(where: str, plate_angle_rad: ArrayLike, elevator_speed_rad_s: ArrayLike) -> None:
+    """Refuse angles that are no radians and a standing elevator; nan is neither.
+
+    Parameters
+    ----------
+    where : str
+        Begins the message.
+    plate_angle_rad, elevator_speed_rad_s : array_like
+        As in `Conditions`.
+
+    Raises
+    ------
+    ValueError
+        With the first value outside -pi to pi, or not above 0.
+    """
+    angle, speed = np.ravel(np.real(plate_angle_rad)), np.ravel(np.real(elevator_speed_rad_s))
+    for value in angle[np.abs(angle) > np.pi][:1]:
+        raise ValueError(f"{where}: plate_angle_rad {value:g}: expected radians, -pi to pi")
+    for value in speed[speed <= 0.0][:1]:
+        raise ValueError(f"{where}: elevator_speed_rad_s {value:g}: expected rad/s above 0")
 
 
 class ForwardModel:
@@ -195,7 +212,7 @@ class ForwardModel:
         conditions : Conditions
         parameters : mapping of str to array_like
         overfull : {"raise", "nan"}
-            What to do with a load above a full paddle [8.9].
+            What to do with a load above a full paddle [8.9], and with an angle or a speed that cannot be.
 
         Returns
         -------
@@ -205,8 +222,11 @@ class ForwardModel:
         Raises
         ------
         ValueError
-            For a load above a full paddle, unless `overfull` is "nan"; for a parameter that is missing.
+            For a load above a full paddle, and for an angle or a speed outside its range, unless `overfull` is "nan"; for a
+            parameter that is missing.
         """
+        if overfull == "raise":
+            refuse_impossible("conditions", conditions.plate_angle_rad, conditions.elevator_speed_rad_s)
         throw = self._throw(conditions, parameters)
         momentum = throw.momentum(_offered_kg(throw, conditions))
         if overfull == "raise":
@@ -231,6 +251,8 @@ class ForwardModel:
         ValueError
             As `paddle_momentum`.
         """
+        if overfull == "raise":
+            refuse_impossible("conditions", conditions.plate_angle_rad, conditions.elevator_speed_rad_s)
         throw = self._throw(conditions, parameters)
         momentum = throw.momentum(_offered_kg(throw, conditions))
         if overfull == "raise":

@@ -209,7 +209,7 @@ def default_start(
     data : Measurements
         Gives the scale of parameters that are in a response's own unit.
     impact : sequence of str
-        "restitution", or "k1" and "k2".
+        "restitution", or "k1" and "k2"; other grain parameters may stand beside them.
     known : mapping of str to float, optional
         Values that are given.
 
@@ -221,7 +221,7 @@ def default_start(
     Raises
     ------
     ValueError
-        For another `impact`.
+        For a name in `impact` that is no grain parameter.
 
     Examples
     --------
@@ -230,7 +230,7 @@ def default_start(
     >>> sorted(api.default_start(api.ForwardModel(api.Machine()), rows, ["restitution"]))
     ['density', 'friction', 'restitution', 'shape_ratio']
     """
-    if tuple(impact) not in (RESTITUTION_FORM, EXCHANGE_FORM):
+    if not set(impact) <= set(GRAIN):
         raise ValueError(f"impact {impact!r}: expected {list(RESTITUTION_FORM)} or {list(EXCHANGE_FORM)}")
     known = dict(known or {})
     scale = data_scale(model, data) if any(GRAIN[name].follows_response for name in impact) else 1.0

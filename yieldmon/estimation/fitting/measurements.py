@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from yieldmon.physics.model import Conditions
+from yieldmon.physics.model import Conditions, refuse_impossible
 from yieldmon.physics.numerics import Array
 
 _COLUMNS = tuple(column.name for column in fields(Conditions))
@@ -32,8 +32,8 @@ class Measurements:
     Raises
     ------
     ValueError
-        For a momentum, angle, speed, load or plate position that is nan, a load below 0, a sigma that is not above 0, and columns
-        of other lengths.
+        For a momentum, angle, speed, load or plate position that is nan, a load below 0, an angle or a speed outside its range, a
+        sigma that is not above 0, and columns of other lengths.
 
     Examples
     --------
@@ -59,6 +59,7 @@ class Measurements:
                 raise ValueError(f"measurements: {name} has the shape {shape}: expected a number or {self.momentum.shape}")
         if not np.all(np.isfinite(self._all()[[0, 1, 2, 4]])):
             raise ValueError("measurements: angle, speed, load and plate position must be finite")
+        refuse_impossible("measurements", self.conditions.plate_angle_rad, self.conditions.elevator_speed_rad_s)
         if np.any(self.columns()[2] < 0.0):
             raise ValueError("measurements: load must be 0 or more")
 

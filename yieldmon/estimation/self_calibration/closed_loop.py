@@ -26,7 +26,7 @@ from yieldmon.estimation.fitting.identifiability import (
 )
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.grain import GRAIN
-from yieldmon.physics.model import ForwardModel
+from yieldmon.physics.model import ForwardModel, refuse_impossible
 from yieldmon.physics.numerics import Array
 
 from .closed_loop_inputs import DensityAnchor, MassAnchor, Sweep
@@ -73,7 +73,8 @@ def self_calibrate(
     Raises
     ------
     ValueError
-        When there is nothing to go by, the prior has no covariance, or no flow can explain a sweep.
+        When there is nothing to go by, the prior has no covariance, no flow can explain a sweep, an angle or a speed is outside
+        its range (`Conditions`), or an anchor or the density is not usable.
 
     References
     ----------
@@ -90,6 +91,10 @@ def self_calibrate(
     >>> round(found.flows[0].mass_flow_kg_s, 1)
     12.0
     """
+    for sweep in sweeps:
+        refuse_impossible("sweep", sweep.plate_angle_rad, sweep.elevator_speed_rad_s)
+    for anchor in (*anchors, *(() if density is None else (density,))):
+        anchor.require_usable()
     problem = ClosedLoopProblem(model, prior, sweeps, anchors, density, ClosedLoopSettings() if settings is None else settings)
     return _outcome(problem, problem.solve())
 

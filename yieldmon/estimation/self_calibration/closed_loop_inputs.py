@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.physics.model import Conditions, ForwardModel
+from yieldmon.physics.model import Conditions, ForwardModel, refuse_impossible
 from yieldmon.physics.numerics import Array
 
 
@@ -77,11 +77,6 @@ class MassAnchor:
     moisture_pct : ndarray, optional
         (n,) %, where an effect needs it.
 
-    Raises
-    ------
-    ValueError
-        For shapes that differ, values that are not finite, or a standard deviation that is not above 0.
-
     Examples
     --------
     >>> seconds = np.ones(3000)
@@ -98,8 +93,17 @@ class MassAnchor:
     elevator_speed_rad_s: Array
     moisture_pct: Array | None = None
 
-    def __post_init__(self) -> None:
+    def require_usable(self) -> None:
+        """Refuse what nothing can be learnt from.
+
+        Raises
+        ------
+        ValueError
+            For shapes that differ, values that are not finite, a standard deviation that is not above 0, and an angle or a speed
+            outside its range.
+        """
         _refuse_uneven(self, "mass anchor", ("duration_s", "force_n", "plate_angle_rad", "elevator_speed_rad_s"))
+        refuse_impossible("mass anchor", self.plate_angle_rad, self.elevator_speed_rad_s)
         if not (np.isfinite(self.reference_kg) and 0.0 < self.std_dev_kg < np.inf):
             known = f"{self.reference_kg:g} kg within {self.std_dev_kg:g} kg"
             raise ValueError(f"mass anchor: {known}: expected a mass, and a standard deviation above 0")
@@ -201,11 +205,6 @@ class DensityAnchor:
     density_kg_m3, std_dev_kg_m3 : float
         In the terms of the parameter `density`, and its standard deviation, kg/m3; both above 0.
 
-    Raises
-    ------
-    ValueError
-        For one that is not.
-
     Examples
     --------
     >>> api.DensityAnchor.from_test_weight(720.0, 10.0, 1.5, 0.06).density_kg_m3
@@ -215,7 +214,14 @@ class DensityAnchor:
     density_kg_m3: float
     std_dev_kg_m3: float
 
-    def __post_init__(self) -> None:
+    def require_usable(self) -> None:
+        """Refuse what nothing can be learnt from.
+
+        Raises
+        ------
+        ValueError
+            For a density or a standard deviation that is not above 0.
+        """
         for name in ("density_kg_m3", "std_dev_kg_m3"):
             if not 0.0 < getattr(self, name) < np.inf:
                 raise ValueError(f"density anchor: {name} {getattr(self, name):g}: expected a number above 0")
