@@ -30,23 +30,34 @@ def device(number: int, elements: Sequence[tuple[str, str, int]]) -> str:
     return f'<DVC A="DVC-{number}" B="machine {number}">{parts}{widths}</DVC>'
 
 
-def task_data(devices: Sequence[str], values: Sequence[Value]) -> Path:
+TASK = '<TSK A="TSK1" G="4"><TLG A="TLG00001"/></TSK>'
+
+
+def document(*parts: str) -> str:
+    return f'<ISO11783_TaskData VersionMajor="4">{"".join(parts)}</ISO11783_TaskData>'
+
+
+def task_data(devices: Sequence[str], values: Sequence[Value], task: str = TASK) -> Path:
     """A log of rows() in which each record has all values."""
     folder = Path("TASKDATA")
     folder.mkdir()
-    (folder / "TASKDATA.XML").write_text(
-        f'<ISO11783_TaskData VersionMajor="4">{"".join(devices)}<TSK A="TSK1" G="4"><TLG A="TLG00001"/></TSK></ISO11783_TaskData>'
-    )
+    (folder / "TASKDATA.XML").write_text(document(*devices, task))
+    log(folder, "TLG00001", values, range(COUNT))
+    return folder
+
+
+def log(folder: Path, name: str, values: Sequence[Value], which: range) -> None:
     listed = "".join(f'<DLV A="{ddi:04X}" B="" C="{element}"/>' for ddi, element, _ in values)
-    (folder / "TLG00001.xml").write_text(f'<TIM A="" D="4"><PTN A="" B="" D=""/>{listed}</TIM>')
+    (folder / f"{name}.xml").write_text(f'<TIM A="" D="4"><PTN A="" B="" D=""/>{listed}</TIM>')
     out = bytearray()
     for number, row in enumerate(rows(speeds=False)):
+        if number not in which:
+            continue
         since = row["time"] - 315_964_800.0
         out += struct.pack("<IH", round(since % 86400 * 1000), int(since // 86400))
         out += struct.pack("<iiB", round(row["latitude"] * 1e7), round(row["longitude"] * 1e7), 4)
         out += bytes([len(values)]) + b"".join(struct.pack("<Bi", k, one[2][number]) for k, one in enumerate(values))
-    (folder / "TLG00001.bin").write_bytes(out)
-    return folder
+    (folder / f"{name}.bin").write_bytes(out)
 
 
 def mapped(folder: Path, capsys: pytest.CaptureFixture[str]) -> Any:
@@ -61,10 +72,10 @@ def test_sections_that_are_off_cut_nothing(capsys: pytest.CaptureFixture[str]) -
     quarter = round(WIDTH_M / 4 * 1000)
     elements = [("DET-1", "1", 4 * quarter), *((f"DET-{n}", "4", quarter) for n in range(2, 6))]
     flow = np.where(halved, FLOW_MG_S / 2, FLOW_MG_S).round().astype(int).tolist()
-    document = mapped(task_data([device(1, elements)], [(161, "DET-1", states.tolist()), (87, "DET-1", flow)]), capsys)
-    assert document["mass_kg"]["integrated"] == pytest.approx(0.75 * MASS_KG, rel=0.01)
-    assert document["area_ha"] * 1e4 == pytest.approx(0.75 * AREA_M2, rel=0.01)
-    assert document["yield_t_ha"] == pytest.approx(YIELD_T_HA, rel=0.02)
+    found = mapped(task_data([device(1, elements)], [(161, "DET-1", states.tolist()), (87, "DET-1", flow)]), capsys)
+    assert found["mass_kg"]["integrated"] == pytest.approx(0.75 * MASS_KG, rel=0.01)
+    assert found["area_ha"] * 1e4 == pytest.approx(0.75 * AREA_M2, rel=0.01)
+    assert found["yield_t_ha"] == pytest.approx(YIELD_T_HA, rel=0.02)
 
 
 @pytest.mark.parametrize("where", ["log", "description"])
@@ -75,6 +86,62 @@ def test_the_width_is_that_of_the_device_that_measures_the_yield(where: str, cap
         values = [(67, "DET-9", [narrow] * COUNT), *values, (67, "DET-1", [wide] * COUNT)]
     described = where == "description"
     devices = [device(1, [("DET-1", "1", wide * described)]), device(2, [("DET-9", "1", narrow * described)])]
-    document = mapped(task_data(devices, values), capsys)
-    assert document["area_ha"] * 1e4 == pytest.approx(AREA_M2, rel=0.01)
-    assert document["yield_t_ha"] == pytest.approx(YIELD_T_HA, rel=0.02)
+    found = mapped(task_data(devices, values), capsys)
+    assert found["area_ha"] * 1e4 == pytest.approx(AREA_M2, rel=0.01)
+    assert found["yield_t_ha"] == pytest.approx(YIELD_T_HA, rel=0.02)
+
+
+WHOLE: list[Value] = [(87, "DET-1", [round(FLOW_MG_S)] * COUNT), (67, "DET-1", [round(1000 * WIDTH_M)] * COUNT)]
+
+
+def is_the_harvest(found: Any) -> None:
+    assert found["mass_kg"]["integrated"] == pytest.approx(MASS_KG, rel=0.01)
+    assert found["area_ha"] * 1e4 == pytest.approx(AREA_M2, rel=0.01)
+    assert found["yield_t_ha"] == pytest.approx(YIELD_T_HA, rel=0.02)
+
+
+@pytest.mark.parametrize("task", ["of two tasks", "of one task, twice"])
+def test_a_log_that_is_named_twice_counts_once(task: str, capsys: pytest.CaptureFixture[str]) -> None:
+    tasks = TASK + TASK.replace("TSK1", "TSK2") if "two" in task else TASK.replace("<TLG", '<TLG A="TLG00001"/><TLG')
+    found = mapped(task_data([device(1, [("DET-1", "1", 0)])], WHOLE, tasks), capsys)
+    is_the_harvest(found)
+    assert ("is named by two tasks" in str(found["sources"])) == ("two" in task)
+
+
+@pytest.mark.parametrize("second", [range(300, COUNT), range(COUNT), range(COUNT // 2 - 5, COUNT)])
+def test_rows_that_two_logs_hold_count_once(second: range, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = task_data([device(1, [("DET-1", "1", 0)])], WHOLE, TASK.replace("/></TSK>", '/><TLG A="TLG00002"/></TSK>'))
+    log(folder, "TLG00001", WHOLE, range(COUNT // 2))
+    log(folder, "TLG00002", WHOLE, second)
+    found = mapped(folder, capsys)
+    is_the_harvest(found)
+    assert f"{COUNT // 2 - second.start} rows" in str(found["sources"][0]["skipped"])
+    assert "TLG00001" not in str(found["delay"])
+
+
+def test_a_flow_that_is_not_available_is_not_the_one_before(capsys: pytest.CaptureFixture[str]) -> None:
+    """Every pass ends with 12 s of which the flow is not available, and the one before was twice the usual."""
+    last = np.arange(COUNT) % PASS_S >= PASS_S - 12
+    flow = np.full(COUNT, round(FLOW_MG_S))
+    flow[np.flatnonzero(last) - 1] *= 2
+    flow[last] = -(2**31)
+    known = flow[~last].sum() / 1e6
+    found = mapped(task_data([device(1, [("DET-1", "1", 0)])], [(87, "DET-1", flow.tolist()), WHOLE[1]]), capsys)
+    assert found["mass_kg"]["integrated"] == pytest.approx(known, rel=0.001)
+
+
+@pytest.mark.parametrize("sections", [False, True])
+def test_a_width_that_never_changes_stands_in_the_description(sections: bool, capsys: pytest.CaptureFixture[str]) -> None:
+    wide = round(1000 * WIDTH_M)
+    parts = [("DET-3", "4", wide // 2), ("DET-4", "4", wide // 2)] if sections else []
+    machine = device(1, [("DET-1", "1", 0 if sections else wide), *parts]).replace('B="0046"', 'B="0043"')
+    is_the_harvest(mapped(task_data([machine], WHOLE[:1]), capsys))
+
+
+def test_parts_of_a_task_file_in_files_of_their_own(capsys: pytest.CaptureFixture[str]) -> None:
+    folder = task_data([], WHOLE[:1], '<XFR A="DVC00001" B="1"/><XFR A="TSK00001" B="1"/><XFR A="PFD00001" B="1"/>')
+    (folder / "DVC00001.XML").write_text(f"<XFC>{device(1, [('DET-1', '1', round(1000 * WIDTH_M))])}</XFC>")
+    (folder / "TSK00001.XML").write_text(f"<XFC>{TASK.replace('TSK1', 'TSK7')}</XFC>")
+    found = mapped(folder, capsys)
+    is_the_harvest(found)
+    assert found["loads"] == [] and "PFD00001.XML" in str(found["sources"][0]["skipped"])

@@ -10,8 +10,10 @@ from scipy.spatial import cKDTree
 
 from .table import Array, HarvestTable, Skipped
 
-_LEAST_ROWS, _LEAST_SHARE = 20, 0.1
-"""Rows of the same time and place, and their share of the smaller source, from which they are the same rows."""
+_LEAST_ROWS = 20
+"""Rows of the same time and place from which they are the same rows."""
+_LEAST_SHARE = 0.1
+"""Share of the smaller source at the places of the other, by another clock, from which they are the same rows."""
 _PLACE_DEG = 3e-6
 """Decimals of degrees differ between formats: a third of a metre."""
 _CLOCK_S = 0.01
@@ -22,13 +24,15 @@ _CLOCKS_S, _NEARLY_ALL = 1.0, 0.8
 """How well two clocks agree on a copy, and the share of rows at the same places that do; a machine that stands has others."""
 
 
-def without_copies(table: HarvestTable) -> HarvestTable:
+def without_copies(table: HarvestTable, least_rows: int = _LEAST_ROWS) -> HarvestTable:
     """The table with the rows that a source before theirs holds left out, which the later source then says.
 
     Parameters
     ----------
     table : HarvestTable
         Of several sources.
+    least_rows : int
+        Rows of the same time and place from which they are the same rows.
 
     Returns
     -------
@@ -47,15 +51,14 @@ def without_copies(table: HarvestTable) -> HarvestTable:
                 continue
             mine = np.flatnonzero(placed & ~again & (table.source_of_row == later))
             theirs = np.flatnonzero(placed & ~again & (table.source_of_row == former))
-            least = max(_LEAST_ROWS, _LEAST_SHARE * min(len(mine), len(theirs)))
             same, clock = mine[:0], ""
             if reach.meet(former, later):
                 same = mine[_held(table, key, mine, theirs)]
-            if len(same) < least:
+            if len(same) < least_rows:
                 same, off_s = other_clocks.copies(later, mine, former, theirs)
                 clock = f" by a clock that is {off_s:.0f} s off"
-            if len(same) < least:
-                continue
+                if len(same) < max(_LEAST_ROWS, _LEAST_SHARE * min(len(mine), len(theirs))):
+                    continue
             again[same] = True
             left = Skipped(f"{len(same)} rows", f"are those of {sources[former].path}{clock}: the same harvest counts once")
             whole = len(same) >= 0.9 * len(mine)

@@ -17,6 +17,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from yieldmon.errors import InputError, brief
+from yieldmon.field.copies import without_copies
 from yieldmon.field.plane import Sites
 from yieldmon.field.table import DEFAULT_FLOW_S, FORAGE_FLOW_S, Array, HarvestTable, Label, Skipped, Source, build, joined
 
@@ -175,7 +176,8 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
     except InputError as error:
         skipped.append(Skipped(TASK_FILE, error.problem))
         root = ET.Element("ISO11783_TaskData")
-    device, tasks = devices(root), _tasks(root)
+    _take_parts(root, folder, skipped)
+    device, tasks = devices(root), _tasks(root, skipped)
     listed = {task.log.upper() for task in tasks}
     tasks += [
         _Task(name[:-4])
@@ -196,12 +198,18 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
         raise InputError(
             str(path), f"has no log that can be read ({reasons or 'none is named'})", "a time log with yield and position"
         )
-    whole = joined(_machines_apart(parts))
+    once = without_copies(joined(parts), least_rows=1)
+    whole = joined(_machines_apart(_by_log(once)))
     crop_of_row, of_crop = crop_names(whole.labels["crop"], options.crop)
     whole = replace(whole, labels={**whole.labels, "crop": crop_of_row})
-    masses = [source.mass_kg for source in whole.sources]
-    areas = [source.area_m2 for source in whole.sources]
+    masses = [source.mass_kg for source in once.sources]
+    areas = [source.area_m2 for source in once.sources]
     notes = dict.fromkeys(note for source in whole.sources for note in source.notes)
+    skipped += [
+        Skipped(f"{_log_of(source.path)}: {one.part}", one.why.replace(f"{folder.where}: ", ""))
+        for source in once.sources
+        for one in source.skipped
+    ]
     source = Source(
         str(path),
         KIND,
@@ -219,13 +227,13 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
 
 def _machines_apart(parts: Sequence[HarvestTable]) -> list[HarvestTable]:
     """The logs with the names of their machines where there are several; logs of one name that overlap in time are of several."""
-    names = [part.labels["machine"].names[0] for part in parts]
+    names = [str(part.labels["machine"].text()[0]) for part in parts]
     spans = [(float(np.nanmin(part["time_s"])), float(np.nanmax(part["time_s"]))) for part in parts]
     for name in set(names):
         mine = sorted((k for k, other in enumerate(names) if other == name), key=lambda k: spans[k])
         if any(spans[after][0] + _AT_ONCE_S < spans[before][1] for before, after in pairwise(mine)):
             for k in mine:
-                names[k] = f"{name} {_log_of(parts[k])}".strip()
+                names[k] = f"{name} {_log_of(parts[k].sources[0].path)}".strip()
     several = len(set(names)) > 1
     return [
         replace(part, labels={**part.labels, "machine": Label.constant(name if several else "", len(part))})
@@ -233,21 +241,57 @@ def _machines_apart(parts: Sequence[HarvestTable]) -> list[HarvestTable]:
     ]
 
 
-def _log_of(part: HarvestTable) -> str:
-    return part.sources[0].path.rpartition(": ")[2]
+def _by_log(table: HarvestTable) -> list[HarvestTable]:
+    """The logs that have rows."""
+    if len(table.sources) == 1:
+        return [table]
+    parts = []
+    for number, source in enumerate(table.sources):
+        part = table.take(table.source_of_row == number)
+        if len(part):
+            own = np.zeros(len(part), np.int32)
+            parts.append(
+                replace(
+                    part,
+                    sources=(source,),
+                    source_of_row=own,
+                    declared_flow_s=source.declared_flow_s,
+                    declared_moisture_s=source.declared_moisture_s,
+                    default_flow_s=source.default_flow_s,
+                )
+            )
+    return parts
 
 
-def _tasks(root: ET.Element) -> list[_Task]:
+def _log_of(path: str) -> str:
+    return path.rpartition(": ")[2]
+
+
+def _take_parts(root: ET.Element, folder: Folder, skipped: list[Skipped]) -> None:
+    """Adds to a task file what it has in other files (external file references)."""
+    for reference in root.findall("XFR"):
+        name = f"{reference.get('A', '')}.XML"
+        try:
+            root.extend(timelog.xml_root(folder.bytes_of(name), name))
+        except InputError as error:
+            skipped.append(Skipped(name, error.problem))
+
+
+def _tasks(root: ET.Element, skipped: list[Skipped]) -> list[_Task]:
+    """A log of two tasks is the first one's."""
     fields = {element.get("A", ""): element for element in root.iter("PFD")}
     crops = {element.get("A", ""): element.get("B", "") for element in root.iter("CTP")}
     products = {element.get("A", ""): element.get("B", "") for element in root.iter("PDT")}
-    out = []
+    out: list[_Task] = []
     for task in root.iter("TSK"):
         place = fields.get(task.get("E", ""))
         name = "" if place is None else place.get("C", "")
         crop = "" if place is None else crops.get(place.get("G", ""), "")
         product = next((products.get(pan.get("A", ""), "") for pan in task.iter("PAN")), "")
         logs = [log.get("A", "") for log in task.iter("TLG")]
+        again = [log for log in logs if any(log.upper() == one.log.upper() for one in out)]
+        skipped += [Skipped(log, "is named by two tasks: it counts once") for log in again]
+        logs = [log for log in dict.fromkeys(logs) if log not in again]
         mass_kg, area_m2 = (_stated(task, ddi) if len(logs) == 1 else None for ddi in (TOTAL_MASS, TOTAL_AREA))
         out += [_Task(log, task.get("B", "") or task.get("A", ""), name, crop or product, mass_kg, area_m2) for log in logs]
     return out

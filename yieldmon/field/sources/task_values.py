@@ -142,7 +142,7 @@ class Values:
     def _of_sections(self) -> list[float]:
         """Width of each section of the measuring device, mm, from left to right; empty where one is not known."""
         own = [element for element in self.device.sections if self.device.of_element.get(element, "") == self._measuring]
-        for ddi in (DEFAULT_WIDTH, MAX_WIDTH):
+        for ddi in (WIDTH, DEFAULT_WIDTH, MAX_WIDTH):
             widths = [self.device.constants.get((ddi, element)) for element in own]
             known = [width for width in widths if width]
             if len(known) == len(widths):
@@ -181,7 +181,7 @@ class Values:
 
     def width_m(self) -> Array | None:
         width = self.one(WIDTH, 1e-3)
-        fallback = next((self.single(ddi) for ddi in (DEFAULT_WIDTH, MAX_WIDTH) if self.single(ddi)), None)
+        fallback = self._constant(WIDTH) or self.single(DEFAULT_WIDTH) or self.single(MAX_WIDTH)
         if width is None:
             count = len(next(iter(self.values.values()), np.zeros(0)))
             sections = self._of_sections()

@@ -117,13 +117,15 @@ def read(data: bytes, head: Header) -> TimeLog:
     value = np.ascontiguousarray(raw[place[:, None] + np.arange(1, 5)[None, :]]).view("<i4").ravel()
     values = {key: np.full(count, constant) for key, constant in head.constants.items()}
     for index, key in enumerate(head.values):
-        mine = (which == index) & (value != _NOT_AVAILABLE)
+        mine = which == index
         if not mine.any():
             continue
         column = np.full(count, np.nan)
-        column[owner[mine]] = value[mine]
-        known = np.where(np.isfinite(column), np.arange(count), -1)
-        last = np.maximum.accumulate(known)
+        column[owner[mine]] = np.where(value[mine] != _NOT_AVAILABLE, value[mine], np.nan)
+        # A value holds until it is sent again, also as one that is not available.
+        last = np.full(count, -1)
+        last[owner[mine]] = owner[mine]
+        last = np.maximum.accumulate(last)
         column = np.where(last >= 0, column[np.maximum(last, 0)], values.get(key, np.full(count, np.nan)))
         values[key] = column
     names = fixed.names or ()
