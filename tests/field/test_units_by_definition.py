@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from fractions import Fraction as Exact
 
 import pytest
@@ -44,7 +45,8 @@ DEFINED: dict[str, dict[str, Exact]] = {
     | {"km/h": Exact(1000, 3600), "kmh": Exact(1000, 3600), "mph": MILE / 3600}
     | dict.fromkeys(("kn", "kt", "kts", "knot", "knots"), Exact(1852, 3600)),
     "percent": dict.fromkeys(("%", "pct", "prcnt", "percent"), Exact(1)) | {"ppm": Exact(100, 10**6), "fraction": Exact(100)},
-    "angle": dict.fromkeys(("deg", "arcdeg", "degrees"), Exact(1)),
+    "angle": dict.fromkeys(("deg", "arcdeg", "degrees"), Exact(1))
+    | {"rad": Exact(180 / math.pi), "1e-6deg": Exact(1, 10**6), "1e-7deg": Exact(1, 10**7)},
     "none": {"": Exact(1)},
 }
 BUSHEL_LB = {

@@ -143,7 +143,8 @@ def estimate_delay(
     sums = block_sums(steps, pairs, quantity)
     everything = correlation_of(sums.sum(axis=1))
     if not np.isfinite(everything).any():
-        return refused(f"the {quantity} is the same everywhere")
+        known = np.isfinite(steps.moisture_pct if quantity == "moisture" else steps.flow_kg_s).any()
+        return refused(f"the {quantity} is the same everywhere" if known else f"there is no {quantity}")
     curve = Curve(SHIFTS_S, everything)
     no_shift, at_default = (float(np.interp(s, SHIFTS_S, everything)) for s in (0.0, default_s))
     peak = _peak(everything)

@@ -28,6 +28,8 @@ DRAWS = 400
 _SAME_DELAY_S = 0.5
 _LEAST_KG_M2, _MOST_GRAIN_KG_M2, _MOST_KG_M2 = 0.005, 4.0, 20.0
 """Mean yields beyond which units are wrong: of grain 40 t/ha is a record, of cane and beets 200."""
+_SLOWEST_M_S, _FASTEST_M_S, _LEAST_TO_TELL = 0.1, 12.0, 10
+"""Speeds of a harvest in the median, and rows with grain that tell."""
 _SEASONS_APART_DAYS, _SAME_GROUND = 60, 0.1
 """Days without a row between seasons, and share of rows on ground that was cut before, from which seasons are named."""
 
@@ -252,6 +254,7 @@ def doubts(table: HarvestTable, totals: Totals, cleaned: Cleaned) -> tuple[str, 
         out.append(
             f"a yield of {mean * KG_M2_TO_T_HA:.3g} t/ha is no crop's: expected other units of yield, flow or width (--column)"
         )
+    out += _speed_doubts(table)
     days = np.unique(np.floor(table["time_s"][np.isfinite(table["time_s"])] / S_PER_DAY)) if table.unix_time else np.zeros(0)
     pauses = int((np.diff(days) > _SEASONS_APART_DAYS).sum())
     twice = [cleaned.names.index(reason) for reason in ("overlap", "duplicate")]
@@ -262,6 +265,17 @@ def doubts(table: HarvestTable, totals: Totals, cleaned: Cleaned) -> tuple[str, 
             "expected a map for each"
         )
     return tuple(out)
+
+
+def _speed_doubts(table: HarvestTable) -> list[str]:
+    """A note on a harvest at a speed at which none is."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        speed = (table["distance_m"] / table["interval_s"])[(table["flow_kg_s"] > 0) & (table["interval_s"] > 0)]
+    speed = speed[np.isfinite(speed)]
+    usual = float(np.median(speed)) if speed.size >= _LEAST_TO_TELL else 1.0
+    if _SLOWEST_M_S <= usual <= _FASTEST_M_S:
+        return []
+    return [f"a harvest at {usual:.2g} m/s is none: expected other units of time, place, distance or speed (--column)"]
 
 
 def crops_of(table: HarvestTable) -> tuple[str, ...]:

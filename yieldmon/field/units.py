@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
+from math import pi
 from types import MappingProxyType
 
 from yieldmon.errors import InputError
@@ -92,7 +93,7 @@ _LENGTH = {"m": 1.0, "cm": 0.01, "mm": 1e-3, "ft": M_PER_FT, "in": M_PER_IN, "km
 _TIME = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "min": 60.0, "h": 3600.0, "hr": 3600.0, "d": S_PER_DAY}
 _AREA = {"m2": 1.0, "ha": M2_PER_HA, "ac": M2_PER_ACRE, "acre": M2_PER_ACRE}
 _PERCENT = {"%": 1.0, "pct": 1.0, "prcnt": 1.0, "percent": 1.0, "ppm": 1e-4, "fraction": 100.0}
-_ANGLE = {"deg": 1.0, "arcdeg": 1.0, "degrees": 1.0}
+_ANGLE = {"deg": 1.0, "arcdeg": 1.0, "degrees": 1.0, "rad": 180.0 / pi, "1e-6deg": 1e-6, "1e-7deg": 1e-7}
 
 
 def _ratios(top: dict[str, float], bottom: dict[str, float]) -> dict[str, float]:

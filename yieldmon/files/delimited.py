@@ -140,13 +140,18 @@ def _text(raw: bytes, where: str) -> str:
         raise InputError(where, f"byte {error.start} is not UTF-8", "a UTF-8 CSV file") from error
 
 
-def workbook_cells(path: str | Path) -> list[tuple[int, list[str]]]:
-    """Line and cells of each row of a workbook's first sheet that is not empty. Raises InputError."""
-    return _workbook(bounded.read_whole(path, "a workbook", LARGEST_BYTES), str(path))
+def workbook_sheets(path: str | Path) -> list[tuple[str, list[tuple[int, list[str]]]]]:
+    """Name of each sheet of a workbook, and line and cells of each of its rows that is not empty. Raises InputError."""
+    return _sheets(bounded.read_whole(path, "a workbook", LARGEST_BYTES), str(path))
 
 
 def _workbook(raw: bytes, where: str) -> list[tuple[int, list[str]]]:
     """The first sheet. Raises ModuleNotFoundError without openpyxl."""
+    return _sheets(raw, where, 1)[0][1]
+
+
+def _sheets(raw: bytes, where: str, most: int | None = None) -> list[tuple[str, list[tuple[int, list[str]]]]]:
+    """Sheets by name, at most so many. Raises ModuleNotFoundError without openpyxl."""
     # An extra: most tables are text.
     import openpyxl
 
@@ -163,10 +168,18 @@ def _workbook(raw: bytes, where: str) -> list[tuple[int, list[str]]]:
             raise
         except Exception as error:
             raise InputError(where, "is a zip archive and no Excel workbook", expected) from error
-        try:
-            rows = [[_cell(value) for value in row] for row in book.worksheets[0].iter_rows(values_only=True)]
-        except Exception as error:  # openpyxl raises anything on a damaged sheet
-            raise InputError(where, f"has a first sheet that cannot be read: {brief(error)}", expected) from error
+        found = []
+        for sheet in book.worksheets[:most]:
+            try:
+                rows = [[_cell(value) for value in row] for row in sheet.iter_rows(values_only=True)]
+            except Exception as error:  # openpyxl raises anything on a damaged sheet
+                raise InputError(where, f"has a sheet that cannot be read: {brief(error)}", expected) from error
+            found.append((str(sheet.title), _filled_rows(rows)))
+    return found
+
+
+def _filled_rows(rows: list[list[str]]) -> list[tuple[int, list[str]]]:
+    """Line and cells of rows that are neither empty nor remarks, all as wide as the widest."""
     width = max((len(row) - next((i for i, c in enumerate(reversed(row)) if c), len(row)) for row in rows), default=0)
     cells = [(i, (row + [""] * width)[:width]) for i, row in enumerate(rows, 1)]
     return [(line, row) for line, row in cells if any(row) and not row[0].startswith("#")]

@@ -10,17 +10,18 @@ import numpy as np
 from yieldmon.errors import InputError
 from yieldmon.field.mixed import machine_names
 from yieldmon.field.plane import Sites
-from yieldmon.field.table import LABELS, Array, HarvestTable, Label, Source, build
+from yieldmon.field.table import LABELS, REQUIRED, Array, HarvestTable, Label, Source, build
 from yieldmon.field.units import FACTORS, factor, is_bushels
 from yieldmon.field.units import crop as known_crop
 
 from .crop_names import crop_names
-from .delimited import number
 from .derived import derive
-from .driven import ways_checked
+from .driven import each_of_a_sum, ways_checked
+from .header_states import down_of, states_of
+from .held_places import between_fixes
 from .naming import QUANTITIES, Column
 from .options import ReadOptions
-from .positions import plausible, without_marks
+from .positions import on_the_globe, plausible, without_marks
 from .raw_table import Raw
 from .repeated_rows import without_repeats
 from .row_times import ColumnTimes, column_times, row_times
@@ -42,23 +43,10 @@ _TABLE_NAMES = {
     "pass": "pass_number",
     "section": "section",
 }
+_DRIEST_PCT = 2.0
+"""Moisture below which no grain is harvested."""
 _LARGEST = 1e12
 """In SI, of what has no limits of its own."""
-_WORDS = dict.fromkeys(
-    ("on", "down", "true", "yes", "y", "working", "work", "in work", "harvesting", "harvest", "active", "engaged", "lowered",
-     "recording", "header down", "header on", "an", "ein", "ja", "j", "wahr", "aktiv", "unten", "abgesenkt", "arbeitet",
-     "in arbeit", "ernte", "si", "sí", "sì", "sim", "oui", "vrai", "verdadero", "verdadeiro", "vero", "abajo", "bajo", "bajado",
-     "bajada", "bas", "en bas", "abaissé", "abaissée", "baissé", "baissée", "abaixado", "abaixada", "ligado", "encendido",
-     "activo", "ativo", "cosechando", "trabajando", "colhendo", "tak", "omlaag"),
-    1.0,
-) | dict.fromkeys(
-    ("off", "up", "false", "no", "n", "not working", "raised", "inactive", "disengaged", "transport", "not recording", "paused",
-     "header up", "header off", "aus", "nein", "falsch", "inaktiv", "oben", "angehoben", "ausgehoben", "nicht in arbeit", "não",
-     "nao", "non", "faux", "falso", "arriba", "alto", "levantado", "levantada", "haut", "en haut", "relevé", "relevée", "levé",
-     "levée", "desligado", "apagado", "inactivo", "inativo", "nie", "omhoog"),
-    0.0,
-)  # fmt: skip
-"""What files call a header that is at work, or not."""
 
 
 def assemble(raw: Raw, where: str, kind: str, options: ReadOptions) -> HarvestTable:
@@ -67,9 +55,10 @@ def assemble(raw: Raw, where: str, kind: str, options: ReadOptions) -> HarvestTa
     header = raw.columns.get("header")
     strange: tuple[str, ...] = ()
     if header is not None and header.name in raw.texts:
-        values["header"], strange = _states(raw.texts[header.name], header.name)
+        values["header"], strange = states_of(raw.texts[header.name], header.name)
     if "longitude" not in values or "latitude" not in values:
         raise InputError(where, "has no longitude and latitude", "--column longitude=NAME --column latitude=NAME")
+    values["longitude"], values["latitude"], turned = on_the_globe(values["longitude"], values["latitude"])
     said = column_times(raw, options, where)
     raw, values, said = without_repeats(raw, values, said)
     raw = _machines_apart(raw, values, said)
@@ -85,18 +74,42 @@ def assemble(raw: Raw, where: str, kind: str, options: ReadOptions) -> HarvestTa
             values["section"] = section
             unknown += (f"rows of one time stand side by side: they are taken as {int(section.max())} sections of the header",)
     time, unix_time, notes = row_times(raw, values, said, where)
+    held: tuple[str, ...] = ()
+    if "section" not in values:
+        places = values["longitude"], values["latitude"]
+        values["longitude"], values["latitude"], held = between_fixes(*places, time, raw.machine_of_row)
     ways = ways_checked(raw, values, time)
+    if "mass" in values and (each := each_of_a_sum(raw, values["mass"], time)) is not None:
+        values["mass"] = each
+        ways += (f"{raw.columns['mass'].name} is a sum that goes on: its differences are the masses",)
     derived = derive(values, time, raw.machine_of_row, where)
     columns, limits = plausible({"time_s": time} | {_TABLE_NAMES[q]: v for q, v in values.items() if q in _TABLE_NAMES})
+    lost = [name for name in REQUIRED if name in columns and not np.isfinite(columns[name]).any()]
+    if lost and limits and raw.count:
+        raise InputError(where, f"can be no harvest: {limits[0]}", "other units (--column)")
     if "header_down" in columns:
-        columns["header_down"] = _down(columns["header_down"])
+        columns["header_down"], heights = down_of(columns["header_down"], header.name if header else "header")
+        strange += heights
     labels, of_names = _labels(raw, options)
     source = Source(
         where,
         kind,
         raw.count,
         raw.skipped,
-        notes=(*raw.notes, *of_crops, *of_names, *unknown, *ways, *notes, *strange, *_backwards(time), *derived, *limits),
+        notes=(
+            *raw.notes,
+            *turned,
+            *of_crops,
+            *of_names,
+            *unknown,
+            *held,
+            *ways,
+            *notes,
+            *strange,
+            *_backwards(time),
+            *derived,
+            *limits,
+        ),
     )
     return build(columns, labels, source, unix_time=unix_time, default_flow_s=raw.default_flow_s)
 
@@ -119,6 +132,11 @@ def _limited(values: dict[str, Array], columns: Mapping[str, Column]) -> tuple[s
         if quantity in values:
             values[quantity], note = without_marks(values[quantity], columns[quantity].name if quantity in columns else quantity)
             notes += note
+    moisture = values.get("moisture", np.zeros(0))
+    usual = float(np.nanmedian(moisture)) if np.isfinite(moisture).any() else _DRIEST_PCT
+    if usual < _DRIEST_PCT and "moisture" in columns:
+        name = columns["moisture"].name
+        notes += (f"{name}: a moisture of {usual:.2g} % is no crop's; expected another unit (--column moisture={name}:fraction)",)
     return notes
 
 
@@ -187,31 +205,6 @@ def _labels(raw: Raw, options: ReadOptions) -> tuple[dict[str, Label], tuple[str
     if options.field:
         labels["field"] = Label.constant(options.field, raw.count)
     return labels, notes
-
-
-def _down(state: Array) -> Array:
-    """1 for any number but 0. Where there is no 0, odd numbers are down and even ones up, as 33 and 32 of Ag Leader's."""
-    known = np.isfinite(state)
-    with np.errstate(invalid="ignore"):
-        odd = np.mod(state, 2) >= 1
-    coded = known.any() and (state[known] > 0).all() and odd[known].any() and not odd[known].all()
-    return np.where(known, (odd if coded else state > 0).astype(float), np.nan)
-
-
-def _states(label: Label, name: str) -> tuple[Array, tuple[str, ...]]:
-    """1 for on, 0 for off, NaN for a word that is not known, and a note on those."""
-    states, unknown = [], []
-    for word in label.names:
-        state = _WORDS.get(word.lower())
-        if state is None:
-            try:
-                state = number(word)
-            except ValueError:
-                state = float("nan")
-                unknown.append(word)
-        states.append(state)
-    note = f"{name}: {', '.join(unknown[:5])} is neither on nor off and counts as unknown"
-    return np.array(states)[label.codes], (note,) if unknown else ()
 
 
 def _backwards(time: Array) -> tuple[str, ...]:

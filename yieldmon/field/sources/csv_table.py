@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
-from yieldmon.errors import InputError
-from yieldmon.field.table import DEFAULT_FLOW_S, Array, HarvestTable
+from yieldmon.errors import InputError, brief
+from yieldmon.field.table import DEFAULT_FLOW_S, Array, HarvestTable, Skipped, joined
+from yieldmon.field.units import factor
 from yieldmon.files import delimited as workbooks
 
 from . import heads
 from .assembled import assemble
+from .coordinates import MEND, mostly_degrees, to_degrees
 from .delimited import encoding_of, has_decimal_comma, pointed_columns, read_rows, rows_of
 from .naming import QUANTITIES, Column, columns_of
 from .options import ReadOptions
 from .raw_table import Raw
-from .vector import to_degrees
 
 KIND = "CSV with a header, or workbook"
 ORDER = 60
@@ -65,10 +64,7 @@ def _text(path: Path, options: ReadOptions) -> _Table:
     return _Table(head, rows, sample, True if head.delimiter == ";" else None)
 
 
-def _workbook(path: Path, options: ReadOptions) -> _Table:
-    cells = workbooks.workbook_cells(path)
-    if not cells:
-        raise InputError(str(path), "is empty", "a sheet with a header and rows")
+def _sheet(cells: list[tuple[int, list[str]]], options: ReadOptions) -> _Table:
     rows = [row for _, row in cells]
     at = heads.header_among(rows, [name for name, _ in options.columns.values()])
     head = heads.of_cells(rows[at : at + 2], at)
@@ -76,15 +72,37 @@ def _workbook(path: Path, options: ReadOptions) -> _Table:
 
 
 def read(path: Path, options: ReadOptions) -> HarvestTable:
-    """All rows. Raises InputError."""
-    found = _workbook(path, options) if path.suffix.lower() == workbooks.WORKBOOK else _text(path, options)
+    """All rows, of a workbook those of all sheets that are harvests. Raises InputError."""
+    if path.suffix.lower() != workbooks.WORKBOOK:
+        return _read(_text(path, options), str(path), options)
+    sheets = [(name, cells) for name, cells in workbooks.workbook_sheets(path) if cells]
+    if not sheets:
+        raise InputError(str(path), "is empty", "a sheet with a header and rows")
+    tables, skipped = [], []
+    first: InputError | None = None
+    for name, cells in sheets:
+        where = str(path) if len(sheets) == 1 else f"{path}: sheet {name}"
+        try:
+            tables.append(_read(_sheet(cells, options), where, options))
+        except InputError as error:
+            first = first or error
+            skipped.append(Skipped(f"sheet {brief(name)}", error.problem))
+    if not tables and first is not None:
+        raise first
+    table = joined(tables)
+    source = replace(table.sources[0], skipped=(*table.sources[0].skipped, *skipped))
+    return replace(table, sources=(source, *table.sources[1:]))
+
+
+def _read(found: _Table, where: str, options: ReadOptions) -> HarvestTable:
+    """The rows of a text or sheet. Raises InputError."""
     names = found.head.names
-    heads.require_each_once(names, str(path))
+    heads.require_each_once(names, where)
     given = dict(options.columns)
     record = _OF_A_RECORD.issubset(names)
     if record and _MASS_OF_A_RECORD.issubset(names):
         given.setdefault("mass", ("mass_kg", "kg"))
-    columns, notes = columns_of(names, given, found.head.units, str(path))
+    columns, notes = columns_of(names, given, found.head.units, where)
     place = {name: number for number, name in enumerate(names)}
     text_kinds = ("text", "date", "state")
     numbers = [place[c.name] for c in columns.values() if QUANTITIES[c.quantity].kind not in text_kinds]
@@ -94,31 +112,35 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
     if comma is None:
         comma = has_decimal_comma(row[column] for row in found.sample for column in positions if column < len(row))
     pointed = pointed_columns(found.sample, numbers) if comma else frozenset()
-    rows = heads.without_headers(found.rows, names, str(path))
+    rows = heads.without_headers(found.rows, names, where)
     table = read_rows(rows, numbers, texts, max([*numbers, *texts]) + 1, decimal_comma=comma, pointed=pointed)
     if not table.count:
         why = f" ({table.skipped[0].why})" if table.skipped else ""
-        raise InputError(str(path), f"has a header and no row that can be read{why}", "at least one row")
+        raise InputError(where, f"has a header and no row that can be read{why}", "at least one row")
     values = {names[n]: v for n, v in table.numbers.items()}
-    _to_degrees(values, columns, options, str(path))
+    of_places = _to_degrees(values, columns, options, where)
     raw = Raw(
         columns,
         values,
         {names[n]: v for n, v in table.texts.items()},
         table.count,
         table.skipped,
-        notes,
+        (*notes, *of_places),
         default_flow_s=DEFAULT_FLOW_S if record else 0.0,
     )
-    return assemble(raw, str(path), KIND, options)
+    return assemble(raw, where, KIND, options)
 
 
-def _to_degrees(values: dict[str, Array], columns: dict[str, Column], options: ReadOptions, where: str) -> None:
-    """Changes coordinates of a plane. Raises InputError where it is not said of which."""
+def _to_degrees(values: dict[str, Array], columns: dict[str, Column], options: ReadOptions, where: str) -> tuple[str, ...]:
+    """Changes coordinates of a plane; notes. Raises InputError where it is not said of which."""
     if not {"longitude", "latitude"} <= columns.keys():
-        return
+        return ()
     east, north = columns["longitude"].name, columns["latitude"].name
-    known = np.isfinite(values[east]) & np.isfinite(values[north])
-    degrees = (np.abs(values[east]) <= 360) & (np.abs(values[north]) <= 180)
-    if options.crs or (known.any() and 2 * np.count_nonzero(known & ~degrees) > np.count_nonzero(known)):
-        values[east], values[north], _ = to_degrees(values[east], values[north], None, options, where)
+    angles = [columns[one] for one in ("longitude", "latitude")]
+    if any(one.unit and factor(one.unit, "angle", f"{where}: {one.name}") != 1.0 for one in angles):
+        return ()
+    mend = f"{MEND}, or a unit, such as --column longitude={east}:1e-7deg"
+    if options.crs or mostly_degrees(values[east], values[north]) is False:
+        values[east], values[north], notes = to_degrees(values[east], values[north], None, options, where, mend)
+        return notes
+    return ()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,6 +23,10 @@ _HIGHEST_DEG, _UNLIKE = 85.0, 0.15
 """Latitude up to which fields are looked for, and how unlike (log) ways to the east and the north must be."""
 _LEAST_M = 0.3
 """Between two positions, that they say something."""
+_SPAN_M, _MOST_ROWS, _STRAIGHT = 40.0, 30, 0.98
+"""Length of a stretch, its rows at most, and how near to a straight line it is."""
+_LEAST_SPANS, _LEAST_TURN = 10, 0.3
+"""Stretches that tell, and by how much the share of the east differs between them."""
 
 
 def ways_checked(raw: Raw, values: dict[str, Array], time_s: Array) -> tuple[str, ...]:
@@ -37,25 +43,24 @@ def ways_checked(raw: Raw, values: dict[str, Array], time_s: Array) -> tuple[str
     """
     if "section" in values or not {"distance", "speed"} & set(values):
         return ()
-    apart_m, step_s = _apart(raw, values, time_s)
+    x_m, y_m = _plane(values)
     notes: list[str] = []
     if "distance" in values:
-        each = _each(raw, values["distance"], time_s)
-        if each is not None and _times(each, apart_m) is not None:
+        each = each_of_a_sum(raw, values["distance"], time_s)
+        if each is not None and _straight(raw, (x_m, y_m), each, time_s) is not None:
             values["distance"] = each
             notes.append(f"{raw.columns['distance'].name} is a sum that goes on: its differences are the distances")
-    interval_s = values.get("interval", step_s)
+    interval_s = values.get("interval", _steps(raw, time_s))
     driven = {"distance": values["distance"]} if "distance" in values else {"speed": values["speed"] * interval_s}
     for quantity, way_m in driven.items():
-        times = _times(way_m, apart_m)
+        name = raw.columns[quantity].name
+        spans = _straight(raw, (x_m, y_m), way_m, time_s)
+        times = None if spans is None else float(np.median(spans.way_m / np.hypot(spans.east_m, spans.north_m)))
         if times is not None and not 1.0 / _FAR_OFF < times < _FAR_OFF:
-            name = raw.columns[quantity].name
             mend = f"--column {quantity}={name}:UNIT"
             notes.append(f"{name}: says {times:.2g} times the way between positions; expected another unit ({mend})")
         if _are_swapped(raw, values, way_m, time_s):
-            notes.append(
-                f"longitude and latitude seem exchanged: only then does {raw.columns[quantity].name} fit the ways between them"
-            )
+            notes.append(f"longitude and latitude seem exchanged: only then does {name} fit the ways between them")
     return tuple(notes)
 
 
@@ -64,30 +69,70 @@ def _are_swapped(raw: Raw, values: dict[str, Array], way_m: Array, time_s: Array
     exchanged = values | {"longitude": values["latitude"], "latitude": values["longitude"]}
     if not np.nanmax(np.abs(exchanged["latitude"]), initial=0.0) <= _HIGHEST_DEG:
         return False
-    as_they_are, other = (_east_to_north(raw, one, way_m, time_s) for one in (values, exchanged))
+    as_they_are, other = (_east_to_north(_straight(raw, _plane(one), way_m, time_s)) for one in (values, exchanged))
     if as_they_are is None or other is None:
         return False
     unlike, exchanged_unlike = abs(float(np.log(as_they_are))), abs(float(np.log(other)))
     return unlike > _UNLIKE and exchanged_unlike < 0.25 * unlike
 
 
-def _east_to_north(raw: Raw, values: dict[str, Array], way_m: Array, time_s: Array) -> float | None:
-    """How many times better ways to the east than to the north agree with positions, in the medians; None where too few tell."""
-    places, _ = plausible({"longitude_deg": values["longitude"], "latitude_deg": values["latitude"]})
-    x, y = Sites.about(places["longitude_deg"], places["latitude_deg"]).to_m(places["longitude_deg"], places["latitude_deg"])
+def _east_to_north(spans: _Spans | None) -> float | None:
+    """How many times better ways to the east than to the north agree with positions; None where too few tell.
+
+    The square of the way is a sum of those to the east and the north, each times a factor: over the square of the way between
+    positions it is a straight line of the share of the east, of which the medians of the lower and the upper half are two points.
+    """
+    if spans is None:
+        return None
+    square_m2 = spans.east_m**2 + spans.north_m**2
+    share, ratio = spans.east_m**2 / square_m2, spans.way_m**2 / square_m2
+    low, high = np.percentile(share, [2.0, 98.0])
+    upper = share > 0.5 * (low + high)
+    if min(upper.sum(), (~upper).sum()) < _LEAST_SPANS:
+        return None
+    (low, at_low), (high, at_high) = ((float(np.median(share[half])), float(np.median(ratio[half]))) for half in (~upper, upper))
+    if high - low < _LEAST_TURN:
+        return None
+    slope = (at_high - at_low) / (high - low)
+    to_north, to_east = at_low - slope * low, at_low + slope * (1.0 - low)
+    return float(np.sqrt(to_east / to_north)) if to_east > 0 and to_north > 0 else None
+
+
+@dataclass(frozen=True)
+class _Spans:
+    """Straight stretches of some rows: the way that the file says, and that to the east and to the north between positions, m."""
+
+    way_m: Array
+    east_m: Array
+    north_m: Array
+
+
+def _straight(raw: Raw, places_m: tuple[Array, Array], way_m: Array, time_s: Array) -> _Spans | None:
+    """Stretches without a pause, long enough for places that are rounded or held for some rows; None where too few tell."""
+    usual_m = float(np.median(way_m[way_m > 0])) if (way_m > 0).any() else 0.0
+    if not 0.0 < usual_m < np.inf:
+        return None
+    apart_m = np.hypot(*(np.diff(one) for one in places_m))
+    moved_m = float(np.median(apart_m[apart_m > _LEAST_M])) if (apart_m > _LEAST_M).any() else usual_m
+    long = int(np.clip(round(_SPAN_M / min(usual_m, moved_m)), 2, _MOST_ROWS))
     found = []
-    for along, across in ((x, y), (y, x)):
-        ratios = []
-        for rows in _orders(raw, time_s):
-            step, beside = np.abs(np.diff(along[rows])), np.abs(np.diff(across[rows]))
-            with np.errstate(invalid="ignore"):
-                told = (step > _LEAST_M) & (beside < 0.3 * step) & (way_m[rows][1:] > 0)
-            ratios.append(way_m[rows][1:][told] / step[told])
-        ratio = np.concatenate(ratios)
-        if ratio.size < _LEAST_ROWS:
-            return None
-        found.append(float(np.median(ratio)))
-    return found[0] / found[1]
+    for rows in _orders(raw, time_s):
+        if len(rows) <= long:
+            continue
+        x, y, step_s = places_m[0][rows], places_m[1][rows], np.diff(time_s[rows], prepend=np.nan)
+        driven_m, pauses = np.cumsum(np.nan_to_num(way_m[rows])), np.cumsum(~(step_s <= 3.0 * np.nanmedian(step_s)))
+        first = np.arange(0, len(rows) - long, max(1, long // 4))
+        middle, last = first + long // 2, first + long
+        east, north, way = x[last] - x[first], y[last] - y[first], driven_m[last] - driven_m[first]
+        halves = sum(np.hypot(x[b] - x[a], y[b] - y[a]) for a, b in ((first, middle), (middle, last)))
+        with np.errstate(invalid="ignore"):
+            told = (
+                (np.hypot(east, north) >= np.maximum(_STRAIGHT * halves, _LEAST_M)) & (way > 0) & (pauses[last] == pauses[first])
+            )
+        found.append((way[told], east[told], north[told]))
+    if sum(len(one[0]) for one in found) < _LEAST_SPANS:
+        return None
+    return _Spans(*(np.concatenate(one) for one in zip(*found, strict=True)))
 
 
 def _orders(raw: Raw, time_s: Array) -> list[NDArray[np.intp]]:
@@ -96,33 +141,30 @@ def _orders(raw: Raw, time_s: Array) -> list[NDArray[np.intp]]:
     return np.split(order, np.flatnonzero(np.diff(raw.machine_of_row[order])) + 1)
 
 
-def _apart(raw: Raw, values: dict[str, Array], time_s: Array) -> tuple[Array, Array]:
-    """From each row to the one before it of its machine, m, and s."""
+def _plane(values: dict[str, Array]) -> tuple[Array, Array]:
+    """Places on a plane, m; NaN where not known."""
     places, _ = plausible({"longitude_deg": values["longitude"], "latitude_deg": values["latitude"]})
-    x, y = Sites.about(places["longitude_deg"], places["latitude_deg"]).to_m(places["longitude_deg"], places["latitude_deg"])
-    apart_m, step_s = np.full(raw.count, np.nan), np.full(raw.count, np.nan)
+    longitude, latitude = places["longitude_deg"], places["latitude_deg"]
+    return Sites.about(longitude, latitude).to_m(longitude, latitude)
+
+
+def _steps(raw: Raw, time_s: Array) -> Array:
+    """Time from the row before of the same machine, s."""
+    step_s = np.full(raw.count, np.nan)
     for rows in _orders(raw, time_s):
-        apart_m[rows[1:]] = np.hypot(np.diff(x[rows]), np.diff(y[rows]))
         step_s[rows[1:]] = np.diff(time_s[rows])
-    return apart_m, step_s
+    return step_s
 
 
-def _each(raw: Raw, distance_m: Array, time_s: Array) -> Array | None:
-    """Differences of a distance that never falls; None for any other."""
+def each_of_a_sum(raw: Raw, total: Array, time_s: Array) -> Array | None:
+    """Differences of a quantity that never falls, between rows of one machine; None for any other."""
     each = np.full(raw.count, np.nan)
     rising = moving = 0
     for rows in _orders(raw, time_s):
-        steps = np.diff(distance_m[rows])
+        steps = np.diff(total[rows])
         each[rows[1:]] = np.where(steps >= 0, steps, np.nan)
         each[rows[:1]] = each[rows[1:2]] if len(rows) > 1 else 0.0
         rising += int((steps >= 0).sum())
         moving += int((steps > 0).sum())
     count = raw.count - len(_orders(raw, time_s))
     return each if count >= _LEAST_ROWS and rising >= _RISING * count and moving >= 0.5 * count else None
-
-
-def _times(way_m: Array, apart_m: Array) -> float | None:
-    """How many times the way between positions these ways are, in the median; None where too few tell."""
-    with np.errstate(invalid="ignore"):
-        told = np.isfinite(way_m) & (way_m > 0) & (apart_m > _LEAST_M)
-    return float(np.median(way_m[told] / apart_m[told])) if told.sum() >= _LEAST_ROWS else None

@@ -36,14 +36,16 @@ QUANTITIES: Mapping[str, Quantity] = {
         "date",
         _names(
             "isotime timeutc utctime time timestamp datetime datetimeutc dateandtime gpstime unixtime datumuhrzeit datumzeit "
-            "dateheure dateetheure fechahora fechayhora datahora dataehora uhrzeit zeit zeitstempel zeitpunkt hora heure"
+            "dateheure dateetheure fechahora fechayhora datahora dataehora uhrzeit zeit zeitstempel zeitpunkt hora heure "
+            "utc gpsutc utctimestamp timestamputc localtime timelocal"
         ),
     ),
     "day": Quantity("text", _names("date gpsdate utcdate dateutc datum fecha data")),
     "flow": Quantity(
         "mass_flow",
         _names(
-            "flow massflow grainflow cropflow cropflowm cropflwm cropflw flowrate massflowrate flowmass durchsatz durchfluss "
+            "flowwet wetflow massflowwet wetmassflow flow massflow grainflow cropflow cropflowm cropflwm cropflw flowrate "
+            "massflowrate flowmass durchsatz durchfluss "
             "massenstrom flujo fluxo debit"
         ),
     ),
@@ -52,11 +54,11 @@ QUANTITIES: Mapping[str, Quantity] = {
         "mass_per_area",
         _names(
             # As weighed, then what does not say, then dried; in each a mass before a volume, which needs the crop's bushel.
-            "yldmasswet yieldmasswet wetmass wetyield yieldwet wetyieldmass ertragfeucht ertragnass rendimientohumedo "
-            "rindehumedo rendementhumide produtividadeumida yldvolwet yieldvolwet wetyieldvol "
+            "yldmasswet yieldmasswet wetmass wetyield yieldwet wetyieldmass wetmassyield ertragfeucht ertragnass "
+            "rendimientohumedo rindehumedo rendementhumide produtividadeumida yldvolwet yieldvolwet wetyieldvol "
             "yield yld massyield yieldmass yldmass grainyield cropyield yieldvol ertrag kornertrag rendimiento rinde rendement "
             "produtividade rendimento produttivita resa "
-            "vryieldmas vryieldmass vryieldvol yldmassdry yieldmassdry dryyield yielddry dryyieldmass ertragtrocken "
+            "vryieldmas vryieldmass vryieldvol yldmassdry yieldmassdry dryyield yielddry dryyieldmass drymassyield ertragtrocken "
             "rendimientoseco rindeseco rendementsec produtividadeseca yldvoldry yieldvoldry dryyieldvol drymatter"
         ),
     ),
@@ -280,4 +282,7 @@ def _check_useful(out: Mapping[str, Column], lacking: Mapping[str, str], names: 
     if lacking:
         first, quantity = next(iter(lacking.items()))
         raise InputError(where, f"states no known unit for {', '.join(lacking)}", f"--column {quantity}={first}:UNIT and so on")
-    raise InputError(where, f"has no column of flow or yield among {', '.join(names[:20])}", "--column flow=NAME:UNIT")
+    among = f"among {', '.join(names[:20])}" if names else "and no other"
+    raise InputError(
+        where, f"has no column of flow or yield {among}", "--column flow=NAME:UNIT, yield=NAME:UNIT or mass=NAME:UNIT"
+    )

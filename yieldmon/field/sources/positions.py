@@ -61,6 +61,30 @@ def without_marks(values: Array, name: str) -> tuple[Array, tuple[str, ...]]:
     return np.where(values == largest, np.nan, values), (note,)
 
 
+def on_the_globe(longitude_deg: Array, latitude_deg: Array) -> tuple[Array, Array, tuple[str, ...]]:
+    """Longitudes from 0 to 360 as those from -180 to 180, and both where they can only be exchanged; and a note on that.
+
+    Examples
+    --------
+    >>> on_the_globe(np.full(3, 42.0), np.full(3, -93.0))[:2]
+    (array([-93., -93., -93.]), array([42., 42., 42.]))
+    >>> on_the_globe(np.array([266.8, 266.9]), np.array([42.0, 42.0]))[0].round(3).tolist()
+    [-93.2, -93.1]
+    """
+    notes: tuple[str, ...] = ()
+    known = np.isfinite(longitude_deg) & np.isfinite(latitude_deg)
+    with np.errstate(invalid="ignore"):
+        exchanged = known & (np.abs(latitude_deg) > 90) & (np.abs(latitude_deg) <= 180) & (np.abs(longitude_deg) <= 90)
+        if 2 * exchanged.sum() > known.sum():
+            longitude_deg, latitude_deg = latitude_deg, longitude_deg
+            notes = ("latitudes lie beyond 90 degrees: longitude and latitude are exchanged",)
+        east = known & (longitude_deg > 180) & (longitude_deg <= 360) & (np.abs(latitude_deg) <= 90)
+        # A value that means "none" is one and the same.
+        if 10 * east.sum() > known.sum() and np.ptp(longitude_deg[east]) > 0:
+            longitude_deg = np.where(east, longitude_deg - 360.0, longitude_deg)
+    return longitude_deg, latitude_deg, notes
+
+
 def plausible(columns: Mapping[str, Array]) -> tuple[dict[str, Array], tuple[str, ...]]:
     """The columns with impossible values unknown, and a note on each column that had some. (0, 0) is a receiver without a fix."""
     out, notes = {}, []

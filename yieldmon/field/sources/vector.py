@@ -8,6 +8,7 @@ import warnings
 import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from yieldmon.field.table import Array, HarvestTable, Label, Skipped, joined
 
 from . import isoxml
 from .assembled import assemble, labels_from
+from .coordinates import to_degrees
 from .damage import ZIP_DAMAGE, may_be_harvest
 from .delimited import UNKNOWN, has_decimal_comma, number
 from .naming import QUANTITIES, Column, columns_of
@@ -28,9 +30,10 @@ from .raw_table import Raw
 KIND = "GeoPackage, GeoJSON or shapefile"
 ORDER = 30
 _SUFFIXES = (".gpkg", ".geojson", ".json", ".shp", ".gml", ".fgb", ".kml")
-_WGS84 = "EPSG:4326"
 _LARGEST_METADATA_BYTES = 16_000_000
 _POSITION = ("longitude", "latitude")
+_AT_ONCE = 0.2
+"""Share of a layer's seconds that another has too, from which several machines made them."""
 
 
 def recognises(path: Path, head: bytes) -> bool:
@@ -89,15 +92,20 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
     parts, skipped = [], []
     last: InputError | None = None
     for address, name in files:
-        for part in _point_layers(address):
-            try:
-                parts.append(_layer(path, address, name, part, options))
-            except InputError as error:
-                last = error
-                skipped.append(Skipped(name if part is None else f"{name}: layer {part}", error.problem))
+        for layers in _layers(address):
+            found = []
+            for part in layers:
+                try:
+                    found.append(_layer(path, address, name, part, options))
+                except InputError as error:
+                    last = last or error
+                    skipped.append(Skipped(name if part is None else f"{name}: layer {part}", error.problem))
+            parts += found
+            if found:
+                break
     if not parts:
         raise last or InputError(str(path), "has no layer of points", "a vector file")
-    table = without_copies(joined(parts))
+    table = _machines_apart(without_copies(joined(parts)))
     skipped += [one for source in table.sources[1:] for one in source.skipped]
     if len(parts) == 1 and not skipped:
         return table
@@ -133,8 +141,11 @@ class _Layer:
     said: tuple[str, ...]
 
 
-def _point_layers(address: str) -> tuple[str | None, ...]:
-    """Names of a file's layers of points where it has several; None for the only one, or the first layer of any kind."""
+def _layers(address: str) -> tuple[tuple[str | None, ...], ...]:
+    """Names of a file's layers of points, and those of its other shapes, which are rows where no points are.
+
+    A file's only layer is None.
+    """
     import pyogrio
     import pyogrio.errors
 
@@ -144,13 +155,31 @@ def _point_layers(address: str) -> tuple[str | None, ...]:
             found = pyogrio.list_layers(address)
     except (pyogrio.errors.DataSourceError, ValueError, RuntimeError, UnicodeError):
         # What is wrong is said by the reading itself.
-        return (None,)
-    points = [str(layer) for layer, kind in found if kind is not None and "Point" in kind]
-    return tuple(points) if len(points) > 1 else (None,)
+        return ((None,),)
+    if len(found) < 2:
+        return ((None,),)
+    points = tuple(str(layer) for layer, kind in found if kind is not None and "Point" in kind)
+    others = tuple(str(layer) for layer, kind in found if kind is not None and "Point" not in kind)
+    return tuple(group for group in (points, others) if group) or ((None,),)
+
+
+def _machines_apart(table: HarvestTable) -> HarvestTable:
+    """With the names of their layers as machines, where layers without such were recorded at once."""
+    if len(table.sources) < 2 or table.labels["machine"].names != ("",):
+        return table
+    of_source = [table["time_s"][table.source_of_row == number] for number in range(len(table.sources))]
+    seconds = [np.unique(np.floor(times[np.isfinite(times)])) for times in of_source]
+    at_once = any(
+        len(np.intersect1d(one, other)) > _AT_ONCE * min(len(one), len(other)) > 0 for one, other in combinations(seconds, 2)
+    )
+    if not at_once:
+        return table
+    names = tuple(source.path.rpartition(": ")[2].removeprefix("layer ") for source in table.sources)
+    return replace(table, labels={**table.labels, "machine": Label(table.source_of_row, names)})
 
 
 def _read_layer(address: str, where: str, part: str | None) -> _Layer:
-    """A layer by name, or the first one of points. Raises InputError where there is none."""
+    """A layer by name, or the only one. Raises InputError where there is none."""
     import pyogrio
     import pyogrio.errors
     import pyogrio.raw
@@ -158,9 +187,7 @@ def _read_layer(address: str, where: str, part: str | None) -> _Layer:
     try:
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always")
-            layers = pyogrio.list_layers(address)
-            points = [part] if part else [str(layer) for layer, kind in layers if kind is not None and "Point" in kind]
-            meta, _, geometry, fields = pyogrio.raw.read(address, layer=points[0] if points else 0)
+            meta, _, geometry, fields = pyogrio.raw.read(address, layer=part or 0)
     except (
         pyogrio.errors.DataSourceError,
         pyogrio.errors.DataLayerError,
@@ -281,28 +308,6 @@ def _points(geometry: np.ndarray) -> tuple[Array, Array]:
     if flat.any():
         shapes[flat] = shapely.centroid(shapes[flat])
     return shapely.get_x(shapes), shapely.get_y(shapes)
-
-
-def to_degrees(x: Array, y: Array, crs: str | None, options: ReadOptions, where: str) -> tuple[Array, Array, tuple[str, ...]]:
-    """Longitude and latitude of coordinates in their file's system, or in that of the options, and notes. Raises InputError."""
-    named = crs or options.crs
-    known = np.isfinite(x) & np.isfinite(y)
-    if not named:
-        if (np.abs(x[known]) <= 180).all() and (np.abs(y[known]) <= 90).all():
-            return x, y, ("names no coordinate system; its coordinates are taken as WGS 84 degrees",)
-        raise InputError(where, "names no coordinate system and is not in degrees", "--crs EPSG:CODE")
-    if named.upper() in (_WGS84, "OGC:CRS84"):
-        return x, y, ()
-    import pyproj
-    import pyproj.exceptions
-
-    try:
-        change = pyproj.Transformer.from_crs(named, _WGS84, always_xy=True)
-    except pyproj.exceptions.CRSError as error:
-        raise InputError(where, f"has a coordinate system that is not known: {str(error)[:80]}", "--crs EPSG:CODE") from error
-    longitude, latitude = change.transform(x, y)
-    lost = ~(np.isfinite(longitude) & np.isfinite(latitude))
-    return np.where(lost, np.nan, longitude), np.where(lost, np.nan, latitude), ()
 
 
 def _metadata(path: Path, member: str) -> _Metadata:
