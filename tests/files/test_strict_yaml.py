@@ -45,9 +45,9 @@ REFUSED = [
     ("a:\n  !!python/object/apply:os.system ['true']", "f:2: tags such as"),
     ("[" * 500 + "]" * 500, "f:1: more than 20 levels deep"),
     ("{[1]: 2}", "f:1: a key must be a word"),
-    ("a: '", "f:1: found unexpected end of stream"),
+    ("a: '", "f:1: a quote that is not closed; expected the same quote at the end of the text"),
     ("a: " + "9" * 5000, "f:1: '9999999999999999999999999999999999999999' has too many digits"),
-    ("a: 1\n---\nb: 2", "f:2: but found another document"),
+    ("a: 1\n---\nb: 2", "f:2: --- within the file; expected one document"),
     ("a: \x00", "f: unacceptable character"),
     ("a: " + "x" * strict_yaml.MAX_BYTES, "characters; expected at most"),
 ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import logging
 from collections.abc import Collection, Mapping
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any
 from yieldmon.errors import InputError
 
 from . import strict_yaml
+from .yaml_slips import of_a_number
 
 _log = logging.getLogger(__name__)
 _LONGEST_NAME = 200
@@ -33,7 +35,8 @@ def load_mapping(path: str | Path) -> dict[str, Any]:
 def number(value: Any, where: str, unit: str, low: float, high: float) -> float:
     """A finite number within [low, high]. Raises InputError with the place, the value, unit and range."""
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
-        raise InputError(where, f"is {value!r}", f"a number from {low:g} to {high:g} {unit}".rstrip())
+        expected = f"a number from {low:g} to {high:g} {unit}".rstrip() + of_a_number(value)
+        raise InputError(where, f"is {value!r}", expected)
     return float(value)
 
 
@@ -61,7 +64,8 @@ def known_keys(document: Mapping[str, Any], before: str, known: Collection[str])
     """Raises InputError for a key that is none of these. before: what stands before the key in the place that it names."""
     for key in document:
         if key not in known:
-            raise InputError(f"{before}{key}", "unknown key", f"one of {', '.join(known)}")
+            near = difflib.get_close_matches(str(key), known, n=1)
+            raise InputError(f"{before}{key}", "unknown key", near[0] if near else f"one of {', '.join(known)}")
 
 
 def known_format(document: Mapping[str, Any], known: int, where: str) -> None:

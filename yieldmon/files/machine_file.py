@@ -41,6 +41,11 @@ _IMPLEMENT = {
     "grain_delay_s": ("s", 0.0, 60.0),
 }
 
+_NEEDED = frozenset({"name", "paddle_spacings_m", "sensor", *_LENGTHS, *_ANGLES, *_SPEEDS})
+
+#: All keys, those within its sections too.
+KEYS = _NEEDED | _OPTIONAL | set(_SENSOR) | set(_SENSOR_OPTIONAL) | set(_IMPLEMENT)
+
 
 def load(path: str | Path | None = None) -> Machine:
     """The machine in a YAML file.
@@ -70,9 +75,8 @@ def load(path: str | Path | None = None) -> Machine:
 
 def from_document(document: Mapping[str, Any], path: str | Path) -> Machine:
     """Machine from the mapping of a file; path: for errors. Raises InputError as `load`."""
-    known = {"name", "paddle_spacings_m", "sensor", *_LENGTHS, *_ANGLES, *_SPEEDS}
-    known_keys(document, f"{path}: ", sorted(known | _OPTIONAL))
-    for key in sorted(known):
+    known_keys(document, f"{path}: ", sorted(_NEEDED | _OPTIONAL))
+    for key in sorted(_NEEDED):
         if key not in document:
             raise InputError(f"{path}: {key}", "missing", f"a value as in {DEFAULT}")
     values: dict[str, Any] = {key: number(document[key], f"{path}: {key}", "m", *limits) for key, limits in _LENGTHS.items()}

@@ -40,6 +40,8 @@ _LARGEST_CORRELATION = 1.0 + 1e-6
 _ROUNDING = 1e-9
 """Of a covariance, over the largest variance."""
 _KEYS = ("format", "version", "effects", "covariance", "calibrated_range", "response_unit", "model_error", "curve", "provenance")
+#: All keys of a parameter file.
+KEYS = frozenset((*GRAIN_LIMITS, *_KEYS))
 
 
 def load(path: str | Path | None = None) -> ParameterSet:

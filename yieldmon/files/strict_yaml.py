@@ -22,6 +22,7 @@ from yaml.resolver import Resolver
 
 from yieldmon.bounded import PATIENCE_S, content
 from yieldmon.errors import InputError, reason
+from yieldmon.files.yaml_slips import in_plain_words
 
 MAX_BYTES = 100_000
 MAX_DEPTH = 20
@@ -58,9 +59,11 @@ class _Rules(Composer, SafeConstructor, Resolver):
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
         seen: set[str] = set()
-        for key, _ in node.value:
+        for key, value in node.value:
             if not isinstance(key, yaml.ScalarNode):
                 raise _Refused("a key must be a word", key)
+            if node.flow_style and key.value.isdigit() and isinstance(value, yaml.ScalarNode) and not value.value:
+                raise _Refused(f"a comma before {key.value} in a number within {{ }}", key)
             if key.value in seen:
                 raise _Refused(f"key {key.value!r} appears twice", key)
             seen.add(key.value)
@@ -175,9 +178,10 @@ def parse(text: str, where: str) -> Any:
     try:
         return yaml.load(text, Loader=StrictLoader)  # noqa: S506 - the same
     except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark
+        wrong, right, opened = in_plain_words(error.problem or error.context or "not YAML")
+        mark = (error.context_mark if opened else None) or error.problem_mark or error.context_mark
         line = f"{where}:{mark.line + 1}" if mark is not None else where
-        raise InputError(line, error.problem or error.context or "not YAML") from error
+        raise InputError(line, wrong, right) from error
     except yaml.YAMLError as error:
         raise InputError(where, str(error), "a YAML file") from error
 

@@ -8,10 +8,10 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
@@ -39,6 +39,8 @@ from yieldmon.service.folders import runtime_folder, state_folder, where_sqlite_
 from yieldmon.service.storage.retention import Retention
 from yieldmon.signals.mapping import SignalMap
 from yieldmon.signals.output_mapping import OutputMap
+
+Content = TypeVar("Content")
 
 
 class ConfigurationError(InputError):
@@ -120,13 +122,13 @@ def build(content: Any, path: Path, environment: Mapping[str, str] = os.environ)
         raise ConfigurationError(problems_of(error, str(path))) from error
     machine_path = _beside(path, document.machine_file, machine_file.DEFAULT)
     parameter_path = _beside(path, document.parameter_file, parameter_file.DEFAULT)
-    machine = machine_file.load(machine_path)
+    machine = _named(path, "machine_file", machine_file.load, machine_path)
     curve_path = path.parent / document.estimator_file if document.estimator_file is not None else None
-    curve = flow_curve_file.load(curve_path) if curve_path is not None else None
+    curve = _named(path, "estimator_file", flow_curve_file.load, curve_path) if curve_path is not None else None
     named = document.moisture_map_file
-    moisture_map = moisture_file.load(path.parent / named) if named is not None else None
+    moisture_map = _named(path, "moisture_map_file", moisture_file.load, path.parent / named) if named is not None else None
     shape_path = _beside(path, document.pulse_shape_file, pulse_shape_file.SHIPPED)
-    shape = pulse_shape_file.load(shape_path)
+    shape = _named(path, "pulse_shape_file", pulse_shape_file.load, shape_path)
     asked = (document.signals, path, machine, document.plate.fixed_angle_deg)
     try:
         mapping, databases = signal_map(*asked)
@@ -150,7 +152,7 @@ def build(content: Any, path: Path, environment: Mapping[str, str] = os.environ)
     if problems:
         raise ConfigurationError(problems)
     machine = _with_fixed_plate(machine, document.plate.fixed_angle_deg)
-    parameters = _in_newtons(parameter_path)
+    parameters = _named(path, "parameter_file", _in_newtons, parameter_path)
     if curve is not None:
         parameters = with_curve(parameters, curve)
         check_curve_angle(curve, machine, str(curve_path))
@@ -172,6 +174,16 @@ def build(content: Any, path: Path, environment: Mapping[str, str] = os.environ)
         prometheus_path=prometheus_path,
         notes=(*renamed, *([] if curve is None else [_on_curve(curve, Path(str(curve_path)))])),
     )
+
+
+def _named(path: Path, key: str, load: Callable[[Path], Content], named: Path) -> Content:
+    """What a file holds that the configuration at `path` names; one that cannot be opened is the fault of the key."""
+    try:
+        return load(named)
+    except InputError as error:
+        if error.where != str(named) or not isinstance(error.__cause__, OSError):
+            raise
+        raise InputError(f"{path}: {key}: {named}", error.problem, f"a YAML file, named from {path.parent}") from error
 
 
 def with_estimator(configuration: Configuration, path: Path | str) -> Configuration:

@@ -10,6 +10,8 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
 from yieldmon.errors import InputError
+from yieldmon.files import machine_file, parameter_file
+from yieldmon.files.yaml_slips import of_a_number
 from yieldmon.service.config.document import Document
 from yieldmon.service.config.section import Section
 
@@ -40,15 +42,37 @@ def problems_of(error: ValidationError, path: str) -> list[InputError]:
         place = "".join(f"[{k}]" if isinstance(k, int) else f".{k}" for k in keys).lstrip(".")
         where = f"{path}: {place}" if place else path
         if detail["type"] == "extra_forbidden":
-            near = difflib.get_close_matches(str(keys[-1]), list(model.model_fields), n=1)
-            known = near[0] if near else "one of " + ", ".join(model.model_fields)
-            problems.setdefault(where, InputError(where, "unknown key", known))
+            problems.setdefault(where, InputError(where, "unknown key", _instead_of(str(keys[-1]), model)))
         else:
             expected = _expected(model, field)
+            if field is None and isinstance(detail["input"], str):
+                expected = "lines of key: value, with a space after the colon"
             if detail["type"] == "string_type" and isinstance(detail["input"], int | float):
                 expected += " (a number in quotes)"
+            elif field is not None and {int, float} & set(_kinds(field.annotation)):
+                expected += of_a_number(detail["input"])
             problems.setdefault(where, InputError(where, _shown(detail["input"]), expected))
     return list(problems.values())
+
+
+def _instead_of(key: str, model: type[BaseModel]) -> str:
+    """What was expected in the place of a key that the section `model` does not have."""
+    plain = "".join(c for c in key if c.isascii() and c.isprintable()).strip()
+    if plain in model.model_fields:
+        return f"{plain}, in plain letters (what stands there has characters that look the same or are not seen)"
+    near = difflib.get_close_matches(key, list(model.model_fields), n=1)
+    if near:
+        return near[0]
+    sections = {name: field.annotation for name, field in Document.model_fields.items()}
+    elsewhere = [name for name, kind in sections.items() if isinstance(kind, type) and key in getattr(kind, "model_fields", {})]
+    if key in sections:
+        return f"{key} at the left margin, outside of any section"
+    for kind, keys in (("machine", machine_file.KEYS), ("parameter", parameter_file.KEYS)):
+        if key in keys:
+            return f"it in the {kind} file, which {kind}_file names"
+    if elsewhere:
+        return " or ".join(f"{name}.{key}" for name in elsewhere) + f": the line `{elsewhere[0]}:` above it, and spaces before it"
+    return "one of " + ", ".join(model.model_fields)
 
 
 def _place(location: tuple[int | str, ...]) -> tuple[list[int | str], type[BaseModel], FieldInfo | None]:

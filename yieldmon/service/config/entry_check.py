@@ -8,9 +8,13 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from yieldmon.errors import InputError
+from yieldmon.files.yaml_slips import of_a_number
 
 HIGHEST_ADDRESS = 253
 """Of a node (SAE J1939-81): 254 is "no address", 255 all nodes."""
+
+_OF_NUMBERS = frozenset({"float_type", "float_parsing", "int_type", "int_parsing"})
+"""What pydantic calls a text in the place of a number."""
 
 Entry = TypeVar("Entry", bound=BaseModel)
 
@@ -32,7 +36,10 @@ def checked(model: type[Entry], entry: Any, where: str, expected: Mapping[str, s
         if detail["type"] == "extra_forbidden":
             raise InputError(f"{where}.{key}", "unknown key", f"one of {keys}") from error
         said = "is missing" if detail["type"] == "missing" else repr(detail["input"])[:60]
-        raise InputError(f"{where}.{key}", said, expected.get(key, str(model.model_fields[key].description))) from error
+        right = expected.get(key, str(model.model_fields[key].description))
+        if detail["type"] in _OF_NUMBERS:
+            right += of_a_number(detail["input"])
+        raise InputError(f"{where}.{key}", said, right) from error
 
 
 def limits(given: list[float] | None, where: str) -> tuple[float | None, float | None]:

@@ -155,7 +155,15 @@ def database_reader(path: Path) -> Callable[[str], dict[str, MessageBits]]:
 
     @cache
     def read(name: str) -> dict[str, MessageBits]:
-        return load_messages(database_path(name, path))
+        file = database_path(name, path)
+        try:
+            return load_messages(file)
+        except InputError as error:
+            if error.where != str(file) or not isinstance(error.__cause__, OSError):
+                raise
+            raise InputError(
+                f"{path}: dbc: {file}", error.problem, f"a DBC file, named from {path.parent}, or j1939.dbc"
+            ) from error
 
     return read
 
