@@ -1,4 +1,4 @@
-"""Sweeps that a pass's end or a hole in the crop cuts off say nothing of the model: what is stated of the total stays what it was."""
+"""Sweeps that a pass's end or a hole in the crop cuts off say nothing of the model: what is stated of the total stays."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def harvested(tmp_path: Any, pieces: list[dict[str, Any]], seed: int) -> list[Wi
 
 
 @pytest.mark.parametrize(("pieces", "seed"), [(SHORT_PASSES, 1), (SHORT_PASSES, 2), (HOLES, 1), (HOLES, 2)])
-def test_a_pass_that_ends_in_a_sweep_does_not_widen_what_is_stated(tmp_path: Any, pieces: list[dict[str, Any]], seed: int) -> None:
+def test_a_pass_that_ends_in_a_sweep_does_not_widen_what_is_said(tmp_path: Any, pieces: list[dict[str, Any]], seed: int) -> None:
     records = harvested(tmp_path, pieces, seed)
     assert max(record.sweep_id for record in records) >= 3, "sweeps begin"
     stated = [record.total_std_dev_kg / record.total_kg for record in records if record.total_kg > 300.0]
