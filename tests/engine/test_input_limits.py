@@ -12,7 +12,7 @@ from yieldmon.engine.sources import QUANTITIES
 #: Of each quantity the smallest and the largest value that is used, and what lies just beyond; None: it has no limit there.
 LIMITS: dict[str, tuple[float | None, float | None]] = {
     "elevator_speed": (0.0, 3000.0), "plate_angle": (0.0, 180.0), "course": (0.0, 360.0), "latitude": (-90.0, 90.0),
-    "longitude": (-180.0, 180.0), "ground_speed": (0.0, None), "factory_mass_flow": (0.0, 200.0), "moisture": (0.0, None),
+    "longitude": (-180.0, 180.0), "ground_speed": (0.0, 300.0), "factory_mass_flow": (0.0, 200.0), "moisture": (0.0, None),
     "grain_temperature": (-50.0, 100.0), "thousand_kernel_weight": (1.0, 2000.0),
     "tank_mass": (None, None), "tank_scale_status": (None, None), "position_group": (None, None), "speed_group": (None, None),
 }  # fmt: skip

@@ -253,3 +253,21 @@ def test_fields_of_a_name_take_what_their_bits_hold(field: str, tmp_path: Path) 
     for value in (-1, whole):
         with pytest.raises(InputError, match=field):
             load(tmp_path, cell=f"{WIDE}, source: {{{field}: {value}}}}}")
+
+
+@pytest.mark.parametrize(("rpm", "told"), [(500.0, False), (600.0, True)])
+def test_values_beyond_the_range_of_the_dbc_are_told(rpm: float, told: bool, tmp_path: Path) -> None:
+    config = load(tmp_path)
+    (tmp_path / "own.dbc").write_text(DBC.replace('(0.5,0) [0|0] "rpm"', '(0.5,0) [0|550] "rpm"'))
+    config = configuration.load(tmp_path / "c.yaml")
+    seen = impact(config)
+    seen["elevator_speed"] = replace(seen["elevator_speed"], decoded=(400.0, rpm))
+    found = [text for text in remarks(config, seen) if "DBC's range" in text]
+    assert found == (
+        [
+            "elevator_speed goes from 400 to 600 rpm, beyond 550 where the DBC's range of Turns ends: raw values that "
+            "mean none are `not_available`, or outside `range`"
+        ]
+        if told
+        else []
+    )

@@ -73,7 +73,7 @@ def _held_against(
 ) -> tuple[dict[str, Any] | None, list[str], list[InputError]]:
     """What a recording shows of the mapping's quantities, what is to be known of the mapping, and what is wrong with it."""
     from yieldmon.service.config import plausible
-    from yieldmon.service.logs import mapping_check
+    from yieldmon.service.logs import foretold, mapping_check
 
     notes = [*loaded.notes, *mapping_check.notes(loaded)]
     if loaded.engine.waveform.enabled:
@@ -88,7 +88,7 @@ def _held_against(
     if incomplete:
         notes.append(f"{incomplete} messages of several frames lack one and are not used")
     problems += mapping_check.problems(loaded, found, log)
-    notes += mapping_check.remarks(loaded, found)
+    notes += mapping_check.remarks(loaded, found) + foretold.faults_on(loaded, log)
     return mapping_check.as_json(found), notes, [InputError(*problem) for problem in problems]
 
 

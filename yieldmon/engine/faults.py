@@ -129,6 +129,10 @@ def _saturated_detail(o: Observation) -> str:
     )
 
 
+_MANY_LOST, _ROOM_FOR_LOST = 5, 0.25
+"""Frames in a second, and the share of them for which its samples leave room."""
+
+
 def _frames_lost(o: Observation) -> bool:
     if o.window.lost_frames > 0 or o.window.contested or o.reading.inputs.tank_disputed:
         return True
@@ -146,7 +150,16 @@ def _frames_lost_detail(o: Observation) -> str:
         return f"samples for {100.0 * o.window.coverage:.0f} % of the second, no frame missing: if it lasts, is rate_hz right?"
     if o.window.lost_frames == 0 and not rivals:
         rivals = ": a second sender, or more samples per second than rate_hz says"
+    if not rivals and _counted_otherwise(o):
+        rivals = "; samples cover the second all the same: they come in bursts, or the mapping's counter counts otherwise"
     return f"{o.window.lost_frames} lost, {o.window.surplus_frames} too many{rivals}"
+
+
+def _counted_otherwise(o: Observation) -> bool:
+    """Whether the samples' times leave no room for the frames that the counter says are lost."""
+    lost = o.window.lost_frames
+    room = (1.0 - o.window.coverage) * (o.window.frames + lost)
+    return lost >= _MANY_LOST and room < _ROOM_FOR_LOST * lost
 
 
 def _scale_fault(inputs: InputSnapshot) -> str | None:

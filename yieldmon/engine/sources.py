@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from math import inf, nextafter
+from math import inf
 from typing import Any
 
 from yieldmon import frames as bus
@@ -19,6 +19,7 @@ from yieldmon.units import M_S_PER_KMH
 _MAX_PLAUSIBLE_RPM = 3000.0
 _MAX_PLAUSIBLE_ANGLE_DEG = 180.0
 _MAX_PLAUSIBLE_KG_S = 200.0
+_MAX_PLAUSIBLE_KM_H = 300.0
 _PLAUSIBLE_DEGC = (-50.0, 100.0)
 THOUSAND_KERNELS_G = (1.0, 2000.0)
 """Mass of a thousand kernels, from small seeds to large beans; below, it is that of one kernel, or in another unit."""
@@ -52,8 +53,8 @@ def _within(low: float, high: float) -> Callable[[Any], Any]:
     return lambda value: (value >= low) & (value <= high)
 
 
-def _finite_from(low: float) -> Callable[[Any], Any]:
-    return lambda value: (value >= low) & (value < inf)
+def _is_mass(value: Any) -> Any:
+    return (value > 0.0) & (value < inf)
 
 
 _ACTUATOR_STATES = tuple(float(state) for state in ActuatorState)
@@ -74,7 +75,7 @@ QUANTITIES: Mapping[str, Quantity] = {
         Quantity("plate_angle", "deg", _within(0.0, _MAX_PLAUSIBLE_ANGLE_DEG), "feedback_timeout_s", "of the impact plate"),
         Quantity("moisture", "%", lambda value: (value >= 0.0) & (value < 100.0), "condition_timeout_s", "wet basis"),
         Quantity("grain_temperature", "degC", _within(*_PLAUSIBLE_DEGC), "condition_timeout_s", "of the grain"),
-        Quantity("test_weight", "kg/m3", _finite_from(nextafter(0.0, 1.0)), "condition_timeout_s", "bulk density at rest"),
+        Quantity("test_weight", "kg/m3", _is_mass, "condition_timeout_s", "bulk density at rest"),
         Quantity(
             "thousand_kernel_weight", "g", _within(*THOUSAND_KERNELS_G), "condition_timeout_s", "mass of a thousand kernels"
         ),
@@ -84,7 +85,7 @@ QUANTITIES: Mapping[str, Quantity] = {
         Quantity("work_state", "", _is_flag, "vehicle_timeout_s", "1 threshing and header drives engaged"),
         Quantity("unloading", "", _is_flag, "vehicle_timeout_s", "1 while the grain tank is being emptied"),
         Quantity("course", "deg", _within(0.0, 360.0), "vehicle_timeout_s", "over ground, clockwise from north"),
-        Quantity("ground_speed", "km/h", _finite_from(0.0), "vehicle_timeout_s", "over ground", M_S_PER_KMH),
+        Quantity("ground_speed", "km/h", _within(0.0, _MAX_PLAUSIBLE_KM_H), "vehicle_timeout_s", "over ground", M_S_PER_KMH),
         Quantity("latitude", "deg", lambda value: abs(value) <= 90.0, "vehicle_timeout_s", "positive north, WGS 84"),
         Quantity("longitude", "deg", lambda value: abs(value) <= 180.0, "vehicle_timeout_s", "positive east, WGS 84"),
         Quantity("position_group", "", _is_number, "vehicle_timeout_s", "parameter group of the standard source in use"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from math import degrees, radians
@@ -41,8 +42,11 @@ _LEAST_SHARE = 0.25
 """Of the full scale, below 0: a cell that pulls."""
 _SPEED_BAND = np.linspace(0.98, 1.02, 9)
 """A loaded elevator turns up to this share off its stated speed: enough to fold a harmonic onto 0."""
+_OFTEN = 3
+"""Once or twice a recording may begin anew."""
 _MOSTLY = 0.5
 """Of the seconds of a recording."""
+_IMPACT_SIGNAL = re.compile(r"impact(\d+)\.\d+")
 _FORCES_N = np.geomspace(5.0, 500.0, 24)
 
 
@@ -65,6 +69,8 @@ class QuantitySeen:
     """Median difference between one value and the next over the range of most of them."""
     leaping_share: float = 0.0
     """Of the seconds, those whose values leap up and down as no one sender's do."""
+    silences: int = 0
+    """Times without a value that are longer than one holds."""
 
 
 def aliasing_pct(configuration: Configuration) -> dict[str, float]:
@@ -149,7 +155,9 @@ def seen_in(configuration: Configuration, log: Path | str) -> tuple[dict[str, Qu
             for run in stretch.runs:
                 _take(run, configuration, parts)
     expected = [*(_impact_name(k) for k in range(len(sources.impact))), *(source.quantity for source in sources.inputs)]
-    found = {name: _summary(name, parts.get(name, [])) for name in dict.fromkeys(expected)}
+    inputs = configuration.engine.inputs
+    holds_s = {name: float(getattr(inputs, quantity.timeout)) for name, quantity in QUANTITIES.items()}
+    found = {name: _summary(name, parts.get(name, []), holds_s.get(name, np.inf)) for name in dict.fromkeys(expected)}
     for name, limits in _rival_limits(configuration.machine).items():
         if name in found and parts.get(name):
             found[name] = replace(found[name], leaping_share=_leaping_share(parts[name], *limits))
@@ -193,7 +201,7 @@ def _take(run: FrameRun, configuration: Configuration, parts: dict[str, list[tup
             parts.setdefault(entry.quantity, []).append((part.times_s, np.where(usable, values, np.nan), values))
 
 
-def _summary(name: str, parts: list[tuple[Array, Array, Array]]) -> QuantitySeen:
+def _summary(name: str, parts: list[tuple[Array, Array, Array]], holds_s: float) -> QuantitySeen:
     unit = "mV" if name.startswith("impact") else QUANTITIES[name].unit
     if not parts:
         return QuantitySeen(unit, 0, 0, None, None, None, None, (), None)
@@ -212,6 +220,7 @@ def _summary(name: str, parts: list[tuple[Array, Array, Array]]) -> QuantitySeen
         first=tuple(good[:_FIRST].tolist()),
         decoded=(float(finite.min()), float(finite.max())) if finite.size else None,
         step_share=_step_share(good),
+        silences=int(np.count_nonzero(np.diff(at) > holds_s)),
     )
 
 
@@ -273,7 +282,7 @@ def _angle_problems(machine: Machine, seen: dict[str, QuantitySeen], log: str) -
 
 def remarks(configuration: Configuration, seen: dict[str, QuantitySeen]) -> list[str]:
     """What is doubtful in a recording, a sentence each: it may be a recording of that kind, or a mistaken unit."""
-    found, machine = _impact_remarks(configuration, seen), configuration.machine
+    found, machine = _impact_remarks(configuration, seen) + _range_remarks(configuration, seen), configuration.machine
     speed, moisture = seen.get("elevator_speed"), seen.get("moisture")
     least, most = machine.min_elevator_speed_rad_s / RPM, machine.max_elevator_speed_rad_s / RPM
     if speed is not None and speed.low is not None and speed.high is not None and (speed.high < least or speed.low > most):
@@ -283,6 +292,12 @@ def remarks(configuration: Configuration, seen: dict[str, QuantitySeen]) -> list
         )
     if moisture is not None and moisture.high is not None and moisture.high < _LEAST_MOISTURE_PCT:
         found.append(f'moisture is never above {moisture.high:.3g} %: if it comes as a share of 1, unit: "1" makes it per cent')
+    for name, entry in seen.items():
+        if entry.silences >= _OFTEN and name in QUANTITIES:
+            found.append(
+                f"{name} comes up to {entry.largest_gap_s:.3g} s apart, and a value holds for inputs.{QUANTITIES[name].timeout}: "
+                "where it is sent only when it changes, make that longer, or let it be sent at an interval"
+            )
     driven = seen.get("ground_speed")
     if machine.implement.working_width_m is None and driven is not None and driven.low is not None:
         found.append(
@@ -290,6 +305,28 @@ def remarks(configuration: Configuration, seen: dict[str, QuantitySeen]) -> list
             "implement: {working_width_m: 9.1} in the machine file, as wide as the header is"
         )
     return found
+
+
+def _range_remarks(configuration: Configuration, seen: dict[str, QuantitySeen]) -> list[str]:
+    """Of values beyond the range that the DBC gives a signal: often they are raw values for "error" or "not available"."""
+    found: dict[str, str] = {}
+    for group in configuration.signals.groups:
+        counted = {pulses.signal for pulses in group.pulses}
+        for signal, extraction in group.signals.items():
+            number = _IMPACT_SIGNAL.fullmatch(signal)
+            name = signal if number is None else _impact_name(int(number[1]))
+            entry, bits = seen.get(name), extraction.bits
+            named = bits.turns_at < 1 << bits.bits and signal not in counted and extraction.codes is None and not extraction.over
+            if entry is None or entry.decoded is None or not named:
+                continue
+            raws = sorted((end - extraction.offset) / extraction.scale for end in entry.decoded)
+            if raws[1] > bits.turns_at - 0.5:
+                last = (bits.turns_at - 1) * extraction.scale + extraction.offset
+                found[name] = (
+                    f"{name} goes from {entry.decoded[0]:.6g} to {entry.decoded[1]:.6g} {entry.unit}, beyond {last:.6g} where "
+                    f"the DBC's range of {bits.name} ends: raw values that mean none are `not_available`, or outside `range`"
+                )
+    return list(found.values())
 
 
 def _impact_remarks(configuration: Configuration, seen: dict[str, QuantitySeen]) -> list[str]:
@@ -325,5 +362,5 @@ def _instead(configuration: Configuration, name: str, log: str) -> str | None:
 
 def as_json(seen: dict[str, QuantitySeen]) -> dict[str, Any]:
     """For `--json`."""
-    left_out = ("step_share", "leaping_share")
+    left_out = ("step_share", "leaping_share", "silences")
     return {name: {key: value for key, value in asdict(entry).items() if key not in left_out} for name, entry in seen.items()}
