@@ -86,7 +86,7 @@ def test_outlives_a_restart(zs: list[float]) -> None:
     for z in zs:
         alarm.see([check(z)])
     document = json.loads(json.dumps(EngineState(scale_alarm=alarm.state).as_dict()))
-    after.state = EngineState.from_dict(document).scale_alarm
+    after.restore(EngineState.from_dict(document).scale_alarm)
     assert after.state == alarm.state
     assert after.detail == alarm.detail
 

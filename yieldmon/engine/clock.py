@@ -67,6 +67,10 @@ class BusClock:
         steps = np.diff(bus_times_s + self.offset_s, prepend=self.now_s)
         return bool(np.all((steps >= 0.0) & (steps <= self._settings.max_gap_s)))
 
+    def passed(self, now_s: float) -> None:
+        """A block of times that `regular` admits has passed; now_s: the last of them, engine time."""
+        self.now_s = now_s
+
     def bus_time(self, engine_time_s: float) -> float:
         """Bus time stamp for something that happens at an engine time."""
         return engine_time_s - self.offset_s

@@ -59,6 +59,10 @@ class Conclusion:
         self.begun_with: LoadEvents = ()
         """Loads that began before the first window; they come with it."""
 
+    def restore(self, windows: int) -> None:
+        """Go on counting after so many windows."""
+        self.windows = windows
+
     def conclude(self, reading: Reading, estimate: Estimate | None) -> WindowResult:
         """The window's result. estimate: None where there is no flow."""
         parts, window = self._parts, reading.window

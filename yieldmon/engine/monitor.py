@@ -1,7 +1,8 @@
 """The yield monitor: frames in, results out, time only from the frames.
 
 `Parts` are the components, each with one task; `Timeline` runs them in order; `Conclusion` derives the results of a window. The
-monitor is their interface: frames and time, the operator's commands, readable state, and the state that survives a restart.
+monitor is their interface: frames and time, the operator's commands, and the state that survives a restart; what there is to see
+is in `MonitorView`.
 
 `feed` and `feed_run` give the same bits for the same frames, one by one or in blocks. Nothing here raises on any sequence of
 frames: what cannot be used is left out and shown in quality and faults. One window ends each second,
@@ -17,29 +18,24 @@ from yieldmon.engine.faults import FaultCode
 from yieldmon.engine.flow_estimator import FlowEstimator
 from yieldmon.engine.mass.load_summary import LoadEvents, LoadSummary
 from yieldmon.engine.mass.missed_mass import MissedMass
-from yieldmon.engine.mass.totals import Totals
+from yieldmon.engine.monitor_view import MonitorView
 from yieldmon.engine.parts import Parts
 from yieldmon.engine.restart import remember_tickets, restore, snapshot, take_over
 from yieldmon.engine.results import Result
 from yieldmon.engine.runs import FrameRun
 from yieldmon.engine.sampling.since_zero import KeptSecond
 from yieldmon.engine.self_calibration.anchors import ReferenceMass, Weighing
-from yieldmon.engine.self_calibration.calibrator import CalibrationOutcome, SelfCalibrator
+from yieldmon.engine.self_calibration.calibrator import SelfCalibrator
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.sources import DEFAULT_SOURCES, Sources
 from yieldmon.engine.state import EngineState, TicketState
-from yieldmon.engine.sweeps.disagreement import Disagreement
-from yieldmon.engine.sweeps.sweep import SweepMachine
 from yieldmon.engine.timeline import Timeline
-from yieldmon.engine.waveform.waveform_reading import WaveformReading
 from yieldmon.frames import Frame
 from yieldmon.physics.machine import Machine
 from yieldmon.signal_ranges import SignalRanges
 
-__all__ = ["LoadSummary", "Monitor"]
 
-
-class Monitor:
+class Monitor(MonitorView):
     """One yield monitor on one bus.
 
     Parameters
@@ -95,14 +91,9 @@ class Monitor:
         drives_plate: bool = True,
         waveform_later: bool = False,
     ) -> None:
-        self.settings = settings
-        self.machine = machine
-        self.sources = sources
-        self._parts = Parts.of(
-            settings, machine, estimator, calibrator, sources=sources, ranges=ranges, drives_plate=drives_plate
-        )
-        self._timeline = Timeline(self._parts, waveform_later=waveform_later)
-        self.faults = self._parts.faults
+        parts = Parts.of(settings, machine, estimator, calibrator, sources=sources, ranges=ranges, drives_plate=drives_plate)
+        super().__init__(parts, sources)
+        self._timeline = Timeline(parts, waveform_later=waveform_later)
 
     # Frames
 
@@ -168,7 +159,7 @@ class Monitor:
         """
         return self._timeline.take_run(run, publishing=reports)
 
-    # Operator and service
+    # Loads
 
     def start_load(self) -> LoadEvents:
         """Begin a new load.
@@ -199,15 +190,7 @@ class Monitor:
         """
         return self._parts.loads.stop(self._parts.bus_now)
 
-    @property
-    def zero_waits_for(self) -> str:
-        """What a requested zero is waiting for; "" where none is requested."""
-        return self._parts.measurement.zero_waits_for
-
-    @property
-    def signs_of_grain(self) -> str:
-        """Signs of grain, against which the zero should not be calibrated now; "" where there are none."""
-        return self._parts.measurement.signs_of_grain
+    # Grain
 
     def set_market_moisture(self, moisture_pct: float) -> None:
         """Set the market moisture of the crop, at which dry mass is counted from now on.
@@ -237,15 +220,39 @@ class Monitor:
         self._parts.waveform.kernel_weight_g = thousand_kernel_weight_g
         return True
 
-    @property
-    def kernel_weight_g(self) -> float:
-        """Thousand-kernel weight as last reported or configured, g; 0: not known."""
-        return self._parts.waveform.kernel_weight_g if self._parts.waveform is not None else 0.0
+    def set_estimator(self, estimator: FlowEstimator, calibration_age_s: float | None, harvested_kg: float = 0.0) -> None:
+        """Other parameters.
 
-    @property
-    def waveform(self) -> WaveformReading | None:
-        """Shape and kernel noise of the last window's samples; None where they are not evaluated."""
-        return self._parts.waveform.last if self._parts.waveform is not None else None
+        Parameters
+        ----------
+        estimator : OpenLoop
+            As in `Monitor`.
+        calibration_age_s : float or None
+            Time since they were calibrated, s; None where it is not known.
+        harvested_kg : float
+            Grain since then, kg, by which drift widens what is stated. Parameters that were in use before keep their own.
+        """
+        if dict(estimator.parameters.values) != dict(self._parts.learning.estimator.parameters.values):
+            self._parts.flow_meter.moisture.forget()
+        self._parts.learning.use(estimator, calibration_age_s, harvested_kg)
+        self._parts.learning.scale_alarm.accept()
+        self._parts.loads.scale_is_set()
+
+    def change_crop(self, estimator: FlowEstimator, calibration_age_s: float | None, before: str, now: str) -> None:
+        """Parameters of another crop. Tickets of the crop before wait for its return, and a sweep under way ends.
+
+        Parameters
+        ----------
+        estimator, calibration_age_s
+            As in `set_estimator`.
+        before, now : str
+            Names of the crops.
+        """
+        self.abort_sweep()
+        self._parts.learning.change_grain(before, now, estimator)
+        self.set_estimator(estimator, calibration_age_s)
+
+    # Zero
 
     def calibrate_zero(self, *, despite_signs: bool = True) -> bool:
         """Zero-flow calibration: the operator states that the elevator runs empty for the next seconds.
@@ -279,150 +286,7 @@ class Monitor:
         """
         return operator_zero.undo(self._parts)
 
-    def remember_since_zero(self, seconds: Sequence[KeptSecond]) -> None:
-        """After a restart: what was measured since the operator's last zero calibration.
-
-        Parameters
-        ----------
-        seconds : sequence of KeptSecond
-        """
-        self._parts.since_zero.add(seconds)
-
-    def know_load(self, load: LoadSummary, seconds: Sequence[KeptSecond]) -> None:
-        """A closed load that an earlier run measured: a ticket for it updates the parameters like one for this run's.
-
-        Parameters
-        ----------
-        load : LoadSummary
-        seconds : sequence of KeptSecond
-            Of that load.
-        """
-        self._parts.learning.masses.tickets.know_load(self._parts.loads.as_stated(load), seconds)
-
-    def remember_tickets(self, tickets: Sequence[TicketState]) -> None:
-        """After `restore` and `know_load`: the state's tickets, of which those for other loads are passed over.
-
-        Parameters
-        ----------
-        tickets : sequence of TicketState
-        """
-        remember_tickets(self._parts, tickets)
-
-    def take_over(self, before: Monitor, *, tickets: bool) -> None:
-        """After `restore` from the monitor that measured until now: what of it no state carries.
-
-        A zero calibration under way, what was measured since the last one, and the noise heard of grain and of no grain.
-
-        Parameters
-        ----------
-        before : Monitor
-            Of another machine or other settings of the waveform no noise is taken.
-        tickets : bool
-            Its tickets too.
-        """
-        take_over(self._parts, before._parts, tickets=tickets)
-
-    def teach_again(
-        self, load_numbers: Sequence[int], again: Sequence[Weighing], learnt: Sequence[int] | None = None, crop: str = ""
-    ) -> LoadEvents:
-        """Tickets were taken back; where they had taught, the parameters are those from before that, and others teach again.
-
-        Parameters
-        ----------
-        load_numbers : sequence of int
-            The loads that the tickets taken back covered.
-        again : sequence of (int, float, float)
-            Load, weighed mass and its standard deviation, kg, of each that is to teach again, in the order of entry: a ticket
-            with each window or sweep that ends.
-        learnt : sequence of int, optional
-            Loads with tickets that the parameters in use rest on; None where these are the same as before.
-        crop : str
-            Of all these, where another crop is harvested now: then they wait for its return.
-
-        Returns
-        -------
-        list of LoadClosed or LoadRestated
-            Loads whose standard deviation held what these tickets had shown.
-
-        Raises
-        ------
-        ValueError
-            As `ticket`.
-        """
-        taught, known = frozenset(load_numbers), None if learnt is None else frozenset(learnt)
-        self._parts.learning.teach_again(taught, again, known, self.loads, self._parts.bus_now, crop)
-        return self._parts.loads.scale_was_right(taught) if known is not None else ()
-
-    @property
-    def counted_loads(self) -> frozenset[int]:
-        """Loads whose tickets others are held against, of any crop."""
-        return self._parts.learning.counted_loads
-
-    @property
-    def scale_counted(self) -> bool:
-        """Whether masses of the tank scale are among what tickets are held against."""
-        return self._parts.learning.scale_counted
-
-    @property
-    def doubted_loads(self) -> frozenset[int]:
-        """Loads whose tickets contradict those and wait until another agrees with them, of any crop."""
-        return self._parts.learning.doubted_loads
-
-    @property
-    def masses_wait(self) -> bool:
-        """Whether a reference mass is still to update the parameters."""
-        return self._parts.learning.masses_wait
-
-    @property
-    def bus_time_s(self) -> float:
-        """Bus time, nan before the first frame."""
-        return self._parts.bus_now
-
-    def request_sweep(self) -> None:
-        """Sweep as soon as the conditions hold."""
-        self.sweep.request()
-
-    def abort_sweep(self) -> bool:
-        """End a sweep, under way or asked for, and take the plate home.
-
-        Returns
-        -------
-        bool
-            False where there was none.
-        """
-        return self.sweep.abort(self._parts.clock.now_s or 0.0)
-
-    def set_estimator(self, estimator: FlowEstimator, calibration_age_s: float | None, harvested_kg: float = 0.0) -> None:
-        """Other parameters.
-
-        Parameters
-        ----------
-        estimator : OpenLoop
-            As in `Monitor`.
-        calibration_age_s : float or None
-            Time since they were calibrated, s; None where it is not known.
-        harvested_kg : float
-            Grain since then, kg, by which drift widens what is stated. Parameters that were in use before keep their own.
-        """
-        if dict(estimator.parameters.values) != dict(self._parts.learning.estimator.parameters.values):
-            self._parts.flow_meter.moisture.state = None
-        self._parts.learning.use(estimator, calibration_age_s, harvested_kg)
-        self._parts.learning.scale_alarm.accept()
-        self._parts.loads.scale_is_set()
-
-    def change_crop(self, estimator: FlowEstimator, calibration_age_s: float | None, before: str, now: str) -> None:
-        """Parameters of another crop. Tickets of the crop before wait for its return, and a sweep under way ends.
-
-        Parameters
-        ----------
-        estimator, calibration_age_s
-            As in `set_estimator`.
-        before, now : str
-            Names of the crops.
-        """
-        self.abort_sweep()
-        self._parts.learning.change_grain(before, now, estimator)
-        self.set_estimator(estimator, calibration_age_s)
+    # Tickets
 
     def ticket(self, load_number: int, mass_kg: float, std_dev_kg: float) -> ReferenceMass:
         """A scale ticket for a load.
@@ -466,6 +330,53 @@ class Monitor:
         """
         return self._parts.learning.departure(load_number, mass_kg, std_dev_kg, self.loads, self._parts.bus_now)
 
+    def teach_again(
+        self, load_numbers: Sequence[int], again: Sequence[Weighing], learnt: Sequence[int] | None = None, crop: str = ""
+    ) -> LoadEvents:
+        """Tickets were taken back; where they had taught, the parameters are those from before that, and others teach again.
+
+        Parameters
+        ----------
+        load_numbers : sequence of int
+            The loads that the tickets taken back covered.
+        again : sequence of (int, float, float)
+            Load, weighed mass and its standard deviation, kg, of each that is to teach again, in the order of entry: a ticket
+            with each window or sweep that ends.
+        learnt : sequence of int, optional
+            Loads with tickets that the parameters in use rest on; None where these are the same as before.
+        crop : str
+            Of all these, where another crop is harvested now: then they wait for its return.
+
+        Returns
+        -------
+        list of LoadClosed or LoadRestated
+            Loads whose standard deviation held what these tickets had shown.
+
+        Raises
+        ------
+        ValueError
+            As `ticket`.
+        """
+        taught, known = frozenset(load_numbers), None if learnt is None else frozenset(learnt)
+        self._parts.learning.teach_again(taught, again, known, self.loads, self._parts.bus_now, crop)
+        return self._parts.loads.scale_was_right(taught) if known is not None else ()
+
+    # Sweeps and faults
+
+    def request_sweep(self) -> None:
+        """Sweep as soon as the conditions hold."""
+        self.sweep.request()
+
+    def abort_sweep(self) -> bool:
+        """End a sweep, under way or asked for, and take the plate home.
+
+        Returns
+        -------
+        bool
+            False where there was none.
+        """
+        return self.sweep.abort(self._parts.clock.now_s or 0.0)
+
     def report_fault(self, code: FaultCode, present: bool, detail: str = "") -> None:
         """A condition that the service sees, such as a bus error or a store that fails; holds until reported gone.
 
@@ -478,52 +389,7 @@ class Monitor:
         """
         self.faults.report(code, present, detail)
 
-    # What there is to see
-
-    @property
-    def totals(self) -> Totals:
-        """Mass measured so far."""
-        return self._parts.loads.totals
-
-    @property
-    def loads(self) -> tuple[LoadSummary, ...]:
-        """Loads completed since the start, and the open one."""
-        return self._parts.loads.all
-
-    @property
-    def open_load(self) -> LoadSummary | None:
-        """The load that is open."""
-        return self._parts.loads.open
-
-    @property
-    def estimator(self) -> FlowEstimator:
-        """The estimator in use."""
-        return self._parts.learning.estimator
-
-    @property
-    def outcome(self) -> CalibrationOutcome | None:
-        """What the last whole sweep or weighed mass changed."""
-        return self._parts.learning.outcome
-
-    @property
-    def disagreement(self) -> Disagreement:
-        """Whether the model disagrees with the sweeps."""
-        return self._parts.learning.disagreement
-
-    @property
-    def anchors(self) -> tuple[ReferenceMass, ...]:
-        """Reference masses kept, by time."""
-        return self._parts.learning.masses.kept
-
-    @property
-    def sweep(self) -> SweepMachine:
-        """The sweep, to look at."""
-        return self._parts.plate.sweep
-
-    @property
-    def due_s(self) -> float:
-        """Bus time of the first frame that will make `feed` do more than take note of it; -inf before the first frame."""
-        return self._parts.clock.bus_time(self._parts.schedule.next_s)
+    # What outlives a restart or a reload
 
     def snapshot(self) -> EngineState:
         """What is to outlive a restart.
@@ -542,4 +408,47 @@ class Monitor:
         state : EngineState
         """
         restore(self._parts, state)
-        self._timeline.conclusion.windows = state.windows
+        self._timeline.conclusion.restore(state.windows)
+
+    def remember_since_zero(self, seconds: Sequence[KeptSecond]) -> None:
+        """After a restart: what was measured since the operator's last zero calibration.
+
+        Parameters
+        ----------
+        seconds : sequence of KeptSecond
+        """
+        self._parts.since_zero.add(seconds)
+
+    def know_load(self, load: LoadSummary, seconds: Sequence[KeptSecond]) -> None:
+        """A closed load that an earlier run measured: a ticket for it updates the parameters like one for this run's.
+
+        Parameters
+        ----------
+        load : LoadSummary
+        seconds : sequence of KeptSecond
+            Of that load.
+        """
+        self._parts.learning.masses.tickets.know_load(self._parts.loads.as_stated(load), seconds)
+
+    def remember_tickets(self, tickets: Sequence[TicketState]) -> None:
+        """After `restore` and `know_load`: the state's tickets, of which those for other loads are passed over.
+
+        Parameters
+        ----------
+        tickets : sequence of TicketState
+        """
+        remember_tickets(self._parts, tickets)
+
+    def take_over(self, before: Monitor, *, tickets: bool) -> None:
+        """After `restore` from the monitor that measured until now: what of it no state carries.
+
+        A zero calibration under way, what was measured since the last one, and the noise heard of grain and of no grain.
+
+        Parameters
+        ----------
+        before : Monitor
+            Of another machine or other settings of the waveform no noise is taken.
+        tickets : bool
+            Its tickets too.
+        """
+        take_over(self._parts, before._parts, tickets=tickets)

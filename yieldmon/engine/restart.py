@@ -38,10 +38,10 @@ def restore(parts: Parts, state: EngineState) -> None:
         for number, kg in state.zero_undo.by_scale:
             parts.since_zero.add_scale(number, kg)
     parts.loads.restore(state.totals)
-    parts.measurement.zero.state = state.zero
+    parts.measurement.zero.restore(state.zero)
     parts.plate.restore(state.sweep_id, state.sweep_due_in_s, parts.settings.sweep.first_after_s)
     learning, parameters = parts.learning, parts.learning.estimator.parameters
-    learning.calibration_age_s = state.calibration_age_s
+    learning.restore_age(state.calibration_age_s)
     # Where other parameters came from outside meanwhile, the patterns seen so far say nothing about them.
     if state.parameter_version == parameters.version:
         learning.disagreement.restore(state.disagreement, parameters)
@@ -49,8 +49,8 @@ def restore(parts: Parts, state: EngineState) -> None:
         parts.loads.resume_closed(state.closed, parameters.version)
         parts.loads.resume_share(learning.load_error, parameters.version, parts.machine.home_plate_angle_rad)
         if state.moisture is not None:
-            parts.flow_meter.moisture.state = state.moisture
-        learning.scale_alarm.state = state.scale_alarm
+            parts.flow_meter.moisture.restore(state.moisture)
+        learning.scale_alarm.restore(state.scale_alarm)
         if state.calibrator is not None and learning.calibrator is not None:
             learning.calibrator.restore(state.calibrator, parameters, state.totals.total_kg)
 

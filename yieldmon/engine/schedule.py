@@ -30,6 +30,10 @@ class Schedule:
         self.window_start_s = now_s
         self._plan(driving=False)
 
+    def formed(self, end_s: float) -> None:
+        """Windows until this time are formed; the next one begins there."""
+        self.window_start_s = end_s
+
     @property
     def window_is_due(self) -> bool:
         """Whether what is due next is the end of a window."""

@@ -113,7 +113,7 @@ class Timeline:
         while self._parts.schedule.next_s <= last_s:
             results += self._due(*inputs.plate_at(self._parts.schedule.next_s))
         inputs.finish()
-        self._parts.clock.now_s = last_s
+        self._parts.clock.passed(last_s)
         return results
 
     def advance(self, now: float) -> list[Result]:
@@ -193,6 +193,6 @@ class Timeline:
         if feeding is not None:
             feeding.up_to(held[-1].time_s)
         windows = self._parts.sensors.close_run([self._parts.schedule.window_start_s, *(inputs.time_s for inputs in held)])
-        self._parts.schedule.window_start_s = held[-1].time_s
+        self._parts.schedule.formed(held[-1].time_s)
         jumps = self._parts.clock.jumps
         return [self._parts.measurement.read(window, inputs, jumps) for window, inputs in zip(windows, held, strict=True)]

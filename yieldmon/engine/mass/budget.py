@@ -176,7 +176,20 @@ class MoistureReference:
 
     def __init__(self, settings: BudgetSettings) -> None:
         self._settings = settings
-        self.state: MoistureState | None = None
+        self._state: MoistureState | None = None
+
+    @property
+    def state(self) -> MoistureState | None:
+        """What is known; None before a reading."""
+        return self._state
+
+    def restore(self, state: MoistureState) -> None:
+        """Go on from a state that was kept."""
+        self._state = state
+
+    def forget(self) -> None:
+        """Other parameters come, of which no moisture is known."""
+        self._state = None
 
     def relative_std_dev(
         self, moisture_pct: float, version: int, calibrated: tuple[float, float] | None, *, followed: bool
@@ -200,23 +213,23 @@ class MoistureReference:
         """
         if followed:
             return 0.0
-        known = self.state if self.state is not None and self.state.version == version else None
+        known = self._state if self._state is not None and self._state.version == version else None
         if not isfinite(moisture_pct):
             unmeasured_pct = self._settings.unmeasured_moisture_pct
             return self._settings.moisture_per_pct * hypot(unmeasured_pct, 0.0 if known is None else _away_pct(known))
         known = _begun(version, moisture_pct, calibrated) if known is None else _with_reading(known, moisture_pct)
-        self.state = known
+        self._state = known
         return self._settings.moisture_per_pct * _away_pct(known)
 
     def hold(self, version: int, moisture_pct: float) -> None:
         """Other parameters come, which hold for grain of this moisture, %; nan: for that of those before."""
         if isfinite(moisture_pct):
-            if self.state is None:
-                self.state = MoistureState(version, moisture_pct, moisture_pct, moisture_pct)
+            if self._state is None:
+                self._state = MoistureState(version, moisture_pct, moisture_pct, moisture_pct)
             else:
-                self.state = replace(self.state, version=version, low_pct=moisture_pct, high_pct=moisture_pct, readings=0)
-        elif self.state is not None:
-            self.state = replace(self.state, version=version)
+                self._state = replace(self._state, version=version, low_pct=moisture_pct, high_pct=moisture_pct, readings=0)
+        elif self._state is not None:
+            self._state = replace(self._state, version=version)
 
 
 def _begun(version: int, moisture_pct: float, calibrated: tuple[float, float] | None) -> MoistureState:

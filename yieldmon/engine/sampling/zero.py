@@ -61,7 +61,7 @@ class ZeroTracker:
 
     def __init__(self, settings: ZeroSettings) -> None:
         self._settings = settings
-        self.state: ZeroState | None = None
+        self._state: ZeroState | None = None
         self._recent: deque[Window] = deque(maxlen=settings.settle_windows)
         self._pattern: tuple[tuple[float, ...], float] | None = None
         """Amplitudes of the last windows' harmonics, and their speed."""
@@ -90,7 +90,7 @@ class ZeroTracker:
         self._despite_signs = despite_signs
         # What looks empty under a suspect zero need not be.
         self._against_signs = against_signs or goes_on
-        self._before = self._before if goes_on else self.state
+        self._before = self._before if goes_on else self._state
         self.interrupt()
         return goes_on
 
@@ -99,13 +99,22 @@ class ZeroTracker:
         """What an undo brings back."""
         return self._before
 
+    @property
+    def state(self) -> ZeroState | None:
+        """The zero in use."""
+        return self._state
+
+    def restore(self, state: ZeroState | None) -> None:
+        """After a restart: the zero that was in use."""
+        self._state = state
+
     def resume(self, before: ZeroState, *, suspect: bool) -> None:
         """After a restart: what an undo brings back, and whether the zero in use is suspect."""
         self._before, self.suspect = before, suspect
 
     def undo(self) -> None:
         """The zero before the operator's last calibration again."""
-        self.state, self._before = self._before, None
+        self._state, self._before = self._before, None
         self._calibrating = self.suspect = False
         self.interrupt()
 
@@ -132,14 +141,14 @@ class ZeroTracker:
     @property
     def refusal(self) -> ZeroRefusal | None:
         """Why there is no first zero although the elevator runs; None where there is one, or nothing has been seen yet."""
-        return None if self.state is not None else self._refusal
+        return None if self._state is not None else self._refusal
 
     @property
     def progress(self) -> tuple[int, int]:
         """Windows seen of the zero that is wanted, and how many it takes; (0, 0) while none is wanted."""
         if self._calibrating:
             return len(self._recent), self._settings.settle_windows
-        if self.state is not None:
+        if self._state is not None:
             return 0, 0
         wanted = self._settings.first_zero_windows
         return min(len(self._recent), wanted), wanted
@@ -157,7 +166,7 @@ class ZeroTracker:
     @property
     def drifted(self) -> bool:
         """Whether the zero is further from the first zero than allowed, or the empty level too far from the zero to follow."""
-        state = self.state
+        state = self._state
         if state is None:
             return False
         away = self.suspect or abs(state.zero_mv - state.first_zero_mv) > self._settings.drift_limit_mv
@@ -167,7 +176,7 @@ class ZeroTracker:
     @property
     def drift(self) -> str:
         """What is wrong with the zero, for the operator; "" where nothing is."""
-        state = self.state
+        state = self._state
         if state is None or not self.drifted:
             return ""
         if self.suspect:
@@ -182,13 +191,13 @@ class ZeroTracker:
     @property
     def below_empty(self) -> bool:
         """Whether the plate has read less than empty for some time: the zero was learnt with grain on it."""
-        if self.state is None or len(self._recent) < self._settings.settle_windows:
+        if self._state is None or len(self._recent) < self._settings.settle_windows:
             return False
-        return all(window.mean_mv < self.state.zero_mv - self._settings.max_step_mv for window in self._recent)
+        return all(window.mean_mv < self._state.zero_mv - self._settings.max_step_mv for window in self._recent)
 
     def pulses(self, window: Window) -> bool:
         """Whether one window has paddle pulses beyond what vibration makes."""
-        state = self.state
+        state = self._state
         if state is None:
             return window.pulse_mv > self._settings.first_pulse_limit_mv
         usual = state.window_pulse_mv * _speed_factor(window.speed_rad_s, state.speed_rad_s)
@@ -211,18 +220,18 @@ class ZeroTracker:
         self._pattern = self._compared = None
         if self._calibrating:
             if len(self._recent) == self._settings.settle_windows:
-                self.state = self._learnt(list(self._recent))
+                self._state = self._learnt(list(self._recent))
                 self._calibrating = False
-                away_mv = abs(self.state.zero_mv - self._before.zero_mv) if self._before is not None else 0.0
+                away_mv = abs(self._state.zero_mv - self._before.zero_mv) if self._before is not None else 0.0
                 self.suspect = self._against_signs and away_mv > self._settings.level_range_mv
                 self.known_s, self.taken_from_s = window.end_s, self._recent[0].start_s
-        elif may_be_empty and self.state is None:
+        elif may_be_empty and self._state is None:
             self._first(list(self._recent)[-self._settings.first_zero_windows :])
-        elif may_be_empty and self.state is not None:
-            if self.state.vibration_mv:
-                self._follow(self.state, window)
+        elif may_be_empty and self._state is not None:
+            if self._state.vibration_mv:
+                self._follow(self._state, window)
             else:
-                self._learn_vibration(self.state)
+                self._learn_vibration(self._state)
 
     def _first(self, windows: list[Window]) -> None:
         if len(windows) < self._settings.first_zero_windows:
@@ -230,7 +239,7 @@ class ZeroTracker:
         if self._quiet(windows):
             zero = _mean_level(windows)
             pulse = max(window.pulse_mv for window in windows)
-            self.state = ZeroState(zero, zero, _mean_speed(windows), pulse)
+            self._state = ZeroState(zero, zero, _mean_speed(windows), pulse)
             self.known_s, self.taken_from_s = windows[-1].end_s, windows[0].start_s
             return
         waited_s = (self._refusal.waited_s if self._refusal is not None else 0.0) + windows[-1].end_s - windows[-1].start_s
@@ -242,7 +251,7 @@ class ZeroTracker:
         near = all(abs(window.mean_mv - state.zero_mv) <= self._settings.level_range_mv for window in windows)
         if near and len(windows) == self._settings.settle_windows and self._quiet(windows):
             learnt = self._learnt(windows)
-            self.state = ZeroState(
+            self._state = ZeroState(
                 learnt.zero_mv, state.first_zero_mv, learnt.speed_rad_s, learnt.window_pulse_mv, learnt.vibration_mv
             )
             self.known_s = windows[-1].end_s
@@ -257,7 +266,7 @@ class ZeroTracker:
         seconds = window.end_s - window.start_s
         limit = settings.max_rate_mv_s * seconds
         change = min(limit, max(-limit, seconds / settings.follow_time_s * step))
-        self.state = ZeroState(
+        self._state = ZeroState(
             state.zero_mv + change, state.first_zero_mv, state.speed_rad_s, state.window_pulse_mv, state.vibration_mv
         )
 
@@ -275,7 +284,7 @@ class ZeroTracker:
 
     def _excess(self, *, below: bool) -> bool | None:
         """Whether any harmonic is above (or, with below, also below) what vibration makes; None while it is not learnt."""
-        state = self.state
+        state = self._state
         if state is None or not state.vibration_mv:
             return None
         compared = self._compared

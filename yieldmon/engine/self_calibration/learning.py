@@ -177,6 +177,10 @@ class Learning:
         self.masses.tickets.take_crops_of(tickets)
         self.remember_tickets(tickets.kept, tickets.waiting)
 
+    def restore_age(self, calibration_age_s: float | None) -> None:
+        """After a restart: time since the parameters were calibrated, s; None where it is not known."""
+        self.calibration_age_s = calibration_age_s
+
     def grow_older(self, seconds: float) -> None:
         """Time passes since the calibration."""
         if self.calibration_age_s is not None:

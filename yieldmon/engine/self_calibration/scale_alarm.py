@@ -86,34 +86,43 @@ class ScaleAlarm:
 
     def __init__(self, settings: FaultSettings) -> None:
         self._settings = settings
-        self.state = ScaleAlarmState()
+        self._state = ScaleAlarmState()
+
+    @property
+    def state(self) -> ScaleAlarmState:
+        """What has been seen."""
+        return self._state
+
+    def restore(self, state: ScaleAlarmState) -> None:
+        """Go on from a state that was kept."""
+        self._state = state
 
     def see(self, checks: Sequence[ScaleCheck]) -> None:
         """Masses weighed since the last call, each against the parameters that held before it taught anything."""
         for check in checks:
-            state, p_value = self.state, check.p_value
+            state, p_value = self._state, check.p_value
             again = state.contradiction if state.contradiction is not None and state.contradiction.name == check.name else None
             if again is not None:
                 # Entered anew: what the wrong mass has taught says nothing against the right one.
                 before = replace(check, measured_kg=again.measured_kg, std_dev_kg=again.std_dev_kg)
                 p_value = max(p_value, before.p_value)
             if p_value >= self._settings.scale_agrees_p:
-                self.state = ScaleAlarmState(agreed=check.name)
+                self._state = ScaleAlarmState(agreed=check.name)
             elif again is not None:
-                self.state = replace(state, contradiction=before)
+                self._state = replace(state, contradiction=before)
             elif p_value < self._settings.scale_disagrees_p:
                 if state.contradiction is None:
                     state = ScaleAlarmState(None, check.start_s, check.name, state.agreed)
-                self.state = ScaleAlarmState(check, state.since_s, state.since, state.agreed)
+                self._state = ScaleAlarmState(check, state.since_s, state.since, state.agreed)
 
     def accept(self) -> None:
         """Other parameters have come from outside: what was weighed before says nothing about them."""
-        self.state = ScaleAlarmState()
+        self._state = ScaleAlarmState()
 
     @property
     def detail(self) -> str | None:
         """What is wrong, by how much and since when; None where nothing is."""
-        state, check = self.state, self.state.contradiction
+        state, check = self._state, self._state.contradiction
         if check is None:
             return None
         agreed = f"; {state.agreed} still agreed" if state.agreed else ""

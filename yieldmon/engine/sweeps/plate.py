@@ -62,5 +62,5 @@ class Plate:
 
     def restore(self, sweep_id: int, due_in_s: float, first_after_s: float) -> None:
         """Go on from a snapshot."""
-        self.sweep.sweep_id = self._ended_id = sweep_id
-        self.sweep.first_after_s = max(first_after_s, due_in_s)
+        self._ended_id = sweep_id
+        self.sweep.restore(sweep_id, max(first_after_s, due_in_s))

@@ -125,6 +125,10 @@ class SweepMachine:
         """Whether the operator asked for a sweep that has not begun."""
         return self._requested
 
+    def restore(self, sweep_id: int, first_after_s: float) -> None:
+        """After a restart: the last sweep's number, and the time from the first tick to the next sweep, s."""
+        self.sweep_id, self.first_after_s = sweep_id, first_after_s
+
     def request(self) -> None:
         """Operator: sweep as soon as the conditions hold, due or not."""
         self._requested = True

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from yieldmon.engine.monitor import Monitor
+from yieldmon.engine.monitor_view import MonitorView
 from yieldmon.physics.machine import Machine
 from yieldmon.service.history.posting import at_its_end, of_store
 from yieldmon.service.tickets.action_log import ActionLog
@@ -67,7 +67,7 @@ class Poster:
             return
         self._thread = thread
 
-    def start_next(self, actions: ActionLog, monitor: Monitor) -> None:
+    def start_next(self, actions: ActionLog, monitor: MonitorView) -> None:
         """Begin what is to be measured again, where there is something and no job is under way.
 
         Those are the last days' loads, after a ticket updated the parameters or an undo brought others back, and the load that

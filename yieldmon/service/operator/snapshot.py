@@ -25,6 +25,7 @@ from yieldmon.engine.faults import FAULTS, FaultCode
 from yieldmon.engine.mass.budget import MassBudget
 from yieldmon.engine.mass.totals import Totals
 from yieldmon.engine.monitor import Monitor
+from yieldmon.engine.monitor_view import MonitorView
 from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.state import EngineState
 from yieldmon.estimation.parameters import ParameterSet
@@ -150,7 +151,7 @@ def _total(totals: Totals) -> StatusTotal:
     }
 
 
-def _sweep(monitor: Monitor, engine: EngineState) -> StatusSweep:
+def _sweep(monitor: MonitorView, engine: EngineState) -> StatusSweep:
     sweep, outcome = monitor.sweep, monitor.outcome
     return {
         "state": sweep.state.name.lower(),
@@ -174,7 +175,7 @@ def _parameters(parameters: ParameterSet, engine: EngineState) -> StatusParamete
     }
 
 
-def _fault(monitor: Monitor, code: FaultCode) -> StatusFault:
+def _fault(monitor: MonitorView, code: FaultCode) -> StatusFault:
     fault = FAULTS[code]
     return {
         "code": code.value,
@@ -203,7 +204,7 @@ def _store(configuration: Configuration, store: StoreHealth, note: str) -> Statu
     }
 
 
-def _waveform(monitor: Monitor) -> StatusWaveform | None:
+def _waveform(monitor: MonitorView) -> StatusWaveform | None:
     seen = monitor.waveform
     if seen is None:
         return None
