@@ -56,14 +56,6 @@ class Monitor(MonitorView):
     waveform_later : bool
         True: the samples' shape is evaluated only in `completed`, after the window's frames have been sent.
 
-    Attributes
-    ----------
-    settings : EngineSettings
-    machine : Machine
-    sources : Sources
-    faults : Faults
-        Active faults, since when and why.
-
     Notes
     -----
     `feed`, `feed_run` and `tick` never raise on any sequence of frames. Operator commands are plain methods; they take effect
