@@ -19,6 +19,7 @@ from typing import Any
 import pytest
 
 from tests.service.bench import wait_for
+from yieldmon.cli.main import main
 from yieldmon.errors import InputError
 from yieldmon.service.operator.control import PACE, ControlServer, Pace
 from yieldmon.service.operator.control_client import ask
@@ -303,3 +304,21 @@ def test_out_of_descriptors_the_reason_is_one_line_and_answers_follow_later(tmp_
         f"{path}: Too many open files; status and commands are answered once that is over"
     ]
     assert not any(record.exc_info for record in caplog.records)
+
+
+def test_what_a_daemon_of_another_version_does_not_say_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """After an update, before the service is started again."""
+    path = tmp_path / "s.sock"
+    before = {"number": 1, "field": "", "crop": "", "mass_kg": 280.0}
+    server = ControlServer(path, None, lambda _: {"loads": [before], "units": "metric"}, pace=SOON)
+    server.start()
+    try:
+        assert ask(path, {"command": "loads"})["loads"] == [before]
+        assert main(["load", "list", "--socket", str(path)]) == 1
+    finally:
+        server.stop()
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.startswith("yieldmon: the daemon's answer has no '")
+    assert "it runs another version" in said.err
+    assert said.err.count("\n") == 1

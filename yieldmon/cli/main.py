@@ -116,9 +116,14 @@ def build_parser(verbs: dict[str, Verb], chosen: Verb | None) -> tuple[argparse.
 
 
 def _operational_errors() -> tuple[type[BaseException], ...]:
-    """What can go wrong outside the program; a bus only where python-can has been imported."""
-    can = sys.modules.get("can")
-    return (OSError, can.CanError) if can is not None else (OSError,)
+    """What can go wrong outside the program; a bus and a daemon only where what speaks to them has been imported."""
+    can, client = sys.modules.get("can"), sys.modules.get("yieldmon.service.operator.control_client")
+    found: list[type[BaseException]] = [OSError]
+    if can is not None:
+        found.append(can.CanError)
+    if client is not None:
+        found.append(client.OtherVersionError)
+    return tuple(found)
 
 
 def _print_error(error: object) -> None:

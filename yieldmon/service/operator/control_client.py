@@ -9,12 +9,30 @@ from pathlib import Path
 from time import monotonic, sleep
 from typing import Any
 
+from yieldmon import __version__
 from yieldmon.errors import reason
 from yieldmon.service.operator.control_protocol import ControlError
 
 _RETRY_S = 0.02
 _PIECE_BYTES = 65_536
 _MAX_ANSWER_BYTES = 64 * 1024 * 1024
+
+
+class OtherVersionError(ControlError, KeyError):
+    """A daemon that does not say what this version's do."""
+
+    def __str__(self) -> str:
+        return str(self.args[0])
+
+
+class _Answer(dict[str, Any]):
+    """A part of an answer. What a daemon of another version does not say is told as that."""
+
+    def __missing__(self, key: str) -> Any:
+        raise OtherVersionError(
+            f"the daemon's answer has no {key!r}: it runs another version; expected {__version__} as here, "
+            "from `systemctl restart yieldmon` after an update"
+        )
 
 
 def _connect(connection: socket.socket, path: Path, end_s: float) -> None:
@@ -55,11 +73,12 @@ def ask(path: Path, request: Mapping[str, Any], timeout_s: float = 10.0) -> dict
     if not received:
         raise ControlError(f"{path}: the daemon closed the connection without an answer")
     try:
-        answer = json.loads(received)
+        answer = json.loads(received, object_hook=_Answer)
         ok = answer.pop("ok")
         problem = "" if ok else str(answer["error"])
     except (ValueError, RecursionError, KeyError, TypeError, AttributeError) as error:
         raise ControlError(f"{path}: the daemon's answer is cut or makes no sense") from error
     if not ok:
         raise ControlError(problem)
-    return dict(answer)
+    found: dict[str, Any] = answer
+    return found
