@@ -299,7 +299,7 @@ def test_the_service_starts_where_its_interface_is_there(
 ) -> None:
     asked: list[list[str]] = []
 
-    def run(command: list[str], check: bool) -> subprocess.CompletedProcess[str]:
+    def run(command: list[str], check: bool, **_: object) -> subprocess.CompletedProcess[str]:
         asked.append(command)
         return subprocess.CompletedProcess(command, 0 if managed else 3)
 
@@ -347,3 +347,58 @@ def test_what_is_installed_is_what_this_was_installed_from(
 
     monkeypatch.setattr(installation, "distribution", gone)
     assert package_source() == f"yieldmon=={yieldmon.__version__}"
+
+
+def kept(root: Path, bus: str) -> Path:
+    configuration = root / CONFIGURATION
+    configuration.parent.mkdir(parents=True)
+    configuration.write_text(f"bus: {bus}\n", encoding="utf-8")
+    return configuration
+
+
+@pytest.mark.parametrize(
+    ("options", "interface", "note"),
+    [
+        ([], "can1", ""),
+        (["--interface", "can1"], "can1", ""),
+        (["--interface", "can0"], "can0", "reads can1, the unit waits for can0: name one of them in both"),
+    ],
+)
+def test_the_unit_waits_for_the_interface_of_the_kept_configuration(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], interface: str, note: str
+) -> None:
+    configuration = kept(tmp_path, "{channel: can1}")
+    assert install(tmp_path, *options) == 0
+    assert f"BindsTo=sys-subsystem-net-devices-{interface}.device" in (tmp_path / UNIT).read_text(encoding="utf-8")
+    assert note in capsys.readouterr().out
+    assert configuration.read_text(encoding="utf-8") == "bus: {channel: can1}\n"
+    assert main(["install", "--root", str(tmp_path), *options, "--uninstall"]) == 0
+    assert files(tmp_path) == {CONFIGURATION}
+
+
+def test_a_kept_configuration_of_another_bus_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    kept(tmp_path, "{interface: pcan, channel: PCAN_USBBUS1}")
+    assert install(tmp_path) == 0
+    assert "reads pcan PCAN_USBBUS1; the unit is for SocketCAN alone and waits for can0" in capsys.readouterr().out
+
+
+def test_a_kept_configuration_that_cannot_be_read_is_kept(tmp_path: Path) -> None:
+    configuration = kept(tmp_path, "[")
+    assert install(tmp_path) == 0
+    assert configuration.read_text(encoding="utf-8") == "bus: [\n"
+
+
+@pytest.mark.parametrize("command", ["/home/otto/.local/bin/yieldmon", "/root/.venv/bin/yieldmon", "/run/user/1000/yieldmon"])
+def test_a_command_that_the_service_does_not_see_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str
+) -> None:
+    assert main(["install", "--root", str(tmp_path), "--command", command, "--dry-run"]) == 2
+    said = capsys.readouterr().err
+    assert f"--command: {command} lies in a home folder, which the service does not see; expected a command outside" in said
+    assert said.count("\n") == 1
+
+
+@pytest.mark.parametrize("command", ["/opt/nothing/yieldmon", "/opt", "/etc/passwd"])
+def test_a_command_that_is_no_program_is_refused(capsys: pytest.CaptureFixture[str], command: str) -> None:
+    assert main(["install", "--command", command, "--dry-run"]) == 2
+    assert f"--command: {command} is no program that can be run; expected" in capsys.readouterr().err

@@ -9,7 +9,16 @@ from pathlib import Path
 
 from yieldmon.errors import InputError
 from yieldmon.files.whole_file import real_path
-from yieldmon.service.installation import Installer, check_interface, install, package_source, roll_back, uninstall
+from yieldmon.service.installation import (
+    CONFIGURATION,
+    Installer,
+    check_interface,
+    configured_bus,
+    install,
+    package_source,
+    roll_back,
+    uninstall,
+)
 
 _TEXT = """
 The command goes into a new virtual environment below /opt/yieldmon, with the lock file's dependencies by their hashes. An
@@ -30,7 +39,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--rollback", action="store_true", help="go back to the previous installation; repeated, forward again")
     parser.add_argument("--no-lock", action="store_true", help="dependencies as pip finds them, not those of the lock file")
     parser.add_argument("--purge", action="store_true", help="with --uninstall: configuration and records, too")
-    parser.add_argument("--interface", default="can0", metavar="NAME", help="CAN interface of the combine (default: can0)")
+    parser.add_argument("--interface", metavar="NAME", help="CAN interface (default: the kept configuration's, else can0)")
     parser.add_argument(
         "--command", type=Path, metavar="PATH", help="an installed command, outside home folders (default: makes /opt/yieldmon)"
     )
@@ -44,27 +53,56 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     """Exit code 0 when everything is in its place."""
-    if args.command is not None and not args.command.is_absolute():
-        raise InputError("--command", f"{args.command} is relative", "an absolute path")
+    root = real_path(args.root)
+    if args.command is not None:
+        _check_command(args.command, there=root == Path("/"))
+    installer = Installer(root, args.dry_run)
+    bus = configured_bus(installer)
+    kept = bus[1] if bus is not None and bus[0] == "socketcan" else "can0"
+    interface = kept if args.interface is None else args.interface
     try:
-        check_interface(args.interface)
+        check_interface(interface)
     except ValueError as error:
         raise InputError("--interface", str(error), "a name such as can0 or can-rear") from error
     if args.rollback and args.uninstall:
         raise InputError("--rollback", "with --uninstall", "one of the two")
     if args.purge and not args.uninstall:
         raise InputError("--purge", "without --uninstall", "both")
-    root = real_path(args.root)
     if root == Path("/") and os.geteuid() != 0 and not args.dry_run:
         raise InputError("install", "a service needs root", "sudo yieldmon install")
-    installer = Installer(root, args.dry_run)
     if args.uninstall:
-        uninstall(installer, args.interface, purge=args.purge)
+        uninstall(installer, interface, purge=args.purge)
     elif args.rollback:
         roll_back(installer)
     else:
         source = args.source or package_source()
-        install(installer, args.interface, args.command, args.python, source, locked=not args.no_lock, web=args.web)
+        install(installer, interface, args.command, args.python, source, locked=not args.no_lock, web=args.web)
+        _say_other_bus(installer, interface, bus)
     for failure in installer.failures:
         print(f"yieldmon install: {failure}", file=sys.stderr)
     return 1 if installer.failures else 0
+
+
+def _check_command(command: Path, *, there: bool) -> None:
+    """Raises InputError for a command that the service could not run. there: it has to be on this machine already."""
+    if not command.is_absolute():
+        raise InputError("--command", f"{command} is relative", "an absolute path")
+    target = real_path(command)
+    for path in (command, target):
+        if path.parts[1:2] in (("home",), ("root",)) or path.parts[1:3] == ("run", "user"):
+            leads = "" if path == command else f" leads to {target}, which"
+            problem = f"{command}{leads} lies in a home folder, which the service does not see"
+            raise InputError("--command", problem, "a command outside, as docs/guide/service.md makes one, or no --command")
+    if there and not (target.is_file() and os.access(target, os.X_OK)):
+        raise InputError("--command", f"{command} is no program that can be run", "the path that `command -v yieldmon` prints")
+
+
+def _say_other_bus(installer: Installer, interface: str, bus: tuple[str, str] | None) -> None:
+    """Where the configuration that was kept reads another bus than the unit waits for, the service would wait for ever."""
+    if bus is None or bus == ("socketcan", interface):
+        return
+    kept = installer.at(CONFIGURATION / "yieldmon.yaml")
+    if bus[0] == "socketcan":
+        installer.report(f"note    {kept} reads {bus[1]}, the unit waits for {interface}: name one of them in both")
+    else:
+        installer.report(f"note    {kept} reads {bus[0]} {bus[1]}; the unit is for SocketCAN alone and waits for {interface}")

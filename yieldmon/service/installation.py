@@ -161,6 +161,32 @@ def check_interface(interface: str) -> None:
         raise ValueError(f"{interface!r} is not an interface name: 1 to 15 letters, digits and - _ . :")
 
 
+def configured_bus(installer: Installer) -> tuple[str, str] | None:
+    """Interface and channel, as python-can names them, of the configuration that is in its place already.
+
+    Parameters
+    ----------
+    installer : Installer
+
+    Returns
+    -------
+    (str, str) or None
+        None where there is no configuration, or none that can be read with what this Python has.
+    """
+    path = installer.at(CONFIGURATION / "yieldmon.yaml")
+    if not path.is_file():
+        return None
+    try:
+        from yieldmon.files import strict_yaml
+
+        content = strict_yaml.load(path)
+    except (ImportError, OSError, ValueError):
+        return None
+    bus = content.get("bus") if isinstance(content, dict) else None
+    named = bus if isinstance(bus, dict) else {}
+    return str(named.get("interface", "socketcan")), str(named.get("channel", "can0"))
+
+
 def install(
     installer: Installer,
     interface: str,
@@ -293,7 +319,7 @@ def roll_back(installer: Installer) -> None:
     previous, in_use = installer.at(PREVIOUS), _in_use(installer)
     name = Path(os.readlink(previous)).name if previous.is_symlink() else ""
     if in_use is None or not (installer.at(RELEASES) / name / "bin" / "yieldmon").exists() or not name.isdigit():
-        installer.failures.append("there is no earlier installation to go back to")
+        installer.failures.append("there is no earlier installation to go back to; expected two, as after an update by `install`")
         return
     installer.point(HOME / "bin", Path("releases") / name / "bin")
     installer.point(PREVIOUS, Path("releases") / str(in_use))
@@ -304,7 +330,8 @@ def roll_back(installer: Installer) -> None:
 
 def bring_up(installer: Installer, interface: str) -> None:
     """Start the service where its interface is there; otherwise the interface's appearance starts it."""
-    managed = subprocess.run(["systemctl", "is-active", "--quiet", "systemd-networkd.service"], check=False).returncode == 0
+    asked = ["systemctl", "is-active", "--quiet", "systemd-networkd.service"]
+    managed = subprocess.run(asked, check=False, capture_output=True).returncode == 0
     if managed:
         installer.run("networkctl", "reload")
     else:
