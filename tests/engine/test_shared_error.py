@@ -110,6 +110,29 @@ def test_what_is_shown_before_a_load_counts_in_it_as_in_one_that_closed_before()
     assert after.totals.total_budget.parameters_kg == pytest.approx(before.totals.total_budget.parameters_kg)
 
 
+@pytest.mark.parametrize("restart", [False, True])
+def test_what_was_measured_before_a_sweep_showed_it_keeps_an_error_that_is_known(restart: bool) -> None:
+    """Of a load of 600 kg, half of it 30 s at 40 deg, 20 of them before it was taken off."""
+    away = np.interp(NODES_RAD, [AWAY_RAD, HOME_RAD], [0.1, 0.0])
+    at_home = np.outer(*(np.full(NODES_RAD.size, 0.03),) * 2)
+    error = AngleError.of(at_home, HOME_RAD, away, np.full(NODES_RAD.size, 0.03))
+    loads = Loads(EngineSettings())
+    harvest(loads, 30)
+    harvest(loads, 20, angle_rad=AWAY_RAD)
+    loads.restate(error, 1)
+    corrected = replace(FLOW, budget=replace(BUDGET, taken_off=0.1))
+    for _ in range(10):
+        loads.totals = loads.totals.with_mass(10.0, None, BUDGET, 1.0)
+        loads.share(10.0, corrected, 1, AWAY_RAD, error)
+    if restart:
+        loads = resumed(loads)
+        loads.restate(error, 1)
+    # Of one sign with the error that all of it has.
+    assert loads.totals.load_budget.parameters_kg == pytest.approx(hypot(3.0, 0.03 * 600.0 + 0.1 * 200.0))
+    loads.restate(NO_ERROR, 1)
+    assert loads.totals.load_budget.parameters_kg == pytest.approx(hypot(3.0, 0.1 * 100.0)), "what was taken off, for nothing"
+
+
 def test_the_open_load_is_restated_after_a_restart() -> None:
     before = Loads(EngineSettings())
     harvest(before, 60)

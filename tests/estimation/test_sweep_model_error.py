@@ -40,6 +40,11 @@ def _found(change: np.ndarray, seeds: range, known: ParameterSet = PARAMETERS) -
     return model_error(MODEL, known, [_sweep(change, seed) for seed in seeds], tolerance=0.005)
 
 
+def _left(change: np.ndarray, found: AngleError) -> np.ndarray:
+    """Of ln of the model's force over the measured one, at ANGLES, what is left."""
+    return -change - np.array([found.away_at(angle) for angle in ANGLES])
+
+
 def test_without_sweeps_nothing_is_reported() -> None:
     assert model_error(MODEL, PARAMETERS, []) == NO_ERROR
 
@@ -56,12 +61,56 @@ def test_friction_on_the_plate_is_covered(coefficient: float) -> None:
     change = np.log(1.0 + coefficient / np.tan(ANGLES))
     found = _found(change, range(4))
     assert 0.5 < abs(change[3]) / found.home < 2.0
-    for angle, by in zip(ANGLES[:-1], change[:-1], strict=True):
+    left = _left(change, found)
+    for angle, by in zip(ANGLES, left, strict=True):
         assert 0.4 < abs(by) / found.at(angle) < 2.5, np.degrees(angle)
     # And of a load half at 40 deg and half at home: of one cause, not of two that are independent.
     half = np.zeros(NODES_RAD.size)
     half[[2, 5]] = 0.5
-    assert 0.5 < 0.5 * (change[0] + change[3]) / found.of_sum(half) < 2.0
+    assert 0.5 < 0.5 * abs(left[0] + left[3]) / found.of_sum(half) < 2.0
+    # What is measured without what has been taken off since has both.
+    whole = found.of_sum(half, float(half @ found.away))
+    assert 0.5 < 0.5 * (change[0] + change[3]) / whole < 2.0
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        pytest.param(np.log(1.0 + 0.2 / np.tan(ANGLES)), id="friction of the plate"),
+        pytest.param(np.log(1.0 - 0.2 / (1.0 + np.exp((ANGLES - 0.8) / 0.1))), id="a share lost at low angles"),
+        pytest.param(np.array([0.1, 0.1, 0.0, 0.0, 0.0, 0.0]), id="a step that nothing makes"),
+        pytest.param(0.3 * np.log(np.sin(ANGLES)), id="a power of the sine"),
+    ],
+)
+def test_what_sweeps_measure_away_from_home_is_taken_off_whatever_its_cause(change: np.ndarray) -> None:
+    against_home = change - change[3]
+    for seed in range(0, 40, 4):
+        found = _found(change, range(seed, seed + 4))
+        left = _left(change, found)
+        assert np.abs(left - left[3]).max() < 0.35 * np.abs(against_home).max()
+        assert found.away_at(ANGLES[3]) == pytest.approx(0.0, abs=1e-12), "nothing at home"
+        assert found.away[0] == found.away[-1] == 0.0, "nothing where no sweep has been"
+        known = found.with_home(0.0, ANGLES[3])
+        assert np.all(np.abs(left - left[3])[:3] < 4.0 * np.array([known.at(angle) for angle in ANGLES[:3]]))
+
+
+def test_of_a_machine_that_follows_its_model_little_is_taken_off_and_seldom() -> None:
+    found = [_found(np.zeros(6), range(seed, seed + 2)) for seed in range(100, 160, 2)]
+    assert np.mean([error.away != () for error in found]) < 0.2
+    assert max(abs(error.away_at(angle)) for error in found for angle in ANGLES) < 0.03
+
+
+def test_nothing_is_taken_off_where_home_lies_between_two_nodes() -> None:
+    home_rad = np.radians(65.0)
+    machine = replace(MODEL.machine, home_plate_angle_rad=home_rad)
+    angles = np.append(ANGLES[:3], home_rad)
+    change = np.log(1.0 + 0.2 / np.tan(angles))
+    model = ForwardModel(machine, MODEL.effects)
+    log_force = np.log(np.asarray(model.force(Conditions(angles, SPEED_RAD_S, mass_flow_kg_s=FLOW_KG_S), PARAMETERS.values)))
+    sweep = ReducedSweep(angles, log_force + change - change[3], np.full(angles.size, 0.002), FLOW_KG_S, SPEED_RAD_S)
+    found = model_error(model, PARAMETERS, [sweep])
+    assert found.away_at(home_rad) == pytest.approx(0.0, abs=1e-12)
+    assert found.away_at(angles[0]) == pytest.approx(change[3] - change[0], rel=0.05)
 
 
 def test_an_error_that_two_angles_share_cancels_where_their_seconds_are_counted_against_each_other() -> None:
@@ -83,7 +132,9 @@ def test_a_weighed_mass_leaves_what_differs_from_home() -> None:
 def test_what_no_effect_of_the_library_makes_is_stated_where_it_was_seen() -> None:
     """A force that is 8 % off at 50 deg alone."""
     found = _found(np.array([0.0, 0.08, 0.0, 0.0, 0.0, 0.0]), range(6))
-    assert found.at(ANGLES[1]) > 0.03
+    there = np.zeros(NODES_RAD.size)
+    there[3] = 1.0
+    assert found.of_sum(there, found.away_at(ANGLES[1])) > 0.03
 
 
 def test_an_angle_seen_with_noise_alone_is_as_unsure_as_before_it() -> None:
@@ -118,7 +169,8 @@ def test_what_the_covariance_explains_is_no_error_of_the_model() -> None:
 
 def test_more_sweeps_raise_the_confidence() -> None:
     change = np.log(1.0 + 0.04 / np.tan(ANGLES))
-    assert _found(change, range(12)).at(ANGLES[0]) > 0.01
+    found = _found(change, range(12))
+    assert np.hypot(found.at(ANGLES[0]), found.away_at(ANGLES[0])) > 0.01
     assert _found(change, range(12)).home > _found(np.zeros(6), range(12)).home
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from math import isfinite, nan
 
 from yieldmon.engine.faults import FAULTS, FaultCode, Observation, Severity
-from yieldmon.engine.flow import Circumstances, Estimate, Flow
+from yieldmon.engine.flow import Circumstances, Estimate, Flow, away_from_home
 from yieldmon.engine.flow_estimator import FlowEstimator
 from yieldmon.engine.health import conditions
 from yieldmon.engine.mass.load_summary import LoadEvents
@@ -73,14 +73,15 @@ class Conclusion:
         learning.grow_older(window.end_s - window.start_s)
         estimator = learning.estimator
         by_mean_force = self._by_mean_force(reading, estimate, estimator)
-        flow = self._corrected(by_mean_force, window.end_s, estimator)
+        flow = self._corrected(away_from_home(by_mean_force, reading, learning.model_error), window.end_s, estimator)
         area_m2 = parts.area.second(window.end_s, window.weight_s, reading.inputs, grain_comes=flow.measured)
         silent = not (window.samples or reading.speed_rad_s > 0.0)
         mass_kg = loads.count(window, flow, reading.inputs.fresh["moisture"], area_m2, silent)
         self._weigh(reading, flow, mass_kg)
         angle_rad = window.plate_angle_rad if isfinite(window.plate_angle_rad) else parts.machine.home_plate_angle_rad
         loads.share(mass_kg, flow, estimator.parameters.version, angle_rad, learning.load_error)
-        step = sweep.window(self._sweep_window(reading, flow))
+        # As the sweep before has measured the force, so that what is known of it ends none.
+        step = sweep.window(self._sweep_window(reading, by_mean_force))
         shown = parts.faults.observe_all(conditions(self._observation(reading, flow)), bus_s)
         published = parts.flow_meter.published(flow, plate_rests_at_home=reading.still and reading.at_home)
         second = self._second(bus_s, reading, published, (mass_kg, area_m2), step)

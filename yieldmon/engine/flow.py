@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from math import hypot, isfinite, radians
+from dataclasses import dataclass, replace
+from math import exp, hypot, isfinite, radians
 from typing import NamedTuple
 
 import numpy as np
@@ -173,7 +173,7 @@ class FlowMeter:
             noise, motion, parameters_kg_s = factor * noise, factor * motion, factor * parameters_kg_s
         error = model_error.home if reading.at_home else model_error.at(reading.window.plate_angle_rad)
         shared = hypot(parameters_kg_s, error * per_error)
-        return _flow_budget(noise, shared, zero_n * per_n, relative * rate, parameters_kg_s, per_error, motion)
+        return _flow_budget(noise, shared, zero_n * per_n, relative * rate, parameters_kg_s, per_error, motion, 0.0)
 
     def _quality(self, reading: Reading, saturated: bool, outside: bool, circumstances: Circumstances) -> EstimateQuality:
         if saturated:
@@ -196,6 +196,16 @@ class FlowMeter:
             or window.sensor_fault_frames > 0
             or window.held_s > 0.25 * settings.window_s
         )
+
+
+def away_from_home(flow: Flow, reading: Reading, error: AngleError) -> Flow:
+    """A flow away from home without the error that sweeps have measured there against home."""
+    if reading.at_home or not (error.away and flow.rate_kg_s > 0.0 and isfinite(flow.budget.per_error_kg_s)):
+        return flow
+    away = error.away_at(reading.window.plate_angle_rad)
+    factor = exp(away * flow.budget.per_error_kg_s / flow.rate_kg_s)
+    budget = flow.budget.without(away, factor)
+    return replace(flow, rate_kg_s=factor * flow.rate_kg_s, std_dev_kg_s=budget.std_dev_kg_s, budget=budget)
 
 
 def _late_rad(window: Window, max_ramp_s: float) -> float:

@@ -38,6 +38,8 @@ class FlowBudget:
     motion_kg_s : float
         Of noise_kg_s the part of a plate that moves, with the sign that it has in this direction: on the way back it is of the
         other.
+    taken_off : float
+        Relative error of the force away from home that was taken off the flow.
     """
 
     noise_kg_s: float = _NAN
@@ -47,6 +49,14 @@ class FlowBudget:
     covariance_kg_s: float = 0.0
     per_error_kg_s: float = 0.0
     motion_kg_s: float = 0.0
+    taken_off: float = 0.0
+
+    def without(self, away: float, factor: float) -> FlowBudget:
+        """Of the flow multiplied by a factor, by which a relative error of the force, `away`, is taken off it."""
+        return FlowBudget(
+            factor * self.noise_kg_s, factor * self.parameters_kg_s, factor * self.zero_kg_s, factor * self.moisture_kg_s,
+            factor * self.covariance_kg_s, factor * self.per_error_kg_s, factor * self.motion_kg_s, away,
+        )  # fmt: skip
 
     @property
     def std_dev_kg_s(self) -> float:

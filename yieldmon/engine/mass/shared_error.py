@@ -31,12 +31,15 @@ class SharedError:
         By the covariance of these.
     per_error_kg : tuple of float
         Change of its mass by a relative error of 1 of the force at each node of the plate's angle, (nodes,).
+    taken_off_kg : float
+        Of its mass, because sweeps had shown by then how far the force is off away from home.
     """
 
     version: int
     before_kg: float = 0.0
     own_kg: float = 0.0
     per_error_kg: tuple[float, ...] = (0.0,) * NODES_RAD.size
+    taken_off_kg: float = 0.0
 
     def plus(self, flow: FlowBudget, seconds: float, plate_angle_rad: float) -> SharedError:
         """With `seconds` of a flow more, at a plate angle, rad."""
@@ -45,6 +48,7 @@ class SharedError:
             self.before_kg,
             self.own_kg + flow.covariance_kg_s * seconds,
             _with(self.per_error_kg, flow.per_error_kg_s * seconds, plate_angle_rad),
+            self.taken_off_kg + flow.taken_off * flow.per_error_kg_s * seconds,
         )
 
     @classmethod
@@ -54,7 +58,10 @@ class SharedError:
 
     def parameters_kg(self, error: AngleError) -> float:
         """Standard deviation by the parameters, where the model's error is as sweeps show it now."""
-        return self.before_kg + hypot(self.own_kg, error.of_sum(self.per_error_kg))
+        to_take_off_kg = sum(kg * away for kg, away in zip(self.per_error_kg, error.away, strict=False))
+        # What was measured before a sweep showed it keeps its error, which is known now.
+        left_kg = to_take_off_kg - self.taken_off_kg
+        return self.before_kg + hypot(self.own_kg, error.of_sum(self.per_error_kg, left_kg))
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> SharedError:

@@ -101,6 +101,7 @@ class ClosedLoopCalibrator:
         """See calibrator.SelfCalibrator."""
         used = self._in_use(estimator)
         self._lineage.weighed(used)
+        self._masses.model_error = model_error
         at = self._at(record)
         drifting, step = self._knowledge.now(used, at)
         found = self._masses.new(anchors, self._model, self._spans(used))

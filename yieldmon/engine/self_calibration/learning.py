@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import hypot, nan
+from math import nan
 
 import numpy as np
 
@@ -199,7 +199,7 @@ class Learning:
     ) -> tuple[float, float] | None:
         """See `Monitor.ticket_departure`."""
         anchor = self.masses.tickets.ticket(load_number, mass_kg, std_dev_kg, loads, now_s)
-        return departure_of(anchor, self.estimator, hypot(self.drift_sd, self.model_error.home))
+        return departure_of(anchor, self.estimator, self.drift_sd, self.model_error)
 
     def remember_tickets(self, tickets: Sequence[ReferenceMass], waiting: Sequence[ReferenceMass]) -> None:
         """After a restart or a reload: tickets entered before it; `waiting` are those among them that have not been used."""

@@ -13,7 +13,7 @@ from yieldmon.engine.self_calibration.scale_alarm import ScaleCheck, as_stated, 
 from yieldmon.estimation.load_pattern import following
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.estimation.self_calibration.angle_error import NODES_RAD, AngleError, node_shares
+from yieldmon.estimation.self_calibration.angle_error import NO_ERROR, NODES_RAD, AngleError, node_shares
 from yieldmon.estimation.self_calibration.closed_loop_inputs import MassAnchor
 from yieldmon.estimation.weighing.load_inputs import WeighedLoad
 from yieldmon.physics.machine import SAME_ANGLE_RAD
@@ -24,12 +24,17 @@ _STEP = 1e-3
 
 
 def mass_anchor(
-    anchor: ReferenceMass, model: ForwardModel, spans: Iterable[tuple[float, ParameterSet]], anchor_error: float
+    anchor: ReferenceMass,
+    model: ForwardModel,
+    spans: Iterable[tuple[float, ParameterSet]],
+    anchor_error: float,
+    error: AngleError = NO_ERROR,
 ) -> MassAnchor:
     """The forces over the mass where they were kept, else the total in pieces, each with the parameters that made it.
 
     spans: the bus time, s, until which parameters were in use, and these, in the model's effects; the last ones to inf.
-    anchor_error: relative standard deviation of a reference mass beside its own.
+    anchor_error: relative standard deviation of a reference mass beside its own. error: of the model's force, of which what
+    sweeps have measured away from home is taken off the forces there.
     """
     machine, span_s = model.machine, anchor.end_s - anchor.start_s
     zero_kg = anchor.budget.zero_kg if isfinite(anchor.budget.zero_kg) else 0.0
@@ -41,7 +46,7 @@ def mass_anchor(
             anchor.reference_kg,
             sd,
             forces.duration_s,
-            forces.force_n,
+            forces.force_n * np.exp([error.away_at(angle_rad) for angle_rad in forces.plate_angle_rad.tolist()]),
             forces.plate_angle_rad,
             forces.elevator_speed_rad_s,
             moisture,

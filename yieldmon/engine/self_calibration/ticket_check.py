@@ -8,10 +8,13 @@ from yieldmon.engine.flow_estimator import FlowEstimator
 from yieldmon.engine.self_calibration.anchors import ReferenceMass
 from yieldmon.engine.self_calibration.mass_anchors import mass_anchor, weighed
 from yieldmon.estimation.open_loop import OpenLoop
+from yieldmon.estimation.self_calibration.angle_error import AngleError
 from yieldmon.estimation.weighing.load_departures import departure
 
 
-def departure_of(anchor: ReferenceMass, estimator: FlowEstimator, beside_sd: float) -> tuple[float, float] | None:
+def departure_of(
+    anchor: ReferenceMass, estimator: FlowEstimator, drift_sd: float, model_error: AngleError
+) -> tuple[float, float] | None:
     """How far a weighed mass is from its load's.
 
     Parameters
@@ -20,8 +23,10 @@ def departure_of(anchor: ReferenceMass, estimator: FlowEstimator, beside_sd: flo
         The ticket's share of the load.
     estimator : FlowEstimator
         With the parameters in use.
-    beside_sd : float
-        Relative standard deviation of the load's mass beside what the parameters' covariance says: drift, the model's error.
+    drift_sd : float
+        Relative standard deviation of the load's mass by drift.
+    model_error : AngleError
+        By what sweeps show.
 
     Returns
     -------
@@ -32,10 +37,10 @@ def departure_of(anchor: ReferenceMass, estimator: FlowEstimator, beside_sd: flo
         return None
     parameters, model = estimator.parameters, estimator.model
     try:
-        load = weighed(anchor, mass_anchor(anchor, model, [(inf, parameters)], 0.0))
+        load = weighed(anchor, mass_anchor(anchor, model, [(inf, parameters)], 0.0, model_error))
         error, std_dev = departure(model, parameters, load)
     except ValueError:
         return None
     if not (isfinite(error) and isfinite(std_dev) and error > -1.0):
         return None
-    return -log1p(error), hypot(std_dev, beside_sd)
+    return -log1p(error), hypot(std_dev, drift_sd, model_error.home)

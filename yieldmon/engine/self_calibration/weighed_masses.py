@@ -10,6 +10,7 @@ from yieldmon.engine.self_calibration.mass_anchors import checked, mass_anchor, 
 from yieldmon.engine.self_calibration.scale_alarm import ScaleCheck, name_of
 from yieldmon.engine.self_calibration.weighings import KEPT_LOADS
 from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.self_calibration.angle_error import NO_ERROR
 from yieldmon.estimation.self_calibration.closed_loop_inputs import MassAnchor
 from yieldmon.estimation.weighing.load_inputs import LoadSettings
 from yieldmon.estimation.weighing.wrong_tickets import known_slip
@@ -40,6 +41,8 @@ class WeighedMasses:
         Those that count, by crop.
     used : frozenset of ReferenceMass
         Handed over before.
+    model_error : AngleError
+        As sweeps showed it when masses were handed over last.
     """
 
     def __init__(self, anchor_error: float) -> None:
@@ -47,6 +50,7 @@ class WeighedMasses:
         self.settings = LoadSettings(load_error=max(anchor_error, _LEAST_LOAD_ERROR))
         self.crops = CropWeighings(self.settings)
         self.used: frozenset[ReferenceMass] = frozenset()
+        self.model_error = NO_ERROR
         self._checked: frozenset[ReferenceMass] = frozenset()
         """Held against what was counted."""
 
@@ -73,7 +77,7 @@ class WeighedMasses:
         for mass in masses:
             if not mass.complete or mass in self.used or mass.measured_kg <= 0.0 or mass.end_s - mass.start_s <= 0.0:
                 continue
-            found.append((mass, mass_anchor(mass, model, spans, self._anchor_error)))
+            found.append((mass, mass_anchor(mass, model, spans, self._anchor_error, self.model_error)))
         return found
 
     def checks(
@@ -122,7 +126,7 @@ class WeighedMasses:
         # Of two tickets for one load the newer counts.
         known = {name_of(mass): mass for mass in masses}
         found = {
-            name: weighed(mass, mass_anchor(mass, model, spans, self._anchor_error))
+            name: weighed(mass, mass_anchor(mass, model, spans, self._anchor_error, self.model_error))
             for name, mass in known.items()
             if name in (*names, doubted)
         }

@@ -3,8 +3,11 @@
 A sweep shows the model's error against that at home; the error at home itself the flow absorbs. But an effect that changes the
 force over the angle changes it at home as well. So the pattern that the sweeps show is held against that of each effect of the
 library, of a size that is likely (normal, its typical size as standard deviation), and against no effect at all; what they would
-change at home, each by its probability, is the error that is to be expected there. Nothing is named and nothing corrected by it.
+change at home, each by its probability, is the error that is to be expected there. Nothing is named or corrected at home by it.
 Effects that act on the scale more than on the pattern (slip, wear, air drag) are not among them: a weighed mass shows those.
+
+Against home the error away from it is measured, whatever its cause. Where it is likelier than not that something is missing, its
+expectation is what can be taken off the flow there, and what is left unsure about it is stated.
 Source: Bayesian model averaging, Hoeting et al., Statistical Science 14 (1999) 382.
 """
 
@@ -23,12 +26,14 @@ from yieldmon.physics.machine import RPM, SAME_ANGLE_RAD, Machine
 from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array
 
-from .angle_error import NO_ERROR, NODES_RAD, AngleError
+from .angle_error import NO_ERROR, NODES_RAD, AngleError, node_shares
 from .misfit import ReducedSweep
 from .sweep_flow import force_n
 
 _NONE = 0.5
 """Probability, before any sweep, that no effect is missing."""
+_TAKEN_OFF = 0.5
+"""Probability that no effect is missing, below which what sweeps have measured away from home is taken off the flow there."""
 _STEP = 1e-3
 """Of a standard deviation, for the derivatives by the parameters."""
 _LAW_ERROR = 0.1
@@ -122,15 +127,60 @@ def model_error(
     weights += [np.log((1.0 - _NONE) / _count(parameters)) + cause.log_density for cause in causes]
     share = np.exp(np.array(weights) - max(weights))
     share /= share.sum()
+    home_rad = model.machine.home_plate_angle_rad
+    if share[0] < _TAKEN_OFF:
+        return _taken_off(share, [_at_nodes(pattern, cause, home_rad) for cause in causes], home_rad)
     moment, unexplained = _NO_MOMENT, pattern.error
     for part, cause in zip(share[1:], causes, strict=True):
         moment = moment + part * cause.square * np.outer(cause.change.at_nodes, cause.change.at_nodes)
         unexplained = unexplained - part * cause.size * cause.change.pattern
-    home_rad = model.machine.home_plate_angle_rad
+    beyond = _interpolated(pattern, _beyond_noise(unexplained, pattern.covariance), home_rad)
+    return AngleError.of(moment + (1.0 - share[0]) * np.outer(beyond, beyond), home_rad)
+
+
+@dataclass(frozen=True, slots=True)
+class _Nodes:
+    """Error at the nodes if a cause is there, (nodes,), and its covariance. away: of it what sweeps measure against home."""
+
+    error: Array
+    covariance: Array
+    away: Array
+
+
+def _at_nodes(pattern: _Pattern, cause: _Cause, home_rad: float) -> _Nodes:
+    at_nodes, size = cause.change.at_nodes, cause.size
+    beyond = _beyond_noise(pattern.error - size * cause.change.pattern, pattern.covariance)
+    noise = np.where(beyond == 0.0, 0.0, np.sqrt(np.diag(pattern.covariance)))
+    seen = _interpolated(pattern, beyond, home_rad)
+    against_home = size * (at_nodes - np.interp(home_rad, NODES_RAD, at_nodes))
+    # Nothing at home, also where it lies between two nodes, and nothing beyond the angles that have been visited.
+    angles = np.append(pattern.plate_angle_rad, home_rad)
+    within = np.abs(NODES_RAD - 0.5 * (angles.max() + angles.min())) < 0.5 * np.ptp(angles) + SAME_ANGLE_RAD
+    away = np.where(within, against_home + seen, 0.0)
+    first, _ = node_shares(home_rad)
+    away[first : first + 2] -= np.interp(home_rad, NODES_RAD, away)
+    unsure = np.abs(_LAW_ERROR * against_home) + _interpolated(pattern, noise, home_rad)
+    covariance = (cause.square - size**2) * np.outer(at_nodes, at_nodes) + np.outer(unsure, unsure)
+    return _Nodes(size * at_nodes + seen, covariance, away)
+
+
+def _taken_off(share: Array, causes: Sequence[_Nodes], home_rad: float) -> AngleError:
+    """The error that is left when what is expected away from home is taken off. share: probability of no cause, and of each."""
+    away = np.sum([part * cause.away for part, cause in zip(share[1:], causes, strict=True)], axis=0)
+    expected, moments = -share[0] * away, share[0] * np.outer(away, away)
+    for part, cause in zip(share[1:], causes, strict=True):
+        left = cause.error - away
+        expected = expected + part * left
+        moments = moments + part * (cause.covariance + np.outer(left, left))
+    return AngleError.of(moments, home_rad, away, expected)
+
+
+def _interpolated(pattern: _Pattern, values: Array, home_rad: float) -> Array:
+    """Values at the pattern's angles, 0 at home, at the nodes."""
     angles = np.append(pattern.plate_angle_rad, home_rad)
     order = np.argsort(angles)
-    left = np.interp(NODES_RAD, angles[order], np.append(_beyond_noise(unexplained, pattern.covariance), 0.0)[order])
-    return AngleError.of(moment + (1.0 - share[0]) * np.outer(left, left), home_rad)
+    found: Array = np.interp(NODES_RAD, angles[order], np.append(values, 0.0)[order])
+    return found
 
 
 @dataclass(frozen=True, slots=True)
