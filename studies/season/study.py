@@ -17,7 +17,7 @@ from studies.facility import facility
 from studies.season.combines import AS_MODELLED, Combine
 from studies.season.season import Season, SeasonSettings
 from yieldmon.engine.self_calibration.parameter_knowledge import FOLLOWED_KG
-from yieldmon.engine.settings import SweepSettings
+from yieldmon.engine.settings import DisagreementSettings, SweepSettings
 from yieldmon.estimation.admission import LARGEST_MODEL_ERROR, allowing_for, refusal
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
 from yieldmon.estimation.fitting.calibration import calibrate
@@ -31,7 +31,9 @@ from yieldmon.estimation.self_calibration.closed_loop_inputs import MassAnchor, 
 from yieldmon.estimation.self_calibration.closed_loop_outcome import Outcome as Lesson
 from yieldmon.estimation.self_calibration.drift_lessons import DriftLesson, by_weighed_masses, ending
 from yieldmon.estimation.self_calibration.drift_rates import DriftRates
+from yieldmon.estimation.self_calibration.misfit import ReducedSweep, reduce_sweep
 from yieldmon.estimation.self_calibration.steady_drift import Advance, advance, begin, learn, smoothed
+from yieldmon.estimation.self_calibration.sweep_model_error import model_error
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.plant.effects import MoistureDependence
@@ -247,6 +249,10 @@ class Keeper:
         self.loop = loop
         self.flow = np.full(season.time_s.size, np.nan)
         self.angle_deg = np.full(season.time_s.size, self.home_deg)
+        self.seen: list[ReducedSweep] = []
+        """The newest sweeps, by which the force away from home may be off, where the settings are the daemon's."""
+        self.away = np.zeros(season.time_s.size)
+        """ln of the model's force over the measured one against that at home, as sweeps before had measured it."""
         self.force, self.force_sd = season.measure(np.arange(season.time_s.size), self.home_deg)
         self.next_sweep_s = settings.sweep_interval_s
         self.grown_to = (0.0, 0)
@@ -333,7 +339,8 @@ class Keeper:
         self.flow[start:stop] = self._flow(slice(start, stop), self.parameters)
 
     def _flow(self, windows: slice, parameters: ParameterSet) -> Array:
-        force, speed = self.force[windows], self.season.elevator_speed_rpm[windows] * RPM
+        force = self.force[windows] * np.exp(self.away[windows])
+        speed = self.season.elevator_speed_rpm[windows] * RPM
         moisture = self._moisture(windows)
         loop = OpenLoop(self.model, parameters)
         flow = np.empty(force.size)
@@ -369,6 +376,7 @@ class Keeper:
         windows = np.arange(place, place + length)
         self.angle_deg[windows] = np.repeat(plan, strides)
         self.force[windows], self.force_sd[windows] = self.season.measure(windows, self.angle_deg[windows])
+        self.away[windows] = self._away(self.angle_deg[windows])
         self._measure(place, place + length)
         used = windows[np.concatenate([np.arange(n) >= k for n, k in zip(strides, lost, strict=True)])]
         self._swept(used, place, length)
@@ -392,9 +400,28 @@ class Keeper:
         if not self.settings.refuse_corners:
             self._take(self_calibrate(self.model, self.parameters, [sweep], settings=self.loop), came, hour, sweep_alone=True)
             return
+        self._see(used, moisture)
         allowed = allowing_for(self.loop, self.parameters)
         lesson = self_calibrate(self.model, self.parameters, [sweep], settings=allowed)
         self._take(lesson, came, hour, sweep_alone=True, admitted=not refusal(lesson.parameter_set))
+
+    def _see(self, used: Array, moisture: Array | None) -> None:
+        """Keep a sweep's pattern, as the daemon does."""
+        levels = np.full(used.size, np.nan if moisture is None else float(np.mean(moisture)))
+        reduced = reduce_sweep(
+            self.model, self.parameters, time_s=self.season.time_s[used], plate_angle_rad=np.radians(self.angle_deg[used]),
+            elevator_speed_rad_s=self.season.elevator_speed_rpm[used] * RPM, force_n=self.force[used],
+            force_std_dev_n=np.hypot(self.force_sd[used], 0.1), moisture_pct=levels,
+        )  # fmt: skip
+        if reduced is not None:
+            self.seen = [*self.seen, reduced][-DisagreementSettings().keep_sweeps :]
+
+    def _away(self, angle_deg: Array) -> Array:
+        """What sweeps have shown the force to be off by at angles away from home."""
+        if not self.seen:
+            return np.zeros(angle_deg.shape)
+        error = model_error(self.model, self.parameters, self.seen, tolerance=DisagreementSettings().tolerance)
+        return np.array([error.away_at(float(np.radians(angle))) for angle in angle_deg])
 
     def _weigh(self, number: int, mass_kg: float, sd_kg: float, hour: float) -> None:
         start, end = int(self.season.loads.start[number]), int(self.season.loads.end[number])
@@ -403,7 +430,7 @@ class Keeper:
             mass_kg,
             float(np.hypot(sd_kg, self.settings.anchor_error * mass_kg)),
             np.ones(used.size),
-            self.force[used],
+            self.force[used] * np.exp(self.away[used]),
             np.radians(self.angle_deg[used]),
             self.season.elevator_speed_rpm[used] * RPM,
         )
