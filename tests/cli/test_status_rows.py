@@ -50,3 +50,18 @@ def test_a_load_that_the_calibration_leaves_unsure_is_told_what_helps(
     finally:
         server.stop()
     assert ("a weighed load (`yieldmon ticket`) narrows it" in " ".join(capsys.readouterr().out.split())) is said
+
+
+@pytest.mark.parametrize(("spread_kg", "said"), [(87.0, "total 4,321 kg ± 87.0 kg"), (None, "total 4,321 kg")])
+def test_the_total_is_shown_with_its_standard_deviation(
+    document: dict[str, Any], spread_kg: float | None, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    total = {**document["total"], "mass_kg": 4321.0, "std_dev_kg": spread_kg}
+    server = ControlServer(tmp_path / "yieldmon.sock", None, lambda _: {**document, "total": total})
+    server.start()
+    try:
+        assert cli.main(["status", "--socket", str(tmp_path / "yieldmon.sock")]) == 0
+    finally:
+        server.stop()
+    row = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("total"))
+    assert " ".join(row.split()) == said

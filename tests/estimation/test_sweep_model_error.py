@@ -195,3 +195,17 @@ def test_before_any_sweep_it_is_that_of_machine_grain_and_range_whatever_was_ask
 
 def test_a_whole_sweep_of_a_machine_that_follows_the_model_takes_most_of_it_away() -> None:
     assert _found(np.zeros(6), range(2)).home < 0.2 * unswept_error(MODEL, PARAMETERS).home
+
+
+def test_sweeps_before_a_weighed_mass_say_no_more_of_the_model_after_it() -> None:
+    """It moves the scale by 15 %: by the parameters that it leads to the sweeps' flow was another, and the pattern is the same."""
+    values = PARAMETERS.values
+    moved = {"restitution": 1.15 * (1.0 + values["restitution"]) - 1.0, "density": values["density"] / 1.15}
+    after = replace(PARAMETERS, values={**values, **moved})
+    home = float(_log_force(MODEL, values)[3])
+    for change in (np.zeros(6), np.log(1.0 + 0.2 / np.tan(ANGLES))):
+        sweeps = [replace(_sweep(change, seed), home_log_force=home) for seed in range(4)]
+        before, now = (model_error(MODEL, known, sweeps, tolerance=0.005) for known in (PARAMETERS, after))
+        for angle in ANGLES:
+            assert now.at(angle) == pytest.approx(before.at(angle), abs=0.01)
+            assert now.away_at(angle) == pytest.approx(before.away_at(angle), abs=0.01)

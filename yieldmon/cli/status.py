@@ -76,9 +76,11 @@ def _facts(status: Mapping[str, Any], units: Units) -> Iterator[tuple[str, str]]
     yield from _load(status["load"], status["crop"], units)
     if _grain_without_load(status):
         yield "", "no load is open: grain counts in the total alone until `yieldmon load start`"
-    contested_kg = status["total"]["contested_mass_kg"]
+    total = status["total"]
+    contested_kg, spread_kg = total["contested_mass_kg"], total["std_dev_kg"]
+    around = f" ± {units.mass(spread_kg)}" if spread_kg is not None else ""
     apart = f", and {units.mass(contested_kg)} contested (more than one node sent samples)" if contested_kg else ""
-    yield "total", f"{units.mass(status['total']['mass_kg'])}{apart}"
+    yield "total", f"{units.mass(total['mass_kg'])}{around}{apart}"
     for name, text in _sweep(status["sweep"]):
         yield name, units.in_text(text)
     yield from _waveform(status["waveform"], units)

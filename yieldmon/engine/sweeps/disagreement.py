@@ -32,7 +32,8 @@ _COLUMNS = ("time_s", "plate_angle_rad", "elevator_speed_rad_s", "force_n", "for
 @dataclass(frozen=True, slots=True)
 class SweepPattern:
     """One sweep as plain numbers: bus time of its end, s; plate angles, deg; logarithm of the force in N that each would have had
-    at the sweep's mean flow, kg/s, and speed, rad/s, and its standard deviation; moisture, %, None where not known."""
+    at the sweep's mean flow, kg/s, and speed, rad/s, and its standard deviation; moisture, %, and logarithm of the force at home
+    at that flow, None where not known."""
 
     time_s: float
     plate_angle_deg: tuple[float, ...]
@@ -41,6 +42,7 @@ class SweepPattern:
     mass_flow_kg_s: float
     elevator_speed_rad_s: float
     moisture_pct: float | None
+    home_log_force: float | None = None
 
     @classmethod
     def of(cls, time_s: float, sweep: ReducedSweep) -> SweepPattern:
@@ -53,6 +55,7 @@ class SweepPattern:
             round(sweep.mass_flow_kg_s, 5),
             round(sweep.elevator_speed_rad_s, 5),
             round(sweep.moisture_pct, 3) if isfinite(sweep.moisture_pct) else None,
+            round(sweep.home_log_force, 6) if isfinite(sweep.home_log_force) else None,
         )
 
     def reduced(self) -> ReducedSweep:
@@ -64,6 +67,7 @@ class SweepPattern:
             self.mass_flow_kg_s,
             self.elevator_speed_rad_s,
             float("nan") if self.moisture_pct is None else self.moisture_pct,
+            float("nan") if self.home_log_force is None else self.home_log_force,
         )
 
 

@@ -8,13 +8,14 @@ is the contiguous run of angles whose normalised sum is largest.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from yieldmon.estimation.clusters import cluster
 from yieldmon.estimation.fitting.least_squares import levenberg_marquardt
+from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.priors import search_bounds
 from yieldmon.physics.machine import SAME_ANGLE_RAD
@@ -60,7 +61,8 @@ NO_MISFIT = Misfit(False, 1.0, (np.nan, np.nan), np.nan)
 class ReducedSweep:
     """One sweep brought to one flow and speed: logarithm of the force (N) at each plate angle and its sd, shapes (angles,).
 
-    mass_flow_kg_s: mean of the flow at home, with the parameters then in use. moisture_pct: nan where not known.
+    mass_flow_kg_s: mean of the flow at home, with the parameters then in use. moisture_pct: nan where not known. home_log_force:
+    logarithm of the force (N) that this flow had at home; nan where it was not kept.
     """
 
     plate_angle_rad: Array
@@ -69,6 +71,17 @@ class ReducedSweep:
     mass_flow_kg_s: float
     elevator_speed_rad_s: float
     moisture_pct: float = float("nan")
+    home_log_force: float = float("nan")
+
+    def measured_by(self, model: ForwardModel, parameters: ParameterSet) -> ReducedSweep:
+        """The same with the flow that other parameters make of the force at home; as it is where that is not known."""
+        if not np.isfinite(self.home_log_force):
+            return self
+        flow = OpenLoop(model, parameters).invert(
+            np.exp(self.home_log_force), model.machine.home_plate_angle_rad, self.elevator_speed_rad_s, self.moisture_pct
+        )
+        known = np.isfinite(flow) and flow > 0.0
+        return replace(self, mass_flow_kg_s=float(flow)) if known else self
 
 
 def reduce_sweep(
@@ -113,7 +126,9 @@ def reduce_sweep(
     if not np.any(good):
         return None
     means = _by_angle(angle[good], log_force[good], relative_sd[good], flows.sd[known_flow][good])
-    return ReducedSweep(*means, mean_flow, mean_speed, moisture)
+    home_rad = np.array([model.machine.home_plate_angle_rad])
+    (at_home,) = model_force_n(model, parameters.values, home_rad, mean_speed, mean_flow, moisture)
+    return ReducedSweep(*means, mean_flow, mean_speed, moisture, float(np.log(at_home)))
 
 
 def pooled_residuals(

@@ -115,7 +115,7 @@ def model_error(
     AngleError
         With what one cause changes at all angles in common: at home, and at the angles of the sweep.
     """
-    known = [s for s in sweeps if not model.needs_moisture or np.isfinite(s.moisture_pct)]
+    known = [s.measured_by(model, parameters) for s in sweeps if not model.needs_moisture or np.isfinite(s.moisture_pct)]
     pattern = _shared_pattern(model, parameters, known, tolerance)
     if pattern is None:
         return NO_ERROR
