@@ -198,7 +198,7 @@ def test_a_whole_sweep_of_a_machine_that_follows_the_model_takes_most_of_it_away
 
 
 def test_sweeps_before_a_weighed_mass_say_no_more_of_the_model_after_it() -> None:
-    """It moves the scale by 15 %: by the parameters that it leads to the sweeps' flow was another, and the pattern is the same."""
+    """It moves the scale by 15 %: by the parameters that come of it the flow was another, and the pattern is the same."""
     values = PARAMETERS.values
     moved = {"restitution": 1.15 * (1.0 + values["restitution"]) - 1.0, "density": values["density"] / 1.15}
     after = replace(PARAMETERS, values={**values, **moved})
