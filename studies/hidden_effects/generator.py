@@ -277,7 +277,7 @@ def _slide(
     return tau, np.where(np.isnan(out), 0.0, out)
 
 
-def _strike(  # noqa: PLR0912, PLR0915
+def _strike(  # noqa: C901, PLR0912, PLR0915
     x: Array,
     y: Array,
     vx: Array,

@@ -143,12 +143,12 @@ def test_fault_hysteresis(code: FaultCode) -> None:
     events = []
     for second in range(definition.set_after):
         assert not book.is_active(code)
-        events.append(book.observe(code, True, float(second), "why"))
+        events.append(book.observe(code, float(second), "why", present=True))
     assert book.is_active(code)
     assert (book.detail(code), book.since(code), book.occurrences(code)) == ("why", definition.set_after - 1.0, 1)
     for second in range(definition.clear_after):
         assert book.is_active(code)
-        events.append(book.observe(code, False, 100.0 + second))
+        events.append(book.observe(code, 100.0 + second, present=False))
     assert book.active == ()
     assert [(event.code, event.active) for event in events if event is not None] == [(code, True), (code, False)]
 

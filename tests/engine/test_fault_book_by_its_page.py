@@ -28,7 +28,7 @@ def test_a_condition_is_shown_and_withdrawn_after_its_seconds_and_not_one_before
     shown, withdrawn = SECONDS[code]
     book = FaultBook()
     verdicts = [*[True] * (shown - 1), False, *[True] * shown, *[False] * (withdrawn - 1), True, *[False] * withdrawn]
-    events = [book.observe(code, verdict, float(second), "why") for second, verdict in enumerate(verdicts)]
+    events = [book.observe(code, float(second), "why", present=verdict) for second, verdict in enumerate(verdicts)]
     begun, ended = 2 * shown - 1, len(verdicts) - 1
     assert [event for event in events if event is not None] == [
         FaultEvent(float(begun), code, True, "why"),

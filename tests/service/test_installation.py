@@ -242,7 +242,7 @@ def test_a_planted_link_is_not_written_to(tmp_path: Path) -> None:
 
 
 def test_a_command_that_is_not_there_is_a_failure(tmp_path: Path) -> None:
-    installer = Installer(tmp_path, dry_run=False)
+    installer = Installer(tmp_path, dry_run=False, report=print)
     assert installer.run(str(tmp_path / "gone"), live_only=False) is False
     assert installer.failures == [f"{tmp_path / 'gone'}: not on this machine"]
 
@@ -260,7 +260,7 @@ class NoSuchUnit(Installer):
 
 @pytest.mark.parametrize(("broken", "failures"), [("", []), ("daemon-reload", ["daemon-reload: no such unit"])])
 def test_a_unit_that_was_never_there_is_no_failure_to_take_it_away(tmp_path: Path, broken: str, failures: list[str]) -> None:
-    installer = NoSuchUnit(tmp_path, dry_run=False)
+    installer = NoSuchUnit(tmp_path, dry_run=False, report=print)
     installer.broken = broken
     uninstall(installer, "can0", purge=False)
     assert installer.failures == failures
@@ -270,16 +270,13 @@ class Told(Installer):
     """What is run and said, and what the machine has."""
 
     def __init__(self) -> None:
-        super().__init__(Path("/"), dry_run=True)
-        self.ran: list[tuple[str, ...]] = []
         self.said: list[str] = []
+        super().__init__(Path("/"), dry_run=True, report=self.said.append)
+        self.ran: list[tuple[str, ...]] = []
 
     def run(self, *command: str, live_only: bool = True) -> bool:
         self.ran.append(command)
         return True
-
-    def report(self, text: str) -> None:  # type: ignore[override]
-        self.said.append(text)
 
 
 RESTART = ("systemctl", "restart", "yieldmon.service")

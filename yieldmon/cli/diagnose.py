@@ -202,7 +202,7 @@ def _from_store(args: argparse.Namespace, machine: Machine) -> _Source:
     found = sweep_table.read(args.data, machine, parameters, args.sweeps)
     if args.table is not None:
         whole_file.write(args.table, found.text)
-    return _Source(found.table, parameters, path, True, found.scale_sd)
+    return _Source(found.table, parameters, path, keep_effects=True, scale_sd=found.scale_sd)
 
 
 @contextmanager

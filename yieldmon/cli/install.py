@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import functools
 import os
 import sys
 from pathlib import Path
@@ -56,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
     root = real_path(args.root)
     if args.command is not None:
         _check_command(args.command, there=root == Path("/"))
-    installer = Installer(root, args.dry_run)
+    installer = Installer(root, args.dry_run, functools.partial(print, flush=True))
     bus = configured_bus(installer)
     kept = bus[1] if bus is not None and bus[0] == "socketcan" else "can0"
     interface = kept if args.interface is None else args.interface

@@ -119,9 +119,19 @@ def lay(
     shown = force(*(values[first] for values in near))
     level = np.where(np.isfinite(shown), shown, np.bincount(cell, np.exp(log_force)) / np.bincount(cell))
     rows = Rows(
-        machine, "mass_flow_kg_s", "force", True, near[0][first], near[1][first], near[2][first], near[3][first], level,
-        _ERROR * level, ("",) * first.size, np.arange(first.size),
-    )  # fmt: skip
+        machine,
+        load_name="mass_flow_kg_s",
+        of="force",
+        si=True,
+        plate_angle_rad=near[0][first],
+        elevator_speed_rad_s=near[1][first],
+        load=near[2][first],
+        moisture_pct=near[3][first],
+        value=level,
+        sigma=_ERROR * level,
+        trial=("",) * first.size,
+        cell=np.arange(first.size),
+    )
     grouped = cells(rows)
     frame = base_frame(grouped, _ERROR * grouped.mean, parameters, "restitution", keep_effects=True)
     fixed = {**frame.fixed, "restitution": parameters.values["restitution"]}

@@ -52,14 +52,14 @@ class FaultBook:
         self._stirred: set[FaultCode] = set()
         """Codes that are shown, or whose verdict has begun to differ from what is shown."""
 
-    def observe(self, code: FaultCode, present: bool, time_s: float, detail: str = "") -> FaultEvent | None:
+    def observe(self, code: FaultCode, time_s: float, detail: str = "", *, present: bool) -> FaultEvent | None:
         """One window's verdict on a condition; returns the change once the verdict has lasted as long as the table says."""
         entry = self._entries[code]
-        event = self._observe(code, entry, present, time_s, detail)
+        event = self._observe(code, entry, time_s, detail, present=present)
         (self._stirred.add if entry.active or entry.streak else self._stirred.discard)(code)
         return event
 
-    def _observe(self, code: FaultCode, entry: _Entry, present: bool, time_s: float, detail: str) -> FaultEvent | None:
+    def _observe(self, code: FaultCode, entry: _Entry, time_s: float, detail: str, *, present: bool) -> FaultEvent | None:
         definition = FAULTS[code]
         if not present and code in self._reported:
             present, detail = True, self._reported[code]
@@ -82,9 +82,9 @@ class FaultBook:
 
         Returns what was withdrawn, then what was shown, each by name.
         """
-        events = [self.observe(code, True, time_s, detail) for code, detail in present.items()]
+        events = [self.observe(code, time_s, detail, present=True) for code, detail in present.items()]
         gone = (self._stirred | self._reported.keys()) - present.keys()
-        events += [self.observe(code, False, time_s) for code in gone]
+        events += [self.observe(code, time_s, present=False) for code in gone]
         changed = [event for event in events if event is not None]
         return tuple(sorted(changed, key=lambda event: (event.active, event.code.value)))
 

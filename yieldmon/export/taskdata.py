@@ -27,11 +27,11 @@ FILES = ("TASKDATA.XML", f"{LOG_NAME}.xml", f"{LOG_NAME}.bin")
 ENTRIES = (
     task_data.Entry(87, "Mass per time yield", "mg/s"),
     task_data.Entry(84, "Mass per area yield", "mg/m2"),
-    task_data.Entry(90, "Yield total mass", "kg", True),
+    task_data.Entry(90, "Yield total mass", "kg", total=True),
     task_data.Entry(99, "Crop moisture", "ppm"),
     task_data.Entry(181, "Dry mass per area yield", "mg/m2"),
     task_data.Entry(182, "Dry mass per time yield", "mg/s"),
-    task_data.Entry(183, "Yield total dry mass", "kg", True),
+    task_data.Entry(183, "Yield total dry mass", "kg", total=True),
     task_data.Entry(184, "Reference moisture for dry mass", "ppm"),
     task_data.Entry(239, "Yield hold status", ""),
 )

@@ -16,6 +16,7 @@ import shlex
 import shutil
 import string
 import subprocess
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
@@ -41,10 +42,14 @@ STATE = (Path("/var/lib/yieldmon"), Path("/var/lib/private/yieldmon"))
 
 @dataclass
 class Installer:
-    """Writes below `root`; with `dry_run` says what it would do; runs systemctl only where `root` is the running system."""
+    """Writes below `root`; with `dry_run` says what it would do; runs systemctl only where `root` is the running system.
+
+    report: takes a line for each step.
+    """
 
     root: Path
     dry_run: bool
+    report: Callable[[str], None]
     failures: list[str] = field(default_factory=list)
 
     def at(self, path: Path) -> Path:
@@ -115,10 +120,6 @@ class Installer:
             reason = (done.stderr.strip() or done.stdout.strip() or f"exit {done.returncode}").splitlines()[-1]
             self.failures.append(f"{shlex.join(command)}: {reason}")
         return done.returncode == 0
-
-    @staticmethod
-    def report(text: str) -> None:
-        print(text, flush=True)
 
 
 def places(interface: str) -> dict[str, Path]:

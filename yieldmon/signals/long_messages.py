@@ -74,7 +74,7 @@ class LongMessages:
     def feed(self, time_s: float, identifier: int, data: bytes) -> Whole | None:
         """The message that a frame which is taken completes."""
         if not identifier & EXTENDED_FLAG:
-            return Whole(identifier, False, data)
+            return Whole(identifier, by_transport=False, data=data)
         for payload in self._reassembler.feed(identifier & LARGEST_EXTENDED_ID, data, time_s):
             parts = Identifier(payload.priority, payload.group, payload.destination, payload.source)
             return Whole(parts.value | EXTENDED_FLAG, identifier & TRANSPORT_MASK in TRANSPORT, payload.data)

@@ -315,7 +315,7 @@ def _constants(draft: _Draft) -> list[tuple[SignalBits, int]]:
     return found
 
 
-def _identity(frame_id: int, extended: bool, own_address: bool) -> int:
+def _identity(frame_id: int, *, extended: bool, own_address: bool) -> int:
     """What makes two frames the same one: all but the priority; and the group where the address is ours."""
     if not extended:
         return frame_id
@@ -332,15 +332,16 @@ def _check_identifiers(
         if group.extended and group_of(group.frame_id) in _OF_THE_NETWORK:
             what = _OF_THE_NETWORK[group_of(group.frame_id)]
             raise first.refuse("message", f"{group.name} has the identifier of the {what}", "a message of its own group")
-        identity = _identity(group.frame_id, group.extended, group.own_address)
+        identity = _identity(group.frame_id, extended=group.extended, own_address=group.own_address)
         for entry in inputs.groups:
             from_all = any_source(entry.source, entry.message)
-            theirs = _identity(entry.message.frame_id, entry.message.extended, from_all)
-            if _identity(group.frame_id, group.extended, from_all) == theirs and (from_all or not group.own_address):
+            theirs = _identity(entry.message.frame_id, extended=entry.message.extended, own_address=from_all)
+            same = _identity(group.frame_id, extended=group.extended, own_address=from_all) == theirs
+            if same and (from_all or not group.own_address):
                 problem = f"{group.name} has the identifier of the input {entry.message.name}"
                 raise first.refuse("message", problem, "a message that is not taken in")
         for name, message in ours.items():
-            if identity != _identity(message.frame_id, True, group.own_address):
+            if identity != _identity(message.frame_id, extended=True, own_address=group.own_address):
                 continue
             if shipped and name in _SHIPPED:
                 problem = f"{group.name} has the identifier of {name}, which is sent as shipped"

@@ -60,6 +60,6 @@ class AreaCounter:
         header, work, speed_m_s = fresh["header_down"], fresh["work_state"], fresh["ground_speed"]
         idle = header == HeaderDown.UP or work == WorkState.NOT_WORKING
         if idle or speed_m_s < self._min_speed_m_s:
-            return _Cut(end_s, 0.0 if self._width_m is not None else nan, True)
+            return _Cut(end_s, 0.0 if self._width_m is not None else nan, by_header=True)
         width_m = nan if self._width_m is None else self._width_m
         return _Cut(end_s, width_m * speed_m_s, header == HeaderDown.DOWN or work == WorkState.WORKING)

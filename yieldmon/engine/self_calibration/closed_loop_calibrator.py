@@ -32,7 +32,7 @@ from yieldmon.estimation.parameters import SCALE, WEIGHED, ParameterSet
 from yieldmon.estimation.self_calibration.angle_error import NO_ERROR, AngleError
 from yieldmon.estimation.self_calibration.angle_pattern import EFFECT
 from yieldmon.estimation.self_calibration.closed_loop import self_calibrate, update_from_tickets
-from yieldmon.estimation.self_calibration.closed_loop_outcome import Outcome, ScaleReport
+from yieldmon.estimation.self_calibration.closed_loop_outcome import Outcome
 from yieldmon.estimation.self_calibration.steady_drift import unsure_of_gain
 from yieldmon.estimation.self_calibration.sweep_worth import OtherChannels, SweepPlan, SweepWorth, sweep_worth, window_times_s
 from yieldmon.estimation.waveform import common_bias
@@ -186,10 +186,8 @@ class ClosedLoopCalibrator:
         drifting = carried.drifting
         if refusal(drifting.parameters) and not refusal(used):
             return None
-        still = ScaleReport(0.0, 0.0, 0.0, False, ())
-        nothing = Outcome(drifting.parameters, False, True, "", "", (), (), still, 0.0, 0, 1.0, ())
         at = Instant(record.time_s, record.total_kg, self._knowledge.moisture_pct)
-        taken = self._taken(nothing, carried, used, at)
+        taken = self._taken(Outcome.unchanged(drifting.parameters), carried, used, at)
         return replace(taken, reason="moved by steady drift", moved_by_moisture=False)
 
     def drift_std_dev(self, record: WindowRecord, estimator: FlowEstimator) -> float:

@@ -96,7 +96,9 @@ class LoadUpdate:
                 else ""
             )
             reason = "; ".join(filter(None, (reason, alone, curve, wrong_ticket_sentence(found))))
-        scale = ScaleReport(found.scale_sd, found.scale_sd, float(np.log(found.scale)), True, ())
+        scale = ScaleReport(
+            found.scale_sd, found.scale_sd, float(np.log(found.scale)), observable=True, unobservable_directions=()
+        )
         known, wide = found.parameter_set, widened(prior, self.load_settings)
         names = (*(n for n in prior.covariance_names if n in known.covariance_names),)
         names = (*names, *(n for n in known.covariance_names if n not in names))
@@ -105,7 +107,7 @@ class LoadUpdate:
             joint = drifting.joint.copy()
             joint[: len(names), : len(names)] = wide.covariance_of(names)
             drifting = replace(drifting, parameters=replace(prior, covariance=wide.covariance_of(names)), joint=joint)
-        outcome = Outcome(known, not found.refused, True, reason, "", (), (), scale, 0.0, len(self.counted), 1.0, ())
+        outcome = replace(Outcome.unchanged(known), updated=not found.refused, reason=reason, scale=scale, dof=len(self.counted))
         return outcome, drifting
 
     def _is_drift(self, widening: float, prior: ParameterSet, names: Container[str]) -> bool:

@@ -30,7 +30,7 @@ from yieldmon.physics.model import ForwardModel, refuse_impossible
 from yieldmon.physics.numerics import Array
 
 from .closed_loop_inputs import DensityAnchor, MassAnchor, Sweep
-from .closed_loop_outcome import FlowPosterior, Learning, Outcome, ScaleReport
+from .closed_loop_outcome import NO_SCALE, FlowPosterior, Learning, Outcome, ScaleReport
 from .closed_loop_problem import ClosedLoopProblem, Solution
 from .partial_update import determined_part
 
@@ -220,7 +220,7 @@ def _scale(problem: ClosedLoopProblem, solution: Solution) -> ScaleReport:
     metric = problem.white.T @ problem.white
     size = float(tangent @ metric @ tangent)
     if size <= 0.0:
-        return ScaleReport(0.0, 0.0, 0.0, False, ())
+        return NO_SCALE
     row = tangent @ metric / size
     prior_sd = float(np.sqrt(row @ problem.prior.covariance @ row))
     posterior_sd = float(np.sqrt(row @ posterior @ row))

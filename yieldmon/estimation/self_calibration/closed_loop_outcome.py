@@ -76,6 +76,10 @@ class ScaleReport:
         return self.posterior_sd / self.prior_sd if self.prior_sd > 0.0 else float("nan")
 
 
+NO_SCALE = ScaleReport(0.0, 0.0, 0.0, observable=False, unobservable_directions=())
+"""Where nothing is to be said of it."""
+
+
 @dataclass(frozen=True)
 class Outcome:
     """The result of `self_calibrate`.
@@ -122,6 +126,34 @@ class Outcome:
     p_value: float
     residuals: tuple[Array, ...] = field(repr=False)
     prior_widening: float = 1.0
+
+    @classmethod
+    def unchanged(cls, parameter_set: ParameterSet) -> Outcome:
+        """Where no measurement came.
+
+        Parameters
+        ----------
+        parameter_set : ParameterSet
+
+        Returns
+        -------
+        Outcome
+            That nothing is updated.
+        """
+        return cls(
+            parameter_set,
+            updated=False,
+            consistent=True,
+            reason="",
+            region="",
+            flows=(),
+            parameters=(),
+            scale=NO_SCALE,
+            chi2=0.0,
+            dof=0,
+            p_value=1.0,
+            residuals=(),
+        )
 
     def learned(self) -> tuple[str, ...]:
         """Names of the parameters that moved.

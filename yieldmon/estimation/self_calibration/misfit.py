@@ -53,7 +53,7 @@ class Misfit:
     mean_relative_error: float
 
 
-NO_MISFIT = Misfit(False, 1.0, (np.nan, np.nan), np.nan)
+NO_MISFIT = Misfit(disagrees=False, p_value=1.0, plate_angle_rad=(np.nan, np.nan), mean_relative_error=np.nan)
 """Nothing to say."""
 
 
@@ -223,12 +223,17 @@ def common_misfit(
 
     p_value = float(fdtrc(free, within_dof, between))
     if p_value >= level:
-        return Misfit(False, p_value, (np.nan, np.nan), np.nan)
+        return replace(NO_MISFIT, p_value=p_value)
     first, last = _strongest_run(mean * np.sqrt(weight))
     centre = np.bincount(numbers, angle, count) / np.bincount(numbers, minlength=count)
     inside = slice(first, last + 1)
     error = float(np.sum(mean[inside] * weight[inside]) / np.sum(weight[inside]))
-    return Misfit(True, p_value, (float(centre[first]), float(centre[last])), error)
+    return Misfit(
+        disagrees=True,
+        p_value=p_value,
+        plate_angle_rad=(float(centre[first]), float(centre[last])),
+        mean_relative_error=error,
+    )
 
 
 def _strongest_run(whitened: Array) -> tuple[int, int]:

@@ -227,7 +227,17 @@ def _covariances(white: Array, random: Array, variance: Array, priors: _Priors) 
 def no_estimate(pulses: PulseModel, theta: Array) -> PulseEstimate:
     nan, n = float("nan"), theta.size
     values = dict(zip(pulses.names, theta.tolist(), strict=True))
-    return PulseEstimate(nan, nan, nan, values, pulses.names, np.full((n, n), nan), nan, nan, False)
+    return PulseEstimate(
+        volume_flow_m3_s=nan,
+        relative_sd=nan,
+        random_sd=nan,
+        values=values,
+        names=pulses.names,
+        covariance=np.full((n, n), nan),
+        misfit=nan,
+        relative_residual=nan,
+        converged=False,
+    )
 
 
 def _results(

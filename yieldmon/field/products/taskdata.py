@@ -28,9 +28,9 @@ ENTRIES = (
     task_data.Entry(67, "Actual working width", "mm"),
     task_data.Entry(84, "Mass per area yield", "mg/m2"),
     task_data.Entry(87, "Mass per time yield", "mg/s"),
-    task_data.Entry(90, "Yield total mass", "kg", True),
+    task_data.Entry(90, "Yield total mass", "kg", total=True),
     task_data.Entry(99, "Crop moisture", "ppm"),
-    task_data.Entry(116, "Total area", "m2", True),
+    task_data.Entry(116, "Total area", "m2", total=True),
     task_data.Entry(141, "Actual work state", ""),
     task_data.Entry(259, "Yield lag ignore time", "ms"),
 )

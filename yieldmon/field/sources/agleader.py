@@ -61,14 +61,14 @@ def recognises(path: Path, head: bytes) -> bool:
     lines = head.decode(encoding_of(head), "replace").splitlines()[:_LOOKED_AT]
     for line in lines:
         cells = next(csv.reader([line], delimiter=delimiter_of(line)), []) if line.strip() else []
-        if _is_row(cells, has_decimal_comma(cells[:2])):
+        if _is_row(cells, comma=has_decimal_comma(cells[:2])):
             return True
-        if len(cells) > 8 and not any(_is_number(cell) for cell in cells[:8]) and not _is_header(cells):
+        if len(cells) > 8 and not any(_is_number(cell, comma=False) for cell in cells[:8]) and not _is_header(cells):
             return False
     return False
 
 
-def _is_number(cell: str, comma: bool = False) -> bool:
+def _is_number(cell: str, *, comma: bool) -> bool:
     try:
         number(cell.replace(",", ".") if comma else cell)
     except ValueError:
@@ -76,8 +76,8 @@ def _is_number(cell: str, comma: bool = False) -> bool:
     return bool(cell.strip())
 
 
-def _is_row(cells: list[str], comma: bool) -> bool:
-    if len(cells) < 10 or not all(_is_number(cell, comma) for cell in cells[:9]):
+def _is_row(cells: list[str], *, comma: bool) -> bool:
+    if len(cells) < 10 or not all(_is_number(cell, comma=comma) for cell in cells[:9]):
         return False
     longitude, latitude = (number(cell.replace(",", ".") if comma else cell) for cell in cells[:2])
     return abs(longitude) <= 180 and abs(latitude) <= 90
@@ -133,15 +133,15 @@ def _distances_fit(table: HarvestTable) -> bool:
 
 def _comma(sample: list[str], delimiter: str) -> bool:
     rows = csv.reader(sample, delimiter=delimiter, skipinitialspace=True)
-    return has_decimal_comma(cell for row in rows for cell in row[:2] if _is_number(cell, True))
+    return has_decimal_comma(cell for row in rows for cell in row[:2] if _is_number(cell, comma=True))
 
 
 def _layout(sample: list[str], delimiter: str) -> dict[str, list[int]]:
     """Which columns after the tenth are what, from the rows at the head: serial and elevation are numbers, names are text."""
     comma = _comma(sample, delimiter)
-    cells = [row for row in csv.reader(sample, delimiter=delimiter, skipinitialspace=True) if _is_row(row, comma)][:200]
+    cells = [row for row in csv.reader(sample, delimiter=delimiter, skipinitialspace=True) if _is_row(row, comma=comma)][:200]
     width = min((len(row) for row in cells), default=10)
-    numeric = [column for column in range(10, width) if all(_is_number(row[column], comma) for row in cells)]
+    numeric = [column for column in range(10, width) if all(_is_number(row[column], comma=comma) for row in cells)]
     text = [column for column in range(10, width) if column not in numeric]
     serial = [10] if 10 in numeric else []
     field = [c for c in text if all(_FIELD.match(row[c]) for row in cells)][:1]

@@ -53,10 +53,10 @@ def column_times(raw: Raw, options: ReadOptions, where: str) -> ColumnTimes:
     """The times in a file's columns of times and days. Raises InputError for times of which none can be read."""
     column = raw.columns.get("time") or _dated_column(raw)
     if column is None:
-        return ColumnTimes(None, False, ("has no time",))
+        return ColumnTimes(None, unix=False, notes=("has no time",))
     time_s, unix, notes = _of_column(column, raw, options, where)
     if unix and clocks.days_only(time_s):
-        return ColumnTimes(None, False, (f"{column.name} holds days and no times",))
+        return ColumnTimes(None, unix=False, notes=(f"{column.name} holds days and no times",))
     lost = int(np.isnan(time_s).sum())
     if lost:
         notes.append(f"{column.name} holds no time that can be read in {lost} of {raw.count} rows")

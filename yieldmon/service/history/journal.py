@@ -113,7 +113,7 @@ class Journal:
         """Events for the next batch."""
         for event in events:
             if isinstance(event, FaultEvent):
-                self._fault(event.code.value, event.active, event.detail)
+                self._fault(event.code.value, event.detail, active=event.active)
             elif isinstance(event, LoadOpened | LoadClosed):
                 self.loads.measured(event.load, self.field, self.crop)
             elif isinstance(event, LoadRestated):
@@ -166,7 +166,7 @@ class Journal:
             "unfinished_tickets_of_crop": {crop: list(kept) for crop, kept in self.actions.unfinished_of_crop.items()},
         }
 
-    def _fault(self, code: str, active: bool, detail: str) -> None:
+    def _fault(self, code: str, detail: str, *, active: bool) -> None:
         if active is not (code in self._faults):
             self._new_faults.append((code, active, detail if active else ""))
             (self._faults.add if active else self._faults.discard)(code)
@@ -176,7 +176,7 @@ class Journal:
         if not self._faults_known:
             self._faults_known = True
             for code in sorted(self._faults - {code.value for code in record.faults}):
-                self._fault(code, False, "")
+                self._fault(code, "", active=False)
 
 
 def _sweep_row(sweep: SweepEnded, time_s: float) -> SweepRecord:
