@@ -231,3 +231,14 @@ def test_any_other_error_of_these_kinds_is_a_defect(verb_named_probe, raised):
     verb_named_probe(f"raise {raised}")
     with pytest.raises((RuntimeError, ImportError)):
         cli.main(["probe-it"])
+
+
+@pytest.mark.parametrize("verb", sorted(cli.find_verbs()))
+def test_an_example_of_the_help_is_a_line_of_its_own(capsys, monkeypatch, verb):
+    """Copied from a terminal of any width it is the command that is meant: no word of it is broken, and none is on the next line."""
+    monkeypatch.setenv("COLUMNS", "40")
+    with pytest.raises(SystemExit):
+        cli.main([verb, "--help"])
+    _, example, commands = capsys.readouterr().out.partition("\nexample: ")
+    assert example
+    assert all(line.strip().startswith("yieldmon ") for line in commands.rstrip().split("\n"))

@@ -15,6 +15,7 @@ import re
 import shlex
 import signal
 import sys
+import textwrap
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -56,6 +57,29 @@ _FUNCTION = re.compile(r"^def (\w+)\(", re.M)
 #: A library that the loader finds and cannot load.
 _UNMAPPED = re.compile(r"[^\n]*(?:failed to map segment|cannot allocate memory)[^\n]*", re.I)
 _DOCSTRING = re.compile(r'r?"""\s*([^\n"]+)')
+
+
+_EXAMPLE = "example: "
+
+
+class _Help(argparse.HelpFormatter):
+    """Lines end between words alone, and each example is a line: a command that is copied from help stays one."""
+
+    def _split_lines(self, text: str, width: int) -> list[str]:
+        return textwrap.wrap(" ".join(text.split()), width, break_on_hyphens=False)
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        words = " ".join(text.split())
+        if words.startswith(_EXAMPLE):
+            return f"{indent}{_EXAMPLE}" + f"\n{indent}{' ' * len(_EXAMPLE)}".join(words.removeprefix(_EXAMPLE).split("; "))
+        return textwrap.fill(words, width, initial_indent=indent, subsequent_indent=indent, break_on_hyphens=False)
+
+
+class _Parser(argparse.ArgumentParser):
+    """A verb's, and those of its actions."""
+
+    def __init__(self, **given: Any) -> None:
+        super().__init__(**{"formatter_class": _Help, **given})
 
 
 @dataclass(frozen=True)
@@ -100,7 +124,7 @@ def build_parser(verbs: dict[str, Verb], chosen: Verb | None) -> tuple[argparse.
     made: list[argparse.ArgumentParser] = []
 
     def parser_of_verb(**given: Any) -> argparse.ArgumentParser:
-        return made.pop() if made else argparse.ArgumentParser(**given)
+        return made.pop() if made else _Parser(**given)
 
     parser_class = cast("type[argparse.ArgumentParser]", parser_of_verb)
     subparsers = parser.add_subparsers(dest="verb", metavar="VERB", required=True, parser_class=parser_class)
