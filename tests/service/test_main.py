@@ -235,7 +235,7 @@ def test_any_other_error_of_these_kinds_is_a_defect(verb_named_probe, raised):
 
 @pytest.mark.parametrize("verb", sorted(cli.find_verbs()))
 def test_an_example_of_the_help_is_a_line_of_its_own(capsys, monkeypatch, verb):
-    """Copied from a terminal of any width it is the command that is meant: no word of it is broken, and none is on the next line."""
+    """Copied from a terminal of any width it is the command that is meant, whole."""
     monkeypatch.setenv("COLUMNS", "40")
     with pytest.raises(SystemExit):
         cli.main([verb, "--help"])
