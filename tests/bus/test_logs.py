@@ -24,6 +24,7 @@ from yieldmon.bus.loading import iter_blocks
 from yieldmon.bus.log_notes import LogNotes
 from yieldmon.bus.log_writing import writing
 from yieldmon.bus.logs import read_log
+from yieldmon.cli import main as cli
 from yieldmon.errors import InputError
 
 FORMATS = [
@@ -452,3 +453,34 @@ def test_a_database_whose_data_are_no_bytes_is_read_as_far_as_they_are(tmp_path:
     [told] = [str(note) for note in damage]
     assert told.startswith(f"{path}: frame 7")
     assert "its data are no bytes" in told
+
+
+@pytest.mark.parametrize(
+    ("name", "mend"),
+    [
+        ("drive.log.xz", "`unxz drive.log.xz` first"),
+        ("drive.zip", "`unzip drive.zip` first"),
+        ("drive.txt", "give it the ending of its format, .log for candump's lines"),
+        ("drive.mdf", "give it the ending .mf4 if it is MDF 4"),
+    ],
+)
+def test_a_file_of_another_ending_is_told_what_to_do(tmp_path: Path, name: str, mend: str, capsys) -> None:
+    (tmp_path / name).write_bytes(b"any")
+    assert cli.main(["process", str(tmp_path / name), "--out", str(tmp_path / "o.csv")]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "unknown log format; expected one of .log" in line
+    assert f"; {mend}" in line
+
+
+def test_an_mdf_of_version_3_is_named(tmp_path: Path, capsys) -> None:
+    path = tmp_path / "signals.mf4"
+    path.write_bytes(b"MDF     3.30    amdf    ".ljust(200, b"\0"))
+    assert cli.main(["process", str(path), "--out", str(tmp_path / "o.csv")]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "MDF of version 3.30, which holds signals and no frames" in line
+
+
+def test_an_asc_without_a_header_keeps_its_first_frame(tmp_path: Path) -> None:
+    path = tmp_path / "bare.asc"
+    path.write_text("   0.500000 1  8FF1081x  Rx   d 2 0A FF\n   0.504000 1  123  Rx   d 1 07\n")
+    assert [(m.arbitration_id, bytes(m.data)) for m in read_log(path)] == [(0x8FF1081, b"\x0a\xff"), (0x123, b"\x07")]

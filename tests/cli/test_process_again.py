@@ -13,7 +13,8 @@ from pathlib import Path
 import can
 import pytest
 
-from tests.service.bench import CODEC, START_S, ZERO_MV, traffic
+from tests.service.bench import CODEC, EMPTY_MV, GRAIN_MV, START_S, ZERO_MV, traffic
+from tests.service.bench import messages as messages_of
 from yieldmon.cli.main import main
 from yieldmon.files import parameter_file
 from yieldmon.frames import OperatingState
@@ -241,3 +242,23 @@ def test_what_is_called_db_and_is_neither_log_nor_store_is_not_called_one(capsys
     (tmp_path / "day.db").write_bytes(content)
     assert main(["process", str(tmp_path / "day.db"), "--out", str(tmp_path / "o.csv"), *options]) == 2
     assert said in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_mass_that_two_recorders_contest_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Ten seconds of a harvest that a log has twice: their mass is in no total."""
+    frames = [*messages_of(START_S, 14, EMPTY_MV), *messages_of(START_S + 14, 26, GRAIN_MV)]
+    again = [message for message in frames if 20.0 <= message.timestamp - START_S < 30.0]
+    masses = {}
+    for name, sent in (("once", frames), ("twice", sorted(frames + again, key=lambda message: message.timestamp))):
+        log = tmp_path / f"{name}.log"
+        lines = (f"({m.timestamp:.6f}) can0 {m.arbitration_id:08X}#{m.data.hex()}\n" for m in sent)
+        log.write_text("".join(lines))
+        words = ["process", str(log), "--out", str(tmp_path / f"{name}.csv")]
+        assert main([*words, "--json"]) == 0
+        document = json.loads(capsys.readouterr().out)
+        masses[name] = document["total_mass_kg"], document.get("contested_kg", 0.0)
+        assert main([*words, "--force"]) == 0
+        assert ("contested: " in capsys.readouterr().err) == (name == "twice")
+    (once, nothing), (counted, contested) = masses["once"], masses["twice"]
+    assert nothing == 0.0 < contested
+    assert counted + contested == pytest.approx(once, rel=0.01)

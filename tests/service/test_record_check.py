@@ -72,3 +72,13 @@ def test_it_is_reported_where_there_is_something_to_say(document, begins):
     lines = record_lines(document)
     assert len(lines) == len(begins)
     assert all(line.startswith(begin) for line, begin in zip(lines, begins, strict=True))
+
+
+def test_grain_before_the_first_zero_is_counted_and_said():
+    check = RecordCheck(12.0)
+    for number, (pulse_mv, zero_mv) in enumerate(((5.0, None), (300.0, None), (310.0, None), (12.0, None), (300.0, 500.0)), 1):
+        row = replace(second(number, time_s=float(number)), **WHOLE)
+        check.take(replace(row, pulse_mv=pulse_mv, zero_mv=zero_mv))
+    assert check.before_zero == 2
+    (line,) = record_lines({"before_zero_s": check.before_zero})
+    assert line == "before the first zero: 2 s of grain have no mass; --zero-mv gives a known zero"

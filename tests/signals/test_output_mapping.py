@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import random
+import re
 import struct
 from pathlib import Path
 
@@ -215,6 +216,17 @@ def test_a_counter_counts_the_frames_that_carry_it(dbc: Path) -> None:
     count = OutputBinding("here", "frame_counter", "d.dbc", "Drive", "Mode")
     found = sent(outputs(dbc, angle, count), *([70.0, NOT_AVAILABLE] * 20))
     assert [data[4] for data in found] == [k % 16 for k in range(20)]
+
+
+def test_a_counter_begins_anew_where_the_range_of_the_dbc_ends(dbc: Path) -> None:
+    """As AUTOSAR's profile 1, which has fifteen values in four bits."""
+    lines = dbc.read_text().splitlines()
+    place = next(number for number, line in enumerate(lines) if line.strip().startswith("SG_ Mode"))
+    lines[place] = re.sub(r"\[[^]]*\]", "[0|14]", lines[place])
+    dbc.write_text("\n".join(lines) + "\n")
+    angle = OutputBinding("here", "plate_target_angle", "d.dbc", "Drive", "Position")
+    count = OutputBinding("here", "frame_counter", "d.dbc", "Drive", "Mode")
+    assert [data[4] for data in sent(outputs(dbc, angle, count), *([70.0] * 20))] == [k % 15 for k in range(20)]
 
 
 @pytest.mark.parametrize(

@@ -27,6 +27,23 @@ PACKED_SUFFIX = ".parquet"
 SUFFIXES = (*TEXT_SUFFIXES, *BINARY_SUFFIXES, PACKED_SUFFIX)
 
 
+_MENDS = {
+    ".bz2": "`bunzip2 {}` first",
+    ".xz": "`unxz {}` first",
+    ".zst": "`unzstd {}` first",
+    ".lz4": "`unlz4 {}` first",
+    ".zip": "`unzip {}` first",
+    ".7z": "`7z x {}` first",
+    ".txt": "give it the ending of its format, .log for candump's lines",
+    ".dump": "give it the ending of its format, .log for candump's lines",
+    ".dat": "log the bus as MF4, BLF or ASC; MDF 3 holds no frames",
+    ".mdf": "give it the ending .mf4 if it is MDF 4; MDF 3 holds no frames",
+    ".sqlite": "give it the ending .db if it is python-can's",
+    ".sqlite3": "give it the ending .db if it is python-can's",
+}
+"""What to do with a file of another ending, which is {}."""
+
+
 def read_log(path: Path | str, notes: LogNotes | None = None) -> Iterator[can.Message]:
     r"""A log's frames in the order of the file, error and remote frames included.
 
@@ -99,7 +116,9 @@ def log_format(path: Path) -> tuple[str, bool]:
     compressed = suffixes[-1:] == [".gz"]
     suffix = (suffixes[-2:-1] if compressed else suffixes[-1:]) or [""]
     if suffix[0] not in SUFFIXES or (compressed and suffix[0] == PACKED_SUFFIX):
-        raise InputError(str(path), "unknown log format", f"one of {' '.join(SUFFIXES)}, each but the last also with .gz behind")
+        known = f"one of {' '.join(SUFFIXES)}, each but the last also with .gz behind"
+        mend = _MENDS.get(suffix[0])
+        raise InputError(str(path), "unknown log format", f"{known}; {mend.format(path.name)}" if mend else known)
     return suffix[0], compressed
 
 

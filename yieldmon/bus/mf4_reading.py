@@ -26,6 +26,7 @@ _FRAME, _PROBLEM, _END = b"f", b"p", b"e"
 _HEAD = struct.Struct("<dIHiBB")
 """Of a frame: time, identifier, flags, channel (-1: none), length code, bytes of data."""
 _LENGTH = struct.Struct("<H")
+_IDENTIFICATION_BYTES = 16
 _FLAGS = (
     "is_extended_id", "is_remote_frame", "is_error_frame", "is_rx", "is_fd", "bitrate_switch", "error_state_indicator",
 )  # fmt: skip
@@ -37,6 +38,7 @@ class Mf4Log:
     def __init__(self, path: Path) -> None:
         """Raises ModuleNotFoundError where asammdf is not installed."""
         mf4.require()
+        _refuse_older(path)
         self._limit_s = _READING_S + _READING_S_PER_MB * path.stat().st_size / 1e6
         # -P: no module of the folder where the user happens to be.
         command = [sys.executable, "-P", "-m", "yieldmon.bus.mf4_reading", str(path.absolute()), str(self._limit_s)]
@@ -69,6 +71,15 @@ class Mf4Log:
         if code == -signal.SIGPROF:
             return f"takes more than {self._limit_s:.3g} s of processor time"
         return f"its reader ended with {code}"
+
+
+def _refuse_older(path: Path) -> None:
+    """Raises ValueError for a file of an older version, which has no frames of a bus."""
+    with path.open("rb") as stream:
+        head = stream.read(_IDENTIFICATION_BYTES)
+    version = head[8:12].decode("ascii", errors="replace").strip()
+    if head[:3] == b"MDF" and version[:1] in ("1", "2", "3"):
+        raise ValueError(f"MDF of version {version}, which holds signals and no frames; log the bus as MF4, BLF or ASC")
 
 
 def _exactly(stream: IO[bytes], count: int) -> bytes:

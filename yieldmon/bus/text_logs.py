@@ -19,7 +19,7 @@ from yieldmon.bus.loggers import canedge, kvaser, savvycan
 from yieldmon.bus.loggers.busmaster import Busmaster, begins
 from yieldmon.bus.loggers.fields import Parser
 from yieldmon.bus.loggers.peak import Trace
-from yieldmon.bus.loggers.vector import Times, unread
+from yieldmon.bus.loggers.vector import Times, is_frame, unread
 from yieldmon.errors import InputError
 
 #: By their ending; candump's is the first.
@@ -59,6 +59,9 @@ def read_stream(stream: io.BufferedReader, path: Path, suffix: str, notes: LogNo
             return _read_csv(lines, notes)
         case _:
             lines.rewritten, lines.unread = Times(), unread
+            if is_frame(stream.peek(_LONGEST_START_BYTES)[:_LONGEST_START_BYTES]):
+                # python-can takes the first line for one of the header.
+                lines.resume_with = _RESUME_LINE[suffix]
             return _read_with_python_can(lines, suffix)
 
 

@@ -240,7 +240,7 @@ def _one_record(
     progress: Progress | None,
     zero_mv: float | None,
 ) -> ProcessSummary:
-    factory, check = FactoryComparison(), RecordCheck()
+    factory, check = FactoryComparison(), RecordCheck(loaded.engine.zero.first_pulse_limit_mv)
     with open_table(out, f".{kind}" if kind else None) as table:
 
         def take(row: SecondRow) -> None:
@@ -256,6 +256,8 @@ def _one_record(
     }  # fmt: skip
     if check.frames_lost_share:
         document["frames_lost_share"] = check.frames_lost_share
+    if check.before_zero and document["zero_known"]:
+        document["before_zero_s"] = check.before_zero
     if factory.document is not None:
         document["factory"] = factory.document
     return document

@@ -54,4 +54,6 @@ class ProcessSummary(Harvested):
     overlap_kg: NotRequired[float]
     missing: NotRequired[dict[str, float]]
     frames_lost_share: NotRequired[float]
+    contested_kg: NotRequired[float]
+    before_zero_s: NotRequired[int]
     factory: NotRequired[FactoryComparisonSummary]

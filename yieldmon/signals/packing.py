@@ -36,7 +36,7 @@ class Packing:
         if value is None or not math.isfinite(value):
             return self.not_available
         if self.counts:
-            return int(value) % (largest_raw(self.bits) + 1)
+            return int(value) % min(largest_raw(self.bits) + 1, self.bits.turns_at)
         if self.codes is not None:
             return dict(self.codes).get(int(value), self.not_available)
         if not self.low <= value <= self.high:

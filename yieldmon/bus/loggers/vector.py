@@ -26,6 +26,11 @@ def unread(line: str) -> str | None:
     return f"{text[:60]!r} is no frame as .asc has it"
 
 
+def is_frame(start: bytes) -> bool:
+    """Whether a file that starts so begins with a frame, without a header."""
+    return _FRAME.match(start.decode("ascii", errors="replace").lstrip()) is not None
+
+
 class Times:
     """Called with each line in order, gives it with a time from the beginning.
 

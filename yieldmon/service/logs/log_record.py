@@ -77,7 +77,7 @@ def measure(
 def document(summary: Summary, monitor: Monitor) -> ProcessSummary:
     """The record in short, as `process --json` prints it."""
     totals, land = monitor.totals, harvested(monitor.totals)
-    return {
+    found: ProcessSummary = {
         "frames": summary.frames,
         "frames_of_ours": summary.ours,
         "frames_malformed": summary.malformed,
@@ -93,3 +93,6 @@ def document(summary: Summary, monitor: Monitor) -> ProcessSummary:
         "damages": summary.damages,
         "zero_known": monitor.snapshot().zero is not None,
     }
+    if totals.total_contested_kg > 0.0:
+        found["contested_kg"] = totals.total_contested_kg
+    return found

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from math import inf
 
 from yieldmon.documents.process import ProcessSummary
 from yieldmon.engine.faults import FaultCode
@@ -22,9 +23,12 @@ _INPUTS = {
 
 @dataclass
 class RecordCheck:
-    """Counts over the seconds taken so far. seconds: those with samples; gaps: stretches without."""
+    """Counts over the seconds taken so far. pulse_limit_mv: larger pulses are grain before any zero is known. seconds: those with
+    samples; gaps: stretches without; before_zero: seconds of grain before the first zero, which have no mass."""
 
+    pulse_limit_mv: float = inf
     seconds: int = 0
+    before_zero: int = 0
     gaps: int = 0
     gap_s: float = 0.0
     overlap_s: float = 0.0
@@ -52,6 +56,7 @@ class RecordCheck:
         if silent:
             return
         self.seconds += 1
+        self.before_zero += row.zero_mv is None and row.pulse_mv is not None and row.pulse_mv > self.pulse_limit_mv
         self._frames_lost += FaultCode.FRAMES_LOST in (row.faults or "").split()
         for name in _INPUTS:
             # In stores and tables of version 0.1.0 such a second has the nominal speed.
@@ -79,6 +84,13 @@ def record_lines(document: ProcessSummary) -> list[str]:
             f"overlap: {document['overlap_s']:.0f} s with {document['overlap_kg']:.1f} kg lie before seconds that were read "
             "already; logs that overlap, or one twice, count their mass twice"
         )
+    if document.get("contested_kg"):
+        out.append(
+            f"contested: {document['contested_kg']:.1f} kg are in no total: more frames came than one node sends; two nodes or "
+            "channels send them, or the log has them twice"
+        )
+    if document.get("before_zero_s"):
+        out.append(f"before the first zero: {document['before_zero_s']} s of grain have no mass; --zero-mv gives a known zero")
     if document.get("missing"):
         shares = (f"{name} in {100.0 * share:.0f} % of the seconds" for name, share in document["missing"].items())
         out.append("missing: " + ", ".join(shares))
