@@ -406,3 +406,43 @@ def test_a_machine_without_a_ticket_that_can_be_used_does_not_stop_the_prior(
     said = capsys.readouterr().err
     assert "tickets of 2 machines for corn that can be used; left out: m3 d: " in said
     assert said.count("\n") == 1
+
+
+def test_a_ticket_that_no_other_bears_out_is_named_and_no_prior(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Of one machine with four tickets the third is ten times or twice too much."""
+    for machine in range(4):
+        for day in range(4):
+            folder = tmp_path / "tree" / f"m{machine}" / f"d{day}"
+            logs.write(folder / "a.log", 60.0 + 4.0 * machine + day)
+            (folder / "tickets.csv").write_text(f"load,weighed_kg\na.log,{20 + machine + 0.1 * day}\n")
+    dataset = str(tmp_path / "season")
+    assert measure(tmp_path / "tree", dataset, "--crop", "corn") == 0
+    assert main(["fleet", "prior", dataset, "--crop", "corn", "--json"]) == 0
+    right = json.loads(capsys.readouterr().out)
+    assert right["left_out"] == []
+    for times in (2, 4):
+        (tmp_path / "tree" / "m1" / "d2" / "tickets.csv").write_text(f"load,weighed_kg\na.log,{times * 21.2}\n")
+        assert measure(tmp_path / "tree", dataset, "--crop", "corn") == 0
+        capsys.readouterr()
+        assert main(["fleet", "prior", dataset, "--crop", "corn", "--json"]) == 0
+        found = json.loads(capsys.readouterr().out)
+        assert [reason.partition(" weighs")[0] for reason in found["left_out"]] == ["m1 d2: a.log"]
+        assert found["machines"]["m1"]["loads"] == 3
+        assert found["parameters"]["density"]["value"] == pytest.approx(right["parameters"]["density"]["value"], rel=0.01)
+        doubtful = [entry for entry in summarise(dataset)["doubtful"] if "ticket" in entry["problem"]]
+        assert [(entry["machine"], entry["day"]) for entry in doubtful] == [("m1", "d2")]
+        assert f"weighs {times * 21.2:.0f} kg, " in doubtful[0]["problem"]
+
+
+def test_tickets_of_days_without_a_crop_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for machine in range(3):
+        day = tmp_path / "tree" / f"m{machine}" / "d"
+        logs.write(day / "a.log", 60.0 + machine)
+        (day / "tickets.csv").write_text("load,weighed_kg\na.log,20\n")
+    dataset = str(tmp_path / "season")
+    assert measure(tmp_path / "tree", dataset) == 0
+    capsys.readouterr()
+    assert main(["fleet", "prior", dataset, "--crop", "corn"]) == 2
+    said = capsys.readouterr().err
+    assert "3 tickets are of days without a crop; expected at least 3, or `fleet run --crop`" in said
+    assert said.count("\n") == 1

@@ -7,10 +7,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.estimation.weighing.fleet_prior import LEAST_MACHINES, FleetPrior, MachineLoads, pooled
+from yieldmon.estimation.weighing.fleet_prior import LEAST_MACHINES, FleetPrior, MachineLoads, load_errors, pooled
 from yieldmon.estimation.weighing.load_inputs import WeighedLoad
+from yieldmon.estimation.weighing.unlike_others import unlike_the_others
 from yieldmon.files import machine_file
 from yieldmon.files.crops import crop
 from yieldmon.files.ticket_file import WeighedTicket
@@ -23,6 +26,9 @@ from yieldmon.service.logs import weighed_loads
 from yieldmon.service.storage.rows import SecondRow
 
 _DAYS = "SELECT machine, day, machine_document FROM provenance WHERE lower(crop) = lower(?) ORDER BY machine, day"
+_OF_NO_CROP = (
+    "SELECT count(*) AS count FROM loads JOIN provenance USING (machine, day) WHERE kind = 'ticket' AND coalesce(crop, '') = ''"
+)
 _TICKETS = "SELECT * FROM loads WHERE kind = 'ticket' AND machine = ? AND day = ? ORDER BY first_number"
 _LOGS = f"SELECT name, first_number, last_number FROM loads WHERE kind = '{tables.LOG}' AND machine = ? AND day = ? ORDER BY 2"
 _RECORDS = "SELECT * FROM {} WHERE number BETWEEN ? AND ? ORDER BY number"
@@ -60,10 +66,12 @@ def crop_prior(address: str, name: str) -> CropPrior:
     start = crop(name).parameters()
     with opened(address) as query:
         machines, left_out = _machines(query, name, start)
+        of_no_crop = query.rows(_OF_NO_CROP)[0]["count"]
     if len(machines) < LEAST_MACHINES:
-        raise InputError(
-            address, f"has tickets of {len(machines)} machines for {name}{_others(left_out)}", f"at least {LEAST_MACHINES}"
-        )
+        without = f"; {of_no_crop} tickets are of days without a crop" if of_no_crop else ""
+        mend = ", or `fleet run --crop`, for days without one" if of_no_crop else ""
+        found_no = f"has tickets of {len(machines)} machines for {name}{without}{_others(left_out)}"
+        raise InputError(address, found_no, f"at least {LEAST_MACHINES}{mend}")
     try:
         found = pooled(start, machines)
     except ValueError as error:
@@ -85,7 +93,7 @@ def _others(left_out: Sequence[str]) -> str:
 
 
 def _machines(query: Query, name: str, start: ParameterSet) -> tuple[list[MachineLoads], list[str]]:
-    loads: dict[str, list[WeighedLoad]] = {}
+    loads: dict[str, list[tuple[str, WeighedLoad]]] = {}
     models: dict[str, ForwardModel] = {}
     left_out = []
     contents = contents_of(query)
@@ -108,8 +116,29 @@ def _machines(query: Query, name: str, start: ParameterSet) -> tuple[list[Machin
             except InputError as error:
                 left_out.append(str(error))
             else:
-                loads.setdefault(day["machine"], []).append(found)
-    return [MachineLoads(name, models[name], tuple(weighed)) for name, weighed in loads.items()], left_out
+                loads.setdefault(day["machine"], []).append((here, found))
+    machines = []
+    for of, weighed in loads.items():
+        kept, unlike = _alike(models[of], start, weighed)
+        machines.append(MachineLoads(of, models[of], tuple(kept)))
+        left_out += unlike
+    return machines, left_out
+
+
+def _alike(
+    model: ForwardModel, start: ParameterSet, weighed: Sequence[tuple[str, WeighedLoad]]
+) -> tuple[list[WeighedLoad], list[str]]:
+    """The loads of one machine without those that none of its others bears out, and lines on these."""
+    loads = [load for _, load in weighed]
+    errors = load_errors(model, start, loads)
+    unlike = unlike_the_others(errors)
+    usual = float(np.exp(np.median(errors[~unlike]))) if unlike.any() else 1.0
+    lines = [
+        f"{here} weighs {load.weighed_kg:.0f} kg, {usual / np.exp(error):.3g} times what the machine's other tickets say of it"
+        for (here, load), error, one in zip(weighed, errors, unlike, strict=True)
+        if one
+    ]
+    return [load for load, one in zip(loads, unlike, strict=True) if not one], lines
 
 
 _Weighed = tuple[tuple[str, ...], int, int, float]

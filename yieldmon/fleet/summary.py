@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from math import sqrt
 from typing import Any
 
+import numpy as np
+
 from yieldmon.engine.faults import FaultCode
 from yieldmon.errors import InputError
+from yieldmon.estimation.weighing.unlike_others import unlike_the_others
 from yieldmon.fleet import tables
 from yieldmon.fleet.names import LATEST_DATE_S, in_order, off_by_days
 from yieldmon.fleet.overlaps import Overlap, overlaps
@@ -61,8 +65,9 @@ def summarise(address: str) -> dict[str, Any]:
     -------
     dict
         totals; machines, by name; days, by machine and day; tickets; failed and poisoned; doubtful: damaged logs, days without a
-        zero, clocks that contradict a day's name, logs that are there twice, and logs of a machine that overlap in time or hold
-        the same samples at other times. Masses are without what is there twice; counted_again_kg is what that is.
+        zero, clocks that contradict a day's name, tickets that a machine's others contradict, logs that are there twice, and logs
+        of a machine that overlap in time or hold the same samples at other times. Masses are without what is there twice;
+        counted_again_kg is what that is.
 
     Raises
     ------
@@ -82,6 +87,7 @@ def summarise(address: str) -> dict[str, Any]:
         overlapping = overlaps(query, places)
         measured_kg = {(row["machine"], row["day"], row["name"]): row["measured_kg"] for row in query.rows(_LOG_MASSES)}
     doubtful, repeated = _doubtful(days, overlapping.pairs, samples_of(query), address)
+    doubtful += _unlike_tickets(tickets)
     _leave_out(days, {**overlapping.again_kg, **{log: measured_kg.get(log) or 0.0 for log in repeated}})
     by_day: dict[tuple[str, str], dict[str, int]] = {}
     for row in faults:
@@ -233,6 +239,25 @@ def _errors(rows: Rows) -> dict[str, Any]:
         "rms_error_pct": sqrt(sum(error * error for error in errors) / len(errors)),
         "worst_error_pct": max(errors, key=abs),
     }
+
+
+def _unlike_tickets(tickets: Rows) -> Rows:
+    """Tickets that none of the machine's others bears out."""
+    found: Rows = []
+    for rows in _by_machine(tickets).values():
+        ratios = np.array([row["measured_kg"] / row["weighed_kg"] for row in rows])
+        with np.errstate(divide="ignore"):
+            unlike = unlike_the_others(np.log(ratios))
+        usual = float(np.median(ratios[~unlike]))
+        for row, ratio in zip(itertools.compress(rows, unlike), ratios[unlike], strict=True):
+            times = (
+                f"{usual / ratio:.3g} times what the machine's other tickets say of it"
+                if ratio > 0
+                else "and nothing was measured"
+            )
+            problem = f"the ticket of {row['name']} weighs {row['weighed_kg']:.0f} kg, {times}"
+            found.append({"machine": row["machine"], "day": row["day"], "problem": problem})
+    return found
 
 
 def _poisoned(query: Query) -> Rows:
