@@ -11,7 +11,8 @@ NO_ROOM = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 """What only writing can meet, and a write's error does not name its file."""
 OF_THE_MEDIUM = NO_ROOM | {errno.EROFS, errno.EACCES, errno.EPERM}
 """What a place that is to be written to answers until somebody sees to it."""
-_OF_THE_COMPUTER = NO_ROOM | {errno.EROFS, errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EAGAIN, errno.ESTALE, errno.ETIMEDOUT}
+_OF_THE_NETWORK = {errno.EHOSTUNREACH, errno.ENETUNREACH, errno.EHOSTDOWN, errno.ENOTCONN, errno.ESTALE, errno.ETIMEDOUT}
+_OF_THE_COMPUTER = NO_ROOM | _OF_THE_NETWORK | {errno.EROFS, errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EAGAIN}
 _LONGEST_PART = 500
 """Characters of a problem that are shown; a value may be a whole file."""
 _LONGEST_PLACE = 1000

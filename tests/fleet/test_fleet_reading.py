@@ -352,6 +352,41 @@ def test_a_storage_that_fails_is_one_line_with_its_address(
     assert main(["fleet", "report", f"{bucket}/other"]) == 0
 
 
+@pytest.mark.parametrize("commits", [0, 2])
+def test_a_storage_that_goes_away_leaves_its_days_to_the_next_run(
+    commits: int, season: Path, bucket: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What cannot be reached is told in exceptions of the storage's own library, which are no errors of the system."""
+    import botocore.exceptions
+    import s3fs
+
+    for path in (season / "tree").rglob("a.log"):
+        s3fs.S3FileSystem().put_file(str(path), f"fleet/farm{commits}/logs/{path.relative_to(season / 'tree').as_posix()}")
+    committed = 0
+    real = s3fs.S3FileSystem._call_s3  # noqa: SLF001
+
+    async def gone(self: object, method: str, *words: object, **named: object) -> object:
+        nonlocal committed
+        if commits <= committed:
+            raise botocore.exceptions.EndpointConnectionError(endpoint_url="http://farm:9000")
+        answer = await real(self, method, *words, **named)
+        committed += method == "put_object" and str(named.get("Key", "")).endswith(MARK)
+        return answer
+
+    words = ["fleet", "run", f"{bucket}/farm{commits}/logs", "--out", f"{bucket}/farm{commits}/season", "--workers", "0"]
+    with monkeypatch.context() as patched:
+        patched.setattr(s3fs.S3FileSystem, "_call_s3", gone)
+        assert main(words) == 1
+    said = capsys.readouterr().err
+    assert committed == commits
+    assert "Traceback" not in said
+    assert said.splitlines()[-1].startswith(f"yieldmon: {words[2]}, {words[4]}: EndpointConnectionError: ")
+    s3fs.S3FileSystem.clear_instance_cache()
+    assert main([*words, "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert (document["done"], document["skipped"], document["failed"]) == (4 - commits, commits, 0)
+
+
 def test_prior_from_the_tickets_of_a_dataset(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for number, weighed in enumerate((20.0, 21.0, 22.0)):
         day = tmp_path / "tree" / f"m{number}" / "d"

@@ -16,7 +16,7 @@ from itertools import groupby
 from typing import Any
 
 from yieldmon.errors import of_the_computer
-from yieldmon.fleet.filesystem import filesystem_of
+from yieldmon.fleet.filesystem import filesystem_of, storage_failures
 from yieldmon.fleet.manifest import Partition
 
 _HEAD_BYTES = 4096
@@ -59,7 +59,8 @@ def with_copies(partitions: tuple[Partition, ...]) -> tuple[Partition, ...]:
 @contextmanager
 def _none_where_unreadable() -> Iterator[None]:
     try:
-        yield
+        with storage_failures():
+            yield
     except (OSError, zlib.error, EOFError) as error:
         if of_the_computer(error) is not None:
             raise

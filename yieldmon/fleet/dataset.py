@@ -173,7 +173,7 @@ class Dataset:
     @property
     def filesystem(self) -> Any:
         """Of fsspec; None for files of this machine."""
-        return None if self._local else self._files
+        return None if self._local else self._files.raw
 
     def place_of(self, name: str | None) -> str | None:
         """A file that could not be written, as a person knows it: the dataset for what is under way. Writing does not always name
