@@ -415,6 +415,18 @@ def test_a_daemon_that_ends_and_comes_back(browser: Browser, tmp_path: Path) -> 
             watched.wait(f"{TEXT}.includes('harvesting') && !document.body.classList.contains('stale')")
 
 
+def test_a_ticket_without_a_connection_is_told_in_words(browser: Browser, daemon: StandIn, site: str) -> None:
+    with Watched(browser) as watched:
+        watched.page.goto(site)
+        watched.wait(f"{TEXT}.includes('harvesting')")
+        watched.page.get_by_role("button", name="Ticket", exact=True).click()
+        watched.page.fill("dialog[open] [name=mass]", "9120")
+        watched.page.context.set_offline(True)
+        watched.page.get_by_role("button", name="Correct the loads").click()
+        watched.wait(f"{TEXT}.includes('No connection to the monitor: whether this arrived is not known')")
+        watched.page.context.set_offline(False)
+
+
 AHEAD_MS = 5500
 
 

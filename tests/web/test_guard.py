@@ -116,6 +116,15 @@ def test_what_the_daemon_says_is_in_its_units(tmp_path: Path, clock: Clock, unit
         assert (refusal.status_code, refusal.json()["error"]) == (409, f"sweep-start: the load {said}")
 
 
+def test_a_refusal_names_the_pages_buttons(daemon: StandIn, clock: Clock) -> None:
+    daemon.refuses = "no load is open; expected one that `yieldmon load start` began"
+    refusal = client(daemon, clock).post("/api/command", json={"command": "sweep-start"})
+    assert refusal.json()["error"] == "sweep-start: no load is open; expected one that New load began"
+    daemon.refuses = "there is grain; expected the elevator running empty; --force if it does"
+    refusal = client(daemon, clock).post("/api/command", json={"command": "zero"})
+    assert refusal.json()["error"].endswith("; if it does: `yieldmon zero --force` on the monitor's computer")
+
+
 @pytest.mark.parametrize(
     ("headers", "status"),
     [

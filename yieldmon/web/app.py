@@ -216,7 +216,7 @@ class _Page:
         try:
             answer = await self._feed.ask(commands.request_of(document, status["load"]["number"]))
         except (InputError, ControlError) as error:
-            return _error(409, units.in_text(str(error)))
+            return _error(409, commands.with_buttons(units.in_text(str(error))))
         return _json(in_units(answer, units))
 
     async def sign_in(self, request: Request) -> Response:

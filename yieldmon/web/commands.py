@@ -22,6 +22,28 @@ ALLOWED: Mapping[str, frozenset[str]] = {
 #: Commands that a page shows with a load's number, which it sends along: it may have changed since.
 _ABOUT_A_LOAD = frozenset({"load-start", "load-stop"})
 
+#: What a refusal says of the command line -> the page's button.
+_BUTTONS: Mapping[str, str] = {
+    "; --force if it does": "; if it does: `yieldmon zero --force` on the monitor's computer",
+    "`yieldmon load start`": "New load",
+    "`yieldmon load stop`": "End load",
+    "`yieldmon zero --undo`": "Undo zero",
+    "`yieldmon zero`": "Zero",
+    "zero --undo:": "Undo zero:",
+    "load stop:": "End load:",
+}
+
+
+def with_buttons(refusal: str) -> str:
+    """A refusal of the daemon in the words of the page, which has buttons where the command line has verbs.
+
+    >>> with_buttons("load stop: no load is open; expected one that `yieldmon load start` began")
+    'End load: no load is open; expected one that New load began'
+    """
+    for words, button in _BUTTONS.items():
+        refusal = refusal.replace(words, button)
+    return refusal
+
 
 def request_of(document: object, load_number: int | None) -> dict[str, Any]:
     """The daemon's request from a page's.

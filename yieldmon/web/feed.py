@@ -180,7 +180,7 @@ class Feed:
                 self.store = Path(status["store"]["file"])
             self._append([_row(window) for window in status["windows"]])
         except ControlError as error:
-            self._state = {"problem": str(error)}
+            self._state = {"problem": str(error).removeprefix(f"{self._daemon}: ")}
             return None
         except (AttributeError, KeyError, TypeError, ValueError) as error:
             self._state = {"problem": f"the daemon is of another version than this page: {error!r}"}

@@ -1,7 +1,16 @@
 // What both pages share: asking, numbers, tables. Text from the store or the daemon goes in as text, never as markup.
 
+// What the browser calls "Failed to fetch", or "Load failed".
+async function reach(path, options, said = "No connection to the monitor.") {
+  try {
+    return await fetch(path, options);
+  } catch {
+    throw new Error(said);
+  }
+}
+
 export async function getJson(path) {
-  const answer = await fetch(path);
+  const answer = await reach(path);
   if (answer.status === 401) location.assign("/sign-in");
   const document = await answer.json();
   if (!answer.ok) throw new Error(document.error ?? `status ${answer.status}`);
@@ -9,7 +18,7 @@ export async function getJson(path) {
 }
 
 export async function getPoints(query) {
-  const answer = await fetch(`/api/points?${new URLSearchParams(query)}`);
+  const answer = await reach(`/api/points?${new URLSearchParams(query)}`);
   if (!answer.ok) throw new Error((await answer.json()).error ?? `status ${answer.status}`);
   const buffer = await answer.arrayBuffer();
   const [count, last] = new Uint32Array(buffer, 0, 2);
@@ -22,9 +31,9 @@ export async function getPoints(query) {
 }
 
 export async function command(request) {
-  const answer = await fetch("/api/command", {
-    method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(request),
-  });
+  const options = { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(request) };
+  const lost = "No connection to the monitor: whether this arrived is not known. See History before you send it again.";
+  const answer = await reach("/api/command", options, lost);
   const document = await answer.json();
   if (!answer.ok) throw new Error(document.error ?? `status ${answer.status}`);
   return document;
