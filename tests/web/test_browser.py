@@ -420,7 +420,8 @@ def test_a_ticket_without_a_connection_is_told_in_words(browser: Browser, daemon
         watched.page.goto(site)
         watched.wait(f"{TEXT}.includes('harvesting')")
         watched.page.get_by_role("button", name="Ticket", exact=True).click()
-        watched.page.fill("dialog[open] [name=mass]", "9120")
+        for name, value in (("first_load", "1"), ("last_load", "1"), ("mass", "9120")):
+            watched.page.fill(f"dialog[open] [name={name}]", value)
         watched.page.context.set_offline(True)
         watched.page.get_by_role("button", name="Correct the loads").click()
         watched.wait(f"{TEXT}.includes('No connection to the monitor: whether this arrived is not known')")

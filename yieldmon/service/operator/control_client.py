@@ -65,9 +65,7 @@ def ask(path: Path, request: Mapping[str, Any], timeout_s: float = 10.0) -> dict
                 if monotonic() > end_s:
                     raise TimeoutError("timed out")
     except (FileNotFoundError, ConnectionRefusedError) as error:
-        raise ControlError(
-            f"{path}: no daemon answers there; is the service running? `systemctl status yieldmon` says"
-        ) from error
+        raise ControlError(f"{path}: no daemon answers there; is the service running? (`systemctl status yieldmon`)") from error
     except PermissionError as error:
         raise ControlError(f"{path}: {reason(error)}; expected sudo, or a user of the group that status.group names") from error
     except TimeoutError as error:
