@@ -214,6 +214,29 @@ def test_a_weighed_mass_shows_what_all_loads_of_the_scale_are_off_by(restart: bo
     assert loads.totals.total_budget.parameters_kg == pytest.approx(10.0)
 
 
+def test_a_scale_that_a_ticket_showed_to_be_off_is_doubted_again_by_another_once_that_ticket_is_taken_back() -> None:
+    loads = Loads(EngineSettings())
+    harvest(loads, 60)
+    loads.scale_is_off(0.1, by_load=1)
+    loads.scale_is_set()
+    loads.scale_is_off(0.1, by_load=2)
+    assert loads.totals.load_budget.parameters_kg == pytest.approx(60.0), "of the scale that was set nothing is measured yet"
+    loads.scale_was_right({1})
+    assert loads.totals.load_budget.parameters_kg == pytest.approx(3.0)
+    loads.scale_is_off(0.2, by_load=2)
+    assert loads.totals.load_budget.parameters_kg == pytest.approx(120.0)
+
+
+def test_totals_that_were_kept_know_nothing_of_what_was_measured_before_them() -> None:
+    loads = Loads(EngineSettings())
+    harvest(loads, 60)
+    (state,) = loads.closed_states
+    assert (state.shared is not None, state.of_scale_kg) == (True, pytest.approx(600.0))
+    loads.restore(loads.totals)
+    (state,) = loads.closed_states
+    assert (state.shared, state.of_scale_kg, state.off_kg) == (None, 0.0, ())
+
+
 def test_a_budget_that_is_not_known_stays_so() -> None:
     loads = Loads(EngineSettings())
     unknown = replace(FLOW, budget=FlowBudget(nan, nan, covariance_kg_s=nan, per_error_kg_s=0.0))
