@@ -30,6 +30,7 @@ TURNING, STANDING = (SETTINGS.gate.min_turning_rpm * share * RPM for share in (1
 STABLE, FAULT = float(ScaleStatus.STABLE.value), float(ScaleStatus.FAULT.value)
 HELD_S = SETTINGS.inputs.sensor_timeout_s
 NONE_MISSING = ", no frame missing: if it lasts, is rate_hz right?"
+TENTH_UNUSABLE = "; of those that came 10 % are not available or beyond what the sensor can give"
 
 
 def harvest(**of: Any) -> Reading:
@@ -126,6 +127,15 @@ CASES: dict[str, tuple[Callable[[], dict[FaultCode, str]], dict[FaultCode, str]]
         {F.FRAMES_LOST: "0 lost, 9 too many; two nodes send plate angle and tank mass"}),
     "whole enough": (lambda: covered(FULL), {}),
     "not whole": (lambda: covered(nextafter(FULL, 0.0)), {F.FRAMES_LOST: "samples for 98 % of the second" + NONE_MISSING}),
+    "not whole, since samples are not available": (
+        lambda: covered(0.5, samples=900), {F.FRAMES_LOST: "samples for 50 % of the second" + TENTH_UNUSABLE}),
+    "hardly any of them": (
+        lambda: covered(0.5, samples=995), {F.FRAMES_LOST: "samples for 50 % of the second" + NONE_MISSING}),
+    "lost by a counter for which the samples leave no room": (
+        lambda: seen(harvest(lost_frames=5)),
+        {F.FRAMES_LOST: "5 lost, 0 too many; samples cover the second all the same: they come in bursts, or the mapping's "
+         "counter counts otherwise"}),
+    "lost with room": (lambda: seen(harvest(lost_frames=5, covered_s=0.98)), {F.FRAMES_LOST: "5 lost, 0 too many"}),
     "not measured at all": (lambda: covered(0.0), {}),
     "the sensor began": (lambda: seen(replace(harvest(covered_s=0.5), sampled_before=False)), {}),
     "it ended": (lambda: covered(0.5, last_frame_s=7.0 - nextafter(HELD_S, 1.0)), {}),

@@ -271,3 +271,37 @@ def test_values_beyond_the_range_of_the_dbc_are_told(rpm: float, told: bool, tmp
         if told
         else []
     )
+
+
+@pytest.mark.parametrize(
+    ("raw", "bound", "told"), [(1100, "", False), (65535, "", True), (65535, ", not_available: [65535]", False)]
+)
+def test_a_largest_raw_value_is_asked_about(raw: int, bound: str, told: bool, tmp_path: Path) -> None:
+    """In a DBC that is not J1939's nothing else says that it means no value."""
+    load(tmp_path)
+    config = configuration.load(_with(tmp_path / "c.yaml", "signal: Turns", f"signal: Turns{bound}"))
+    shaft = [(100.0 + 0.1 * k, 258, struct.pack("<H", raw if k % 2 else 800)) for k in range(40)]
+    seen, _ = seen_in(config, log_of(tmp_path, *shaft))
+    found = [text for text in remarks(config, seen) if "largest raw value" in text]
+    assert found == (
+        [
+            "elevator_speed comes with Turns at its largest raw value, 65535, which is 32767.5 rpm: where that means no value, "
+            "not_available: [65535]"
+        ]
+        if told
+        else []
+    )
+
+
+def test_frames_that_are_shorter_than_the_dbc_says_are_named(tmp_path: Path) -> None:
+    config = load(tmp_path)
+    cell = [(100.0 + 0.004 * k, 257, b"\x0a\x00\x14") for k in range(250)]
+    log = log_of(tmp_path, *cell, *((100.0 + 0.1 * k, 258, struct.pack("<H", 800)) for k in range(10)))
+    seen, _ = seen_in(config, log)
+    (problem,) = [problem for where, problem, _ in problems(config, seen, str(log)) if where.endswith(": impact")]
+    assert problem == "no frame of it: its frames have 3 bytes, the DBC gives it 4"
+
+
+def _with(path: Path, old: str, new: str) -> Path:
+    path.write_text(path.read_text().replace(old, new))
+    return path

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum, StrEnum
-from math import isfinite
+from math import ceil, isfinite
 from typing import TYPE_CHECKING, NamedTuple
 
 from yieldmon.frames import ScaleStatus
@@ -129,6 +129,7 @@ def _saturated_detail(o: Observation) -> str:
     )
 
 
+_UNUSABLE = 0.01
 _MANY_LOST, _ROOM_FOR_LOST = 5, 0.25
 """Frames in a second, and the share of them for which its samples leave room."""
 
@@ -147,12 +148,22 @@ def _frames_lost_detail(o: Observation) -> str:
     rivals = f"; two nodes send {' and '.join(disputed)}" if disputed else ""
     if o.window.lost_frames == 0 and o.window.surplus_frames == 0 and not rivals:
         # By the counters none is missing: as many as the counters have room for are, or the times are not those of the samples.
-        return f"samples for {100.0 * o.window.coverage:.0f} % of the second, no frame missing: if it lasts, is rate_hz right?"
+        covered = f"samples for {100.0 * o.window.coverage:.0f} % of the second"
+        if unusable := _unusable_share(o):
+            return f"{covered}; of those that came {100.0 * unusable:.0f} % are not available or beyond what the sensor can give"
+        return f"{covered}, no frame missing: if it lasts, is rate_hz right?"
     if o.window.lost_frames == 0 and not rivals:
         rivals = ": a second sender, or more samples per second than rate_hz says"
     if not rivals and _counted_otherwise(o):
         rivals = "; samples cover the second all the same: they come in bursts, or the mapping's counter counts otherwise"
     return f"{o.window.lost_frames} lost, {o.window.surplus_frames} too many{rivals}"
+
+
+def _unusable_share(o: Observation) -> float:
+    """Of the samples that came; 0 below a hundredth."""
+    sent = o.window.frames * ceil(o.window.samples / max(o.window.frames, 1))
+    share = 1.0 - o.window.samples / sent if sent else 0.0
+    return share if share >= _UNUSABLE else 0.0
 
 
 def _counted_otherwise(o: Observation) -> bool:

@@ -46,6 +46,7 @@ _OFTEN = 3
 """Once or twice a recording may begin anew."""
 _MOSTLY = 0.5
 """Of the seconds of a recording."""
+_SHORTEST_BITS = 8
 _IMPACT_SIGNAL = re.compile(r"impact(\d+)\.\d+")
 _FORCES_N = np.geomspace(5.0, 500.0, 24)
 
@@ -316,11 +317,17 @@ def _range_remarks(configuration: Configuration, seen: dict[str, QuantitySeen]) 
             number = _IMPACT_SIGNAL.fullmatch(signal)
             name = signal if number is None else _impact_name(int(number[1]))
             entry, bits = seen.get(name), extraction.bits
-            named = bits.turns_at < 1 << bits.bits and signal not in counted and extraction.codes is None and not extraction.over
-            if entry is None or entry.decoded is None or not named:
+            number_of = bits.kind == "uint" and signal not in counted and extraction.codes is None and not extraction.over
+            if entry is None or entry.decoded is None or entry.unit == "" or not number_of:
                 continue
+            largest = (1 << bits.bits) - 1
             raws = sorted((end - extraction.offset) / extraction.scale for end in entry.decoded)
-            if raws[1] > bits.turns_at - 0.5:
+            if raws[1] > largest - 0.5 and bits.bits >= _SHORTEST_BITS:
+                found[name] = (
+                    f"{name} comes with {bits.name} at its largest raw value, {largest}, which is {entry.decoded[1]:.6g} "
+                    f"{entry.unit}: where that means no value, not_available: [{largest}]"
+                )
+            elif raws[1] > bits.turns_at - 0.5:
                 last = (bits.turns_at - 1) * extraction.scale + extraction.offset
                 found[name] = (
                     f"{name} goes from {entry.decoded[0]:.6g} to {entry.decoded[1]:.6g} {entry.unit}, beyond {last:.6g} where "

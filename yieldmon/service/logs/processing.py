@@ -121,14 +121,14 @@ def process_logs(
 
 def refuse_nothing(paths: Sequence[Path | str], summary: Summary) -> None:
     """Raises InputError when there was nothing in all the logs that the engine could take, or nothing to weigh."""
+    wrong = f", {summary.malformed} of wrong length" if summary.malformed else ""
+    wrong += f", {summary.incomplete} messages lack a frame" if summary.incomplete else ""
     if not summary.ours:
         found = f"none of {summary.frames} frames is one that yieldmon takes in" if summary.frames else "no frame at all"
-        wrong = f", {summary.malformed} of wrong length" if summary.malformed else ""
-        wrong += f", {summary.incomplete} messages lack a frame" if summary.incomplete else ""
         raise InputError(", ".join(map(str, paths)), found + wrong, "a log with sensor, speed and plate frames")
     if not summary.samples:
         where = ", ".join(map(str, paths))
-        problem = f"no impact sensor: none of {summary.frames} frames brings its samples"
+        problem = f"no impact sensor: none of {summary.frames} frames brings its samples{wrong}"
         raise InputError(where, problem, "`signals` in the configuration; `yieldmon signals LOG` lists what there is")
 
 

@@ -12,6 +12,7 @@ from yieldmon.bus.log_notes import LogNotes
 from yieldmon.identifiers import ADDRESS_CLAIM, EXTENDED_FLAG, GROUP_MASK, LARGEST_EXTENDED_ID, LARGEST_STANDARD_ID, group_of
 from yieldmon.network.addresses import AddressTable
 from yieldmon.network.name import Name, NameMatch
+from yieldmon.signals.decoding import match_of
 from yieldmon.signals.mapping import Group
 
 _CLAIM, _CLAIM_MASK = EXTENDED_FLAG | ADDRESS_CLAIM, EXTENDED_FLAG | GROUP_MASK
@@ -21,11 +22,13 @@ class Traffic:
     """Identifiers and address claims of a recording. Raises InputError for one that cannot be read."""
 
     def __init__(self, log: Path | str) -> None:
-        self._identifiers: set[int] = set()
+        self._longest: dict[int, int] = {}
         table = AddressTable()
         for block in iter_blocks(log, LogNotes()):
             data = (block.can_id & np.uint32(ERROR_FLAG | REMOTE_FLAG)) == 0
-            self._identifiers |= set(np.unique(block.can_id[data]).tolist())
+            for identifier in np.unique(block.can_id[data]).tolist():
+                length = int(block.length[data & (block.can_id == np.uint32(identifier))].max())
+                self._longest[identifier] = max(length, self._longest.get(identifier, 0))
             claims = data & ((block.can_id & np.uint32(_CLAIM_MASK)) == np.uint32(_CLAIM))
             for row in np.flatnonzero(claims & (block.length == 8)).tolist():
                 name = Name.of_bytes(int(block.payload[row]).to_bytes(8, "little"))
@@ -34,17 +37,20 @@ class Traffic:
 
     def instead_of(self, group: Group) -> str | None:
         """What comes in place of a group's frames; None where nothing like them does."""
-        message = group.message
+        message, match = group.message, match_of(group)
+        lengths = [length for identifier, length in self._longest.items() if identifier & match.mask == match.identity]
+        if lengths and not message.is_long and max(lengths) < message.length:
+            return f"its frames have {max(lengths)} bytes, the DBC gives it {message.length}"
         if not message.extended:
-            wide = message.frame_id | EXTENDED_FLAG in self._identifiers
+            wide = message.frame_id | EXTENDED_FLAG in self._longest
             return "it comes with a 29-bit identifier, the DBC gives it 11 bits" if wide else None
-        if message.frame_id <= LARGEST_STANDARD_ID and message.frame_id in self._identifiers:
+        if message.frame_id <= LARGEST_STANDARD_ID and message.frame_id in self._longest:
             return "it comes with an 11-bit identifier, the DBC gives it 29 bits"
         if isinstance(group.source, NameMatch):
             of_name = [address for address, name in self._holders if group.source.matches(name)]
             if len(of_name) != 1:
                 return f"nodes {_listed(of_name)} all fit that NAME" if of_name else "no node with that NAME claims an address"
-        wanted = {i & LARGEST_EXTENDED_ID for i in self._identifiers if i & EXTENDED_FLAG}
+        wanted = {i & LARGEST_EXTENDED_ID for i in self._longest if i & EXTENDED_FLAG}
         senders = sorted({identifier & 0xFF for identifier in wanted if group_of(identifier) == message.group})
         return f"it comes from {_listed(senders)} only" if senders else None
 
