@@ -232,3 +232,18 @@ def test_minutes_that_are_taken_as_seconds_are_named(quantity: str, capsys: pyte
     else:
         assert code == 2
         assert "can be no harvest: 960 values of flow_kg_s outside 0 to 300 are taken as unknown" in said
+
+
+def test_areas_across_the_date_line_are_parts_on_either_side(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("h.csv").write_text(text(rows(longitude=179.9997, latitude=-17.0)))
+    assert cli.main(["map", "h.csv", "--out", "made", "--products", "geopackage"]) == 0, capsys.readouterr().err
+    for layer in ("swaths", "grid"):
+        areas = geopandas.read_file("made/harvest.gpkg", layer=layer)
+        assert areas.is_valid.all()
+        parts = areas.explode().bounds
+        assert parts.minx.min() >= -180.0
+        assert parts.maxx.max() <= 180.0
+        assert (parts.maxx - parts.minx).max() < 0.001
+        assert len(parts) > len(areas)
+        ground_m2 = areas.to_crs("+proj=laea +lat_0=-17 +lon_0=180").area.sum()
+        assert ground_m2 == pytest.approx(AREA_M2, rel=0.01 if layer == "swaths" else 0.2)

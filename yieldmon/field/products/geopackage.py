@@ -56,4 +56,4 @@ def _write_grid(path: Path, result: HarvestMap, grid: Grid) -> None:
         "points": grid.points,
         "left_out_share": grid.left_out,
     }
-    vectors.write_layer(path, "grid", "GPKG", "MultiPolygon", blocks, columns, append=False)
+    vectors.write_layer(path, "grid", "GPKG", "MultiPolygon", vectors.parted(blocks), columns, append=False)

@@ -74,6 +74,26 @@ def in_degrees(shapes: Shapes, plane: Sites) -> Shapes:
         out[single] = shapely.multipolygons(out[single], indices=index[single])
     other = ~np.isin(shapely.get_type_id(out), (3, 6))
     out[other] = [_areas(shape) for shape in out[other]]
+    return parted(out)
+
+
+def parted(shapes: Shapes) -> Shapes:
+    """Areas in degrees, with those across the 180th meridian as a part on either side of it.
+
+    Examples
+    --------
+    >>> [part.bounds[::2] for part in parted(np.array([shapely.box(179.5, 0.0, 180.5, 1.0)]))[0].geoms]
+    [(179.5, 180.0), (-180.0, -179.5)]
+    """
+    west, _, east, _ = np.moveaxis(shapely.bounds(shapes), -1, 0)
+    with np.errstate(invalid="ignore"):
+        across = (east - west > 180.0) | (east > 180.0) | (west < -180.0)
+    out = shapes.copy()
+    for place in np.flatnonzero(across):
+        whole = shapely.transform(shapes[place], lambda places: np.column_stack((places[:, 0] % 360.0, places[:, 1])))
+        east_of, west_of = (shapely.intersection(whole, shapely.box(first, -90.0, first + 180.0, 90.0)) for first in (0.0, 180.0))
+        west_of = shapely.transform(west_of, lambda places: places - (360.0, 0.0))
+        out[place] = shapely.MultiPolygon([*_areas(east_of).geoms, *_areas(west_of).geoms])
     return out
 
 
