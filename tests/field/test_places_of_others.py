@@ -247,3 +247,40 @@ def test_areas_across_the_date_line_are_parts_on_either_side(capsys: pytest.Capt
         assert len(parts) > len(areas)
         ground_m2 = areas.to_crs("+proj=laea +lat_0=-17 +lon_0=180").area.sum()
         assert ground_m2 == pytest.approx(AREA_M2, rel=0.01 if layer == "swaths" else 0.2)
+
+
+def test_ground_is_where_grain_was_cut_also_without_a_header(capsys: pytest.CaptureFixture[str]) -> None:
+    """Raw flow, 12 s after the grain was cut, of passes with turns of 20 s; once with the header's state and once without."""
+    generator = np.random.default_rng(5)
+    patches = 0.8 + 0.2 * np.convolve(generator.normal(size=700), np.ones(25) / 5.0, "same")
+    turn_s, found = 20, {}
+    table, cut = [], []
+    for lane in range(16):
+        first = rows()[0]
+        for second in range(PASS_S + turn_s):
+            down = second < PASS_S
+            way = SPEED_M_S * second if down else SPEED_M_S * PASS_S + 15.0 * np.sin(np.pi * (second - PASS_S) / turn_s)
+            north = way if lane % 2 == 0 else SPEED_M_S * PASS_S - way
+            east = WIDTH_M * (lane + (0.0 if down else (second - PASS_S) / turn_s))
+            kg_s = patches[int(north) + 20 + 3 * lane] * SPEED_M_S * WIDTH_M
+            table.append(
+                {
+                    "time": first["time"] + len(table),
+                    "longitude": first["longitude"] + east / (111_320.0 * np.cos(np.radians(48.0))),
+                    "latitude": first["latitude"] + north / 111_195.0,
+                    "width_m": WIDTH_M,
+                    "header": "down" if down else "up",
+                }
+            )
+            cut.append(max(kg_s, 0.05) if down else 0.0)
+    flow = np.r_[np.zeros(12), cut[:-12]]
+    for said in (True, False):
+        told = [
+            {k: v for k, v in row.items() if said or k != "header"} | {"flow_kg_s": kg_s}
+            for row, kg_s in zip(table, flow, strict=True)
+        ]
+        found[said], _ = mapped(capsys, told, words=("--flow-delay", "12"))
+    assert found[True]["area_ha"] * 1e4 == pytest.approx(16 * PASS_S * SPEED_M_S * WIDTH_M, rel=0.02)
+    assert found[False]["area_ha"] == pytest.approx(found[True]["area_ha"], rel=0.003)
+    assert found[False]["mass_kg"]["kept"] == pytest.approx(found[True]["mass_kg"]["kept"], rel=0.003)
+    assert found[False]["yield_t_ha"] == pytest.approx(found[True]["yield_t_ha"], rel=0.003)

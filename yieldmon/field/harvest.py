@@ -18,7 +18,7 @@ from .pairs import Pairs, opposing_pairs
 from .placed import Placed, measured_mass_kg
 from .swath import HeaderPlace, Swaths, swaths
 from .table import Array, HarvestTable
-from .tracks import Tracks, tracks
+from .tracks import Tracks, cut_before_measured, tracks
 from .transport import Transport, assess, filtered
 from .units import crop
 
@@ -173,6 +173,7 @@ def make_map(table: HarvestTable, options: MapOptions, progress: Callable[[str],
             table = inverted(table, steps, transport)
             steps = tracks(table)
             machines = _machines(table, steps, pairs, options)
+    steps = cut_before_measured(steps, table, {machine.stream: machine.flow.value_s for machine in machines})
     factor, loads = correct(table, options.tickets)
     progress("ground")
     placed = placed_by_machine(table, steps, machines, factor if options.tickets else None)

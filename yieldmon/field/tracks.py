@@ -5,6 +5,7 @@ A step is one time of one machine. Where a source has a row for each section of 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -178,8 +179,6 @@ def tracks(table: HarvestTable) -> Tracks:
     header = mean(table["header_down"])
     driving = np.nan_to_num(speed) > MIN_SPEED_M_S
     down = np.where(np.isfinite(header), header > 0, driving & (np.nan_to_num(flow) > 0)) & np.isfinite(step_x)
-    started = down & np.r_[True, ~down[:-1] | (np.diff(run) != 0)][:count]
-    pass_number = np.where(down, np.cumsum(started) - 1, -1)
     return Tracks(
         plane=plane,
         step_of_row=step_of_row,
@@ -197,9 +196,39 @@ def tracks(table: HarvestTable) -> Tracks:
         interval_s=interval_s,
         down=down,
         run=run,
-        pass_number=pass_number,
+        pass_number=_passes(down, run),
         usual_interval_s=_interval(step_time, step_stream),
     )
+
+
+def _passes(down: Flags, run: Index) -> Index:
+    """Number of the stretch with the header down of each step, -1 with it up."""
+    started = down & np.r_[True, ~down[:-1] | (np.diff(run) != 0)][: len(down)]
+    return np.where(down, np.cumsum(started) - 1, -1)
+
+
+def cut_before_measured(steps: Tracks, table: HarvestTable, delays_s: Mapping[int, float]) -> Tracks:
+    """The steps of which the source does not say whether the header was down, harvesting where their grain was measured later.
+
+    Parameters
+    ----------
+    steps : Tracks
+        Of the table; with the header down where there was flow at the same time.
+    table : HarvestTable
+    delays_s : mapping of int to float
+        Stream -> delay from cutting to the sensor; -1 for all.
+    """
+    said = np.zeros(len(steps), bool)
+    said[steps.step_of_row[np.isfinite(table["header_down"])]] = True
+    down = steps.down.copy()
+    for stream, delay_s in delays_s.items():
+        mine = np.flatnonzero(~said & ((steps.stream == stream) | (stream < 0)))
+        if abs(delay_s) < steps.usual_interval_s or not mine.size:
+            continue
+        later = steps.nearest(steps.time_s[mine] + delay_s, steps.stream[mine], 0.75 * steps.usual_interval_s)
+        grain = (later >= 0) & (np.nan_to_num(steps.flow_kg_s[later]) > 0)
+        down[mine] = grain & (np.nan_to_num(steps.speed_m_s[mine]) > MIN_SPEED_M_S) & np.isfinite(steps.x_m[mine])
+    return replace(steps, down=down, pass_number=_passes(down, steps.run))
 
 
 def _interval(time_s: Array, stream: Index) -> float:
