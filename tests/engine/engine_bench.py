@@ -13,11 +13,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from yieldmon import frames as bus
+from yieldmon.engine.flow_estimator import FlowEstimator
 from yieldmon.engine.health import FaultEvent
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.results import Result, events_in, frames_in, records_in
 from yieldmon.engine.runs import FrameRun, SampleRun, SignalRun
+from yieldmon.engine.self_calibration.calibrator_state import CalibratorState
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.estimation.open_loop import FlowEstimate, FlowStatus
 from yieldmon.estimation.parameters import ParameterSet
@@ -31,6 +33,22 @@ N_PER_KG_S = 4.0
 FULL_FLOW_KG_S = 30.0
 
 PARAMETERS = ParameterSet(values={"friction": 0.2, "density": 1100.0, "shape_ratio": 2.0, "restitution": 0.6})
+
+
+class NothingBetweenLessons:
+    """Of a `SelfCalibrator` for tests: between its lessons nothing drifts, and it keeps nothing over a restart."""
+
+    def drift_std_dev(self, record: WindowRecord, estimator: FlowEstimator) -> float:
+        return 0.0
+
+    def follow(self, record: WindowRecord, estimator: FlowEstimator) -> None:
+        return None
+
+    def snapshot(self, now_s: float, total_kg: float) -> None:
+        return None
+
+    def restore(self, state: CalibratorState, parameters: ParameterSet, total_kg: float) -> None:
+        raise AssertionError("nothing was kept")
 
 
 @dataclass

@@ -8,7 +8,17 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from engine_bench import MACHINE, Actuator, Bench, ForceProportional, Kept, feed, monitor, run_with_actuator
+from engine_bench import (
+    MACHINE,
+    Actuator,
+    Bench,
+    ForceProportional,
+    Kept,
+    NothingBetweenLessons,
+    feed,
+    monitor,
+    run_with_actuator,
+)
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -20,9 +30,7 @@ from yieldmon.engine.runs import run_of
 from yieldmon.engine.sampling.windows import WindowBuilder
 from yieldmon.engine.self_calibration.anchors import ReferenceMass
 from yieldmon.engine.self_calibration.calibrator import CalibrationOutcome
-from yieldmon.engine.self_calibration.calibrator_state import CalibratorState
 from yieldmon.engine.settings import EngineSettings, SweepSettings, WindowSettings
-from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.self_calibration.angle_error import NO_ERROR, AngleError
 from yieldmon.frames import ERROR, NOT_AVAILABLE, Frame, SweepState
 from yieldmon.physics.machine import RPM
@@ -32,7 +40,7 @@ BENCH = Bench(flow=lambda t: 10.0 if t > 1004 else 0.0, scatter=0.05)
 SWEEP_S = 60.0
 
 
-class Teacher:
+class Teacher(NothingBetweenLessons):
     """A calibrator that teaches an estimator of other uncertainty with each sweep."""
 
     def __init__(self) -> None:
@@ -52,18 +60,6 @@ class Teacher:
         self, record: WindowRecord, anchors: Sequence[ReferenceMass], estimator: FlowEstimator, model_error: AngleError = NO_ERROR
     ) -> CalibrationOutcome:
         return self.update([record], estimator)
-
-    def drift_std_dev(self, record: WindowRecord, estimator: FlowEstimator) -> float:
-        return 0.0
-
-    def follow(self, record: WindowRecord, estimator: FlowEstimator) -> None:
-        return None
-
-    def snapshot(self, now_s: float, total_kg: float) -> None:
-        return None
-
-    def restore(self, state: CalibratorState, parameters: ParameterSet, total_kg: float) -> None:
-        raise AssertionError("nothing was kept")
 
 
 @dataclass

@@ -7,7 +7,17 @@ from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import pytest
-from engine_bench import HOME_DEG, Actuator, Bench, ForceProportional, monitor, only, qualities, run_with_actuator
+from engine_bench import (
+    HOME_DEG,
+    Actuator,
+    Bench,
+    ForceProportional,
+    NothingBetweenLessons,
+    monitor,
+    only,
+    qualities,
+    run_with_actuator,
+)
 
 from yieldmon import frames as bus
 from yieldmon.engine.faults import FaultCode
@@ -16,10 +26,8 @@ from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.self_calibration.anchors import ReferenceMass
 from yieldmon.engine.self_calibration.calibrator import CalibrationOutcome
-from yieldmon.engine.self_calibration.calibrator_state import CalibratorState
 from yieldmon.engine.settings import EngineSettings, SweepSettings
 from yieldmon.engine.sweeps.sweep_inputs import SweepAbort
-from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.self_calibration.angle_error import NO_ERROR, AngleError
 from yieldmon.frames import EstimateQuality, Frame, SweepState
 from yieldmon.resources import shipped
@@ -33,7 +41,7 @@ SWEEP_S = 55.0
 
 
 @dataclass
-class Teacher:
+class Teacher(NothingBetweenLessons):
     """A calibrator that keeps what it was given and answers with a set outcome."""
 
     outcome: CalibrationOutcome
@@ -53,18 +61,6 @@ class Teacher:
         self, record: WindowRecord, anchors: Sequence[ReferenceMass], estimator: FlowEstimator, model_error: AngleError = NO_ERROR
     ) -> CalibrationOutcome:
         raise AssertionError("nothing was weighed")
-
-    def drift_std_dev(self, record: WindowRecord, estimator: FlowEstimator) -> float:
-        return 0.0
-
-    def follow(self, record: WindowRecord, estimator: FlowEstimator) -> None:
-        return None
-
-    def snapshot(self, now_s: float, total_kg: float) -> None:
-        return None
-
-    def restore(self, state: CalibratorState, parameters: ParameterSet, total_kg: float) -> None:
-        raise AssertionError("nothing was kept")
 
 
 def sweep_states(out: list[Frame]) -> list[SweepState]:

@@ -120,15 +120,8 @@ def build(content: Any, path: Path, environment: Mapping[str, str] = os.environ)
         document = Document.model_validate(content)
     except ValidationError as error:
         raise ConfigurationError(problems_of(error, str(path))) from error
-    machine_path = _beside(path, document.machine_file, machine_file.DEFAULT)
-    parameter_path = _beside(path, document.parameter_file, parameter_file.DEFAULT)
-    machine = _named(path, "machine_file", machine_file.load, machine_path)
-    curve_path = path.parent / document.estimator_file if document.estimator_file is not None else None
-    curve = _named(path, "estimator_file", flow_curve_file.load, curve_path) if curve_path is not None else None
-    named = document.moisture_map_file
-    moisture_map = _named(path, "moisture_map_file", moisture_file.load, path.parent / named) if named is not None else None
-    shape_path = _beside(path, document.pulse_shape_file, pulse_shape_file.SHIPPED)
-    shape = _named(path, "pulse_shape_file", pulse_shape_file.load, shape_path)
+    named = _named_files(document, path)
+    machine, curve = named.machine, named.curve
     asked = (document.signals, path, machine, document.plate.fixed_angle_deg)
     try:
         mapping, databases = signal_map(*asked)
@@ -145,34 +138,68 @@ def build(content: Any, path: Path, environment: Mapping[str, str] = os.environ)
     store_path = answer_or(lambda: where_sqlite_writes(named_path), lambda: named_path)
     socket_path = runtime / document.status.socket
     prometheus_path = runtime / prometheus if prometheus is not None else None
-    also_read = [path.parent / name for name in (document.estimator_file, named) if name is not None]
-    read = (path, machine_path, parameter_path, shape_path, *also_read, *databases, *written)
+    read = (path, *named.paths, *databases, *written)
     conflicts = file_conflicts(store_path, socket_path, prometheus_path, read)
     problems = [InputError(f"{path}: {key}", *rest) for key, *rest in (*contradictions(document, machine), *conflicts)]
     if problems:
         raise ConfigurationError(problems)
     machine = _with_fixed_plate(machine, document.plate.fixed_angle_deg)
-    parameters = _named(path, "parameter_file", _in_newtons, parameter_path)
+    parameters = _named(path, "parameter_file", _in_newtons, named.parameter_path)
     if curve is not None:
         parameters = with_curve(parameters, curve)
-        check_curve_angle(curve, machine, str(curve_path))
+        check_curve_angle(curve, machine, str(named.curve_path))
     return Configuration(
         path=path,
         document=document,
-        engine=_with_shape(_fitted(engine_settings(document), document, mapping), shape),
+        engine=_with_shape(_fitted(engine_settings(document), document, mapping), named.shape),
         signals=mapping,
         outputs=outputs,
         database_paths=tuple(dict.fromkeys((*databases, *written))),
-        calibrator=calibrator_settings(document, moisture_map) if document.learning.enabled and curve is None else None,
+        calibrator=calibrator_settings(document, named.moisture_map) if document.learning.enabled and curve is None else None,
         machine=machine,
-        machine_path=machine_path,
+        machine_path=named.machine_path,
         parameters=parameters,
-        parameter_path=parameter_path,
+        parameter_path=named.parameter_path,
         store_path=store_path,
         retention=Retention(document.store.record_hours, document.store.size_mb, document.store.event_rows),
         socket_path=socket_path,
         prometheus_path=prometheus_path,
-        notes=(*renamed, *([] if curve is None else [_on_curve(curve, Path(str(curve_path)))])),
+        notes=(*renamed, *([] if curve is None else [_on_curve(curve, Path(str(named.curve_path)))])),
+    )
+
+
+@dataclass(frozen=True)
+class _NamedFiles:
+    """Files that a configuration names, but for the parameters and databases. paths: of those and the parameters."""
+
+    machine: Machine
+    machine_path: Path
+    parameter_path: Path
+    curve: FlowCurve | None
+    curve_path: Path | None
+    moisture_map: MoistureMap | None
+    shape: ArrivalLaw
+    paths: tuple[Path, ...]
+
+
+def _named_files(document: Document, path: Path) -> _NamedFiles:
+    """Raises InputError for the first that cannot be used."""
+    machine_path = _beside(path, document.machine_file, machine_file.DEFAULT)
+    parameter_path = _beside(path, document.parameter_file, parameter_file.DEFAULT)
+    curve_path, moisture_path = (
+        None if name is None else path.parent / name for name in (document.estimator_file, document.moisture_map_file)
+    )
+    shape_path = _beside(path, document.pulse_shape_file, pulse_shape_file.SHIPPED)
+    paths = (machine_path, parameter_path, shape_path, curve_path, moisture_path)
+    return _NamedFiles(
+        machine=_named(path, "machine_file", machine_file.load, machine_path),
+        machine_path=machine_path,
+        parameter_path=parameter_path,
+        curve=None if curve_path is None else _named(path, "estimator_file", flow_curve_file.load, curve_path),
+        curve_path=curve_path,
+        moisture_map=None if moisture_path is None else _named(path, "moisture_map_file", moisture_file.load, moisture_path),
+        shape=_named(path, "pulse_shape_file", pulse_shape_file.load, shape_path),
+        paths=tuple(read for read in paths if read is not None),
     )
 
 
