@@ -149,7 +149,7 @@ class Totals(Section):
         "true: grain drier than that counts as more than its wet mass; false: as its wet mass",
     )
     new_load: Literal["switch", "tank_scale", "command"] = choice(
-        _T.new_load, "what else begins a load: input unloading (switch), tank mass fallen to half (tank_scale), nothing (command)"
+        _T.new_load, "what else begins a load: input unloading (switch), stable tank mass at half (tank_scale), nothing (command)"
     )
     unloading_s: float = quantity(
         _T.unloading_s, 1.0, 600.0, "s", "shorter unloading ends no load; without any for this long it is over"
