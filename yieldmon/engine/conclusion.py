@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import isfinite, nan
+from typing import NamedTuple
 
 from yieldmon.engine.faults import FAULTS, FaultCode, Observation, Severity
 from yieldmon.engine.flow import Circumstances, Estimate, Flow, away_from_home
@@ -17,41 +17,37 @@ from yieldmon.engine.measurement import Reading
 from yieldmon.engine.parts import Parts
 from yieldmon.engine.publishing import Published
 from yieldmon.engine.quick import maker_of
-from yieldmon.engine.records import Second, record_of
+from yieldmon.engine.records import Second, WindowRecord, record_of
 from yieldmon.engine.results import Event, Result, WindowResult, ZeroTaken
 from yieldmon.engine.sampling.since_zero import KeptSecond
 from yieldmon.engine.self_calibration.learning import ParametersChanged
 from yieldmon.engine.self_calibration.scale_alarm import ScaleCheck
 from yieldmon.engine.sweeps.sweep_inputs import SweepWindow, support_start_s
-from yieldmon.engine.waveform.waveform_reading import NOTHING, WaveformReading
+from yieldmon.engine.waveform.later_samples import LaterSamples
+from yieldmon.engine.waveform.waveform_reading import NOTHING
 from yieldmon.estimation.self_calibration.angle_error import AngleError
 from yieldmon.frames import OperatingState
 
 _result = maker_of(WindowResult)
 
 
-@dataclass(slots=True)
-class _Samples:
-    """A window whose samples are looked at after its frames are made. flow: by mean force. seen: None until then."""
+class _Measured(NamedTuple):
+    """What a window brought. flow: with what its samples show; by_mean_force: by the force alone."""
 
-    second: Second
+    by_mean_force: Flow
     flow: Flow
-    estimator: FlowEstimator
-    seen: WaveformReading | None = None
+    mass_kg: float
+    area_m2: float
 
 
 class Conclusion:
-    """Concludes windows in order, and counts them. publishing: make the frames that publish a window.
-
-    What a window's samples hold beside their mean takes longer than all the rest. It corrects the flows of the windows after it,
-    so that this window's frames need not wait for it. waveform_later: it is looked at in `completed` and not at once.
-    """
+    """Concludes windows in order, and counts them. publishing: make the frames that publish a window. waveform_later: what a
+    window's samples hold beside their mean is looked at in `completed` and not at once."""
 
     def __init__(self, parts: Parts, *, waveform_later: bool) -> None:
         self._parts = parts
+        self._samples = None if parts.waveform is None else LaterSamples(parts.waveform)
         self._waveform_later = waveform_later
-        self._samples: deque[_Samples] = deque()
-        """Of the windows that `completed` has not had yet."""
         self.windows = 0
         self.publishing = True
         self._zero_mv = nan
@@ -66,12 +62,40 @@ class Conclusion:
     def conclude(self, reading: Reading, estimate: Estimate | None) -> WindowResult:
         """The window's result. estimate: None where there is no flow."""
         parts, window = self._parts, reading.window
-        for earlier in self._samples:
-            self._look(earlier)
+        if self._samples is not None:
+            self._samples.look()
         learning, loads, sweep, bus_s = parts.learning, parts.loads, parts.plate.sweep, parts.clock.bus_time(window.end_s)
         self.windows += 1
         learning.grow_older(window.end_s - window.start_s)
         estimator = learning.estimator
+        measured = self._measured(reading, estimate, estimator)
+        # As the sweep before has measured the force, so that what is known of it ends none.
+        step = sweep.window(self._sweep_window(reading, measured.by_mean_force))
+        shown = parts.faults.observe_all(conditions(self._observation(reading, measured.flow)), bus_s)
+        second = self._second(bus_s, reading, measured, step)
+        record = record_of(second)
+        self._keep_since_zero(record)
+        learnt = self._learn(window.end_s, record, estimator)
+        ended = parts.plate.ended(learning.last_update, learning.estimator.parameters.version)
+        zero: tuple[Event, ...] = (ZeroTaken(bus_s, record.zero_mv),) if reading.zero_taken else ()
+        begun, self.begun_with = self.begun_with, ()
+        frames = parts.publisher.frames(record, self._published()) if self.publishing else ()
+        emptied = parts.unloading.emptied(reading.inputs, window.end_s - window.start_s) and loads.totals.load_kg > 0.0
+        started = loads.start(bus_s) if emptied else ()
+        result: WindowResult = _result(record, frames, (*begun, *zero, *shown, *learnt, *ended, *started), NOTHING)
+        if self._samples is None:
+            return result
+        self._samples.add(second, measured.by_mean_force, estimator)
+        return result if self._waveform_later else self._samples.complete(result)
+
+    def completed(self, results: Sequence[Result]) -> list[Result]:
+        """The last results handed out, their windows' samples looked at; see `Monitor.completed`."""
+        return list(results) if self._samples is None else self._samples.completed(results)
+
+    def _measured(self, reading: Reading, estimate: Estimate | None, estimator: FlowEstimator) -> _Measured:
+        """Flow, mass and area of the window; the mass is in its load and in the totals."""
+        parts, window = self._parts, reading.window
+        learning, loads = parts.learning, parts.loads
         by_mean_force = self._by_mean_force(reading, estimate, estimator)
         flow = self._corrected(away_from_home(by_mean_force, reading, learning.model_error), window.end_s, estimator)
         area_m2 = parts.area.second(window.end_s, window.weight_s, reading.inputs, grain_comes=flow.measured)
@@ -80,60 +104,31 @@ class Conclusion:
         self._weigh(reading, flow, mass_kg)
         angle_rad = window.plate_angle_rad if isfinite(window.plate_angle_rad) else parts.machine.home_plate_angle_rad
         loads.share(mass_kg, flow, estimator.parameters.version, angle_rad, learning.load_error)
-        # As the sweep before has measured the force, so that what is known of it ends none.
-        step = sweep.window(self._sweep_window(reading, by_mean_force))
-        shown = parts.faults.observe_all(conditions(self._observation(reading, flow)), bus_s)
-        published = parts.flow_meter.published(flow, plate_rests_at_home=reading.still and reading.at_home)
-        second = self._second(bus_s, reading, published, (mass_kg, area_m2), step)
-        record = record_of(second)
-        if parts.measurement.zero.before is not None:
+        return _Measured(by_mean_force, flow, mass_kg, area_m2)
+
+    def _keep_since_zero(self, record: WindowRecord) -> None:
+        """Keep the second for an undo of the operator's zero, where there is one."""
+        if self._parts.measurement.zero.before is not None:
             kept = KeptSecond.of(record)
             zero_mv = self._zero_mv if isfinite(self._zero_mv) else kept.zero_mv
-            number = kept.load_number if loads.totals.load_open else NO_LOAD
-            parts.since_zero.add((replace(kept, zero_mv=zero_mv, load_number=number),))
+            number = kept.load_number if self._parts.loads.totals.load_open else NO_LOAD
+            self._parts.since_zero.add((replace(kept, zero_mv=zero_mv, load_number=number),))
         self._zero_mv = record.zero_mv
-        believed = learning.load_error, learning.scale_alarm.state.contradiction
+
+    def _learn(self, end_s: float, record: WindowRecord, estimator: FlowEstimator) -> tuple[Event, ...]:
+        """What the window teaches, and the loads that are known otherwise for it."""
+        parts, learning, sweep = self._parts, self._parts.learning, self._parts.plate.sweep
+        waveform, believed = parts.waveform, (learning.load_error, learning.scale_alarm.state.contradiction)
         channels = None
-        if parts.waveform is not None and parts.settings.sweep.when == "information":
-            channels = parts.waveform.channels(window.end_s, estimator)
-        learnt = learning.learn(window.end_s, record, sweep, channels)
+        if waveform is not None and parts.settings.sweep.when == "information":
+            channels = waveform.channels(end_s, estimator)
+        learnt = learning.learn(end_s, record, sweep, channels)
         restated = self._restate(*believed, learnt)
         self._hold_moisture(learnt)
-        if parts.waveform is not None and not (sweep.driving or learnt):
-            lesson = parts.waveform.lessons.take()
+        if waveform is not None and not (sweep.driving or learnt):
+            lesson = waveform.lessons.take()
             learnt = learning.hear(lesson, record) if lesson is not None else ()
-        ended = parts.plate.ended(learning.last_update, learning.estimator.parameters.version)
-        zero: tuple[Event, ...] = (ZeroTaken(bus_s, record.zero_mv),) if reading.zero_taken else ()
-        begun, self.begun_with = self.begun_with, ()
-        frames = parts.publisher.frames(record, self._published()) if self.publishing else ()
-        emptied = parts.unloading.emptied(reading.inputs, window.end_s - window.start_s) and loads.totals.load_kg > 0.0
-        started = loads.start(bus_s) if emptied else ()
-        result: WindowResult = _result(record, frames, (*begun, *zero, *shown, *learnt, *restated, *ended, *started), NOTHING)
-        if parts.waveform is None:
-            return result
-        self._samples.append(_Samples(second, by_mean_force, estimator))
-        return result if self._waveform_later else self._complete(result)
-
-    def completed(self, results: Sequence[Result]) -> list[Result]:
-        """The last results handed out, their windows' samples looked at; see `Monitor.completed`."""
-        windows = sum(isinstance(result, WindowResult) for result in results)
-        while len(self._samples) > windows:
-            self._look(self._samples.popleft())
-        if not self._samples:
-            return list(results)
-        return [self._complete(result) if isinstance(result, WindowResult) else result for result in results]
-
-    def _complete(self, result: WindowResult) -> WindowResult:
-        samples = self._samples.popleft()
-        seen = self._look(samples)
-        completed: WindowResult = _result(record_of(samples.second._replace(waveform=seen)), result.frames, result.events, seen)
-        return completed
-
-    def _look(self, samples: _Samples) -> WaveformReading:
-        if samples.seen is None:
-            assert self._parts.waveform is not None, "samples are kept where they are looked at only"
-            samples.seen = self._parts.waveform.see(samples.second.reading, samples.flow, samples.estimator)
-        return samples.seen
+        return (*learnt, *restated)
 
     def _by_mean_force(self, reading: Reading, estimate: Estimate | None, estimator: FlowEstimator) -> Flow:
         parts = self._parts
@@ -217,7 +212,7 @@ class Conclusion:
         support_s = support_start_s(window, self._parts.machine, settings.max_ramp_s)
         return SweepWindow.of(window, support_s, flow.rate_kg_s, flow.force_n, whole, reading.still)
 
-    def _second(self, bus_s: float, reading: Reading, flow: Flow, harvested: tuple[float, float], sweep_step: int) -> Second:
+    def _second(self, bus_s: float, reading: Reading, measured: _Measured, sweep_step: int) -> Second:
         """All of a window but what its samples hold beside their mean."""
         parts, counts = self._parts, sweep_step >= 0
         active, sweep = parts.faults.active, parts.plate.sweep
@@ -225,9 +220,9 @@ class Conclusion:
             bus_s=bus_s,
             number=self.windows,
             reading=reading,
-            flow=flow,
-            mass_kg=harvested[0],
-            area_m2=harvested[1],
+            flow=parts.flow_meter.published(measured.flow, plate_rests_at_home=reading.still and reading.at_home),
+            mass_kg=measured.mass_kg,
+            area_m2=measured.area_m2,
             totals=parts.loads.totals,
             operating_state=_operating_state(reading, active, sweeping=sweep.driving),
             faults=active,
