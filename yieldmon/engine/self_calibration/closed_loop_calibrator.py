@@ -102,9 +102,9 @@ class ClosedLoopCalibrator:
         used = self._in_use(estimator)
         self._lineage.weighed(used)
         self._masses.model_error = model_error
-        at = self._at(record)
-        drifting, step = self._knowledge.now(used, at)
         found = self._masses.new(anchors, self._model, self._spans(used))
+        at = self._weighed_at(self._at(record), used, [reference.end_s for reference, _ in found])
+        drifting, step = self._knowledge.now(used, at)
         stated = self._knowledge.stated(used, Carried(drifting, step), at.total_kg)
         checks = self._masses.checks(
             found,
@@ -141,7 +141,7 @@ class ClosedLoopCalibrator:
             facts = {**used.provenance, **found_set.provenance, SCALE: WEIGHED}
             outcome = replace(outcome, parameter_set=replace(found_set, provenance=facts))
         self.last = outcome
-        taken = self._taken(outcome, Carried(drifting, step), used, at)
+        taken = self._taken(outcome, Carried(drifting, step), used, at, now_s=record.time_s)
         self._masses.handed_over(anchors)
         return replace(taken, reason=f"{taken.reason}; {doubt}" if doubt else taken.reason, weighed=True, checks=checks)
 
@@ -233,6 +233,13 @@ class ClosedLoopCalibrator:
         moisture_pct = record.moisture_pct if self._settings.moisture_map is not None else nan
         return Instant(record.time_s, record.total_kg, moisture_pct)
 
+    def _weighed_at(self, now: Instant, used: ParameterSet, ends_s: Sequence[float]) -> Instant:
+        """When masses say what they say: once their grain had passed, not when they were told, as after a night; but not before
+        what is known already."""
+        self._knowledge.now(used, now)
+        last_s = max((end_s for end_s in ends_s if isfinite(end_s)), default=now.time_s)
+        return now._replace(time_s=min(max(last_s, self._knowledge.since_s), now.time_s))
+
     def _in_use(self, estimator: FlowEstimator) -> ParameterSet:
         """The parameters in use; with other effects than those before, another model explains them."""
         used = estimator.parameters
@@ -242,16 +249,16 @@ class ClosedLoopCalibrator:
         return used
 
     def _taken(
-        self, outcome: Outcome, came: Carried, used: ParameterSet, at: Instant, *, sweep_alone: bool = False
+        self, outcome: Outcome, came: Carried, used: ParameterSet, at: Instant, *, sweep_alone: bool = False, now_s: float = nan
     ) -> CalibrationOutcome:
-        """The new parameters; came: the prior that the outcome began with."""
+        """The new parameters; came: the prior that the outcome began with. now_s: where they hold since an earlier time."""
         prior = Carried(*aligned(*came, outcome.parameter_set)) if outcome.updated else came
         before = prior.drifting.parameters
         if not outcome.updated and before.values == self._knowledge.patterned(used).values:
             return CalibrationOutcome(None, outcome.reason, identifiable=False)
         begun_s = self._knowledge.since_s
         known = self._knowledge.take(outcome, used, at, came, prior)
-        self._replaced(used, at.time_s, known)
+        self._replaced(used, now_s if isfinite(now_s) else at.time_s, known)
         if known.effects != self._model.effects:
             self._model = self._model.with_effects(known.effects)
         return CalibrationOutcome(
