@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from yieldmon.cli import main as cli
+from yieldmon.field.mixed import machines_apart
 
 from .synthetic import EARTH_M_DEG
 
@@ -166,3 +167,9 @@ def test_a_receiver_that_leaps_to_and_fro_is_one_machine(capsys: pytest.CaptureF
     document, said = mapped(capsys, lines, UNNAMED)
     assert document["mass_kg"]["integrated"] == pytest.approx(SECONDS * 10.0, rel=0.003)
     assert "taken apart" not in said
+
+
+def test_a_damaged_time_is_no_overflow() -> None:
+    time_s, still = np.r_[np.arange(50.0), 1.5e308], np.zeros(51)
+    with np.errstate(over="raise"):
+        assert machines_apart(time_s, still, still) is None

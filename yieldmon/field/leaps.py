@@ -54,7 +54,7 @@ def _astray(x: Array, y: Array, time_s: Array) -> NDArray[np.bool_]:
     out = np.zeros(len(x), bool)
 
     def leaps(one: NDArray[np.intp], other: NDArray[np.intp]) -> NDArray[np.bool_]:
-        with np.errstate(invalid="ignore"):
+        with np.errstate(invalid="ignore", over="ignore"):
             leap = np.hypot(x[other] - x[one], y[other] - y[one]) > _FASTEST_M_S * np.abs(time_s[other] - time_s[one]) + _BESIDE_M
         return np.asarray(leap)
 

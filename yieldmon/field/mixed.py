@@ -192,7 +192,9 @@ def _followed(time_s: Array, x_m: Array, y_m: Array) -> tuple[NDArray[np.int32],
     gap = np.diff(time_s)
     usual_s = float(np.median(gap[gap > 0])) if np.any(gap > 0) else 0.0
     longest_s = max(_LONGEST_GAP_S, _LONGEST_GAP * usual_s)
-    leaps = (np.hypot(np.diff(x_m), np.diff(y_m)) > _FASTEST_M_S * gap + _BESIDE_M) & (gap <= longest_s)
+    # A gap of a damaged time may be any number.
+    reach_m = _FASTEST_M_S * np.minimum(gap, longest_s) + _BESIDE_M
+    leaps = (np.hypot(np.diff(x_m), np.diff(y_m)) > reach_m) & (gap <= longest_s)
     if leaps.sum() < _LEAST_TURNS:
         return of_row, 0
     stretches = _stretches(time_s.tolist(), x_m.tolist(), y_m.tolist(), longest_s)
