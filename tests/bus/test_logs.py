@@ -389,7 +389,7 @@ def test_nothing_readable_is_an_input_error(tmp_path: Path, suffix: str, content
     [
         ("absent.log", None, "No such file"),
         ("absent.db", None, "No such file"),
-        ("drive.pcap", b"", r"unknown log format; expected one of \.log"),
+        ("drive.erf", b"", r"unknown log format; expected one of \.log"),
         ("drive", b"", "unknown log format"),
         ("drive.gz", b"", "unknown log format"),
         ("drive.log", "(1.0) can0 123#\n".encode("utf-16"), "UTF-16 text; expected UTF-8"),
@@ -422,7 +422,7 @@ def test_utf8_mark_is_no_damage(tmp_path: Path) -> None:
 
 @given(st.binary(max_size=400))
 @settings(max_examples=150, deadline=None)
-@pytest.mark.parametrize("suffix", [".log", ".csv", ".trc", ".asc", ".blf"])
+@pytest.mark.parametrize("suffix", [".log", ".csv", ".trc", ".asc", ".blf", ".pcap", ".pcapng"])
 def test_any_bytes_give_frames_or_an_input_error(tmp_path_factory, suffix: str, content: bytes) -> None:
     path = tmp_path_factory.getbasetemp() / f"any{suffix}"
     path.write_bytes(content)

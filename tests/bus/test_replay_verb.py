@@ -94,7 +94,7 @@ def test_damage_is_reported_and_skipped(drive: Path, capsys: pytest.CaptureFixtu
     ("options", "problem"),
     [
         (["absent.log"], "absent.log: No such file or directory; expected a readable CAN log"),
-        (["drive.pcap"], "drive.pcap: unknown log format"),
+        (["drive.erf"], "drive.erf: unknown log format"),
         (["{}", "--speed", "-1"], "--speed: is -1; expected a number of at least 0"),
         (["{}", "--speed", "nan"], "--speed: is nan"),
         (["{}", "--skip-gaps", "-1"], "--skip-gaps: is -1"),

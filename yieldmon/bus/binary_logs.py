@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import can
 
-from yieldmon.bus import mf4
+from yieldmon.bus import capture, mf4
 from yieldmon.bus.blf_check import first_flaw
 from yieldmon.bus.frame_check import impossible
 from yieldmon.bus.gunzip import early_end_of, open_bytes
@@ -26,7 +26,7 @@ from yieldmon.errors import NO_ROOM, no_room_to_unpack
 if TYPE_CHECKING:
     from _typeshed import WriteableBuffer
 
-BINARY_SUFFIXES = (".blf", ".db", ".mf4")
+BINARY_SUFFIXES = (".blf", ".db", ".mf4", *capture.SUFFIXES)
 #: A compressed log is unpacked up to this size, and to half of the room that there is.
 LARGEST_UNPACKED_BYTES = 8 * 1024**3
 _UNPACK_STEP_BYTES = 1024 * 1024
@@ -61,7 +61,7 @@ def read_binary(path: Path, suffix: str, compressed: bool, notes: LogNotes) -> I
         except Exception as error:  # noqa: BLE001 - parsers of binary formats raise anything on damaged bytes
             stream = getattr(reader, "file", None)
             place = f"frame {count + 1}" if stream is None or stream.closed else f"byte {stream.tell()}"
-            problem = str(error) if suffix in (".mf4", ".db") else f"{type(error).__name__} {error}"
+            problem = str(error) if suffix in (".mf4", ".db", *capture.SUFFIXES) else f"{type(error).__name__} {error}"
             if flaw is not None:
                 # The reader was shown what stands before the flaw, and may have missed the rest of a frame.
                 place, problem = f"byte {flaw[0]}", flaw[1]
@@ -74,6 +74,8 @@ def _binary_reader(path: Path, suffix: str, end: int | None) -> Any:
         return SqliteLog(str(path))
     if suffix == ".mf4":
         return Mf4Log(path)
+    if suffix in capture.SUFFIXES:
+        return capture.Capture(path)
     reader = cast("Any", can.io.player.MESSAGE_READERS[suffix])
     return reader(str(path)) if end is None else reader(io.BufferedReader(_Head(path, end)))
 
