@@ -123,7 +123,7 @@ class _CountingDaemon(Daemon):
     @property
     def due_s(self) -> float:
         """Bus time of the next frame at which the engine acts."""
-        return self._monitor.due_s
+        return self.monitor.due_s
 
     @property
     def reload_note(self) -> str:
