@@ -218,6 +218,17 @@ def test_a_counter_counts_the_frames_that_carry_it(dbc: Path) -> None:
     assert [data[4] for data in found] == [k % 16 for k in range(20)]
 
 
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [(25.4, 254), (25.5, 255), (25.55, 255), (25.56, 255), (26.0, 255), (-0.0, 0), (-0.04, 0), (math.nan, 255), (-0.06, 255)],
+)
+def test_what_a_signal_cannot_carry_is_not_available_also_by_rounding(dbc: Path, value: float, expected: int) -> None:
+    """25.55 would round to 256; no frame at all was sent then."""
+    bits = load_messages(dbc)["Drive"].signals["Small"]
+    packing = Packing(bits, 0.1, 0.0, -math.inf, math.inf, not_available=255)
+    assert packing.raw(value) == expected
+
+
 def test_a_counter_begins_anew_where_the_range_of_the_dbc_ends(dbc: Path) -> None:
     """As AUTOSAR's profile 1, which has fifteen values in four bits."""
     lines = dbc.read_text().splitlines()

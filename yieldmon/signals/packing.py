@@ -41,7 +41,8 @@ class Packing:
             return dict(self.codes).get(int(value), self.not_available)
         if not self.low <= value <= self.high:
             return self.not_available
-        return encoded(self.bits, (value - self.offset) / self.scale)
+        found = encoded(self.bits, (value - self.offset) / self.scale)
+        return self.not_available if found is None else found
 
 
 def largest_raw(bits: SignalBits) -> int:
