@@ -79,6 +79,13 @@ def test_no_value_of_the_cab_is_cut(width: int, height: int, us: bool, kg: float
     assert len(screen.splitlines()) <= height
 
 
+def test_a_dry_mass_that_is_not_known_says_why() -> None:
+    load, total = {**STATUS["load"], "dry_mass_kg": None}, {**STATUS["total"], "mass_of_unknown_moisture_kg": 310.0}
+    screen = words(drawn(Cab({**STATUS, "load": load, "total": total}, Units(), "", View(cab=True)), 80, 24))
+    assert "dry not known, moisture missing" in screen
+    assert "missing at" not in screen
+
+
 def test_bytes_that_change_stand_out_and_the_range_is_that_of_all_frames() -> None:
     seen = Traffic(CODEC)
     for k, rpm in enumerate((400.0, 410.0, 390.0, 400.0)):

@@ -120,11 +120,13 @@ class Cab:
         load, now, sweep, crop = status["load"], status["now"], status["sweep"], status["crop"]
         wet = units.mass_with_bushels(load["mass_kg"])
         around = f" ± {units.mass(load['std_dev_kg'])}" if load["std_dev_kg"] is not None else ""
-        dry = "not known" if load["dry_mass_kg"] is None else units.mass_with_bushels(load["dry_mass_kg"])
+        known = load["dry_mass_kg"] is not None
+        missing = ", moisture missing" if status["total"].get("mass_of_unknown_moisture_kg") else ""
+        dry = units.mass_with_bushels(load["dry_mass_kg"]) if known else f"not known{missing}"
         angle = _one(now["plate_angle_deg"])
         market = crop["market_moisture_pct"]
         rows = [
-            ("load", f"{wet}{around}", "dry", dry + (f" at {market:g} %" if market is not None else "")),
+            ("load", f"{wet}{around}", "dry", dry + (f" at {market:g} %" if known and market is not None else "")),
             ("area", units.area(load["area_m2"]), "yield", self._yields()),
             ("total", units.mass(status["total"]["mass_kg"]), "speed", units.speed(now["ground_speed_m_s"])),
             ("grain", f"moisture {moisture(now['moisture_pct'])}", "plate", f"{angle} deg, {_sweep(sweep)}"),
