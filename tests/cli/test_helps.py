@@ -36,10 +36,9 @@ def test_each_has_an_example_that_is_a_command(helps: dict[str, str]) -> None:
     for name, text in helps.items():
         found = [part for part in text.split("\n\n") if part.startswith("example: ")]
         assert len(found) == 1, name
-        # argparse breaks lines at the hyphens of options and file names too.
-        line = found[0].removeprefix("example: ").replace("-\n", "-").replace("\n", " ")
-        assert line.startswith(f"yieldmon {name}"), name
-        for command in line.replace("&&", ";").partition(", then ")[0].split(";"):
+        whole = found[0].removeprefix("example: ").rstrip().replace("\\\n", " ")
+        assert whole.startswith(f"yieldmon {name}"), name
+        for command in whole.replace("&&", "\n").partition(", then ")[0].splitlines():
             program, *words = shlex.split(command)
             assert program == "yieldmon", name
             build_parser(verbs, verbs[words[0]])[0].parse_args(words)

@@ -97,4 +97,7 @@ def test_a_blank_between_mass_and_unit_is_no_mistake(folder: Path, capsys: pytes
     with pytest.raises(SystemExit) as caught:
         main(["ticket", "7", "9.12", "t", *NOBODY.split()])
     assert caught.value.code == 1
-    assert capsys.readouterr().err == "yieldmon: nobody.sock: no daemon answers there; is the service running?\n"
+    assert (
+        capsys.readouterr().err
+        == "yieldmon: nobody.sock: no daemon answers there; is the service running? (`systemctl status yieldmon`)\n"
+    )

@@ -112,7 +112,39 @@ def test_bad_usage_exits_with_2(verb_named_probe, capsys, argv):
     with pytest.raises(SystemExit) as caught:
         cli.main(argv)
     assert caught.value.code == 2
-    assert "usage: yieldmon" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert said.startswith("yieldmon")
+    assert said.endswith("--help`)\n")
+    assert said.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("stauts", "yieldmon: VERB: is 'stauts'; expected status (`yieldmon --help`)"),
+        ("load strat", "yieldmon load: ACTION: is 'strat'; expected start (`yieldmon load --help`)"),
+        (
+            "load start --feild north",
+            "yieldmon load start: --feild: is not known; expected --field (`yieldmon load start --help`)",
+        ),
+        (
+            "process x.log --otu=y.csv --out z.csv",
+            "yieldmon process: --otu: is not known; expected --out (`yieldmon process --help`)",
+        ),
+        ("status --verbose", "yieldmon status: --verbose: is not known (`yieldmon status --help`)"),
+        ("export x.sqlite", "yieldmon export: --out: is missing (`yieldmon export --help`)"),
+        ("export x.sqlite --out", "yieldmon export: --out: is without a value; expected one after it (`yieldmon export --help`)"),
+        (
+            "export x.sqlite --out x.csv --swath 9,1",
+            "yieldmon export: --swath: is '9,1'; expected a number (with a point, not a comma) (`yieldmon export --help`)",
+        ),
+    ],
+)
+def test_a_word_with_a_slip_is_told_with_the_one_that_was_meant(capsys, words, said):
+    with pytest.raises(SystemExit) as caught:
+        cli.main(words.split())
+    assert caught.value.code == 2
+    assert capsys.readouterr().err == f"{said}\n"
 
 
 def test_only_the_chosen_verb_is_imported(verb_named_probe, capsys):
@@ -241,4 +273,4 @@ def test_an_example_of_the_help_is_a_line_of_its_own(capsys, monkeypatch, verb):
         cli.main([verb, "--help"])
     _, example, commands = capsys.readouterr().out.partition("\nexample: ")
     assert example
-    assert all(line.strip().startswith("yieldmon ") for line in commands.rstrip().split("\n"))
+    assert all(line.strip().startswith("yieldmon ") for line in commands.rstrip().replace("\\\n", "").split("\n"))

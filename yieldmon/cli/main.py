@@ -15,7 +15,6 @@ import re
 import shlex
 import signal
 import sys
-import textwrap
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +24,7 @@ from typing import Any, cast
 from yieldmon import __version__
 from yieldmon.bus import mf4
 from yieldmon.cli import _outputs
+from yieldmon.cli._usage import Parser, unknown
 from yieldmon.errors import InputError, remedy
 from yieldmon.files.plain_text import plain
 
@@ -57,29 +57,6 @@ _FUNCTION = re.compile(r"^def (\w+)\(", re.M)
 #: A library that the loader finds and cannot load.
 _UNMAPPED = re.compile(r"[^\n]*(?:failed to map segment|cannot allocate memory)[^\n]*", re.I)
 _DOCSTRING = re.compile(r'r?"""\s*([^\n"]+)')
-
-
-_EXAMPLE = "example: "
-
-
-class _Help(argparse.HelpFormatter):
-    """Lines end between words alone, and each example is a line: a command that is copied from help stays one."""
-
-    def _split_lines(self, text: str, width: int) -> list[str]:
-        return textwrap.wrap(" ".join(text.split()), width, break_on_hyphens=False)
-
-    def _fill_text(self, text: str, width: int, indent: str) -> str:
-        words = " ".join(text.split())
-        if words.startswith(_EXAMPLE):
-            return f"{indent}{_EXAMPLE}" + f"\n{indent}{' ' * len(_EXAMPLE)}".join(words.removeprefix(_EXAMPLE).split("; "))
-        return textwrap.fill(words, width, initial_indent=indent, subsequent_indent=indent, break_on_hyphens=False)
-
-
-class _Parser(argparse.ArgumentParser):
-    """A verb's, and those of its actions."""
-
-    def __init__(self, **given: Any) -> None:
-        super().__init__(**{"formatter_class": _Help, **given})
 
 
 @dataclass(frozen=True)
@@ -115,16 +92,14 @@ def build_parser(verbs: dict[str, Verb], chosen: Verb | None) -> tuple[argparse.
 
     Raises ModuleNotFoundError when the chosen verb needs a package that is not installed.
     """
-    parser = argparse.ArgumentParser(
-        prog="yieldmon", description="Self-calibrating grain mass-flow measurement for combine harvesters, over CAN."
-    )
+    parser = Parser(prog="yieldmon", description="Self-calibrating grain mass-flow measurement for combine harvesters, over CAN.")
     parser.add_argument("--version", action="version", version=f"yieldmon {__version__}")
     # Of the others only the name and the line of help are shown: one parser stands for them all.
     other = argparse.ArgumentParser(add_help=False)
     made: list[argparse.ArgumentParser] = []
 
     def parser_of_verb(**given: Any) -> argparse.ArgumentParser:
-        return made.pop() if made else _Parser(**given)
+        return made.pop() if made else Parser(**given)
 
     parser_class = cast("type[argparse.ArgumentParser]", parser_of_verb)
     subparsers = parser.add_subparsers(dest="verb", metavar="VERB", required=True, parser_class=parser_class)
@@ -215,7 +190,9 @@ def _run(argv: Sequence[str]) -> int:
         import argcomplete
 
         argcomplete.autocomplete(parser)
-    args = parser.parse_args(argv)
+    args, left = parser.parse_known_args(argv)
+    if left:
+        unknown(parser, argv, left)
     assert module is not None, "the parser accepts no verb but the chosen one"
     with _outputs.checked(args):
         return int(module.run(args))
