@@ -73,7 +73,7 @@ def _held_against(
 ) -> tuple[dict[str, Any] | None, list[str], list[InputError]]:
     """What a recording shows of the mapping's quantities, what is to be known of the mapping, and what is wrong with it."""
     from yieldmon.service.config import plausible
-    from yieldmon.service.logs import foretold, mapping_check
+    from yieldmon.service.logs import mapping_check
 
     notes = [*loaded.notes, *mapping_check.notes(loaded)]
     if loaded.engine.waveform.enabled:
@@ -84,6 +84,8 @@ def _held_against(
     problems = plausible.implausible(loaded)
     if log is None:
         return None, notes, [InputError(*problem) for problem in problems]
+    from yieldmon.service.logs import foretold  # runs the engine, which a check without a recording does not
+
     found, incomplete = mapping_check.seen_in(loaded, log)
     if incomplete:
         notes.append(f"{incomplete} messages of several frames lack one and are not used")
