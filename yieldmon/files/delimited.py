@@ -175,6 +175,8 @@ def _sheets(raw: bytes, where: str, most: int | None = None) -> list[tuple[str, 
             except Exception as error:  # openpyxl raises anything on a damaged sheet
                 raise InputError(where, f"has a sheet that cannot be read: {brief(error)}", expected) from error
             found.append((str(sheet.title), _filled_rows(rows)))
+    if not found:
+        raise InputError(where, "is a workbook without a sheet of cells", expected)
     return found
 
 
