@@ -17,7 +17,7 @@ from yieldmon.cli.diagnose import print_text
 from yieldmon.discrepancy import adoption, detectability, diagnosis, diagnosis_result, experiment, gap, report
 from yieldmon.discrepancy.candidates import Signature
 from yieldmon.discrepancy.diagnosis_document import to_document
-from yieldmon.discrepancy.fit import LAW_SD, Fit, fit
+from yieldmon.discrepancy.fit import LAW_SD_OF_FREE_SHAPES, Fit, fit
 from yieldmon.discrepancy.frame import Parameter
 from yieldmon.discrepancy.noise import Noise
 from yieldmon.discrepancy.observations import Rows, with_cells
@@ -383,7 +383,7 @@ def test_the_error_of_a_law_is_a_share_of_what_its_effect_changes(offset_seen) -
     best = offset_seen.choice.best
     changed = best.values["zero_offset.force_n"] / best.frame.sd
     spread = np.sqrt(np.sum(best.shape_error**2, axis=1)) / np.abs(changed)
-    assert np.sqrt(np.mean(spread**2)) <= LAW_SD * (1.0 + 1e-9)
+    assert np.sqrt(np.mean(spread**2)) <= LAW_SD_OF_FREE_SHAPES * (1.0 + 1e-9)
     assert np.all(spread > 0.0)
     chi2, volume = best.integrated
     assert 0.0 < chi2 < best.chi2
@@ -402,6 +402,16 @@ def test_sealed_rows_are_not_fitted(start, offset_rows, offset_seen) -> None:
 def test_the_same_seed_gives_the_same_document(start, offset_rows, offset_found) -> None:
     again = diagnosis.diagnose_rows(offset_rows, start, QUICK)
     assert json.dumps(to_document(again)) == json.dumps(to_document(offset_found))
+
+
+@pytest.mark.parametrize(("restitution", "form"), [(0.05, "exchange"), (0.3, "restitution")])
+def test_a_restitution_that_no_grain_has_gives_way_to_the_exchange_form(make_rows, start, restitution: float, form: str) -> None:
+    """A gain that hardly exceeds 1 is shielding by other grain, which k1 and k2 describe; grain itself rebounds by more."""
+    rows = make_rows(alter=lambda force, *_: force * (1.0 + restitution) / 1.55)
+    seen = diagnosis.examine(rows, start, QUICK)
+    assert seen.form == form
+    assert any("k1, k2 are fitted in its place" in note for note in seen.notes) == (form == "exchange")
+    assert seen.choice.verdict == "none"
 
 
 def test_a_sensor_unit_takes_the_exchange_form(make_rows, start) -> None:

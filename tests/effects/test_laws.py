@@ -70,6 +70,8 @@ FREE = {
     "miss_capture-fading": ("miss_capture-any_incidence", {"share": 0.4}, {"reach_m": 1e6}),
     "unpushed_layers-gradual": ("unpushed_layers", {"rate_per_rad": 2.0}, {"steepness": 1.0, "drawn_along": 0.5}),
     "stream_rise-by_power": ("stream_rise", {"ratio": 0.1}, {"depth_power": 1.0, "edge_m": 0.01}),
+    "speed_dependent_restitution-by_power": ("speed_dependent_restitution", {"exponent": 0.3}, {"power": 0.0}),
+    "speed_dependent_shape-by_power": ("speed_dependent_shape", {"exponent": -0.8}, {"power": 0.0}),
     "jet_shielding-in_part": ("", {"most": 1.0}, {"depth_m": 1e-9}),
 }
 """Laws of a free shape: the law that each is at some shape, the size, and that shape."""
@@ -107,3 +109,16 @@ def test_an_orifice_and_a_weir_lose_by_their_powers_of_fill() -> None:
         half, whole = (0.0 + offered / float(throw.load_mass(np.asarray(offered))) - 1.0 for offered in (0.5 * full, full))
         assert whole == pytest.approx(0.2, rel=1e-6)
         assert whole / half == pytest.approx(2.0**power, rel=1e-6)
+
+
+@pytest.mark.parametrize("bend", [-3.0, 1.0, 4.0])
+def test_a_shape_by_a_power_of_speed_is_that_heap_at_every_speed(bend: float) -> None:
+    """log shape ratio = exponent (s^p - 1) / p, by hand: at each speed the heap of that ratio."""
+    name, exponent = "speed_dependent_shape-by_power", -0.9
+    freely = _force(name, {f"{name}.exponent": exponent, f"{name}.power": bend})
+    for rpm in (340.0, 460.0):
+        at = np.isclose(CONDITIONS.elevator_speed_rad_s, rpm * RPM)
+        ratio = GRAIN["shape_ratio"] * np.exp(exponent * ((rpm / 400.0) ** bend - 1.0) / bend)
+        model = ForwardModel(Machine(), ("gravity",))
+        expected = np.asarray(model.force(CONDITIONS, GRAIN | {"shape_ratio": ratio}, overfull="nan"))
+        np.testing.assert_allclose(freely[at], expected[at], rtol=1e-6)

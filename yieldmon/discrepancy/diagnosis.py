@@ -21,6 +21,7 @@ from .experiment import plan
 from .fit import Fit, fit
 from .frame import Frame
 from .gap import lack_of_fit, noise_floor, row_rms, where
+from .merit import merit, misfit
 from .noise import Noise, estimate
 from .proof import Proof, prove
 from .sealed_rows import open_sealed
@@ -145,6 +146,7 @@ def examine(
     published.check_load(model.base, noise, name)
     searched = library(model.frame, options.without)
     chosen = choose(model.base, noise, searched, rng, options.policy, lambda text, share: report(text, 0.1 + 0.7 * share))
+    model, chosen = _in_the_better_form(model, chosen, training, noise, parameters, options, name)
     report("sealed rows", 0.85)
     held_out, outlying_sealed = open_sealed(rows, sealed, chosen.base, chosen.best, noise)
     outlier |= outlying_sealed
@@ -171,6 +173,23 @@ def examine(
     if chosen.verdict != "effect" and held_out is not None:
         held_out, _ = open_sealed(rows, sealed, chosen.base, chosen.base, noise)
     return Examination(model.form, noise, chosen, held_out, sealed, outlier, tuple(notes), proof)
+
+
+def _in_the_better_form(
+    model: published.Published, chosen: Choice, rows: obs.Rows, noise: Noise, parameters: ParameterSet, options: Options, name: str
+) -> tuple[published.Published, Choice]:
+    """The published model and what was chosen beside it: those with k1 and k2 where 1 + restitution is hardly more than 1, unless
+    what was chosen beside that explains the rows better by more than a tie."""
+    if options.form != "auto":
+        return model, chosen
+    other = published.exchange_instead(model, rows, noise, parameters, keep_effects=options.keep_effects, name=name)
+    if other is None:
+        return model, chosen
+    rng, policy = np.random.default_rng([options.seed, 4]), options.policy
+    beside = choose(other.base, noise, library(other.frame, options.without), rng, policy)
+    scale = misfit([chosen.best, beside.best])
+    better = merit(chosen.best, scale, policy) + policy.tie < merit(beside.best, scale, policy)
+    return (model, chosen) if better else (other, beside)
 
 
 def _confirmed(

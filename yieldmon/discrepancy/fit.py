@@ -24,6 +24,8 @@ from .observations import Rows
 
 LAW_SD = 0.1
 """Relative standard deviation of an effect's law about the one that is written, smooth over angle, load and speed."""
+LAW_SD_OF_FREE_SHAPES = 0.05
+"""The same where restitution is fitted: there laws of free shape act too (`effect.where_restitution`), so that less is left."""
 LAW_DEGREE = 2
 """Total degree of the polynomial in angle, load and speed by which it may differ."""
 MOST_SEEN = 1.0
@@ -113,7 +115,7 @@ class Fit:
         """Whitened columns, with independent unit weights, of what the laws of the effects may be off, shape (cells, columns).
 
         An effect's law may rise faster or slower with angle, load and speed than written: its change of the prediction times a
-        smooth factor about 1 (`LAW_SD`).
+        smooth factor about 1 (`LAW_SD`, `LAW_SD_OF_FREE_SHAPES`).
         """
         cells = self.frame.cells
         smooth = model_error.basis(cells.plate_angle_rad, cells.load, cells.elevator_speed_rad_s, most=LAW_DEGREE)
@@ -122,8 +124,13 @@ class Fit:
             # What recalibration hides of a large change must not excuse everything that shows.
             seen = float(np.linalg.norm(model_error.off(change, self.calibrating)))
             share = min(1.0, MOST_SEEN * seen / max(float(np.linalg.norm(change)), 1e-300))
-            columns.append(LAW_SD * share * smooth * change[:, None])
+            columns.append(self._law_sd * share * smooth * change[:, None])
         return np.concatenate(columns, axis=1) if columns else np.zeros((len(self.residual), 0))
+
+    @property
+    def _law_sd(self) -> float:
+        """What the law of an effect may be off, as a share of its change."""
+        return LAW_SD_OF_FREE_SHAPES if any(p.name == "restitution" for p in self.frame.base) else LAW_SD
 
     @cached_property
     def changes(self) -> Array:

@@ -19,6 +19,8 @@ from .gap import change_with_load
 from .noise import Noise
 from .observations import Rows, cells
 
+LEAST_RESTITUTION = 0.1
+"""Below this a fit of 1 + restitution describes something else than rebound, such as grain that shields the plate from grain."""
 _SAME = 0.01
 """p value from which readings at one angle and speed are the same at every load."""
 _SURE = 0.999
@@ -91,6 +93,24 @@ def fit_published(
             value = base.values[p.name]
             notes.append(at_bound_sentence(p.name, "lower" if value < 0.5 * (p.lower + p.upper) else "upper", value))
     return Published(impact, base, tuple(notes))
+
+
+def exchange_instead(
+    published: Published, rows: Rows, noise: Noise, parameters: ParameterSet, *, keep_effects: bool, name: str = "table"
+) -> Published | None:
+    """The published model with k1 and k2, where its restitution is less than grain's; None where it is not.
+
+    published, rows, noise, parameters, keep_effects, name: as it was fitted with `form="auto"`.
+    """
+    value = published.base.values.get("restitution", LEAST_RESTITUTION)
+    if published.form != "restitution" or value >= LEAST_RESTITUTION:
+        return None
+    why = (
+        f"restitution is {value:.2g}, less than grain's on steel ({LEAST_RESTITUTION:g} and more): the published exchange "
+        "coefficients k1, k2 are fitted in its place"
+    )
+    other = fit_published(rows, noise, parameters, form="exchange", keep_effects=keep_effects, name=name)
+    return replace(other, notes=(why, *other.notes))
 
 
 def check_load(base: Fit, noise: Noise, name: str) -> None:
