@@ -404,7 +404,7 @@ def test_the_same_seed_gives_the_same_document(start, offset_rows, offset_found)
     assert json.dumps(to_document(again)) == json.dumps(to_document(offset_found))
 
 
-@pytest.mark.parametrize(("restitution", "form"), [(0.05, "exchange"), (0.3, "restitution")])
+@pytest.mark.parametrize(("restitution", "form"), [(0.05, "exchange"), (0.45, "restitution")])
 def test_a_restitution_that_no_grain_has_gives_way_to_the_exchange_form(make_rows, start, restitution: float, form: str) -> None:
     """A gain that hardly exceeds 1 is shielding by other grain, which k1 and k2 describe; grain itself rebounds by more."""
     rows = make_rows(alter=lambda force, *_: force * (1.0 + restitution) / 1.55)

@@ -19,7 +19,7 @@ from .gap import change_with_load
 from .noise import Noise
 from .observations import Rows, cells
 
-LEAST_RESTITUTION = 0.1
+LEAST_RESTITUTION = 0.25
 """Below this a fit of 1 + restitution describes something else than rebound, such as grain that shields the plate from grain."""
 _SAME = 0.01
 """p value from which readings at one angle and speed are the same at every load."""
