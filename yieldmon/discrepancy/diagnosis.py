@@ -176,7 +176,13 @@ def examine(
 
 
 def _in_the_better_form(
-    model: published.Published, chosen: Choice, rows: obs.Rows, noise: Noise, parameters: ParameterSet, options: Options, name: str
+    model: published.Published,
+    chosen: Choice,
+    rows: obs.Rows,
+    noise: Noise,
+    parameters: ParameterSet,
+    options: Options,
+    name: str,
 ) -> tuple[published.Published, Choice]:
     """The published model and what was chosen beside it: those with k1 and k2 where 1 + restitution is hardly more than 1, unless
     what was chosen beside that explains the rows better by more than a tie."""

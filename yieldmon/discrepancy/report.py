@@ -55,12 +55,11 @@ def write_report(diagnosis: Diagnosis, folder: Path, title: str) -> Path:
 
     matplotlib.use("Agg")
     folder.mkdir(parents=True, exist_ok=True)
-    limit_pct = max(0.5, *(float(np.max(np.abs(_errors_pct(f)))) for f in (diagnosis.base, diagnosis.best)))
+    after, of_after = _after(diagnosis)
+    limit_pct = max(0.5, *(float(np.max(np.abs(_errors_pct(f)))) for f in (diagnosis.base, after)))
     pictures = {
         "where": _residual_map(diagnosis.base, "Published model", limit_pct),
-        "after": _residual_map(
-            diagnosis.best, "With the named effects" if diagnosis.choice.named else "Published model", limit_pct
-        ),
+        "after": _residual_map(after, of_after, limit_pct),
         "profiles": _profiles(diagnosis),
         "ranking": _ranking(diagnosis),
     }
@@ -222,6 +221,13 @@ def _load_label(fitted: Fit) -> str:
     return "mass flow, kg/s" if fitted.frame.cells.rows.load_name == "mass_flow_kg_s" else "mass per paddle, kg"
 
 
+def _after(diagnosis: Diagnosis) -> tuple[Fit, str]:
+    """The last model that pictures show, and what it has: what is named, else the leading candidates, else nothing."""
+    if diagnosis.leading is not None:
+        return diagnosis.leading, "With the leading candidates"
+    return diagnosis.best, "With the named effects" if diagnosis.choice.named else "Published model"
+
+
 def _residual_map(fitted: Fit, title: str, limit_pct: float) -> bytes:
     """limit_pct: end of the colour scale, the same before and after."""
     cells = fitted.frame.cells
@@ -247,6 +253,8 @@ def _residual_map(fitted: Fit, title: str, limit_pct: float) -> bytes:
 
 def _profiles(diagnosis: Diagnosis) -> bytes:
     cells = diagnosis.base.frame.cells
+    after, of_after = _after(diagnosis)
+    lines = [(diagnosis.base, "Published model", "s--")] + [(after, of_after, "o-")] * (after is not diagnosis.base)
     figure = _figure(9.0, 4.0)
     for axes, values, label in zip(
         figure.subplots(1, 2),
@@ -255,7 +263,7 @@ def _profiles(diagnosis: Diagnosis) -> bytes:
         strict=True,
     ):
         order = np.unique(np.round(values, 6))
-        for fitted, name, mark in ((diagnosis.base, "before", "s--"), (diagnosis.best, "after", "o-")):
+        for fitted, name, mark in lines:
             error = 100.0 * fitted.residual * fitted.frame.sd / np.maximum(np.abs(cells.mean), 0.05 * np.max(np.abs(cells.mean)))
             rms = [float(np.sqrt(np.mean(error[np.isclose(values, v, atol=1e-6)] ** 2))) for v in order]
             axes.plot(order, rms, mark, label=name)
@@ -280,8 +288,8 @@ def _ranking(diagnosis: Diagnosis) -> bytes:
     axes.axvline(diagnosis.choice.base_gap.f, color="0.3", linewidth=1, linestyle="--")
     axes.set_xlim(left=0.0)
     axes.set_xlabel(
-        f"lack of fit F {rows_searched(diagnosis.choice.base)} with this one effect added, and its standard deviation\n"
-        "(line: the noise; dashed: none added)"
+        f"lack of fit F {rows_searched(diagnosis.choice.base)}\n"
+        "with this one effect added, and its standard deviation\n(line: the noise; dashed: none added)"
     )
     return _png(figure)
 
@@ -320,23 +328,26 @@ def _page(diagnosis: Diagnosis, title: str, pictures: dict[str, bytes]) -> str:
 
 def _gap_table(diagnosis: Diagnosis) -> str:
     held = diagnosis.held_out
-    rows: list[tuple[str, Measure, Measure, Intervals | None]] = []
+    rows: list[tuple[str, Measure, Measure | None, Intervals | None]] = []
     if diagnosis.with_leading is None:
         rows.append((f"{diagnosis.fitted_rows}, fitted to them", diagnosis.before, diagnosis.after, None))
     else:
         name = f"{diagnosis.fitted_rows}, fitted to them; after: with the leading candidates"
         rows.append((name, diagnosis.before, diagnosis.with_leading, None))
     if held is not None:
-        rows.append((f"{held.rows} rows kept aside, fitted to the others", held.before, held.after, held.f_interval))
+        # Without a name they are judged by the published model alone: there is no after.
+        after = held.after if diagnosis.verdict == "effect" else None
+        rows.append((f"{held.rows} rows kept aside, fitted to the others", held.before, after, held.f_interval))
     head = ("", "rms before", "rms after", "% of max before", "after", "F before", "F after")
     out = "<table><tr>" + "".join(f"<th>{h}</th>" for h in head) + "</tr>"
     for name, before, after, intervals in rows:
-        f = [f"{m.lack_of_fit_f:.2f}" if m.lack_of_fit_f is not None else "" for m in (before, after)]
+        f = ["" if m is None or m.lack_of_fit_f is None else f"{m.lack_of_fit_f:.2f}" for m in (before, after)]
         if intervals is not None:
-            f = [f"{value} ({low:.2f} to {high:.2f})" for value, (low, high) in zip(f, intervals, strict=True)]
+            f = [f"{value} ({low:.2f} to {high:.2f})" if value else "" for value, (low, high) in zip(f, intervals, strict=True)]
+        rms, share = ("", "") if after is None else (f"{after.rms:.4g}", f"{after.rms_over_max_pct:.2f}")
         out += (
-            f"<tr><td>{name}</td><td>{before.rms:.4g}</td><td>{after.rms:.4g}</td><td>{before.rms_over_max_pct:.2f}</td>"
-            f"<td>{after.rms_over_max_pct:.2f}</td><td>{f[0]}</td><td>{f[1]}</td></tr>"
+            f"<tr><td>{name}</td><td>{before.rms:.4g}</td><td>{rms}</td><td>{before.rms_over_max_pct:.2f}</td>"
+            f"<td>{share}</td><td>{f[0]}</td><td>{f[1]}</td></tr>"
         )
     floor = f"Noise floor (rms of a perfect model): {diagnosis.noise_floor_rms:.4g}. In brackets: 95 % intervals."
     return out + f"</table><p>{floor}</p>"

@@ -70,7 +70,7 @@ LAWS = (
     replace(
         EFFECT,
         name="speed_dependent_restitution-by_power",
-        law="the logarithm of restitution falls with a free power of the normal speed; where the impact's gain is 1 + restitution",
+        law="log restitution falls with a free power of the normal speed; where the impact's gain is 1 + restitution",
         source="between a power of speed and an exponential: Box and Cox, J. R. Stat. Soc. B 26 (1964)",
         parameters=(
             EffectParameter("exponent", "", 0.0, -0.5, 2.0, 0.2, "-d(log e) / d(log normal speed) at tip speed", 0.5),

@@ -38,7 +38,7 @@ LAWS = (
     replace(
         EFFECT,
         name="speed_dependent_shape-by_power",
-        law="the logarithm of the shape ratio goes with a free power of speed; where the impact's gain is 1 + restitution",
+        law="log shape ratio goes with a free power of speed; where the impact's gain is 1 + restitution",
         source="between a power of speed and an exponential: Box and Cox, J. R. Stat. Soc. B 26 (1964)",
         parameters=(
             EffectParameter("exponent", "", 0.0, -2.0, 2.0, 0.3, "d(log shape ratio) / d(log speed) at the nominal speed", 1.0),
