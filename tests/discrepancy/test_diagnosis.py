@@ -101,16 +101,21 @@ def test_friction_that_rises_with_speed_is_distinguished_from_other_effects_of_s
 
 
 @pytest.mark.parametrize(
-    "friction_at",
+    ("friction_at", "alike"),
     [
-        lambda v: 0.6 + 1.2 * np.exp(-((v / 1.2) ** 2)),
-        pytest.param(lambda v: 0.5 + 1.2 * np.exp(-v / 1.5), marks=pytest.mark.slow),
-        pytest.param(lambda v: 0.6 + 0.3 * v, marks=pytest.mark.slow),
+        (lambda v: 0.6 + 1.2 * np.exp(-((v / 1.2) ** 2)), False),
+        pytest.param(lambda v: 0.5 + 1.2 * np.exp(-v / 1.5), False, marks=pytest.mark.slow),
+        pytest.param(lambda v: 0.6 + 0.3 * v, True, marks=pytest.mark.slow),
     ],
     ids=["Stribeck", "exponential", "viscous"],
 )
-def test_friction_by_sliding_speed_is_not_another_elevator_speed(make_rows, friction_at: Callable[[Array], Array]) -> None:
-    """Where gravity is known a slipping chain bends the angle profile as friction does that falls within each throw."""
+def test_friction_by_sliding_speed_is_not_another_elevator_speed(
+    make_rows, friction_at: Callable[[Array], Array], alike: bool
+) -> None:
+    """Where gravity is known a slipping chain bends the angle profile as friction does that falls within each throw.
+
+    alike: a heap that changes its shape explains these rows to within 0.1 of the evidence, and may be the name it is tied with.
+    """
     rougher = replace(GRAIN, friction=0.42)
 
     def alter(force, angle, speed, flow):
@@ -119,8 +124,13 @@ def test_friction_by_sliding_speed_is_not_another_elevator_speed(make_rows, fric
 
     known = ParameterSet(values=START | {"gravity.acceleration_m_s2": 9.81})
     choice = diagnosis.examine(make_rows(alter=alter), known, replace(QUICK, keep_effects=True)).choice
-    assert choice.named == ("speed_dependent_friction",)
-    assert "chain_slip" not in choice.steps[0].equivalent
+    assert len(choice.named) == 1
+    tied = {*choice.named, *choice.steps[0].equivalent}
+    assert "chain_slip" not in tied
+    if alike:
+        assert tied == {"speed_dependent_friction", "speed_dependent_shape"}
+    else:
+        assert choice.named == ("speed_dependent_friction",)
 
 
 def test_weight_in_proportion_to_the_flow_is_resting_grain_alone(make_rows, start) -> None:
