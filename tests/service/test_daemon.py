@@ -530,7 +530,7 @@ def test_status_without_a_daemon_is_one_line(tmp_path, capsys):
     with pytest.raises(SystemExit) as caught:
         cli.main(["status", "--socket", str(tmp_path / "none.sock")])
     assert caught.value.code == 1
-    assert capsys.readouterr().err.endswith("no daemon answers there; is the service running?\n")
+    assert capsys.readouterr().err.endswith("no daemon answers there; is the service running? (`systemctl status yieldmon`)\n")
 
 
 def test_the_service_manager_is_notified(tmp_path):
