@@ -7,6 +7,7 @@ import gzip
 import json
 import shutil
 import socket
+import struct
 import tempfile
 import time
 import warnings
@@ -70,6 +71,23 @@ def _log(path: Path) -> None:
         if isinstance(logger, can.SqliteWriter):
             while not logger.buffer.empty():
                 time.sleep(0.01)
+
+
+def _pcap(path: Path) -> None:
+    head = struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 227)
+    frame = struct.pack(">IBBxx", 0x98FF0000, 8, 0) + bytes(range(8))
+    path.write_bytes(head + b"".join(struct.pack("<IIII", 1700000000 + k, 0, 16, 16) + frame for k in range(_FRAMES)))
+
+
+def _pcapng(path: Path) -> None:
+    def block(kind: int, body: bytes) -> bytes:
+        return struct.pack("<II", kind, len(body) + 12) + body + struct.pack("<I", len(body) + 12)
+
+    name = struct.pack("<HH", 2, 4) + b"can0" + bytes(4)
+    frame = struct.pack(">IBBxx", 0x98FF0000, 8, 0) + bytes(range(8))
+    packet = [struct.pack("<5I", 0, k, 0, 16, 16) + frame for k in range(_FRAMES)]
+    blocks = [block(0x0A0D0D0A, struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1)), block(1, struct.pack("<HHI", 227, 0, 65535) + name)]
+    path.write_bytes(b"".join([*blocks, *(block(6, content) for content in packet)]))
 
 
 def _zipped_log(path: Path) -> None:
@@ -270,6 +288,8 @@ READERS: dict[str, Reader] = {
     "canedge": Reader("x.csv", _excerpt("canedge.csv"), _read),
     "busmaster": Reader("x.log", _excerpt("busmaster.log"), _in_blocks),
     "peak": Reader("x.trc", _excerpt("peak_2_0.trc"), _read),
+    "pcap": Reader("x.pcap", _pcap, _read),
+    "pcapng": Reader("x.pcapng", _pcapng, _read),
     "db": Reader("x.db", _log, _read),
     "candump-gz": Reader("x.log.gz", _zipped_log, _read),
     "packed": Reader("x.parquet", _packed, _read, within_parquet),
