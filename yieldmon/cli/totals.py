@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _named(args: argparse.Namespace) -> int:
     """The total in whole kg where what was typed names it. Raises InputError."""
-    typed = _plain(" ".join(args.total).lower())
+    typed = _plain(" ".join(args.total).lower().split("±")[0])
     if not typed[:1].isdecimal():
         raise InputError("TOTAL", repr(" ".join(args.total)), "the total as `yieldmon status` shows it, such as 18.82 t")
     status = ask_daemon(args, {"command": "status"})
