@@ -48,9 +48,9 @@ def test_totals_are_archived_and_reset_and_stay_so(tmp_path: Path, capsys: pytes
         assert bench.status["store"]["note"] is None
 
 
-@pytest.mark.parametrize("system", UnitSystem)
+@pytest.mark.parametrize(("system", "whole_line"), [(UnitSystem.METRIC, False), (UnitSystem.METRIC, True), (UnitSystem.US, True)])
 def test_totals_are_reset_by_the_figure_that_status_shows(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], system: UnitSystem
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], system: UnitSystem, whole_line: bool
 ) -> None:
     with running(tmp_path, f"units: {system}\nbus: {{transmit_max_age_s: 60}}\n") as bench:
         bench.play(14, 0.0)
@@ -59,8 +59,9 @@ def test_totals_are_reset_by_the_figure_that_status_shows(
         socket = ["--socket", str(tmp_path / "yieldmon.sock")]
         assert main(["status", *socket]) == 0
         shown = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("total"))
-        assert main(["totals", "reset", *shown.split()[1:], *socket]) == 0
-        assert capsys.readouterr().out == f"totals: {' '.join(shown.split()[1:])} set to 0; load 2 begins\n"
+        figure, around = shown.removeprefix("total").split("±")
+        assert main(["totals", "reset", *(f"{figure}±{around}" if whole_line else figure).split(), *socket]) == 0
+        assert capsys.readouterr().out == f"totals: {figure.strip()} set to 0; load 2 begins\n"
 
 
 def test_an_archive_that_outgrows_its_medium_is_one_line_about_that(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
