@@ -19,7 +19,7 @@ from yieldmon.engine.self_calibration.anchors import AnchorSource, ReferenceMass
 from yieldmon.engine.self_calibration.closed_loop_calibrator import ClosedLoopCalibrator
 from yieldmon.engine.self_calibration.curve_states import in_names
 from yieldmon.engine.self_calibration.learning import Learning
-from yieldmon.engine.self_calibration.load_forces import LoadForceSums
+from yieldmon.engine.self_calibration.load_forces import LoadForces, LoadForceSums
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.state import EngineState
 from yieldmon.engine.sweeps.sweep import SweepMachine
@@ -28,6 +28,7 @@ from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
 from yieldmon.estimation.load_pattern import EFFECT as LOAD_PATTERN
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.self_calibration.angle_error import NODES_RAD, AngleError
 from yieldmon.estimation.self_calibration.drift_rates import DriftRates
 from yieldmon.estimation.self_calibration.moisture import MoistureMap
 from yieldmon.frames import ActuatorState, EstimateQuality, OperatingState, SweepState
@@ -831,6 +832,43 @@ def after_four_tickets(*, away: bool, restart: str) -> ParameterSet:
         if outcome.estimator is not None:
             known = outcome.estimator  # type: ignore[assignment]
     return known.parameters
+
+
+AWAY = AngleError.of(
+    np.zeros((NODES_RAD.size,) * 2),
+    MACHINE.home_plate_angle_rad,
+    np.interp(NODES_RAD, [np.radians(40.0), MACHINE.home_plate_angle_rad], [-0.25, 0.0]),
+)
+
+
+def away_ticket(number: int, flow: float, factor: float = 1.0) -> ReferenceMass:
+    """Of a load half of which passed at 40 deg, where the force is 28 % higher than the model has it."""
+    angles = np.array([MACHINE.home_plate_angle_rad, np.radians(40.0)])
+    model = MODEL.force(Conditions(angles, SPEED, mass_flow_kg_s=flow), TRUE)
+    force = np.real(model) * np.exp([0.0, 0.25])
+    seconds, start_s = np.full(2, 250.0), 1000.0 * number
+    forces = LoadForces(seconds, force, angles, np.full(2, SPEED), np.full(2, 15.0))
+    return ReferenceMass(
+        AnchorSource.TICKET, start_s, start_s + 500.0, factor * 500.0 * flow, 10.0, 500.0 * flow, True, number, forces=forces
+    )
+
+
+@pytest.mark.parametrize("restart", [False, True])
+def test_loads_weighed_before_a_restart_count_without_the_error_away_from_home_that_was_taken_off(restart: bool) -> None:
+    calibrator = ClosedLoopCalibrator(MODEL, CalibratorSettings(closed_loop=ClosedLoopSettings()))
+    known = OpenLoop(MODEL, NARROW)
+    anchors: tuple[ReferenceMass, ...] = ()
+    for number, flow in enumerate((9.0, 10.0, 11.0, 12.0), 1):
+        if number == 4 and restart:
+            calibrator = restarted(calibrator, known.parameters)
+            calibrator.remember(anchors, known, AWAY)
+        anchors = (*anchors, away_ticket(number, flow))
+        record = dataclasses.replace(records(flow)[0], time_s=1000.0 * number + 600.0)
+        outcome = calibrator.weigh(record, anchors, known, AWAY)
+        assert "contradicts" not in outcome.reason
+        known = outcome.estimator or known  # type: ignore[assignment]
+    assert calibrator.counted == {f"load {number}" for number in range(1, 5)}
+    assert abs(home_error_pct(known, 10.0)) < 1.0
 
 
 @pytest.mark.parametrize("restart", ["", "after the other crop", "during the other crop"])

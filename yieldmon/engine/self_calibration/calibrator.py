@@ -129,5 +129,5 @@ class SelfCalibrator(Protocol):
     def restore(self, state: CalibratorState, parameters: ParameterSet, total_kg: float) -> None:
         """Go on from a snapshot, with the parameters that were in use then."""
 
-    def remember(self, masses: Sequence[ReferenceMass], estimator: FlowEstimator) -> None:
-        """After `restore`: reference masses that were handed over before."""
+    def remember(self, masses: Sequence[ReferenceMass], estimator: FlowEstimator, model_error: AngleError = NO_ERROR) -> None:
+        """After `restore`: reference masses that were handed over before. model_error: as `weigh` has it."""

@@ -55,6 +55,8 @@ class ClosedLoopCalibrator:
         self._knowledge = ParameterKnowledge(self._settings)
         self._lineage = ParameterLineage()
         self._masses = WeighedMasses(self._settings.anchor_error)
+        self._model_error = NO_ERROR
+        """By which forces over weighed masses were taken last."""
         self._before: CalibratorState | None = None
         """What was known before a restart."""
         self.last: Outcome | None = None
@@ -101,8 +103,8 @@ class ClosedLoopCalibrator:
         """See calibrator.SelfCalibrator."""
         used = self._in_use(estimator)
         self._lineage.weighed(used)
-        self._masses.model_error = model_error
-        found = self._masses.new(anchors, self._model, self._spans(used))
+        self._model_error = model_error
+        found = self._masses.new(anchors, self._model, self._spans(used), model_error)
         at = self._weighed_at(self._at(record), used, [reference.end_s for reference, _ in found])
         drifting, step = self._knowledge.now(used, at)
         stated = self._knowledge.stated(used, Carried(drifting, step), at.total_kg)
@@ -328,7 +330,7 @@ class ClosedLoopCalibrator:
         again = {mass for mass in scale if mass not in handed}
         self._masses.use_again(again)
         left = (*counted, *(mass for mass in scale if mass in handed))
-        self._masses.go_on_with(left, self._model, self._spans(used))
+        self._masses.go_on_with(left, self._model, self._spans(used), self._model_error)
         return bool(again)
 
     def change_grain(self, before: str, now: str, used: Sequence[ReferenceMass], estimator: FlowEstimator | None = None) -> None:
@@ -338,7 +340,8 @@ class ClosedLoopCalibrator:
             back = self._in_use(estimator)
             self._lineage.return_to_crop(origin, back)
             if state is not None:
-                self._masses.weigh_again(state.weighed, state.doubted, used, self._model, self._spans(back))
+                weighed = state.weighed, state.doubted, used
+                self._masses.weigh_again(*weighed, self._model, self._spans(back), self._model_error)
         self._masses.remember(used)
 
     def totals_reset(self, before_kg: float) -> None:
@@ -366,9 +369,11 @@ class ClosedLoopCalibrator:
         self._masses.crops.restore(state.grains)
         self._knowledge.restore(state, parameters, total_kg)
 
-    def remember(self, masses: Sequence[ReferenceMass], estimator: FlowEstimator) -> None:
+    def remember(self, masses: Sequence[ReferenceMass], estimator: FlowEstimator, model_error: AngleError = NO_ERROR) -> None:
         """See calibrator.SelfCalibrator."""
         self._masses.remember(masses)
+        self._model_error = model_error
         state, used = self._before, self._in_use(estimator)
         if state is not None:
-            self._masses.weigh_again(state.weighed, state.doubted, masses, self._model, self._spans(used))
+            weighed = state.weighed, state.doubted, masses
+            self._masses.weigh_again(*weighed, self._model, self._spans(used), model_error)

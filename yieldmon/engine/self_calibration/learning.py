@@ -205,7 +205,7 @@ class Learning:
         """After a restart or a reload: tickets entered before it; `waiting` are those among them that have not been used."""
         self.masses.remember(tickets, waiting)
         if self.calibrator is not None:
-            self.calibrator.remember([a for a in tickets if a not in waiting], self.estimator)
+            self.calibrator.remember([a for a in tickets if a not in waiting], self.estimator, self.model_error)
 
     def learn(
         self, at_s: float, record: WindowRecord, sweep: SweepMachine, channels: OtherChannels | None = None

@@ -10,7 +10,7 @@ from yieldmon.engine.self_calibration.mass_anchors import checked, mass_anchor, 
 from yieldmon.engine.self_calibration.scale_alarm import ScaleCheck, name_of
 from yieldmon.engine.self_calibration.weighings import KEPT_LOADS
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.estimation.self_calibration.angle_error import NO_ERROR
+from yieldmon.estimation.self_calibration.angle_error import AngleError
 from yieldmon.estimation.self_calibration.closed_loop_inputs import MassAnchor
 from yieldmon.estimation.weighing.load_inputs import LoadSettings
 from yieldmon.estimation.weighing.wrong_tickets import known_slip
@@ -41,8 +41,6 @@ class WeighedMasses:
         Those that count, by crop.
     used : frozenset of ReferenceMass
         Handed over before.
-    model_error : AngleError
-        As sweeps showed it when masses were handed over last.
     """
 
     def __init__(self, anchor_error: float) -> None:
@@ -50,7 +48,6 @@ class WeighedMasses:
         self.settings = LoadSettings(load_error=max(anchor_error, _LEAST_LOAD_ERROR))
         self.crops = CropWeighings(self.settings)
         self.used: frozenset[ReferenceMass] = frozenset()
-        self.model_error = NO_ERROR
         self._checked: frozenset[ReferenceMass] = frozenset()
         """Held against what was counted."""
 
@@ -71,13 +68,16 @@ class WeighedMasses:
         self.crops.forget({f"load {number}" for number in load_numbers})
         self.use_again({mass for mass in self.used | self._checked if mass.load_number in load_numbers})
 
-    def new(self, masses: Sequence[ReferenceMass], model: ForwardModel, spans: Spans) -> list[Found]:
-        """Those that were measured whole and have not been handed over, each with the forces over it."""
+    def new(self, masses: Sequence[ReferenceMass], model: ForwardModel, spans: Spans, model_error: AngleError) -> list[Found]:
+        """Those that were measured whole and have not been handed over, each with the forces over it.
+
+        model_error: as `mass_anchor` has it, also of the methods below.
+        """
         found = []
         for mass in masses:
             if not mass.complete or mass in self.used or mass.measured_kg <= 0.0 or mass.end_s - mass.start_s <= 0.0:
                 continue
-            found.append((mass, mass_anchor(mass, model, spans, self._anchor_error, self.model_error)))
+            found.append((mass, mass_anchor(mass, model, spans, self._anchor_error, model_error)))
         return found
 
     def checks(
@@ -114,19 +114,25 @@ class WeighedMasses:
             )
         return accepted, doubt
 
-    def go_on_with(self, masses: Sequence[ReferenceMass], model: ForwardModel, spans: Spans) -> None:
+    def go_on_with(self, masses: Sequence[ReferenceMass], model: ForwardModel, spans: Spans, model_error: AngleError) -> None:
         """These count, by time, the newest of them; none is doubted."""
         by_time = sorted(masses, key=lambda mass: mass.end_s)
-        self.weigh_again([name_of(mass) for mass in by_time][-KEPT_LOADS:], "", by_time, model, spans)
+        self.weigh_again([name_of(mass) for mass in by_time][-KEPT_LOADS:], "", by_time, model, spans, model_error)
 
     def weigh_again(
-        self, names: Sequence[str], doubted: str, masses: Sequence[ReferenceMass], model: ForwardModel, spans: Spans
+        self,
+        names: Sequence[str],
+        doubted: str,
+        masses: Sequence[ReferenceMass],
+        model: ForwardModel,
+        spans: Spans,
+        model_error: AngleError,
     ) -> None:
         """Go on with the loads of these names, that a run before counted, and the one that it doubted."""
         # Of two tickets for one load the newer counts.
         known = {name_of(mass): mass for mass in masses}
         found = {
-            name: weighed(mass, mass_anchor(mass, model, spans, self._anchor_error, self.model_error))
+            name: weighed(mass, mass_anchor(mass, model, spans, self._anchor_error, model_error))
             for name, mass in known.items()
             if name in (*names, doubted)
         }
