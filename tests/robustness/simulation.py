@@ -173,8 +173,10 @@ class Life:
             world.wrong("a ticket twice")
         if len(self.tickets) < world.tickets and not note:
             world.wrong(f"{len(self.tickets)} of {world.tickets} tickets, unsaid")
-        # From here on the truth is what the store has: grain that nobody remembers is not measured again.
-        world.measured_kg = world.committed_kg = total_kg
+        # From here on the truth is what the store has: grain that nobody remembers is not measured again. A medium that takes no
+        # writing keeps a store that could not be read, and a later start may find what that one said was missing.
+        world.measured_kg = max(total_kg, world.measured_kg) if world.read_only else total_kg
+        world.committed_kg = total_kg
         world.tickets = len(self.tickets)
 
     def measure(self) -> None:
