@@ -104,14 +104,25 @@ def test_what_is_no_shaft_is_refused_in_a_line(
     assert problem in line
 
 
+SOUND = ("No error", "NoFault", "not invalid", "without error", "error-free", "Fehlerfrei", "kein Fehler", "Default")
+"""Names of raw values that are measurements."""
+
+
 @pytest.mark.parametrize(
     ("names", "unusable"),
-    [('1022 "Error" 1023 "SNA"', [1022, 1023]), ('1023 "Signal not available"', [1023]), ('0 "No error" 1000 "Max"', [])],
+    [
+        ('1022 "Error" 1023 "SNA"', [1022, 1023]),
+        ('1023 "Signal not available"', [1023]),
+        ('1022 "Sensorfehler" 1023 "ungueltig"', [1022, 1023]),
+        ('1022 "Fault" 1023 "Default fault"', [1022, 1023]),
+        *((f'0 "{name}" 1000 "Max"', []) for name in SOUND),
+    ],
 )
 def test_a_raw_value_that_the_dbc_names_none_is_none(names: str, unusable: list[int], tmp_path: Path) -> None:
     dbc = DBC.format(bits=10, scale=1, low=0, high=1023, unit="rpm") + f"VAL_ 256 Value {names} ;\n"
-    found = decoded(tmp_path, dbc, "", [400, 1022, 1023])
-    assert found == pytest.approx([raw if raw not in unusable else math.nan for raw in (400.0, 1022.0, 1023.0)], nan_ok=True)
+    raws = [0, 400, 1022, 1023]
+    expected = [math.nan if raw in unusable else float(raw) for raw in raws]
+    assert decoded(tmp_path, dbc, "", raws) == pytest.approx(expected, nan_ok=True)
 
 
 def test_of_a_signed_signal_it_is_named_by_its_number_or_by_its_bits(tmp_path: Path) -> None:

@@ -16,15 +16,18 @@ _FLOATS = {16: ("<e", np.uint16, np.float16), 32: ("<f", np.uint32, np.float32),
 
 
 _WIDEST = 64
-_NO_VALUE = re.compile(
-    r"not.?av|unavail|\bn/?a\b|\bsna\b|(?<!no)(?<!no[ _-])(?:error|invalid|fault)|nicht.?verf|fehler|ung.ltig", re.IGNORECASE
+_NO_VALUE = re.compile(r"not.?av|unavail|\bn/?a\b|\bsna\b|error|invalid|fault|nicht.?verf|fehler|ung(?:ue|.)ltig", re.IGNORECASE)
+"""In names that a DBC's value table gives to raw values that are none."""
+_A_VALUE = re.compile(
+    r"(?:no|not|without|ohne|keine?)[ _-]?(?:error|invalid|fault|fehler)|default|(?:error|fault|fehler)[ _-]?fr(?:ee|ei)",
+    re.IGNORECASE,
 )
-"""Names in a DBC's value tables of raw values that are none."""
+"""In names where such words say the opposite, or are part of another."""
 
 
 def named_no_value(bits: SignalBits) -> frozenset[int]:
     """Raw values of a measurement that the DBC's value table calls none, beside those that J1939 keeps."""
-    named = {raw for name, raw in bits.choices.items() if _NO_VALUE.search(name)}
+    named = {raw for name, raw in bits.choices.items() if _NO_VALUE.search(_A_VALUE.sub("", name))}
     if bits.kind == "int":
         # Tables have them as numbers or as patterns of bits.
         named = {raw - (1 << bits.bits) if raw >> bits.bits - 1 == 1 else raw for raw in named}
@@ -35,9 +38,8 @@ def named_no_value(bits: SignalBits) -> frozenset[int]:
 class Extraction:
     """value = raw * scale + offset, nan for raw values that are no measurement and for values outside low .. high.
 
-    over: of a signal that is a period; the value is this over that. 0: it is none.
-
-    codes: raw value -> value in place of that; not in it: nan. None: as above.
+    codes: raw value -> value in place of that; not in it: nan. None: as above. over: of a signal that is a period, whose value is
+    this over raw * scale + offset; 0 of any other.
     """
 
     bits: SignalBits
