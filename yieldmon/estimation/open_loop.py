@@ -271,7 +271,8 @@ class OpenLoop:
             kg/s: 0 at or below the empty reading; nan above that of a full paddle, and where an input is missing or outside its
             range.
         """
-        (force, angle, speed, _, moist), usable = self._inputs(force_n, plate_angle_rad, elevator_speed_rad_s, 0.0, moisture_pct)
+        given = broadcast_inputs(force_n, plate_angle_rad, elevator_speed_rad_s, 0.0, moisture_pct)
+        (force, angle, speed, _, moist), usable = self._usable(*given)
         return np.where(usable, self._inverted(force, angle, speed, moist)[0], np.nan)
 
     def estimate(
@@ -295,9 +296,8 @@ class OpenLoop:
         -------
         FlowEstimate
         """
-        (force, angle, speed, noise, moist), usable = self._inputs(
-            force_n, plate_angle_rad, elevator_speed_rad_s, force_std_dev_n, moisture_pct
-        )
+        given = broadcast_inputs(force_n, plate_angle_rad, elevator_speed_rad_s, force_std_dev_n, moisture_pct)
+        (force, angle, speed, noise, moist), usable = self._usable(*given)
         varied = self.model.throw(angle[..., None], speed[..., None], self._rows, moist[..., None]) if len(self._steps) else None
         flow, gain = self._inverted(force, angle, speed, moist, varied)
         spread = np.hypot(noise, self._parameter_force_sd(flow, varied))
@@ -307,26 +307,17 @@ class OpenLoop:
         outside = self.parameters.calibrated.outside(flow, angle, speed, moist)
         return with_status(flow, sd, noise_sd, outside=outside, empty=flow <= 0.0, usable=usable)
 
-    def _inputs(
-        self,
-        force_n: ArrayLike,
-        plate_angle_rad: ArrayLike,
-        elevator_speed_rad_s: ArrayLike,
-        force_std_dev_n: ArrayLike,
-        moisture_pct: ArrayLike | None,
-    ) -> tuple[tuple[Array, ...], NDArray[np.bool_]]:
-        """`broadcast_inputs` with those of an empty machine at home in place of what cannot be used."""
-        (force, angle, speed, noise, moist), usable = broadcast_inputs(
-            force_n, plate_angle_rad, elevator_speed_rad_s, force_std_dev_n, moisture_pct
-        )
+    def _usable(self, inputs: tuple[Array, ...], usable: NDArray[np.bool_]) -> tuple[tuple[Array, ...], NDArray[np.bool_]]:
+        """What `broadcast_inputs` gave, with the inputs of an empty machine at home in place of what cannot be used."""
+        force, angle, speed, noise, moist = inputs
         if self.model.needs_moisture:
             usable = usable & np.isfinite(moist)
             moist = np.where(np.isfinite(moist), moist, 0.0)
         machine = self.model.machine
-        force = np.where(usable, force, 0.0)
+        force, noise = np.where(usable, force, 0.0), np.where(usable, noise, 0.0)
         angle = np.where(usable, angle, machine.home_plate_angle_rad)
         speed = np.where(usable, speed, machine.nominal_elevator_speed_rad_s)
-        return (force, angle, speed, np.where(usable, noise, 0.0), moist), usable
+        return (force, angle, speed, noise, moist), usable
 
     def _inverted(
         self, force: Array, angle: Array, speed: Array, moisture: Array, varied: Throw | None = None

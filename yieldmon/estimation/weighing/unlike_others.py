@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from yieldmon.estimation.gaussian import SD_PER_MAD
 from yieldmon.physics.numerics import Array
 
 LEAST_LOADS = 3
 _LEAST_OFF, _TIMES_SCATTER = 0.2, 6.0
 """ln, and robust standard deviations of the others, by which a load is off."""
-_TO_SD = 1.4826
-"""Of a median absolute deviation to a normal standard deviation."""
 
 
 def unlike_the_others(log_errors: Array) -> NDArray[np.bool_]:
@@ -19,13 +18,13 @@ def unlike_the_others(log_errors: Array) -> NDArray[np.bool_]:
 
     Parameters
     ----------
-    log_errors : array, shape (n,)
-        ln of measured over weighed mass of each load; NaN where not known.
+    log_errors : ndarray
+        (n,) ln of measured over weighed mass of each load; nan where not known.
 
     Returns
     -------
-    array of bool, shape (n,)
-        None of fewer than three loads: of two that differ either may be right.
+    ndarray of bool
+        (n,). None of fewer than three loads: of two that differ either may be right.
 
     Examples
     --------
@@ -39,6 +38,6 @@ def unlike_the_others(log_errors: Array) -> NDArray[np.bool_]:
     for place in known:
         others = log_errors[known[known != place]]
         middle = float(np.median(others))
-        scatter = _TO_SD * float(np.median(np.abs(others - middle)))
+        scatter = SD_PER_MAD * float(np.median(np.abs(others - middle)))
         found[place] = abs(log_errors[place] - middle) > max(_LEAST_OFF, _TIMES_SCATTER * scatter)
     return found
