@@ -39,7 +39,7 @@ OF_A_CONFIGURATION = [
     ("parameter_file: wheat\n", "c.yaml: parameter_file: {folder}/wheat: No such file"),
     (
         "signals:\n  elevator_speed: {dbc: J1939.DBC, message: EEC1, signal: EngineSpeed}\n",
-        "c.yaml: dbc: {folder}/J1939.DBC: No such file or directory; expected a DBC file, named from {folder}, or j1939.dbc",
+        "c.yaml: dbc: {folder}/J1939.DBC: No such file or directory; expected j1939.dbc, or a DBC file, named from {folder}",
     ),
     (
         "signals:\n  elevator_speed:\n    dbc: j1939.dbc\n    message: EEC1\n    signal: EngineSpeed\n    ratio: 0,2\n",

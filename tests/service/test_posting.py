@@ -24,7 +24,7 @@ from yieldmon.files import parameter_file
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.service.history import posting
-from yieldmon.service.history.poster import Posted, Poster
+from yieldmon.service.history.poster import Posted, Poster, Posting
 from yieldmon.service.history.update_steps import step_document, step_from_document
 from yieldmon.service.logs.weighed_loads import loads_of
 from yieldmon.service.storage.batch import Batch, Load, ParameterVersion, Step
@@ -365,13 +365,13 @@ def test_a_job_that_is_under_way_has_nothing_to_take_and_stays_under_way(tmp_pat
         pass
     poster = Poster(tmp_path / "s.sqlite", lambda patience_s: go_on.wait(60.0))
     assert (poster.busy, poster.take()) == (False, None)
-    poster.start(MACHINE, (4,), 2, None, 0.0)
+    poster.start(MACHINE, Posting((4,), 2, None, 0.0))
     assert (poster.busy, poster.take(), poster.busy) == (True, None, True)
     go_on.set()
     found: list[Posted | None] = []
     wait_for(lambda: found.append(poster.take()) or found[-1], "what came of the job")
     assert found[-1] is not None
-    assert (found[-1].tickets, found[-1].version) == ((4,), 2)
+    assert (found[-1].asked.tickets, found[-1].version) == ((4,), 2)
     assert (poster.busy, poster.take()) == (False, None)
 
 

@@ -8,10 +8,10 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from pydantic import ValidationError
 
@@ -32,6 +32,7 @@ from yieldmon.service.config.contradictions import contradictions
 from yieldmon.service.config.document import ENGINE_SECTIONS, Document
 from yieldmon.service.config.document_text import problems_of
 from yieldmon.service.config.former_keys import with_present_keys
+from yieldmon.service.config.named_file import load_named
 from yieldmon.service.config.output_section import output_map
 from yieldmon.service.config.own_files import file_conflicts
 from yieldmon.service.config.signal_section import mistakes, signal_map
@@ -39,8 +40,6 @@ from yieldmon.service.folders import runtime_folder, state_folder, where_sqlite_
 from yieldmon.service.storage.retention import Retention
 from yieldmon.signals.mapping import SignalMap
 from yieldmon.signals.output_mapping import OutputMap
-
-Content = TypeVar("Content")
 
 
 class ConfigurationError(InputError):
@@ -144,7 +143,7 @@ def build(content: Any, path: Path, environment: Mapping[str, str] = os.environ)
     if problems:
         raise ConfigurationError(problems)
     machine = _with_fixed_plate(machine, document.plate.fixed_angle_deg)
-    parameters = _named(path, "parameter_file", _in_newtons, named.parameter_path)
+    parameters = load_named(path, "parameter_file", _in_newtons, named.parameter_path)
     if curve is not None:
         parameters = with_curve(parameters, curve)
         check_curve_angle(curve, machine, str(named.curve_path))
@@ -192,25 +191,15 @@ def _named_files(document: Document, path: Path) -> _NamedFiles:
     shape_path = _beside(path, document.pulse_shape_file, pulse_shape_file.SHIPPED)
     paths = (machine_path, parameter_path, shape_path, curve_path, moisture_path)
     return _NamedFiles(
-        machine=_named(path, "machine_file", machine_file.load, machine_path),
+        machine=load_named(path, "machine_file", machine_file.load, machine_path),
         machine_path=machine_path,
         parameter_path=parameter_path,
-        curve=None if curve_path is None else _named(path, "estimator_file", flow_curve_file.load, curve_path),
+        curve=None if curve_path is None else load_named(path, "estimator_file", flow_curve_file.load, curve_path),
         curve_path=curve_path,
-        moisture_map=None if moisture_path is None else _named(path, "moisture_map_file", moisture_file.load, moisture_path),
-        shape=_named(path, "pulse_shape_file", pulse_shape_file.load, shape_path),
+        moisture_map=None if moisture_path is None else load_named(path, "moisture_map_file", moisture_file.load, moisture_path),
+        shape=load_named(path, "pulse_shape_file", pulse_shape_file.load, shape_path),
         paths=tuple(read for read in paths if read is not None),
     )
-
-
-def _named(path: Path, key: str, load: Callable[[Path], Content], named: Path) -> Content:
-    """What a file holds that the configuration at `path` names; one that cannot be opened is the fault of the key."""
-    try:
-        return load(named)
-    except InputError as error:
-        if error.where != str(named) or not isinstance(error.__cause__, OSError):
-            raise
-        raise InputError(f"{path}: {key}: {named}", error.problem, f"a YAML file, named from {path.parent}") from error
 
 
 def with_estimator(configuration: Configuration, path: Path | str) -> Configuration:

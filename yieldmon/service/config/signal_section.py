@@ -17,6 +17,7 @@ from yieldmon.network.name import Name, NameMatch
 from yieldmon.physics.machine import Machine
 from yieldmon.resources import shipped
 from yieldmon.service.config.entry_check import HIGHEST_ADDRESS, address, checked, limits, whole
+from yieldmon.service.config.named_file import load_named
 from yieldmon.signals.binding import IMPACT, MAX_RATE_HZ, MIN_RATE_HZ, Binding, Source, check_quantity
 from yieldmon.signals.mapping import SignalMap, build, default_map
 from yieldmon.strict_model import StrictModel
@@ -155,15 +156,7 @@ def database_reader(path: Path) -> Callable[[str], dict[str, MessageBits]]:
 
     @cache
     def read(name: str) -> dict[str, MessageBits]:
-        file = database_path(name, path)
-        try:
-            return load_messages(file)
-        except InputError as error:
-            if error.where != str(file) or not isinstance(error.__cause__, OSError):
-                raise
-            raise InputError(
-                f"{path}: dbc: {file}", error.problem, f"a DBC file, named from {path.parent}, or j1939.dbc"
-            ) from error
+        return load_named(path, "dbc", load_messages, database_path(name, path), "j1939.dbc, or a DBC file")
 
     return read
 

@@ -20,16 +20,38 @@ _WRITING_S = 10.0
 
 
 @dataclass(frozen=True)
-class Posted:
-    """The factors that came of tickets, of an undo where there are none, or why there are no factors. open_load: left out as it
-    was open; closed_load: the one that this is about, None for all of the last days."""
+class Posting:
+    """Loads that are to be measured again.
+
+    Parameters
+    ----------
+    tickets : tuple of int
+        That ask for it; none after an undo.
+    version : int
+        Of the parameters to measure with.
+    open_load : int or None
+        Left out as it is open.
+    now_s : float
+        Bus time.
+    closed_load : int or None
+        The only load that this is about; None for all of the last days.
+    """
 
     tickets: tuple[int, ...]
     version: int
-    factors: Mapping[int, float]
-    problem: str = ""
-    open_load: int | None = None
+    open_load: int | None
+    now_s: float
     closed_load: int | None = None
+
+
+@dataclass(frozen=True)
+class Posted:
+    """What came of a posting. version: of the parameters that its loads were measured with; factors: by load, none where they
+    could not be measured again."""
+
+    asked: Posting
+    version: int
+    factors: Mapping[int, float]
 
 
 class Poster:
@@ -47,19 +69,9 @@ class Poster:
         """Whether a job is under way, or its result not taken yet."""
         return self._thread is not None
 
-    def start(
-        self,
-        machine: Machine,
-        tickets: tuple[int, ...],
-        version: int,
-        open_load: int | None,
-        now_s: float,
-        closed_load: int | None = None,
-    ) -> None:
-        """Begin a job; not while busy. tickets: none after an undo. closed_load: this load alone. Without room for a thread there
-        is none, which is said."""
-        asked = (machine, tickets, version, open_load, now_s, closed_load)
-        thread = threading.Thread(target=self._work, args=asked, name="posting", daemon=True)
+    def start(self, machine: Machine, posting: Posting) -> None:
+        """Begin a job; not while busy. Without room for a thread there is none, which is said."""
+        thread = threading.Thread(target=self._work, args=(machine, posting), name="posting", daemon=True)
         try:
             thread.start()
         except RuntimeError as error:
@@ -81,23 +93,18 @@ class Poster:
             # First what an undo brought back: what tickets teach after it counts.
             in_use = monitor.estimator.parameters.version
             taken = actions.take_restored() if actions.restored_waits else actions.take_waiting(in_use)
-            self.start(machine, *taken, open_load, now_s)
+            self.start(machine, Posting(*taken, open_load, now_s))
         elif (closed := actions.closed_load(open_load)) is not None:
             number, by = closed
-            self.start(machine, by.tickets, by.version, open_load, now_s, number)
+            self.start(machine, Posting(by.tickets, by.version, open_load, now_s, number))
 
     def take_into(self, actions: ActionLog) -> bool:
         """Enter what came of the job, once; whether it brought factors, which are to be written before another job reads them."""
         posted = self.take()
         if posted is None:
             return False
-        actions.posted(
-            posted.tickets,
-            posted.version,
-            posted.factors,
-            open_load=posted.open_load,
-            closed_load=posted.closed_load,
-        )
+        asked = posted.asked
+        actions.posted(asked.tickets, posted.version, posted.factors, open_load=asked.open_load, closed_load=asked.closed_load)
         return bool(posted.factors)
 
     def take(self) -> Posted | None:
@@ -107,22 +114,14 @@ class Poster:
         self._thread, done, self._done = None, self._done, None
         return done
 
-    def _work(
-        self,
-        machine: Machine,
-        tickets: tuple[int, ...],
-        version: int,
-        open_load: int | None,
-        now_s: float,
-        closed_load: int | None,
-    ) -> None:
-        found, problem = {}, ""
+    def _work(self, machine: Machine, posting: Posting) -> None:
+        found, version = dict[int, float](), posting.version
         try:
             self._written(_WRITING_S)
-            if closed_load is not None:
-                version = at_its_end(self._path, closed_load, version)
-            found = of_store(self._path, machine, version, open_load, now_s, undone_only=not tickets, only=closed_load)
+            if posting.closed_load is not None:
+                version = at_its_end(self._path, posting.closed_load, version)
+            undone, only = not posting.tickets, posting.closed_load
+            found = of_store(self._path, machine, version, posting.open_load, posting.now_s, undone_only=undone, only=only)
         except Exception as error:  # noqa: BLE001 - what was measured stays, and measuring goes on
             _log.error("the loads could not be measured again: %s", error)
-            problem = str(error)
-        self._done = Posted(tickets, version, found, problem, open_load, closed_load)
+        self._done = Posted(posting, version, found)
