@@ -68,8 +68,10 @@ class Capture:
         link = struct.unpack(order + "I", self._exactly(20)[16:])[0] & 0xFFFF
         interface = _Interface(_can_link(link))
         while head := self.file.read(16):
-            seconds, fraction, length, _ = struct.unpack(order + "4I", head if len(head) == 16 else b"\xff" * 16)
-            if length > _LARGEST_BYTES or len(head) < 16:
+            if len(head) < 16:
+                raise ValueError("the file ends early")
+            seconds, fraction, length, _ = struct.unpack(order + "4I", head)
+            if length > _LARGEST_BYTES:
                 raise ValueError("a damaged packet")
             message = _message(interface, seconds + fraction / ticks_per_s, self._exactly(length))
             if message is not None:

@@ -84,13 +84,17 @@ def _held_against(
     problems = plausible.implausible(loaded)
     if log is None:
         return None, notes, [InputError(*problem) for problem in problems]
-    from yieldmon.service.logs import foretold  # runs the engine, which a check without a recording does not
+    # These run the engine, which a check without a recording does not.
+    from yieldmon.cli._log_progress import log_progress
+    from yieldmon.service.logs import foretold
 
-    found, incomplete = mapping_check.seen_in(loaded, log)
+    with log_progress(2) as progress:
+        found, incomplete = mapping_check.seen_in(loaded, log, progress)
+        faults = foretold.faults_on(loaded, log, progress)
     if incomplete:
         notes.append(f"{incomplete} messages of several frames lack one and are not used")
     problems += mapping_check.problems(loaded, found, log)
-    notes += mapping_check.remarks(loaded, found) + foretold.faults_on(loaded, log)
+    notes += mapping_check.remarks(loaded, found) + faults
     return mapping_check.as_json(found), notes, [InputError(*problem) for problem in problems]
 
 

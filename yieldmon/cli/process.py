@@ -16,6 +16,7 @@ from pathlib import Path
 from yieldmon.bus.logs import SUFFIXES, require_package
 from yieldmon.cli import _flow_curve, _named_files, _outputs
 from yieldmon.cli._json import print_json
+from yieldmon.cli._log_progress import log_progress
 from yieldmon.cli._units import add_units
 from yieldmon.documents.process import ProcessSummary, ReprocessSummary
 from yieldmon.errors import InputError
@@ -25,7 +26,7 @@ from yieldmon.repeats import repeated
 from yieldmon.resources import shipped
 from yieldmon.service.config import configuration
 from yieldmon.service.logs import log_record, recorded
-from yieldmon.service.logs.bulk_processing import EndOfLog, Stretch
+from yieldmon.service.logs.bulk_processing import EndOfLog
 from yieldmon.service.logs.factory_comparison import FactoryComparison
 from yieldmon.service.logs.log_copies import refuse_copies, refuse_named_twice
 from yieldmon.service.logs.log_record import Progress
@@ -93,7 +94,7 @@ def run(args: argparse.Namespace) -> int:
     refuse_copies(args.logs)
     if args.separate:
         return _separately(args, config, units)
-    with _progress(args.logs) as progress, _says_what_is_kept(args.out):
+    with log_progress(len(args.logs)) as progress, _says_what_is_kept(args.out):
         document = _one_record(
             args.logs, args.out, args.format, loaded, reads_ahead=args.jobs > 1, progress=progress, zero_mv=args.zero_mv
         )
@@ -191,7 +192,7 @@ def _separately(args: argparse.Namespace, config: str | Path, units: Units) -> i
     documents: dict[str, ProcessSummary] = {}
     with (
         _says_what_is_kept(args.out, documents),
-        _progress(args.logs) as progress,
+        log_progress(len(args.logs)) as progress,
         context.Pool(min(args.jobs, len(args.logs)), _leave_interrupts) as pool,
     ):
         for log, (document, error) in zip(args.logs, pool.imap(work, args.logs), strict=True):
@@ -308,28 +309,3 @@ def _line(document: ProcessSummary, units: Units) -> str:
             "check-config CONFIG --log LOG` says whether the samples can be a force"
         )
     return "\n".join(lines)
-
-
-@contextmanager
-def _progress(logs: list[str]) -> Iterator[Progress | None]:
-    """A bar on a terminal, nothing elsewhere; by logs, since how many frames a log holds shows at its end."""
-    if not sys.stderr.isatty():
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
-    columns = (BarColumn(), MofNCompleteColumn(), TextColumn("logs, {task.fields[frames]:,} frames"), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("", total=len(logs), frames=0)
-        frames = 0
-
-        def advance(stretch: Stretch | EndOfLog) -> None:
-            nonlocal frames
-            if isinstance(stretch, EndOfLog):
-                bar.advance(task)
-            else:
-                frames += stretch.frames
-                bar.update(task, frames=frames)
-
-        yield advance

@@ -118,12 +118,12 @@ class Conclusion:
     def _learn(self, end_s: float, record: WindowRecord, estimator: FlowEstimator) -> tuple[Event, ...]:
         """What the window teaches, and the loads that are known otherwise for it."""
         parts, learning, sweep = self._parts, self._parts.learning, self._parts.plate.sweep
-        waveform, believed = parts.waveform, (learning.load_error, learning.scale_alarm.state.contradiction)
+        waveform, before = parts.waveform, (learning.load_error, learning.scale_alarm.state.contradiction)
         channels = None
         if waveform is not None and parts.settings.sweep.when == "information":
             channels = waveform.channels(end_s, estimator)
         learnt = learning.learn(end_s, record, sweep, channels)
-        restated = self._restate(*believed, learnt)
+        restated = self._restate(*before, learnt)
         self._hold_moisture(learnt)
         if waveform is not None and not (sweep.driving or learnt):
             lesson = waveform.lessons.take()

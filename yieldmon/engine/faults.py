@@ -130,6 +130,7 @@ def _saturated_detail(o: Observation) -> str:
 
 
 _UNUSABLE = 0.01
+"""Share of the samples that came, from which those that cannot be used are named."""
 _MANY_LOST, _ROOM_FOR_LOST = 5, 0.25
 """Frames in a second, and the share of them for which its samples leave room."""
 
@@ -160,7 +161,7 @@ def _frames_lost_detail(o: Observation) -> str:
 
 
 def _unusable_share(o: Observation) -> float:
-    """Of the samples that came; 0 below a hundredth."""
+    """Of the samples that came those that cannot be used; 0 below `_UNUSABLE`."""
     sent = o.window.frames * ceil(o.window.samples / max(o.window.frames, 1))
     share = 1.0 - o.window.samples / sent if sent else 0.0
     return share if share >= _UNUSABLE else 0.0

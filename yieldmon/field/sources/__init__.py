@@ -20,7 +20,7 @@ from yieldmon.field.seconds import per_second
 from yieldmon.field.sections import together
 from yieldmon.field.table import HarvestTable
 
-from .header_states import believed
+from .header_states import without_contradicted_states
 from .options import ReadOptions
 
 HEAD_BYTES = 4096
@@ -54,7 +54,7 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
             raise InputError(str(path), "is neither a file nor a folder", "a harvest")
         for module in modules():
             if module.recognises(path, head):
-                table, mixed = with_note(together(believed(module.read(path, options))))
+                table, mixed = with_note(together(without_contradicted_states(module.read(path, options))))
                 # The rows of a second are no one's where two machines made them.
                 return table if mixed else per_second(table)
     except OSError as error:

@@ -64,7 +64,7 @@ def states_of(label: Label, name: str) -> tuple[Array, tuple[str, ...]]:
     return np.array(states)[label.codes], (note,) if unknown else ()
 
 
-def believed(table: HarvestTable) -> HarvestTable:
+def without_contradicted_states(table: HarvestTable) -> HarvestTable:
     """The table without the header states of sources that measured most of their grain with the header up; they say so."""
     header = table["header_down"].copy()
     sources = list(table.sources)

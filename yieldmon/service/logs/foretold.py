@@ -10,11 +10,11 @@ from yieldmon.engine.health import FaultEvent
 from yieldmon.engine.results import Result, events_in
 from yieldmon.errors import InputError
 from yieldmon.service.config.configuration import Configuration
-from yieldmon.service.logs.log_record import measure
+from yieldmon.service.logs.log_record import Progress, measure
 from yieldmon.service.storage.rows import SecondRow
 
 
-def faults_on(configuration: Configuration, log: str) -> list[str]:
+def faults_on(configuration: Configuration, log: str, progress: Progress | None = None) -> list[str]:
     """Each fault with its seconds and what it said first, a sentence each.
 
     Parameters
@@ -22,6 +22,8 @@ def faults_on(configuration: Configuration, log: str) -> list[str]:
     configuration : Configuration
     log : str
         Path of a log that can be read.
+    progress : callable, optional
+        Called with each stretch that is done.
 
     Returns
     -------
@@ -41,7 +43,7 @@ def faults_on(configuration: Configuration, log: str) -> list[str]:
                 said.setdefault(event.code.value, event.detail)
 
     try:
-        measure([log], configuration, take, take_results=hear)
+        measure([log], configuration, take, take_results=hear, progress=progress)
     except InputError:
         return []
     return [

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from math import degrees, radians
 from pathlib import Path
@@ -23,6 +23,7 @@ from yieldmon.units import S_PER_DAY
 
 if TYPE_CHECKING:
     from yieldmon.engine.runs import FrameRun
+    from yieldmon.service.logs.bulk_processing import EndOfLog, Stretch
 
 
 SPEEDS_RPM = (300.0, 400.0, 500.0)
@@ -141,17 +142,21 @@ def _carried(packing: Packing, unit: str) -> str:
     return f", from {max(packing.low, ends[0]):.6g} to {min(packing.high, ends[1]):.6g} {unit}{silent}"
 
 
-def seen_in(configuration: Configuration, log: Path | str) -> tuple[dict[str, QuantitySeen], int]:
-    """Each quantity in a recording, and how many messages of several frames lack one. Raises InputError for a log that cannot be
-    read."""
+def seen_in(
+    configuration: Configuration, log: Path | str, progress: Callable[[Stretch | EndOfLog], None] | None = None
+) -> tuple[dict[str, QuantitySeen], int]:
+    """Each quantity in a recording, and how many messages of several frames lack one; progress: called with each stretch that is
+    read. Raises InputError for a log that cannot be read."""
     incomplete = 0
     parts: dict[str, list[tuple[Array, Array, Array]]] = {}
     sources = configuration.signals.sources
     from yieldmon.bus.codec import Codec
-    from yieldmon.service.logs.bulk_processing import EndOfLog, Taking, stretches_of
+    from yieldmon.service.logs import bulk_processing
 
-    for stretch in stretches_of([str(log)], Taking(Codec(), configuration.signals)):
-        if not isinstance(stretch, EndOfLog):
+    for stretch in bulk_processing.stretches_of([str(log)], bulk_processing.Taking(Codec(), configuration.signals)):
+        if progress is not None:
+            progress(stretch)
+        if not isinstance(stretch, bulk_processing.EndOfLog):
             incomplete += stretch.incomplete
             for run in stretch.runs:
                 _take(run, configuration, parts)
