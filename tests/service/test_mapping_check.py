@@ -255,42 +255,36 @@ def test_fields_of_a_name_take_what_their_bits_hold(field: str, tmp_path: Path) 
             load(tmp_path, cell=f"{WIDE}, source: {{{field}: {value}}}}}")
 
 
-@pytest.mark.parametrize(("rpm", "told"), [(500.0, False), (600.0, True)])
-def test_values_beyond_the_range_of_the_dbc_are_told(rpm: float, told: bool, tmp_path: Path) -> None:
+BEYOND = (
+    "elevator_speed goes from 400 to 600 rpm, beyond 550 where the DBC's range of Turns ends: raw values that mean none are "
+    "`not_available`, or outside `range`"
+)
+LARGEST = (
+    "elevator_speed comes with Turns at its largest raw value, 65535, which is 32767.5 rpm: where that means no value, "
+    "not_available: [65535]"
+)
+
+
+@pytest.mark.parametrize(("rpm", "told"), [(500.0, []), (600.0, [BEYOND])])
+def test_values_beyond_the_range_of_the_dbc_are_told(rpm: float, told: list[str], tmp_path: Path) -> None:
     config = load(tmp_path)
     (tmp_path / "own.dbc").write_text(DBC.replace('(0.5,0) [0|0] "rpm"', '(0.5,0) [0|550] "rpm"'))
     config = configuration.load(tmp_path / "c.yaml")
     seen = impact(config)
     seen["elevator_speed"] = replace(seen["elevator_speed"], decoded=(400.0, rpm))
-    found = [text for text in remarks(config, seen) if "DBC's range" in text]
-    assert found == (
-        [
-            "elevator_speed goes from 400 to 600 rpm, beyond 550 where the DBC's range of Turns ends: raw values that "
-            "mean none are `not_available`, or outside `range`"
-        ]
-        if told
-        else []
-    )
+    assert [text for text in remarks(config, seen) if "DBC's range" in text] == told
 
 
 @pytest.mark.parametrize(
-    ("raw", "bound", "told"), [(1100, "", False), (65535, "", True), (65535, ", not_available: [65535]", False)]
+    ("raw", "bound", "told"), [(1100, "", []), (65535, "", [LARGEST]), (65535, ", not_available: [65535]", [])]
 )
-def test_a_largest_raw_value_is_asked_about(raw: int, bound: str, told: bool, tmp_path: Path) -> None:
+def test_a_largest_raw_value_is_asked_about(raw: int, bound: str, told: list[str], tmp_path: Path) -> None:
     """In a DBC that is not J1939's nothing else says that it means no value."""
     load(tmp_path)
     config = configuration.load(_with(tmp_path / "c.yaml", "signal: Turns", f"signal: Turns{bound}"))
     shaft = [(100.0 + 0.1 * k, 258, struct.pack("<H", raw if k % 2 else 800)) for k in range(40)]
     seen, _ = seen_in(config, log_of(tmp_path, *shaft))
-    found = [text for text in remarks(config, seen) if "largest raw value" in text]
-    assert found == (
-        [
-            "elevator_speed comes with Turns at its largest raw value, 65535, which is 32767.5 rpm: where that means no value, "
-            "not_available: [65535]"
-        ]
-        if told
-        else []
-    )
+    assert [text for text in remarks(config, seen) if "largest raw value" in text] == told
 
 
 def test_frames_that_are_shorter_than_the_dbc_says_are_named(tmp_path: Path) -> None:
