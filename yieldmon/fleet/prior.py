@@ -20,6 +20,7 @@ from yieldmon.files.ticket_file import WeighedTicket
 from yieldmon.fleet import tables
 from yieldmon.fleet.querying import Query, opened
 from yieldmon.fleet.repeats import contents_of
+from yieldmon.fleet.unlike_tickets import in_words
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import ForwardModel
 from yieldmon.service.logs import weighed_loads
@@ -134,7 +135,7 @@ def _alike(
     unlike = unlike_the_others(errors)
     usual = float(np.exp(np.median(errors[~unlike]))) if unlike.any() else 1.0
     lines = [
-        f"{here} weighs {load.weighed_kg:.0f} kg, {usual / np.exp(error):.3g} times what the machine's other tickets say of it"
+        f"{here} {in_words(load.weighed_kg, usual / np.exp(error))}"
         for (here, load), error, one in zip(weighed, errors, unlike, strict=True)
         if one
     ]

@@ -19,6 +19,7 @@ from yieldmon.fleet.names import LATEST_DATE_S, in_order, off_by_days
 from yieldmon.fleet.overlaps import Overlap, overlaps
 from yieldmon.fleet.querying import Query, opened
 from yieldmon.fleet.repeats import Log, Repeats, logs_of, samples_of
+from yieldmon.fleet.unlike_tickets import in_words
 from yieldmon.utc import EARLIEST_BUS_TIME_S
 
 Rows = list[dict[str, Any]]
@@ -250,13 +251,10 @@ def _unlike_tickets(tickets: Rows) -> Rows:
             unlike = unlike_the_others(np.log(ratios))
         usual = float(np.median(ratios[~unlike]))
         for row, ratio in zip(itertools.compress(rows, unlike), ratios[unlike], strict=True):
-            times = (
-                f"{usual / ratio:.3g} times what the machine's other tickets say of it"
-                if ratio > 0
-                else "and nothing was measured"
-            )
-            problem = f"the ticket of {row['name']} weighs {row['weighed_kg']:.0f} kg, {times}"
-            found.append({"machine": row["machine"], "day": row["day"], "problem": problem})
+            weighed_kg = row["weighed_kg"]
+            nothing = f"weighs {weighed_kg:.0f} kg, and nothing was measured"
+            said = in_words(weighed_kg, usual / ratio) if ratio > 0 else nothing
+            found.append({"machine": row["machine"], "day": row["day"], "problem": f"the ticket of {row['name']} {said}"})
     return found
 
 
