@@ -250,6 +250,37 @@ def test_logs_of_a_day_are_in_the_order_of_their_numbers(tmp_path: Path) -> None
     assert [Path(log).name for log in partition.logs] == names
 
 
+@pytest.mark.parametrize("dated", [True, False])
+def test_logs_of_a_day_are_one_record_in_the_order_of_their_times(dated: bool, tmp_path: Path) -> None:
+    """Whatever they are called; logs that begin at 0 each say nothing of their order, which is that of their names."""
+    lines = logs.text(60.0).splitlines(keepends=True)
+    half = len(lines) * 4 // 5
+    found = {}
+    parts = lines[:half], lines[half:]
+    for day, of in (
+        ("whole", {"1.log": lines}),
+        ("by name", dict(zip(("1.log", "2.log"), parts, strict=True))),
+        ("by time", dict(zip(("morning.log", "afternoon.log"), parts, strict=True))),
+    ):
+        folder = tmp_path / "tree" / "m" / day
+        folder.mkdir(parents=True)
+        for name, part in of.items():
+            epoch_s = 0.0 if dated else float(part[0][1:18])
+            (folder / name).write_text("".join(f"({float(line[1:18]) - epoch_s:017.6f}){line[19:]}" for line in part))
+    for task in tasks(tmp_path / "tree", tmp_path / "out"):
+        assert work(task).status == DONE
+        place = tmp_path / "out" / task.partition.name
+        rows = pq.ParquetFile(place / "loads.parquet").read().to_pylist()
+        [load] = [row["measured_kg"] for row in rows if row["kind"] == "load"]
+        codes = {row["code"] for row in pq.ParquetFile(place / "faults.parquet").read().to_pylist()}
+        found[task.partition.day] = load, "ClockJumped" in codes
+    if dated:
+        assert found["by time"] == found["by name"] == found["whole"]
+        assert not found["whole"][1]
+    else:
+        assert found["by time"][0] < 0.7 * found["whole"][0], "the grain before the zero has no mass"
+
+
 @pytest.mark.parametrize("name", ["._a.log", ".DS_Store", "Thumbs.db", "notes.txt"])
 def test_what_file_managers_leave_is_no_log(tmp_path: Path, name: str) -> None:
     for each in ("a.log", name):

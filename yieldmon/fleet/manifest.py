@@ -43,7 +43,7 @@ _OPTIONAL = ("config", "tickets", "crop")
 
 @dataclass(frozen=True, slots=True)
 class Partition:
-    """One machine's logs of one day, in the order in which they are one record.
+    """One machine's logs of one day, by name or as the manifest lists them.
 
     Paths or fsspec addresses; config, tickets: "" for none. crop: "" where the parameters say it. copies: of the logs those that
     repeat another one of the machine, with that one.

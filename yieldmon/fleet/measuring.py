@@ -28,6 +28,7 @@ from yieldmon.files.ticket_file import WeighedTicket
 from yieldmon.finite import finite
 from yieldmon.fleet import tables
 from yieldmon.fleet.identity import Identity
+from yieldmon.fleet.log_order import in_time_order
 from yieldmon.fleet.overlaps import within
 from yieldmon.service.config.configuration import Configuration
 from yieldmon.service.logs import log_record
@@ -144,7 +145,8 @@ def measure(
     Parameters
     ----------
     logs : sequence of str
-        Paths, in the order in which they are one record. One that cannot be read is left out and named in the result.
+        Paths, by name; one record in the order of their first frames' times (`in_time_order`). One that cannot be read is left
+        out and named in the result.
     tickets : str
         Path of a table of tickets, "" for none. A number means the log in that place of `names`; a name the log of that name.
     crop : str
@@ -166,6 +168,7 @@ def measure(
     """
     usable, poisoned = list(logs), []
     while True:
+        usable = in_time_order(usable)
         try:
             taken, document, monitor = _record(usable, configured, folder / f"{tables.RECORDS}.parquet")
             break
