@@ -284,7 +284,7 @@ End TriggerBlock
 
 
 def test_every_line_of_vectors_that_should_be_a_frame_is_one_or_is_reported(tmp_path: Path) -> None:
-    """python-can passes over what it does not take for a frame: every fiftieth line, damaged in its time, was lost unsaid."""
+    """A line that is damaged in its time, identifier or direction is no event of another kind."""
     notes = LogNotes()
     path = written(tmp_path, "sound.asc", VECTOR)
     assert len(list(read_log(path, notes))) == 6
@@ -323,3 +323,38 @@ def test_times_of_vector_since_the_line_before(tmp_path: Path, base: str) -> Non
     ]  # fmt: skip
     path.write_text("\n".join(rows).replace("relative", "absolute") + "\n")
     assert [m.timestamp for m in read_log(path)] == [0.25, 1.0, 0.000001]
+
+
+def test_frames_of_canedge_as_vectors_are_all_there(tmp_path: Path) -> None:
+    """Its header has two lines, and CAN FD frames stand there like classic ones, their length code in decimals. Source: tests of
+    CSS-Electronics/mdf4-converters, MIT."""
+    eight = " ".join(f"{number:02X}" for number in range(8))
+    lines = [
+        "date Fri Feb 14 08:51:20 am 2020",
+        "base hex  timestamps absolute",
+        "  348.161550 1 12345678x Rx d 2 12 34",
+        "  348.174000 1 123  Rx d 0 ",
+        f"  348.174650 1 123  Rx d 9 {eight} 08 09 0A 0B",
+        f"  348.178150 1 123  Rx d 12 {eight} {eight} {eight}",
+        f"  348.185950 1 123  Tx d 15 {' '.join([eight] * 8)}",
+        f"  348.186950 1 3FF  Rx d D {eight}  Length = 232016 BitCount = 119 ID = 1023",
+        f"  348.187950 1 3FF  TxRq d 8 {eight}",
+        f"  348.188950 1 3FF  Rx d 12 {eight}",
+    ]
+    notes = LogNotes()
+    found = list(read_log(written(tmp_path, "edge.asc", "\n".join(lines) + "\n"), notes))
+    assert [(m.arbitration_id, len(m.data), m.dlc, m.is_fd) for m in found] == [
+        (0x12345678, 2, 2, False), (0x123, 0, 0, False), (0x123, 12, 12, True), (0x123, 24, 24, True), (0x123, 64, 64, True),
+        (0x3FF, 8, 8, False),
+    ]  # fmt: skip
+    assert [m.is_rx for m in found] == [True, True, True, True, False, True]
+    assert [damage.problem for damage in notes.damages] == ["8 bytes of data where the length says 12"]
+
+
+def test_a_classic_frame_of_a_fd_channel_is_one(tmp_path: Path) -> None:
+    line = "   4.876870 CANFD   1 Rx        300   {} 0 0 8 8 01 02 03 04 05 06 07 08  102203  133 {} e0006659\n"
+    text = line.format("", "303000") + line.format("Name_12", "200040")
+    found = list(read_log(written(tmp_path, "fd.asc", text)))
+    assert [(m.is_fd, m.arbitration_id, bytes(m.data)) for m in found] == [
+        (is_fd, 0x300, bytes(range(1, 9))) for is_fd in (True, False)
+    ]

@@ -1,5 +1,5 @@
-"""Text logs line by line: candump and those of loggers by parsers of their own, Vector's and python-can's by python-can; damaged
-lines are reported and skipped."""
+"""Text logs line by line: candump and those of loggers by parsers of their own, python-can's .csv by python-can; damaged lines
+are reported and skipped."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from yieldmon.bus.loggers import canedge, kvaser, savvycan
 from yieldmon.bus.loggers.busmaster import Busmaster, begins
 from yieldmon.bus.loggers.fields import Parser
 from yieldmon.bus.loggers.peak import Trace
-from yieldmon.bus.loggers.vector import Times, is_frame, unread
+from yieldmon.bus.loggers.vector import Vector
 from yieldmon.errors import InputError
 
 #: By their ending; candump's is the first.
@@ -35,8 +35,8 @@ _UTF8_MARK = b"\xef\xbb\xbf"
 #: Control characters that stand in no text log: all but tab, line feed and carriage return.
 _CONTROL_BYTE = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]")
 
-#: What stands for a header when a reader goes on behind a damaged line: the line it may skip without loss.
-_RESUME_LINE = {".asc": "internal events logged", ".csv": "header"}
+#: What stands for a header when python-can's reader goes on behind a damaged line: the line it may skip without loss.
+_RESUME_LINE = "header"
 _UNPACKED = re.compile(r"values to unpack \(expected (\d+)")
 """How Python says that a line has more or fewer fields than its reader takes."""
 
@@ -58,11 +58,7 @@ def read_stream(stream: io.BufferedReader, path: Path, suffix: str, notes: LogNo
         case ".csv":
             return _read_csv(lines, notes)
         case _:
-            lines.rewritten, lines.unread = Times(), unread
-            if is_frame(stream.peek(_LONGEST_START_BYTES)[:_LONGEST_START_BYTES]):
-                # python-can takes the first line for one of the header.
-                lines.resume_with = _RESUME_LINE[suffix]
-            return _read_with_python_can(lines, suffix)
+            return _read_lines(lines, Vector())
 
 
 def is_candump(stream: io.BufferedReader) -> bool:
@@ -73,16 +69,13 @@ def is_candump(stream: io.BufferedReader) -> bool:
 class _Lines:
     """Line by line what a text reader of python-can may see; damaged bytes never reach it.
 
-    Stands in for an open text file: iterable, with close(). `number` is the line handed out last, from 1; `rewritten` makes of
-    each sound line the one to hand out; `unread` says what is wrong with one that the reader would pass over.
+    Stands in for an open text file: iterable, with close(). `number` is the line handed out last, from 1.
     """
 
     def __init__(self, stream: io.BufferedReader, path: Path, notes: LogNotes) -> None:
         self.number = 0
         self.damaged = False
         self.resume_with: str | None = None
-        self.rewritten: Callable[[str], str] = str
-        self.unread: Callable[[str], str | None] | None = None
         self._stream = stream
         self._path = path
         self._notes = notes
@@ -105,10 +98,7 @@ class _Lines:
                 self.damage(given_up)
                 raise StopIteration
             if problem is None:
-                line = raw.decode("utf-8", errors="replace").rstrip("\r\n")
-                problem = self.unread(line) if self.unread is not None else None
-                if problem is None:
-                    return self.rewritten(line)
+                return raw.decode("utf-8", errors="replace").rstrip("\r\n")
             self.damage(problem)
 
     def close(self) -> None:
@@ -209,7 +199,7 @@ def _read_csv(lines: _Lines, notes: LogNotes) -> Iterator[can.Message]:
         yield from _read_lines(lines, parse)
         return
     lines.resume_with = heading
-    yield from _read_with_python_can(lines, ".csv")
+    yield from _read_with_python_can(lines)
 
 
 def _read_trace(lines: _Lines) -> Iterator[can.Message]:
@@ -232,8 +222,9 @@ def _read_lines(lines: _Lines, parse: Parser) -> Iterator[can.Message]:
             yield message
 
 
-def _read_with_python_can(lines: _Lines, suffix: str) -> Iterator[can.Message]:
-    reader: can.io.generic.MessageReader = cast("Any", can.io.player.MESSAGE_READERS[suffix])(lines)
+def _read_with_python_can(lines: _Lines) -> Iterator[can.Message]:
+    """Of python-can's .csv."""
+    reader = can.CSVReader(cast("Any", lines))
     reported = -1
     while True:
         try:
@@ -250,7 +241,5 @@ def _read_with_python_can(lines: _Lines, suffix: str) -> Iterator[can.Message]:
                 return
             reported = lines.number
             counted = _UNPACKED.search(str(error))
-            lines.damage(
-                f"is not {counted[1]} fields, as a line of a {suffix} log is" if counted else f"not as {suffix} has it: {error}"
-            )
-            lines.resume_with = _RESUME_LINE[suffix]
+            lines.damage(f"is not {counted[1]} fields, as a line of a .csv log is" if counted else f"not as .csv has it: {error}")
+            lines.resume_with = _RESUME_LINE

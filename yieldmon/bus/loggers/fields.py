@@ -16,7 +16,8 @@ from yieldmon.identifiers import CLASSIC_BYTES, LARGEST_STANDARD_ID
 Parser = Callable[[str], can.Message | None]
 _LARGEST = 2**60
 """Of what any field may hold; microseconds since 1970 need 51 bits."""
-_FD_LENGTHS: tuple[int, ...] = (*range(CLASSIC_BYTES + 1), 12, 16, 20, 24, 32, 48, 64)
+#: Bytes of a CAN FD frame, by its data length code.
+FD_LENGTHS: tuple[int, ...] = (*range(CLASSIC_BYTES + 1), 12, 16, 20, 24, 32, 48, 64)
 
 
 class Form(NamedTuple):
@@ -71,9 +72,9 @@ def data_bytes(fields: Sequence[str], base: int = 16) -> bytes:
 
 def fd_length(code: int) -> int:
     """Bytes of a CAN FD frame by its data length code."""
-    if code >= len(_FD_LENGTHS):
+    if code >= len(FD_LENGTHS):
         raise ValueError(f"data length code {code} is above 15")
-    return _FD_LENGTHS[code]
+    return FD_LENGTHS[code]
 
 
 def clock_s(year: int, month: int, day: int, hour: int, minute: int, second: int) -> float:
