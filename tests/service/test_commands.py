@@ -44,11 +44,17 @@ class Told:
     counted_loads = frozenset()
     scale_counted = False
 
-    def ticket_departure(self, *ticket: float) -> None:
+    for_crops: list[str] = field(default_factory=list)
+    """That the tickets wait for, "" for the one in use."""
+
+    machine = Machine()
+
+    def ticket_departure(self, load: int, mass_kg: float, std_dev_kg: float, of_crop: object = None) -> None:
         """Not known."""
 
-    def ticket(self, *ticket: float) -> None:
-        self.tickets.append(ticket)
+    def ticket(self, load: int, mass_kg: float, std_dev_kg: float, crop: str = "") -> None:
+        self.tickets.append((load, mass_kg, std_dev_kg))
+        self.for_crops.append(crop)
 
 
 def journal(*tickets: Ticket) -> Journal:
@@ -115,17 +121,34 @@ def test_a_load_of_an_earlier_run_updates_as_the_store_has_it(
     assert [number for number, _, _ in monitor.tickets] == [1] * (not why)
 
 
-def test_a_ticket_for_another_crop_than_the_one_in_use_updates_nothing() -> None:
+def test_a_ticket_for_another_crop_than_the_one_in_use_waits_for_its_return() -> None:
     monitor = Told({1: True, 2: True})
     known = journal()
     known.name_load(None, "wheat")
     request = {"command": "ticket", "first_load": 1, "mass_kg": 3100.0}
     answer = commands.execute(request, monitor, known, 1.7e9)
-    assert (answer["anchor"], monitor.tickets) == (False, [])
-    assert (
-        answer["why_no_anchor"]
-        == "a load of corn; the parameters in use are those of wheat; `yieldmon calibrate --loads` learns from it"
-    )
+    assert (answer["anchor"], answer["waits_for_crop"], answer["why_no_anchor"]) == (True, "corn", "")
+    assert (monitor.tickets, monitor.for_crops) == ([(1, 3100.0, pytest.approx(15.5))], ["corn"])
+    assert (known.actions.waiting, known.actions.unfinished_of_crop) == ([], {"corn": (1,)})
+
+
+def test_a_ticket_for_loads_of_two_crops_teaches_none_of_them() -> None:
+    monitor = Told({1: True, 2: True})
+    known = journal()
+    known.loads.named(2, None, "wheat")
+    answer = commands.execute({"command": "ticket", "first_load": 1, "last_load": 2, "mass_kg": 4100.0}, monitor, known, 1.7e9)
+    assert (answer["anchor"], monitor.tickets, answer["factor"]) == (False, [], pytest.approx(1.025))
+    assert answer["why_no_anchor"].startswith("loads of corn and wheat on one ticket teach none of them; `yieldmon load correct`")
+
+
+def test_a_ticket_of_another_crop_under_a_curve_updates_nothing() -> None:
+    monitor = Told({1: True, 2: True})
+    monitor.estimator = SimpleNamespace(parameters=SimpleNamespace(curve=object(), provenance={}))
+    known = journal()
+    known.name_load(None, "wheat")
+    answer = commands.execute({"command": "ticket", "first_load": 1, "mass_kg": 3100.0}, monitor, known, 1.7e9)
+    assert (answer["anchor"], answer["waits_for_crop"], monitor.tickets) == (False, "", [])
+    assert answer["why_no_anchor"].startswith("a load of corn; the parameters in use are those of wheat")
 
 
 def test_the_newest_ticket_of_a_load_counts() -> None:
@@ -293,6 +316,7 @@ def test_a_mass_without_its_unit_is_refused_where_pounds_are_shown(words, units,
         ("2550 lb", 1156.66),
         ("10 short tons", 9071.85),
         ("1 short ton", 907.185),
+        ("91.2 dt", 9120.0),
         ("9.12t", 9120),
         ("9.12 T", 9120),
         ("9120KG", 9120),

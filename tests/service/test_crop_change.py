@@ -145,6 +145,15 @@ TYPED = [
     ("Oilseed rape", "rapeseed", True),
     ("soybeans", "soybean", True),
     ("Winter_Wheat", "wheat", True),
+    ("Höstvete", "wheat", True),
+    ("höstvete", "wheat", True),
+    ("vete", "wheat", True),
+    ("maltkorn", "barley", True),
+    ("cevada", "barley", True),
+    ("girassol", "sunflower", True),
+    ("Colza d'hiver", "Colza d'hiver", False),
+    ("SŁONECZNIK", "sunflower", True),
+    ("hvede", "wheat", True),
     ("Quinoa", "Quinoa", False),
 ]
 
@@ -154,6 +163,15 @@ def test_a_crop_is_known_however_it_is_typed(typed: str, kept: str, known: bool)
     monitor, journal = started()
     answer = commands.execute({"command": "load-start", "crop": typed}, monitor, journal, 1.7e9)
     assert (answer["crop"], answer["crop_known"], answer["parameters"]["changed"]) == (kept, known, known)
+
+
+@pytest.mark.parametrize("typed", ["Milho", "Maïs", "maíz", "majs", "MAIS"])
+def test_the_shipped_crop_is_known_in_other_languages(typed: str) -> None:
+    monitor, journal = started()
+    before = monitor.estimator.parameters
+    answer = commands.execute({"command": "load-start", "crop": typed}, monitor, journal, 1.7e9)
+    assert (answer["crop"], answer["crop_known"], answer["parameters"]["changed"]) == ("corn", True, False)
+    assert monitor.estimator.parameters == before
 
 
 @pytest.mark.parametrize("states_crop", [True, False])
@@ -179,7 +197,16 @@ def test_a_crop_of_which_nothing_is_known_takes_no_calibration_away(tmp_path, st
 
 @pytest.mark.parametrize(
     ("typed", "meant"),
-    [("cron", "corn"), ("WHEET", "wheat"), ("weat", "wheat"), ("barleyy", "barley"), ("maze", "corn"), ("canolla", "rapeseed")],
+    [
+        ("cron", "corn"),
+        ("WHEET", "wheat"),
+        ("weat", "wheat"),
+        ("barleyy", "barley"),
+        ("maze", "corn"),
+        ("canolla", "rapeseed"),
+        ("vetee", "wheat"),
+        ("korn", "barley or corn"),
+    ],
 )
 def test_a_slip_of_a_finger_is_no_crop(typed: str, meant: str) -> None:
     monitor, journal = started()
@@ -189,7 +216,24 @@ def test_a_slip_of_a_finger_is_no_crop(typed: str, meant: str) -> None:
     assert (monitor.totals.load_number, journal.crop, monitor.estimator.parameters) == (number, "", before)
 
 
-@pytest.mark.parametrize("name", ["oats", "rye", "popcorn", "triticale", "winter oats", "corn 2", "beans", "spelt", "buckwheat"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "oats",
+        "rye",
+        "popcorn",
+        "triticale",
+        "winter oats",
+        "corn 2",
+        "beans",
+        "spelt",
+        "buckwheat",
+        "havre",
+        "råg",
+        "ruis",
+        "centeio",
+    ],
+)
 def test_another_crop_is_no_slip(name: str) -> None:
     monitor, journal = started()
     assert commands.execute({"command": "load-start", "crop": name}, monitor, journal, 1.7e9)["crop"] == name

@@ -94,6 +94,8 @@ def said(request: Mapping[str, Any], answer: Mapping[str, Any]) -> str:
             doubt = f"; {answer['question']}: is it right?" if answer.get("question") else ""
             if answer.get("sets_scale_pct") is not None:
                 doubt += "; the first, it sets the scale by itself: weigh a second load"
+            if crop := answer.get("waits_for_crop"):
+                doubt += f"; it teaches {crop} once that is harvested again"
             return f"{taken}{doubt}" if answer["anchor"] else f"{taken}; no reference: {answer['why_no_anchor']}"
         case "zero":
             return "the zero is being taken; keep the elevator running empty; `yieldmon zero --undo` takes it back"
@@ -108,4 +110,7 @@ def _said_of_load(command: str, answer: Mapping[str, Any]) -> str:
     if command == "load-stop":
         return f"load {answer['load']} is complete"
     crop = answer["crop"]
-    return f"load {answer['load']} started" + (f" of {crop}" if crop else "")
+    not_known = (
+        "" if answer.get("crop_known", True) else ", which is no known crop: it begins with the parameters of the one before"
+    )
+    return f"load {answer['load']} started" + (f" of {crop}{not_known}" if crop else "")

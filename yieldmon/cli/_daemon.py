@@ -63,7 +63,8 @@ def daemon_socket(args: argparse.Namespace) -> Path:
 
 _MASS_UNITS = (
     ("kg", 1.0), ("lbs", KG_PER_LB), ("lb", KG_PER_LB), ("shorttons", LB_PER_SHORT_TON * KG_PER_LB),
-    ("shortton", LB_PER_SHORT_TON * KG_PER_LB), ("tonnes", KG_PER_T), ("tonne", KG_PER_T), ("t", KG_PER_T),
+    ("shortton", LB_PER_SHORT_TON * KG_PER_LB), ("tonnes", KG_PER_T), ("tonne", KG_PER_T),
+    ("dt", 0.1 * KG_PER_T), ("t", KG_PER_T),
 )  # fmt: skip
 
 

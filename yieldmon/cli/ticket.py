@@ -81,10 +81,17 @@ def run(args: argparse.Namespace) -> int:
         print_json(answer)
     else:
         why_not = f"no reference: {units.in_text(answer['why_no_anchor'])}"
-        use = "a reference for the calibration" if answer["anchor"] else why_not
+        crop = answer.get("waits_for_crop", "")
+        use = f"a reference for {crop or 'the calibration'}" if answer["anchor"] else why_not
         measured, weighed = (units.mass_with_bushels(answer[key]) for key in ("measured_mass_kg", "weighed_mass_kg"))
         print(f"{which}: measured {measured}, weighed {weighed} ({change_pct:+.2f} %); {use}")
-        if answer["anchor"]:
+        if crop:
+            print(
+                f"it teaches {crop}, and loads of the last three days are measured again, once {crop} is harvested again: ",
+                end="",
+            )
+            print(f"`yieldmon load start --crop {crop}`, also for some seconds with the elevator empty")
+        elif answer["anchor"]:
             print("the loads of the last three days are measured again with the updated parameters: `yieldmon load list`")
     return 0
 

@@ -280,7 +280,7 @@ class Monitor(MonitorView):
 
     # Tickets
 
-    def ticket(self, load_number: int, mass_kg: float, std_dev_kg: float) -> ReferenceMass:
+    def ticket(self, load_number: int, mass_kg: float, std_dev_kg: float, crop: str = "") -> ReferenceMass:
         """A scale ticket for a load.
 
         Parameters
@@ -288,31 +288,37 @@ class Monitor(MonitorView):
         load_number : int
         mass_kg, std_dev_kg : float
             Weighed mass and its standard deviation, kg.
+        crop : str
+            Of the load, where another crop is harvested now.
 
         Returns
         -------
         ReferenceMass
-            Counts when the window or sweep under way ends.
+            Counts when the window or sweep under way ends; of another crop, once that is harvested again.
 
         Raises
         ------
         ValueError
             When the load is not known or a number makes no sense.
         """
-        return self._parts.learning.ticket(load_number, mass_kg, std_dev_kg, self.loads, self._parts.bus_now)
+        return self._parts.learning.ticket(load_number, mass_kg, std_dev_kg, self.loads, self._parts.bus_now, crop)
 
-    def ticket_departure(self, load_number: int, mass_kg: float, std_dev_kg: float) -> tuple[float, float] | None:
+    def ticket_departure(
+        self, load_number: int, mass_kg: float, std_dev_kg: float, of_crop: FlowEstimator | None = None
+    ) -> tuple[float, float] | None:
         """How far a scale ticket that is not entered yet is from its load.
 
         Parameters
         ----------
         load_number, mass_kg, std_dev_kg
             As `ticket` has them.
+        of_crop : FlowEstimator, optional
+            With the parameters of the load's crop; None: those in use.
 
         Returns
         -------
         (float, float) or None
-            ln of the weighed mass over the load's by the parameters in use, and its standard deviation; None where the load was
+            ln of the weighed mass over the load's by these parameters, and its standard deviation; None where the load was
             not measured whole or the parameters are no model's.
 
         Raises
@@ -320,7 +326,7 @@ class Monitor(MonitorView):
         ValueError
             As `ticket`.
         """
-        return self._parts.learning.departure(load_number, mass_kg, std_dev_kg, self.loads, self._parts.bus_now)
+        return self._parts.learning.departure(load_number, mass_kg, std_dev_kg, self.loads, self._parts.bus_now, of_crop)
 
     def teach_again(
         self, load_numbers: Sequence[int], again: Sequence[Weighing], learnt: Sequence[int] | None = None, crop: str = ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import unicodedata
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import cache
@@ -18,34 +19,42 @@ from yieldmon.units import KG_PER_LB
 from . import strict_yaml
 
 _FILE = "config/crops.yaml"
-#: Other spellings, and names in other languages -> name in config/crops.yaml.
-_ALIASES = {
-    "maize": "corn",
-    "mais": "corn",
-    "maiz": "corn",
-    "milho": "corn",
-    "yellow corn": "corn",
-    "soybeans": "soybean",
-    "soya": "soybean",
-    "soy": "soybean",
-    "soja": "soybean",
-    "sb": "soybean",
-    "winter wheat": "wheat",
-    "spring wheat": "wheat",
-    "weizen": "wheat",
-    "winterweizen": "wheat",
-    "trigo": "wheat",
-    "gerste": "barley",
-    "wintergerste": "barley",
-    "milo": "sorghum",
-    "canola": "rapeseed",
-    "rape": "rapeseed",
-    "oilseed rape": "rapeseed",
-    "raps": "rapeseed",
-    "sunflowers": "sunflower",
+_NAMES = {
+    "corn": "maize, yellow corn, mais, körnermais, maiz, milho, majs, granturco, kukurydza, maissi",
+    "soybean": (
+        "soybeans, soy bean, soy beans, soya, soyabean, soyabeans, soya bean, soya beans, soy, sb, soja, sojabohne, "
+        "sojabohnen, sojaböna, sojabönor, soia, feijão soja"
+    ),
+    "wheat": (
+        "winter wheat, spring wheat, durum, weizen, winterweizen, sommerweizen, hartweizen, trigo, blé, blé tendre, "
+        "blé dur, grano, frumento, vete, höstvete, vårvete, hvede, vinterhvede, vårhvede, hvete, høsthvete, vårhvete, "
+        "tarwe, wintertarwe, pszenica, vehnä"
+    ),
+    "barley": (
+        "winter barley, spring barley, malting barley, gerste, wintergerste, sommergerste, braugerste, cebada, "
+        "cevada, orge, orzo, höstkorn, vårkorn, maltkorn, byg, vinterbyg, vårbyg, maltbyg, bygg, gerst, wintergerst, "
+        "jęczmień, ohra"
+    ),
+    "rapeseed": (
+        "canola, rape, oilseed rape, winter rape, raps, winterraps, sommerraps, colza, höstraps, vårraps, oljeraps, "
+        "vinterraps, turnip rape, rybs, rypsi, koolzaad, rzepak, rapsi"
+    ),
+    "sorghum": "milo, sorgo, sorgho, durra",
+    "sunflower": (
+        "sunflowers, sonnenblume, sonnenblumen, girasol, girassol, girasole, tournesol, solros, solrosor, solsikke, "
+        "zonnebloem, zonnebloemen, słonecznik, auringonkukka"
+    ),
+    "rice": "paddy, reis, arroz, riz, riso, ris, rijst, ryż, riisi",
 }
+"""Other spellings of the names in config/crops.yaml, and names in other languages."""
+_OF_TWO_CROPS = {"korn": ("barley", "corn")}
+"""A name -> the crops that it may mean: Swedish barley, and a slip of corn."""
+_OTHER_CROPS = frozenset({"bete", "ruis"})
+"""Names of crops that are not shipped, one slip from a name of one that is: beet, Finnish rye."""
+_OTHER_LETTERS = {"ø": "o", "æ": "ae", "ł": "l", "ß": "ss"}
+"""Letters that are not a letter with a mark."""
 _SHORTEST_SLIP = 4
-"""Letters; of shorter words many are another crop's."""
+"""Letters; of shorter words, and one slip from shorter ones, many are another crop's."""
 _HEAP_OVER_TEST_WEIGHT = 1.49
 _DENSITY_SD = 0.15
 
@@ -100,22 +109,35 @@ def crops() -> Mapping[str, Crop]:
     })  # fmt: skip
 
 
+def _plain(name: str) -> str:
+    """A name as names are compared: small letters of the English alphabet, with one space between words."""
+    small = "".join(_OTHER_LETTERS.get(letter, letter) for letter in name.casefold())
+    apart = unicodedata.normalize("NFKD", small.replace("_", " ").replace("-", " "))
+    return " ".join("".join(letter for letter in apart if not unicodedata.combining(letter)).split())
+
+
+@cache
+def _known_names() -> Mapping[str, str]:
+    """Every name that is known, as `_plain` has it -> its crop."""
+    return {name: name for name in crops()} | {_plain(name): crop for crop, names in _NAMES.items() for name in names.split(", ")}
+
+
 def shipped_name(name: str) -> str | None:
     """The shipped crop that a name means, whatever its case, spelling or language: "Oilseed_Rape" is "rapeseed"; None: none."""
-    plain = " ".join(name.lower().replace("_", " ").split())
-    found = _ALIASES.get(plain, plain)
-    return found if found in crops() else None
+    return _known_names().get(_plain(name))
 
 
 def misspelt(name: str) -> str | None:
     """The shipped crop from one of whose names a word is one slip of a finger away: "cron" is "corn"; None: none.
 
-    A slip is a letter left out, added, taken for another, or changed with its neighbour.
+    A slip is a letter left out, added, taken for another, or changed with its neighbour. Of a name that may be two crops', both.
     """
-    word = name.strip().lower()
-    if shipped_name(word) is not None or len(word) < _SHORTEST_SLIP or not word.isalpha():
+    word = _plain(name)
+    if shipped_name(word) is not None or len(word) < _SHORTEST_SLIP or not word.isalpha() or word in _OTHER_CROPS:
         return None
-    return next((shipped_name(known) for known in (*crops(), *_ALIASES) if _one_slip(word, known)), None)
+    if word in _OF_TWO_CROPS:
+        return " or ".join(_OF_TWO_CROPS[word])
+    return next((crop for known, crop in _known_names().items() if len(known) >= _SHORTEST_SLIP and _one_slip(word, known)), None)
 
 
 def _one_slip(word: str, known: str) -> bool:

@@ -16,7 +16,7 @@ from . import delimited
 RELATIVE_STD_DEV = 0.005
 """Standard deviation of a weighing that states none, as a share of the mass (a certified platform scale)."""
 _LOADS = ("load", "load_number", "loads", "log", "file")
-_KG: Mapping[str, float] = {"kg": 1.0, "t": KG_PER_T, "lb": KG_PER_LB}
+_KG: Mapping[str, float] = {"kg": 1.0, "t": KG_PER_T, "dt": 0.1 * KG_PER_T, "lb": KG_PER_LB}
 _MASSES = ("weighed", "mass", "weight", "weighed_mass", "net", "net_weight", "net_mass")
 _DEVIATIONS = ("std_dev", "sd", "sigma")
 _MIN_KG, _MAX_KG = 1.0, 1e6

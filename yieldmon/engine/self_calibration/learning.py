@@ -187,19 +187,25 @@ class Learning:
             self.calibration_age_s += seconds
 
     def ticket(
-        self, load_number: int, mass_kg: float, std_dev_kg: float, loads: tuple[LoadSummary, ...], now_s: float
+        self, load_number: int, mass_kg: float, std_dev_kg: float, loads: tuple[LoadSummary, ...], now_s: float, crop: str = ""
     ) -> ReferenceMass:
         """A scale ticket for a load; see `Monitor.ticket`."""
         anchor = self.masses.tickets.ticket(load_number, mass_kg, std_dev_kg, loads, now_s)
-        self.masses.enter(anchor)
+        self.masses.enter(anchor, crop)
         return anchor
 
     def departure(
-        self, load_number: int, mass_kg: float, std_dev_kg: float, loads: tuple[LoadSummary, ...], now_s: float
+        self,
+        load_number: int,
+        mass_kg: float,
+        std_dev_kg: float,
+        loads: tuple[LoadSummary, ...],
+        now_s: float,
+        of_crop: FlowEstimator | None = None,
     ) -> tuple[float, float] | None:
         """See `Monitor.ticket_departure`."""
         anchor = self.masses.tickets.ticket(load_number, mass_kg, std_dev_kg, loads, now_s)
-        return departure_of(anchor, self.estimator, self.drift_sd, self.model_error)
+        return departure_of(anchor, of_crop or self.estimator, self.drift_sd, self.model_error)
 
     def remember_tickets(self, tickets: Sequence[ReferenceMass], waiting: Sequence[ReferenceMass]) -> None:
         """After a restart or a reload: tickets entered before it; `waiting` are those among them that have not been used."""

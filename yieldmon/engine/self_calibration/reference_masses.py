@@ -116,10 +116,10 @@ class ReferenceMasses:
 
     # What is handed over
 
-    def enter(self, ticket: ReferenceMass) -> None:
-        """A ticket that teaches."""
-        self.tickets.enter(ticket)
-        self._wait = True
+    def enter(self, ticket: ReferenceMass, crop: str = "") -> None:
+        """A ticket that teaches. crop: once this one is harvested again; "": the one harvested now."""
+        self.tickets.enter(ticket, crop)
+        self._wait = self._wait or not crop
 
     def hand_over(self) -> tuple[tuple[ReferenceMass, ...], tuple[ReferenceMass, ...]]:
         """All that are to be used now; of several tickets one with each call, in the order of entry.

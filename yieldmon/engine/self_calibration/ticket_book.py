@@ -118,10 +118,14 @@ class TicketBook:
             raise ValueError(f"ticket for load {load_number}: no such load; expected one of {known}")
         return _ticket(load, forces, mass_kg, std_dev_kg, now_s)
 
-    def enter(self, ticket: ReferenceMass) -> None:
-        """A ticket that is to update the parameters."""
-        self._tickets.append(ticket)
-        self._waiting.append(ticket)
+    def enter(self, ticket: ReferenceMass, crop: str = "") -> None:
+        """A ticket that is to update the parameters. crop: for whose return it waits; "": it is of the one harvested now."""
+        if not crop:
+            self._tickets.append(ticket)
+            self._waiting.append(ticket)
+            return
+        tickets, waiting = self._of_crop.get(crop, ([], []))
+        self._of_crop[crop] = [*tickets, ticket], [*waiting, ticket]
 
     def hand_over(self) -> tuple[ReferenceMass, ...]:
         """The first ticket that waits, and the others of one that covers several loads, go to the calibrator; these."""

@@ -190,6 +190,10 @@ def why_no_reference(
     """Why no part of a ticket is a reference mass for the calibration; "" where it is. The monitor gets to know those of its
     loads that an earlier run measured. crop: whose parameters are to learn; "": those in use."""
     in_use = crop or journal.crop_in_use(monitor.estimator.parameters)
+    named = sorted({load.crop for load in covered if load.crop})
+    if len({name.lower() for name in named}) > 1:
+        both = " and ".join(named)
+        return f"loads of {both} on one ticket teach none of them; `yieldmon load correct` if one has the wrong crop"
     other = next((load.crop for load in covered if load.crop and in_use and load.crop.lower() != in_use.lower()), None)
     if other is not None:
         return f"a load of {other}; the parameters in use are those of {in_use}; `yieldmon calibrate --loads` learns from it"

@@ -198,16 +198,18 @@ def _ticket(order: _Order) -> Answer:
     again = journal.actions.ledger.factors
     known_kg = sum(load.mass_kg * again.get(load.number, 1.0) for load in covered)
     ticket = Ticket(order.now_s, first, last, weighed_kg, measured_kg, request.name("note") or "")
-    why_not = ticket_file.unit_slip(weighed_kg, measured_kg) or why_no_reference(monitor, journal, covered, order.stored)
+    crop = _other_crop(order, covered)
+    why_not = ticket_file.unit_slip(weighed_kg, measured_kg) or why_no_reference(monitor, journal, covered, order.stored, crop)
     shares = weighings(covered, ticket, std_dev_kg)
-    departs = None if why_not else _departure(shares, order)
-    question = _question(ticket, departs, order, covered)
-    first_moves = exp(departs.ln) - 1.0 if departs is not None and departs.first and not journal.actions.to_teach else None
+    departs = None if why_not else _departure(shares, order, crop)
+    question = _question(ticket, departs, order, covered, crop)
+    waits = journal.actions.unfinished_of_crop.get(crop) if crop else journal.actions.to_teach
+    first_moves = exp(departs.ln) - 1.0 if departs is not None and departs.first and not waits else None
     if not why_not:
         for load_number, mass_kg, share_std_dev_kg in shares:
-            monitor.ticket(load_number, mass_kg, share_std_dev_kg)
+            monitor.ticket(load_number, mass_kg, share_std_dev_kg, crop)
     replaces = [n for n, t in journal.actions.ledger.tickets.items() if t.first_load <= last and t.last_load >= first]
-    number = journal.actions.ticket(ticket, request.who, std_dev_kg, is_reference=not why_not)
+    number = journal.actions.ticket(ticket, request.who, std_dev_kg, is_reference=not why_not, crop=crop)
     return {
         "crop": covered[-1].crop,
         "ticket": number,
@@ -219,18 +221,37 @@ def _ticket(order: _Order) -> Answer:
         "factor": ticket.factor,
         "anchor": not why_not,
         "why_no_anchor": why_not,
+        "waits_for_crop": "" if why_not else crop,
         "question": question,
         "replaces": replaces,
         "sets_scale_pct": None if first_moves is None else 100.0 * first_moves,
     }
 
 
-def _departure(shares: Sequence[Weighing], order: _Order) -> ticket_doubt.Departure | None:
-    """Of a ticket with these shares of loads; None where there is no number."""
-    found = [(mass_kg, order.monitor.ticket_departure(number, mass_kg, sd_kg)) for number, mass_kg, sd_kg in shares]
+def _other_crop(order: _Order, covered: Sequence[Load]) -> str:
+    """The crop of loads that are all of one, where its parameters are others than those in use; else ""."""
+    monitor, journal = order.monitor, order.journal
+    in_use, crops_of = journal.crop_in_use(monitor.estimator.parameters), {load.crop for load in covered}
+    crop = crops_of.pop() if len(crops_of) == 1 else ""
+    # A curve is one grain's: another crop does not change it.
+    one_curve = monitor.estimator.parameters.curve is not None
+    return "" if one_curve or not in_use or crop.lower() == in_use.lower() else shipped_name(crop) or crop
+
+
+def _departure(shares: Sequence[Weighing], order: _Order, crop: str) -> ticket_doubt.Departure | None:
+    """Of a ticket with these shares of loads; None where there is no number. crop: of the loads, where another one is harvested
+    now."""
+    monitor, journal = order.monitor, order.journal
+    known = journal.parameters.of(crop, monitor.estimator.parameters, journal.crop) if crop else None
+    if crop and known is None:
+        return None
+    of_crop = None if known is None else estimator_of(monitor.machine, known)
+    found = [(mass_kg, monitor.ticket_departure(number, mass_kg, sd_kg, of_crop)) for number, mass_kg, sd_kg in shares]
     parts = [(mass_kg, part) for mass_kg, part in found if part is not None]
     if not parts or len(parts) != len(shares):
         return None
+    if known is not None:
+        return ticket_doubt.combined(parts, weighed_before=known.is_weighed)
     return ticket_doubt.combined(
         parts,
         weighed_before=bool(order.monitor.counted_loads) or order.monitor.scale_counted,
@@ -248,15 +269,15 @@ def _only_tickets(order: _Order, covered: Sequence[int]) -> list[int]:
     return [n for n, t in standing if counted and counted <= set(range(t.first_load, t.last_load + 1))]
 
 
-def _question(ticket: Ticket, departs: ticket_doubt.Departure | None, order: _Order, covered: Sequence[Load]) -> str:
-    """See ticket_doubt."""
+def _question(ticket: Ticket, departs: ticket_doubt.Departure | None, order: _Order, covered: Sequence[Load], crop: str) -> str:
+    """See ticket_doubt. crop: as `_departure` has it."""
     if departs is None:
         return ""
     known = order.journal.actions.ledger
     known_kg = {load.number: load.mass_kg * known.factors.get(load.number, 1.0) for load in order.journal.loads}
     weighed = {n for t in known.tickets.values() for n in range(t.first_load, t.last_load + 1)}
     asked = ticket_doubt.question(ticket.weighed_mass_kg, departs, covered, known_kg, weighed)
-    alone = _only_tickets(order, [load.number for load in covered])
+    alone = [] if crop else _only_tickets(order, [load.number for load in covered])
     # A scale that one ticket alone has set is no better than that ticket.
     if not (asked and alone):
         return asked

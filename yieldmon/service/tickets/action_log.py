@@ -74,15 +74,18 @@ class ActionLog:
     def _next_number(self) -> int:
         return self._actions[-1].number + 1 if self._actions else 1
 
-    def ticket(self, ticket: Ticket, who: str = "", std_dev_kg: float | None = None, *, is_reference: bool = False) -> int:
-        """A ticket; returns its number. std_dev_kg: of the weighing. is_reference: it was handed to the calibration."""
+    def ticket(
+        self, ticket: Ticket, who: str = "", std_dev_kg: float | None = None, *, is_reference: bool = False, crop: str = ""
+    ) -> int:
+        """A ticket; returns its number. std_dev_kg: of the weighing. is_reference: it was handed to the calibration. crop: for
+        whose return it waits there, where another one is harvested now."""
         self._tickets.append(ticket)
         self._new_tickets.append(ticket)
         number = len(self._tickets)
         document = {"ticket": number, "std_dev_kg": std_dev_kg, "reference": is_reference}
         self.add(ledgers.TICKET, who, document, ticket.time_s)
         if is_reference:
-            self.waiting.append(number)
+            (self._of_crop.setdefault(crop, []) if crop else self.waiting).append(number)
         return number
 
     def entered(self, number: int) -> Ticket:

@@ -210,7 +210,8 @@ function connect() {
 
 function answerOf(name, answer) {
   if (name === "load-start") {
-    const crop = answer.parameters?.changed ? `; measuring with the parameters of ${answer.crop}` : "";
+    const crop = answer.parameters?.changed ? `; measuring with the parameters of ${answer.crop}`
+      : answer.crop_known === false ? `; ${answer.crop} is no known crop: it begins with the parameters of the one before` : "";
     return `Load ${answer.load} begun${crop}.`;
   }
   if (name === "load-stop") return `Load ${answer.load} ended: ${mass(answer.mass_kg)} ${units.mass.name}.`;
@@ -219,9 +220,13 @@ function answerOf(name, answer) {
     const off = 100 * (answer.weighed_mass_kg / (answer.known_mass_kg ?? answer.measured_mass_kg) - 1);
     const asked = answer.question || (Math.abs(off) > UNLIKELY_PCT ? "That is a lot" : "");
     const doubt = asked ? ` ${asked}; if it is a slip, enter the right mass as another ticket.` : "";
-    const use = answer.anchor ? "a reference for the calibration" : "no reference for the calibration";
+    const first = answer.sets_scale_pct == null ? "" : " It is the first and sets the scale by itself: weigh a second load.";
+    const replaced = answer.replaces?.length ? ` Ticket ${answer.replaces.join(", ")} stood for it; the newer one counts.` : "";
+    const of = answer.waits_for_crop;
+    const use = !answer.anchor ? `no reference for the calibration: ${answer.why_no_anchor}`
+      : of ? `a reference for ${of}, which learns once it is harvested again` : "a reference for the calibration";
     const masses = `Measured ${mass(answer.measured_mass_kg)} ${units.mass.name}, weighed ${mass(answer.weighed_mass_kg)} ${units.mass.name}`;
-    return `${masses} (${number(change, 2)} %); ${use}.${doubt}`;
+    return `${masses} (${number(change, 2)} %); ${use}.${replaced}${first}${doubt}`;
   }
   if (name === "ticket-undo") {
     const back = answer.version === undefined ? "" : `; measuring with the parameters from before it (version ${answer.version})`;
@@ -233,7 +238,8 @@ function answerOf(name, answer) {
     const loads = answer.first_load === answer.last_load ? `Load ${answer.first_load}` : `Loads ${answer.first_load} to ${answer.last_load}`;
     const again = answer.measured_again?.length ? "; measured again" : "";
     const not = answer.not_measured_again?.length ? `; load ${answer.not_measured_again.map((row) => row.load).join(", ")} is not measured again` : "";
-    return `${loads}: ${[answer.field, answer.crop].filter(Boolean).join(" ")}${again}${not}.`;
+    const next = answer.goes_on ? ` The next load is still ${answer.goes_on}: New load with ${answer.crop} if it is not.` : "";
+    return `${loads}: ${[answer.field, answer.crop].filter(Boolean).join(" ")}${again}${not}.${next}`;
   }
   if (name === "zero") return `Zero calibration ${answer.zero}.`;
   if (name === "zero-undo") return `Zero calibration undone; ${mass(answer.restored_kg)} ${units.mass.name} since then.`;
