@@ -11,6 +11,8 @@ CLASSIC_BYTES = 8
 """Of data in a classic frame, at most."""
 FD_BYTES = 64
 """Of data in a CAN FD frame, at most."""
+FD_LENGTHS: tuple[int, ...] = (*range(CLASSIC_BYTES + 1), 12, 16, 20, 24, 32, 48, FD_BYTES)
+"""Bytes of data that a CAN FD frame may have, by its data length code."""
 
 #: What distinguishes a J1939 message: all but the priority.
 IDENTITY_MASK = 0x03FFFFFF

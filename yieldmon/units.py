@@ -12,7 +12,7 @@ from enum import StrEnum
 from math import isfinite
 
 KG_PER_LB = 0.45359237
-LB_PER_SHORT_TON = 2000.0
+KG_PER_SHORT_TON = 2000.0 * KG_PER_LB
 KG_PER_T = 1000.0
 M2_PER_ACRE = 4046.8564224
 M2_PER_HA = 10_000.0

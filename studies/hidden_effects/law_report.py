@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from scipy import optimize, stats
 
 from studies.hidden_effects import law_cases, study
+from studies.hidden_effects.confidence_map import expected_calibration_error, learnt, to_document
 from yieldmon.discrepancy import confidence
 from yieldmon.discrepancy.confidence import Calibration
 from yieldmon.discrepancy.policy import Policy
@@ -100,7 +101,7 @@ def learn(records: Sequence[Record], provenance: dict[str, Any]) -> Calibration:
     tied = np.array([len(r["classes"][i]) > 1 for r, i in steps]) & (within > 0.5)
     if np.count_nonzero(tied) < 5:
         tied = within > 0.5
-    return Calibration(confidence.learnt(rows, within), confidence.learnt(rows[tied], name[tied]), provenance)
+    return Calibration(learnt(rows, within), learnt(rows[tied], name[tied]), provenance)
 
 
 def crossed(records: Sequence[Record], of: Callable[[Record], frozenset[str]] = law) -> dict[str, list[tuple[float, float]]]:
@@ -214,7 +215,7 @@ def reliability(records: Sequence[Record], stated: dict[str, list[tuple[float, f
         if inside.any():
             means = f"{ours[inside].mean():.2f} | {within[inside].mean():.2f}"
             lines.append(f"| {low:.1f} to {low + 0.1:.1f} | {inside.sum()} | {means} |")
-    error = confidence.expected_calibration_error
+    error = expected_calibration_error
     chance = by_chance(ours)
     slope, intercept, p_line = calibration_line(ours, within)
     by_effect, by_name, by_others, by_share = (
@@ -236,7 +237,7 @@ def by_chance(stated: NDArray[np.float64], draws: int = 2000) -> NDArray[np.floa
     """Expected calibration errors of names that are right with exactly their stated probabilities, (draws,)."""
     rng = np.random.default_rng(1)
     right = (rng.random((draws, len(stated))) < stated).astype(float)
-    return np.array([confidence.expected_calibration_error(stated, r) for r in right])
+    return np.array([expected_calibration_error(stated, r) for r in right])
 
 
 def calibration_line(stated: NDArray[np.float64], right: NDArray[np.float64]) -> tuple[float, float, float]:
@@ -329,7 +330,7 @@ def main() -> int:
         _, _, after = rest.partition("<!-- /laws -->")
         args.page.write_text(f"{before}<!-- laws -->\n{text}\n<!-- /laws -->{after}", encoding="utf-8")
     if args.ship:
-        document = confidence.to_document(learn(records, provenance(records)))
+        document = to_document(learn(records, provenance(records)))
         SHIPPED.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
     return 0
 

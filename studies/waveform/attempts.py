@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from studies.dem.job import TOP_RAD, Throw
 from studies.dem.script import start_angle_rad
+from studies.waveform.arrival import calibrate_arrival
 from studies.waveform.fill import (
     ANGLES_DEG,
     DATA,
@@ -24,7 +25,6 @@ from studies.waveform.fill import (
     volume_flow_m3_s,
     wave,
 )
-from yieldmon.estimation.waveform.arrival_calibration import calibrate_arrival
 from yieldmon.estimation.waveform.arrival_law import ArrivalLaw
 from yieldmon.estimation.waveform.pattern_fold import PatternWave
 from yieldmon.estimation.waveform.pulse_model import PulseModel

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from studies.dem.job import TOP_RAD, Throw
 from studies.dem.script import start_angle_rad
-from yieldmon.estimation.waveform.arrival_calibration import SEVERAL_GRAINS, arrival_point, calibrate_arrival, law_of
+from studies.waveform.arrival import SEVERAL_GRAINS, calibrate_arrival
+from yieldmon.estimation.waveform.arrival_calibration import arrival_point, law_of
 from yieldmon.estimation.waveform.arrival_law import ArrivalLaw
 from yieldmon.estimation.waveform.pattern_fold import PatternWave
 from yieldmon.estimation.waveform.pulse_fit import PulseEstimate

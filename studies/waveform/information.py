@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 
+from studies.waveform.arrival import sample_noise_n
 from yieldmon.estimation.waveform.pattern_fold import PatternWave
 from yieldmon.estimation.waveform.pulse_fit import information
 from yieldmon.estimation.waveform.pulse_model import PulseModel, PulseSettings
-from yieldmon.estimation.waveform.pulse_shape import estimate_near, sample_noise_n
+from yieldmon.estimation.waveform.pulse_shape import estimate_near
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import ForwardModel
 

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from studies.waveform.arrival import sample_noise_n
 from studies.waveform.fill import FOLDER
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
@@ -22,7 +23,7 @@ from yieldmon.estimation.waveform.arrival_law import ArrivalLaw
 from yieldmon.estimation.waveform.channel_combination import combine
 from yieldmon.estimation.waveform.pattern_fold import PatternWave
 from yieldmon.estimation.waveform.pulse_model import PulseModel, PulseSettings
-from yieldmon.estimation.waveform.pulse_shape import estimate, sample_noise_n
+from yieldmon.estimation.waveform.pulse_shape import estimate
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import ForwardModel
 from yieldmon.plant.effects import Effects

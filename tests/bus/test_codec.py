@@ -11,8 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.bus.decoded import frames_of
 from yieldmon import frames
-from yieldmon.bus.bulk import USABLE, block_of, concatenate, decode_block, frames_of
+from yieldmon.bus.bulk import USABLE, block_of, concatenate, decode_block
 from yieldmon.bus.codec import Codec, FrameError
 from yieldmon.frames import ERROR, NOT_AVAILABLE, Frame
 from yieldmon.resources import shipped

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from studies.hidden_effects.confidence_map import expected_calibration_error, learnt, to_document
 from yieldmon.discrepancy import confidence, diagnosis
 from yieldmon.discrepancy.policy import Policy
 
@@ -21,25 +22,25 @@ def _cases(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_learnt_on_some_cases_it_is_calibrated_on_others() -> None:
-    found = confidence.learnt(*_cases(1500, 1))
+    found = learnt(*_cases(1500, 1))
     rows, right = _cases(4000, 2)
-    assert confidence.expected_calibration_error(found(rows), right) < 0.05
-    assert confidence.expected_calibration_error(np.ones(len(right)), right) > 0.3
+    assert expected_calibration_error(found(rows), right) < 0.05
+    assert expected_calibration_error(np.ones(len(right)), right) > 0.3
 
 
 def test_the_error_of_known_statements() -> None:
     stated, right = np.array([0.95] * 20 + [0.55] * 20), np.array([1.0] * 15 + [0.0] * 5 + [1.0] * 11 + [0.0] * 9)
-    assert confidence.expected_calibration_error(stated, right) == pytest.approx(0.5 * 0.2)
+    assert expected_calibration_error(stated, right) == pytest.approx(0.5 * 0.2)
 
 
 def test_all_right_is_no_proof_of_certainty() -> None:
     rows, _ = _cases(30, 3)
-    assert confidence.learnt(rows, np.ones(30))(rows).max() < 0.99
+    assert learnt(rows, np.ones(30))(rows).max() < 0.99
 
 
 def test_a_map_survives_its_file() -> None:
     shipped = confidence.shipped()
-    again = confidence.from_document(confidence.to_document(shipped))
+    again = confidence.from_document(to_document(shipped))
     rows, _ = _cases(20, 4)
     np.testing.assert_array_equal(again.within(rows), shipped.within(rows))
     np.testing.assert_array_equal(again.name(rows), shipped.name(rows))

@@ -7,9 +7,11 @@ import itertools
 import numpy as np
 import pytest
 
+from studies.waveform.arrival import calibrate_arrival, sample_noise_n
 from studies.waveform.load_contrast import contrast, expected_exponent, flow_of
-from yieldmon.estimation.waveform import arrival_calibration, arrival_law, pulse_fit, pulse_model, pulse_shape
-from yieldmon.estimation.waveform.pattern_fold import FoldedPattern, PatternWave, fold, harmonics_of, residual, residual_of_pulses
+from tests.estimation.one_window import fold, harmonics_of, residual
+from yieldmon.estimation.waveform import arrival_law, pulse_fit, pulse_model, pulse_shape
+from yieldmon.estimation.waveform.pattern_fold import FoldedPattern, PatternWave, residual_of_pulses
 from yieldmon.estimation.waveform.pulse_model import PulseModel, PulseSettings
 from yieldmon.physics import pulse
 from yieldmon.physics.machine import RPM, Machine
@@ -30,7 +32,7 @@ def pulses(**changes: object) -> PulseModel:
 
 
 def noise(model: PulseModel) -> np.ndarray:
-    return pulse_shape.sample_noise_n(model, sample_sd_n=1.33, samples=1000.0)
+    return sample_noise_n(model, sample_sd_n=1.33, samples=1000.0)
 
 
 def plant_wave(flow_kg_s: float, harmonics: int, cell_s: float) -> np.ndarray:
@@ -201,7 +203,7 @@ def test_a_calibrated_arrival_law_is_found_again() -> None:
         PatternWave(truth.waves(truth.start(flow, shift_s=0.02), SPEED, HOME), 1e-3 * np.ones(24), 1e4, SPEED, HOME)
         for flow in flows
     ]
-    law = arrival_calibration.calibrate_arrival(pulses(model_error=0.005), waves, flows.tolist(), terms=2)
+    law = calibrate_arrival(pulses(model_error=0.005), waves, flows.tolist(), terms=2)
     fills, at_home = np.array([0.2, 0.5]), law.conditions(HOME, SPEED, GRAIN["friction"])
     assert law.log_stretch(fills, at_home) == pytest.approx(true.log_stretch(fills, at_home), abs=0.02)
     assert law.tail_s(fills, at_home) == pytest.approx(true.tail_s(fills, at_home), rel=0.05)
@@ -214,7 +216,7 @@ def test_a_calibrated_arrival_law_is_found_again() -> None:
     assert law.outside(0.2, HOME, 330.0 * RPM) == "elevator at 330 rpm, calibrated 400 to 400 rpm"
     assert not law.outside(0.2, HOME, 370.0 * RPM)
     with pytest.raises(ValueError, match="2 waves, expected more than 2"):
-        arrival_calibration.calibrate_arrival(pulses(), waves[:2], flows[:2].tolist(), terms=2)
+        calibrate_arrival(pulses(), waves[:2], flows[:2].tolist(), terms=2)
 
 
 def test_a_law_over_several_grains_and_speeds_holds_for_another() -> None:
@@ -232,12 +234,12 @@ def test_a_law_over_several_grains_and_speeds_holds_for_another() -> None:
     where = true.conditions(HOME, 400.0 * RPM, 0.2)
     fills = np.array([0.2, 0.5])
     several = (0, 1, 8, 9)
-    law = arrival_calibration.calibrate_arrival(models, waves, flows, terms=(several, several, several))
+    law = calibrate_arrival(models, waves, flows, terms=(several, several, several))
     assert law.log_stretch(fills, where) == pytest.approx(true.log_stretch(fills, where), abs=0.02)
     assert law.log_stretch(fills, true.conditions(HOME, 440.0 * RPM, 0.15)) == pytest.approx(
         true.log_stretch(fills, true.conditions(HOME, 440.0 * RPM, 0.15)), abs=0.02
     )
-    assert law.covariance[0] < 0.1 * arrival_calibration.calibrate_arrival(models, waves, flows, terms=2).covariance[0]
+    assert law.covariance[0] < 0.1 * calibrate_arrival(models, waves, flows, terms=2).covariance[0]
 
 
 def test_folding_keeps_the_harmonics_and_leaves_the_noise() -> None:

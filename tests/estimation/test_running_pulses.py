@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from yieldmon.estimation.waveform.pattern_fold import fold, harmonics_of, residual
+from tests.estimation.one_window import fold, harmonics_of, residual
 from yieldmon.estimation.waveform.running_pulses import RunningPulses
 
 HOME = {"plate_angle_rad": 1.2, "elevator_speed_rad_s": 42.0}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from yieldmon.network.fast_packet import split
+from tests.network.peer import split
 from yieldmon.network.identifier import Identifier, frame
 from yieldmon.network.name import Name
 from yieldmon.network.node import Node, NodeSettings

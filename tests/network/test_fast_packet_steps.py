@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from yieldmon.network.fast_packet import FastPacketReceiver, split
+from tests.network.peer import split
+from yieldmon.network.fast_packet import FastPacketReceiver
 from yieldmon.network.identifier import Identifier
 
 IDENTIFIER = 0x19F8051C

@@ -8,8 +8,9 @@ import tracemalloc
 import j1939
 import pytest
 
+from tests.network.peer import read
 from yieldmon.network.claim import ClaimState
-from yieldmon.network.diagnostics import Lamp, TroubleCode, TroubleMemory, message, read
+from yieldmon.network.diagnostics import Lamp, TroubleCode, TroubleMemory, message
 from yieldmon.network.identifier import ADDRESS_CLAIMED, Identifier, RawFrame
 from yieldmon.network.name import Name
 from yieldmon.network.node import Node, NodeSettings

@@ -10,8 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.network.peer import split
 from yieldmon.bus.logs import read_log
-from yieldmon.network.fast_packet import FastPacketReceiver, split
+from yieldmon.network.fast_packet import FastPacketReceiver
 from yieldmon.network.identifier import Identifier, Payload, RawFrame
 from yieldmon.network.name import Name
 from yieldmon.network.node import Node, NodeSettings

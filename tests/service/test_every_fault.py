@@ -16,6 +16,7 @@ import can
 import numpy as np
 import pytest
 
+from tests.network.peer import read
 from tests.service.bench import CODEC, EMPTY_MV, GRAIN_MV, ZERO_MV, Bench, encoded, running, traffic, wait_for
 from yieldmon import frames
 from yieldmon.engine.faults import FAULTS, FaultCode
@@ -373,7 +374,7 @@ def trouble_codes(bench: Bench) -> set[tuple[int, int]]:
     bench.published(frames.ACTIVE_DIAGNOSTICS)
     listener = Reassembler()
     whole = [p for m in bench.seen for p in listener.feed(m.arbitration_id, bytes(m.data), 0.0)]
-    return {(code.spn, code.fmi) for p in whole if p.group == diagnostics.DM1 for code in diagnostics.read(p.data)}
+    return {(code.spn, code.fmi) for p in whole if p.group == diagnostics.DM1 for code in read(p.data)}
 
 
 @pytest.mark.parametrize(("code", "case"), CASES)

@@ -10,12 +10,13 @@ import can
 import numpy as np
 import pytest
 
+from tests.bus.decoded import frames_of
+from tests.network.peer import split
 from tests.service.bench import CODEC, START_S, running, traffic
-from yieldmon.bus.bulk import block_of, decode_block, frames_of
+from yieldmon.bus.bulk import block_of, decode_block
 from yieldmon.bus.factory_monitor import FactoryMonitor
 from yieldmon.bus.log_writing import writing
 from yieldmon.frames import VEHICLE_DIRECTION_SPEED, VEHICLE_POSITION, Frame
-from yieldmon.network.fast_packet import split
 from yieldmon.network.process_data import Command, ProcessData
 from yieldmon.resources import shipped
 from yieldmon.service.assembly import build_monitor

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from studies.hidden_effects import law_report
-from yieldmon.discrepancy.confidence import expected_calibration_error
+from studies.hidden_effects.confidence_map import expected_calibration_error
 
 STATED = np.random.default_rng(12).uniform(0.2, 0.95, 4000)
 

@@ -13,9 +13,10 @@ from pathlib import Path
 import can
 import pytest
 
+from tests.network.peer import read
 from tests.vcan.nodes import candump, daemon, eventually
 from yieldmon.bus.logs import read_log
-from yieldmon.network.diagnostics import DM1, DM2, read
+from yieldmon.network.diagnostics import DM1, DM2
 from yieldmon.network.identifier import ADDRESS_CLAIMED, REQUEST, Identifier
 
 pytestmark = pytest.mark.vcan

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from yieldmon.bus.candump import ERROR_FLAG, REMOTE_FLAG, channel_name, flagged_id
 from yieldmon.bus.codec import Codec
 from yieldmon.bus.layout import MessageLayout, SignalLayout
-from yieldmon.frames import Frame, Unusable
 from yieldmon.identifiers import CLASSIC_BYTES, EXTENDED_FLAG, LARGEST_EXTENDED_ID
 
 #: SignalColumn.status
@@ -26,7 +25,6 @@ USABLE = 0
 NOT_AVAILABLE = 1
 ERROR = 2
 
-_UNUSABLE = {NOT_AVAILABLE: Unusable.NOT_AVAILABLE, ERROR: Unusable.ERROR}
 _TABLED_BITS = 13
 """Signals of up to so many bits are looked up: their tables fit into the CPU's cache."""
 
@@ -121,21 +119,6 @@ def decode_block(codec: Codec, block: FrameBlock, only: Container[str] | None = 
         if len(rows):
             messages[layout.name] = _columns(layout, rows, block.time_s[rows], block.payload[rows])
     return DecodedBlock(messages, np.sort(np.concatenate(refused)) if refused else np.empty(0, np.intp))
-
-
-def frames_of(columns: MessageColumns) -> list[Frame]:
-    """The rows as Codec.decode() gives them, one Frame each: for messages that are few."""
-    values = {
-        name: [
-            value if status == USABLE else _UNUSABLE[status]
-            for value, status in zip(column.values.tolist(), column.status.tolist(), strict=True)
-        ]
-        for name, column in columns.signals.items()
-    }
-    return [
-        Frame(time_s, columns.name, {name: column[row] for name, column in values.items()})
-        for row, time_s in enumerate(columns.time_s.tolist())
-    ]
 
 
 def block_of(messages: Iterable[can.Message]) -> FrameBlock:

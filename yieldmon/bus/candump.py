@@ -21,7 +21,7 @@ from datetime import UTC, datetime
 
 import can
 
-from yieldmon.identifiers import CLASSIC_BYTES, EXTENDED_FLAG, FD_BYTES, LARGEST_EXTENDED_ID, LARGEST_STANDARD_ID
+from yieldmon.identifiers import CLASSIC_BYTES, EXTENDED_FLAG, FD_LENGTHS, LARGEST_EXTENDED_ID, LARGEST_STANDARD_ID
 
 REMOTE_FLAG = 0x40000000
 ERROR_FLAG = 0x20000000
@@ -38,8 +38,6 @@ _SCREEN_LINE = re.compile(
     r"(?:\s+(?P<remote>remote request)|(?P<data>(?:\s+[0-9A-Fa-f]{2})*))(?:\s+'.*')?(?:\s+ERRORFRAME)?"
 )
 _DROPPED = re.compile(r"DROPCOUNT: dropped (\d+) ")
-
-_FD_LENGTHS = frozenset((*range(9), 12, 16, 20, 24, 32, 48, FD_BYTES))
 
 
 def dropped_frames(line: str) -> int | None:
@@ -76,7 +74,7 @@ def _log_message(match: re.Match[str]) -> can.Message | None:
     is_fd = match["flags"] is not None
     flags = int(match["flags"], 16) if is_fd else 0
     data = bytes.fromhex(((match["fd"] if is_fd else match["data"]) or "").replace(".", ""))
-    if len(data) not in _FD_LENGTHS if is_fd else len(data) > CLASSIC_BYTES:
+    if len(data) not in FD_LENGTHS if is_fd else len(data) > CLASSIC_BYTES:
         return None
     is_remote = match["remote"] is not None
     length = int(match["remote"] or 0) if is_remote else len(data)
@@ -88,7 +86,7 @@ def _screen_message(match: re.Match[str]) -> can.Message | None:
     length = int(match["length"])
     is_remote = match["remote"] is not None
     time_s = float(match["time"]) if match["date"] is None else _clock_s(match["date"], match["part"])
-    if time_s is None or length not in _FD_LENGTHS or (not is_remote and len(data) != length):
+    if time_s is None or length not in FD_LENGTHS or (not is_remote and len(data) != length):
         return None
     return _message(match, time_s, data, length, is_remote=is_remote, is_fd=len(data) > CLASSIC_BYTES)
 

@@ -15,7 +15,7 @@ from yieldmon.errors import InputError
 from yieldmon.service.folders import runtime_folder
 from yieldmon.service.operator.control_client import ask
 from yieldmon.service.operator.control_protocol import TICKET_KG, ControlError
-from yieldmon.units import KG_PER_LB, KG_PER_T, LB_PER_SHORT_TON, Units, UnitSystem
+from yieldmon.units import KG_PER_LB, KG_PER_SHORT_TON, KG_PER_T, Units, UnitSystem
 
 SYSTEM_SOCKET = Path("/run/yieldmon/yieldmon.sock")
 
@@ -62,8 +62,8 @@ def daemon_socket(args: argparse.Namespace) -> Path:
 
 
 _MASS_UNITS = (
-    ("kg", 1.0), ("lbs", KG_PER_LB), ("lb", KG_PER_LB), ("shorttons", LB_PER_SHORT_TON * KG_PER_LB),
-    ("shortton", LB_PER_SHORT_TON * KG_PER_LB), ("tonnes", KG_PER_T), ("tonne", KG_PER_T),
+    ("kg", 1.0), ("lbs", KG_PER_LB), ("lb", KG_PER_LB), ("shorttons", KG_PER_SHORT_TON),
+    ("shortton", KG_PER_SHORT_TON), ("tonnes", KG_PER_T), ("tonne", KG_PER_T),
     ("dt", 0.1 * KG_PER_T), ("t", KG_PER_T),
 )  # fmt: skip
 

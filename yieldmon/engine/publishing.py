@@ -13,6 +13,7 @@ from yieldmon.engine.records import COLUMNS, WindowRecord
 from yieldmon.engine.sweeps.sweep import SweepMachine
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.frames import NOT_AVAILABLE, EstimateQuality, Frame, Value
+from yieldmon.physics.grain import published
 from yieldmon.signal_ranges import SignalRanges, signal_ranges
 
 _NO_FAULTS: dict[str, Value] = {code.value: 0 for code in FAULTS}
@@ -78,16 +79,14 @@ class Publisher:
         }
 
     def _calibration(self, beside: Published) -> dict[str, Value]:
-        message, values, age_s = bus.SELF_CALIBRATION_STATUS, beside.parameters.values, beside.calibration_age_s
+        message, age_s = bus.SELF_CALIBRATION_STATUS, beside.calibration_age_s
         # A curve has neither; what its parameter set holds of them gives no flow.
-        physical = beside.parameters.curve is None
-        gain = 1.0 + values["restitution"] if "restitution" in values else values["k1"] + values["k2"]
+        physical, of_grain = beside.parameters.curve is None, published(beside.parameters.values)
         age = NOT_AVAILABLE if age_s is None else self._fitting(message, "CalibrationAge", floor(age_s / 60.0))
         return {
             "SweepState": int(beside.sweep.state),
             "SweepProgress": beside.sweep.progress_pct,
-            "Friction": self._fitting(message, "Friction", values["friction"]) if physical else NOT_AVAILABLE,
-            "ImpactGain": self._fitting(message, "ImpactGain", gain) if physical else NOT_AVAILABLE,
+            **{name: self._fitting(message, name, value) if physical else NOT_AVAILABLE for name, value in of_grain.items()},
             "CalibrationAge": age,
         }
 

@@ -18,7 +18,7 @@ from yieldmon.errors import InputError
 from yieldmon.files.crops import crops, shipped_name
 from yieldmon.units import (
     KG_PER_LB,
-    LB_PER_SHORT_TON,
+    KG_PER_SHORT_TON,
     M2_PER_ACRE,
     M2_PER_HA,
     M_PER_FT,
@@ -28,6 +28,7 @@ from yieldmon.units import (
     M_S_PER_KNOT,
     M_S_PER_MPH,
     S_PER_DAY,
+    S_PER_H,
 )
 
 
@@ -85,12 +86,11 @@ def crop(name: str) -> Crop | None:
     return known_crops().get(_ALIASES.get(plain, _NAMES.get(shipped_name(plain) or "", plain)))
 
 
-_SHORT_TON_KG = LB_PER_SHORT_TON * KG_PER_LB
-_MASS = {"kg": 1.0, "g": 1e-3, "t": 1e3, "lb": KG_PER_LB, "lbs": KG_PER_LB, "mg": 1e-6, "ton": _SHORT_TON_KG, "tonne": 1e3}
+_MASS = {"kg": 1.0, "g": 1e-3, "t": 1e3, "lb": KG_PER_LB, "lbs": KG_PER_LB, "mg": 1e-6, "ton": KG_PER_SHORT_TON, "tonne": 1e3}
 _MASS |= {"dt": 100.0, "q": 100.0}  # decitonne (German) and quintal (French, Italian, Spanish), both 100 kg
-_MASS |= {"tonnes": 1e3, "cwt": 100.0 * KG_PER_LB, "short_ton": _SHORT_TON_KG, "metric_ton": 1e3}
+_MASS |= {"tonnes": 1e3, "cwt": 100.0 * KG_PER_LB, "short_ton": KG_PER_SHORT_TON, "metric_ton": 1e3}
 _LENGTH = {"m": 1.0, "cm": 0.01, "mm": 1e-3, "ft": M_PER_FT, "in": M_PER_IN, "km": 1e3, "mi": M_PER_MI, "inch": M_PER_IN}
-_TIME = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "min": 60.0, "h": 3600.0, "hr": 3600.0, "d": S_PER_DAY}
+_TIME = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "min": 60.0, "h": S_PER_H, "hr": S_PER_H, "d": S_PER_DAY}
 _AREA = {"m2": 1.0, "ha": M2_PER_HA, "ac": M2_PER_ACRE, "acre": M2_PER_ACRE}
 _PERCENT = {"%": 1.0, "pct": 1.0, "prcnt": 1.0, "percent": 1.0, "ppm": 1e-4, "fraction": 100.0}
 _ANGLE = {"deg": 1.0, "arcdeg": 1.0, "degrees": 1.0, "rad": 180.0 / pi, "1e-6deg": 1e-6, "1e-7deg": 1e-7}

@@ -47,11 +47,6 @@ _COLUMNS: Mapping[str, Mapping[str, str]] = {
 }  # fmt: skip
 
 
-def columns(table: str) -> tuple[str, ...]:
-    """Names of the columns of a table other than the records."""
-    return tuple(_COLUMNS[table])
-
-
 def write(table: str, rows: Sequence[Mapping[str, Any]], path: Path) -> None:
     """Write rows; a column that a row lacks is null. The same rows give the same bytes."""
     import pyarrow as pa

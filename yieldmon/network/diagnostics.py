@@ -10,8 +10,7 @@ DM1, DM2, DM3, DM11 = 65226, 65227, 65228, 65235
 MAX_OCCURRENCES = 126
 MAX_CODES = 64
 """Codes kept of each kind; beyond them the oldest previously active ones go."""
-_CODE_BYTES = 4
-_NO_CODE = bytes(_CODE_BYTES) + b"\xff\xff"
+_NO_CODE = bytes(4) + b"\xff\xff"
 
 
 class Lamp(int, Enum):
@@ -72,18 +71,6 @@ def message(codes: Iterable[TroubleCode]) -> bytes:
     if not body:
         return head + _NO_CODE
     return (head + body).ljust(8, b"\xff")
-
-
-def read(data: bytes) -> tuple[TroubleCode, ...]:
-    """The codes in a DM1 or DM2 of any node; lamps are those of the whole message and are left out."""
-    codes = []
-    for at in range(2, len(data) - _CODE_BYTES + 1, _CODE_BYTES):
-        low, middle, high, count = data[at : at + _CODE_BYTES]
-        spn, fmi = low | middle << 8 | (high >> 5) << 16, high & 0x1F
-        if spn in (0, 0x7FFFF):
-            continue
-        codes.append(TroubleCode(spn, fmi, occurrences=count & 0x7F))
-    return tuple(codes)
 
 
 class TroubleMemory:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from .identifier import Identifier, Payload, RawFrame, frame
+from .identifier import Identifier, Payload
 
 MAX_BYTES = 223
 TIMEOUT_S = 0.75
@@ -70,15 +69,3 @@ class FastPacketReceiver:
         session.due_s = now_s + TIMEOUT_S
         session.data += data[1:]
         return session
-
-
-def split(group: int, data: bytes, source: int, *, counter: int, priority: int = 6) -> Iterator[RawFrame]:
-    """The frames of a fast packet. counter: 0 to 7, another one for each packet of a group."""
-    if not 0 < len(data) <= MAX_BYTES:
-        raise ValueError(f"fast packet of {len(data)} bytes, expected 1 to {MAX_BYTES}")
-    lead = (counter & 7) << 5
-    first = bytes([lead, len(data)]) + data[:_FIRST_PART_BYTES].ljust(_FIRST_PART_BYTES, b"\xff")
-    yield frame(group, first, source, priority=priority)
-    for number, at in enumerate(range(_FIRST_PART_BYTES, len(data), _PART_BYTES), start=1):
-        part = data[at : at + _PART_BYTES].ljust(_PART_BYTES, b"\xff")
-        yield frame(group, bytes([lead | number]) + part, source, priority=priority)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from enum import IntEnum
 
 from yieldmon import frames
-from yieldmon.bus.layout import MessageLayout, SignalLayout
-from yieldmon.frames import Frame, Unusable, Value
+from yieldmon.bus.layout import SignalLayout
+from yieldmon.frames import Unusable, Value
 
 _PLACE_SCALE_DEG = 1e-5
 """Of latitude and longitude: a centimetre is 1e-7 deg."""
@@ -52,13 +52,3 @@ def number(signal: SignalLayout, value: float) -> str:
     size = abs(value)
     wanted = 1 if size >= 99.95 else 2 if size >= 9.995 else 3
     return f"{value:.{min(finest, wanted)}f}"
-
-
-def line(layout: MessageLayout, frame: Frame) -> str:
-    """All signals of a frame in one line; of a message that is all flags, only those that are on."""
-    flags = [s for s in layout.signals if s.bits == 2]
-    parts = [f"{s.name} {text(s, frame.signals[s.name])}" for s in layout.signals if s.bits != 2]
-    on = [s.name for s in flags if frame.signals[s.name] == 1]
-    if flags:
-        parts.append("on: " + (", ".join(on) if on else "none"))
-    return "  ".join(parts)

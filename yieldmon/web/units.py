@@ -7,7 +7,7 @@ from functools import lru_cache
 from typing import Any
 
 from yieldmon.files.units import units_of
-from yieldmon.units import KG_PER_LB, KG_PER_T, Unit, Units, UnitSystem
+from yieldmon.units import KG_PER_LB, KG_PER_T, S_PER_H, Unit, Units, UnitSystem
 
 #: What a daemon says to people, by its names in documents.
 _TEXTS = frozenset({"detail", "question", "why_no_anchor", "why", "reason", "last_update", "teaching_stays"})
@@ -109,7 +109,7 @@ def page_units(system: str = "metric", crop: str = "") -> dict[str, Any]:
         "mass": units.mass_unit,
         "total": Unit("lb", KG_PER_LB) if us else Unit("t", KG_PER_T),
         "flow": units.flow_unit,
-        "hourly": None if us else Unit("t/h", KG_PER_T / 3600.0),
+        "hourly": None if us else Unit("t/h", KG_PER_T / S_PER_H),
         "yield": units.yield_unit,
         "area": units.area_unit,
         "speed": units.speed_unit,

@@ -9,15 +9,13 @@ from typing import NamedTuple
 
 import can
 
-from yieldmon.identifiers import CLASSIC_BYTES, LARGEST_STANDARD_ID
+from yieldmon.identifiers import FD_LENGTHS, LARGEST_STANDARD_ID
 
 #: Of one log: a line without its end in, its frame out; None for a line that holds none. Raises ValueError, which says why the
 #: line cannot be read.
 Parser = Callable[[str], can.Message | None]
 _LARGEST = 2**60
 """Of what any field may hold; microseconds since 1970 need 51 bits."""
-#: Bytes of a CAN FD frame, by its data length code.
-FD_LENGTHS: tuple[int, ...] = (*range(CLASSIC_BYTES + 1), 12, 16, 20, 24, 32, 48, 64)
 
 
 class Form(NamedTuple):

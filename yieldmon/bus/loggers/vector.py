@@ -20,9 +20,9 @@ from collections.abc import Sequence
 
 import can
 
-from yieldmon.identifiers import CLASSIC_BYTES
+from yieldmon.identifiers import CLASSIC_BYTES, FD_LENGTHS
 
-from .fields import FD_LENGTHS, Form, data_bytes, error_frame, fd_length, message, seconds, whole
+from .fields import Form, data_bytes, error_frame, fd_length, message, seconds, whole
 
 _HEADER = re.compile(r"base\s+(hex|dec)(?:\s+timestamps\s+(absolute|relative))?\b", re.IGNORECASE)
 _TIME = re.compile(r"(\d{1,12}\.\d{1,9})(?=\s)")

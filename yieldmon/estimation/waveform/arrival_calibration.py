@@ -17,8 +17,6 @@ from .pulse_model import GAIN, SHIFT, PulseModel
 from .pulse_shape import estimate, look_for_start
 
 Terms = tuple[Sequence[int], Sequence[int], Sequence[int]]
-SEVERAL_GRAINS = (tuple(range(TERMS)), (0, 1, 2, 3, 4, 8, 9), (0, 1, 2, 3, 4, 5, 8, 9))
-"""Terms of stretch, tail and delay for a calibration over loads, plate angles, speeds and frictions."""
 _TYPICAL_LOG_TAIL = float(np.log(0.004))
 
 
@@ -56,38 +54,6 @@ def arrival_point(pulses: PulseModel, wave: PatternWave, volume_flow_m3_s: float
     return ArrivalPoint(features(fill, where), found, fill, wave.plate_angle_rad, wave.elevator_speed_rad_s)
 
 
-def calibrate_arrival(
-    pulses: PulseModel | Sequence[PulseModel],
-    waves: Sequence[PatternWave],
-    volume_flows_m3_s: Sequence[float],
-    *,
-    terms: int | Terms = 2,
-) -> ArrivalLaw:
-    """The arrival law that waves at known volume flows follow.
-
-    Parameters
-    ----------
-    pulses : PulseModel or sequence
-        One, or one for each wave where their grain differs; see `arrival_point`.
-    waves, volume_flows_m3_s : sequences
-        More than terms.
-    terms : int or tuple
-        As `law_of`.
-
-    Returns
-    -------
-    ArrivalLaw
-
-    Raises
-    ------
-    ValueError
-        For too few waves.
-    """
-    models = [pulses] * len(waves) if isinstance(pulses, PulseModel) else list(pulses)
-    points = [arrival_point(*row) for row in zip(models, waves, volume_flows_m3_s, strict=True)]
-    return law_of(points, terms=terms, indexed=models[0].settings.indexed)
-
-
 def law_of(points: Sequence[ArrivalPoint], *, terms: int | Terms, indexed: bool = False) -> ArrivalLaw:
     """The law that points follow, by least squares.
 
@@ -96,8 +62,8 @@ def law_of(points: Sequence[ArrivalPoint], *, terms: int | Terms, indexed: bool 
     points : sequence
         More than terms.
     terms : int or tuple
-        Which coefficients of stretch, tail and delay are free: so many of the first `ArrivalLaw` names, or their places, as
-        `SEVERAL_GRAINS`. One plate angle determines two.
+        Which coefficients of stretch, tail and delay are free: so many of the first `ArrivalLaw` names, or their places.
+        One plate angle determines two.
     indexed : bool
         Whether the law has a delay.
 

@@ -59,13 +59,11 @@ class FoldedPattern:
         return bool((self.counts > 0).all() and self.patterns >= 2.0)
 
 
-def fold(samples_n: Array, phase: Array, *, bins: int = 64) -> FoldedPattern:
-    """Fold samples (n,) by their phase (n,), in turns of the pattern along the chain."""
-    return fold_all([samples_n], [phase], bins=bins)[0]
-
-
 def fold_all(samples_n: Sequence[Array], phases: Sequence[Array], *, bins: int = 64) -> list[FoldedPattern]:
-    """Fold the samples of many windows, each by its own phase; each as if it were alone, to the last bit."""
+    """Fold the samples (n,) of each window by their phase (n,), in turns of the pattern along the chain.
+
+    Each as if it were alone, to the last bit.
+    """
     count, sizes = len(phases), [phase.size for phase in phases]
     if not count:
         return []
@@ -80,18 +78,6 @@ def fold_all(samples_n: Sequence[Array], phases: Sequence[Array], *, bins: int =
     return [FoldedPattern(*row) for row in zip(*tables, turns, strict=True)]
 
 
-def harmonics_of(folded: FoldedPattern, harmonics: int, *, elevator_speed_rad_s: float, plate_angle_rad: float) -> PatternWave:
-    """Harmonics 1 .. `harmonics` of a complete pattern, with the noise that the scatter within the bins shows.
-
-    Raises
-    ------
-    ValueError
-        For an incomplete pattern, or more harmonics than a third of the bins.
-    """
-    speeds, angles = [elevator_speed_rad_s], [plate_angle_rad]
-    return harmonics_of_all([folded], harmonics, elevator_speeds_rad_s=speeds, plate_angles_rad=angles)[0]
-
-
 def harmonics_of_all(
     folded: Sequence[FoldedPattern],
     harmonics: int,
@@ -99,7 +85,13 @@ def harmonics_of_all(
     elevator_speeds_rad_s: Sequence[float],
     plate_angles_rad: Sequence[float],
 ) -> list[PatternWave]:
-    """The same of many patterns with as many bins. Raises ValueError as `harmonics_of`."""
+    """Harmonics 1 .. `harmonics` of complete patterns with as many bins, with the noise that the scatter within the bins shows.
+
+    Raises
+    ------
+    ValueError
+        For an incomplete pattern, or more harmonics than a third of the bins.
+    """
     if not folded:
         return []
     bins = folded[0].mean_n.size
@@ -127,11 +119,6 @@ def later(wave: PatternWave, turns: float) -> PatternWave:
     return replace(wave, amplitudes_n=wave.amplitudes_n * np.exp(-2j * np.pi * turns * order))
 
 
-def residual(samples_n: Array, phase: Array, folded: FoldedPattern) -> Array:
-    """Samples less the mean pattern, straight between the bins' middles."""
-    return np.asarray(samples_n - _between((folded.mean_n,), phase)[0])
-
-
 def residual_of_pulses(samples_n: Array, phase: Array, folded: FoldedPattern, spacings_m: Sequence[float]) -> tuple[Array, Array]:
     """Samples less the mean pattern, of which each paddle's pulse has a size, a time and a width of its own.
 
@@ -142,7 +129,7 @@ def residual_of_pulses(samples_n: Array, phase: Array, folded: FoldedPattern, sp
     Parameters
     ----------
     samples_n, phase : ndarray (n,)
-        As in `fold`, in order.
+        As in `fold_all`, in order.
     folded : FoldedPattern
         With a sample in every bin.
     spacings_m : sequence

@@ -47,7 +47,7 @@ class PulseSettings:
     vibration_n : float
         Amplitude of vibration at paddle passing that is not known, N.
     arrival : ArrivalLaw
-        From a calibration (`calibrate_arrival`); straight paths where none was made.
+        From a calibration (`arrival_calibration.law_of`); straight paths where none was made.
     indexed : bool
         The phase of the pattern is counted from an index on the chain: shifts are small and the arrival law's delay holds.
     sd : mapping

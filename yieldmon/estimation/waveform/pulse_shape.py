@@ -184,11 +184,3 @@ def look_for_start(pulses: PulseModel, wave: PatternWave) -> Array:
     size_there = float(gain[row, column])
     found = float(np.log(size_there)) if size_there > 0.0 else float("nan")
     return pulses.start(float(flows[row]), shift_s=float(shift[column]), log_gain=found)
-
-
-def sample_noise_n(
-    pulses: PulseModel, *, sample_sd_n: float, samples: float, shot_n2_s: float = 0.0, duration_s: float = 1.0
-) -> Array:
-    """noise_n of a wave averaged from `samples` samples of white noise, and of shot noise of a given density over duration_s."""
-    variance = 0.5 * sample_sd_n**2 / samples + 0.5 * shot_n2_s / duration_s
-    return np.full(pulses.settings.harmonics, np.sqrt(variance))

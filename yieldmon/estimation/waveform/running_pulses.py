@@ -56,7 +56,7 @@ class RunningPulses:
         Parameters
         ----------
         samples_n, phase : ndarray (n,)
-            As in `pattern_fold.fold`, the phase counted from the pulses themselves.
+            As in `pattern_fold.fold_all`, the phase counted from the pulses themselves.
         mean_force_n : float
             Above 0.
 

@@ -241,20 +241,6 @@ class LoadProblem:
         variance = h[k] @ h[k] + self.law[k, k] + self.sd[k] ** 2 - between @ covariance[others, k]
         return float(abs(error[k] - between @ error[others]) / np.sqrt(variance))
 
-    def inliers(self) -> NDArray[np.bool_]:
-        """Loads that the others do not contradict; at least three, and more than half of them, are left.
-
-        The one to go is that without which the others agree best.
-        """
-        active = np.ones(len(self.loads), dtype=bool)
-        while active.sum() >= self.settings.outlier_least and 2 * (active.sum() - 1) > active.size:
-            found = self.left_out(active, 2)
-            worst = int(np.argmin(np.where(active, found.cost, np.inf)))
-            if found.away[worst] < self.settings.outlier_sds:
-                break
-            active[worst] = False
-        return active
-
     def contradicts(self, fit: LoadFit, active: NDArray[np.bool_], directions: int) -> bool:
         """Whether the active loads speak against a fit along so many directions."""
         from scipy.special import chdtrc  # a quarter of a second that commands without loads do without

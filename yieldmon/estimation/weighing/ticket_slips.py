@@ -17,14 +17,13 @@ from itertools import combinations
 import numpy as np
 
 from yieldmon.physics.numerics import Array
-from yieldmon.units import KG_PER_LB, KG_PER_T, LB_PER_SHORT_TON
+from yieldmon.units import KG_PER_LB, KG_PER_SHORT_TON, KG_PER_T
 
-_KG_PER_SHORT_TON = LB_PER_SHORT_TON * KG_PER_LB
 UNIT_SLIPS = (
     (1.0 / KG_PER_LB, "pounds were taken for kilograms"),
     (KG_PER_LB, "kilograms were taken for pounds"),
-    (KG_PER_T / _KG_PER_SHORT_TON, "short tons were taken for tonnes"),
-    (_KG_PER_SHORT_TON / KG_PER_T, "tonnes were taken for short tons"),
+    (KG_PER_T / KG_PER_SHORT_TON, "short tons were taken for tonnes"),
+    (KG_PER_SHORT_TON / KG_PER_T, "tonnes were taken for short tons"),
 )
 """Ticket over the load's mass, where the ticket is of another unit than its column; the last only among several loads."""
 _ANY = ((0.12, 0.01), (0.6, 0.005))

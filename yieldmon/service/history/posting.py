@@ -9,7 +9,6 @@ first stays as it is: a posting is a factor for each load.
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -33,8 +32,6 @@ from yieldmon.service.storage.ledger import recropped, undone_versions
 from yieldmon.service.storage.rows import SecondRow
 from yieldmon.service.storage.store import Store
 from yieldmon.units import S_PER_DAY
-
-_log = logging.getLogger(__name__)
 
 SPAN_S = 72.0 * 3600.0
 """Loads that began at most so long before an update are measured again after it."""
