@@ -487,6 +487,14 @@ def test_a_ticket_that_moves_the_scale_keeps_the_order_of_the_parameters() -> No
     assert np.argmax(np.diag(found.covariance)) == NARROW.covariance_names.index("density")
 
 
+@pytest.mark.parametrize("factor", [0.996, 1.004])
+def test_a_ticket_within_what_is_known_says_by_how_much_it_moved_the_masses(factor: float) -> None:
+    reasons, scale = weighings([1.0, factor])
+    assert all(reason.startswith("weighed loads moved the scale by ") for reason in reasons)
+    moved = float(reasons[1].removeprefix("weighed loads moved the scale by ").split(" %")[0])
+    assert moved == pytest.approx(scale[1] - scale[0], abs=0.06)
+
+
 @pytest.mark.parametrize("factor", [0.7, 0.93, 1.07, 1.3])
 def test_a_first_ticket_far_off_is_accepted(factor: float) -> None:
     _, scale = weighings([factor])

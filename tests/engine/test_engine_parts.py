@@ -111,7 +111,16 @@ def test_totals_refuse_what_is_no_mass(mass: float) -> None:
 
 @pytest.mark.parametrize(
     ("moisture", "credit", "expected"),
-    [(15.5, False, 100.0), (20.0, False, 94.674556), (10.0, False, 100.0), (10.0, True, 106.508876), (NAN, False, None)],
+    [
+        (15.5, False, 100.0),
+        (20.0, False, 94.674556),
+        (10.0, False, 100.0),
+        (10.0, True, 106.508876),
+        (NAN, False, None),
+        (0.0, False, None),
+        (0.15, True, None),
+        (3.0, True, 114.792899),
+    ],
 )
 def test_dry_mass(moisture: float, credit: bool, expected: float | None) -> None:
     found = dry_mass(100.0, moisture, TotalsSettings(moisture_reference_pct=15.5, credit_below_reference=credit))

@@ -36,6 +36,16 @@ def waiting(
     ("how", "expected"),
     [
         ({"rpm": None}, "the elevator's speed, which no frame reports"),
+        (
+            {"rpm": 42.0},
+            "the elevator to run at 250 to 599 rpm: it turns at 42 rpm; if 42 is in rad/s, that is 401 rpm: mapping `unit`",
+        ),
+        (
+            {"rpm": 6.6},
+            "the elevator to run at 250 to 599 rpm: it turns at 7 rpm; "
+            "if 6.6 is in turns a second, that is 396 rpm: mapping `unit`",
+        ),
+        ({"rpm": 150.0}, "the elevator to run at 250 to 599 rpm: it turns at 150 rpm"),
         ({"rpm": 0.0}, "the elevator to run at 250 to 599 rpm: it turns at 0 rpm"),
         ({"sensor": False}, "all samples of a second from the impact sensor"),
         ({"angle_deg": 50.0}, "the plate to rest at home, 70 deg: it is at 50.0 deg"),
@@ -43,7 +53,7 @@ def waiting(
         ({"seconds": 2.3}, "the elevator running empty: 2 of 3 s"),
         ({"seconds": 8.0}, ""),
     ],
-    ids=["no speed", "stands", "no sensor", "plate away", "no feedback", "under way", "taken"],
+    ids=["no speed", "rad/s", "Hz", "slow", "stands", "no sensor", "plate away", "no feedback", "under way", "taken"],
 )
 def test_the_zero_says_what_it_waits_for(how: dict[str, float | None], expected: str) -> None:
     assert waiting(**how) == expected  # type: ignore[arg-type]

@@ -22,6 +22,8 @@ from yieldmon.physics.machine import RPM, Machine
 
 _NAN = float("nan")
 _NEVER = 1 << 62
+_OTHER_SPEEDS = (("rad/s", 1.0 / RPM), ("turns a second", 60.0))
+"""Units in which a speed may come that is taken for rpm, and rpm in each."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -267,7 +269,8 @@ class Measurement:
             return "the elevator's speed, which no frame reports"
         if not elevator_runs:
             low, high = (speed / RPM for speed in (machine.min_elevator_speed_rad_s, machine.max_elevator_speed_rad_s))
-            return f"the elevator to run at {low:.0f} to {high:.0f} rpm: it turns at {window.speed_rad_s / RPM:.0f} rpm"
+            found = window.speed_rad_s / RPM
+            return f"the elevator to run at {low:.0f} to {high:.0f} rpm: it turns at {found:.0f} rpm{_meant(found, low, high)}"
         if not whole:
             return "all samples of a second from the impact sensor"
         if not plate_rests_at_home:
@@ -276,3 +279,11 @@ class Measurement:
             where = f"it is at {angle:.1f} deg" if isfinite(angle) else "no frame reports its angle"
             return f"the plate to rest at home, {home:.0f} deg: {where}"
         return ""
+
+
+def _meant(found_rpm: float, low_rpm: float, high_rpm: float) -> str:
+    """What a speed would be in another unit, where it would be one of a working elevator."""
+    for unit, factor in _OTHER_SPEEDS:
+        if found_rpm < low_rpm <= found_rpm * factor <= high_rpm:
+            return f"; if {found_rpm:.3g} is in {unit}, that is {found_rpm * factor:.0f} rpm: mapping `unit`"
+    return ""

@@ -190,14 +190,18 @@ _made = maker_of(Totals)
 _before_area = attrgetter(*(field.name for field in fields(Totals)[:-3]))
 
 
+_DRIEST_PCT = 2.0
+"""No grain is drier: a meter that stands at 0 has none to measure, or sends a share of 1."""
+
+
 def dry_mass(
     wet_kg: float, moisture_pct: float, settings: TotalsSettings, market_moisture_pct: float = CORN_MARKET_MOISTURE_PCT
 ) -> float | None:
-    """Mass at market moisture (same dry matter), kg; None where the moisture is not known.
+    """Mass at market moisture (same dry matter), kg; None where the moisture is not known, or is none that grain has.
 
     market_moisture_pct: where the settings name none.
     """
-    if not isfinite(moisture_pct):
+    if not isfinite(moisture_pct) or moisture_pct < _DRIEST_PCT:
         return None
     given = settings.moisture_reference_pct
     factor = (100.0 - moisture_pct) / (100.0 - (market_moisture_pct if given is None else given))

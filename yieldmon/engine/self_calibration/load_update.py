@@ -70,7 +70,7 @@ class LoadUpdate:
         near = near and self._without_curve(prior) is prior and self._knows_scale(prior, names)
         earlier = [load for load in counted if load.name not in names]
         if near and not self._leaves(earlier, prior, outcome.parameter_set):
-            return outcome, drifting
+            return self._told(outcome, prior, names), drifting
         # Outside the prior's standard deviations, or so far that its linearisation about the earlier loads no longer holds:
         # only the loads together determine the scale.
         try:
@@ -78,10 +78,10 @@ class LoadUpdate:
             found = calibrate_loads(self.model, self._without_curve(prior), counted, settings=self.load_settings, learnt=learnt)
         except ValueError:
             if near:
-                return outcome, drifting
+                return self._told(outcome, prior, names), drifting
             raise
         if near and (found.refused or found.contradiction is not None) and not _is_another(found):
-            return outcome, drifting
+            return self._told(outcome, prior, names), drifting
         reason = (
             f"weighed loads moved the scale by {100.0 * (found.scale - 1.0):+.1f} %; a next load is expected within "
             f"{100.0 * found.next_load_sd:.1f} %"
@@ -109,6 +109,19 @@ class LoadUpdate:
             drifting = replace(drifting, parameters=replace(prior, covariance=wide.covariance_of(names)), joint=joint)
         outcome = replace(Outcome.unchanged(known), updated=not found.refused, reason=reason, scale=scale, dof=len(self.counted))
         return outcome, drifting
+
+    def _told(self, outcome: Outcome, prior: ParameterSet, names: Container[str]) -> Outcome:
+        """With what its parameters change of the mass of the loads of these names, in words."""
+        if not outcome.updated:
+            return outcome
+        each = [
+            np.log1p([departure(self.model, known, load)[0] for known in (prior, outcome.parameter_set)])
+            for load in self._of(names)
+        ]
+        moved = float(np.expm1(np.mean([after - before for before, after in each]))) if each else np.nan
+        if not np.isfinite(moved):
+            return outcome
+        return replace(outcome, reason=f"weighed loads moved the scale by {100.0 * moved:+.1f} %; {outcome.reason}")
 
     def _is_drift(self, widening: float, prior: ParameterSet, names: Container[str]) -> bool:
         """Whether a covariance that is multiplied by `widening` is no wider than drift makes it."""
