@@ -79,7 +79,9 @@ BOLTED = dict.fromkeys(("home_plate_angle_deg", "min_plate_angle_deg", "max_plat
 
 
 @pytest.mark.parametrize(
-    "changes", [{"crop": name} for name in crops()] + [BOLTED | {"plate_measured_deg": [55], "plate_reported_deg": None}]
+    "changes",
+    [{"crop": name} for name in (*crops(), "Höstvete", "milho")]
+    + [BOLTED | {"plate_measured_deg": [55], "plate_reported_deg": None}],
 )
 def test_what_is_written_passes_check_config(tmp_path, capsys, changes):
     assert main(["setup", "--answers", answers(tmp_path, **changes), "--out", str(tmp_path / "new")]) == 0
@@ -97,6 +99,8 @@ def test_what_is_written_passes_check_config(tmp_path, capsys, changes):
         ({"cell_readings_mv": [500, 597]}, "has 2 values for 3 masses"),
         ({"cell_weights_kg": [5, 10], "cell_readings_mv": [600, 700]}, "has 2 different masses; expected 0 and two weights"),
         ({"plate_reported_deg": [45, 80]}, "the same error within 1 deg at both"),
+        ({"plate_reported_deg": [135, 95]}, "plate_reported_deg: falls as the plate's angle rises; expected an angle that rises"),
+        ({"crop": "korn"}, "'korn'; expected barley or corn"),
         ({"plate_measured_deg": [20, 60]}, "is it counted from level?"),
         ({"plate_pivot_x_m": 0.15}, "beyond the paddles' tips"),
         ({"plate_pivot_above_m": -0.1}, "a plate that reaches from above the centre"),

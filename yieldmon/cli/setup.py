@@ -25,7 +25,9 @@ Next, on the machine:
      what it waits for)
   2. harvest a load and weigh it; two more at other flows
   3. yieldmon calibrate --loads STORE --tickets tickets.csv \\
-         --out {parameters}.new.yaml"""
+         --out {parameters}.new.yaml
+For area and yield the header's width goes into machine.yaml, such as
+  implement: {{working_width_m: 9.1}}"""
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

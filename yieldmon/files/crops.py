@@ -157,5 +157,5 @@ def crop(name: str) -> Crop:
     """One crop. Raises InputError for a name that is not shipped."""
     found = find_crop(name)
     if found is None:
-        raise InputError("crop", repr(name), f"one of {', '.join(crops())}")
+        raise InputError("crop", repr(name), misspelt(name) or f"one of {', '.join(crops())}")
     return found

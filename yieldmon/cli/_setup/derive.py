@@ -65,6 +65,12 @@ def plate_offset_deg(measured: Sequence[float], reported: Sequence[float]) -> fl
     error = np.array(measured) - np.array(reported)
     if abs(measured[0] - measured[1]) < 5.0:
         raise InputError("plate_measured_deg", "are less than 5 deg apart", "two positions well apart, such as 45 and 85")
+    if (measured[1] - measured[0]) * (reported[1] - reported[0]) < 0.0:
+        raise InputError(
+            "plate_reported_deg",
+            "falls as the plate's angle rises",
+            "an angle that rises with it; where the signal is mapped, scale: -1 and an offset turn it",
+        )
     if float(np.ptp(error)) > 1.0:
         raise InputError(
             "plate_reported_deg", f"is off by {error[0]:+.1f} and {error[1]:+.1f} deg", "the same error within 1 deg at both"
