@@ -54,7 +54,8 @@ class Model:
     suspect: bool = False
     known_s: float | None = None
     taken_from_s: float = inf
-    refusal: tuple[float, float, float] | None = None
+    refusal: tuple[float, tuple[float, float] | None] | None = None
+    """Seconds waited; pulses and range of the last windows, None for one that could not be looked at."""
 
     @property
     def last(self) -> list[Shown]:
@@ -91,6 +92,12 @@ class Model:
                 self.vibration(self.zero)
             else:
                 self.follow(self.zero, shown)
+        elif self.zero is None:
+            self.refusal = self.waited_s + 1.0, None
+
+    @property
+    def waited_s(self) -> float:
+        return 0.0 if self.refusal is None else self.refusal[0]
 
     def learnt(self, rows: list[Shown]) -> Zero:
         level = mean([one.level_mv for one in rows])
@@ -120,8 +127,7 @@ class Model:
             self.known_s, self.taken_from_s = rows[-1].end_s, rows[0].end_s - 1.0
             return
         levels = [one.level_mv for one in rows]
-        waited_s = 1.0 + (self.refusal[0] if self.refusal is not None else 0.0)
-        self.refusal = waited_s, found.beat_mv or 0.0, max(levels) - min(levels)
+        self.refusal = self.waited_s + 1.0, (found.beat_mv or 0.0, max(levels) - min(levels))
 
     def vibration(self, zero: Zero) -> None:
         rows = self.last
@@ -230,7 +236,9 @@ def compare(tracker: ZeroTracker, model: Model) -> None:
     assert held == (None if zero is None else (zero.beat_mv, zero.mv, zero.first_mv, zero.speed))
     assert (None if state is None else state.window_pulse_mv) == (None if zero is None else zero.pulse_mv)
     assert (None if tracker.before is None else tracker.before.zero_mv) == (None if model.before is None else model.before.mv)
-    found = None if refusal is None else (refusal.waited_s, refusal.pulse_mv, refusal.level_range_mv)
+    found = None
+    if refusal is not None:
+        found = refusal.waited_s, None if refusal.obstacle else (refusal.pulse_mv, refusal.level_range_mv)
     assert found == (model.refusal if zero is None else None)
     assert (tracker.calibrating, tracker.suspect) == (model.calibrating, model.suspect)
     assert (tracker.known_s, tracker.taken_from_s, tracker.progress) == (model.known_s, model.taken_from_s, model.progress)

@@ -105,7 +105,10 @@ def test_why_there_is_no_first_zero(
 
 def test_no_first_zero_while_the_machine_may_hold_grain() -> None:
     machine = Machine().sees(*[ZERO_MV] * 4, empty=False)
-    assert (machine.zero_mv, machine.tracker.refusal) == (None, None)
+    refusal = machine.tracker.refusal
+    assert machine.zero_mv is None
+    assert refusal is not None
+    assert (refusal.waited_s, refusal.obstacle) == (4.0, "the machine is cutting, by header and work state")
     assert machine.sees(ZERO_MV).zero_mv == ZERO_MV
 
 

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import pytest
 
+from yieldmon.engine.faults import FaultCode
+from yieldmon.engine.health import FaultEvent
 from yieldmon.engine.monitor import Monitor
+from yieldmon.engine.results import WindowResult
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.files import machine_file, parameter_file
@@ -47,7 +52,7 @@ def waiting(
         ),
         ({"rpm": 150.0}, "the elevator to run at 250 to 599 rpm: it turns at 150 rpm"),
         ({"rpm": 0.0}, "the elevator to run at 250 to 599 rpm: it turns at 0 rpm"),
-        ({"sensor": False}, "all samples of a second from the impact sensor"),
+        ({"sensor": False}, "whole seconds of samples from the impact sensor: the last has 0 %"),
         ({"angle_deg": 50.0}, "the plate to rest at home, 70 deg: it is at 50.0 deg"),
         ({"angle_deg": None}, "the plate to rest at home, 70 deg: no frame reports its angle"),
         ({"seconds": 2.3}, "the elevator running empty: 2 of 3 s"),
@@ -63,3 +68,49 @@ def test_grain_on_the_paddles_is_named() -> None:
     reported = waiting(pulse_mv=400.0, seconds=6.0)
     assert reported.startswith("an elevator that runs empty: the paddles throw pulses of ")
     assert "stop taking in crop" in reported
+
+
+def shown(
+    seconds: int, *, sends: Callable[[int], bool] = lambda k: True, angle_deg: float = 70.0, cutting: bool = False
+) -> tuple[Monitor, str]:
+    """A monitor after so long with an empty elevator, and its last ZeroMissing. sends: whether sample frame k comes."""
+    machine, parameters = machine_file.load(), parameter_file.load()
+    monitor = Monitor(EngineSettings(), machine, OpenLoop(ForwardModel(machine, parameters.effects), parameters))
+    told = ""
+    for k in range(250 * seconds):
+        at = 100.0 + 0.004 * k
+        found = []
+        if sends(k):
+            samples = dict.fromkeys((f"Sample{i}" for i in range(4)), 500.0 + k % 2)
+            found += monitor.feed(Frame(at, "ImpactSensorSamples", {**samples, "SampleCounter": k % 256, "SensorStatus": 0}))
+        if k % 25 == 0:
+            found += monitor.feed(Frame(at, "ElevatorSpeed", {"ElevatorSpeed": 400.0}))
+            found += monitor.feed(Frame(at, "HarvestState", {"HeaderDown": int(cutting), "WorkState": int(cutting)}))
+        if k % 12 == 0:
+            found += monitor.feed(Frame(at, "PlateActuatorFeedback", {"PlateAngle": angle_deg, "ActuatorState": 0}))
+        for result in found:
+            if isinstance(result, WindowResult):
+                events = [event for event in result.events if isinstance(event, FaultEvent)]
+                told = next((event.detail for event in events if event.code == FaultCode.ZERO_MISSING), told)
+    return monitor, told
+
+
+def test_a_sensor_that_loses_frames_all_the_time_has_a_zero() -> None:
+    """One frame of thirty lost, as on a loaded bus: no second is whole, and without a zero nothing is ever measured."""
+    monitor, _ = shown(6, sends=lambda k: k % 30 != 7)
+    assert monitor.zero_waits_for == ""
+
+
+@pytest.mark.parametrize(
+    ("how", "expected"),
+    [
+        ({"sends": lambda k: k % 3 != 1}, "whole seconds of samples from the impact sensor: the last has 67 %"),
+        ({"angle_deg": 63.0}, "the plate to rest at home, 70 deg: it is at 63.0 deg"),
+        ({"cutting": True}, "the machine is cutting"),
+    ],
+    ids=["many lost", "plate away", "cutting from the start"],
+)
+def test_no_zero_for_a_minute_is_a_fault_whatever_it_waits_for(how: dict[str, object], expected: str) -> None:
+    """All the same the elevator runs and nothing is measured."""
+    _, told = shown(64, **how)  # type: ignore[arg-type]
+    assert expected in told

@@ -187,6 +187,8 @@ def _zero_missing(o: Observation) -> str | None:
     refusal, settings = o.reading.zero_refusal, o.settings
     if refusal is None or refusal.waited_s < settings.faults.zero_missing_s:
         return None
+    if refusal.obstacle:
+        return f"no zero in {refusal.waited_s:.0f} s: {refusal.obstacle}"
     limits = settings.zero
     return (
         f"no zero in {refusal.waited_s:.0f} s: pulses of {refusal.pulse_mv:.1f} mV (limit {limits.first_pulse_limit_mv:g} mV), "
@@ -362,7 +364,7 @@ _TABLE = (
     ),
     FaultDefinition(
         _C.ZERO_MISSING, 520193, 31, _S, 1, 1,
-        "The elevator runs and no zero-load voltage could be taken: the sensor shows pulses in step with the paddles.",
+        "The elevator runs and no zero-load voltage could be taken: pulses in step with the paddles, or a cause that is named.",
         "No flow is published and no mass is added until there is a zero.",
         "Run the elevator empty. If it is empty, the paddles shake the plate: check its mounting, then calibrate the zero.",
         _zero_missing,

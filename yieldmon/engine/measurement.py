@@ -63,6 +63,8 @@ class Reading:
 _reading, _gate_inputs = maker_of(Reading), maker_of(GateInputs)
 _LARGEST_RATIO = 4.0
 """A window's squared scatter counts for no more than this times what is known."""
+_ENOUGH = 0.8
+"""Share of a second whose samples give an empty elevator's level, where some are lost all the time."""
 _TANK_S = 60.0
 """Stable readings of the tank's scale within this time are compared."""
 _TANK_RISE = 3.0
@@ -130,7 +132,7 @@ class Measurement:
         if self._obstacle:
             return self._obstacle
         refusal = self.zero.refusal
-        if refusal is not None and seen == wanted:
+        if refusal is not None and not refusal.obstacle and seen == wanted:
             limits = self._settings.zero
             return (
                 f"an elevator that runs empty: the paddles throw pulses of {refusal.pulse_mv:.1f} mV (at most "
@@ -246,23 +248,29 @@ class Measurement:
 
     def _follow_zero(self, window: Window, inputs: InputSnapshot, elevator_runs: bool, plate_rests_at_home: bool) -> bool:
         """Show the window to the zero; returns whether a zero was learnt from it."""
-        whole = window.coverage >= self._settings.windows.full_coverage and not window.contested
         if inputs.fresh["header_down"] == HeaderDown.DOWN and inputs.fresh["work_state"] != WorkState.NOT_WORKING:
             self._cutting_s = window.end_s
-        self._obstacle = self._zero_obstacle(window, inputs, elevator_runs, whole, plate_rests_at_home)
+        self._obstacle = self._zero_obstacle(window, inputs, elevator_runs, plate_rests_at_home)
         if not self._obstacle and self.zero.calibrating and self.zero.waits_for_grain_to_pass(signs := self.signs_of_grain):
             self._obstacle = f"an elevator that runs empty: {signs}; stop taking in crop"
         if self._obstacle:
             self.zero.interrupt()
+            if elevator_runs and window.samples:
+                self.zero.lack(window, f"it takes {self._obstacle}")
             return False
         emptied = window.end_s - self._cutting_s >= self._settings.gate.emptying_s
         wanted = self.zero.calibrating or self.zero.state is None
         self.zero.see(window, may_be_empty=not self._gate.harvesting and emptied)
         return wanted and self.zero.state is not None and not self.zero.calibrating
 
-    def _zero_obstacle(
-        self, window: Window, inputs: InputSnapshot, elevator_runs: bool, whole: bool, plate_rests_at_home: bool
-    ) -> str:
+    def _is_level(self, window: Window) -> bool:
+        """Whether a window's samples give its level: all of them, or most of them of a sensor that loses some all the time. One
+        that begins or ends within the window need not have settled."""
+        ended = window.end_s - window.last_frame_s > self._settings.inputs.sensor_timeout_s
+        least = _ENOUGH if self._sampled and not ended else 1.0
+        return window.coverage >= min(self._settings.windows.full_coverage, least)
+
+    def _zero_obstacle(self, window: Window, inputs: InputSnapshot, elevator_runs: bool, plate_rests_at_home: bool) -> str:
         """What a window lacks for a zero, "" where it lacks nothing."""
         machine = self._machine
         if not inputs.speed_known:
@@ -271,8 +279,10 @@ class Measurement:
             low, high = (speed / RPM for speed in (machine.min_elevator_speed_rad_s, machine.max_elevator_speed_rad_s))
             found = window.speed_rad_s / RPM
             return f"the elevator to run at {low:.0f} to {high:.0f} rpm: it turns at {found:.0f} rpm{_meant(found, low, high)}"
-        if not whole:
-            return "all samples of a second from the impact sensor"
+        if window.contested:
+            return "samples of one impact sensor: more came than one sends"
+        if not self._is_level(window):
+            return f"whole seconds of samples from the impact sensor: the last has {100.0 * window.coverage:.0f} %"
         if not plate_rests_at_home:
             home = degrees(machine.home_plate_angle_rad)
             angle = degrees(window.plate_angle_rad)

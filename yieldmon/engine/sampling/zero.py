@@ -49,11 +49,14 @@ class ZeroRefusal:
         Amplitude in step with the paddles in the last windows.
     level_range_mv : float
         Range of the last windows' means.
+    obstacle : str
+        What the last window lacked; empty for one that was looked at, and had pulses or a level that ranges too far.
     """
 
     waited_s: float
-    pulse_mv: float
-    level_range_mv: float
+    pulse_mv: float = float("nan")
+    level_range_mv: float = float("nan")
+    obstacle: str = ""
 
 
 class ZeroTracker:
@@ -208,6 +211,15 @@ class ZeroTracker:
         self._recent.clear()
         self._pattern = self._compared = None
 
+    def lack(self, window: Window, obstacle: str) -> None:
+        """A window with the elevator turning in its range and with samples, which no zero can be taken from."""
+        if self._state is None:
+            self._refusal = ZeroRefusal(self._waited_s + window.end_s - window.start_s, obstacle=obstacle)
+
+    @property
+    def _waited_s(self) -> float:
+        return self._refusal.waited_s if self._refusal is not None else 0.0
+
     def see(self, window: Window, may_be_empty: bool) -> None:
         """A whole window with the elevator turning in its range and the plate at home.
 
@@ -232,6 +244,8 @@ class ZeroTracker:
                 self._follow(self._state, window)
             else:
                 self._learn_vibration(self._state)
+        elif self._state is None:
+            self.lack(window, "the machine is cutting, by header and work state")
 
     def _first(self, windows: list[Window]) -> None:
         if len(windows) < self._settings.first_zero_windows:
@@ -242,7 +256,7 @@ class ZeroTracker:
             self._state = ZeroState(zero, zero, _mean_speed(windows), pulse)
             self.known_s, self.taken_from_s = windows[-1].end_s, windows[0].start_s
             return
-        waited_s = (self._refusal.waited_s if self._refusal is not None else 0.0) + windows[-1].end_s - windows[-1].start_s
+        waited_s = self._waited_s + windows[-1].end_s - windows[-1].start_s
         levels = [window.mean_mv for window in windows]
         self._refusal = ZeroRefusal(waited_s, _pulse_mv(windows), max(levels) - min(levels))
 
