@@ -34,10 +34,16 @@ def ag_leader(
     smooth_m: float = 12.0,
     start_s: int = 40_000,
     round_s: int | None = None,
+    last_share: float = 1.0,
+    every_s: int = 1,
+    always_down: bool = False,
+    trickle_kg_s: float = 0.0,
 ) -> float:
     """Passes north and south by turns, 1 Hz; grain reaches the sensor `delay_s` later. Returns the mass in kg that was cut.
 
-    round_s: the clock begins again after so many seconds.
+    round_s: the clock begins again after so many seconds. last_share: of the last pass's width that has a crop; the file says the
+    whole. every_s: seconds of a row, of which the flow is the mean. always_down: what the file says of the header.
+    trickle_kg_s: flow where nothing is cut.
     """
     rng = np.random.default_rng(seed)
     ground = surface(rng, 400, smooth_m)
@@ -58,13 +64,21 @@ def ag_leader(
     cut = ground[np.round(n).astype(int) % 400, np.round(e).astype(int) % 400] * width_m * speed_m_s * d
     if pure_noise:
         cut = rng.normal(12.0, 2.0, len(cut)).clip(0) * d
+    cut[np.array(number) == passes] *= last_share
     flow = np.zeros(len(cut))
     if delay_s >= 0:
         flow[delay_s:] = cut[: len(cut) - delay_s]
     else:
         flow[:delay_s] = cut[-delay_s:]
     flow = np.maximum(flow + rng.normal(0, noise * 12, len(flow)) * (flow > 0), 0.0)
+    flow += np.where(flow > 0, 0.0, trickle_kg_s)
     time = start_s + np.arange(len(flow))
+    way = np.where(d > 0, speed_m_s, 30.0 * 0.0254)
+    if every_s > 1:
+        rows = np.arange(every_s - 1, len(flow), every_s)
+        flow, way = (np.add.reduceat(values, rows - every_s + 1)[: len(rows)] for values in (flow, way))
+        e, n, d, time, number = e[rows], n[rows], d[rows], time[rows], [number[row] for row in rows]
+        flow /= every_s
     if round_s:
         time = time % round_s
     longitude = longitude_deg + e / (EARTH_M_DEG * np.cos(np.radians(latitude_deg)))
@@ -72,9 +86,9 @@ def ag_leader(
     latitude = latitude_deg + n / EARTH_M_DEG
     with path.open("w", encoding="ascii") as stream:
         for k in range(len(flow)):
-            way = speed_m_s / 0.0254 if d[k] else 30.0
             stream.write(
-                f"{longitude[k]:.8f},{latitude[k]:.8f},{flow[k] / 0.45359237:.4f},{time[k]},1,{way:.3f},{width_m / 0.0254:.2f},"
-                f'15.0,{33 if d[k] else 32},{number[k]},4711,"F1:north","L1:<1>","Corn"\n'
+                f"{longitude[k]:.8f},{latitude[k]:.8f},{flow[k] / 0.45359237:.4f},{time[k]},{every_s},"
+                f"{way[k] / 0.0254:.3f},{width_m / 0.0254:.2f},"
+                f'15.0,{33 if d[k] or always_down else 32},{number[k]},4711,"F1:north","L1:<1>","Corn"\n'
             )
-    return float(flow.sum())
+    return float(flow.sum() * every_s)

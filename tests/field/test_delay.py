@@ -66,6 +66,24 @@ def test_synthetic_delay(tmp_path: Path, delay: int, where: tuple[float, float])
     assert found.low_s <= delay <= found.high_s
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_last_pass_half_beside_the_crop_hides_no_delay(tmp_path: Path, seed: int) -> None:
+    path = tmp_path / "field.txt"
+    ag_leader(path, delay_s=13, seed=seed, last_share=0.25, smooth_m=6.0)
+    found = estimated(sources.read(path, ReadOptions()))
+    assert found.decision == "estimated"
+    assert found.value_s == pytest.approx(13, abs=1.0)
+
+
+@pytest.mark.parametrize(("every_s", "delay"), [(2, 12), (3, 12), (5, 15)])
+def test_a_row_of_several_seconds_has_its_place_in_their_middle(tmp_path: Path, every_s: int, delay: int) -> None:
+    path = tmp_path / "field.txt"
+    ag_leader(path, delay_s=delay, seed=4, every_s=every_s, passes=30, length_s=150)
+    found = estimated(sources.read(path, ReadOptions()))
+    assert found.decision == "estimated"
+    assert found.value_s == pytest.approx(delay, abs=0.75)
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_noise_is_refused(tmp_path: Path, seed: int) -> None:
     path = tmp_path / "field.txt"

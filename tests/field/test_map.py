@@ -239,6 +239,20 @@ def test_known_synthetic_mass_and_delay(tmp_path: Path, capsys: pytest.CaptureFi
     assert document["yield_t_ha"] == pytest.approx(10.0 * mass / (24 * 80 * 12), rel=0.03)
 
 
+@pytest.mark.parametrize("kind", ["header always down", "header unknown"])
+def test_turns_are_no_ground_that_was_cut(kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "field.txt"
+    ag_leader(path, delay_s=10, seed=5, turn_s=25, always_down=True, trickle_kg_s=0.1)
+    if kind == "header unknown":
+        names = "longitude,latitude,flow_lb_s,time_s,interval_s,distance_in,width_in\n"
+        rows = [line.split(",")[:7] for line in path.read_text().splitlines()]
+        path = tmp_path / "field.csv"
+        path.write_text(names + "".join(",".join(row) + "\n" for row in rows))
+    document = mapped(capsys, tmp_path / "out", path, "--products", "none")
+    assert document["area_ha"] == pytest.approx(24 * 80 * 12 / 1e4, rel=0.02)
+    assert document["yield_t_ha_low"] < document["yield_t_ha"] < document["yield_t_ha_high"]
+
+
 def test_a_pause_within_a_log_is_no_way_that_was_cut(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "field.txt"
     ag_leader(path, delay_s=0, seed=3, passes=8)

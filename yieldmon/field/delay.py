@@ -15,7 +15,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from .pairs import Pairs
+from .pairs import Pairs, of_like_passes
 from .table import Array
 from .tracks import MIN_SPEED_M_S, Index, Tracks
 
@@ -34,6 +34,9 @@ FLOOR_S = 1.0
 """Half-width that an interval has at least: flows and yields by area do not peak at quite the same shift, and the peak lies
 before the mean delay of a machine that smears."""
 EDGE_S = 2.0
+POINT_S = 1.0
+"""A flow is the mean of the interval before its point, so the shift from point to point exceeds the delay by half of it. What is
+beyond that of a row a second is taken off."""
 _WINSOR = (1.0, 99.0)
 _EMPTY_SHARE = 0.1
 """Of the median flow; below it the machine runs empty. Two passes shifted by half a pass are empty at the same places, which is
@@ -136,6 +139,8 @@ def estimate_delay(
     def refused(why: str, curve: Curve = empty, no_shift: float = nan, at_default: float = nan) -> Delay:
         return Delay(default_s, None, None, Decision.CANNOT_TELL, declared_s, why, curve, no_shift, at_default, nan, len(pairs))
 
+    if quantity == "flow":
+        pairs = of_like_passes(steps, pairs)
     if len(pairs) < MIN_PAIRS or pairs.blocks < MIN_BLOCKS:
         return refused(f"{len(pairs)} pairs of opposing passes in {pairs.blocks} blocks; {MIN_PAIRS} in {MIN_BLOCKS} are needed")
     if steps.usual_interval_s > MAX_INTERVAL_S or _ticks(steps) > MAX_TICKS:
@@ -156,10 +161,11 @@ def estimate_delay(
     peaks = np.array([_peak(one, about=peak) for one in drawn])
     low, high = (float(value) for value in np.percentile(peaks, [2.5, 97.5]))
     floor = max(FLOOR_S, 0.5 * steps.usual_interval_s)
+    value = peak - (0.5 * max(0.0, steps.usual_interval_s - POINT_S) if quantity == "flow" else 0.0)
     return Delay(
-        peak,
-        min(low, peak - floor),
-        max(high, peak + floor),
+        value,
+        min(low - peak, -floor) + value,
+        max(high - peak, floor) + value,
         Decision.ESTIMATED,
         declared_s,
         "one clear peak",

@@ -19,6 +19,9 @@ _REACH_WIDTHS = 1.6
 _OPPOSITE = -0.95
 _BLOCK_S = 60.0
 _MIN_PASSES_AS_BLOCKS = 24
+_SAME_LEVEL, _MOST_UNLIKE = 1.5, 0.25
+"""Ratio of two passes' median yields from which on one of them cut less than its width, and the share of pairs that may be of
+such passes: with more, the yields themselves differ."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +71,37 @@ def opposing_pairs(steps: Tracks) -> Pairs:
     low, high = low[once], high[once]
     block = _blocks(steps, low)
     return Pairs(low, high, block, int(block.max()) + 1 if len(block) else 0)
+
+
+def of_like_passes(steps: Tracks, pairs: Pairs) -> Pairs:
+    """The pairs without those of passes whose median yields differ by over a half, where these are few.
+
+    A last pass half over ground without a crop has half its neighbour's yield everywhere, whatever the delay is.
+
+    Parameters
+    ----------
+    steps : Tracks
+    pairs : Pairs
+        Of its opposing passes.
+    """
+    with np.errstate(invalid="ignore", divide="ignore"):
+        amount = steps.flow_kg_s / (steps.speed_m_s * steps.width_m)
+    grain = np.flatnonzero((amount > 0) & np.isfinite(amount) & (steps.pass_number >= 0))
+    if not len(pairs) or not grain.size:
+        return pairs
+    number = steps.pass_number[grain]
+    order = np.lexsort((amount[grain], number))
+    begin = np.flatnonzero(np.diff(number[order], prepend=-1))
+    length = np.diff(begin, append=len(order))
+    usual = np.full(int(steps.pass_number.max()) + 1, np.nan)
+    usual[number[order][begin]] = amount[grain][order][begin + length // 2]
+    with np.errstate(invalid="ignore"):
+        ratio = usual[steps.pass_number[pairs.first]] / usual[steps.pass_number[pairs.second]]
+        unlike = np.abs(np.log(ratio)) > np.log(_SAME_LEVEL)
+    if not 0.0 < unlike.mean() <= _MOST_UNLIKE:
+        return pairs
+    names, block = np.unique(pairs.block[~unlike], return_inverse=True)
+    return Pairs(pairs.first[~unlike], pairs.second[~unlike], block.astype(np.intp), len(names))
 
 
 def _blocks(steps: Tracks, member: Index) -> Index:

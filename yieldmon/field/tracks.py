@@ -27,6 +27,8 @@ _USUAL_ROWS = 41
 """About a row, of which the median step is the usual one."""
 GAP_INTERVALS = 3.0
 """So many usual intervals without a step are a gap."""
+EMPTY_SHARE = 0.05
+"""Of a machine's median flow; below it the machine runs empty: a sensor's zero drifts, and grain trickles after a pass."""
 FAR_S = 10_000.0
 """Between times that are to be far apart: those of two streams on one axis, and those that are not known."""
 
@@ -48,7 +50,7 @@ class Tracks:
     heading_rad : array, shape (k,)
         Clockwise from north, from positions; NaN while standing.
     down : array of bool, shape (k,)
-        Harvesting: header down, or flow while driving where the source does not say.
+        Harvesting: header down, or more than EMPTY_SHARE of the usual flow while driving where the source does not say.
     run : array of int, shape (k,)
         Number of the stretch without a gap in time.
     pass_number : array of int, shape (k,)
@@ -178,7 +180,7 @@ def tracks(table: HarvestTable) -> Tracks:
     flow[np.isnan(mean(table["flow_kg_s"]))] = np.nan
     header = mean(table["header_down"])
     driving = np.nan_to_num(speed) > MIN_SPEED_M_S
-    down = np.where(np.isfinite(header), header > 0, driving & (np.nan_to_num(flow) > 0)) & np.isfinite(step_x)
+    down = np.where(np.isfinite(header), header > 0, driving & running(flow, step_stream)) & np.isfinite(step_x)
     return Tracks(
         plane=plane,
         step_of_row=step_of_row,
@@ -221,14 +223,32 @@ def cut_before_measured(steps: Tracks, table: HarvestTable, delays_s: Mapping[in
     said = np.zeros(len(steps), bool)
     said[steps.step_of_row[np.isfinite(table["header_down"])]] = True
     down = steps.down.copy()
+    grain_flows = running(steps.flow_kg_s, steps.stream)
     for stream, delay_s in delays_s.items():
         mine = np.flatnonzero(~said & ((steps.stream == stream) | (stream < 0)))
         if abs(delay_s) < steps.usual_interval_s or not mine.size:
             continue
         later = steps.nearest(steps.time_s[mine] + delay_s, steps.stream[mine], 0.75 * steps.usual_interval_s)
-        grain = (later >= 0) & (np.nan_to_num(steps.flow_kg_s[later]) > 0)
+        grain = (later >= 0) & grain_flows[later]
         down[mine] = grain & (np.nan_to_num(steps.speed_m_s[mine]) > MIN_SPEED_M_S) & np.isfinite(steps.x_m[mine])
     return replace(steps, down=down, pass_number=_passes(down, steps.run))
+
+
+def running(flow_kg_s: Array, stream: Index) -> Flags:
+    """Where each machine has more than EMPTY_SHARE of its own median flow.
+
+    >>> running(np.array([0.0, 0.1, 8.0, 9.0, np.nan, 0.1]), np.array([0, 0, 0, 0, 0, 1])).tolist()
+    [False, False, True, True, False, True]
+    """
+    flow = np.nan_to_num(flow_kg_s)
+    machines, number = np.unique(stream, return_inverse=True)
+    grain = np.flatnonzero(flow > 0)
+    order = grain[np.lexsort((flow[grain], number[grain]))]
+    count = np.bincount(number[grain], minlength=len(machines))
+    usual = np.zeros(len(machines))
+    some = count > 0
+    usual[some] = flow[order[(np.cumsum(count) - count + count // 2)[some]]]
+    return np.asarray(flow > EMPTY_SHARE * usual[number]) & (flow > 0)
 
 
 def _interval(time_s: Array, stream: Index) -> float:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from yieldmon.field.table import Array, HarvestTable, Label
+from yieldmon.field.tracks import Flags, tracks
 
 from .delimited import number
 
@@ -30,6 +31,11 @@ _MOST_STATES = 8
 """Different numbers that a state has at most; more are a height."""
 _LEAST_ROWS, _MOST_UP = 30, 0.9
 """Rows that tell, and share of the grain that no machine measures with its header up, even if much of it is on its way then."""
+
+_TURN_S, _TURN_DEG, _LEAST_TURNS = 40.0, 150.0, 5
+"""A machine turns back within so many seconds; so many times tell."""
+_EMPTY, _EMPTY_S = 0.1, 3.0
+"""Of the usual flow, below it the machine runs empty; and seconds of it for each turn."""
 
 
 def down_of(state: Array, name: str) -> tuple[Array, tuple[str, ...]]:
@@ -65,7 +71,10 @@ def states_of(label: Label, name: str) -> tuple[Array, tuple[str, ...]]:
 
 
 def without_contradicted_states(table: HarvestTable) -> HarvestTable:
-    """The table without the header states of sources that measured most of their grain with the header up; they say so."""
+    """The table without the header states of sources whose grain contradicts them; they say so.
+
+    Those measured most of their grain with the header up, or turned back and ran empty with the header never up.
+    """
     header = table["header_down"].copy()
     sources = list(table.sources)
     mass_kg = np.nan_to_num(table["flow_kg_s"] * table["interval_s"])
@@ -74,8 +83,28 @@ def without_contradicted_states(table: HarvestTable) -> HarvestTable:
         up = mass_kg[mine & (header == 0)].sum() / max(mass_kg[mine].sum(), 1e-9)
         if mine.sum() >= _LEAST_ROWS and up > _MOST_UP:
             note = f"{100 * up:.0f} % of the grain is measured while the header is said to be up: that is not used"
-            sources[place] = replace(source, notes=(*source.notes, note))
-            header[mine] = np.nan
+        elif mine.any() and header[mine].all() and (turns := _turns_with_header_down(table, mine)):
+            note = f"the header is said to be down in all {turns} turns, where no grain comes: that is not used"
+        else:
+            continue
+        sources[place] = replace(source, notes=(*source.notes, note))
+        header[mine] = np.nan
     if tuple(sources) == table.sources:
         return table
     return replace(table.with_columns(header_down=header), sources=tuple(sources))
+
+
+def _turns_with_header_down(table: HarvestTable, mine: Flags) -> int:
+    """How often the machine turned back, where it also ran empty about as often; 0 for a few times."""
+    steps = tracks(table.take(mine))
+    span = max(1, round(_TURN_S / steps.usual_interval_s))
+    if len(steps) <= span:
+        return 0
+    with np.errstate(invalid="ignore"):
+        back = np.cos(steps.heading_rad[span:] - steps.heading_rad[:-span]) < np.cos(np.radians(_TURN_DEG))
+    back &= steps.run[span:] == steps.run[:-span]
+    turns = int(np.count_nonzero(back & ~np.r_[False, back[:-1]]))
+    flow = np.nan_to_num(steps.flow_kg_s)
+    usual = float(np.median(flow[flow > 0])) if (flow > 0).any() else 0.0
+    empty_s = float(steps.interval_s[flow < _EMPTY * usual].sum())
+    return turns if turns >= _LEAST_TURNS and empty_s >= _EMPTY_S * turns else 0
