@@ -318,7 +318,7 @@ def test_plate_angles_from_another_line_are_asked_about_and_no_effect_is_named(m
 
 def test_a_shuffled_column_is_reported(make_rows, start) -> None:
     """Rows of one condition are no longer of one condition."""
-    rows = make_rows()
+    rows = make_rows(**ONE_SPEED)
     shuffled = np.random.default_rng(3).permutation(rows.plate_angle_rad)
     seen = diagnosis.examine(with_cells(replace(rows, plate_angle_rad=shuffled)), start, QUICK)
     assert any("so nothing is named: is a column shuffled" in note for note in seen.notes)

@@ -132,9 +132,9 @@ def test_the_first_ticket_says_that_it_decides_alone_and_the_second_that_the_fir
 
 
 def test_where_a_tank_scale_has_taught_no_ticket_is_said_to_decide_alone(tmp_path, capsys) -> None:
-    passes = {"kind": "stop-and-go", "flow_kg_s": 12, "pass_s": 60, "headland_s": 20, "unload_every": 3, "unload_s": 20}
-    pieces = [{"kind": "steady", "duration_s": 20, "flow_kg_s": 0}, {**passes, "duration_s": 400}]
-    scenario = {"duration_s": 420, "effects": {"gravity": "on"}, "flow": {"pieces": pieces}}
+    passes = {"kind": "stop-and-go", "flow_kg_s": 12, "pass_s": 30, "headland_s": 20, "unload_every": 2, "unload_s": 20}
+    pieces = [{"kind": "steady", "duration_s": 20, "flow_kg_s": 0}, {**passes, "duration_s": 180}]
+    scenario = {"duration_s": 200, "effects": {"gravity": "on"}, "flow": {"pieces": pieces}}
     combine = VirtualCombine(from_mapping(scenario, "test"), machine_file.load(shipped("config/machines/sprocket-8.yaml")), 1)
     with running(tmp_path, "bus: {transmit_max_age_s: 60}\nsweep: {enabled: false}") as bench:
 
@@ -146,7 +146,7 @@ def test_where_a_tank_scale_has_taught_no_ticket_is_said_to_decide_alone(tmp_pat
 
         harvest(30.0)
         ask(tmp_path, "load", "start")
-        harvest(380.0)
+        harvest(190.0)
         ask(tmp_path, "load", "stop")
         assert bench.daemon.monitor.scale_counted
         weighed_kg = 1.3 * ask(tmp_path, "load", "list")["loads"][-1]["mass_kg"]
