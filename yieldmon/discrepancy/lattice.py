@@ -106,15 +106,6 @@ def lay(
     power = np.where(np.isfinite(power), power, 1.0)
     carried = np.where(np.isfinite(ratio) & (ratio > 0.0), ratio, near[2] * near[1] / (flow * speed))
     log_force = np.log(np.concatenate([s.force_n for s in every]) * carried)
-    placed, at = [], 0
-    for name, of_machine in sweeps:
-        blocks, start = [], at
-        for sweep in of_machine:
-            slope = power[at : at + len(sweep.force_n)]
-            covariance = np.diag(sweep.force_variance) + np.outer(slope, slope) * sweep.flow_covariance
-            blocks.append((at - start, np.linalg.inv(np.linalg.cholesky(covariance))))
-            at += len(sweep.force_n)
-        placed.append(Placed(name, log_force[start:at], cell[start:at], tuple(blocks)))
     # What the model gives there stands in for a measurement, so that no cell is empty.
     shown = force(*(values[first] for values in near))
     level = np.where(np.isfinite(shown), shown, np.bincount(cell, np.exp(log_force)) / np.bincount(cell))
@@ -138,7 +129,23 @@ def lay(
     base = tuple(p for p in frame.base if p.name != "restitution")
     reference_moisture = float(np.nanmedian(moisture)) if np.any(np.isfinite(moisture)) else float("nan")
     followed = _following(model, parameters, frame, reference_kg_s, reference_moisture)
-    return Lattice(replace(frame, base=base, fixed=fixed, following=followed), tuple(placed))
+    return Lattice(replace(frame, base=base, fixed=fixed, following=followed), _placed(sweeps, log_force, power, cell))
+
+
+def _placed(
+    sweeps: Sequence[tuple[str, Sequence[AwayVisits]]], log_force: Array, power: Array, cell: NDArray[np.int64]
+) -> tuple[Placed, ...]:
+    """The machines, of what all visits have in their order; power: of the force by the flow."""
+    placed, at = [], 0
+    for name, of_machine in sweeps:
+        blocks, start = [], at
+        for sweep in of_machine:
+            slope = power[at : at + len(sweep.force_n)]
+            covariance = np.diag(sweep.force_variance) + np.outer(slope, slope) * sweep.flow_covariance
+            blocks.append((at - start, np.linalg.inv(np.linalg.cholesky(covariance))))
+            at += len(sweep.force_n)
+        placed.append(Placed(name, log_force[start:at], cell[start:at], tuple(blocks)))
+    return tuple(placed)
 
 
 def _following(

@@ -8,7 +8,7 @@ from __future__ import annotations
 import struct
 import xml.etree.ElementTree as ET
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from yieldmon import utc
@@ -21,7 +21,7 @@ from .points import YieldPoint
 
 LOG_NAME = "TLG00001"
 FOLDER = "TASKDATA"
-FILES = ("TASKDATA.XML", f"{LOG_NAME}.xml", f"{LOG_NAME}.bin")
+FILES = (task_data.MAIN_FILE, f"{LOG_NAME}.xml", f"{LOG_NAME}.bin")
 """In it."""
 
 ENTRIES = (
@@ -80,33 +80,19 @@ def binary_log(points: Sequence[YieldPoint], reference_moisture_pct: float) -> t
     return b"".join(records), totals
 
 
-def task_file(points: Sequence[YieldPoint], totals: Mapping[int, int], log_bytes: int, field: str) -> ET.Element:
-    """TASKDATA.XML's root. Raises ValueError without points."""
+def files(points: Sequence[YieldPoint], field: str, reference_moisture_pct: float) -> dict[str, bytes]:
+    """File name -> content of a TASKDATA folder. Raises ValueError without points."""
     if not points:
         raise ValueError("no points")
+    content, totals = binary_log(points, reference_moisture_pct)
+    first, last = (utc.moment(points[k].time_s) for k in (0, -1))
+    log = task_data.Log(LOG_NAME, content, first, last, round((last - first).total_seconds()), totals)
     root = task_data.task_data()
-    device = task_data.add_combine(root, ENTRIES)
+    task_data.add_combine(root, ENTRIES)
     area_m2 = sum(point.distance_m * point.swath_m for point in points)
     ET.SubElement(root, "PFD", A="PFD1", C=field, D=str(round(area_m2)))
-    task = ET.SubElement(root, "TSK", A="TSK1", B=f"Harvest {field}", E="PFD1", G="4")
-    first, last = (utc.moment(points[k].time_s) for k in (0, -1))
-    seconds = round((last - first).total_seconds())
-    time = ET.SubElement(task, "TIM", A=utc.text(first), B=utc.text(last), C=str(seconds), D="4")
-    for ddi, value in totals.items():
-        ET.SubElement(time, "DLV", A=f"{ddi:04X}", B=str(value), C=task_data.COMBINE)
-    ET.SubElement(task, "DAN", A=device.attrib["D"], C=task_data.DEVICE)
-    ET.SubElement(task, "TLG", A=LOG_NAME, B=str(log_bytes), C="1")
-    return root
-
-
-def files(points: Sequence[YieldPoint], field: str, reference_moisture_pct: float) -> dict[str, bytes]:
-    """File name -> content of a TASKDATA folder."""
-    log, totals = binary_log(points, reference_moisture_pct)
-    return {
-        FILES[0]: task_data.as_file(task_file(points, totals, len(log), field)),
-        FILES[1]: task_data.as_file(task_data.log_header(ENTRIES)),
-        FILES[2]: log,
-    }
+    task_data.add_task(root, "TSK1", f"Harvest {field}", "PFD1", log)
+    return task_data.files_of(root, ENTRIES, [log])
 
 
 def write(path: Path, points: Sequence[YieldPoint], field: str, reference_moisture_pct: float) -> None:

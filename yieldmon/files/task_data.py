@@ -6,16 +6,20 @@ Layout: ISO 11783-10:2015; values by the data dictionary of ISO 11783-11.
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
-from yieldmon import __version__
+from yieldmon import __version__, utc
 
 EPOCH = datetime(1980, 1, 1, tzinfo=UTC)
 """Day 0 of a time log."""
+DAY_MS = 86_400_000
+"""Of a time log's records, which count the days and milliseconds within them."""
+MAIN_FILE = "TASKDATA.XML"
 DEVICE, COMBINE = "DVC-1", "DET-1"
 """Identifiers of the combine as a device and as that device's one element."""
+_CLIENT_NAME = "A000840000000000"
 
 
 @dataclass(frozen=True)
@@ -26,6 +30,31 @@ class Entry:
     designator: str
     unit: str
     total: bool = False
+
+
+@dataclass(frozen=True)
+class Log:
+    """A time log.
+
+    Parameters
+    ----------
+    name : str
+        Of its files, without an ending.
+    content : bytes
+        The records.
+    first, last : datetime
+        Of the records.
+    duration_s : int
+    totals : mapping
+        DDI -> last raw value, of entries that count up.
+    """
+
+    name: str
+    content: bytes
+    first: datetime
+    last: datetime
+    duration_s: int
+    totals: Mapping[int, int]
 
 
 def log_header(entries: Sequence[Entry]) -> ET.Element:
@@ -51,15 +80,15 @@ def task_data() -> ET.Element:
     )
 
 
-def add_combine(root: ET.Element, entries: Sequence[Entry]) -> ET.Element:
-    """The device that measures these entries, in the root; returned."""
+def add_combine(root: ET.Element, entries: Sequence[Entry]) -> None:
+    """The device that measures these entries, into the root."""
     device = ET.SubElement(
         root,
         "DVC",
         A=DEVICE,
         B="yieldmon",
         C=__version__[:32],
-        D="A000840000000000",
+        D=_CLIENT_NAME,
         E="1",
         F="31000000000000",
         G="000000000000FF",
@@ -74,7 +103,24 @@ def add_combine(root: ET.Element, entries: Sequence[Entry]) -> ET.Element:
     for index, entry in enumerate(entries):
         if entry.unit:
             ET.SubElement(device, "DVP", A=str(50 + index), B="0", C="1", D="0", E=entry.unit)
-    return device
+
+
+def add_task(root: ET.Element, key: str, title: str, field_key: str, log: Log) -> None:
+    """A task that is done, with its one time log, into the root."""
+    task = ET.SubElement(root, "TSK", A=key, B=title, E=field_key, G="4")
+    time = ET.SubElement(task, "TIM", A=utc.text(log.first), B=utc.text(log.last), C=str(log.duration_s), D="4")
+    for ddi, value in log.totals.items():
+        ET.SubElement(time, "DLV", A=f"{ddi:04X}", B=str(value), C=COMBINE)
+    ET.SubElement(task, "DAN", A=_CLIENT_NAME, C=DEVICE)
+    ET.SubElement(task, "TLG", A=log.name, B=str(len(log.content)), C="1")
+
+
+def files_of(root: ET.Element, entries: Sequence[Entry], logs: Sequence[Log]) -> dict[str, bytes]:
+    """File name -> content of a TASKDATA folder."""
+    content = {MAIN_FILE: as_file(root)}
+    for log in logs:
+        content |= {f"{log.name}.xml": as_file(log_header(entries)), f"{log.name}.bin": log.content}
+    return content
 
 
 def as_file(root: ET.Element) -> bytes:

@@ -8,13 +8,11 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 import zipfile
-from dataclasses import dataclass
 from datetime import timedelta
 from pathlib import Path
 
 import numpy as np
 
-from yieldmon import utc
 from yieldmon.field.grid import Grid
 from yieldmon.field.harvest import HarvestMap
 from yieldmon.field.table import Array
@@ -37,16 +35,6 @@ ENTRIES = (
 _LAG = 259
 
 
-@dataclass(frozen=True)
-class _Log:
-    name: str
-    field: str
-    content: bytes
-    first_s: float
-    last_s: float
-    totals: dict[int, int]
-
-
 def write(folder: Path, result: HarvestMap, grid: Grid) -> list[Path]:
     """`taskdata.zip` with the folder TASKDATA in it."""
     logs = [
@@ -54,20 +42,16 @@ def write(folder: Path, result: HarvestMap, grid: Grid) -> list[Path]:
     ]
     if not logs:
         return []
-    content = {"TASKDATA/TASKDATA.XML": task_data.as_file(_tasks(result, logs))}
-    for log in logs:
-        content |= {
-            f"TASKDATA/{log.name}.xml": task_data.as_file(task_data.log_header(ENTRIES)),
-            f"TASKDATA/{log.name}.bin": log.content,
-        }
+    content = task_data.files_of(_tasks(result, logs), ENTRIES, [log for _, log in logs])
     path = folder / FILES["taskdata"][0]
     with scratch_for(path) as scratch, zipfile.ZipFile(scratch, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         for name, data in content.items():
-            archive.writestr(zipfile.ZipInfo(name), data, zipfile.ZIP_DEFLATED)
+            archive.writestr(zipfile.ZipInfo(f"TASKDATA/{name}"), data, zipfile.ZIP_DEFLATED)
     return [path]
 
 
-def _log(result: HarvestMap, stream: int, number: int) -> _Log | None:
+def _log(result: HarvestMap, stream: int, number: int) -> tuple[str, task_data.Log] | None:
+    """The field of a machine's first row, and its log; None for one without positions and times."""
     steps = result.steps
     rows = np.flatnonzero((steps.stream == stream) & np.isfinite(steps.x_m) & np.isfinite(steps.time_s))
     if not len(rows):
@@ -99,12 +83,12 @@ def _log(result: HarvestMap, stream: int, number: int) -> _Log | None:
     time = _since_epoch(steps.time_s[rows], result.table.unix_time)
     label = result.table.labels["field"]
     first_row = int(np.flatnonzero(steps.step_of_row == rows[0])[0])
-    return _Log(
+    first_s, last_s = float(time[0]), float(time[-1])
+    return label.names[label.codes[first_row]] or "field", task_data.Log(
         f"TLG{number:05d}",
-        label.names[label.codes[first_row]] or "field",
         _records(time, longitude, latitude, raw),
-        float(time[0]),
-        float(time[-1]),
+        *(task_data.EPOCH + timedelta(seconds=since_s) for since_s in (first_s, last_s)),
+        round(last_s - first_s),
         {entry.ddi: int(raw[entry.ddi][-1]) for entry in ENTRIES if entry.total},
     )
 
@@ -129,7 +113,7 @@ def _records(time: Array, longitude: Array, latitude: Array, raw: dict[int, np.n
     )
     out = np.zeros(len(time), kind)
     milliseconds = np.round(time * 1000).astype(np.int64)
-    out["day"], out["ms"] = milliseconds // 86_400_000, milliseconds % 86_400_000
+    out["day"], out["ms"] = milliseconds // task_data.DAY_MS, milliseconds % task_data.DAY_MS
     out["north"], out["east"] = np.round(latitude * 1e7), np.round(longitude * 1e7)
     out["status"], out["number"] = 1, len(ENTRIES)
     for index, entry in enumerate(ENTRIES):
@@ -137,28 +121,19 @@ def _records(time: Array, longitude: Array, latitude: Array, raw: dict[int, np.n
     return out.tobytes()
 
 
-def _tasks(result: HarvestMap, logs: list[_Log]) -> ET.Element:
+def _tasks(result: HarvestMap, logs: list[tuple[str, task_data.Log]]) -> ET.Element:
     root = task_data.task_data()
     if result.crop:
         ET.SubElement(root, "CTP", A="CTP1", B=result.crop[:32])
-    device = task_data.add_combine(root, ENTRIES)
-    fields = {name: f"PFD{number + 1}" for number, name in enumerate(dict.fromkeys(log.field for log in logs))}
+    task_data.add_combine(root, ENTRIES)
+    fields = {name: f"PFD{number + 1}" for number, name in enumerate(dict.fromkeys(field for field, _ in logs))}
     area = round(result.totals.area_m2 / len(fields))
     for name, key in fields.items():
         ET.SubElement(root, "PFD", {"A": key, "C": _clean(name), "D": str(area)} | ({"G": "CTP1"} if result.crop else {}))
-    for number, log in enumerate(logs, 1):
-        task = ET.SubElement(root, "TSK", A=f"TSK{number}", B=f"Harvest {_clean(log.field)}"[:32], E=fields[log.field], G="4")
-        time = ET.SubElement(task, "TIM", A=_iso(log.first_s), B=_iso(log.last_s), C=str(round(log.last_s - log.first_s)), D="4")
-        for ddi, value in log.totals.items():
-            ET.SubElement(time, "DLV", A=f"{ddi:04X}", B=str(value), C=task_data.COMBINE)
-        ET.SubElement(task, "DAN", A=device.attrib["D"], C=task_data.DEVICE)
-        ET.SubElement(task, "TLG", A=log.name, B=str(len(log.content)), C="1")
+    for number, (field, log) in enumerate(logs, 1):
+        task_data.add_task(root, f"TSK{number}", f"Harvest {_clean(field)}"[:32], fields[field], log)
     return root
 
 
 def _clean(name: str) -> str:
     return "".join(letter for letter in name if letter.isprintable())[:32] or "field"
-
-
-def _iso(since_s: float) -> str:
-    return utc.text(task_data.EPOCH + timedelta(seconds=since_s))

@@ -17,7 +17,6 @@ from yieldmon.files import task_data
 from yieldmon.units import S_PER_DAY
 
 POSITION_DEG = 1e-7
-_DAY_MS = 86_400_000
 #: Attribute of PTN -> numpy type in a record, in the order of a record.
 _POSITION = {
     "A": ("<i4", "north"),
@@ -170,7 +169,7 @@ def _record(data: bytes, at: int, size: int, count_values: int, last_day: int | 
     if at + size + 1 > len(data):
         return 0
     (ms, day) = struct.unpack_from("<IH", data, at)
-    if ms >= _DAY_MS or (last_day is not None and abs(day - last_day) > 60):
+    if ms >= task_data.DAY_MS or (last_day is not None and abs(day - last_day) > 60):
         return 0
     number = data[at + size]
     stop = at + size + 1 + 5 * number

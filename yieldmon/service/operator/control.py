@@ -18,7 +18,7 @@ from typing import Any
 
 from yieldmon.errors import InputError, reason
 from yieldmon.service.control_socket import Listening, listen
-from yieldmon.service.operator.control_protocol import MAX_REQUEST_BYTES, Answer, ControlError, parse_request
+from yieldmon.service.operator.control_protocol import MAX_REQUEST_BYTES, PIECE_BYTES, Answer, ControlError, parse_request
 
 _log = logging.getLogger(__name__)
 
@@ -32,7 +32,6 @@ _NO_THREAD = b'{"ok": false, "error": "the system gives the daemon no thread to 
 _CROWDED = 8
 #: New connections in one look. Each is looked at once more, at least, before those that come after it can take its place.
 _ACCEPTED_AT_ONCE = 8
-_PIECE_BYTES = 65_536
 
 
 @dataclass(frozen=True)
@@ -267,7 +266,7 @@ class _Server:
 
     def _read(self, selector: selectors.BaseSelector, asking: _Asking) -> None:
         try:
-            piece = asking.connection.recv(_PIECE_BYTES)
+            piece = asking.connection.recv(PIECE_BYTES)
         except BlockingIOError:
             return
         except OSError:

@@ -11,10 +11,9 @@ from typing import Any
 
 from yieldmon import __version__
 from yieldmon.errors import reason
-from yieldmon.service.operator.control_protocol import ControlError
+from yieldmon.service.operator.control_protocol import PIECE_BYTES, ControlError
 
 _RETRY_S = 0.02
-_PIECE_BYTES = 65_536
 _MAX_ANSWER_BYTES = 64 * 1024 * 1024
 
 
@@ -49,6 +48,21 @@ def _connect(connection: socket.socket, path: Path, end_s: float) -> None:
 
 def ask(path: Path, request: Mapping[str, Any], timeout_s: float = 10.0) -> dict[str, Any]:
     """The daemon's answer to a request. Raises ControlError when there is none within timeout_s seconds or it is an error."""
+    received = _received(path, request, timeout_s)
+    if not received:
+        raise ControlError(f"{path}: the daemon closed the connection without an answer")
+    try:
+        answer: dict[str, Any] = json.loads(received, object_hook=_Answer)
+        problem = None if answer.pop("ok") else str(answer["error"])
+    except (ValueError, RecursionError, KeyError, TypeError, AttributeError) as error:
+        raise ControlError(f"{path}: the daemon's answer is cut or makes no sense") from error
+    if problem is not None:
+        raise ControlError(problem)
+    return answer
+
+
+def _received(path: Path, request: Mapping[str, Any], timeout_s: float) -> bytearray:
+    """What comes back, until a line feed or the end of the connection."""
     end_s = monotonic() + timeout_s
     received = bytearray()
     try:
@@ -58,7 +72,7 @@ def ask(path: Path, request: Mapping[str, Any], timeout_s: float = 10.0) -> dict
             connection.sendall(json.dumps(request).encode() + b"\n")
             while b"\n" not in received and len(received) <= _MAX_ANSWER_BYTES:
                 connection.settimeout(max(0.01, end_s - monotonic()))
-                piece = connection.recv(_PIECE_BYTES)
+                piece = connection.recv(PIECE_BYTES)
                 if not piece:
                     break
                 received += piece
@@ -73,15 +87,4 @@ def ask(path: Path, request: Mapping[str, Any], timeout_s: float = 10.0) -> dict
         raise ControlError(f"{path}: {said}") from error
     except OSError as error:
         raise ControlError(f"{path}: {reason(error)}") from error
-    if not received:
-        raise ControlError(f"{path}: the daemon closed the connection without an answer")
-    try:
-        answer = json.loads(received, object_hook=_Answer)
-        ok = answer.pop("ok")
-        problem = "" if ok else str(answer["error"])
-    except (ValueError, RecursionError, KeyError, TypeError, AttributeError) as error:
-        raise ControlError(f"{path}: the daemon's answer is cut or makes no sense") from error
-    if not ok:
-        raise ControlError(problem)
-    found: dict[str, Any] = answer
-    return found
+    return received

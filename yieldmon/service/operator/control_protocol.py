@@ -13,6 +13,8 @@ from typing import Any
 from yieldmon.errors import InputError, brief
 
 MAX_REQUEST_BYTES = 64 * 1024
+PIECE_BYTES = 65_536
+"""Read at a time, on either side."""
 TICKET_KG = (1e-3, 1e6)
 """Least and largest mass of a ticket, which may be of several loads."""
 _EXPECTED = '{"command": NAME} with its arguments, and a line feed'
