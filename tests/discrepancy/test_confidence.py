@@ -56,12 +56,12 @@ def test_shipped_texts_never_say_certain() -> None:
 
 
 def test_a_doubtful_name_is_a_partial_candidate(make_rows, start) -> None:
-    rows = make_rows({"plate_friction": 0.2})
+    rows = make_rows({"zero_offset": 4.0}, speeds_rpm=(400.0,))
     quick = Policy(refits=8, exchanges=4, beam=2)
     sure = diagnosis.examine(rows, start, diagnosis.Options(policy=quick))
-    assert sure.choice.named[0] == "plate_friction"
+    assert sure.choice.named[0] == "zero_offset"
     assert 0.5 < sure.choice.steps[0].confidence < 1.0
     unsure = diagnosis.examine(rows, start, diagnosis.Options(policy=replace(quick, least_confidence=1.0)))
     assert unsure.choice.verdict == "unknown"
-    assert unsure.choice.steps[0].added == "plate_friction"
+    assert unsure.choice.steps[0].added == "zero_offset"
     assert any("of 100 cases" in note for note in unsure.notes)

@@ -53,6 +53,17 @@ def offset_found(offset_rows, offset_seen) -> diagnosis.Diagnosis:
 
 
 @pytest.fixture(scope="module")
+def tied_options() -> diagnosis.Options:
+    """By which all effects explain rows alike."""
+    return replace(QUICK, policy=replace(QUICK.policy, tie=1e9))
+
+
+@pytest.fixture(scope="module")
+def tied_seen(offset_rows, start, tied_options) -> diagnosis.Examination:
+    return diagnosis.examine(offset_rows, start, tied_options)
+
+
+@pytest.fixture(scope="module")
 def clean_found(make_rows, start) -> diagnosis.Diagnosis:
     """Of rows that hide nothing."""
     return diagnosis.diagnose_rows(make_rows(), start, QUICK)
@@ -333,9 +344,8 @@ def test_columns_that_are_a_row_off_are_reported(make_rows, start) -> None:
     assert any("do the columns of a row belong together" in note for note in notes)
 
 
-def test_many_effects_that_explain_alike_are_counted_in_the_summary(start, offset_rows) -> None:
-    options = replace(QUICK, policy=replace(QUICK.policy, tie=1e9))
-    found = diagnosis.diagnose_rows(offset_rows, start, options)
+def test_many_effects_that_explain_alike_are_counted_in_the_summary(tied_seen, offset_rows, tied_options) -> None:
+    found = diagnosis.conclude(tied_seen, offset_rows, tied_options)
     tied = 1 + len(found.choice.steps[0].equivalent)
     assert f"{tied} effects explain these rows alike, so none is named" in report.summary(found)
     assert "of 100 cases" not in report.summary(found)
@@ -394,11 +404,10 @@ def test_an_effect_taken_out_of_the_library_is_never_named(start, offset_rows) -
     assert seen.choice.verdict == "unknown"
 
 
-def test_more_ties_than_a_class_holds_are_no_name(start, offset_rows) -> None:
+def test_more_ties_than_a_class_holds_are_no_name(tied_seen, tied_options) -> None:
     """Where the data cannot tell the leading effect from many, nothing is named, though the gap is explained."""
-    options = replace(QUICK, policy=replace(QUICK.policy, tie=1e9))
-    choice = diagnosis.examine(offset_rows, start, options).choice
-    assert 1 + len(choice.steps[0].equivalent) > options.policy.largest_class
+    choice = tied_seen.choice
+    assert 1 + len(choice.steps[0].equivalent) > tied_options.policy.largest_class
     assert (choice.verdict, choice.named) == ("unknown", ())
 
 

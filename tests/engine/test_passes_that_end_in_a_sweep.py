@@ -10,6 +10,7 @@ import yaml
 from yieldmon import api
 from yieldmon.engine.records import WindowRecord
 
+SLOW = pytest.mark.slow
 EMPTY = {"kind": "steady", "duration_s": 12, "flow_kg_s": 0}
 SHORT_PASSES = [EMPTY, {"kind": "stop-and-go", "duration_s": 600, "flow_kg_s": 12, "pass_s": 14, "headland_s": 3}]
 HOLES = [EMPTY, *({"kind": "steady", "duration_s": s, "flow_kg_s": f} for _ in range(20) for s, f in ((17.3, 12), (4.0, 2.0)))]
@@ -34,7 +35,10 @@ def harvested(tmp_path: Any, pieces: list[dict[str, Any]], seed: int) -> list[Wi
     return records
 
 
-@pytest.mark.parametrize(("pieces", "seed"), [(SHORT_PASSES, 1), (SHORT_PASSES, 2), (HOLES, 1), (HOLES, 2)])
+@pytest.mark.parametrize(
+    ("pieces", "seed"),
+    [(SHORT_PASSES, 1), pytest.param(SHORT_PASSES, 2, marks=SLOW), (HOLES, 1), pytest.param(HOLES, 2, marks=SLOW)],
+)
 def test_a_pass_that_ends_in_a_sweep_does_not_widen_what_is_said(tmp_path: Any, pieces: list[dict[str, Any]], seed: int) -> None:
     records = harvested(tmp_path, pieces, seed)
     assert max(record.sweep_id for record in records) >= 3, "sweeps begin"
