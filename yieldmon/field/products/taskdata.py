@@ -84,10 +84,12 @@ def _log(result: HarvestMap, stream: int, number: int) -> tuple[str, task_data.L
     label = result.table.labels["field"]
     first_row = int(np.flatnonzero(steps.step_of_row == rows[0])[0])
     first_s, last_s = float(time[0]), float(time[-1])
+    first, last = (task_data.EPOCH + timedelta(seconds=since_s) for since_s in (first_s, last_s))
     return label.names[label.codes[first_row]] or "field", task_data.Log(
         f"TLG{number:05d}",
         _records(time, longitude, latitude, raw),
-        *(task_data.EPOCH + timedelta(seconds=since_s) for since_s in (first_s, last_s)),
+        first,
+        last,
         round(last_s - first_s),
         {entry.ddi: int(raw[entry.ddi][-1]) for entry in ENTRIES if entry.total},
     )
