@@ -47,8 +47,21 @@ def test_seconds_without_samples_are_one_gap_and_count_for_nothing_else():
 
 def test_seconds_that_come_again_overlap():
     check = checked(1.0, 2.0, 3.0, 2.0, 3.0, 4.0)
-    assert (check.overlap_s, check.overlap_kg) == (1.0, 10.0)
+    assert (check.overlap_s, check.overlap_kg) == (2.0, 20.0)
     assert checked(1.0, 2.0, 0.5, 1.5).overlap_kg == 20.0
+
+
+def test_a_clock_that_begins_anew_overlaps_nothing():
+    """As one of 32 bits of microseconds does after 4295 s; a second log of the same time does."""
+    check = checked(4293.0, 4294.0, 4295.0, 1.0, 2.0, 3.0)
+    assert (check.overlap_s, check.gaps) == (0.0, 0)
+    for number, time_s in enumerate((4294.0, 4295.0, 4296.0), 7):
+        check.take(replace(second(number, time_s=time_s), **WHOLE))
+    assert check.overlap_s == 2.0
+
+
+def test_a_clock_that_is_set_back_each_second_is_checked_in_time():
+    assert checked(*(0.1 * number + 3.0 * (number % 2) for number in range(20_000))).overlap_s > 19_000.0
 
 
 def test_missing_inputs_by_their_share():

@@ -9,6 +9,8 @@ from yieldmon.documents.process import ProcessSummary
 from yieldmon.engine.faults import FaultCode
 from yieldmon.service.storage.rows import SecondRow
 
+_BACK_S = 0.5
+"""Further back than this is the clock or another log."""
 _GAP_S = 0.5
 """Between one second's end and the next one's begin; more is a gap."""
 _SPEED = "elevator_speed_rpm"
@@ -34,25 +36,27 @@ class RecordCheck:
     overlap_s: float = 0.0
     overlap_kg: float = 0.0
     _frames_lost: int = 0
-    _latest_s: float = float("-inf")
-    _before_s: float | None = None
+    _stretch: tuple[float, float] | None = None
+    """Begin and end of that under way, in which time went on."""
+    _before: list[tuple[float, float]] = field(default_factory=list)
+    """Of those before it, joined where they touch."""
     _silent: bool = False
     _unknown: dict[str, int] = field(default_factory=lambda: dict.fromkeys(_INPUTS, 0))
 
     def take(self, row: SecondRow) -> None:
         """The next second."""
         silent = not row.coverage > 0.0
-        jumped = self._before_s is not None and row.time_s - self._latest_s > row.duration_s + _GAP_S
+        before_s = self._stretch[1] if self._stretch is not None else row.time_s
+        jumped = row.time_s - before_s > row.duration_s + _GAP_S
         if jumped:
-            self.gap_s += row.time_s - self._latest_s - row.duration_s
+            self.gap_s += row.time_s - before_s - row.duration_s
         if silent:
             self.gap_s += row.duration_s
         self.gaps += jumped or (silent and not self._silent)
-        if row.time_s <= self._latest_s - 0.5:
+        self._silent = silent
+        if self._comes_again(row):
             self.overlap_s += row.duration_s
             self.overlap_kg += row.mass_kg
-        self._before_s, self._silent = row.time_s, silent
-        self._latest_s = max(self._latest_s, row.time_s)
         if silent:
             return
         self.seconds += 1
@@ -63,6 +67,19 @@ class RecordCheck:
             unknown = name == _SPEED and FaultCode.SPEED_MISSING in (row.faults or "").split()
             self._unknown[name] += unknown or getattr(row, name) is None
 
+    def _comes_again(self, row: SecondRow) -> bool:
+        """Whether a second lies within a stretch before this one. A clock that begins anew, as one of 32 bits of microseconds
+        does, goes back to times that nothing was read of."""
+        began_s, middle_s = row.time_s - row.duration_s, row.time_s - 0.5 * row.duration_s
+        if self._stretch is None:
+            self._stretch = began_s, row.time_s
+        elif row.time_s <= self._stretch[1] - _BACK_S:
+            self._before = _joined([*self._before, self._stretch])
+            self._stretch = began_s, row.time_s
+        else:
+            self._stretch = self._stretch[0], max(self._stretch[1], row.time_s)
+        return any(first_s <= middle_s <= last_s for first_s, last_s in self._before)
+
     @property
     def frames_lost_share(self) -> float:
         """Of the seconds with samples, those under FramesLost."""
@@ -72,6 +89,17 @@ class RecordCheck:
     def missing(self) -> dict[str, float]:
         """Input -> share of the seconds without it, where it is missing at all."""
         return {said: self._unknown[name] / self.seconds for name, said in _INPUTS.items() if self._unknown[name]}
+
+
+def _joined(stretches: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    """The same times, one stretch where several touch."""
+    found: list[tuple[float, float]] = []
+    for first_s, last_s in sorted(stretches):
+        if found and first_s <= found[-1][1] + _GAP_S:
+            found[-1] = found[-1][0], max(found[-1][1], last_s)
+        else:
+            found.append((first_s, last_s))
+    return found
 
 
 def record_lines(document: ProcessSummary) -> list[str]:
