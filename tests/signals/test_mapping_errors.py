@@ -99,7 +99,9 @@ CASES = {
         "plate_angle: {dbc: twins.dbc, message: Twin, signal: X}",
         "plate_angle.message", "Bridge and Twin have one identifier", "0x321",
     ),
-    "one name twice": ("plate_angle: {dbc: names.dbc, message: Linear, signal: X}", "names.dbc: Linear", "twice", "own"),
+    "one name twice": (
+        "plate_angle: {dbc: names.dbc, message: Linear, signal: X}", "plate_angle.message", "name of several", "message",
+    ),
     "a signal beyond the message": ("plate_angle: {dbc: beyond.dbc, message: Linear, signal: Tilt}", "beyond.dbc", "Tilt", "fit"),
     "more than 29 bits": (
         "plate_angle: {dbc: marks.dbc, message: Linear, signal: Tilt}",

@@ -106,16 +106,15 @@ class MessageBits:
 def load_messages(path: Path | str) -> dict[str, MessageBits]:
     """Message name -> its bits, from the DBC at `path`.
 
-    Makers' files often have a message whose signals overlap, do not fit or have a factor of 0: it has no signals then, and
-    `contradiction` says why.
+    Makers' files often have a message whose signals overlap, do not fit or have a factor of 0, or several of one name: it has no
+    signals then, and `contradiction` says why.
     Raises InputError, one line, for a file that cannot be read, is no DBC, or is in an encoding other than UTF-8 or Windows-1252.
     """
     where, database = str(path), dbc_file.read(path, strict=False)
-    if twice := repeated(message.name for message in database.messages):
-        raise InputError(f"{where}: {twice[0]}", "appears twice", "a name of its own for each message")
     if not database.messages:
         raise InputError(where, "names no message", "a DBC file")
-    return {message.name: _message(message) for message in database.messages}
+    twice = set(repeated(message.name for message in database.messages))
+    return {message.name: _message(message, named_twice=message.name in twice) for message in database.messages}
 
 
 def _contradiction(message: DbcMessage) -> str:
@@ -135,9 +134,9 @@ def _odd_numbers(signal: DbcSignal) -> str:
     return "" if sound else f"{given[:200]}, which are not finite numbers with a factor other than 0"
 
 
-def _message(message: DbcMessage) -> MessageBits:
+def _message(message: DbcMessage, *, named_twice: bool) -> MessageBits:
     j1939 = message.protocol == "j1939" or _is_j1939(message)
-    if problem := _contradiction(message):
+    if problem := f"{message.name} is the name of several messages" if named_twice else _contradiction(message):
         extended = message.is_extended_frame
         return MessageBits(message.name, message.frame_id, extended, message.length, None, {}, j1939, contradiction=problem)
     multiplexer = next((signal.name for signal in message.signals if signal.is_multiplexer and not signal.multiplexer_ids), None)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import logging
 import re
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from yieldmon.bounded import read_whole
+from yieldmon.bus.dbc_essentials import essentials
 from yieldmon.errors import InputError
 from yieldmon.identifiers import EXTENDED_FLAG, LARGEST_EXTENDED_ID, LARGEST_STANDARD_ID
 
@@ -26,8 +28,18 @@ _IDENTIFIER = re.compile(
     re.MULTILINE,
 )
 
+_OTHER_ERRORS = (ValueError, KeyError, TypeError, IndexError, AttributeError)
+"""What cantools raises beside its own."""
 _PART = re.compile(r"^[ \t]*(?:BO_[ \t]+(\d+)|SG_[ \t]+(\w+))", re.MULTILINE)
 _VALUE_NAMES = re.compile(r"^[ \t]*VAL_[ \t]+(\d+)[ \t]+(\w+)(?:\s++[-+.\deE]++\s*+\"[^\"]*+\")*+\s*+;", re.MULTILINE)
+
+
+_NO_RECEIVER = re.compile(r"^([ \t]*SG_[ \t][^\"\n]*\"[^\"\n]*\")[ \t]*$", re.MULTILINE)
+
+
+def with_receivers(text: str) -> str:
+    """A DBC's text with a receiver for each signal: one without, and those behind it, would be passed over."""
+    return _NO_RECEIVER.sub(r"\1 Vector__XXX", text)
 
 
 def without_stray_names(text: str) -> str:
@@ -54,8 +66,6 @@ def read(path: Path | str, *, strict: bool = True) -> Database:
     strict: refuse a file in which signals overlap or do not fit in their message.
     """
     # Half a second of import, for those who read a DBC only.
-    import cantools
-    from cantools.database.can import Database
     from cantools.database.errors import Error as DbcError
 
     where, file = str(path), Path(path)
@@ -72,14 +82,27 @@ def read(path: Path | str, *, strict: bool = True) -> Database:
         except UnicodeDecodeError as error:
             problem = f"byte {error.start} is neither UTF-8 nor Windows-1252"
             raise InputError(where, problem, "a DBC file in UTF-8 or Windows-1252") from error
+    text = text.replace("\r\n", "\n").replace("\r", "\n")
     # What it warns of, messages with one name or identifier, is refused in a line here or where it matters.
     logging.getLogger("cantools.database.can.database").setLevel(logging.ERROR)
     try:
-        database = cantools.database.load_string(without_stray_names(with_extended(text)), database_format="dbc", strict=strict)
+        return _loaded(text, strict)
     except DbcError as error:
+        plain = None if strict else essentials(text)
+        if plain is not None:
+            with suppress(DbcError, *_OTHER_ERRORS):
+                return _loaded(plain, strict)
         raise InputError(where, " ".join(str(error).split()), "a DBC file without contradictions") from error
-    except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
+    except _OTHER_ERRORS as error:
         raise InputError(where, f"cannot be read: {error!r}", "a DBC file") from error
+
+
+def _loaded(text: str, strict: bool) -> Database:
+    import cantools
+    from cantools.database.can import Database
+
+    sound = without_stray_names(with_extended(with_receivers(text)))
+    database = cantools.database.load_string(sound, database_format="dbc", strict=strict)
     assert isinstance(database, Database), "what the dbc format gives"
     return database
 

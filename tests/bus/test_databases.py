@@ -1,0 +1,91 @@
+"""DBC files as editors and converters of others write them: what matters of them is read, or refused in a line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from yieldmon.bus.databases import load_messages
+from yieldmon.errors import InputError
+
+PLAIN = """VERSION ""
+
+NS_ :
+    CM_
+    VAL_
+
+BS_:
+
+BU_: A
+
+BO_ 2566844926 Shaft: 8 A
+ SG_ Page M : 0|8@1+ (1,0) [0|0] "" A
+ SG_ Speed m2 : 8|16@1+ (0.5,0) [0|100] "rpm" A
+ SG_ Load : 32|32@1- (1,0) [0|0] "kg" A
+
+BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN","reserved","J1939PG";
+BA_DEF_DEF_ "VFrameFormat" "J1939PG";
+BA_ "VFrameFormat" BO_ 2566844926 3;
+VAL_ 2566844926 Page 2 "Speed" ;
+SIG_VALTYPE_ 2566844926 Load : 1;
+"""
+
+
+def messages(folder: Path, text: str) -> object:
+    (folder / "m.dbc").write_text(text, encoding="utf-8")
+    return load_messages(folder / "m.dbc")
+
+
+@pytest.mark.parametrize(
+    ("sound", "odd"),
+    [
+        ("BS_:", 'CM_ "no end"\n\nBS_:'),
+        ("VAL_ 25", 'CM_ BO_ 2566844926 "he said ""turn"" \n and BO_ 1 X: 8 A";\nVAL_ 25'),
+        ("VAL_ 25", 'CM_ 145 "of nothing";\nVAL_ 25'),
+        ("BA_ ", 'BA_DEF_ BO_ "Receivable" BOOL False True;\nBA_ '),
+        ("BA_ ", 'BA_ "GenMsgCycleTime" BO_ 2566844926 100;\nBA_ '),
+        ("SIG_VALTYPE_ ", "SIG_VALTYPE_ 999 Gone : 1;\nSIG_VALTYPE_ "),
+        ("Load : 1", "Load 1"),
+        ("(0.5,0)", "(.5,+0)"),
+        ("[0|100]", "[|]"),
+        ("[0|100]", "[-INF|NaN]"),
+        ("[0|100]", "[0|-1.#IND]"),
+        ('"rpm" A', '"rpm"'),
+        ("Shaft: 8 A", "Shaft: 8"),
+        ("\n", "\r\n"),
+        ("\n", "\r"),
+    ],
+)
+def test_what_matters_is_read_of_an_odd_file(tmp_path: Path, sound: str, odd: str) -> None:
+    """Found in public databases, or written by canmatrix of a PEAK symbol file."""
+    expected = messages(tmp_path, PLAIN)["Shaft"]  # type: ignore[index]
+    found = messages(tmp_path, PLAIN.replace(sound, odd))["Shaft"]  # type: ignore[index]
+    assert found.j1939
+    assert [(one.name, one.mux, one.kind, one.scale, one.unit, one.choices) for one in found.signals.values()] == [
+        ("Page", (), "uint", 1.0, "", {"Speed": 2}),
+        ("Speed", (2,), "uint", 0.5, "rpm", {}),
+        ("Load", (), "float", 1.0, "kg", {}),
+    ]
+    assert [one.places for one in found.signals.values()] == [one.places for one in expected.signals.values()]
+
+
+@pytest.mark.parametrize(
+    ("sound", "odd", "said"),
+    [
+        ("Speed m2", "Dreh-zahl m2", "line 13"),
+        ("(0.5,0)", "(0,5,0)", "line 13"),
+        ('"kg" A', '"kg A', "Invalid syntax"),
+        ("VAL_ 25", 'CM_ "a plate of 5" steel";\nVAL_ 25', "line 20"),
+    ],
+)
+def test_a_message_or_signal_that_cannot_be_read_is_told_with_its_line(tmp_path: Path, sound: str, odd: str, said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        messages(tmp_path, PLAIN.replace(sound, odd))
+
+
+def test_of_two_messages_with_one_name_only_these_cannot_be_bound(tmp_path: Path) -> None:
+    other = 'BO_ 7 Other: 8 A\n SG_ X : 0|8@1+ (1,0) [0|0] "" A\n\n'
+    found = messages(tmp_path, PLAIN.replace("BA_DEF_ BO_", other + other.replace("7 Other", "8 Shaft") + "BA_DEF_ BO_"))
+    assert found["Shaft"].contradiction == "Shaft is the name of several messages"  # type: ignore[index]
+    assert list(found["Other"].signals) == ["X"]  # type: ignore[index]
