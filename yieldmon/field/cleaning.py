@@ -16,10 +16,8 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
-from yieldmon.estimation.gaussian import SD_PER_MAD
-
+from .neighbours import local_outliers, shared
 from .placed import Placed
 from .plane import APART_M, astray
 from .swath import Swaths
@@ -36,13 +34,8 @@ _TURN_DEG = 30.0
 _SPEED_STEP = 0.25
 _SHORT_PASS_WIDTHS = 3.0
 _FENCE = 3.0
-_LOCAL_NEIGHBOURS = 24
-_LOCAL_SD = 4.0
-_LEAST_SPREAD = 0.02
-"""Relative robust standard deviation that a second's yield has at least: even ground would make errors of rounding outliers."""
 _MIN_NEW_SHARE = 0.5
 _JUMP_TIMES = 3.0
-_CHUNK = 100_000
 _MIN_PART, _MAX_PARTS = 200, 200
 _MUCH = 0.25
 """Share of the mass from which on what one rule leaves out is said by itself."""
@@ -236,10 +229,27 @@ def fences(values: Array) -> tuple[float, float]:
 
 def _flow(at: Context) -> Flags:
     mass = at.placed.mass_kg
-    usable = np.asarray(at.of_step(at.steps.down), bool) & (np.nan_to_num(mass) > 0)
+    down = np.asarray(at.of_step(at.steps.down), bool)
+    usable = down & (np.nan_to_num(mass) > 0)
     with np.errstate(invalid="ignore", divide="ignore"):
-        rate = np.where(usable & (at.table["interval_s"] > 0), mass / at.table["interval_s"] / at.table["width_m"], np.nan)
-    return ~usable | (rate > fences(rate)[1])
+        rate = np.where(down & (at.table["interval_s"] > 0), mass / at.table["interval_s"] / at.table["width_m"], np.nan)
+        high = usable & (rate > fences(np.where(usable, rate, np.nan))[1])
+    empty = _between_grain(at, usable) & (mass == 0) & (at.table["header_down"] > 0)
+    return (~usable | high) & ~shared(at.steps, rate, high | empty)
+
+
+def _between_grain(at: Context, grain: Flags) -> Flags:
+    """Rows of a pass after the first and before the last with grain: before the first none has come yet."""
+    number = np.asarray(at.of_step(at.steps.pass_number), np.intp)
+    time_s = np.asarray(at.of_step(at.steps.time_s), float)
+    inside = number >= 0
+    count = int(number.max(initial=0)) + 1
+    first, last = np.full(count, np.inf), np.full(count, -np.inf)
+    np.minimum.at(first, number[inside & grain], time_s[inside & grain])
+    np.maximum.at(last, number[inside & grain], time_s[inside & grain])
+    out = np.zeros(len(number), bool)
+    out[inside] = (time_s > first[number.clip(0)])[inside] & (time_s < last[number.clip(0)])[inside]
+    return out
 
 
 def _moisture(at: Context) -> Flags:
@@ -258,7 +268,9 @@ def _overlap(at: Context) -> Flags:
 def _yield(at: Context) -> Flags:
     low, high = fences(np.where(_overlap(at), np.nan, at.yield_kg_m2))
     amount = at.yield_kg_m2
-    return ~np.isfinite(amount) | (amount < low) | (amount > high)
+    with np.errstate(invalid="ignore"):
+        beyond = (amount < low) | (amount > high)
+    return ~np.isfinite(amount) | (beyond & ~shared(at.steps, amount, beyond))
 
 
 @dataclass(frozen=True)
@@ -285,9 +297,9 @@ RULES: tuple[Rule, ...] = (
     Rule("pass start", f"yield not yet at {100 * _RAMP_LEVEL:g} % of what follows (length from all passes)", _pass_start),
     Rule("pass end", f"yield no longer at {100 * _RAMP_LEVEL:g} % of what was before", _pass_end),
     Rule("overlap", "over half of the swath was cut before", _overlap),
-    Rule("flow", "no flow, or above the outer fence of flow by width", _flow),
+    Rule("flow", "no flow, or above the outer fence of flow by width, and not so in the passes beside", _flow),
     Rule("moisture", "beyond the outer fences", _moisture),
-    Rule("yield", "beyond the outer fences", _yield),
+    Rule("yield", "beyond the outer fences, and not so in the passes beside", _yield),
 )
 LOCAL = "local outlier"
 NAMES = (*tuple(rule.name for rule in RULES), LOCAL)
@@ -339,8 +351,9 @@ def clean(at: Context, without: Collection[str] = ()) -> Cleaned:
     if LOCAL not in without:
         flags = np.zeros(len(at.table), bool)
         for rows, context in zip(parts, contexts, strict=True):
-            steps = context.steps
-            flags[rows] = local_outliers(steps.row_x_m, steps.row_y_m, context.yield_kg_m2, reason[rows] == 0)
+            steps, amount, among = context.steps, context.yield_kg_m2, reason[rows] == 0
+            off = local_outliers(steps.row_x_m, steps.row_y_m, amount, among)
+            flags[rows] = off & ~shared(steps, np.where(among, amount, np.nan), off)
         reason = np.where((reason == 0) & flags, len(RULES) + 1, reason).astype(np.int8)
     return Cleaned(reason, (KEPT, *NAMES))
 
@@ -357,26 +370,6 @@ def _parts(at: Context) -> list[Index]:
     return [*out, rest] if len(rest) else out
 
 
-def local_outliers(x_m: Array, y_m: Array, amount: Array, among: Flags) -> Flags:
-    """Rows whose value is over `_LOCAL_SD` robust standard deviations off the median of their neighbours."""
-    out = np.zeros(len(x_m), bool)
-    rows = np.flatnonzero(among)
-    if len(rows) < 4 * _LOCAL_NEIGHBOURS:
-        return out
-    places = np.column_stack((x_m[rows], y_m[rows]))
-    tree = cKDTree(places)
-    values = amount[rows].astype(np.float32)
-    middle = np.empty(len(rows))
-    for first in range(0, len(rows), _CHUNK):
-        near = np.asarray(tree.query(places[first : first + _CHUNK], k=_LOCAL_NEIGHBOURS + 1)[1])
-        half = _LOCAL_NEIGHBOURS // 2
-        middle[first : first + _CHUNK] = np.partition(values[near[:, 1:]], half, axis=1)[:, half]
-    off = amount[rows] - middle
-    spread = SD_PER_MAD * float(np.median(np.abs(off - np.median(off))))
-    out[rows] = np.abs(off) > _LOCAL_SD * np.maximum(spread, _LEAST_SPREAD * np.abs(middle))
-    return out
-
-
 def mass_by_reason(cleaned: Cleaned, placed: Placed) -> Mapping[str, float]:
     """Kept mass and, by reason, the mass left out, kg: together all that was measured."""
     mass = np.nan_to_num(placed.mass_kg)
@@ -390,7 +383,7 @@ def mass_by_reason(cleaned: Cleaned, placed: Placed) -> Mapping[str, float]:
 def much_left_out(cleaned: Cleaned, mass_kg: Mapping[str, float]) -> tuple[str, ...]:
     """A note on each reason that takes a quarter of the mass or more. mass_kg: as of mass_by_reason."""
     total, points = sum(mass_kg.values()), cleaned.points_by_reason()
-    about = {rule.name: rule.about for rule in RULES} | {LOCAL: "far from its neighbours"}
+    about = {rule.name: rule.about for rule in RULES} | {LOCAL: "far from its neighbours, and not so in the passes beside"}
     return tuple(
         f"{100 * mass / total:.0f} % of the mass, {points[name]} points, is left out as {name!r} ({about[name]})"
         + ("" if name in NEEDED else f"; --without {name!r} keeps it")
