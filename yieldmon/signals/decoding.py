@@ -122,26 +122,32 @@ class MapDecoder:
         if self._by_name and key & (GROUP_MASK | EXTENDED_FLAG) == ADDRESS_CLAIM | EXTENDED_FLAG:
             self._table.hear(identifier, data)
         decoders, of_long = known
-        found = self._decoded(decoders, time_s, identifier, data) if decoders else []
+        found, too_short = self._decoded(decoders, time_s, identifier, data) if decoders else ([], False)
         whole = self._long.feed(time_s, key, data) if of_long else None
         if whole is not None:
             decoders = tuple(decoder for decoder in self._of_long if decoder.match.takes(whole))
-            found += self._decoded(decoders, time_s, whole.identifier, whole.data)
+            others, also = self._decoded(decoders, time_s, whole.identifier, whole.data)
+            found, too_short = found + others, too_short or also
+        # Of long messages each group wants its own bytes.
+        self.refused += too_short and not (self._of_long and found)
         return found
 
-    def _decoded(self, decoders: Sequence[_GroupDecoder], time_s: float, identifier: int, data: bytes) -> list[Frame]:
-        found = []
+    def _decoded(
+        self, decoders: Sequence[_GroupDecoder], time_s: float, identifier: int, data: bytes
+    ) -> tuple[list[Frame], bool]:
+        """The frames, and whether it was too short for one."""
+        found, too_short = [], False
         for decoder in decoders:
             named = decoder.match.named
             if named is not None and self._table.address_of(named) != identifier & 0xFF:
                 continue
             if len(data) < decoder.needed:
-                self.refused += 1
+                too_short = True
                 continue
             frame = decoder.frame(time_s, data)
             if frame is not None:
                 found.append(frame)
-        return found
+        return found, too_short
 
     def decode_block(
         self,

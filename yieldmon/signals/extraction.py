@@ -99,7 +99,8 @@ class Extraction:
             return np.where(usable, found, np.nan)
         if self.bits.kind == "float":
             _, unsigned, kind = _FLOATS[self.bits.bits]
-            numbers: Array = raw.astype(unsigned).view(kind).astype(np.float64)
+            with np.errstate(invalid="ignore"):
+                numbers: Array = raw.astype(unsigned).view(kind).astype(np.float64)
         else:
             numbers = raw.astype(np.float64)
         with np.errstate(invalid="ignore", over="ignore"):
