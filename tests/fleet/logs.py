@@ -16,10 +16,10 @@ EMPTY_S, GRAIN_S = 10.0, 8.0
 
 
 @cache
-def text(force_mv: float = 60.0, start_s: float = START_S) -> str:
+def text(force_mv: float = 60.0, start_s: float = START_S, grain_s: float = GRAIN_S) -> str:
     """A candump log: the elevator runs empty, then grain."""
     lines = []
-    for first_s, duration_s, mv in ((start_s, EMPTY_S, 0.0), (start_s + EMPTY_S, GRAIN_S, force_mv)):
+    for first_s, duration_s, mv in ((start_s, EMPTY_S, 0.0), (start_s + EMPTY_S, grain_s, force_mv)):
         for frame in traffic(first_s, duration_s, mv):
             message: can.Message = CODEC.encode(frame)
             lines.append(f"({message.timestamp:.6f}) can0 {message.arbitration_id:08X}#{message.data.hex().upper()}\n")

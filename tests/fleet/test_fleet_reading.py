@@ -406,6 +406,32 @@ def test_prior_from_the_tickets_of_a_dataset(tmp_path: Path, capsys: pytest.Capt
     assert main(["fleet", "prior", dataset, "--crop", "grass"]) == 2
 
 
+def test_a_prior_takes_the_seconds_of_the_logs_that_a_ticket_covers_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Whatever the logs are called, and whatever lies between them: a second recorder's logs, and those of another load."""
+    found = {}
+    for kind in ("whole", "parts"):
+        for number, weighed in enumerate((100.0, 105.0, 110.0)):
+            day = tmp_path / kind / f"m{number}" / "d"
+            lines = logs.text(60.0 + number, grain_s=40.0).splitlines(keepends=True)
+            logs.write(day / "other.log", 90.0, logs.START_S + 2000.0)
+            half = len(lines) * 3 // 4
+            parts = {"1.log": lines[half:], "2.log": lines[:half], "3.log": lines[half // 2 : half + 200]}
+            for name, part in parts.items() if kind == "parts" else [("z.log", lines)]:
+                (day / name).write_text("".join(part))
+            (day / "tickets.csv").write_text(f"load,weighed_kg\n{'1-3' if kind == 'parts' else 'z'},{weighed}\n")
+        dataset = str(tmp_path / f"{kind}-season")
+        assert measure(tmp_path / kind, dataset, "--crop", "corn") == 0
+        assert main(["fleet", "prior", dataset, "--crop", "corn", "--json"]) == 0
+        document = json.loads(capsys.readouterr().out)
+        assert document["left_out"] == []
+        found[kind] = document["machines"]
+    for name, entry in found["whole"].items():
+        # Where a log ends and another of an earlier time follows, part of a second is lost.
+        assert found["parts"][name]["gain_pct"] == pytest.approx(entry["gain_pct"], abs=3.0)
+
+
 def test_a_ticket_of_a_renamed_machine_counts_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for number, weighed in enumerate((20.0, 21.0, 22.0)):
         day = tmp_path / "tree" / f"m{number}" / "d"

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import gzip
+import itertools
 import json
 import multiprocessing
 import random
 import re
 import shutil
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -279,6 +282,94 @@ def test_logs_of_a_day_are_one_record_in_the_order_of_their_times(dated: bool, t
         assert not found["whole"][1]
     else:
         assert found["by time"][0] < 0.7 * found["whole"][0], "the grain before the zero has no mass"
+
+
+def _shifted(lines: Sequence[str], by_s: float) -> list[str]:
+    return [f"({float(line[1:18]) + by_s:017.6f}){line[19:]}" for line in lines]
+
+
+@pytest.mark.parametrize(
+    ("strange", "jumps"),
+    [
+        ("nothing", False),
+        ("empty log", False),
+        ("log of others", False),
+        ("unreadable log", False),
+        ("clock set by a receiver", True),
+        ("clock of the last shutdown", True),
+        ("first frame damaged to 0", False),
+        ("first frame damaged to 2286", False),
+        ("gzipped, cut short", False),
+        ("begin alike", True),
+    ],
+)
+def test_no_strange_log_takes_the_others_out_of_their_order(strange: str, jumps: bool, tmp_path: Path) -> None:
+    """The day's mass and records are those of `process` on the logs in the order of time."""
+    lines = logs.text(60.0).splitlines(keepends=True)
+    ends = [len(lines) * share // 5 for share in (0, 3, 4, 5)]
+    parts = [lines[first:last] for first, last in itertools.pairwise(ends)]
+    names = ["z.log", "y.log", "x.log"]
+    expected = ["z.log", "y.log", "x.log"]
+    folder = tmp_path / "tree" / "m" / "d"
+    folder.mkdir(parents=True)
+    if strange.startswith("clock"):
+        # Of each log the first second, half a second of it without a frame.
+        by_s = -logs.START_S if strange == "clock set by a receiver" else -40_000.0
+        for place, part in enumerate(parts[:2]):
+            first_s = float(part[0][1:18])
+            wrong = sum(float(line[1:18]) < first_s + 1.0 for line in part)
+            again = by_s if by_s == -logs.START_S else -first_s + logs.START_S + by_s
+            parts[place] = _shifted(part[:wrong], again) + part[wrong:]
+    elif strange.startswith("first frame"):
+        time_s = 0.0 if strange.endswith("to 0") else 9_999_999_999.0
+        parts[2] = [f"({time_s:017.6f}) can0 123#00\n", *parts[2]]
+    elif strange == "begin alike":
+        parts, names, expected = [lines, lines[: len(lines) // 3]], ["b.log", "a.log"], ["a.log", "b.log"]
+    for name, part in zip(names, parts, strict=True):
+        (folder / name).write_text("".join(part))
+    if strange == "empty log":
+        (folder / "m.log").write_text("")
+        expected = [*expected, "m.log"]
+    elif strange == "log of others":
+        (folder / "m.log").write_text(f"({logs.START_S - 5.0:017.6f}) can0 123#00\n")
+        expected = ["m.log", *expected]
+    elif strange == "unreadable log":
+        (folder / "m.log").write_bytes(b"\x00\x01 nothing of a log" * 50)
+    elif strange == "gzipped, cut short":
+        packed = gzip.compress("".join(parts[2]).encode())
+        (folder / "x.log").unlink()
+        (folder / "x.log.gz").write_bytes(packed[: len(packed) * 9 // 10])
+        expected[2] = "x.log.gz"
+    [task] = tasks(tmp_path / "tree", tmp_path / "out")
+    assert work(task).status == DONE
+    place = tmp_path / "out" / task.partition.name
+    paths = [str(folder / name) for name in expected]
+    assert main(["process", *paths, "--out", str(tmp_path / "records.parquet")]) == 0
+    assert (place / "records.parquet").read_bytes() == (tmp_path / "records.parquet").read_bytes()
+    rows = pq.ParquetFile(place / "loads.parquet").read().to_pylist()
+    assert [row["name"] for row in rows if row["kind"] == "log"] == expected
+    assert sum(row["measured_kg"] for row in rows if row["kind"] == "log") > 12.0
+    codes = {row["code"] for row in pq.ParquetFile(place / "faults.parquet").read().to_pylist()}
+    assert ("ClockJumped" in codes) == jumps
+
+
+def test_a_ticket_covers_logs_by_name_whatever_their_order_in_time(tmp_path: Path) -> None:
+    """Also where another log lies between them in time."""
+    day = tmp_path / "tree" / "m" / "d"
+    for name, mv, place in (("a.log", 60.0, 2), ("b.log", 80.0, 0), ("c.log", 50.0, 1)):
+        logs.write(day / name, mv, logs.START_S + 100.0 * place)
+    (day / "tickets.csv").write_text("load,weighed_kg\n1-2,90\n2-3,200\n")
+    [task] = tasks(tmp_path / "tree", tmp_path / "out")
+    assert work(task).status == DONE
+    rows = pq.ParquetFile(tmp_path / "out" / task.partition.name / "loads.parquet").read().to_pylist()
+    of = {row["name"]: row for row in rows if row["kind"] != "load"}
+    assert list(of)[:3] == ["b.log", "c.log", "a.log"]
+    for name, covered in (("1-2", ("b.log", "a.log")), ("2-3", ("b.log", "c.log"))):
+        ticket, parts = of[name], [of[log] for log in covered]
+        assert ticket["measured_kg"] == pytest.approx(sum(part["measured_kg"] for part in parts), rel=1e-12)
+        assert (ticket["first_number"], ticket["last_number"]) == (parts[0]["first_number"], parts[1]["last_number"])
+        assert (ticket["start_s"], ticket["end_s"]) == (parts[0]["start_s"], parts[1]["end_s"])
+        assert json.loads(ticket["logs"]) == list(covered)
 
 
 @pytest.mark.parametrize("name", ["._a.log", ".DS_Store", "Thumbs.db", "notes.txt"])

@@ -145,8 +145,8 @@ def measure(
     Parameters
     ----------
     logs : sequence of str
-        Paths, by name; one record in the order of their first frames' times (`in_time_order`). One that cannot be read is left
-        out and named in the result.
+        Paths, by name; one record in the order of their times (`in_time_order`). One that cannot be read is left out and named
+        in the result.
     tickets : str
         Path of a table of tickets, "" for none. A number means the log in that place of `names`; a name the log of that name.
     crop : str
@@ -308,9 +308,10 @@ def _ticket_rows(
     rows_of = {row["name"]: row for row in logs}
     rows, unmatched = [], []
     for ticket in found:
-        covered = [rows_of[name] for name in _covered(ticket, given) if name in rows_of]
+        wanted = _covered(ticket, given)
+        covered = sorted((rows_of[name] for name in wanted if name in rows_of), key=lambda row: int(row["first_number"]))
         name = ticket.first if ticket.first == ticket.last else f"{ticket.first}-{ticket.last}"
-        if not covered or len(covered) < len(_covered(ticket, given)):
+        if not covered or len(covered) < len(wanted):
             where = by_name(ticket.where, called)
             unmatched.append(Poisoned(where, f"{where}: no log that was measured is {name}"))
             continue
@@ -319,6 +320,7 @@ def _ticket_rows(
             "last_number": covered[-1]["last_number"], "start_s": covered[0]["start_s"], "end_s": covered[-1]["end_s"],
             "seconds": sum(row["seconds"] for row in covered), "measured_kg": _mass_kg(covered, seconds),
             "weighed_kg": ticket.mass_kg, "weighed_std_dev_kg": ticket.std_dev_kg,
+            "logs": json.dumps([row["name"] for row in covered]),
         })  # fmt: skip
     return rows, unmatched
 

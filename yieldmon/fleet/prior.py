@@ -21,6 +21,7 @@ from yieldmon.fleet import tables
 from yieldmon.fleet.querying import Query, opened
 from yieldmon.fleet.repeats import contents_of
 from yieldmon.fleet.unlike_tickets import in_words
+from yieldmon.fleet.usable_seconds import Seen
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import ForwardModel
 from yieldmon.service.logs import weighed_loads
@@ -113,7 +114,7 @@ def _machines(query: Query, name: str, start: ParameterSet) -> tuple[list[Machin
                 left_out.append(f"{here} repeats {first}, with the same logs and weight")
                 continue
             try:
-                found = _weighed(query, day, ticket, machine)
+                found = _weighed(query, day, ticket, [log for _, log in logs], machine)
             except InputError as error:
                 left_out.append(str(error))
             else:
@@ -148,18 +149,32 @@ _Weighed = tuple[tuple[str, ...], int, int, float]
 
 def _what_it_weighs(ticket: dict[str, Any], logs: Sequence[tuple[str, dict[str, Any]]]) -> _Weighed:
     first, last, weighed_kg = ticket["first_number"], ticket["last_number"], float(ticket["weighed_kg"])
-    covered = [(content, log) for content, log in logs if log["first_number"] <= last and first <= log["last_number"]]
+    covered = [(content, log) for content, log in logs if _covers(ticket, log)]
     names = tuple(content or str(log) for content, log in covered)
     if not covered:
         return (str(ticket),), first, last, weighed_kg
     return names, first - covered[0][1]["first_number"], last - covered[-1][1]["first_number"], weighed_kg
 
 
-def _weighed(query: Query, day: dict[str, Any], ticket: dict[str, Any], machine: Machine) -> WeighedLoad:
+def _covers(ticket: dict[str, Any], log: dict[str, Any]) -> bool:
+    """Whether a log is one of those that a ticket speaks of: by name, since others may lie between them in time; of a day that
+    an earlier release measured, where names are not noted, by its seconds."""
+    if ticket.get("logs") is not None:
+        return log["name"] in json.loads(ticket["logs"])
+    return bool(log["first_number"] <= ticket["last_number"] and ticket["first_number"] <= log["last_number"])
+
+
+def _weighed(
+    query: Query, day: dict[str, Any], ticket: dict[str, Any], logs: Sequence[dict[str, Any]], machine: Machine
+) -> WeighedLoad:
     where = (day["machine"], day["day"])
-    rows = query.rows(_RECORDS.format(query.of_partition("records", *where)), (ticket["first_number"], ticket["last_number"]))
+    found = query.rows(_RECORDS.format(query.of_partition("records", *where)), (ticket["first_number"], ticket["last_number"]))
+    rows, seen, kept = [SecondRow(**row) for row in found], Seen(), list[SecondRow]()
+    for log in (log for log in logs if _covers(ticket, log)):
+        # Two recorders' logs, or a log and its converted form, hold what was weighed once.
+        kept += seen.new([row for row in rows if log["first_number"] <= row.number <= log["last_number"]])
     measured = weighed_loads.MeasuredLoad(
-        ticket["name"], "", tuple(SecondRow(**row) for row in rows if row["mass_kg"] > 0.0), dict(_versions(query, where))
+        ticket["name"], "", tuple(row for row in kept if row.mass_kg > 0.0), dict(_versions(query, where))
     )
     paper = WeighedTicket(
         ticket["name"], ticket["name"], ticket["weighed_kg"], ticket["weighed_std_dev_kg"], f"{where[0]} {where[1]}"

@@ -20,7 +20,7 @@ _SECONDS = "SELECT * FROM {} WHERE usable_for_calibration = 1 ORDER BY number"
 
 
 @dataclass
-class _Seen:
+class Seen:
     """Times of a machine's seconds so far: end and duration, s, in the order of their ends."""
 
     times: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
@@ -57,12 +57,12 @@ def usable_seconds(query: Query) -> Iterator[tuple[str, tuple[SecondRow, ...]]]:
     for row in query.rows(_LOGS):
         log = row["machine"], row["day"], row["name"]
         logs.setdefault(log[:2], []).append((log, row["first_number"], row["last_number"]))
-    seen: dict[str, _Seen] = {}
+    seen: dict[str, Seen] = {}
     for commit in query.commits:
         where = commit.machine, commit.day
         rows = [SecondRow(**row) for row in query.rows(_SECONDS.format(query.of_partition("records", *where)))]
         of_logs = logs.get(where, [])
-        machine, kept = seen.setdefault(commit.machine, _Seen()), list[SecondRow]()
+        machine, kept = seen.setdefault(commit.machine, Seen()), list[SecondRow]()
         for log, first, last in of_logs:
             if log not in repeated:
                 kept += machine.new([row for row in rows if first <= row.number <= last])
