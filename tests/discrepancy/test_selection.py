@@ -56,7 +56,9 @@ def test_a_law_that_a_few_steps_leave_behind_another_may_be_the_better_one(monke
 
     Of the laws of one size alone: the one of free shape is better than either.
     """
-    monkeypatch.setattr(candidates, "laws", lambda effect: [law for law in laws(effect) if not law.endswith("-gradual")])
+    monkeypatch.setattr(
+        candidates, "laws", lambda effect, pooled: [law for law in laws(effect, pooled=pooled) if not law.endswith("-gradual")]
+    )
     case = np.random.default_rng([zlib.crc32(b"third/unpushed_layers/0"), 940117])
     rows, _, _ = law_cases.rows_of("third", "unpushed_layers", case)
     seen = diagnosis.examine(rows, ParameterSet(values=law_cases.START), replace(NAMED_NOTHING, hold_out="cells"))

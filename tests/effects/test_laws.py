@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import integrate, stats
 
 from yieldmon.physics.effects import family_of, get_effect, laws, registry
+from yieldmon.physics.effects.stream_spread import even_and_normal
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.numerics import COMPLEX_STEP
 
-FURTHER = tuple(law for name in registry() for law in laws(name)[1:])
+FURTHER = tuple(law for name in registry() for law in laws(name, pooled=True)[1:])
 GRAIN = {"friction": 0.3, "density": 1150.0, "shape_ratio": 2.0, "restitution": 0.5, "gravity.acceleration_m_s2": 9.81}
 ANGLE, SPEED, FLOW = np.meshgrid(
     np.radians([40.0, 55.0, 70.0, 90.0]), np.array([340.0, 460.0]) * RPM, [2.0, 8.0, 16.0], indexing="ij"
@@ -73,6 +75,7 @@ FREE = {
     "speed_dependent_restitution-by_power": ("speed_dependent_restitution", {"exponent": 0.3}, {"power": 0.0}),
     "speed_dependent_shape-by_power": ("speed_dependent_shape", {"exponent": -0.8}, {"power": 0.0}),
     "jet_shielding-in_part": ("", {"most": 1.0}, {"depth_m": 1e-9}),
+    "stream_spread-even": ("stream_spread", {"spread_rad": 0.12}, {"evenness": 1e-4}),
 }
 """Laws of a free shape: the law that each is at some shape, the size, and that shape."""
 
@@ -96,6 +99,33 @@ def test_a_law_of_free_shape_is_silent_beside_exchange_coefficients(name: str) -
     plain = np.asarray(ForwardModel(Machine(), ("gravity",)).force(CONDITIONS, grain, overfull="nan"))
     changed = np.asarray(model.force(CONDITIONS, grain | _sizes(name, "typical"), overfull="nan"))
     np.testing.assert_allclose(changed, plain, rtol=1e-12)
+
+
+@pytest.mark.parametrize("evenness", [0.05, 0.5, 0.98])
+@pytest.mark.parametrize("edge_rad", [-0.17, -0.05, 0.0, 0.1, 0.4])
+def test_a_fan_between_even_and_normal_has_the_moments_of_their_sum(evenness: float, edge_rad: float) -> None:
+    """Share, mean and variance of the directions below an edge, by quadrature of the sum's density."""
+    sd = 0.1
+    half, soft = sd * np.sqrt(3.0 * evenness), sd * np.sqrt(1.0 - evenness)
+
+    def moment(power: int) -> float:
+        def inside(x: float) -> float:
+            density = (stats.norm.cdf((x + half) / soft) - stats.norm.cdf((x - half) / soft)) / (2.0 * half)
+            return float(x**power * density)
+
+        breaks = [x for x in (-half, half) if x < edge_rad]
+        return float(integrate.quad(inside, -1.0, edge_rad, points=breaks, limit=400)[0])
+
+    share = moment(0)
+    mean = moment(1) / share
+    found = even_and_normal(*(np.asarray([value]) for value in (edge_rad, sd, evenness)))
+    expected = (share, mean, moment(2) / share - mean**2)
+    np.testing.assert_allclose([part[0] for part in found], expected, rtol=1e-4, atol=1e-8)
+
+
+def test_a_law_for_many_machines_is_no_law_of_single_tables() -> None:
+    assert "stream_spread-even" not in laws("stream_spread")
+    assert "stream_spread-even" in laws("stream_spread", pooled=True)
 
 
 def test_an_orifice_and_a_weir_lose_by_their_powers_of_fill() -> None:

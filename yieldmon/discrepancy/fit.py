@@ -34,7 +34,7 @@ MOST_SEEN = 1.0
 
 @dataclass(frozen=True)
 class Fit:
-    """A model with `effects` at its least chi-square.
+    """A model with `effects` at its least chi-square, or where the frame has a prior at the least sum of that and the prior's.
 
     residual: (prediction - mean) / sd, shape (cells,); jacobian: its derivatives, shape (cells, parameters).
     """
@@ -51,6 +51,12 @@ class Fit:
     def values(self) -> dict[str, float]:
         """Every parameter by name, the fixed ones too."""
         return dict(self.frame.fixed) | {p.name: float(v) for p, v in zip(self.parameters, self.x, strict=True)}
+
+    @property
+    def beside_prior(self) -> float:
+        """-2 log of the frame's prior at the base parameters, beside its largest; no part of chi2."""
+        columns, mean = prior_rows(self.frame, [p.name for p in self.parameters])
+        return float(np.sum((columns @ (self.x - mean)) ** 2))
 
     @property
     def dof(self) -> int:
@@ -243,6 +249,7 @@ def fit_all(
     movable = np.array([name not in (held or {}) for name in names])
     first = np.array([[{**start, **(held or {})}.get(p.name, p.start) for p in parameters] for start in starts])
     count, cells = len(names), len(frame.cells)
+    columns, mean = prior_rows(frame, names)
 
     def whitened(points: Array, _: NDArray[np.intp]) -> tuple[Array, Array]:
         moved = points + 1j * COMPLEX_STEP * np.eye(count)[:, None, :]
@@ -250,7 +257,11 @@ def fit_all(
         values = np.broadcast_to(values, (count, len(points), cells))
         slopes = np.moveaxis(np.imag(values), 0, -1) / COMPLEX_STEP
         slopes = np.nan_to_num(slopes, nan=0.0, posinf=0.0, neginf=0.0) / frame.sd[:, None]
-        return (real(values[0]) - frame.cells.mean) / frame.sd, slopes
+        away = (real(values[0]) - frame.cells.mean) / frame.sd
+        if not len(columns):
+            return away, slopes
+        known = np.broadcast_to(columns, (len(points), *columns.shape))
+        return np.concatenate((away, (points - mean) @ columns.T), axis=-1), np.concatenate((slopes, known), axis=-2)
 
     found = levenberg_marquardt(
         whitened, np.clip(first, lower, upper), lower, upper, held=np.broadcast_to(~movable, first.shape),
@@ -261,5 +272,13 @@ def fit_all(
         if not np.isfinite(cost):
             out.append(None)
             continue
-        out.append(Fit(effects, parameters, theta, 2.0 * float(cost), residual, jacobian, frame))
+        chi2 = float(np.sum(residual[:cells] ** 2)) if len(columns) else 2.0 * float(cost)
+        out.append(Fit(effects, parameters, theta, chi2, residual[:cells], jacobian[:cells], frame))
     return out
+
+
+def prior_rows(frame: Frame, names: Sequence[str]) -> tuple[Array, Array]:
+    """Rows that whiten the frame's prior, (rows, parameters), and its mean, (parameters,); no row without a prior."""
+    if frame.prior is None:
+        return np.zeros((0, len(names))), np.zeros(len(names))
+    return frame.prior.whitening(names)

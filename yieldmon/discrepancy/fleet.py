@@ -14,6 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from yieldmon.estimation.priors import Prior
+
 from .base_fit import fit_base
 from .candidates import library
 from .choice import Choice
@@ -25,8 +27,11 @@ from .noise import Noise
 from .observations import cells
 from .policy import Policy
 from .selection import choose
+from .single_cause import of_one_cause
 
 LEAST_MACHINES = 3
+_FRICTION_SD, _DENSITY_SD = 0.06, 0.15
+"""Of a crop's grain over varieties and years (config/crops.yaml); density: relative."""
 _STATED = 1e6
 """Degrees of freedom of a stated noise: it is known."""
 
@@ -66,8 +71,15 @@ def examine(lattice: Lattice, rng: np.random.Generator, policy: Policy) -> Found
 
 def _shared(lattice: Lattice, kept: NDArray[np.bool_], misfit: float, rng: np.random.Generator, policy: Policy) -> Choice:
     frame = _consensus(lattice, kept, misfit)
-    base = fit_base(frame)
-    return choose(base, Noise(0.0, 1.0, _STATED, "stated"), library(frame), rng, policy)
+    noise, effects = Noise(0.0, 1.0, _STATED, "stated"), library(frame)
+    found = choose(fit_base(frame), noise, effects, rng, policy)
+    return of_one_cause(found, replace(frame, prior=_of_crop(frame, lattice.grain)), noise, effects, rng, policy)
+
+
+def _of_crop(frame: Frame, grain: Mapping[str, float]) -> Prior:
+    """What is known of the crop's grain before any sweep: about the parameters that the machines began with."""
+    mean = {p.name: grain[p.name] for p in frame.base}
+    return Prior.independent(mean, {"friction": _FRICTION_SD, "density": _DENSITY_SD * mean["density"]})
 
 
 def _consensus(lattice: Lattice, kept: NDArray[np.bool_], misfit: float) -> Frame:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from yieldmon.estimation import model_error
+from yieldmon.estimation.priors import Prior
 from yieldmon.physics.effects import get_effect
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.numerics import AnyArray, Array, real
@@ -75,6 +76,8 @@ class Frame:
     model_error: float = model_error.FLOOR
     following: Following | None = None
     """Flows by the parameters (restitution follows as well, and is no base parameter); None: the cells' own."""
+    prior: Prior | None = None
+    """What is known of base parameters before these cells; None: their bounds only."""
 
     @property
     def known(self) -> tuple[str, ...]:

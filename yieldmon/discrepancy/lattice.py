@@ -6,7 +6,7 @@ force at home, angle and speed is the machines' own.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -47,10 +47,11 @@ class Placed:
 @dataclass(frozen=True)
 class Lattice:
     """Machines on one lattice; frame: its cells with the model in question, loads following the parameters; the values are no
-    measurement yet."""
+    measurement yet. grain: the parameters that the model began with."""
 
     frame: Frame
     machines: tuple[Placed, ...]
+    grain: Mapping[str, float]
 
 
 def reference_force_n(model: ForwardModel, parameters: ParameterSet, flow_kg_s: float, moisture_pct: float) -> float:
@@ -129,7 +130,8 @@ def lay(
     base = tuple(p for p in frame.base if p.name != "restitution")
     reference_moisture = float(np.nanmedian(moisture)) if np.any(np.isfinite(moisture)) else float("nan")
     followed = _following(model, parameters, frame, reference_kg_s, reference_moisture)
-    return Lattice(replace(frame, base=base, fixed=fixed, following=followed), _placed(sweeps, log_force, power, cell))
+    placed = _placed(sweeps, log_force, power, cell)
+    return Lattice(replace(frame, base=base, fixed=fixed, following=followed), placed, parameters.values)
 
 
 def _placed(

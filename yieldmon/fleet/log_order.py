@@ -44,14 +44,19 @@ def in_time_order(logs: Sequence[str]) -> list[str]:
     """
     if len(logs) < 2:
         return list(logs)
-    starts_s = {log: _start_s(log) for log in logs}
-    groups: list[list[str]] = [[]]
-    for log in (log for log in logs if starts_s[log] is not None):
-        groups += [[log]] if np.isfinite(starts_s[log]) else []
-        groups[-1] += [] if np.isfinite(starts_s[log]) else [log]
-    first, *dated = groups
-    dated.sort(key=lambda group: starts_s[group[0]] or 0.0)
-    return [*first, *(log for group in dated for log in group), *(log for log in logs if starts_s[log] is None)]
+    dated, without_date, empty = list[tuple[float, list[str]]](), list[str](), list[str]()
+    before = without_date
+    for log in logs:
+        start_s = _start_s(log)
+        if start_s is None:
+            empty.append(log)
+        elif np.isfinite(start_s):
+            before = [log]
+            dated.append((start_s, before))
+        else:
+            before.append(log)
+    dated.sort(key=lambda item: item[0])
+    return [*without_date, *(log for _, group in dated for log in group), *empty]
 
 
 def _start_s(log: str) -> float | None:

@@ -87,9 +87,11 @@ def registry() -> MappingProxyType[str, Effect]:
     return MappingProxyType(dict(sorted((_own() | _of_others()).items())))
 
 
-def laws(family: str) -> tuple[str, ...]:
-    """Names of the laws by which an effect may act: its own, then the others, such as `jet_shielding-by_fill`."""
-    return (family, *sorted(name for name, effect in _other_laws().items() if effect.family == family))
+def laws(family: str, *, pooled: bool = False) -> tuple[str, ...]:
+    """Names of the laws by which an effect may act: its own, then the others, such as `jet_shielding-by_fill`; with `pooled`
+    also those that are asked about only where the mean of many machines is known."""
+    others = (effect for effect in _other_laws().values() if effect.family == family and (pooled or not effect.pooled))
+    return (family, *sorted(effect.name for effect in others))
 
 
 def family_of(name: str) -> str:

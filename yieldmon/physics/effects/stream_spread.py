@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -9,12 +10,14 @@ import numpy as np
 from yieldmon.physics.numerics import AnyArray, arctan, erf, exp, maximum, real, sin_cos, sqrt
 from yieldmon.physics.stages import Arrival, Setting
 
-from .effect import Effect, EffectParameter, Values
+from .effect import Effect, EffectParameter, Values, where_restitution
 
 _FAR = 7.0
 """Standard deviations beyond which the low edge no longer cuts the fan (1e-12 of the grain)."""
 _LEAST_SHARE = 1e-9
 """Share of the fan between the edges below which none is taken to land."""
+Landing = Callable[[AnyArray], tuple[AnyArray, AnyArray, AnyArray]]
+"""Share, mean and variance of the directions that land, of a fan of that standard deviation."""
 
 
 def _gaussian(edge: AnyArray, spread: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
@@ -37,6 +40,34 @@ def _between(top: AnyArray, edge: AnyArray, spread: AnyArray) -> tuple[AnyArray,
     return np.where(some, lands, 0.0), spread * shift, spread * spread * (1.0 - narrower - shift * shift)
 
 
+def even_and_normal(edge: AnyArray, spread: AnyArray, evenness: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
+    """Share, mean and variance of what lies below `edge` of directions that are the sum of an even and a normal one.
+
+    evenness: share of the variance, spread squared, that the even one has. Where a share below 1e-9 lands, the edge is its mean.
+    """
+    half, soft = spread * sqrt(3.0 * evenness), spread * sqrt(1.0 - evenness)
+    reach = half + _FAR * soft
+    t: AnyArray = np.where(real(edge) > real(reach), reach, np.where(real(edge) < -real(reach), -reach, edge))
+    high, low = (t + half) / soft, (t - half) / soft
+    first, second, third = (a - b for a, b in zip(_integrals(high), _integrals(low), strict=True))
+    unit = soft / (2.0 * half)
+    lands, once, twice = unit * first, unit * soft * second, unit * soft * soft * third
+    some = real(lands) > _LEAST_SHARE
+    share = np.where(some, lands, 1.0)
+    # By parts: the mean of what lands is the edge less once / lands.
+    below = once / share
+    variance = 2.0 * twice / share - below * below
+    return np.where(some, lands, 0.0), np.where(some, t - below, t), np.where(some, variance, 0.0)
+
+
+def _integrals(z: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
+    """The first three repeated integrals of the normal distribution function, from minus infinity."""
+    below = 0.5 * (1.0 + erf(z / np.sqrt(2.0)))
+    at = exp(-0.5 * z * z) / np.sqrt(2.0 * np.pi)
+    square = z * z
+    return z * below + at, 0.5 * ((square + 1.0) * below + z * at), ((square + 3.0) * z * below + (square + 2.0) * at) / 6.0
+
+
 def _standard(z: AnyArray) -> AnyArray:
     bounded: AnyArray = np.where(real(z) > _FAR, _FAR, np.where(real(z) < -_FAR, -_FAR, z))
     return bounded
@@ -55,24 +86,30 @@ def _to_edge(arrival: Arrival, setting: Setting, length_m: float) -> AnyArray:
 
 
 def _arrival(arrival: Arrival, values: Values, setting: Setting) -> Arrival:
-    return _fanned(arrival, values, setting, both=False)
+    edge = _to_edge(arrival, setting, setting.machine.plate_length_m)
+    return _fanned(arrival, values["spread_rad"], lambda spread: _gaussian(edge, spread))
 
 
 def _both_edges(arrival: Arrival, values: Values, setting: Setting) -> Arrival:
-    return _fanned(arrival, values, setting, both=True)
+    edge, top = (_to_edge(arrival, setting, length_m) for length_m in (setting.machine.plate_length_m, 0.0))
+    return _fanned(arrival, values["spread_rad"], lambda spread: _between(top, edge, spread))
 
 
-def _fanned(arrival: Arrival, values: Values, setting: Setting, *, both: bool) -> Arrival:
-    spread = values["spread_rad"]
+@where_restitution
+def _evenly(arrival: Arrival, values: Values, setting: Setting) -> Arrival:
+    edge = _to_edge(arrival, setting, setting.machine.plate_length_m)
+    return _fanned(arrival, values["spread_rad"], lambda spread: even_and_normal(edge, spread, values["evenness"]))
+
+
+def _fanned(arrival: Arrival, spread: AnyArray, landing: Landing) -> Arrival:
     meets = np.isfinite(real(arrival.from_low_edge_m)) & (real(arrival.normal_speed_m_s) > 0.0)
     fans_out = real(spread) > 0.0
     normal = np.where(meets, arrival.normal_speed_m_s, 1.0)
     tangential = np.where(meets, arrival.tangential_speed_m_s, 0.0)
     speed = sqrt(normal * normal + tangential * tangential)
     incidence = arctan(tangential / normal)
-    edge, width = _to_edge(arrival, setting, setting.machine.plate_length_m), np.where(fans_out, spread, 1.0)
     # What lands is turned towards the middle of what the edges leave.
-    lands, turn, variance = _between(_to_edge(arrival, setting, 0.0), edge, width) if both else _gaussian(edge, width)
+    lands, turn, variance = landing(np.where(fans_out, spread, 1.0))
     kept = speed * exp(-0.5 * variance)
     sin, cos = sin_cos(incidence + turn)
     fan = meets & fans_out
@@ -106,5 +143,18 @@ LAWS = (
         source="moments of a normal distribution truncated at both ends: Johnson, Kotz and Balakrishnan, Continuous Univariate "
         "Distributions 1 (1994), chapter 13",
         arrival=_both_edges,
+    ),
+    replace(
+        EFFECT,
+        name="stream_spread-even",
+        law="evenly over a range of directions with soft ends; where the impact's gain is 1 + restitution",
+        source="between a stream whose layers leave in directions that differ evenly, and a normal fan: the sum of an even and a "
+        "normal direction",
+        parameters=(
+            *EFFECT.parameters,
+            EffectParameter("evenness", "", 0.5, 0.05, 0.98, 0.3, "share of the variance that the even part has", 0.8),
+        ),
+        arrival=_evenly,
+        pooled=True,
     ),
 )
