@@ -54,12 +54,6 @@ def test_middle_and_width_of_the_pulse(default_table):
         assert np.sqrt(np.sum((mids - middle) ** 2 * shares)) == pytest.approx(width, rel=0.05, abs=2e-4)
 
 
-def test_landed_share(default_table):
-    for mass, angle, speed in places(12, 3.0):
-        exact = direct(mass, angle, speed).landed_kg.sum() / mass
-        assert default_table.landed_share(mass, angle, speed) == pytest.approx(exact, abs=2e-3)
-
-
 def test_changing_crop_between_the_nodes():
     dependence = MoistureDependence()
     grains = {m: Grain().at_moisture(m, dependence) for m in (14.0, 17.0, 20.0, 23.0, 26.0, 18.4)}

@@ -32,6 +32,7 @@ _LEAST_BEYOND = 0.3
 """Share of a window's change that recalibration, and the windows before it, must leave of it."""
 _LEAST_LEVEL = 0.1
 """Level, as a share of the largest, that a reading counts for at least: an error near zero is no relative one."""
+_MOST_REGIONS, _REGION_P = 6, 0.05
 
 
 @dataclass(frozen=True)
@@ -157,7 +158,7 @@ def fills(fit: Fit) -> Array:
     return cells.load / passes / full
 
 
-def where(fit: Fit, noise: Noise, rng: np.random.Generator, *, level: float = 0.05, most: int = 6) -> tuple[Region, ...]:
+def where(fit: Fit, noise: Noise, rng: np.random.Generator) -> tuple[Region, ...]:
     """Windows in which one relative error explains more than chance anywhere allows, strongest first, none overlapping.
 
     Each is judged beside recalibration and those before it, so that what recalibration spreads of one window's error over the
@@ -182,12 +183,12 @@ def where(fit: Fit, noise: Noise, rng: np.random.Generator, *, level: float = 0.
     directions = changes / norm[:, None]
     largest = np.concatenate([np.max(np.abs(directions @ errors(fit, noise, rng, DRAWS // 4)), axis=0) for _ in range(4)])
     out: list[Region] = []
-    while len(out) < most and len(inside):
+    while len(out) < _MOST_REGIONS and len(inside):
         score = (changes @ fit.residual) / norm
         best = int(np.argmax(np.abs(score)))
         # The draws are of the first window; those of a later one, with less room, are no larger.
         p = float((1 + np.count_nonzero(largest >= abs(score[best]))) / (1 + len(largest)))
-        if p > level:
+        if p > _REGION_P:
             break
         out.append(_region(fit, inside[best], fill, p))
         found = changes[best] / norm[best]

@@ -82,7 +82,7 @@ def machines_of(
         steps,
         "moisture",
         given_moisture_s,
-        [(one.value_s, part.source.declared_moisture_s) for one, part in zip(flow, parts, strict=True)],
+        [(one.value_s, None) for one in flow],
         [seed, 1],
     )
     mass = measured_mass_kg(table)
@@ -105,7 +105,6 @@ def _parts(table: HarvestTable, steps: Tracks, pairs: Pairs) -> list[_Part]:
             table.sources[0],
             default_flow_s=table.default_flow_s,
             declared_flow_s=table.declared_flow_s,
-            declared_moisture_s=table.declared_moisture_s,
         )
         return [_Part(-1, np.arange(len(table)), steps, pairs, first, "")]
     out = []

@@ -98,7 +98,7 @@ class Source:
         The machine's own harvested area.
     notes : tuple of str
         What the reader had to take for granted; a line each.
-    declared_flow_s, declared_moisture_s, default_flow_s
+    declared_flow_s, default_flow_s
         As of a HarvestTable of this source alone.
     taken_out : bool
         Whether the source says that its delays have been taken out of its rows.
@@ -112,7 +112,6 @@ class Source:
     area_m2: float | None = None
     notes: tuple[str, ...] = ()
     declared_flow_s: float | None = None
-    declared_moisture_s: float | None = None
     default_flow_s: float = 0.0
     taken_out: bool = False
 
@@ -133,8 +132,8 @@ class HarvestTable:
         Index into `sources`.
     unix_time : bool
         Whether `time_s` is Unix time (UTC); else it is a clock of the source's own, without a date.
-    declared_flow_s, declared_moisture_s : float or None
-        Delays that the machine says it has (and has not taken out of the rows).
+    declared_flow_s : float or None
+        Delay that the machine says it has (and has not taken out of the rows).
     default_flow_s : float
         Delay that such sources usually still have in them; kept where neither the data nor the machine give one.
     extra : mapping of str to array
@@ -147,7 +146,6 @@ class HarvestTable:
     source_of_row: NDArray[np.int32]
     unix_time: bool = False
     declared_flow_s: float | None = None
-    declared_moisture_s: float | None = None
     default_flow_s: float = 0.0
     extra: Mapping[str, Array] = field(default_factory=dict)
 
@@ -179,7 +177,6 @@ def build(
     *,
     unix_time: bool,
     declared_flow_s: float | None = None,
-    declared_moisture_s: float | None = None,
     default_flow_s: float = 0.0,
     extra: Mapping[str, Array] | None = None,
 ) -> HarvestTable:
@@ -207,14 +204,12 @@ def build(
             replace(
                 source,
                 declared_flow_s=declared_flow_s,
-                declared_moisture_s=declared_moisture_s,
                 default_flow_s=default_flow_s,
             ),
         ),
         np.zeros(count, np.int32),
         unix_time,
         declared_flow_s,
-        declared_moisture_s,
         default_flow_s,
         extra or {},
     )
@@ -253,7 +248,6 @@ def joined(tables: Sequence[HarvestTable]) -> HarvestTable:
         source_of_row=np.concatenate(first).astype(np.int32),
         unix_time=all(table.unix_time for table in tables),
         declared_flow_s=_common([table.declared_flow_s for table in tables]),
-        declared_moisture_s=_common([table.declared_moisture_s for table in tables]),
         default_flow_s=max(table.default_flow_s for table in tables),
         extra={
             name: np.concatenate([table.extra.get(name, np.full(len(table), np.nan)) for table in tables]) for name in extra_names

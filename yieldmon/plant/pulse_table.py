@@ -74,16 +74,16 @@ class PulseTable:
         roots = np.linspace(0.02, 1.0, detail.masses) * np.sqrt(self.largest_mass_kg)
         self._root_range = (float(roots[0]), float(roots[-1]))
         shape = (len(conditions), len(speeds), len(roots), len(angles))
-        gain, landed = np.empty(shape), np.empty(shape)
+        gain = np.empty(shape)
         times = np.empty((*shape, len(QUANTILES) if detail.shapes else 0))
         for i, condition in enumerate(conditions):
             for j, speed in enumerate(speeds):
-                gain[i, j], landed[i, j], times[i, j] = _nodes(machine, condition, roots**2, angles, speed, detail)
+                gain[i, j], times[i, j] = _nodes(machine, condition, roots**2, angles, speed, detail)
         axes = [np.array([c.coordinate for c in conditions]), speeds, roots, angles]
         self._axes = axes[1:] if len(conditions) == 1 else axes
         if len(conditions) == 1:
-            gain, landed, times = gain[0], landed[0], times[0]
-        self._gain, self._landed = _spline(self._axes, gain), _spline(self._axes, landed)
+            gain, times = gain[0], times[0]
+        self._gain = _spline(self._axes, gain)
         self._times = _spline(self._axes, times) if detail.shapes else None
 
     def impulse_n_s(
@@ -95,13 +95,6 @@ class PulseTable:
         """
         mass, points = self._points(paddle_mass_kg, plate_angle_rad, speed_rad_s, coordinate)
         return np.asarray(self._gain(points) * mass * np.asarray(speed_rad_s) * self._tip_speed_length_m)
-
-    def landed_share(
-        self, paddle_mass_kg: Values, plate_angle_rad: Values, speed_rad_s: Values, coordinate: Values = 0.0
-    ) -> Array:
-        """Share of the load that strikes the plate."""
-        _, points = self._points(paddle_mass_kg, plate_angle_rad, speed_rad_s, coordinate)
-        return np.asarray(self._landed(points))
 
     def arrival_times_s(
         self, paddle_mass_kg: Values, plate_angle_rad: Values, speed_rad_s: Values, coordinate: Values = 0.0
@@ -136,19 +129,18 @@ class PulseTable:
 
 def _nodes(
     machine: Machine, condition: Condition, masses: Array, angles: Array, speed: float, detail: Detail
-) -> tuple[Array, Array, Array]:
-    """Impulse per kg and tip speed, landed share and arrival turns (rad of sprocket) of shape (masses, angles, ...)."""
+) -> tuple[Array, Array]:
+    """Impulse per kg and tip speed, and arrival turns (rad of sprocket) of shape (masses, angles, ...)."""
     result = throw(machine, condition.grain, condition.effects, masses, angles, speed, cells=detail.cells, layers=detail.layers)
     impulse = result.impulse_n_s.sum(axis=(2, 3)).T
-    landed = result.landed_kg.sum(axis=(2, 3)).T / masses[:, None]
     gain = impulse / (masses[:, None] * speed * machine.paddle_length_m)
     if not detail.shapes:
-        return gain, landed, np.empty((*gain.shape, 0))
+        return gain, np.empty((*gain.shape, 0))
     turns = np.empty((len(masses), len(angles), len(QUANTILES)))
     for a in range(len(angles)):
         for m in range(len(masses)):
             turns[m, a] = speed * _quantiles(result.arrival_s[a, m].ravel(), result.impulse_n_s[a, m].ravel())
-    return gain, landed, turns
+    return gain, turns
 
 
 def _quantiles(arrival_s: Array, impulse: Array) -> Array:

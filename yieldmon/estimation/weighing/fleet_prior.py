@@ -75,7 +75,7 @@ def load_deviation(model: ForwardModel, known: ParameterSet, loads: Sequence[Wei
     return np.asarray(np.sqrt(np.einsum("ni,ij,nj->n", slopes, covariance, slopes)))
 
 
-def pooled(start: ParameterSet, machines: Sequence[MachineLoads], settings: LoadSettings | None = None) -> FleetPrior:
+def pooled(start: ParameterSet, machines: Sequence[MachineLoads]) -> FleetPrior:
     """The prior that a fleet's weighed loads give.
 
     Parameters
@@ -84,8 +84,6 @@ def pooled(start: ParameterSet, machines: Sequence[MachineLoads], settings: Load
         The crop's shipped parameters, whose deviations are the prior of the crop.
     machines : sequence of MachineLoads
         At least LEAST_MACHINES, each with a load or more.
-    settings : LoadSettings, optional
-        The prior of a load.
 
     Returns
     -------
@@ -96,7 +94,7 @@ def pooled(start: ParameterSet, machines: Sequence[MachineLoads], settings: Load
     ValueError
         Too few machines, or a load that is beyond a full paddle.
     """
-    settings = LoadSettings() if settings is None else settings
+    settings = LoadSettings()
     if len(machines) < LEAST_MACHINES:
         raise ValueError(f"{len(machines)} machines with weighed loads; expected at least {LEAST_MACHINES}")
     shift, before = np.zeros(2), np.diag([settings.density_sd**2, settings.gain_sd**2])

@@ -56,6 +56,7 @@ _FONT = {
 LETTERS = frozenset(_FONT)
 """That can be written."""
 _BAR_PX = 240.0
+_DOT_PX = 3
 
 
 def write(folder: Path, result: HarvestMap, grid: Grid) -> list[Path]:
@@ -117,13 +118,13 @@ def _fill(image: np.ndarray, corners: Array, rgb: np.ndarray, *, west: float, no
             image[y[inside], x[inside]] = rgb[inside]
 
 
-def _text(image: np.ndarray, text: str, x: int, y: int, size: int = 3) -> int:
+def _text(image: np.ndarray, text: str, x: int, y: int) -> int:
     for letter in text:
         dots = np.array([[row >> (4 - bit) & 1 for bit in range(5)] for row in _FONT.get(letter, _FONT["-"])], bool)
-        block = np.kron(dots, np.ones((size, size), bool))
+        block = np.kron(dots, np.ones((_DOT_PX, _DOT_PX), bool))
         view = image[y : y + block.shape[0], x : x + block.shape[1]]
         view[block[: view.shape[0], : view.shape[1]]] = _INK
-        x += 6 * size
+        x += 6 * _DOT_PX
     return x
 
 

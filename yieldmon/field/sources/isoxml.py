@@ -219,7 +219,6 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
         None if None in areas else float(sum(a for a in areas if a is not None)),
         (*of_crop, *notes),
         whole.declared_flow_s,
-        whole.declared_moisture_s,
         whole.default_flow_s,
     )
     return replace(whole, sources=(source,), source_of_row=np.zeros(len(whole), np.int32))
@@ -256,7 +255,6 @@ def _by_log(table: HarvestTable) -> list[HarvestTable]:
                     sources=(source,),
                     source_of_row=own,
                     declared_flow_s=source.declared_flow_s,
-                    declared_moisture_s=source.declared_moisture_s,
                     default_flow_s=source.default_flow_s,
                 )
             )

@@ -54,6 +54,8 @@ _NEEDED = ("mark", "state", "counter", "load", "parameter_set", "ticket", "actio
 _EVENTS = ("sweep", "fault", "step")
 #: No file has the name; where its folder was may be another thing by now.
 _GONE = frozenset({errno.ENOENT, errno.ENOTDIR, errno.ELOOP})
+#: How long a commit waits for another process that holds the file.
+_WAIT_S = 2.0
 #: Rows taken away at a time, so that making room never holds up a second's commit for long.
 _PRUNE_ROWS = 2000
 #: Lessons that a posting may reach back over.
@@ -72,7 +74,6 @@ class Store(StoredRows):
         self,
         path: Path,
         retention: Retention = DEFAULT_RETENTION,
-        timeout_s: float = 2.0,
         exclusive: bool = False,
         immutable: bool = False,
         copied: bool = False,
@@ -80,11 +81,11 @@ class Store(StoredRows):
     ) -> None:
         """Open the store at `path`, making or migrating it when needed.
 
-        timeout_s: how long a commit waits for another process that holds the file. exclusive: no other process may read
-        meanwhile, which takes no room on the medium: a store on a full one can be opened and read this way. immutable: only
-        read, from a medium that takes no writing at all; not a store with a journal, whose last seconds would be missed. copied:
-        only read, from a copy in memory, which is what is migrated: for one of an older version, or one that was never made to
-        its end, on a medium without room for that. computer: that writes, `identity.this_computer`.
+        exclusive: no other process may read meanwhile, which takes no room on the medium: a store on a full one can be opened and
+        read this way. immutable: only read, from a medium that takes no writing at all; not a store with a journal, whose last
+        seconds would be missed. copied: only read, from a copy in memory, which is what is migrated: for one of an older version,
+        or one that was never made to its end, on a medium without room for that. computer: that writes,
+        `identity.this_computer`.
 
         Raises StoreError when it cannot be opened, StoreDamagedError when it is damaged, InputError when it is another
         program's or of a newer version.
@@ -95,14 +96,14 @@ class Store(StoredRows):
             if immutable:
                 if has_journal(path):
                     raise StoreError(f"{path}: its journal cannot be read on a medium that takes no writing")
-                self._database = unwritten(path, timeout_s)
+                self._database = unwritten(path, _WAIT_S)
             elif copied:
-                self._database = in_memory(path, timeout_s)
+                self._database = in_memory(path, _WAIT_S)
             else:
                 path.parent.mkdir(parents=True, exist_ok=True)
                 if is_orphaned(path):
                     raise StoreDamagedError(f"{path}: is empty or missing, and its journal is there")
-                self._database = sqlite3.connect(path, timeout=timeout_s, isolation_level=None)
+                self._database = sqlite3.connect(path, timeout=_WAIT_S, isolation_level=None)
         self._computer = computer
         self._identities: dict[Path, tuple[int, int]] = {}
         self._sizes: dict[Path, int] = {}
