@@ -20,6 +20,7 @@ import pytest
 from tests.service.bench import running
 from tests.web.browser import CAB, OFFICE, Watched, chromium, opened
 from tests.web.standin import StandIn, fault, page, standing_in
+from yieldmon.service.operator.control_client import ask as ask_daemon
 from yieldmon.service.storage.batch import FaultEvent, Load, SweepRecord
 
 pytest.importorskip("playwright")
@@ -208,6 +209,44 @@ def test_a_load_begun_under_a_wrong_crop(browser: Browser, tmp_path: Path) -> No
                     commands.get_by_role("button", name="End load").click()
                     dialog.get_by_role("button", name="End load").click()
                     watched.wait(ASKED)
+
+
+def test_what_a_late_ticket_is_told(browser: Browser, tmp_path: Path) -> None:
+    """Of another crop than is harvested, for loads of two crops, in place of an earlier one, and of a crop that is not known."""
+    with running(tmp_path) as bench:
+        bench.play(14.0, 0.0)
+        # The zero first: seconds without one are not measured.
+        bench.played()
+        for crop in ("wheat", "corn"):
+            ask_daemon(bench.daemon.configuration.socket_path, {"command": "load-start", "crop": crop})
+            bench.play(6.0, 100.0)
+            bench.play(1.0, 0.0)
+            bench.played()
+        ask_daemon(bench.daemon.configuration.socket_path, {"command": "load-stop"})
+        masses = {load["number"]: load["mass_kg"] for load in bench.status["loads"]}
+        with page(bench.daemon.configuration.socket_path) as site, Watched(browser) as watched:
+            watched.page.goto(site)
+            watched.wait(READY)
+            dialog = watched.page.locator("dialog[open]")
+
+            def told(button: str, confirm: str, **fields: str) -> str:
+                watched.page.get_by_role("group", name="Commands").get_by_role("button", name=button, exact=True).click()
+                for name, text in fields.items():
+                    dialog.locator(f"[name={name}]").fill(text)
+                dialog.get_by_role("button", name=confirm, exact=True).click()
+                watched.wait("!document.querySelector('dialog[open]')")
+                return watched.page.inner_text("#answer")
+
+            late = told("Ticket", "Correct the loads", first_load="2", last_load="2", mass=f"{1.05 * masses[2]:.2f}")
+            assert "a reference for wheat, which learns once it is harvested again. It is the first and sets the scale" in late
+            both = told("Ticket", "Correct the loads", first_load="2", last_load="3", mass=f"{masses[2] + masses[3]:.2f}")
+            assert (
+                "no reference for the calibration: loads of corn and wheat on one ticket teach none of them; Wrong crop if"
+                in both
+            )
+            assert "Ticket 1 stood for it; the newer one counts." in both
+            unknown = told("New load", "Begin load", crop="havre")
+            assert unknown == "Load 4 begun; havre is no known crop: it begins with the parameters of the one before."
 
 
 def test_us_units(browser: Browser, tmp_path: Path) -> None:

@@ -217,7 +217,7 @@ class _Page:
             answer = await self._feed.ask(commands.request_of(document, status["load"]["number"]))
         except (InputError, ControlError) as error:
             return _error(409, commands.with_buttons(units.in_text(str(error))))
-        return _json(in_units(answer, units))
+        return _json(commands.answer_with_buttons(in_units(answer, units)))
 
     async def sign_in(self, request: Request) -> Response:
         try:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import Any
 
 from yieldmon.errors import InputError
+from yieldmon.web.units import SENTENCES
 
 #: Command -> the arguments that it takes from a page. `zero --force` and `totals reset` are left to the command line.
 ALLOWED: Mapping[str, frozenset[str]] = {
@@ -27,11 +29,14 @@ _BUTTONS: Mapping[str, str] = {
     "; --force if it does": "; if it does: `yieldmon zero --force` on the monitor's computer",
     "`yieldmon load start`": "New load",
     "`yieldmon load stop`": "End load",
+    "`yieldmon load correct`": "Wrong crop",
     "`yieldmon zero --undo`": "Undo zero",
     "`yieldmon zero`": "Zero",
     "zero --undo:": "Undo zero:",
     "load stop:": "End load:",
 }
+
+_UNDO_TICKET = re.compile(r"`yieldmon ticket undo ([0-9]+)`")
 
 
 def with_buttons(refusal: str) -> str:
@@ -42,7 +47,21 @@ def with_buttons(refusal: str) -> str:
     """
     for words, button in _BUTTONS.items():
         refusal = refusal.replace(words, button)
-    return refusal
+    return _UNDO_TICKET.sub(r"Undo ticket \1", refusal)
+
+
+def answer_with_buttons(answer: Any) -> Any:
+    """A daemon's answer with its sentences in the words of the page, as `with_buttons`.
+
+    >>> answer_with_buttons({"question": "or ticket 1 is wrong (`yieldmon ticket undo 1`)", "ticket": 2})
+    {'question': 'or ticket 1 is wrong (Undo ticket 1)', 'ticket': 2}
+    """
+    if isinstance(answer, Mapping):
+        return {
+            name: with_buttons(value) if name in SENTENCES and isinstance(value, str) else answer_with_buttons(value)
+            for name, value in answer.items()
+        }
+    return [answer_with_buttons(value) for value in answer] if isinstance(answer, list) else answer
 
 
 def request_of(document: object, load_number: int | None) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from yieldmon.files.units import units_of
 from yieldmon.units import KG_PER_LB, KG_PER_T, S_PER_H, Unit, Units, UnitSystem
 
 #: What a daemon says to people, by its names in documents.
-_TEXTS = frozenset({"detail", "question", "why_no_anchor", "why", "reason", "last_update", "teaching_stays"})
+SENTENCES = frozenset({"detail", "question", "why_no_anchor", "why", "reason", "last_update", "teaching_stays"})
 
 
 def in_units(document: Any, units: Units) -> Any:
@@ -31,7 +31,7 @@ def in_units(document: Any, units: Units) -> Any:
         return document
     if isinstance(document, Mapping):
         return {
-            name: units.in_text(value) if name in _TEXTS and isinstance(value, str) else in_units(value, units)
+            name: units.in_text(value) if name in SENTENCES and isinstance(value, str) else in_units(value, units)
             for name, value in document.items()
         }
     return [in_units(value, units) for value in document] if isinstance(document, list) else document
