@@ -120,6 +120,26 @@ def test_a_second_undo_takes_back_what_was_learnt_again(tmp_path) -> None:
         same(left(season, bench), before)
 
 
+@pytest.mark.parametrize("undo", [("calibrations", "undo", "3"), ("ticket", "undo", "2")], ids=["calibration", "ticket"])
+def test_an_undo_that_took_a_lesson_back_is_not_undone_behind_its_ticket(undo: tuple[str, ...], tmp_path, capsys) -> None:
+    """Its parameters would hold what a ticket has taught that stands for nothing; the mass entered again brings it back."""
+    season = Season(tmp_path / "a")
+    with running(season.folder) as bench:
+        season.harvest(bench)
+        enter(season, bench, RIGHT[:2])
+        before = left(season, bench)
+        ask(season.folder, *undo)
+        settle(season, bench)
+        capsys.readouterr()
+        with pytest.raises(SystemExit):
+            cli.main(["calibrations", "undo", "4", "--socket", str(season.folder / "yieldmon.sock")])
+        said = capsys.readouterr().err
+        assert "version 4: is an undo, and what it took back rests on ticket 2, which teaches no more" in said
+        words = said.split("`")[1].removeprefix("yieldmon ").split()
+        assert ask(season.folder, *words, "--std-dev", f"{0.002 * 1.003 * TRUE * season.masses[3]}kg")["anchor"]
+        same(left(season, bench), before)
+
+
 def test_a_kill_between_the_undo_and_the_learning_changes_nothing(never, tmp_path) -> None:
     """The store as a kill leaves it right after the answer; the run that goes on from it learns what was left to learn."""
     season = Season(tmp_path / "a")

@@ -100,6 +100,15 @@ class ParameterHistory:
             raise InputError(f"version {version}", "is undone already", "one that stands")
         if changes[version].document.get("origin") == ledgers.CROP:
             raise InputError(f"version {version}", "is a change of crop", "a calibration, or `yieldmon load start --crop NAME`")
+        gone = self._actions.lessons_gone_with(version)
+        if gone:
+            ticket = self._actions.entered(gone[0])
+            loads = str(ticket.first_load) if ticket.first_load == ticket.last_load else f"{ticket.first_load}-{ticket.last_load}"
+            raise InputError(
+                f"version {version}",
+                f"is an undo, and what it took back rests on ticket {', '.join(map(str, gone))}, which teaches no more",
+                f"the mass once more if it is right: `yieldmon ticket {loads} {ticket.weighed_mass_kg:.10g}kg` teaches again",
+            )
         if before not in self._versions:
             raise InputError(f"version {version}", "the parameters before it are not known", "a later version")
         now, crop = self.crop_of(in_use, named), self._crop_at(version)
@@ -109,11 +118,11 @@ class ParameterHistory:
         self._actions.add(ledgers.PARAMETERS_UNDO, who, document, now_s)
         earlier = replace(self._versions[before], version=self.version + 1)
         if of_now:
-            self.use(earlier, "undo", who, f"version {version} undone: as version {before}")
+            self.use(earlier, ledgers.UNDO, who, f"version {version} undone: as version {before}")
             self._actions.bring_back(earlier.version)
             return earlier, ""
         kept = self._of_crop[crop] = replace(earlier, provenance={**earlier.provenance, "crop": crop})
-        self.use(kept, "undo", who, f"version {version} of {crop} undone: as version {before}")
+        self.use(kept, ledgers.UNDO, who, f"version {version} of {crop} undone: as version {before}")
         self._actions.bring_back(kept.version)
         chosen = replace(in_use, version=self.version + 1, provenance={**in_use.provenance, "crop": now})
         self.use(chosen, ledgers.CROP, who, f"what is known of {now}")

@@ -13,8 +13,8 @@ TICKET, TICKET_UNDO, ZERO, ZERO_UNDO = "ticket", "ticket-undo", "zero", "zero-un
 PARAMETERS, PARAMETERS_UNDO, POSTING, TOTALS_RESET = "parameters", "parameters-undo", "posting", "totals-reset"
 LOAD_NAMES = "load-names"
 """Another field or crop for loads."""
-CROP = "crop"
-"""Origin of parameters that a change of crop brought."""
+CROP, UNDO = "crop", "undo"
+"""Origins of parameters that a change of crop brought, and an undo."""
 
 
 @dataclass(frozen=True)

@@ -146,6 +146,18 @@ class ActionLog:
         led = () if update is None else update.document.get("tickets", ())
         return tuple(sorted({int(number) for number in led if int(number) in standing and int(number) not in known}))
 
+    def lessons_gone_with(self, version: int) -> tuple[int, ...]:
+        """Of a version that an undo made, numbers of the tickets that what it took back rests on and that teach no more: taken
+        back, or silenced. None for another version."""
+        update = self.updates.get(version)
+        if update is None or update.document.get("origin") != ledgers.UNDO:
+            return ()
+        before = [a for a in self._actions if a.kind == ledgers.PARAMETERS_UNDO and a.number < update.number]
+        taken_back = {int(v) for a in before[-1:] for v in a.document.get("versions", ())}
+        led = {int(n) for v, a in self.updates.items() if v in taken_back for n in a.document.get("tickets", ())}
+        standing, silenced = self.ledger.tickets, self.silenced
+        return tuple(sorted(number for number in led if number not in standing or number in silenced))
+
     def last_ticket_before(self, version: int) -> int:
         """Number of the last ticket that was entered before a version came; 0 for none."""
         update = self.updates.get(version)
