@@ -12,10 +12,14 @@ import pytest
 from tests.service.bench import START_S, Bench, running, wait_for
 from tests.service.test_tickets_after_restart import ask
 from yieldmon.cli import main as cli
+from yieldmon.files import parameter_file
+from yieldmon.files.crops import crop
 from yieldmon.service.storage.store import Store
 
 TRUE = 1.12
 """Weighed over measured mass."""
+FAR = 1.5
+"""Beyond what is known of the crop, so that a ticket teaches a curve."""
 
 
 def said(folder: Path, *words: str) -> tuple[str, str]:
@@ -25,8 +29,8 @@ def said(folder: Path, *words: str) -> tuple[str, str]:
     return out.getvalue(), warned.getvalue()
 
 
-def harvest(folder: Path, bench: Bench, crop: str, seconds: int, signal_mv: float) -> None:
-    ask(folder, "load", "start", "--crop", crop)
+def harvest(folder: Path, bench: Bench, named: str, seconds: int, signal_mv: float) -> None:
+    ask(folder, "load", "start", "--crop", named)
     bench.play(seconds, signal_mv)
     bench.play(1, 0.0)
     bench.played()
@@ -116,3 +120,25 @@ def test_a_late_ticket_in_another_unit_is_asked_about_and_can_be_taken_back(tmp_
         assert wheat["parameters"]["crop"] == "wheat"
         found = settled(tmp_path, bench)
         assert [found["corrected"][number] for number in (2, 3)] == pytest.approx([masses[number] for number in (2, 3)])
+
+
+def test_loads_of_a_crop_that_learnt_a_curve_calibrate_what_is_known_of_that_crop(tmp_path: Path) -> None:
+    """The configured parameters, from before the curve, are corn's."""
+    with running(tmp_path) as bench:
+        masses = wheat_then_barley(tmp_path, bench)
+        ask(tmp_path, "ticket", "2", f"{FAR * masses[2]}kg", "--std-dev", f"{0.002 * masses[2]}kg")
+        settled(tmp_path, bench)
+        assert "load_pattern" in bench.daemon.monitor.estimator.parameters.effects
+        harvest(tmp_path, bench, "wheat", 4, 50.0)
+        ask(tmp_path, "load", "stop")
+        masses[4] = next(row["mass_kg"] for row in ask(tmp_path, "load", "list")["loads"] if row["number"] == 4)
+        harvest(tmp_path, bench, "barley", 3, 50.0)
+    rows = {2: FAR * masses[2], 3: FAR * masses[3], 4: masses[4]}
+    tickets = tmp_path / "tickets.csv"
+    tickets.write_text("load,weighed_kg\n" + "".join(f"{number},{kg}\n" for number, kg in rows.items()), encoding="utf-8")
+    out, store = tmp_path / "wheat.yaml", str(tmp_path / "yieldmon.sqlite")
+    with contextlib.redirect_stdout(io.StringIO()):
+        assert cli.main(["calibrate", "--loads", store, "--tickets", str(tickets), "--out", str(out), "--json"]) == 0
+    found = parameter_file.load(out)
+    assert found.provenance["crop"] == "wheat"
+    assert found.values["friction"] == crop("wheat").friction

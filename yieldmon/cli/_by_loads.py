@@ -21,6 +21,7 @@ from yieldmon.estimation.weighing.load_inputs import WeighedLoad
 from yieldmon.estimation.weighing.load_outcome import LoadCalibration
 from yieldmon.estimation.weighing.loads import calibrate_loads
 from yieldmon.files import parameter_file, ticket_file, whole_file
+from yieldmon.files.crops import SHIPPED_CROP, crops
 from yieldmon.physics.model import ForwardModel
 from yieldmon.resources import shipped
 
@@ -64,7 +65,8 @@ def run(args: argparse.Namespace) -> LoadCalibrationDocument:
     if args.out is not None and not found.refused:
         whole_file.check_place(args.out)
         until_s = weighed_loads.weighed_until_s(measured, loads)
-        parameter_file.save(_with_provenance(found, args, prior, until_s), args.out)
+        crop = measured[-1].crop if measured else ""
+        parameter_file.save(_with_provenance(found, args, prior, until_s, crop), args.out)
         document["written"] = args.out
     return document
 
@@ -120,8 +122,19 @@ def _prior(args: argparse.Namespace, measured: tuple[MeasuredLoad, ...], configu
         newest = measured[-1]
         used = newest.parameters.get(newest.seconds[-1].parameter_version, known)
         # A curve that these loads have taught already is learnt anew beside the parameters that they began with.
-        known = known if EFFECT in used.effects and EFFECT not in known.effects else used
+        known = _before_curve(measured, known) if EFFECT in used.effects and EFFECT not in known.effects else used
     return dataclasses.replace(known, curve=None)
+
+
+def _before_curve(measured: tuple[MeasuredLoad, ...], known: ParameterSet) -> ParameterSet:
+    """The parameters without a curve that loads of one crop began with. known: the configured ones, which may be another's."""
+    crop = measured[-1].crop
+    unchanged = parameter_file.digest(known) == parameter_file.digest(parameter_file.load())
+    if not crop or known.provenance.get("crop", SHIPPED_CROP if unchanged else crop) == crop:
+        return known
+    used = (load.parameters.get(row.parameter_version) for load in reversed(measured) for row in reversed(load.seconds))
+    began = (p for p in used if p is not None and EFFECT not in p.effects and p.provenance.get("crop") == crop)
+    return next(began, crops()[crop].parameters() if crop in crops() else known)
 
 
 def report(found: LoadCalibration, args: argparse.Namespace) -> LoadCalibrationDocument:
@@ -206,14 +219,15 @@ def text(document: LoadCalibrationDocument) -> str:
 
 
 def _with_provenance(
-    found: LoadCalibration, args: argparse.Namespace, prior: ParameterSet, until_s: float | None
+    found: LoadCalibration, args: argparse.Namespace, prior: ParameterSet, until_s: float | None, crop: str
 ) -> ParameterSet:
+    """crop: of the loads, "" where none was named."""
     facts = _provenance.of_loads(args.loads, args.tickets, until_s) | {
         "method": f"{len(found.loads) - len(found.outliers)} weighed loads"
         + (f", {found.sweeps_used} sweeps" if found.sweeps_used else ""),
         "parent_version": str(prior.version),
         SCALE: WEIGHED,
     }
-    if "crop" in prior.provenance:
-        facts["crop"] = prior.provenance["crop"]
+    if crop or "crop" in prior.provenance:
+        facts["crop"] = crop or prior.provenance["crop"]
     return dataclasses.replace(found.parameter_set, provenance=facts)

@@ -19,6 +19,8 @@ from yieldmon.units import KG_PER_LB
 from . import strict_yaml
 
 _FILE = "config/crops.yaml"
+SHIPPED_CROP = "corn"
+"""Of the shipped parameter file."""
 _NAMES = {
     "corn": "maize, yellow corn, mais, körnermais, maiz, milho, majs, granturco, kukurydza, maissi",
     "soybean": (

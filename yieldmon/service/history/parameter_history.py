@@ -10,15 +10,12 @@ from yieldmon.engine.self_calibration.calibrator import CalibrationStep
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import SCALE, ParameterSet
 from yieldmon.files import parameter_file
-from yieldmon.files.crops import crops
+from yieldmon.files.crops import SHIPPED_CROP, crops
 from yieldmon.service.history.memory import KEPT_VERSIONS, Memory
 from yieldmon.service.history.update_steps import step_document
 from yieldmon.service.storage import ledger as ledgers
 from yieldmon.service.storage.batch import ParameterVersion, Step
 from yieldmon.service.tickets.action_log import ActionLog
-
-_SHIPPED_CROP = "corn"
-"""Of the shipped parameter file."""
 
 
 class ParameterHistory:
@@ -40,7 +37,7 @@ class ParameterHistory:
 
     def crop_of(self, parameters: ParameterSet, named: str) -> str:
         """Whose crop parameters are, "" where none was named. named: the crop that an operator named last."""
-        return parameters.provenance.get("crop", named) or (_SHIPPED_CROP if self.digest == self._shipped_digest else "")
+        return parameters.provenance.get("crop", named) or (SHIPPED_CROP if self.digest == self._shipped_digest else "")
 
     def change_crop(self, crop: str, in_use: ParameterSet, named: str, who: str = "") -> ParameterSet | None:
         """The parameters for another crop: what was last known of it, else what is shipped, else a copy of those in use, which
