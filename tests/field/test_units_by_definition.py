@@ -16,7 +16,7 @@ ACRE = 43560 * FT**2
 MASS = {
     "kg": Exact(1), "g": Exact(1, 1000), "mg": Exact(1, 10**6), "t": Exact(1000), "tonne": Exact(1000), "lb": LB, "lbs": LB,
     "ton": 2000 * LB, "dt": Exact(100), "q": Exact(100), "tonnes": Exact(1000), "cwt": 100 * LB, "short_ton": 2000 * LB,
-    "metric_ton": Exact(1000),
+    "metric_ton": Exact(1000), "sc": Exact(60),
 }  # fmt: skip
 LENGTH = {
     "m": Exact(1), "cm": Exact(1, 100), "mm": Exact(1, 1000), "km": Exact(1000), "ft": FT, "in": INCH, "inch": INCH, "mi": MILE,

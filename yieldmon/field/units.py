@@ -88,6 +88,7 @@ def crop(name: str) -> Crop | None:
 
 _MASS = {"kg": 1.0, "g": 1e-3, "t": 1e3, "lb": KG_PER_LB, "lbs": KG_PER_LB, "mg": 1e-6, "ton": KG_PER_SHORT_TON, "tonne": 1e3}
 _MASS |= {"dt": 100.0, "q": 100.0}  # decitonne (German) and quintal (French, Italian, Spanish), both 100 kg
+_MASS |= {"sc": 60.0}  # saca of grain (Brazil)
 _MASS |= {"tonnes": 1e3, "cwt": 100.0 * KG_PER_LB, "short_ton": KG_PER_SHORT_TON, "metric_ton": 1e3}
 _LENGTH = {"m": 1.0, "cm": 0.01, "mm": 1e-3, "ft": M_PER_FT, "in": M_PER_IN, "km": 1e3, "mi": M_PER_MI, "inch": M_PER_IN}
 _TIME = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "min": 60.0, "h": S_PER_H, "hr": S_PER_H, "d": S_PER_DAY}
@@ -128,7 +129,7 @@ _WORDS = {
     "bushels": "bu", "bushel": "bu", "tons": "ton", "pounds": "lb", "kilograms": "kg", "acres": "acre", "hectare": "ha",
     "feet": "ft", "foot": "ft", "inches": "in", "metres": "m", "meters": "m", "meter": "m", "metre": "m", "seconds": "s",
     "second": "s", "sec.": "s", "hour": "h", "hours": "h", "qx": "q", "qq": "q", "metrictons": "metric_ton",
-    "shorttons": "short_ton",
+    "shorttons": "short_ton", "sacas": "sc", "saca": "sc",
 }  # fmt: skip
 _BELOW = ("ac", "acre", "ha", "hr", "sec", "m2", "s", "h")
 

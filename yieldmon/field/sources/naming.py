@@ -55,11 +55,13 @@ QUANTITIES: Mapping[str, Quantity] = {
         _names(
             # As weighed, then what does not say, then dried; in each a mass before a volume, which needs the crop's bushel.
             "yldmasswet yieldmasswet wetmass wetyield yieldwet wetyieldmass wetmassyield ertragfeucht ertragnass "
-            "rendimientohumedo rindehumedo rendementhumide produtividadeumida yldvolwet yieldvolwet wetyieldvol "
+            "rendimientohumedo rindehumedo hummasaderend masarendhum "
+            "rendementhumide produtividadeumida yldvolwet yieldvolwet wetyieldvol "
             "yield yld massyield yieldmass yldmass grainyield cropyield yieldvol ertrag kornertrag rendimiento rinde rendement "
-            "produtividade rendimento produttivita resa "
+            "produtividade rendimento produttivita resa plon "
             "vryieldmas vryieldmass vryieldvol yldmassdry yieldmassdry dryyield yielddry dryyieldmass drymassyield ertragtrocken "
-            "rendimientoseco rindeseco rendementsec produtividadeseca yldvoldry yieldvoldry dryyieldvol drymatter"
+            "rendimientoseco rindeseco secomasaderend masarendseco rendementsec produtividadeseca "
+            "yldvoldry yieldvoldry dryyieldvol drymatter"
         ),
     ),
     "mass": Quantity("mass", ()),
@@ -67,7 +69,7 @@ QUANTITIES: Mapping[str, Quantity] = {
         "percent",
         _names(
             "moisture moist grainmoisture moisturepercent moisturewet wetmoisture humidity feuchte feuchtigkeit kornfeuchte "
-            "humedad humidite umidade umidita"
+            "humedad humidite umidade umidita wilgotnosc"
         ),
     ),
     "interval": Quantity("time", _names("interval interv duration loginterval cycles cycle logint dt")),
@@ -80,7 +82,8 @@ QUANTITIES: Mapping[str, Quantity] = {
         "length",
         _names(
             "width swath swathwidth swthwdth swthwidth workingwidth headerwidth swthwdthm cuttingwidth arbeitsbreite "
-            "schnittbreite breite anchodetrabajo anchodecorte ancho largeurdetravail largeurdecoupe largeur larguradetrabalho "
+            "schnittbreite breite anchodetrabajo anchodecorte anchdefja anchfja ancho "
+            "largeurdetravail largeurdecoupe largeur larguradetrabalho "
             "larguradecorte largura"
         ),
     ),
@@ -111,7 +114,7 @@ QUANTITIES: Mapping[str, Quantity] = {
 _NEEDS_NO_UNIT = ("longitude", "latitude", "time", "moisture", "heading")
 _SHAPEFILE_NAME, _LEAST_CUT = 10, 7
 """Longest name of a column in a shapefile, and shortest in plain letters that still says what was cut."""
-_DRIED = re.compile(r"dry|trocken|sec[oa]?$|^vryield")
+_DRIED = re.compile(r"dry|trocken|sec[oa]?$|^seco|^vryield")
 _BRACKETS = re.compile(r"[(\[]([^()\[\]]*)[)\]]\s*$")
 _BEHIND_A_BLANK = (re.compile(r"[\s,]+(\S+\s+\S+(?:-1|⁻¹))$"), re.compile(r"[\s,]+(\S*/\S+|mph|ft|cm|%|m)$"))
 """Units without brackets: two words of which the second is a reciprocal, or one that cannot be a part of the name."""
