@@ -122,6 +122,20 @@ def test_a_late_ticket_in_another_unit_is_asked_about_and_can_be_taken_back(tmp_
         assert [found["corrected"][number] for number in (2, 3)] == pytest.approx([masses[number] for number in (2, 3)])
 
 
+def test_late_tickets_that_contradict_each_other_are_asked_about(tmp_path: Path) -> None:
+    with running(tmp_path) as bench:
+        masses = wheat_then_barley(tmp_path, bench)
+        harvest(tmp_path, bench, "barley", 3, 50.0)
+        _, warned = said(tmp_path, "ticket", "2", f"{TRUE * masses[2]:.3f}kg")
+        assert "it sets the scale by itself" in warned
+        _, warned = said(tmp_path, "ticket", "3", f"{1.2 * TRUE * masses[3]:.3f}kg")
+        assert "20.0 % more than" in warned
+        assert "or ticket 1, the only one before it, is the wrong one (`yieldmon ticket undo 1`)" in warned
+        _, warned = said(tmp_path, "ticket", "3", f"{1.02 * TRUE * masses[3]:.3f}kg")
+        assert "more than" not in warned
+        assert "ticket 2 stood for it; the newer one counts" in warned
+
+
 def test_loads_of_a_crop_that_learnt_a_curve_calibrate_what_is_known_of_that_crop(tmp_path: Path) -> None:
     """The configured parameters, from before the curve, are corn's."""
     with running(tmp_path) as bench:

@@ -3,30 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from math import exp
 from typing import Any
 
 from yieldmon.engine.mass.load_summary import LoadClosed, LoadOpened
 from yieldmon.engine.monitor import Monitor
-from yieldmon.engine.self_calibration.anchors import Weighing
 from yieldmon.engine.sources import THOUSAND_KERNELS_G
 from yieldmon.errors import InputError
 from yieldmon.estimation.estimators import estimator_of
-from yieldmon.files import ticket_file
 from yieldmon.files.crops import crops, find_crop, misspelt, shipped_name
 from yieldmon.service.assembly import calibration_age_s
 from yieldmon.service.history import load_names, relearning
 from yieldmon.service.history.journal import Journal
 from yieldmon.service.history.reference_loads import StoredLoad
-from yieldmon.service.history.relearning import weighings, why_no_reference
-from yieldmon.service.operator.control_protocol import TICKET_KG
+from yieldmon.service.operator.order import Answer, Order, covered_loads
 from yieldmon.service.operator.requests import Request
+from yieldmon.service.operator.ticket_entry import enter_ticket
 from yieldmon.service.storage import ledger
-from yieldmon.service.storage.batch import Load, Ticket
-from yieldmon.service.tickets import ticket_doubt
-
-Answer = Mapping[str, Any]
 
 _MOST_LOADS = 63
 """Between the first and the last of a ticket that is a reference mass for loads of an earlier run."""
@@ -36,17 +28,6 @@ QUERIES = frozenset({"status", "loads", "tickets", "calibrations"})
 """Commands that change nothing."""
 TEACH_AGAIN = frozenset({"ticket-undo", "calibration-undo", "load-correct"})
 """Commands after which standing tickets may teach again."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Order:
-    """A request and what it is carried out on; stored: loads that a ticket names, as the store has them."""
-
-    request: Request
-    monitor: Monitor
-    journal: Journal
-    now_s: float
-    stored: Sequence[StoredLoad]
 
 
 def execute(
@@ -59,7 +40,7 @@ def execute(
     command, arguments = _COMMANDS[name]
     checked = Request(request)
     checked.only(name, arguments)
-    return command(_Order(checked, monitor, journal, now_s, stored))
+    return command(Order(checked, monitor, journal, now_s, stored))
 
 
 def ticketed_loads(request: Mapping[str, Any]) -> range:
@@ -82,7 +63,7 @@ def summary(status: Mapping[str, Any]) -> str:
     )
 
 
-def _load_start(order: _Order) -> Answer:
+def _load_start(order: Order) -> Answer:
     monitor, journal = order.monitor, order.journal
     request = order.request
     weight_g = request.mass_or_none("thousand_kernel_weight_g", *THOUSAND_KERNELS_G, "g")
@@ -137,7 +118,7 @@ def set_crop(monitor: Monitor, journal: Journal) -> None:
     monitor.set_kernel_weight(configured_g if journal.kernel_weight_g is None else journal.kernel_weight_g)
 
 
-def _totals_reset(order: _Order) -> Answer:
+def _totals_reset(order: Order) -> Answer:
     monitor, journal = order.monitor, order.journal
     before_kg = monitor.totals.total_kg
     given = order.request.values.get("total_kg")
@@ -148,7 +129,7 @@ def _totals_reset(order: _Order) -> Answer:
     return {"total_kg": before_kg, "load": monitor.totals.load_number}
 
 
-def _load_stop(order: _Order) -> Answer:
+def _load_stop(order: Order) -> Answer:
     monitor, journal = order.monitor, order.journal
     if not monitor.totals.load_open:
         raise InputError("load stop", "no load is open", "one that `yieldmon load start` began")
@@ -157,7 +138,7 @@ def _load_stop(order: _Order) -> Answer:
     return {"load": monitor.totals.load_number, "mass_kg": monitor.totals.load_kg, "crop": crop}
 
 
-def _load_correct(order: _Order) -> Answer:
+def _load_correct(order: Order) -> Answer:
     request, monitor, journal = order.request, order.monitor, order.journal
     first = request.number_of("first_load", "load")
     last = request.number_of("last_load", "load") if request.given("last_load") else first
@@ -167,153 +148,36 @@ def _load_correct(order: _Order) -> Answer:
     if monitor.totals.load_open and first <= monitor.totals.load_number <= last:
         number = monitor.totals.load_number
         raise InputError(f"load {number}", "is still open", "`yieldmon load start` with the right names, then correct this one")
-    wanted = load_names.Correction(_covered(journal, first, last, "load"), field, crop)
+    wanted = load_names.Correction(covered_loads(journal, first, last, "load"), field, crop)
     answer = load_names.correct(wanted, monitor, journal, request.who, order.now_s, order.stored)
     goes_on = journal.crop_in_use(monitor.estimator.parameters)
     newest = not monitor.totals.load_open and last >= monitor.totals.load_number
     return answer | {"goes_on": goes_on if newest and crop and goes_on and goes_on.lower() != crop.lower() else ""}
 
 
-def _loads(order: _Order) -> Answer:
+def _loads(order: Order) -> Answer:
     return {"loads": order.journal.load_table()}
 
 
-def _ticket(order: _Order) -> Answer:
-    request, monitor, journal = order.request, order.monitor, order.journal
-    first = request.number_of("first_load", "load")
-    last = request.number_of("last_load", "load") if request.given("last_load") else first
-    weighed_kg = request.mass("mass_kg", *TICKET_KG, "kg")
-    std_dev_kg = request.mass_or_none("std_dev_kg", *TICKET_KG, "kg")
-    if std_dev_kg is None:
-        std_dev_kg = ticket_file.RELATIVE_STD_DEV * weighed_kg
-    if monitor.totals.load_open and first <= monitor.totals.load_number <= last:
-        number = monitor.totals.load_number
-        raise InputError(
-            f"ticket for load {number}", "it is still open, so more grain may come", "`yieldmon load stop` first, or another load"
-        )
-    covered = _covered(journal, first, last)
-    measured_kg = sum(load.mass_kg for load in covered)
-    if not measured_kg > 0.0:
-        raise InputError(f"ticket for load {first}", "nothing was measured for it", "a load with a measured mass")
-    again = journal.actions.ledger.factors
-    known_kg = sum(load.mass_kg * again.get(load.number, 1.0) for load in covered)
-    ticket = Ticket(order.now_s, first, last, weighed_kg, measured_kg, request.name("note") or "")
-    crop = _other_crop(order, covered)
-    why_not = ticket_file.unit_slip(weighed_kg, measured_kg) or why_no_reference(monitor, journal, covered, order.stored, crop)
-    shares = weighings(covered, ticket, std_dev_kg)
-    departs = None if why_not else _departure(shares, order, crop)
-    question = _question(ticket, departs, order, covered, crop)
-    waits = journal.actions.unfinished_of_crop.get(crop) if crop else journal.actions.to_teach
-    first_moves = exp(departs.ln) - 1.0 if departs is not None and departs.first and not waits else None
-    if not why_not:
-        for load_number, mass_kg, share_std_dev_kg in shares:
-            monitor.ticket(load_number, mass_kg, share_std_dev_kg, crop)
-    replaces = [n for n, t in journal.actions.ledger.tickets.items() if t.first_load <= last and t.last_load >= first]
-    number = journal.actions.ticket(ticket, request.who, std_dev_kg, is_reference=not why_not, crop=crop)
-    return {
-        "crop": covered[-1].crop,
-        "ticket": number,
-        "first_load": first,
-        "last_load": last,
-        "weighed_mass_kg": weighed_kg,
-        "measured_mass_kg": measured_kg,
-        "known_mass_kg": known_kg,
-        "factor": ticket.factor,
-        "anchor": not why_not,
-        "why_no_anchor": why_not,
-        "waits_for_crop": "" if why_not else crop,
-        "question": question,
-        "replaces": replaces,
-        "sets_scale_pct": None if first_moves is None else 100.0 * first_moves,
-    }
-
-
-def _other_crop(order: _Order, covered: Sequence[Load]) -> str:
-    """The crop of loads that are all of one, where its parameters are others than those in use; else ""."""
-    monitor, journal = order.monitor, order.journal
-    in_use, crops_of = journal.crop_in_use(monitor.estimator.parameters), {load.crop for load in covered}
-    crop = crops_of.pop() if len(crops_of) == 1 else ""
-    # A curve is one grain's: another crop does not change it.
-    one_curve = monitor.estimator.parameters.curve is not None
-    return "" if one_curve or not in_use or crop.lower() == in_use.lower() else shipped_name(crop) or crop
-
-
-def _departure(shares: Sequence[Weighing], order: _Order, crop: str) -> ticket_doubt.Departure | None:
-    """Of a ticket with these shares of loads; None where there is no number. crop: of the loads, where another one is harvested
-    now."""
-    monitor, journal = order.monitor, order.journal
-    known = journal.parameters.of(crop, monitor.estimator.parameters, journal.crop) if crop else None
-    if crop and known is None:
-        return None
-    of_crop = None if known is None else estimator_of(monitor.machine, known)
-    found = [(mass_kg, monitor.ticket_departure(number, mass_kg, sd_kg, of_crop)) for number, mass_kg, sd_kg in shares]
-    parts = [(mass_kg, part) for mass_kg, part in found if part is not None]
-    if not parts or len(parts) != len(shares):
-        return None
-    if known is not None:
-        return ticket_doubt.combined(parts, weighed_before=known.is_weighed)
-    return ticket_doubt.combined(
-        parts,
-        weighed_before=bool(order.monitor.counted_loads) or order.monitor.scale_counted,
-        only_one=bool(_only_tickets(order, [number for number, _, _ in shares])),
-    )
-
-
-def _only_tickets(order: _Order, covered: Sequence[int]) -> list[int]:
-    """Standing tickets for all the loads whose tickets have counted, where these loads are others: a single weighing has set the
-    scale."""
-    counted = order.monitor.counted_loads
-    if counted & set(covered) or order.monitor.scale_counted:
-        return []
-    standing = order.journal.actions.ledger.tickets.items()
-    return [n for n, t in standing if counted and counted <= set(range(t.first_load, t.last_load + 1))]
-
-
-def _question(ticket: Ticket, departs: ticket_doubt.Departure | None, order: _Order, covered: Sequence[Load], crop: str) -> str:
-    """See ticket_doubt. crop: as `_departure` has it."""
-    if departs is None:
-        return ""
-    known = order.journal.actions.ledger
-    known_kg = {load.number: load.mass_kg * known.factors.get(load.number, 1.0) for load in order.journal.loads}
-    weighed = {n for t in known.tickets.values() for n in range(t.first_load, t.last_load + 1)}
-    asked = ticket_doubt.question(ticket.weighed_mass_kg, departs, covered, known_kg, weighed)
-    alone = [] if crop else _only_tickets(order, [load.number for load in covered])
-    # A scale that one ticket alone has set is no better than that ticket.
-    if not (asked and alone):
-        return asked
-    return f"{asked}; or ticket {alone[-1]}, the only one before it, is the wrong one (`yieldmon ticket undo {alone[-1]}`)"
-
-
-def _tickets(order: _Order) -> Answer:
+def _tickets(order: Order) -> Answer:
     return {"tickets": order.journal.actions.ticket_table(order.monitor.doubted_loads)}
 
 
-def _ticket_undo(order: _Order) -> Answer:
+def _ticket_undo(order: Order) -> Answer:
     number = order.request.number_of("ticket", "ticket")
     return relearning.without_ticket(number, order.monitor, order.journal, order.request.who, order.now_s, order.stored)
 
 
-def _calibrations(order: _Order) -> Answer:
+def _calibrations(order: Order) -> Answer:
     return {"calibrations": order.journal.parameters.table()}
 
 
-def _calibration_undo(order: _Order) -> Answer:
+def _calibration_undo(order: Order) -> Answer:
     version = order.request.number_of("version", "version")
     return relearning.without_version(version, order.monitor, order.journal, order.request.who, order.now_s, order.stored)
 
 
-def _covered(journal: Journal, first: int, last: int, what: str = "ticket for load") -> list[Load]:
-    loads = {load.number: load for load in journal.loads}
-    for number in (first, last):
-        if number not in loads:
-            known = f"{min(loads)} to {max(loads)}" if loads else "a load that was measured"
-            raise InputError(f"{what} {number}", "no such load", known)
-    if last < first:
-        raise InputError(f"{what}s {first} to {last}", "the last number is below the first", "the first load first")
-    return [loads[number] for number in sorted(loads) if first <= number <= last]
-
-
-def _zero(order: _Order) -> Answer:
+def _zero(order: Order) -> Answer:
     monitor = order.monitor
     signs = monitor.signs_of_grain
     force = order.request.flag("force")
@@ -324,7 +188,7 @@ def _zero(order: _Order) -> Answer:
     return {"zero": "started; keep the elevator running empty"}
 
 
-def _zero_undo(order: _Order) -> Answer:
+def _zero_undo(order: Order) -> Answer:
     monitor, journal = order.monitor, order.journal
     try:
         restored, events = monitor.undo_zero()
@@ -337,7 +201,7 @@ def _zero_undo(order: _Order) -> Answer:
     return {"zero": "undone", "restored_kg": sum(missed.kg for missed in restored.values())}
 
 
-def _sweep_start(order: _Order) -> Answer:
+def _sweep_start(order: Order) -> Answer:
     monitor = order.monitor
     if not monitor.settings.sweep.enabled:
         if monitor.estimator.parameters.curve is not None:
@@ -347,17 +211,17 @@ def _sweep_start(order: _Order) -> Answer:
     return {"sweep": "as soon as the conditions hold"}
 
 
-def _sweep_abort(order: _Order) -> Answer:
+def _sweep_abort(order: Order) -> Answer:
     return {"sweep": "ended" if order.monitor.abort_sweep() else "is not under way"}
 
 
-_COMMANDS: Mapping[str, tuple[Callable[[_Order], Answer], tuple[str, ...]]] = {
+_COMMANDS: Mapping[str, tuple[Callable[[Order], Answer], tuple[str, ...]]] = {
     "load-start": (_load_start, ("field", "crop", "thousand_kernel_weight_g")),
     "load-stop": (_load_stop, ()),
     "load-correct": (_load_correct, ("first_load", "last_load", "field", "crop")),
     "totals-reset": (_totals_reset, ("total_kg",)),
     "loads": (_loads, ()),
-    "ticket": (_ticket, ("first_load", "last_load", "mass_kg", "std_dev_kg", "note")),
+    "ticket": (enter_ticket, ("first_load", "last_load", "mass_kg", "std_dev_kg", "note")),
     "tickets": (_tickets, ()),
     "ticket-undo": (_ticket_undo, ("ticket",)),
     "calibrations": (_calibrations, ()),

@@ -1,0 +1,39 @@
+"""A request of an operator, and what it is carried out on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from yieldmon.engine.monitor import Monitor
+from yieldmon.errors import InputError
+from yieldmon.service.history.journal import Journal
+from yieldmon.service.history.reference_loads import StoredLoad
+from yieldmon.service.operator.requests import Request
+from yieldmon.service.storage.batch import Load
+
+Answer = Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """A request and what it is carried out on; stored: loads that a ticket names, as the store has them."""
+
+    request: Request
+    monitor: Monitor
+    journal: Journal
+    now_s: float
+    stored: Sequence[StoredLoad]
+
+
+def covered_loads(journal: Journal, first: int, last: int, what: str = "ticket for load") -> list[Load]:
+    """The loads from one number to another. what: names them in an error. Raises InputError."""
+    loads = {load.number: load for load in journal.loads}
+    for number in (first, last):
+        if number not in loads:
+            known = f"{min(loads)} to {max(loads)}" if loads else "a load that was measured"
+            raise InputError(f"{what} {number}", "no such load", known)
+    if last < first:
+        raise InputError(f"{what}s {first} to {last}", "the last number is below the first", "the first load first")
+    return [loads[number] for number in sorted(loads) if first <= number <= last]

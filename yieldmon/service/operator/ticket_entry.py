@@ -1,0 +1,158 @@
+"""A scale ticket as it is entered: what it corrects, whose parameters it teaches, and what is asked about it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from math import exp
+from statistics import fmean
+
+from yieldmon.engine.flow_estimator import FlowEstimator
+from yieldmon.engine.self_calibration.anchors import Weighing
+from yieldmon.errors import InputError
+from yieldmon.estimation.estimators import estimator_of
+from yieldmon.files import ticket_file
+from yieldmon.files.crops import shipped_name
+from yieldmon.service.history.relearning import weighings, why_no_reference
+from yieldmon.service.operator.control_protocol import TICKET_KG
+from yieldmon.service.operator.order import Answer, Order, covered_loads
+from yieldmon.service.storage.batch import Load, Ticket
+from yieldmon.service.tickets import ticket_doubt
+
+_WEIGHED_SD = 0.03
+"""Of ln of a load, by parameters that have learnt from a ticket or two."""
+
+
+def enter_ticket(order: Order) -> Answer:
+    """Correct loads, and let them teach where they can. Raises InputError."""
+    request, monitor, journal = order.request, order.monitor, order.journal
+    first = request.number_of("first_load", "load")
+    last = request.number_of("last_load", "load") if request.given("last_load") else first
+    weighed_kg = request.mass("mass_kg", *TICKET_KG, "kg")
+    std_dev_kg = request.mass_or_none("std_dev_kg", *TICKET_KG, "kg")
+    if std_dev_kg is None:
+        std_dev_kg = ticket_file.RELATIVE_STD_DEV * weighed_kg
+    if monitor.totals.load_open and first <= monitor.totals.load_number <= last:
+        number = monitor.totals.load_number
+        raise InputError(
+            f"ticket for load {number}", "it is still open, so more grain may come", "`yieldmon load stop` first, or another load"
+        )
+    covered = covered_loads(journal, first, last)
+    measured_kg = sum(load.mass_kg for load in covered)
+    if not measured_kg > 0.0:
+        raise InputError(f"ticket for load {first}", "nothing was measured for it", "a load with a measured mass")
+    again = journal.actions.ledger.factors
+    known_kg = sum(load.mass_kg * again.get(load.number, 1.0) for load in covered)
+    ticket = Ticket(order.now_s, first, last, weighed_kg, measured_kg, request.name("note") or "")
+    crop = _other_crop(order, covered)
+    why_not = ticket_file.unit_slip(weighed_kg, measured_kg) or why_no_reference(monitor, journal, covered, order.stored, crop)
+    shares = weighings(covered, ticket, std_dev_kg)
+    departs = None if why_not else _departure(shares, order, crop)
+    question = _question(ticket, departs, order, covered, crop)
+    waits = journal.actions.unfinished_of_crop.get(crop) if crop else journal.actions.to_teach
+    first_moves = exp(departs.ln) - 1.0 if departs is not None and departs.first and not waits else None
+    if not why_not:
+        for load_number, mass_kg, share_std_dev_kg in shares:
+            monitor.ticket(load_number, mass_kg, share_std_dev_kg, crop)
+    replaces = [n for n, t in journal.actions.ledger.tickets.items() if t.first_load <= last and t.last_load >= first]
+    number = journal.actions.ticket(ticket, request.who, std_dev_kg, is_reference=not why_not, crop=crop)
+    return {
+        "crop": covered[-1].crop,
+        "ticket": number,
+        "first_load": first,
+        "last_load": last,
+        "weighed_mass_kg": weighed_kg,
+        "measured_mass_kg": measured_kg,
+        "known_mass_kg": known_kg,
+        "factor": ticket.factor,
+        "anchor": not why_not,
+        "why_no_anchor": why_not,
+        "waits_for_crop": "" if why_not else crop,
+        "question": question,
+        "replaces": replaces,
+        "sets_scale_pct": None if first_moves is None else 100.0 * first_moves,
+    }
+
+
+def _other_crop(order: Order, covered: Sequence[Load]) -> str:
+    """The crop of loads that are all of one, where its parameters are others than those in use; else ""."""
+    monitor, journal = order.monitor, order.journal
+    in_use, crops_of = journal.crop_in_use(monitor.estimator.parameters), {load.crop for load in covered}
+    crop = crops_of.pop() if len(crops_of) == 1 else ""
+    # A curve is one grain's: another crop does not change it.
+    one_curve = monitor.estimator.parameters.curve is not None
+    return "" if one_curve or not in_use or crop.lower() == in_use.lower() else shipped_name(crop) or crop
+
+
+def _departure(shares: Sequence[Weighing], order: Order, crop: str) -> ticket_doubt.Departure | None:
+    """Of a ticket with these shares of loads; None where there is no number. crop: of the loads, where another one is harvested
+    now."""
+    monitor, journal = order.monitor, order.journal
+    known = journal.parameters.of(crop, monitor.estimator.parameters, journal.crop) if crop else None
+    if crop and known is None:
+        return None
+    of_crop = None if known is None else estimator_of(monitor.machine, known)
+    found = [(mass_kg, monitor.ticket_departure(number, mass_kg, sd_kg, of_crop)) for number, mass_kg, sd_kg in shares]
+    parts = [(mass_kg, part) for mass_kg, part in found if part is not None]
+    if not parts or len(parts) != len(shares):
+        return None
+    if known is not None:
+        waiting = _waiting_tickets(order, crop, [number for number, _, _ in shares])
+        scale = _ln_of_waiting(waiting, order, of_crop)
+        if known.is_weighed or scale is None:
+            return ticket_doubt.combined(parts, weighed_before=known.is_weighed)
+        apart = [(mass_kg, (ln - scale, min(sd, _WEIGHED_SD))) for mass_kg, (ln, sd) in parts]
+        return ticket_doubt.combined(apart, weighed_before=True, only_one=len(waiting) == 1)
+    return ticket_doubt.combined(
+        parts,
+        weighed_before=bool(order.monitor.counted_loads) or order.monitor.scale_counted,
+        only_one=bool(_only_tickets(order, [number for number, _, _ in shares])),
+    )
+
+
+def _waiting_tickets(order: Order, crop: str, covered: Sequence[int]) -> list[int]:
+    """Standing tickets that wait for another crop, for other loads than these."""
+    standing = order.journal.actions.ledger.tickets
+    waiting = [n for n in order.journal.actions.unfinished_of_crop.get(crop, ()) if n in standing]
+    return [n for n in waiting if not set(range(standing[n].first_load, standing[n].last_load + 1)) & set(covered)]
+
+
+def _ln_of_waiting(numbers: Sequence[int], order: Order, of_crop: FlowEstimator | None) -> float | None:
+    """Mean of ln by which the loads of tickets that wait are off by their crop's parameters; None where there is none."""
+    tickets, found = order.journal.actions.ledger.tickets, list[float]()
+    for number in numbers:
+        ticket = tickets[number]
+        loads = [load for load in order.journal.loads if ticket.first_load <= load.number <= ticket.last_load]
+        for load, mass_kg, sd_kg in weighings(loads, ticket, order.journal.actions.std_dev_kg(number)):
+            # Of a load that an earlier run measured nothing may be known now.
+            with suppress(ValueError):
+                part = order.monitor.ticket_departure(load, mass_kg, sd_kg, of_crop)
+                found += [] if part is None else [part[0]]
+    return fmean(found) if found else None
+
+
+def _only_tickets(order: Order, covered: Sequence[int]) -> list[int]:
+    """Standing tickets for all the loads whose tickets have counted, where these loads are others: a single weighing has set the
+    scale."""
+    counted = order.monitor.counted_loads
+    if counted & set(covered) or order.monitor.scale_counted:
+        return []
+    standing = order.journal.actions.ledger.tickets.items()
+    return [n for n, t in standing if counted and counted <= set(range(t.first_load, t.last_load + 1))]
+
+
+def _question(ticket: Ticket, departs: ticket_doubt.Departure | None, order: Order, covered: Sequence[Load], crop: str) -> str:
+    """See ticket_doubt. crop: as `_departure` has it."""
+    if departs is None:
+        return ""
+    known = order.journal.actions.ledger
+    known_kg = {load.number: load.mass_kg * known.factors.get(load.number, 1.0) for load in order.journal.loads}
+    weighed = {n for t in known.tickets.values() for n in range(t.first_load, t.last_load + 1)}
+    asked = ticket_doubt.question(ticket.weighed_mass_kg, departs, covered, known_kg, weighed)
+    numbers = [load.number for load in covered]
+    waiting = _waiting_tickets(order, crop, numbers) if crop and departs.second else []
+    alone = waiting if crop else _only_tickets(order, numbers)
+    # A scale that one ticket alone has set is no better than that ticket.
+    if not (asked and alone):
+        return asked
+    return f"{asked}; or ticket {alone[-1]}, the only one before it, is the wrong one (`yieldmon ticket undo {alone[-1]}`)"
