@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -247,6 +248,15 @@ def test_areas_across_the_date_line_are_parts_on_either_side(capsys: pytest.Capt
         assert len(parts) > len(areas)
         ground_m2 = areas.to_crs("+proj=laea +lat_0=-17 +lon_0=180").area.sum()
         assert ground_m2 == pytest.approx(AREA_M2, rel=0.01 if layer == "swaths" else 0.2)
+
+
+def test_worst_areas_across_the_date_line_have_longitudes(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("h.csv").write_text(text(rows(longitude=179.9997, latitude=-17.0)))
+    assert cli.main(["map", "h.csv", "--out", "made", "--products", "report"]) == 0, capsys.readouterr().err
+    found = re.findall(r'"name": ?"-1[67]\.\d+, (-?\d+\.\d+)"', Path("made/report.html").read_text())
+    longitudes = [float(one) for one in found]
+    assert min(longitudes) < 0 < max(longitudes)
+    assert max(longitudes) < 180.0
 
 
 def test_ground_is_where_grain_was_cut_also_without_a_header(capsys: pytest.CaptureFixture[str]) -> None:

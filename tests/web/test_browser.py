@@ -361,10 +361,11 @@ def test_axe_finds_no_serious_fault(browser: Browser, daemon: StandIn, site: str
         daemon.faults = []
 
 
-def many_points(count: int) -> bytes:
+def many_points(count: int, west_deg: float = 12.15) -> bytes:
     """An answer of /api/points: passes of 500 points."""
     number = np.arange(count)
-    longitude, latitude = 12.15 + 1e-4 * (number // 500), 51.05 + 1.6e-5 * (number % 500)
+    longitude, latitude = west_deg + 1e-4 * (number // 500), 51.05 + 1.6e-5 * (number % 500)
+    longitude = (longitude + 180.0) % 360.0 - 180.0
     places = [np.round(column * 1e7).astype("<i4").tobytes() for column in (longitude, latitude)]
     return b"".join((struct.pack("<II", count, count), *places, np.sin(number / 50.0).astype("<f4").tobytes()))
 
@@ -410,6 +411,22 @@ def test_110_000_points_are_drawn_and_moved(browser: Browser, tmp_path: Path) ->
                 _, moved = watched.page.evaluate(picture)
                 assert moved - middle == pytest.approx(shift, abs=2.0)
                 middle = moved
+            same_site(watched, site)
+
+
+def test_a_field_across_the_180th_meridian_fills_the_map(browser: Browser, tmp_path: Path) -> None:
+    with standing_in(tmp_path) as daemon:
+        daemon.seconds(60)
+        with page(daemon.socket) as site, Watched(browser) as watched:
+            watched.page.route("**/api/points*", lambda route: route.fulfill(body=many_points(20_000, 179.998)))
+            watched.page.goto(site + "/history?map=all")
+            watched.wait("document.querySelector('#map canvas')?.dataset.points === '20000'")
+            painted = watched.page.evaluate(
+                "(() => { const c = document.querySelector('#map canvas'); const d = c.getContext('2d')"
+                ".getImageData(0, 0, c.width, c.height).data; let n = 0; for (let i = 3; i < d.length; i += 4)"
+                " if (d[i]) n++; return n / (c.width * c.height); })()"
+            )
+            assert painted > 0.1
             same_site(watched, site)
 
 

@@ -13,7 +13,7 @@ from yieldmon.field.cleaning import KEPT, LOCAL, NO_PLACE, RULES
 from yieldmon.field.delay import Decision
 from yieldmon.field.grid import Grid, block_means
 from yieldmon.field.harvest import KG_M2_TO_T_HA, HarvestMap
-from yieldmon.field.plane import astray
+from yieldmon.field.plane import astray, wrapped_deg
 from yieldmon.field.summary import delay_lines, transport_line
 from yieldmon.field.table import Array
 from yieldmon.files import whole_file
@@ -207,6 +207,7 @@ def _worst(result: HarvestMap) -> list[dict[str, Any]]:
     rows = np.flatnonzero(grid.points >= MIN_AREA_POINTS)
     rows = rows[np.argsort(grid.yield_kg_m2[rows])][:WORST]
     longitude, latitude = grid.middle_deg()
+    longitude = wrapped_deg(longitude)
     x, y = result.steps.plane.to_m(longitude, latitude)
     return [
         {

@@ -73,7 +73,9 @@ export class FieldMap {
   // Degrees and kg/s.
   add(longitude, latitude, value) {
     if (this.#count === this.#x.length) this.#grow(2 * this.#count);
-    this.#x[this.#count] = mercatorX(longitude);
+    const x = mercatorX(longitude);
+    // Beside the first point, also across the 180th meridian.
+    this.#x[this.#count] = this.#count ? x - Math.round(x - this.#x[0]) : x;
     this.#y[this.#count] = mercatorY(latitude);
     this.#value[this.#count++] = value;
   }
@@ -239,13 +241,14 @@ export class FieldMap {
     const [low, high] = this.#tiles.zooms;
     const zoom = Math.max(low, Math.min(high, Math.round(Math.log2(scale / 256))));
     const size = scale / 2 ** zoom;
-    const last = 2 ** zoom - 1;
-    const range = (from, length) => [Math.max(0, Math.floor(from / size)), Math.min(last, Math.floor((from + length) / size))];
-    const [[west, east], [north, south]] = [range(left, width), range(top, height)];
+    const tiles = 2 ** zoom;
+    const range = (from, length) => [Math.floor(from / size), Math.floor((from + length) / size)];
+    const [west, east] = range(left, width);
+    const [north, south] = range(top, height).map((row) => Math.max(0, Math.min(tiles - 1, row)));
     if ((east - west + 1) * (south - north + 1) > MOST_TILES) return;
     for (let column = west; column <= east; column++) {
       for (let row = north; row <= south; row++) {
-        const picture = this.#picture(`/tiles/${zoom}/${column}/${row}`);
+        const picture = this.#picture(`/tiles/${zoom}/${((column % tiles) + tiles) % tiles}/${row}`);
         if (picture.complete && picture.naturalWidth) {
           this.#context.drawImage(picture, column * size - left, row * size - top, size + 0.5, size + 0.5);
         }
