@@ -56,9 +56,7 @@ def test_a_law_that_a_few_steps_leave_behind_another_may_be_the_better_one(monke
 
     Of the laws of one size alone: the one of free shape is better than either.
     """
-    monkeypatch.setattr(
-        candidates, "laws", lambda effect, pooled: [law for law in laws(effect, pooled=pooled) if not law.endswith("-gradual")]
-    )
+    monkeypatch.setattr(candidates, "laws", lambda effect: [law for law in laws(effect) if not law.endswith("-gradual")])
     case = np.random.default_rng([zlib.crc32(b"third/unpushed_layers/0"), 940117])
     rows, _, _ = law_cases.rows_of("third", "unpushed_layers", case)
     seen = diagnosis.examine(rows, ParameterSet(values=law_cases.START), replace(NAMED_NOTHING, hold_out="cells"))
@@ -69,6 +67,18 @@ def test_a_law_that_a_few_steps_leave_behind_another_may_be_the_better_one(monke
     rough, ahead = (candidates.refit(base, s, iterations=USUAL.short_search) for s in (ours, other))
     assert ahead.chi2 < rough.chi2
     assert found[0].fit.chi2 < 0.8 * candidates.polished(ahead).chi2
+
+
+def test_an_effect_that_leaves_a_gap_gives_way_to_no_pair_that_leaves_more(monkeypatch) -> None:
+    """An even fan by the normal law leaves a gap beside which nothing is found; the best pair without it explains far less."""
+    monkeypatch.setattr(candidates, "laws", lambda effect: [law for law in laws(effect) if not law.endswith("-even")])
+    case = np.random.default_rng([zlib.crc32(b"combine/stream_spread/0"), 377051])
+    rows, known, _ = law_cases.rows_of("combine", "stream_spread", case)
+    start = ParameterSet(values=law_cases.START | known)
+    found = diagnosis.examine(rows, start, diagnosis.Options(keep_effects=True)).choice
+    alone = fit(found.base.frame, ("stream_spread",), found.base.values | {"stream_spread.spread_rad": 0.15})
+    assert found.steps[0].added == "stream_spread"
+    assert found.best.integrated[0] <= alone.integrated[0] * 1.001
 
 
 def test_another_form_of_the_same_cause_needs_no_second_effect() -> None:

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from yieldmon.physics.effects import family_of, get_effect, laws, registry
+from yieldmon.physics.effects import effect_parameter, family_of, get_effect, laws, registry
 from yieldmon.physics.effects.stream_spread import even_and_normal
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.numerics import COMPLEX_STEP
 
-FURTHER = tuple(law for name in registry() for law in laws(name, pooled=True)[1:])
+FURTHER = tuple(law for name in registry() for law in laws(name, unsearched=True)[1:])
 GRAIN = {"friction": 0.3, "density": 1150.0, "shape_ratio": 2.0, "restitution": 0.5, "gravity.acceleration_m_s2": 9.81}
 ANGLE, SPEED, FLOW = np.meshgrid(
     np.radians([40.0, 55.0, 70.0, 90.0]), np.array([340.0, 460.0]) * RPM, [2.0, 8.0, 16.0], indexing="ij"
@@ -123,9 +123,11 @@ def test_a_fan_between_even_and_normal_has_the_moments_of_their_sum(evenness: fl
     np.testing.assert_allclose([part[0] for part in found], expected, rtol=1e-4, atol=1e-8)
 
 
-def test_a_law_for_many_machines_is_no_law_of_single_tables() -> None:
-    assert "stream_spread-even" not in laws("stream_spread")
-    assert "stream_spread-even" in laws("stream_spread", pooled=True)
+def test_a_law_that_is_searched_no_more_is_still_understood() -> None:
+    name = "stream_spread-both_edges"
+    assert name not in laws("stream_spread")
+    assert name in laws("stream_spread", unsearched=True)
+    assert effect_parameter(f"{name}.spread_rad").unit == "rad"
 
 
 def test_an_orifice_and_a_weir_lose_by_their_powers_of_fill() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import special, stats
 
-from yieldmon.physics.effects import registry
+from yieldmon.physics.effects import get_effect, registry
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.stages import Arrival
@@ -245,19 +245,35 @@ def test_spread_moves_grain_across_the_edge_both_ways() -> None:
     assert error[2] < 1e-3
 
 
+def _even_quantile(share: np.ndarray) -> np.ndarray:
+    """Of a uniform distribution with a variance of 1."""
+    return np.sqrt(3.0) * (2.0 * share - 1.0)
+
+
+FANS = {
+    "normal": ("stream_spread", {}, stats.norm.ppf),
+    "nearly even": ("stream_spread-even", {"evenness": 0.98}, _even_quantile),
+}
+
+
+@pytest.mark.parametrize("fan_of", FANS)
 @pytest.mark.parametrize("gravity", [None, 9.81])
 @pytest.mark.parametrize("incidence", [-0.4, 0.3, 0.9])
 @pytest.mark.parametrize("kappa_m", [-0.15, -0.02, 0.02, 0.1])
-def test_a_fan_is_many_paths_of_which_the_edge_lets_some_pass(kappa_m: float, incidence: float, gravity: float | None) -> None:
+def test_a_fan_is_many_paths_of_which_the_edge_lets_some_pass(
+    kappa_m: float, incidence: float, gravity: float | None, fan_of: str
+) -> None:
     """Against ten thousand paths turned one by one at the point that they leave from; kappa and incidence without gravity."""
+    name, shape, quantile = FANS[fan_of]
     spread, speed, length, plate = 0.12, 6.0, 0.4, np.radians(60.0)
     down, into = np.array([np.cos(plate), np.sin(plate)]), np.array([np.sin(plate), -np.cos(plate)])
     launch = np.cos(incidence) * into + np.sin(incidence) * down
     machine = SimpleNamespace(plate_length_m=0.2)
     tip = np.array([0.4, -0.2]) + (machine.plate_length_m + kappa_m) * down - length * launch
     setting = SimpleNamespace(
-        machine=machine, plate_angle_rad=np.asarray(plate), plate_pivot_x_m=0.4, plate_pivot_y_m=-0.2, gravity_m_s2=gravity
-    )
+        machine=machine, plate_angle_rad=np.asarray(plate), plate_pivot_x_m=0.4, plate_pivot_y_m=-0.2, gravity_m_s2=gravity,
+        restitution=np.asarray(0.5),
+    )  # fmt: skip
 
     def thrown(turn_rad: np.ndarray) -> tuple[np.ndarray, ...]:
         """Place from the low edge, time, speed into the plate and down it, of paths turned towards the low edge."""
@@ -277,8 +293,9 @@ def test_a_fan_is_many_paths_of_which_the_edge_lets_some_pass(kappa_m: float, in
     place, time, normal, tangential = thrown(np.zeros(1))
     jet = SimpleNamespace(x_m=tip[0], y_m=tip[1], vx_m_s=speed * launch[0], vy_m_s=speed * launch[1])
     path = Arrival(jet, place, time, normal, tangential, (place < 0.0).astype(float))
-    fan = registry()["stream_spread"].arrival(path, {"spread_rad": np.asarray(spread)}, setting)
-    place, _, normal, tangential = thrown(spread * stats.norm.ppf((np.arange(10_000) + 0.5) / 10_000))
+    values = {key: np.asarray(value) for key, value in ({"spread_rad": spread} | shape).items()}
+    fan = get_effect(name).arrival(path, values, setting)
+    place, _, normal, tangential = thrown(spread * quantile((np.arange(10_000) + 0.5) / 10_000))
     strikes = np.isfinite(place) & (place < 0.0)
     assert float(fan.landing_share[0]) == pytest.approx(np.mean(strikes), abs=2e-4)
     within = 5e-4 if gravity is None else 1e-2

@@ -60,9 +60,9 @@ def library(frame: Frame, without: Iterable[str] = ()) -> tuple[str, ...]:
     return tuple(out)
 
 
-def lawful(effects: Iterable[str], *, pooled: bool = False) -> tuple[str, ...]:
+def lawful(effects: Iterable[str]) -> tuple[str, ...]:
     """Every law of the effects (`physics.effects.laws`); an effect given by one of its laws stands for itself alone."""
-    return tuple(law for e in effects for law in (laws(e, pooled=pooled) if e in registry() else (e,)))
+    return tuple(law for e in effects for law in (laws(e) if e in registry() else (e,)))
 
 
 def signature(current: Fit, effect: str) -> Signature:

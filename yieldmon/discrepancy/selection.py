@@ -106,7 +106,7 @@ class Search:
             leader = order
             if number == 1 and lack_of_fit(current, self.noise).p_value < self.policy.gap_p:
                 report("step 2: all pairs", 0.45)
-                better = self._better_pair(looked_at, order[0], good)
+                better = self._better_pair(looked_at, order[0], good[0].fit if good else current)
                 if better is not None:
                     leader, good, found = better
             if not good:
@@ -204,12 +204,13 @@ class Search:
         return tuple(e for e in self.effects if e not in present)
 
     def _better_pair(
-        self, looked_at: Sequence[Candidate], leader: str, good: Sequence[Candidate]
+        self, looked_at: Sequence[Candidate], leader: str, forward: Fit
     ) -> tuple[list[str], list[Candidate], tuple[Candidate, ...]] | None:
-        """A pair better than the forward step's `good[0]`: its first effect, its second, and all candidates beside the first."""
+        """A pair better than `forward`, what the forward steps lead to: its first effect, its second, and all candidates beside
+        the first."""
         for alone, pair in self._pairs(looked_at, leader)[: self.policy.beam]:
-            scale = misfit([pair, *(c.fit for c in good[:1])])
-            if good and merit(pair, scale, self.policy) >= merit(good[0].fit, scale, self.policy) - 1.0:
+            scale = misfit([pair, forward])
+            if merit(pair, scale, self.policy) >= merit(forward, scale, self.policy) - 1.0:
                 return None
             others = tuple(e for e in self.effects if e != family_of(alone.effect))
             second = tuple(e for e in pair.effects if e != alone.effect)

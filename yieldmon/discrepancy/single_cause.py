@@ -76,7 +76,7 @@ def of_one_cause(
         return found
     best, *others = ranked
     tied = tuple(one.effect for one in others if one.merit <= best.merit + policy.tie)
-    signatures = [signature(base, law) for law in lawful(effects, pooled=True)]
+    signatures = [signature(base, law) for law in lawful(effects)]
     p_any = false_alarm(signatures, base, noise, rng)(base.chi2 - best.fit.chi2)
     gap = _beyond_errors(best.fit, noise)
     beyond = min((one.merit - best.merit for one in others if one.effect not in tied), default=float("inf"))
@@ -97,7 +97,7 @@ def _alone(base: Fit, effects: tuple[str, ...], policy: Policy) -> Iterator[_Alo
     """Each effect that can be fitted, in the law that has most evidence."""
     for effect in effects:
         laws = []
-        for law in lawful((effect,), pooled=True):
+        for law in lawful((effect,)):
             begun = refit(base, score(base, signature(base, law)), starts=policy.starts)
             if begun is not None:
                 ended = polished(begun)

@@ -87,11 +87,13 @@ def registry() -> MappingProxyType[str, Effect]:
     return MappingProxyType(dict(sorted((_own() | _of_others()).items())))
 
 
-def laws(family: str, *, pooled: bool = False) -> tuple[str, ...]:
-    """Names of the laws by which an effect may act: its own, then the others, such as `jet_shielding-by_fill`; with `pooled`
-    also those that are asked about only where the mean of many machines is known."""
-    others = (effect for effect in _other_laws().values() if effect.family == family and (pooled or not effect.pooled))
-    return (family, *sorted(effect.name for effect in others))
+def laws(family: str, *, unsearched: bool = False) -> tuple[str, ...]:
+    """Names of the laws by which an effect may act: its own, then the others, such as `jet_shielding-by_fill`.
+
+    unsearched: those that no diagnosis tries (`Effect.searched`) as well.
+    """
+    others = (law for law in _other_laws().values() if law.family == family and (unsearched or law.searched))
+    return (family, *sorted(law.name for law in others))
 
 
 def family_of(name: str) -> str:

@@ -102,8 +102,8 @@ class Effect:
         Name of an alternative law of the effect; "" for the first.
     of_grain : bool
         True for how the grain itself moves, which machines of one geometry share when they cut one crop.
-    pooled : bool
-        True for a law that is asked about only where the mean of many machines is known: single tables do not show it.
+    searched : bool
+        False for a law that no diagnosis tries, since another effect describes what it adds; files that name it stay readable.
     unit_follows_response : bool
         True where a parameter is in the reading's own unit, so that it scales with the table's response unit.
 
@@ -131,7 +131,7 @@ class Effect:
     measured: bool = False
     law: str = ""
     of_grain: bool = False
-    pooled: bool = False
+    searched: bool = True
     unit_follows_response: bool = False
 
     @property
