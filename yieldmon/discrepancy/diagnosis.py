@@ -185,7 +185,8 @@ def _in_the_better_form(
     name: str,
 ) -> tuple[published.Published, Choice]:
     """The published model and what was chosen beside it: those with k1 and k2 where 1 + restitution is hardly more than 1, unless
-    what was chosen beside that explains the rows better by more than a tie."""
+    what was chosen beside that explains the rows better by more than a tie; by anything at all where the restitution is grain's
+    again with the effects, so that nothing but evidence speaks for k1 and k2."""
     if options.form != "auto":
         return model, chosen
     other = published.exchange_instead(model, rows, noise, parameters, keep_effects=options.keep_effects, name=name)
@@ -194,7 +195,9 @@ def _in_the_better_form(
     rng, policy = np.random.default_rng([options.seed, 4]), options.policy
     beside = choose(other.base, noise, library(other.frame, options.without), rng, policy)
     scale = misfit([chosen.best, beside.best])
-    better = merit(chosen.best, scale, policy) + policy.tie < merit(beside.best, scale, policy)
+    restored = chosen.best.values["restitution"] >= published.LEAST_RESTITUTION
+    ahead = 0.0 if restored else policy.tie
+    better = merit(chosen.best, scale, policy) + ahead < merit(beside.best, scale, policy)
     return (model, chosen) if better else (other, beside)
 
 
