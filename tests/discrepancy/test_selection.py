@@ -81,6 +81,14 @@ def test_an_effect_that_leaves_a_gap_gives_way_to_no_pair_that_leaves_more(monke
     assert found.best.integrated[0] <= alone.integrated[0] * 1.001
 
 
+def test_what_the_top_edge_cuts_is_stream_rise_and_no_narrow_fan() -> None:
+    """With a fan that the top edge cuts as well among the laws of stream_spread this was that, with a spread of 0.02 rad."""
+    case = np.random.default_rng([zlib.crc32(b"third/stream_rise/1"), 862041])
+    rows, _, _ = law_cases.rows_of("third", "stream_rise", case)
+    seen = diagnosis.examine(rows, ParameterSet(values=law_cases.START), diagnosis.Options())
+    assert seen.choice.named == ("stream_rise",)
+
+
 def test_another_form_of_the_same_cause_needs_no_second_effect() -> None:
     """Leakage by the fill to 1.5 over the speed squared was paddle_leakage with a wrong second effect that mends its law."""
     case = np.random.default_rng([zlib.crc32(b"third/paddle_leakage/1"), 480317])

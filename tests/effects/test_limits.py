@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import special, stats
 
-from yieldmon.physics.effects import get_effect, registry
+from yieldmon.physics.effects import get_effect
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.stages import Arrival
