@@ -89,6 +89,15 @@ def test_what_the_top_edge_cuts_is_stream_rise_and_no_narrow_fan() -> None:
     assert seen.choice.named == ("stream_rise",)
 
 
+def test_one_effect_beside_grains_restitution_goes_before_two_beside_exchange_coefficients() -> None:
+    """A cell that softens brings the published restitution to 0.2, so that k1 and k2 are searched too; with it it is 0.52."""
+    case = np.random.default_rng([zlib.crc32(b"third/cell_nonlinearity/0"), 508117])
+    rows, _, _ = law_cases.rows_of("third", "cell_nonlinearity", case)
+    seen = diagnosis.examine(rows, ParameterSet(values=law_cases.START), diagnosis.Options())
+    assert seen.choice.named == ("cell_nonlinearity",)
+    assert seen.form == "restitution"
+
+
 def test_another_form_of_the_same_cause_needs_no_second_effect() -> None:
     """Leakage by the fill to 1.5 over the speed squared was paddle_leakage with a wrong second effect that mends its law."""
     case = np.random.default_rng([zlib.crc32(b"third/paddle_leakage/1"), 480317])
