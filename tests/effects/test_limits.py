@@ -268,7 +268,7 @@ FANS = {
 def test_a_fan_is_many_paths_of_which_the_edge_lets_some_pass(
     kappa_m: float, incidence: float, gravity: float | None, fan_of: str
 ) -> None:
-    """Against ten thousand paths and more turned one by one at the point that they leave from; kappa and incidence without gravity."""
+    """Against many paths turned one by one at the point that they leave from; kappa and incidence without gravity."""
     name, shape, directions = FANS[fan_of]
     spread, speed, length, plate = 0.12, 6.0, 0.4, np.radians(60.0)
     down, into = np.array([np.cos(plate), np.sin(plate)]), np.array([np.sin(plate), -np.cos(plate)])
