@@ -489,3 +489,10 @@ def test_too_few_loads_to_compare() -> None:
     conditions = Conditions(np.radians(70.0), 42.0, paddle_mass_kg=np.array([0.1, 0.2]))
     with pytest.raises(ValueError, match="2 loads"):
         empirical.compare(Measurements(conditions, np.ones(2)), MACHINE)
+
+
+def test_lists_of_numbers_are_taken_as_arrays() -> None:
+    rows = Measurements(Conditions([0.9, 1.2], 42.0, mass_flow_kg_s=[5.0, 10.0]), [3.0, 7.0], sigma=[0.1, 0.1])
+    assert rows.momentum.tolist() == [3.0, 7.0]
+    with pytest.raises(ValueError, match="sigma must hold a number above 0 for each row"):
+        Measurements(Conditions([0.9, 1.2], 42.0, mass_flow_kg_s=[5.0, 10.0]), [3.0, 7.0], sigma=[0.1])

@@ -459,3 +459,14 @@ def test_exchange_coefficients_and_a_responses_own_unit() -> None:
     assert outcome.parameter_set.response_unit == "response"
     assert outcome.flows[0].mass_flow_kg_s == pytest.approx(12.0, rel=0.1)
     assert not outcome.scale.observable
+
+
+def test_lists_of_numbers_are_taken_as_arrays() -> None:
+    arrays = sweep(12.0)
+    columns = ("time_s", "plate_angle_rad", "elevator_speed_rad_s", "force_n", "force_std_dev_n")
+    lists = Sweep(*(list(getattr(arrays, name)) for name in columns))
+    assert all(np.array_equal(getattr(lists, name), getattr(arrays, name)) for name in columns)
+    anchor = MassAnchor(100.0, 1.0, [1.0, 1.0], [20.0, 30.0], [1.2, 1.2], [42.0, 42.0])
+    anchor.require_usable()
+    with pytest.raises(ValueError, match="one finite number for each window"):
+        Sweep([0.0, 1.0], [1.0], [42.0], [20.0], [1.0])

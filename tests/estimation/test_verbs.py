@@ -434,3 +434,30 @@ def test_calibrate_names_rows_that_are_copies(
     path.write_text("\n".join([header, *rows * times]) + "\n")
     notes = document(capsys, "calibrate", path, "--starts", "1")["notes"]
     assert any(f"{2 * len(rows)} of {2 * len(rows)} rows repeat another reading" in note for note in notes) == named
+
+
+# the unit of a reading
+
+
+def test_exchange_coefficients_of_a_file_that_names_no_unit_hold_that_of_the_response(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    grain = "friction: 0.3\ndensity: 1100\nshape_ratio: 2\nk1: 3\nk2: 50\n"
+    path, table = tmp_path / "p.yaml", tmp_path / "t.csv"
+    path.write_text(grain + "response_unit: mV\n")
+    assert main(["predict", "--mass-flow", "7", "--params", str(path), "--json"]) == 0
+    out, err = capsys.readouterr()
+    assert "in the unit 'mV' of the parameters, not in kg m/s and N" in err
+    reading = json.loads(out)["rows"][0]["paddle_momentum_kg_m_s"]
+    table.write_text(f"plate_angle_deg,response\n70,{reading!r}\n")
+    for unit in ("", "response_unit: mV\n", "response_unit: response\n"):
+        path.write_text(grain + unit)
+        rows = document(capsys, "estimate", table, "--params", path)["rows"]
+        assert rows[0]["mass_flow_kg_s"] == pytest.approx(7.0, rel=1e-9)
+    path.write_text(grain + "response_unit: N\n")
+    assert "parameters in 'response'" in run(capsys, "estimate", table, "--params", path, code=2)
+    path.write_text("friction: 0.3\ndensity: 1100\nshape_ratio: 2\nrestitution: 0.5\n")
+    assert "parameters in 'response'" in run(capsys, "estimate", table, "--params", path, code=2)
+    path.write_text(grain + "response_unit: mV\n")
+    table.write_text("plate_angle_deg,force_n\n70,50\n")
+    assert "parameters in 'N'" in run(capsys, "estimate", table, "--params", path, code=2)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 import yaml
@@ -129,3 +132,32 @@ def test_a_number_that_is_cut_off_is_refused_or_reported(tmp_path, caplog):
         except InputError:
             continue
         assert content[size - 1 : size] == b"\n" or "its last line has no end" in caplog.text, size
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("restitution: 0.4\neffects: {gravity: {}}\n", "effects.gravity: has no parameter; expected acceleration_m_s2"),
+        ("restitution: 0.4\neffects: {magic: {}}\n", "effects.magic: effect 'magic': unknown"),
+        ("k1: 1\n", "need either restitution, or k1 and k2"),
+        ("k2: 1\n", "need either restitution, or k1 and k2"),
+    ],
+)
+def test_what_would_be_dropped_or_lacks_its_other_half_is_refused(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "p.yaml"
+    path.write_text("friction: 0.3\ndensity: 1100\nshape_ratio: 2\n" + text)
+    with pytest.raises(InputError) as refused:
+        parameter_file.load(path)
+    assert message in str(refused.value)
+    assert str(refused.value).startswith(f"{path}: ")
+
+
+def test_sets_are_equal_by_what_they_hold(tmp_path: Path) -> None:
+    known = parameter_file.load()
+    parameter_file.save(known, tmp_path / "p.yaml")
+    again = parameter_file.load(tmp_path / "p.yaml")
+    assert again == known
+    assert hash(again) == hash(known)
+    assert replace(known, covariance=2.0 * known.covariance) != known
+    assert replace(known, version=known.version + 1) != known
+    assert known != dict(known.values)

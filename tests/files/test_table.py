@@ -175,3 +175,13 @@ def test_a_workbook_of_charts_alone_is_refused(tmp_path):
     book.save(tmp_path / "t.xlsx")
     with pytest.raises(InputError, match=r"t\.xlsx"):
         table.load(tmp_path / "t.xlsx")
+
+
+def test_of_two_loads_and_readings_the_ones_that_hold_something_count(tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text("plate_angle_deg,mass_flow_kg_s,paddle_mass_kg,force_n,momentum_kg_m_s\n70,-,0.5,nan,3\n80,,0.6,,4\n")
+    found = table.load(path)
+    assert (found.load, found.reading) == ("paddle_mass_kg", "momentum_kg_m_s")
+    path.write_text("plate_angle_deg,mass_flow_kg_s,paddle_mass_kg,force_n,momentum_kg_m_s\n70,-,-,-,-\n")
+    found = table.load(path)
+    assert (found.load, found.reading) == ("mass_flow_kg_s", "force_n")

@@ -11,6 +11,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from yieldmon.physics.effects import get_effect
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 
@@ -264,3 +265,9 @@ def test_the_default_order_of_the_quadrature_is_as_right_as_stated(lowest: float
     )
     here, fine = (ForwardModel(MACHINE, **order).paddle_momentum(at, parameters) for order in ({}, {"nodes": 200}))
     assert np.max(np.abs(here / fine - 1.0)) < limit
+
+
+def test_effects_are_given_by_name() -> None:
+    with pytest.raises(ValueError, match="effects: Effect instead of a name"):
+        ForwardModel(MACHINE, (get_effect("gravity"),))  # type: ignore[arg-type]
+    assert ForwardModel(MACHINE, "gravity").effects == ("gravity",)

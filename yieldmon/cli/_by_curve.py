@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import sys
 
 import numpy as np
 
-from yieldmon.cli import _by_loads, _provenance, model_options
+from yieldmon.cli import _by_loads, _notes, _provenance, model_options
 from yieldmon.documents.calibrate import CurveCalibrationDocument
 from yieldmon.errors import InputError
 from yieldmon.estimation.flow_curve import OFFSET_SHARE, AlphaBeta, FlowCurve
@@ -41,7 +40,7 @@ def _of_table(args: argparse.Namespace) -> tuple[CurveFit, dict[str, str]]:
     machine = model_options.machine(args)
     data = table.load(args.data)
     for note in data.notes:
-        print(f"yieldmon: {note}", file=sys.stderr)
+        _notes.note(note)
     data.at_one_position(machine)
     if data.reading == model_options.RESPONSE and args.response_scale is None:
         raise InputError(data.path, "holds a response", "forces, momenta, or --response-scale: a curve gives flow from newtons")

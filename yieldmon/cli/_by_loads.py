@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import sys
 from math import isfinite
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from yieldmon.cli import _named_files, _provenance
+from yieldmon.cli import _named_files, _notes, _provenance
 from yieldmon.documents.calibrate import CalibratedParameter, LoadCalibrationDocument
 from yieldmon.errors import InputError
 from yieldmon.estimation.fitting.calibration_result import CONFIDENCE
@@ -54,7 +53,7 @@ def run(args: argparse.Namespace) -> LoadCalibrationDocument:
     prior = _prior(args, measured, configured)
     sweeps = weighed_loads.sweeps_of(measured)
     if sweeps:
-        print(f"yieldmon: {len(sweeps)} sweeps of the plate are fitted with the loads", file=sys.stderr)
+        _notes.note(f"{len(sweeps)} sweeps of the plate are fitted with the loads")
     try:
         found = calibrate_loads(ForwardModel(configured.machine, prior.effects), prior, loads, sweeps=sweeps)
     except ValueError as error:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from yieldmon.cli import _named_files, _outputs, _provenance, _table_model, model_options
+from yieldmon.cli import _named_files, _notes, _outputs, _provenance, _table_model, model_options
 from yieldmon.cli._json import print_document, print_json
 from yieldmon.cli._table_report import report, text
 from yieldmon.documents.calibrate import ComparedModel
@@ -97,12 +97,12 @@ def _read(args: argparse.Namespace, machine: Machine) -> tuple[table.Table, Meas
     """The table and those of its rows that are fitted; what is left out is said."""
     data = table.load(args.data)
     for note in data.notes:
-        print(f"yieldmon: {note}", file=sys.stderr)
+        _notes.note(note)
     rows = model_options.measurements(data, machine, args.response_scale)
     left_out = np.ones(len(data), dtype=bool)
     left_out[np.arange(len(data)) if rows.places is None else rows.places] = False
     if note := data.unread(left_out):
-        print(f"yieldmon: {note}", file=sys.stderr)
+        _notes.note(note)
     if args.plate_angle is None:
         return data, rows
     return data, model_options.at_plate_angle(rows, args.plate_angle, data)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from yieldmon.cli import _named_files, _outputs, model_options
+from yieldmon.cli import _named_files, _notes, _outputs, model_options
 from yieldmon.cli._json import print_json
 from yieldmon.discrepancy import adoption, diagnosis, planning, report
 from yieldmon.discrepancy.choice import Step
@@ -98,7 +98,7 @@ def run(args: argparse.Namespace) -> int:
     with _progress() as progress:
         found = diagnosis.diagnose(data, machine, parameters, options, progress)
     for note in data.notes:
-        print(note, file=sys.stderr)
+        _notes.note(note)
     model_options.ask(asked)
     if args.json:
         print_json(to_document(found))
@@ -185,10 +185,7 @@ def _from_csv(args: argparse.Namespace) -> _Source:
     source = _Source(table.load(args.data), without_stop_gap(parameter_file.load(path)), path, keep_effects=args.keep_effects)
     if args.params is not None and source.parameters.effects and not args.keep_effects:
         names = ", ".join(source.parameters.effects)
-        print(
-            f"yieldmon: {path.name} has {names}, looked for here as anything else; --keep-effects takes it as known",
-            file=sys.stderr,
-        )
+        _notes.note(f"{path.name} has {names}, looked for here as anything else; --keep-effects takes it as known")
     return source
 
 
@@ -211,7 +208,7 @@ def _progress() -> Iterator[Callable[[str, float], None]]:
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    with Progress(*columns, console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()) as bar:
         task = bar.add_task("reading", total=1.0)
         yield lambda text, share: bar.update(task, description=text, completed=share)
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from yieldmon.cli import _flow_curve, model_options
+from yieldmon.cli import _flow_curve, _notes, model_options
 from yieldmon.cli._json import print_json
 from yieldmon.cli._limits import within
 from yieldmon.errors import InputError
@@ -45,10 +45,10 @@ def run(args: argparse.Namespace) -> int:
     machine, known = model_options.machine(args), _flow_curve.with_file(model_options.parameters(args), args.estimator)
     data = table.load(args.data, need_load=False)
     machine = data.at_one_position(machine)
-    model_options.check_unit(known, data)
+    known = model_options.in_unit_of(data, known, args)
     data.check_doubled(machine)
     for note in data.notes:
-        print(f"yieldmon: {note}", file=sys.stderr)
+        _notes.note(note)
     speed = data.speed_rad_s(machine)
     passes = machine.passes_per_s(speed)
     to_force = 1.0 if data.reading == "force_n" else passes
@@ -63,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(data.path, str(error)) from error
     true = None if data.load is None else data.columns[data.load] * (passes if data.load == "paddle_mass_kg" else 1.0)
     if true is not None and (note := _contradiction(found.mass_flow_kg_s, found.std_dev_kg_s, true)):
-        print(f"yieldmon: {data.path}: {note}", file=sys.stderr)
+        _notes.note(f"{data.path}: {note}")
     rows = []
     for i in range(len(data)):
         row: dict[str, Any] = {

@@ -16,6 +16,7 @@ import shlex
 import signal
 import sys
 from collections.abc import Iterable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
@@ -23,7 +24,7 @@ from typing import Any, cast
 
 from yieldmon import __version__
 from yieldmon.bus import mf4
-from yieldmon.cli import _outputs
+from yieldmon.cli import _notes, _outputs
 from yieldmon.cli._usage import Parser, unknown
 from yieldmon.errors import InputError, remedy
 from yieldmon.files.plain_text import plain
@@ -194,7 +195,8 @@ def _run(argv: Sequence[str]) -> int:
     if left:
         unknown(parser, argv, left)
     assert module is not None, "the parser accepts no verb but the chosen one"
-    with _outputs.checked(args):
+    # The daemon's journal has each line as it comes.
+    with _outputs.checked(args), nullcontext() if args.verb == "run" else _notes.held():
         return int(module.run(args))
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, replace
 from math import isfinite
@@ -12,11 +11,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from yieldmon.cli import _named_files
+from yieldmon.cli import _named_files, _notes
 from yieldmon.errors import InputError
 from yieldmon.estimation.fitting.measurements import Measurements
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import parameter_file
+from yieldmon.files.checked import load_mapping
 from yieldmon.files.parameter_file import GRAIN_LIMITS
 from yieldmon.files.speeds import LEAST_SPEED_RPM
 from yieldmon.files.table import Table
@@ -220,7 +220,7 @@ def _at(data: Table, machine: Machine, rows: NDArray[np.intp]) -> Conditions:
 def ask(question: str) -> None:
     """Of a table, once it could be used: a refusal is one line."""
     if question:
-        print(f"yieldmon: {question}", file=sys.stderr)
+        _notes.note(question)
 
 
 def at_plate_angle(rows: Measurements, angle_deg: float, data: Table) -> Measurements:
@@ -268,12 +268,23 @@ def check_force(data: Table, machine: Machine) -> str:
     raise InputError(f"{data.path}: {data.reading}", f"is {ratio:.2g} times that of grain on this machine", unit + hint)
 
 
-def check_unit(known: ParameterSet, data: Table) -> None:
-    """Raises InputError when the parameters' scale is not that of the table's reading."""
+def in_unit_of(data: Table, known: ParameterSet, args: argparse.Namespace) -> ParameterSet:
+    """The parameters, in the reading's own unit where they are k1 and k2 of a file that names none.
+
+    Raises InputError when their scale is not that of the table's reading.
+    """
     unit = RESPONSE if data.reading == RESPONSE else "N"
-    if known.response_unit != unit:
+    if unit == RESPONSE and "k1" in known.values and not _names_unit(args):
+        return replace(known, response_unit=RESPONSE)
+    if (known.response_unit == "N") != (unit == "N"):
         raise InputError(
             data.path,
             f"holds {data.reading}, but the parameters are in the unit {known.response_unit!r}",
             f"parameters in {unit!r} (calibrate them on this kind of reading)",
         )
+    return known
+
+
+def _names_unit(args: argparse.Namespace) -> bool:
+    """Whether the parameter file says of which reading it is."""
+    return not args.params or "response_unit" in load_mapping(_named_files.parameters_path(args.params))

@@ -259,7 +259,7 @@ def _curves(args: argparse.Namespace) -> Figure:
 
 def _readings(args: argparse.Namespace, model: ForwardModel, known: ParameterSet, speed_rad_s: float) -> curves.Readings:
     data = table.load(args.data)
-    model_options.check_unit(known, data)
+    model_options.in_unit_of(data, known, args)
     rows = model_options.measurements(data, model.machine)
     angle, speed, load, _ = rows.columns()
     passes = model.machine.passes_per_s(speed)
@@ -273,7 +273,7 @@ def _readings(args: argparse.Namespace, model: ForwardModel, known: ParameterSet
 def _residuals(args: argparse.Namespace) -> Figure:
     model, known = _model(args)
     data = table.load(args.data)
-    model_options.check_unit(known, data)
+    known = model_options.in_unit_of(data, known, args)
     rows = model_options.measurements(data, model.machine)
     missed = np.real(model.paddle_momentum(rows.conditions, known.values)) - rows.momentum
     label = "mass flow, kg/s" if data.load == "mass_flow_kg_s" else "mass on a paddle, kg"

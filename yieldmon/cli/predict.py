@@ -8,7 +8,7 @@ import sys
 
 import numpy as np
 
-from yieldmon.cli import model_options
+from yieldmon.cli import _notes, model_options
 from yieldmon.cli._json import print_json
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
@@ -75,6 +75,8 @@ def run(args: argparse.Namespace) -> int:
         columns, values = (*COLUMNS, "moisture_pct"), [*values, np.full(flow.shape, args.moisture)]
     if moved is not None:
         columns, values = (*columns, "plate_position_m"), [*values, moved]
+    if known.response_unit != "N":
+        _notes.note(f"momentum and force are in the unit {known.response_unit!r} of the parameters, not in kg m/s and N")
     _say_outside(known, flow, angle, speed, args.moisture)
     table = np.stack(values, axis=-1).tolist()
     if args.json:

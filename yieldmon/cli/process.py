@@ -14,7 +14,7 @@ from functools import partial
 from pathlib import Path
 
 from yieldmon.bus.logs import SUFFIXES, require_package
-from yieldmon.cli import _flow_curve, _named_files, _outputs
+from yieldmon.cli import _flow_curve, _named_files, _notes, _outputs
 from yieldmon.cli._json import print_json
 from yieldmon.cli._log_progress import log_progress
 from yieldmon.cli._units import add_units
@@ -85,7 +85,7 @@ def run(args: argparse.Namespace) -> int:
     config = args.config if args.config is not None else shipped("config/yieldmon.yaml")
     loaded = _configured(config, args.params, args.estimator)
     for note in loaded.notes:
-        print(f"note: {note}", file=sys.stderr)
+        _notes.note(note, "note")
     units = units_of(args.units, loaded.document.units, loaded.parameters.provenance.get("crop", ""))
     if any(is_store_not_log(log) for log in args.logs):
         return _store_again(args, loaded, units)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from dataclasses import replace
 from math import isfinite
 from typing import Any
 
 import numpy as np
 
-from yieldmon.cli import _outputs, _provenance, model_options
+from yieldmon.cli import _notes, _outputs, _provenance, model_options
 from yieldmon.cli._json import print_document
 from yieldmon.cli._limits import above_0
 from yieldmon.errors import InputError
@@ -18,7 +17,7 @@ from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
 from yieldmon.estimation.self_calibration.closed_loop import self_calibrate
 from yieldmon.estimation.self_calibration.closed_loop_inputs import DensityAnchor, Sweep
 from yieldmon.estimation.self_calibration.closed_loop_outcome import Outcome
-from yieldmon.files import parameter_file, table, whole_file
+from yieldmon.files import delimited, parameter_file, table, whole_file
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array
@@ -79,9 +78,14 @@ def run(args: argparse.Namespace) -> int:
         raise InputError("--model-error", f"is {args.model_error:g}", "a share from 0 to 1")
     data = table.load(args.data, need_load=False, used=args.group_by)
     machine = data.at_one_position(machine)
-    model_options.check_unit(prior, data)
+    prior = model_options.in_unit_of(data, prior, args)
     for note in data.notes:
-        print(f"yieldmon: {note}", file=sys.stderr)
+        _notes.note(note)
+    if not prior.covariance_names:
+        where = "--params" if args.params is None else args.params
+        raise InputError(
+            where, "has no covariance, each parameter counts as exactly known", "one, as `calibrate --out` writes it"
+        )
     labels, names = _groups(data, args.group_by)
     sweeps, true = _sweeps(args, data, machine, labels, names)
     model = ForwardModel(machine, prior.effects)
@@ -104,19 +108,38 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _groups(data: table.Table, column: str | None) -> tuple[np.ndarray, list[str]]:
-    """Index of each row's group, and the groups' names in order of appearance."""
+    """Index of each row's group, -1 where its cell is unknown, and the groups' names in order of appearance."""
     if column is None:
         column = "group" if "group" in data.text else data.load
     if column is None:
         return np.zeros(len(data), dtype=int), ["all rows"]
     if column in data.text:
-        cells = list(data.text[column])
+        cells = ["" if delimited.is_unknown(cell) else cell for cell in data.text[column]]
     elif column in data.columns:
-        cells = [f"{v:g}" for v in data.columns[column]]
+        cells = ["" if np.isnan(v) else f"{v:g}" for v in data.columns[column]]
     else:
         raise InputError("--group-by", f"{column} is not a column of {data.path}", ", ".join((*data.text, *data.columns)))
-    names = list(dict.fromkeys(cells))
-    return np.array([names.index(c) for c in cells]), names
+    if not any(cells):
+        return np.zeros(len(data), dtype=int), ["all rows"]
+    if column == "paddle_mass_kg":
+        cells = _at_each_speed(cells, data)
+    unknown = np.array([cell == "" for cell in cells])
+    if np.any(unknown):
+        _notes.note(data.left_out(unknown, f"without {column}"))
+    names = [name for name in dict.fromkeys(cells) if name]
+    return np.array([names.index(c) if c else -1 for c in cells]), names
+
+
+def _at_each_speed(cells: list[str], data: table.Table) -> list[str]:
+    """One load of the paddle is another flow at each speed."""
+    speeds = [f"{v:g}" for v in data.columns.get("elevator_speed_rpm", np.full(len(cells), np.nan))]
+    loads = dict.fromkeys(zip(cells, speeds, strict=True))
+    several = {cell for cell in cells if sum(load == cell for load, _ in loads) > 1}
+    at = {"nan": "nominal speed"}
+    return [
+        f"{cell} at {at.get(speed, f'{speed} rpm')}" if cell in several and cell else cell
+        for cell, speed in zip(cells, speeds, strict=True)
+    ]
 
 
 def _sweeps(
@@ -152,16 +175,20 @@ def _sweeps(
 
 
 def _sigma(args: argparse.Namespace, data: table.Table, labels: np.ndarray) -> Array:
-    """Noise of each row in the reading's unit: given, in the table, or from replicates at one angle of one group."""
+    """Noise of each row in the reading's unit: in the table, given, or from replicates at one angle and speed of one group."""
     column = data.columns.get("sigma", np.full(len(data), np.nan))
+    values = data.columns[data.reading]
+    known = np.isfinite(values) & (labels >= 0)
+    if np.any(column[known] == 0.0):
+        raise InputError(data.path, "column sigma has zeros", "a number above 0, or nothing where it is not known")
     if args.sigma is not None:
         above_0("--sigma", args.sigma)
         return np.where(np.isfinite(column), column, args.sigma)
-    if np.all(np.isfinite(column)) and np.all(column > 0.0):
+    if np.all(np.isfinite(column[known])):
         return column
-    values = data.columns[data.reading]
-    cells = np.unique(np.stack((data.columns["plate_angle_deg"], labels)), axis=1, return_inverse=True)[1].ravel()
-    known = np.isfinite(values)
+    speed = data.columns.get("elevator_speed_rpm", np.full(len(data), np.nan))
+    keys = np.stack((data.columns["plate_angle_deg"], np.nan_to_num(speed, nan=-1.0), labels))
+    cells = np.unique(keys, axis=1, return_inverse=True)[1].ravel()
     counts = np.bincount(cells[known], minlength=cells.max() + 1)
     means = np.bincount(cells[known], values[known], minlength=cells.max() + 1) / np.maximum(counts, 1)
     dof = int(np.sum(np.maximum(counts - 1, 0)))
@@ -170,7 +197,7 @@ def _sigma(args: argparse.Namespace, data: table.Table, labels: np.ndarray) -> A
     spread = float(np.sqrt(np.sum((values[known] - means[cells[known]]) ** 2) / dof))
     if spread == 0.0:
         raise InputError(data.path, "holds repeated rows without any scatter", "--sigma SD")
-    return np.full(len(data), spread)
+    return np.where(np.isfinite(column), column, spread)
 
 
 def _density(text: str | None) -> DensityAnchor | None:

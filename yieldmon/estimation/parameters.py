@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yieldmon.physics.effects import get_effect
-from yieldmon.physics.grain import REQUIRED
+from yieldmon.physics.grain import EXCHANGE_FORM, REQUIRED
 from yieldmon.physics.machine import SAME_ANGLE_RAD
 from yieldmon.physics.numerics import Array
 
@@ -132,10 +132,20 @@ class ParameterSet:
         for name in REQUIRED:
             if name not in self.values:
                 raise ValueError(f"parameter {name} is missing; given are {list(self.values)}")
-        if ("restitution" in self.values) == ("k1" in self.values or "k2" in self.values):
+        exchange = sum(name in self.values for name in EXCHANGE_FORM)
+        if exchange != (0 if "restitution" in self.values else len(EXCHANGE_FORM)):
             raise ValueError("parameters need either restitution, or k1 and k2")
         for name in self.effects:
             get_effect(name)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, ParameterSet):
+            return NotImplemented
+        pairs = zip(self.__reduce__()[1], other.__reduce__()[1], strict=True)
+        return all(np.array_equal(a, b) if isinstance(a, np.ndarray) else a == b for a, b in pairs)
+
+    def __hash__(self) -> int:
+        return hash((frozenset(self.values.items()), self.version))
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Read-only views of mappings cannot be pickled as they are.

@@ -200,6 +200,8 @@ def _effect_values(effects: Mapping[str, Any], where: str) -> dict[str, float]:
     for effect, parameters in effects.items():
         if not isinstance(parameters, dict):
             raise InputError(f"{where}: effects.{effect}", f"is {parameters!r}", "a mapping of parameter names to values")
+        if not parameters:
+            raise InputError(f"{where}: effects.{effect}", "has no parameter", _parameters_of(effect, where))
         for name, value in parameters.items():
             qualified = f"{effect}.{name}"
             try:
@@ -210,6 +212,14 @@ def _effect_values(effects: Mapping[str, Any], where: str) -> dict[str, float]:
                 raise InputError(f"{where}: effects.{qualified}", f"is {value!r}", f"a finite number, {known.unit}")
             values[qualified] = float(value)
     return values
+
+
+def _parameters_of(effect: str, where: str) -> str:
+    """Names of an effect's parameters. Raises InputError for an effect that is not known."""
+    try:
+        return ", ".join(parameter.name for parameter in get_effect(effect).parameters)
+    except ValueError as error:
+        raise InputError(f"{where}: effects.{effect}", str(error)) from error
 
 
 def _covariance(document: Any, where: str) -> tuple[tuple[str, ...], np.ndarray]:

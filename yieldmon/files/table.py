@@ -88,12 +88,29 @@ class Table:
         str
             "" where there is none.
         """
+        return self.left_out(rows, "without a load or a reading")
+
+    def left_out(self, rows: np.ndarray, why: str) -> str:
+        """One sentence about rows that are left out.
+
+        Parameters
+        ----------
+        rows : ndarray of bool
+            (n,) which of them.
+        why : str
+            What they lack.
+
+        Returns
+        -------
+        str
+            "" where there is none.
+        """
         count = int(np.count_nonzero(rows))
         if not count:
             return ""
         places = [self.lines[i] if self.lines else i + 1 for i in np.flatnonzero(rows)[:8]]
         more = ", ..." if count > len(places) else ""
-        return f"{self.path}: {count} rows without a load or a reading are left out (lines {', '.join(map(str, places))}{more})"
+        return f"{self.path}: {count} rows {why} are left out (lines {', '.join(map(str, places))}{more})"
 
     def __len__(self) -> int:
         return len(self.columns["plate_angle_deg"])
@@ -242,13 +259,22 @@ def load(path: str | Path, *, need_load: bool = True, used: str | None = None) -
     names = {name: _ALSO.get(name, name) for name in source.header}
     if len(set(names.values())) < len(names):
         raise InputError(f"{where}: header", f"has {', '.join(_ALSO)} under both its names", "one of them")
-    load_name, reading = _roles(list(names.values()), where, need_load)
+    loads, readings = _roles(list(names.values()), where, need_load)
     numeric = {name: role for name, role in names.items() if name not in _TEXTS and (role in _LIMITS or role in READINGS)}
     columns = {role: _numbers(source, name) for name, role in numeric.items()}
     texts = {name: source.column(name) for name in names if name not in numeric}
     _check_columns(columns, source)
     ignored = _ignored([name for name in texts if name not in (*_TEXTS, used)], where)
-    return Table(where, source.sha256, load_name, reading, columns, texts, (*source.notes, *ignored), source.lines)
+    return Table(
+        where,
+        source.sha256,
+        _first_known(loads, columns),
+        _first_known(readings, columns) or readings[0],
+        columns,
+        texts,
+        (*source.notes, *ignored),
+        source.lines,
+    )
 
 
 def _ignored(unknown: list[str], where: str) -> tuple[str, ...]:
@@ -283,7 +309,13 @@ def _check_columns(columns: dict[str, Array], source: delimited.TextTable) -> No
         raise InputError(f"{where}: elevator_speed_rpm", slowest, f"{LEAST_SPEED_RPM:g} rpm or more, of the upper shaft")
 
 
-def _roles(header: list[str], where: str, need_load: bool) -> tuple[str | None, str]:
+def _first_known(names: list[str], columns: Mapping[str, Array]) -> str | None:
+    """The first of the columns that holds anything, else the first; None where there is no column."""
+    return next((name for name in names if not np.all(np.isnan(columns[name]))), names[0] if names else None)
+
+
+def _roles(header: list[str], where: str, need_load: bool) -> tuple[list[str], list[str]]:
+    """The columns of loads and of readings."""
     if "plate_angle_deg" not in header:
         raise InputError(f"{where}: header", "has no plate_angle_deg", f"that column{_instead(header)}")
     loads = [name for name in LOADS if name in header]
@@ -293,7 +325,7 @@ def _roles(header: list[str], where: str, need_load: bool) -> tuple[str | None, 
     if len(readings) != 1 and readings != list(READINGS[:2]):
         instead = "" if readings else _instead(header)
         raise InputError(f"{where}: header", f"has {readings or 'no reading'}", f"exactly one of {', '.join(READINGS)}{instead}")
-    return (loads[0] if loads else None), readings[0]
+    return loads, readings
 
 
 def _instead(header: list[str]) -> str:

@@ -122,7 +122,10 @@ class ForwardModel:
     """
 
     def __init__(self, machine: Machine, effects: Iterable[str] = (), *, nodes: int = 20) -> None:
-        names = tuple(effects)
+        names = (effects,) if isinstance(effects, str) else tuple(effects)
+        for name in names:
+            if not isinstance(name, str):
+                raise ValueError(f"effects: {type(name).__name__} instead of a name: expected names such as 'gravity'")
         if len(set(names)) != len(names):
             raise ValueError(f"effects {names}: each may be named once")
         self.machine = machine

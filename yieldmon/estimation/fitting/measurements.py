@@ -22,9 +22,9 @@ class Measurements:
     ----------
     conditions : Conditions
         1-D arrays of n rows, or numbers.
-    momentum : ndarray
+    momentum : array_like
         (n,) per paddle, kg m/s or a response's own unit.
-    sigma : ndarray, optional
+    sigma : array_like, optional
         (n,) standard deviation of each momentum; None where unknown: it is estimated from the rows.
     places : ndarray of int, optional
         (n,) index of each row in the table that it comes from; None where these are all of its rows.
@@ -49,6 +49,9 @@ class Measurements:
     places: NDArray[np.intp] | None = None
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "momentum", np.asarray(self.momentum, dtype=float))
+        if self.sigma is not None:
+            object.__setattr__(self, "sigma", np.asarray(self.sigma, dtype=float))
         if self.momentum.ndim != 1 or not np.all(np.isfinite(self.momentum)):
             raise ValueError("measurements: momentum must be one row of finite numbers")
         if self.sigma is not None and not (self.sigma.shape == self.momentum.shape and np.all(self.sigma > 0.0)):

@@ -10,6 +10,17 @@ from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.model import Conditions, ForwardModel, refuse_impossible
 from yieldmon.physics.numerics import Array
 
+_SWEEP = ("time_s", "plate_angle_rad", "elevator_speed_rad_s", "force_n", "force_std_dev_n")
+_ANCHOR = ("duration_s", "force_n", "plate_angle_rad", "elevator_speed_rad_s")
+
+
+def _as_arrays(windows: Sweep | MassAnchor, names: tuple[str, ...]) -> None:
+    """Lists of numbers become arrays."""
+    for name in (*names, "moisture_pct"):
+        value = getattr(windows, name)
+        if value is not None:
+            object.__setattr__(windows, name, np.asarray(value, dtype=float))
+
 
 def _refuse_uneven(windows: Sweep | MassAnchor, what: str, names: tuple[str, ...]) -> None:
     shape = windows.force_n.shape
@@ -25,15 +36,15 @@ class Sweep:
 
     Parameters
     ----------
-    time_s : ndarray
+    time_s : array_like
         (n,) s, of any epoch.
-    plate_angle_rad : ndarray
+    plate_angle_rad : array_like
         (n,) rad.
-    elevator_speed_rad_s : ndarray
+    elevator_speed_rad_s : array_like
         (n,) rad/s.
-    force_n, force_std_dev_n : ndarray
+    force_n, force_std_dev_n : array_like
         (n,) mean horizontal force and its standard deviation, N.
-    moisture_pct : ndarray, optional
+    moisture_pct : array_like, optional
         (n,) %, where an effect needs it.
 
     Raises
@@ -57,7 +68,8 @@ class Sweep:
     moisture_pct: Array | None = None
 
     def __post_init__(self) -> None:
-        _refuse_uneven(self, "sweep", ("time_s", "plate_angle_rad", "elevator_speed_rad_s", "force_n", "force_std_dev_n"))
+        _as_arrays(self, _SWEEP)
+        _refuse_uneven(self, "sweep", _SWEEP)
         if np.any(self.force_std_dev_n <= 0.0):
             raise ValueError("sweep: force_std_dev_n must be above 0")
 
@@ -70,11 +82,11 @@ class MassAnchor:
     ----------
     reference_kg, std_dev_kg : float
         What the scale says and its standard deviation, kg.
-    duration_s : ndarray
+    duration_s : array_like
         (n,) of each window, s.
-    force_n, plate_angle_rad, elevator_speed_rad_s : ndarray
+    force_n, plate_angle_rad, elevator_speed_rad_s : array_like
         (n,) N, rad, rad/s.
-    moisture_pct : ndarray, optional
+    moisture_pct : array_like, optional
         (n,) %, where an effect needs it.
 
     Examples
@@ -93,6 +105,9 @@ class MassAnchor:
     elevator_speed_rad_s: Array
     moisture_pct: Array | None = None
 
+    def __post_init__(self) -> None:
+        _as_arrays(self, _ANCHOR)
+
     def require_usable(self) -> None:
         """Refuse what nothing can be learnt from.
 
@@ -102,7 +117,7 @@ class MassAnchor:
             For shapes that differ, values that are not finite, a standard deviation that is not above 0, and an angle or a speed
             outside its range.
         """
-        _refuse_uneven(self, "mass anchor", ("duration_s", "force_n", "plate_angle_rad", "elevator_speed_rad_s"))
+        _refuse_uneven(self, "mass anchor", _ANCHOR)
         refuse_impossible("mass anchor", self.plate_angle_rad, self.elevator_speed_rad_s)
         if not (np.isfinite(self.reference_kg) and 0.0 < self.std_dev_kg < np.inf):
             known = f"{self.reference_kg:g} kg within {self.std_dev_kg:g} kg"

@@ -1,0 +1,49 @@
+"""Notes about what a command reads: on standard error when it has ended, not where it was refused, as a refusal is one line."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+
+from yieldmon.errors import InputError
+from yieldmon.files.plain_text import plain
+
+_READERS = logging.getLogger("yieldmon.files")
+_held: ContextVar[list[str] | None] = ContextVar("held", default=None)
+
+
+class _Handler(logging.Handler):
+    """Makes notes of what the readers of files warn of."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        note(record.getMessage())
+
+
+def note(text: str, before: str = "yieldmon") -> None:
+    """One note; at once outside `held`. before: what its line begins with."""
+    line, lines = f"{before}: {plain(text)}", _held.get()
+    if lines is None:
+        print(line, file=sys.stderr)
+    elif line not in lines:
+        lines.append(line)
+
+
+@contextmanager
+def held() -> Iterator[None]:
+    """Around a command's work: notes wait for its end, and go where it raises InputError."""
+    lines: list[str] = []
+    handler, token = _Handler(), _held.set(lines)
+    _READERS.addHandler(handler)
+    try:
+        yield
+    except InputError:
+        lines.clear()
+        raise
+    finally:
+        _held.reset(token)
+        _READERS.removeHandler(handler)
+        for line in lines:
+            print(line, file=sys.stderr)
