@@ -317,6 +317,9 @@ def test_a_mass_without_its_unit_is_refused_where_pounds_are_shown(words, units,
         ("10 short tons", 9071.85),
         ("1 short ton", 907.185),
         ("91.2 dt", 9120.0),
+        ("20,106lb", 9119.93),
+        ("1,020,106.5 LBS", 462712.5),
+        ("9,120 kg", 9120.0),
         ("9.12t", 9120),
         ("9.12 T", 9120),
         ("9120KG", 9120),
@@ -341,7 +344,10 @@ def test_bushels_are_no_mass_of_a_slip(tmp_path, capsys):
     assert "bushels are reckoned from the mass, often less shrink: enter the pounds or kilograms" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("mass", ["0kg", "0", "nan", "inf", "-0.5t", "9,12t", "heavy", ""])
+@pytest.mark.parametrize(
+    "mass",
+    ["0kg", "0", "nan", "inf", "-0.5t", "9,12t", "9,120t", "9,120", "9,12kg", "1,20,106lb", "9,120 short tons", "heavy", ""],
+)
 @pytest.mark.parametrize("option", [[], ["--std-dev"]], ids=["mass", "std-dev"])
 def test_a_mass_that_is_none_is_refused_without_asking_the_daemon(mass, option, tmp_path, capsys):
     words = ["ticket", "1", "5t", f"--std-dev={mass}"] if option else ["ticket", "1", "--", mass]

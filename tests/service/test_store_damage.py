@@ -396,7 +396,10 @@ def test_a_store_put_back_from_a_copy_is_reported(path):
     with Store(path) as store:
         store.commit([batch(n, state=state(n)) for n in (41, 42)])
     path.write_bytes(copy)
-    assert recover(path, Retention(), lambda: Store(path)).note == "its last 2 commits are missing"
+    assert (
+        recover(path, Retention(), lambda: Store(path)).note
+        == "its last 2 commits are missing; of an older copy that was put in its place that is right"
+    )
 
 
 def test_a_replacement_that_was_interrupted_is_ended_at_the_next_start(path):

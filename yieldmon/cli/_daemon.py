@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import sys
 from collections.abc import Mapping
 from contextlib import suppress
@@ -61,21 +62,24 @@ def daemon_socket(args: argparse.Namespace) -> Path:
     return SYSTEM_SOCKET if SYSTEM_SOCKET.exists() or not user.exists() else user
 
 
-_MASS_UNITS = (
-    ("kg", 1.0), ("lbs", KG_PER_LB), ("lb", KG_PER_LB), ("shorttons", KG_PER_SHORT_TON),
-    ("shortton", KG_PER_SHORT_TON), ("tonnes", KG_PER_T), ("tonne", KG_PER_T),
-    ("dt", 0.1 * KG_PER_T), ("t", KG_PER_T),
-)  # fmt: skip
+_MASS_UNITS = {
+    "kg": 1.0, "lbs": KG_PER_LB, "lb": KG_PER_LB, "shorttons": KG_PER_SHORT_TON, "shortton": KG_PER_SHORT_TON,
+    "tonnes": KG_PER_T, "tonne": KG_PER_T, "dt": 0.1 * KG_PER_T, "t": KG_PER_T,
+}  # fmt: skip
+_SMALL_UNITS = ("kg", "lb", "lbs")
+_IN_THOUSANDS = re.compile(r"[1-9][0-9]{0,2}(,[0-9]{3})+(\.[0-9]+)?")
+"""A number as `status` shows masses, 41,222."""
 
 
 def mass(text: str, where: str = "mass") -> float:
-    """A mass in kg from the command line: a number above 0, with or without its unit, in letters of any size. Raises
-    InputError."""
-    number, scale = text.replace(" ", "").lower(), 1.0
-    for unit, factor in _MASS_UNITS:
-        if number.endswith(unit):
-            number, scale = number.removesuffix(unit).strip(), factor
-            break
+    """A mass in kg from the command line: a number above 0, with or without its unit, in letters of any size, of kilograms or
+    pounds also with commas between thousands. Raises InputError."""
+    number = text.replace(" ", "").lower()
+    unit = next((unit for unit in _MASS_UNITS if number.endswith(unit)), "")
+    number, scale = number.removesuffix(unit), _MASS_UNITS.get(unit, 1.0)
+    if unit in _SMALL_UNITS and _IN_THOUSANDS.fullmatch(number):
+        # 9,120t may be 9.12 t; nobody weighs a load to the gram.
+        number = number.replace(",", "")
     try:
         mass_kg = float(number) * scale
     except ValueError:

@@ -100,7 +100,7 @@ def _made_ready(path: Path) -> list[str]:
 def _doubts(last_batch: int, missing: int) -> list[str]:
     """What the number of commits says against a store; missing: commits made here that it lacks, below 0 where it has more."""
     if missing > 0:
-        return [f"its last {missing} commits are missing"]
+        return [f"its last {missing} commits are missing; of an older copy that was put in its place that is right"]
     if 0 < last_batch + missing < last_batch - _UNNOTED_AT_MOST:
         return [f"it has {-missing} commits more than were made here: {_ANOTHERS}"]
     return []
