@@ -145,3 +145,20 @@ def test_a_status_that_is_not_renewed_is_stale() -> None:
     status = {"age_s": 0.4, "stale": False}
     assert aged(status, 1.2) == status
     assert aged(status, 30.0) == {"age_s": 30.4, "stale": True}
+
+
+def test_a_ticket_that_comes_after_its_crop_says_when_it_teaches(tmp_path) -> None:
+    with running(tmp_path) as bench, DaemonLink(tmp_path / "yieldmon.sock") as link:
+        cab = Cab(bench, link)
+        bench.play(14, 0.0)
+        bench.played()
+        assert cab.press("x", "n", *"vete", "\r", "y").startswith("load 2 started of wheat")
+        bench.play(5, 60.0)
+        bench.played()
+        assert cab.press("x", "n", *"majs", "\r", "y").startswith("load 3 started of corn")
+        bench.play(2, 0.0)
+        bench.played()
+        measured_kg = bench.status["loads"][1]["mass_kg"]
+        reported = cab.press("t", *f"2 {1.02 * measured_kg:.4f}kg", "\r", "y")
+        assert reported.startswith("ticket for load 2 taken: +2.0 % against what was measured")
+        assert reported.endswith("; it teaches wheat once that is harvested again")
