@@ -320,6 +320,8 @@ def test_a_mass_without_its_unit_is_refused_where_pounds_are_shown(words, units,
         ("20,106lb", 9119.93),
         ("1,020,106.5 LBS", 462712.5),
         ("9,120 kg", 9120.0),
+        ("9 120 kg", 9120.0),
+        ("1 020 106.5 lb", 462712.5),
         ("9.12t", 9120),
         ("9.12 T", 9120),
         ("9120KG", 9120),
@@ -332,6 +334,18 @@ def test_a_mass_is_taken_in_its_unit(text, kg, monkeypatch, capsys):
     monkeypatch.setattr(ticket, "ask_daemon", lambda args, request: asked.append(request) or answer)
     assert main(["ticket", "7", *text.split(" ")]) == 0
     assert next(r for r in asked if r["command"] == "ticket")["mass_kg"] == pytest.approx(kg, rel=1e-5)
+
+
+@pytest.mark.parametrize("words", [["3", "4t"], ["3", "4", "t"], ["12", "9120kg"], ["9", "12t"]])
+def test_two_numbers_are_no_mass(words, tmp_path, capsys):
+    assert main(["ticket", "--socket", str(tmp_path / "none.sock"), "2", *words]) == 2
+    expected = f"mass: '{' '.join(words)}'; expected one number, such as 9120, 9 120 kg or 9.12t"
+    assert capsys.readouterr().err == f"yieldmon: {expected}\n"
+
+
+def test_two_numbers_are_no_ticket_to_take_back(tmp_path, capsys):
+    assert main(["ticket", "--socket", str(tmp_path / "none.sock"), "undo", "3", "4"]) == 2
+    assert "ticket undo: is '3 4'; expected the number of a ticket" in capsys.readouterr().err
 
 
 def test_a_ton_that_may_be_two_is_refused(tmp_path, capsys):

@@ -69,12 +69,17 @@ _MASS_UNITS = {
 _SMALL_UNITS = ("kg", "lb", "lbs")
 _IN_THOUSANDS = re.compile(r"[1-9][0-9]{0,2}(,[0-9]{3})+(\.[0-9]+)?")
 """A number as `status` shows masses, 41,222."""
+_APART = re.compile(r"[0-9]\s+[0-9]")
+_SPACED = re.compile(r"\s*[1-9][0-9]{0,2}(\s[0-9]{3})+(\.[0-9]+)?\s*[a-z]*(\s[a-z]+)?\s*$", re.IGNORECASE)
+"""A number with spaces between thousands, 9 120 kg."""
 
 
 def mass(text: str, where: str = "mass") -> float:
     """A mass in kg from the command line: a number above 0, with or without its unit, in letters of any size, of kilograms or
     pounds also with commas between thousands. Raises InputError."""
     number = text.replace(" ", "").lower()
+    if _APART.search(text) and not _SPACED.match(text):
+        raise InputError(where, repr(text), "one number, such as 9120, 9 120 kg or 9.12t")
     unit = next((unit for unit in _MASS_UNITS if number.endswith(unit)), "")
     number, scale = number.removesuffix(unit), _MASS_UNITS.get(unit, 1.0)
     if unit in _SMALL_UNITS and _IN_THOUSANDS.fullmatch(number):

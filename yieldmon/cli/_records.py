@@ -78,7 +78,7 @@ def load_numbers(text: str) -> tuple[int, int]:
 def corrected(answer: Mapping[str, Any]) -> str:
     """What a correction of names did."""
     first, last = answer["first_load"], answer["last_load"]
-    names = " ".join(name for name in (answer["field"], answer["crop"]) if name)
+    names = " ".join(name for name in (answer["field"], answer["crop"]) if name) or "no field"
     parts = [f"load {first}: {names}" if first == last else f"loads {first} to {last}: {names}"]
     if again := answer.get("measured_again"):
         parts.append(f"load {_listed(again)} measured again with the parameters of {answer['crop']}, seconds stay as they are")

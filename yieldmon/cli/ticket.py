@@ -42,7 +42,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def run(args: argparse.Namespace) -> int:
     """Exit code 0 when the ticket was taken."""
     # `9.12 t` is one mass.
-    args.mass = "".join(args.mass) if args.mass else None
+    args.mass = " ".join(args.mass) if args.mass else None
     if args.loads in ("list", "undo"):
         return _listed(args) if args.loads == "list" else _undone(args)
     first, last = load_numbers(args.loads)
