@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import json
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -318,11 +319,57 @@ def test_times_of_vector_since_the_line_before(tmp_path: Path, base: str) -> Non
     ]
     path = tmp_path / "drive.asc"
     path.write_text("\n".join(rows) + "\n")
-    assert [(m.timestamp, m.arbitration_id, m.data[1]) for m in read_log(path)] == [
+    start_s = datetime(2026, 7, 1, 10, tzinfo=UTC).timestamp()
+    assert [(round(m.timestamp - start_s, 6), m.arbitration_id, m.data[1]) for m in read_log(path)] == [
         (0.25, 0x18FF1380, 2), (1.75, 0x18FF1380, 3), (1.750001, 0x18FF1380, 4),
     ]  # fmt: skip
     path.write_text("\n".join(rows).replace("relative", "absolute") + "\n")
-    assert [m.timestamp for m in read_log(path)] == [0.25, 1.0, 0.000001]
+    assert [round(m.timestamp - start_s, 6) for m in read_log(path)] == [0.25, 1.0, 0.000001]
+
+
+@pytest.mark.parametrize(
+    ("header", "starts"),
+    [
+        ("date Sam Mär 7 10:06:13.191 PM 2026", (2026, 3, 7, 22, 6, 13, 191_000)),
+        ("date Thu Dez 31 12:00:00 am 2026", (2026, 12, 31, 0, 0, 0)),
+        ("date Mon Sep 21 14:13:51.688 2026", (2026, 9, 21, 14, 13, 51, 688_000)),
+        # Written later than the first frame came, as python-can does.
+        (
+            "date Fri Nov 27 11:57:02.432 2026\nBegin Triggerblock Mon Sep 21 14:13:51.688 2026\n 0.000000 Start of measurement",
+            (2026, 9, 21, 14, 13, 51, 688_000),
+        ),
+        ("date Mon Sep 21 14:13:51.4 2026", (2026, 9, 21, 14, 13, 51, 4_000)),
+        # Triggered a minute after the measurement began.
+        ("date Fri Nov 27 11:57:02 2026\nBegin Triggerblock Fri Nov 27 11:58:02 2026", (2026, 11, 27, 11, 57, 2)),
+        ("date Xyz Ventôse 3 10:00:00 2026", None),
+        ("base hex  timestamps absolute", None),
+    ],
+)
+def test_times_of_vector_from_its_date(tmp_path: Path, header: str, starts: tuple[int, ...] | None) -> None:
+    path = written(tmp_path, "dated.asc", f"{header}\n   61.250000 1  123  Rx   d 1 07\n")
+    start_s = datetime(*starts, tzinfo=UTC).timestamp() if starts is not None else 0.0  # type: ignore[arg-type,misc]
+    (message,) = read_log(path)
+    assert message.timestamp == pytest.approx(start_s + 61.25, abs=1e-5)
+
+
+def test_parts_of_a_rotated_log_are_one_record_whatever_their_names_are(
+    tmp_path: Path, harvest: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """python-can's SizedRotatingLogger leaves the last part under the name that sorts first; each part's times begin at 0."""
+    parts = [tmp_path / "drive_#000.asc", tmp_path / "drive_.asc"]
+    messages = list(read_log(harvest))
+    half = len(messages) // 2
+    for path, some in zip(parts, (messages[:half], messages[half:]), strict=True):
+        with can.ASCWriter(path) as writer:
+            for one in some:
+                writer.on_message_received(one)
+    summaries = []
+    for logs in ([harvest], [parts[1], parts[0]]):
+        capsys.readouterr()
+        assert main(["process", *map(str, logs), "--out", str(tmp_path / "out.csv"), "--json", "--force"]) == 0
+        summaries.append(json.loads(capsys.readouterr().out))
+    assert summaries[1]["total_mass_kg"] == pytest.approx(summaries[0]["total_mass_kg"], rel=1e-3)
+    assert (summaries[1]["faults"], summaries[1]["overlap_s"]) == ({}, 0.0)
 
 
 def test_frames_of_canedge_as_vectors_are_all_there(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from yieldmon.bus.bulk import FrameBlock
 from yieldmon.bus.codec import Codec
 from yieldmon.bus.loading import iter_blocks
 from yieldmon.bus.log_notes import LogNotes
+from yieldmon.bus.log_order import in_time_order
 from yieldmon.bus.logs import PACKED_SUFFIX, require_log
 from yieldmon.bus.packed_writing import pack
 from yieldmon.cli import _outputs
@@ -46,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
     refuse_copies(args.logs)
     notes = LogNotes()
     with scratch_for(out) as scratch:
-        packed = pack(_blocks(args.logs, notes), scratch, Codec().layouts, lambda: notes.dropped_by_recorder)
+        packed = pack(_blocks(in_time_order(args.logs), notes), scratch, Codec().layouts, lambda: notes.dropped_by_recorder)
         if not packed.frames:
             raise InputError(", ".join(args.logs), "no frame at all", "a log with CAN frames")
     logs_bytes = sum(Path(log).stat().st_size for log in args.logs)

@@ -13,6 +13,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+from yieldmon.bus.log_order import in_time_order
 from yieldmon.bus.logs import SUFFIXES, require_package
 from yieldmon.cli import _flow_curve, _named_files, _notes, _outputs
 from yieldmon.cli._json import print_json
@@ -95,8 +96,9 @@ def run(args: argparse.Namespace) -> int:
     if args.separate:
         return _separately(args, config, units)
     with log_progress(len(args.logs)) as progress, _says_what_is_kept(args.out):
+        logs = in_time_order(args.logs)
         document = _one_record(
-            args.logs, args.out, args.format, loaded, reads_ahead=args.jobs > 1, progress=progress, zero_mv=args.zero_mv
+            logs, args.out, args.format, loaded, reads_ahead=args.jobs > 1, progress=progress, zero_mv=args.zero_mv
         )
     if args.json:
         print_json(document)

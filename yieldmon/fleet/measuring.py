@@ -14,6 +14,7 @@ import numpy as np
 
 from yieldmon.bus.loading import iter_blocks
 from yieldmon.bus.log_notes import LogNotes
+from yieldmon.bus.log_order import in_time_order
 from yieldmon.documents.process import ProcessSummary
 from yieldmon.engine.health import FaultEvent
 from yieldmon.engine.monitor import Monitor
@@ -28,7 +29,6 @@ from yieldmon.files.ticket_file import WeighedTicket
 from yieldmon.finite import finite
 from yieldmon.fleet import tables
 from yieldmon.fleet.identity import Identity
-from yieldmon.fleet.log_order import in_time_order
 from yieldmon.fleet.overlaps import within
 from yieldmon.service.config.configuration import Configuration
 from yieldmon.service.logs import log_record

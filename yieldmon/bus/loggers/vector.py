@@ -7,8 +7,10 @@
        2.520002 1  18FEF100x  Tx   r 8
        4.876870 CANFD   1 Rx   300  [name]  1 0 9 12 01 02 03 04 05 06 07 08 09 0A 0B 0C  102203 133 303000 ...
 
-The header may lack any of its lines. Lines of other buses, comments, statistics and other events are no frames; what looks like a
-frame and is none is reported. `TxRq` is a frame that was only asked for; the one that was sent has a line of its own.
+Times count from the date of the header, taken as UTC, or from that of the trigger block with which the measurement starts;
+without one they are as they stand. The header may lack any of its lines. Lines of other buses, comments, statistics and other
+events are no frames; what looks like a frame and is none is reported. `TxRq` is a frame that was only asked for; the one that was
+sent has a line of its own.
 
 Source: Vector, "CAN ASC logging file format".
 """
@@ -22,9 +24,17 @@ import can
 
 from yieldmon.identifiers import CLASSIC_BYTES, FD_LENGTHS
 
-from .fields import Form, data_bytes, error_frame, fd_length, message, seconds, whole
+from .fields import Form, clock_s, data_bytes, error_frame, fd_length, message, seconds, whole
 
 _HEADER = re.compile(r"base\s+(hex|dec)(?:\s+timestamps\s+(absolute|relative))?\b", re.IGNORECASE)
+_DATE = re.compile(
+    r"(date|begin\s+triggerblock)\s+\S+\s+(\w+)\.?\s+(\d{1,2})\s+(\d{1,2}):(\d\d):(\d\d)(?:\.(\d{1,6}))?"
+    r"(?:\s+([ap])m)?\s+(\d{4})\b",
+    re.IGNORECASE,
+)
+_MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
+_MONTHS_ELSEWHERE = {"mär": 3, "mrz": 3, "mae": 3, "mai": 5, "okt": 10, "dez": 12}
+_START = re.compile(r"0+\.0+\s+Start of measurement", re.IGNORECASE)
 _TIME = re.compile(r"(\d{1,12}\.\d{1,9})(?=\s)")
 _NS_PER_S = 1_000_000_000
 _FRAME = re.compile(r"\d+\.\d+\s+(?:\d+\s+(?:\w+\s+(?:Tx|Rx)|ErrorFrame)|CANFD\b)", re.IGNORECASE | re.ASCII)
@@ -45,6 +55,8 @@ class Vector:
         self._base = 16
         self._since_line_before = False
         self._now_ns = 0
+        self._start_s = 0.0
+        self._triggered_s: float | None = None
 
     def __call__(self, line: str) -> can.Message | None:
         """As fields.Parser."""
@@ -54,17 +66,37 @@ class Vector:
             self._base = {"hex": 16, "dec": 10}[header[1].lower()]
             self._since_line_before = (header[2] or "").lower() == "relative"
             return None
+        date = _DATE.match(text)
+        if date is not None:
+            self._take_date(date)
+            return None
         time_s = self._time_s(text)
         if _FRAME.match(text) is None:
+            if self._triggered_s is not None and _START.match(text):
+                self._start_s = self._triggered_s
             if problem := _unread(text):
                 raise ValueError(problem)
             return None
         fields = text.split()
-        if time_s is None:
-            time_s = seconds(fields[0])
+        time_s = self._start_s + (seconds(fields[0]) if time_s is None else time_s)
         if fields[1].lower() == "canfd":
             return self._of_fd_channel(time_s, fields[2:])
         return self._of_classic_channel(time_s, fields[1:])
+
+    def _take_date(self, date: re.Match[str]) -> None:
+        of, name, day, hour, minute, second, part, half, year = date.groups()
+        short = name.lower()[:3]
+        month = _MONTHS.index(short) + 1 if short in _MONTHS else _MONTHS_ELSEWHERE.get(short)
+        if month is None:
+            return
+        hours = int(hour) if half is None else int(hour) % 12 + 12 * (half.lower() == "p")
+        # python-can writes milliseconds without leading zeros.
+        fraction_s = int(part or 0) / 10.0 ** max(3, len(part or ""))
+        at_s = clock_s(int(year), month, int(day), hours, int(minute), int(second)) + fraction_s
+        if of.lower() == "date":
+            self._start_s = at_s
+        else:
+            self._triggered_s = at_s
 
     def _time_s(self, text: str) -> float | None:
         """Time from the beginning where the line has one since the line before; None where it is as it stands."""

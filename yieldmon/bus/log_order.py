@@ -1,4 +1,4 @@
-"""In which order a day's logs are one record."""
+"""In which order several logs are one record."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from yieldmon.bounded import is_pipe
 from yieldmon.bus.loading import iter_blocks
 from yieldmon.bus.log_notes import LogNotes
 from yieldmon.bus.logs import PACKED_SUFFIX, log_format, read_log
@@ -30,7 +31,7 @@ _Times = NDArray[np.float64]
 def in_time_order(logs: Sequence[str]) -> list[str]:
     """Logs by the time at which each begins.
 
-    One that begins without a date, or cannot be read, follows the one before it in the order given; one without a frame has no
+    One that begins without a date, is a pipe, or cannot be read, follows the one before it in the order given; one without a frame has no
     place in time and comes last.
 
     Parameters
@@ -63,11 +64,13 @@ def _start_s(log: str) -> float | None:
     """When a log begins; nan where it does not say so, None where it holds no frame."""
     times = np.empty(0)
     try:
+        if is_pipe(Path(log)):
+            return float("nan")
         for block in _looks(log):
             times = np.concatenate((times, block))
             if np.any(block >= EARLIEST_BUS_TIME_S):
                 break
-    except InputError:
+    except (InputError, OSError):
         # What is wrong is said when it is measured.
         return float("nan")
     return _settled_s(times) if times.size else None
