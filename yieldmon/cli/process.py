@@ -301,7 +301,7 @@ def _line(document: ProcessSummary, units: Units) -> str:
         )
     elif not document["zero_known"] and document.get("frames_lost_share", 0.0) > _MOSTLY:
         lines.append(
-            "no mass: no second has all its samples (FramesLost): frames are lost, or two nodes or channels send them, and such "
+            "no mass: each second lacks samples (FramesLost): frames are lost, or two nodes or channels send them, and such "
             "seconds give no zero; `yieldmon check-config CONFIG --log LOG` shows what is there"
         )
     elif not document["zero_known"]:
