@@ -31,8 +31,8 @@ _Times = NDArray[np.float64]
 def in_time_order(logs: Sequence[str]) -> list[str]:
     """Logs by the time at which each begins.
 
-    One that begins without a date, is a pipe, or cannot be read, follows the one before it in the order given; one without a frame has no
-    place in time and comes last.
+    One that begins without a date, is a pipe, or cannot be read, follows the one before it in the order given; one without a
+    frame has no place in time and comes last.
 
     Parameters
     ----------
