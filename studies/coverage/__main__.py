@@ -12,7 +12,8 @@ shipped ones with an error drawn from their covariance, and whose effect has a s
 count from the first whole sweep (sweeps) or the first ticket (slip, ticketed) on: what nothing has shown yet, no budget can hold.
 Rows "load_posted" are all loads as they are stated at the end of the run, when sweeps and tickets have shown what they show,
 "total" their total mass. Behind sd stands the range in which 90 % of it lie when the machines are drawn again: what few machines
-leave open. Rows "together" are of all scenarios of the command.
+leave open. Rows "together" are of all scenarios of the command; in its rows "flow_known" and "load_known" slip counts from its
+ticket on, which is the first to show it.
 """
 
 from __future__ import annotations
@@ -336,10 +337,13 @@ def main() -> int:
                 rows.append({"scenario": case.name, **row(what, values)})
                 print(LINE.format(**rows[-1]), flush=True)
                 together[what] = [*together.get(what, []), *values]
+        for what in ("flow", "load"):
+            shown = [getattr(run, f"{what}_after" if case.fixed.slip else what) for run in runs]
+            together[f"{what}_known"] = [*together.get(f"{what}_known", []), *shown]
         if case.fixed.weighs:
             rows[-1]["alarm"] = [run.alarm for run in runs]
             print(f"{case.name:>10} alarm after the first ticket: {sum(run.alarm for run in runs)} of {len(runs)}", flush=True)
-    for what in ("flow", "load", "load_posted", "total") if len(args.only) > 1 else ():
+    for what in ("flow", "flow_known", "load", "load_known", "load_posted", "total") if len(args.only) > 1 else ():
         rows.append({"scenario": "together", **row(what, together[what])})
         print(LINE.format(**rows[-1]), flush=True)
     found = {"commit": commit, "first_seed": args.first, "machines": args.machines, "duration_s": args.duration}

@@ -138,8 +138,9 @@ def causes(args: argparse.Namespace) -> int:
     """A line for each season of a combine whose grain is the model's: what its live error with a ticket a day is made of."""
     from studies.season import season as seasons
     from studies.season import study
-    from studies.season.combines import five
-    from studies.season.live_causes import live_causes
+    from studies.season.combines import AS_MODELLED, five
+    from studies.season.live_causes import live_causes, live_parts
+    from studies.season.sweep_readings import sweep_readings
     from yieldmon.physics.machine import Machine
 
     settings, machine, combine = seasons.SeasonSettings(hours=args.hours), Machine(), five()[args.live_causes]
@@ -147,7 +148,11 @@ def causes(args: argparse.Namespace) -> int:
     for seed in range(args.seed, args.seed + args.seeds):
         season = seasons.simulate(settings, machine, scenario, seed, ratio=combine.ratio)
         first = study.first_calibration(settings, machine, seed, combine)
-        found = live_causes(season, first, study.StudySettings.of_daemon())
+        kept = study.StudySettings.of_daemon()
+        found: dict[str, Any] = {"readings": sweep_readings(season, combine.shape_ratio, kept)}
+        if combine is AS_MODELLED:
+            found |= {"tickets": live_parts(season, first, kept), "sweeps": live_parts(season, first, kept, sweeps=True)}
+        found |= live_causes(season, first, kept)
         print(json.dumps({"combine": combine.name, "seed": seed, "loads": len(season.loads.mass_kg)} | found), flush=True)
     return 0
 

@@ -5,6 +5,9 @@ one and together; zero, noise and moisture likewise. Parameters make up for each
 its own flow), so that one alone put right may leave more error than none. So the error is split another way as well: what loads
 near each other in time share is the scale's, what of the rest goes with the flow is that of friction and fill, and what is left
 is each load's own.
+
+A third way (`live_parts`) is by time: of the parameters' error, by the load's sensitivities to it, what it was right after the
+last ticket at that ticket's own flow, what it makes of another flow than that, and what has come since.
 """
 
 from __future__ import annotations
@@ -15,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from studies.season import study
+from studies.season.best_live import GRAIN, sensitivities
 from studies.season.season import Season
 from studies.season.study import Array, Keeper, StudySettings
 from yieldmon.estimation.open_loop import OpenLoop
@@ -23,7 +27,6 @@ from yieldmon.physics.effects.moisture_dependence import REFERENCE_PCT
 from yieldmon.physics.machine import RPM
 from yieldmon.physics.model import ForwardModel
 
-GRAIN = ("friction", "restitution", "density")
 EFFECT = "moisture_dependence"
 NEAR_LOADS = 8
 """Loads before and after one whose shared error is the scale's: a quarter of a day on either side."""
@@ -64,6 +67,52 @@ def live_causes(season: Season, first: ParameterSet, kept: StudySettings) -> dic
         "only the scale of loads near wrong": _said(shared),
     }
     return found
+
+
+def live_parts(season: Season, first: ParameterSet, kept: StudySettings, *, sweeps: bool = False) -> dict[str, Any]:
+    """Of the live errors with a ticket a day, by part: rms (%), and mean absolute error and share within 1 % without it.
+
+    Parts: scale (right after the last ticket, at its own flow), curve (the same at the load's flow), drift (of the parameters in
+    use against the true ones since then), zero and noise, model (what is left with all of these right). For a combine whose grain
+    is the model's. Before the first ticket the scale is that of the calibration.
+    """
+    keeper = Keeper(season, first, study.Strategy("", moisture_map=True, sweeps=sweeps, tickets_per_day=1), kept)
+    of = sensitivities(season).mass
+    parts = np.zeros((5, season.loads.start.size))
+    weighed: tuple[Array, Array | None] = (_off(season, 0, keeper.parameters), None)
+    for number in range(parts.shape[1]):
+        believed, told, here = keeper.parameters, keeper.told_day, of[:, number]
+        off, (then, at_ticket) = _off(season, number, believed), weighed
+        there = here if at_ticket is None else at_ticket
+        parts[:3, number] = there @ then, (here - there) @ then, here @ (off - then)
+        measured, without = (_mass_kg(season, number, believed, right) for right in ((), ("zero", "noise")))
+        parts[3, number] = np.log(measured / without)
+        parts[4, number] = np.log(without / season.loads.mass_kg[number]) - np.sum(parts[:3, number])
+        keeper.harvest(number)
+        if keeper.told_day > told:
+            weighed = _off(season, number, keeper.parameters), here
+    parts *= 100.0
+    total = np.sum(parts, axis=0)
+    found: dict[str, Any] = {"all": _said(total) | {"rms_pct": round(float(np.sqrt(np.mean(total**2))), 3)}}
+    for label, part in zip(("scale", "curve", "drift", "zero and noise", "model"), parts, strict=True):
+        found[label] = _said(total - part) | {"rms_pct": round(float(np.sqrt(np.mean(part**2))), 3)}
+    found["scale and drift"] = _said(total - parts[0] - parts[2])
+    found["all but drift"] = _said(parts[2])
+    return found
+
+
+def _off(season: Season, number: int, believed: ParameterSet) -> Array:
+    """Of a load, (4,): ln of friction, 1 + restitution and density as believed over the true ones, and unknown wear, mm."""
+    windows = slice(int(season.loads.start[number]), int(season.loads.end[number]))
+    wetter = float(np.mean(season.moisture_reading_pct[windows])) - REFERENCE_PCT
+    true = {"friction": season.friction, "restitution": season.restitution, "density": season.density_kg_m3}
+    found = []
+    for name in GRAIN:
+        value = believed.values[name] * float(np.exp(believed.values[f"{EFFECT}.{name}_per_pct"] * wetter))
+        more = 1.0 if name == "restitution" else 0.0
+        found.append(float(np.log((value + more) / (np.mean(true[name][windows]) + more))))
+    wear_m = season.machine.paddle_length_m - float(np.mean(season.paddle_length_m[windows]))
+    return np.array([*found, 1e3 * wear_m])
 
 
 def _said(errors_pct: Array) -> dict[str, float]:

@@ -13,6 +13,7 @@ from yieldmon.estimation.self_calibration.angle_error import NO_ERROR, NODES_RAD
 from yieldmon.estimation.self_calibration.misfit import ReducedSweep
 from yieldmon.estimation.self_calibration.sweep_model_error import model_error, unswept_error
 from yieldmon.files import parameter_file
+from yieldmon.physics.effects import registry
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.resources import shipped
@@ -135,6 +136,46 @@ def test_what_no_effect_of_the_library_makes_is_stated_where_it_was_seen() -> No
     there = np.zeros(NODES_RAD.size)
     there[3] = 1.0
     assert found.of_sum(there, found.away_at(ANGLES[1])) > 0.03
+
+
+def _by_integration(error: float, sd: float) -> float:
+    """Root mean square of the error at home that the library's effects leave possible after one visit at 40 deg, each of a size
+    drawn from its normal distribution, of effects that act in one direction its half."""
+    sizes = np.linspace(-8.0, 8.0, 16001)
+    angles = ANGLES[[0, 3]]
+
+    def log_force(model: ForwardModel, values: Mapping[str, float]) -> np.ndarray:
+        at = Conditions(angles, np.full(2, SPEED_RAD_S), mass_flow_kg_s=np.full(2, FLOW_KG_S))
+        return np.log(np.asarray(model.force(at, values)))
+
+    missing = [e for n, e in registry().items() if n not in ("angle_pattern", "load_pattern", "moisture_dependence")]
+    missing = [effect for effect in missing if effect.name not in PARAMETERS.effects]
+    evidence, square = 0.5 * np.exp(-0.5 * (error / sd) ** 2) / sd, 0.0
+    for effect in missing:
+        typical = {f"{effect.name}.{parameter.name}": parameter.typical for parameter in effect.parameters}
+        with_it = log_force(MODEL.with_effects((*MODEL.effects, effect.name)), {**PARAMETERS.values, **typical})
+        away, home = log_force(MODEL, PARAMETERS.values) - with_it
+        if not abs(away - home) >= 0.5 * abs(home) or away == home:
+            continue
+        first = effect.parameters[0]
+        possible = np.where(sizes >= 0.0, 2.0, 0.0) if first.null in (first.lower, first.upper) else np.ones_like(sizes)
+        prior = possible * np.exp(-0.5 * sizes**2)
+        variance = sd**2 + (0.1 * (away - home)) ** 2
+        likely = prior / np.sum(np.exp(-0.5 * sizes**2)) * np.exp(-0.5 * (error - sizes * (away - home)) ** 2 / variance)
+        likely *= 0.5 / len(missing) / np.sqrt(variance)
+        evidence += np.sum(likely)
+        square += np.sum(likely * (sizes * home) ** 2)
+    return float(np.sqrt(square / evidence))
+
+
+@pytest.mark.parametrize("error", [0.06, -0.06, -0.1])
+def test_effects_that_act_in_one_direction_have_no_size_in_the_other(error: float) -> None:
+    """One visit at 40 deg, known to 8 %: what is possible at home, by integration over the sizes."""
+    known = ParameterSet(PARAMETERS.values, calibrated=PARAMETERS.calibrated)
+    model = ForwardModel(Machine(), known.effects)
+    log_force = _log_force(model, known.values)[[0, 3]] - [error, 0.0]
+    sweep = ReducedSweep(ANGLES[[0, 3]], log_force, np.full(2, 0.08), FLOW_KG_S, SPEED_RAD_S)
+    assert model_error(model, known, [sweep]).home == pytest.approx(_by_integration(error, 0.08), rel=0.03)
 
 
 def test_an_angle_seen_with_noise_alone_is_as_unsure_as_before_it() -> None:

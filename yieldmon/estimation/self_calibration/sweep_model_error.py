@@ -230,16 +230,21 @@ def _changes(model: ForwardModel, parameters: ParameterSet, away_rad: Array, at:
 
 
 def _cause(seen: _Pattern, change: _Change) -> _Cause:
-    from scipy.special import ndtr
+    from scipy.special import log_ndtr
 
     shape = change.pattern
     noise = seen.covariance + np.diag((_LAW_ERROR * shape) ** 2)
     information = float(shape @ np.linalg.solve(noise, shape)) + 1.0
     size = float(shape @ np.linalg.solve(noise, seen.error)) / information
-    # Of an effect that acts in one direction alone, the other's share of the probability.
-    possible = 2.0 * ndtr(size * np.sqrt(information)) if change.one_sided else 1.0
-    density = _log_density(seen.error, noise + np.outer(shape, shape)) + float(np.log(max(possible, 1e-300)))
-    return _Cause(change, size, size**2 + 1.0 / information, density)
+    square = size**2 + 1.0 / information
+    density = _log_density(seen.error, noise + np.outer(shape, shape))
+    if not change.one_sided:
+        return _Cause(change, size, square, density)
+    # An effect that acts in one direction alone: the normal distribution cut off at 0.
+    root = float(np.sqrt(information))
+    log_share = float(log_ndtr(size * root))
+    by = float(np.exp(-0.5 * (size * root) ** 2 - 0.5 * np.log(2.0 * np.pi) - log_share)) / root
+    return _Cause(change, max(size + by, 0.0), max(square + size * by, 0.0), density + float(np.log(2.0)) + log_share)
 
 
 def _missing(parameters: ParameterSet) -> list[Effect]:
