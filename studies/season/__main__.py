@@ -134,6 +134,25 @@ def bounds(args: argparse.Namespace) -> int:
     return 0
 
 
+def home_flows(args: argparse.Namespace) -> int:
+    """A line for each season: its loads under many laws of drift, with sweeps that may move the flow at home and that may not."""
+    from studies.season import season as seasons
+    from studies.season import study
+    from studies.season.home_flow import home_flow
+    from yieldmon.physics.machine import Machine
+    from yieldmon.plant.scenario import Scenario
+
+    settings, machine = seasons.SeasonSettings(hours=args.hours), Machine()
+    scenario = study.scenario_of(settings).model_copy(update={"effects": Scenario().effects})
+    for seed in range(args.seed, args.seed + args.seeds):
+        season = seasons.simulate(settings, machine, scenario, seed)
+        first = study.first_calibration(settings, machine, seed)
+        kept = study.StudySettings.of_daemon()
+        found = home_flow(season, first, settings, kept, seasons=args.home_flow, common_error=args.common_error)
+        print(json.dumps({"seed": seed, "loads": len(season.loads.mass_kg)} | found), flush=True)
+    return 0
+
+
 def causes(args: argparse.Namespace) -> int:
     """A line for each season of a combine whose grain is the model's: what its live error with a ticket a day is made of."""
     from studies.season import season as seasons
@@ -236,24 +255,30 @@ def main() -> int:
     )
     parser.add_argument("--combines", nargs="+", metavar="NAME", help='map and sweeps compared on these combines; "all": five')
     parser.add_argument(
-        "--seeds", type=int, default=1, help="with --combines, --best-live and --live-causes: seasons of each, from --seed on"
+        "--seeds", type=int, default=1, help="with --combines, --best-live, --live-causes and --home-flow: seasons of each"
     )
     parser.add_argument("--tickets", action="store_true", help="with --combines: only the two strategies with a ticket a day")
     parser.add_argument("--best-live", action="store_true", help="the most that any estimator could have right live")
+    parser.add_argument(
+        "--home-flow", type=int, metavar="N", help="whether sweeps may move the flow at home: N seasons of each drift"
+    )
+    parser.add_argument("--common-error", type=float, default=0.0, help="with --home-flow: of the model at 40 deg, in all sweeps")
     parser.add_argument(
         "--live-causes", choices=["as modelled", "h_f 3"], metavar="NAME", help="what the live error of this combine is made of"
     )
     parser.add_argument("--reversed", action="store_true", help="with --combines: everything drifts the other way")
     parser.add_argument("--pattern-sd", type=float, help="with --combines: `learning.pattern_sd` instead of the daemon's default")
     args = parser.parse_args()
-    if args.posted_by_daemon is not None:
-        return posted_by_daemon(args)
-    if args.best_live:
-        return bounds(args)
-    if args.live_causes:
-        return causes(args)
-    if args.combines:
-        return combines(args)
+    others = (
+        (args.posted_by_daemon is not None, posted_by_daemon),
+        (args.best_live, bounds),
+        (bool(args.live_causes), causes),
+        (bool(args.home_flow), home_flows),
+        (bool(args.combines), combines),
+    )
+    for asked, answer in others:
+        if asked:
+            return answer(args)
     begun = time.monotonic()
     console = Console(stderr=True)
     outcomes = {}

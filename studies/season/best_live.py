@@ -79,7 +79,7 @@ def best_live(season: Season, first: ParameterSet, harvest: SeasonSettings, kept
     along[0, :, 6] = harvest.friction_drift * progress
     along[1, :, 7] = harvest.restitution_drift * progress * gain
     along[3, :, 8] = harvest.wear_mm * progress
-    rows, own_sd = np.einsum("gl,gls->ls", found.mass, along), _own_sd(season)
+    rows, own_sd = np.einsum("gl,gls->ls", found.mass, along), load_sd(season)
     ratios = np.einsum("agl,gls->als", found.ratios, along)
     every = max(1, round(kept.sweep_interval_s / float(np.mean(loads.end - loads.start))))
     swept = np.arange(middle.size) % every == 0
@@ -96,7 +96,7 @@ def best_live(season: Season, first: ParameterSet, harvest: SeasonSettings, kept
     shares: dict[str, Any] = {}
     ticket_sd = np.hypot(np.hypot(kept.ticket_sd_kg / loads.mass_kg, kept.anchor_error), own_sd)
     alone, swept_too = (
-        _errors(rows, told[label], _prior(first, kept), _weighed(days, 1), ticket_sd, own_sd)
+        _errors(rows, told[label], prior_of(first, kept), tickets_at(days, 1), ticket_sd, own_sd)
         for label in ("no sweeps", "sweeps as they read")
     )
     means = [np.mean(np.abs(errors), axis=1) for errors in (alone, swept_too)]
@@ -104,9 +104,9 @@ def best_live(season: Season, first: ParameterSet, harvest: SeasonSettings, kept
     shares["seasons that sweeps as they read make worse"] = round(float(np.mean(means[1] > means[0])), 3)
     shares["difference of a season, sd"] = round(100.0 * float(np.std(means[1] - means[0])), 3)
     for tickets in TICKETS_A_DAY:
-        weighed = _weighed(days, tickets)
+        weighed = tickets_at(days, tickets)
         for label, beside in told.items():
-            live, posted = _sd(rows, beside, _prior(first, kept), weighed, ticket_sd, days)
+            live, posted = _sd(rows, beside, prior_of(first, kept), weighed, ticket_sd, days)
             share, share_posted = (erf(0.01 / (np.sqrt(2.0) * np.hypot(sd, own_sd))) for sd in (live, posted))
             name = label if tickets == 1 else f"{label}, {tickets} tickets a day"
             shares[name] = round(float(np.mean(share)), 3)
@@ -116,7 +116,7 @@ def best_live(season: Season, first: ParameterSet, harvest: SeasonSettings, kept
     return shares
 
 
-def _own_sd(season: Season) -> Array:
+def load_sd(season: Season) -> Array:
     """Relative standard deviation of each load by its own zero and noise, (loads,)."""
     found = []
     for a, b in zip(season.loads.start, season.loads.end, strict=True):
@@ -165,7 +165,7 @@ def _forces(model: ForwardModel, values: dict[str, float], angles: Array, speed:
     )
 
 
-def _prior(first: ParameterSet, kept: StudySettings) -> Array:
+def prior_of(first: ParameterSet, kept: StudySettings) -> Array:
     """Covariance of the state at the season's start: calibration, slopes, and drift of either sign and the season's size."""
     scale = np.array([first.values[name] + (1.0 if name == "restitution" else 0.0) for name in GRAIN])
     prior = np.zeros((9, 9))
@@ -175,7 +175,7 @@ def _prior(first: ParameterSet, kept: StudySettings) -> Array:
     return prior
 
 
-def _weighed(days: NDArray[np.int64], tickets: int) -> NDArray[np.bool_]:
+def tickets_at(days: NDArray[np.int64], tickets: int) -> NDArray[np.bool_]:
     """Loads with a ticket: of each day so many, evenly, the last one that of its evening."""
     found = np.zeros(days.size, dtype=bool)
     for day in np.unique(days):
