@@ -52,7 +52,8 @@ def test_with_all_that_is_true_a_load_is_measured_as_it_is(harvest: tuple[season
 
 def test_the_parts_of_the_live_error_are_those_of_its_whole(harvest: tuple[seasons.Season, ParameterSet]) -> None:
     found, causes = live_parts(*harvest, KEPT), live_causes(*harvest, KEPT)
-    assert found["all"]["mean_abs_pct"] == pytest.approx(causes["as measured"]["mean_abs_pct"], abs=0.03)
+    # Logarithms there, relative errors of 5 % here.
+    assert found["all"]["mean_abs_pct"] == pytest.approx(causes["as measured"]["mean_abs_pct"], rel=0.06)
     assert found["model"]["rms_pct"] < 0.5, "what is left where parameters, zero and noise are right"
     assert found["scale and drift"]["mean_abs_pct"] < 0.5 * found["all"]["mean_abs_pct"]
 
