@@ -22,7 +22,7 @@ from .candidates import false_alarm, lawful, only_at_bound, polished, refit, sco
 from .choice import Choice, Step
 from .fit import Fit, fit
 from .frame import Frame
-from .gap import LackOfFit
+from .gap import LackOfFit, lack_of_fit
 from .merit import merit
 from .noise import Noise
 from .policy import Policy
@@ -78,10 +78,13 @@ def of_one_cause(
     tied = tuple(one.effect for one in others if one.merit <= best.merit + policy.tie)
     signatures = [signature(base, law) for law in lawful(effects)]
     p_any = false_alarm(signatures, base, noise, rng)(base.chi2 - best.fit.chi2)
-    gap = _beyond_errors(best.fit, noise)
     beyond = min((one.merit - best.merit for one in others if one.effect not in tied), default=float("inf"))
-    agrees = any(best.effect in (step.added, *step.equivalent) for step in found.steps)
-    agrees = agrees or beyond >= chosen_from_all(policy.per_parameter)
+    far_ahead = beyond >= chosen_from_all(policy.per_parameter)
+    agrees = far_ahead or any(best.effect in (step.added, *step.equivalent) for step in found.steps)
+    gap = _beyond_errors(best.fit, noise)
+    if far_ahead and gap.p_value < policy.gap_p:
+        # Beside rivals that are far behind, what the model's own error makes in the mean is no part of the gap.
+        gap = lack_of_fit(best.fit, noise, beside=best.fit.error)
     clear = p_any < policy.first_p and gap.p_value >= policy.gap_p and 1 + len(tied) <= policy.largest_class
     if (
         not (agrees and clear)
