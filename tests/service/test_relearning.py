@@ -361,7 +361,8 @@ def test_the_owner_is_told_what_a_correction_and_a_second_ticket_leave(tmp_path,
         assert "stood for it" not in capsys.readouterr().err
         assert cli.main(["ticket", str(number), f"{mass_kg}kg", *socket]) == 0
         told = capsys.readouterr().err
-        assert "ticket 1 stood for it; the newer one counts (`yieldmon ticket undo 2` if it is for another load)" in told
+        assert "ticket 1 stood for it; the newer one counts (`yieldmon ticket undo 2` if it is for another load; " in told
+        assert "of two weighings of one load enter the sum)" in told
         ask(season.folder, "load", "start", "--crop", "corn")
         assert ask(season.folder, "status")["load"]["crop"] == "corn"
 

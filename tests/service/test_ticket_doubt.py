@@ -55,6 +55,14 @@ def test_what_is_known_no_better_or_weighed_already_is_not_named() -> None:
     assert "load 8 is not on it" in question(16000.0, loads=range(6, 9))
 
 
+@pytest.mark.parametrize(("before_kg", "told"), [({3: 5000.0}, True), ({3: 4950.0}, True), ({3: 3000.0}, False), ({}, False)])
+def test_the_second_truck_of_a_load_is_no_new_mass_of_it(before_kg: dict[int, float], told: bool) -> None:
+    load = Load(7, "", "wheat", 1.0, 2.0, 9000.0, None)
+    said = ticket_doubt.question(4000.0, Departure(log(4.0 / 9.0), 0.012), [load], KNOWN_KG, {7}, before_kg)
+    total_kg = 4000.0 + before_kg.get(3, 0.0)
+    assert (f"as if ticket 3 is its other part (then {total_kg:,.0f} kg" in said) is told
+
+
 def test_of_several_loads_the_deviations_go_together_and_an_unweighed_machine_is_known_to_a_quarter() -> None:
     one = combined([(1000.0, (0.1, 0.02)), (3000.0, (0.02, 0.04))], weighed_before=True)
     assert (one.ln, one.std_dev) == pytest.approx((0.04, 0.035))

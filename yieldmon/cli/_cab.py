@@ -94,6 +94,8 @@ def said(request: Mapping[str, Any], answer: Mapping[str, Any]) -> str:
             doubt = f"; {answer['question']}: is it right?" if answer.get("question") else ""
             if answer.get("sets_scale_pct") is not None:
                 doubt += "; the first, it sets the scale by itself: weigh a second load"
+            if answer.get("replaces"):
+                doubt += "; it replaces the one before: of two weighings of one load enter the sum"
             if crop := answer.get("waits_for_crop"):
                 doubt += f"; it teaches {crop} once that is harvested again"
             return f"{taken}{doubt}" if answer["anchor"] else f"{taken}; no reference: {answer['why_no_anchor']}"

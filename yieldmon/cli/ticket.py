@@ -67,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
         numbers = ", ".join(map(str, replaced))
         print(
             f"yieldmon: {which}: ticket {numbers} stood for it; the newer one counts (`yieldmon ticket undo {answer['ticket']}` "
-            "if it is for another load)",
+            "if it is for another load; of two weighings of one load enter the sum)",
             file=sys.stderr,
         )
     alone = answer.get("sets_scale_pct")

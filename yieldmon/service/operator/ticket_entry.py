@@ -148,7 +148,9 @@ def _question(ticket: Ticket, departs: ticket_doubt.Departure | None, order: Ord
     known = order.journal.actions.ledger
     known_kg = {load.number: load.mass_kg * known.factors.get(load.number, 1.0) for load in order.journal.loads}
     weighed = {n for t in known.tickets.values() for n in range(t.first_load, t.last_load + 1)}
-    asked = ticket_doubt.question(ticket.weighed_mass_kg, departs, covered, known_kg, weighed)
+    same = {n: t for n, t in known.tickets.items() if (t.first_load, t.last_load) == (ticket.first_load, ticket.last_load)}
+    before_kg = {max(same): same[max(same)].weighed_mass_kg} if same else {}
+    asked = ticket_doubt.question(ticket.weighed_mass_kg, departs, covered, known_kg, weighed, before_kg)
     numbers = [load.number for load in covered]
     waiting = _waiting_tickets(order, crop, numbers) if crop and departs.second else []
     alone = waiting if crop else _only_tickets(order, numbers)

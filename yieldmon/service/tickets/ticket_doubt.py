@@ -66,13 +66,20 @@ def combined(parts: Sequence[tuple[float, tuple[float, float]]], *, weighed_befo
 
 
 def question(
-    weighed_kg: float, found: Departure, covered: Sequence[Load], known_kg: Mapping[int, float], weighed: set[int]
+    weighed_kg: float,
+    found: Departure,
+    covered: Sequence[Load],
+    known_kg: Mapping[int, float],
+    weighed: set[int],
+    before_kg: Mapping[int, float] | None = None,
 ) -> str:
     """What is asked about a ticket that contradicts its loads; "" for any other.
 
-    covered: its loads. known_kg: of each load, by number. weighed: loads with a ticket of their own.
+    covered: its loads. known_kg: of each load, by number. weighed: loads with a ticket of their own. before_kg: of tickets that stand
+    for the same loads, by number.
     """
-    slips = _explaining(found, covered, known_kg, weighed)
+    parts = [(weighed_kg / (weighed_kg + kg), f"ticket {number} is its other part") for number, kg in (before_kg or {}).items()]
+    slips = _explaining(found, covered, known_kg, weighed, parts)
     if not slips and not found.beyond(_GROSS_SDS, _GROSS_LN):
         return ""
     expected_kg = weighed_kg * exp(-found.ln)
@@ -86,13 +93,18 @@ def question(
 
 
 def _explaining(
-    found: Departure, covered: Sequence[Load], known_kg: Mapping[int, float], weighed: set[int]
+    found: Departure,
+    covered: Sequence[Load],
+    known_kg: Mapping[int, float],
+    weighed: set[int],
+    parts: Sequence[tuple[float, str]],
 ) -> list[tuple[float, str]]:
-    """The factors that explain a ticket, each with how it came in words: units before others, at most two."""
+    """The factors that explain a ticket, each with how it came in words: parts of a load, then units before others, at most
+    two."""
     if not found.beyond(_FAR_SDS):
         return []
     near = min(_LIKE_SDS * found.std_dev, abs(found.ln) / _NEARER)
-    each = [*UNIT_SLIPS, *sorted(_slips(covered, known_kg, weighed), key=lambda slip: abs(found.ln - log(slip[0])))]
+    each = [*parts, *UNIT_SLIPS, *sorted(_slips(covered, known_kg, weighed), key=lambda slip: abs(found.ln - log(slip[0])))]
     return [slip for slip in each if abs(found.ln - log(slip[0])) < near][:_NAMED]
 
 

@@ -221,7 +221,7 @@ function answerOf(name, answer) {
     const asked = answer.question || (Math.abs(off) > UNLIKELY_PCT ? "That is a lot" : "");
     const doubt = asked ? ` ${asked}; if it is a slip, enter the right mass as another ticket.` : "";
     const first = answer.sets_scale_pct == null ? "" : " It is the first and sets the scale by itself: weigh a second load.";
-    const replaced = answer.replaces?.length ? ` Ticket ${answer.replaces.join(", ")} stood for it; the newer one counts.` : "";
+    const replaced = answer.replaces?.length ? ` Ticket ${answer.replaces.join(", ")} stood for it; the newer one counts (of two weighings of one load enter the sum).` : "";
     const of = answer.waits_for_crop;
     const use = !answer.anchor ? `no reference for the calibration: ${answer.why_no_anchor}`
       : of ? `a reference for ${of}, which learns once it is harvested again` : "a reference for the calibration";
