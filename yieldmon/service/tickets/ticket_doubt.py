@@ -75,8 +75,8 @@ def question(
 ) -> str:
     """What is asked about a ticket that contradicts its loads; "" for any other.
 
-    covered: its loads. known_kg: of each load, by number. weighed: loads with a ticket of their own. before_kg: of tickets that stand
-    for the same loads, by number.
+    covered: its loads. known_kg: of each load, by number. weighed: loads with a ticket of their own. before_kg: of tickets that
+    stand for the same loads, by number.
     """
     parts = [(weighed_kg / (weighed_kg + kg), f"ticket {number} is its other part") for number, kg in (before_kg or {}).items()]
     slips = _explaining(found, covered, known_kg, weighed, parts)
