@@ -21,8 +21,11 @@ SPOT = [(lane, along) for lane in SPOT_PASSES for along in SPOT_S]
 ALONE = [(2, along) for along in SPOT_S]
 
 
-def document(path: Path, places: list[tuple[int, int]], factor: float, capsys: pytest.CaptureFixture[str]) -> Any:
-    """The map of a field of known yields, no delay, with those of some places multiplied by a factor."""
+def document(
+    path: Path, places: list[tuple[int, int]], factor: float, capsys: pytest.CaptureFixture[str], lane_m: float = WIDTH_M
+) -> Any:
+    """The map of a field of known yields, no delay, with those of some places multiplied by a factor; passes lane_m beside each
+    other."""
     rng = np.random.default_rng(2)
     lines = ["longitude,latitude,time_s,flow_kg_s,width_m,header"]
     for lane in range(PASSES):
@@ -31,10 +34,11 @@ def document(path: Path, places: list[tuple[int, int]], factor: float, capsys: p
             amount = BASE_KG_M2 * (1.0 + 0.1 * np.sin(along / 9.0 + lane / 5.0) + 0.05 * rng.normal())
             amount *= factor if (lane, along) in places else 1.0
             north = SPEED_M_S * (along + (1.0 if lane % 2 == 0 else 0.0))
-            east = lane * WIDTH_M / np.cos(np.radians(LATITUDE))
+            cut_m = lane_m if lane else WIDTH_M
+            east = lane * lane_m / np.cos(np.radians(LATITUDE))
             lines.append(
                 f"{11.0 + east / EARTH_M_DEG:.8f},{LATITUDE + north / EARTH_M_DEG:.8f},"
-                f"{1.7e9 + lane * 150 + second:.0f},{amount * WIDTH_M * SPEED_M_S:.4f},{WIDTH_M},1"
+                f"{1.7e9 + lane * 150 + second:.0f},{amount * cut_m * SPEED_M_S:.4f},{WIDTH_M},1"
             )
     order = sorted(lines[1:], key=lambda line: float(line.split(",")[2]))
     path.write_text("\n".join([lines[0], *order, ""]))
@@ -58,3 +62,9 @@ def test_what_one_pass_shows_alone_is_left_out(
 ) -> None:
     found = document(tmp_path / "h.csv", ALONE, factor, capsys)["points_by_reason"]
     assert sum(found.get(reason, 0) for reason in reasons) >= len(ALONE) - 2
+
+
+def test_a_whole_width_beside_passes_that_overlap_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    found = document(tmp_path / "h.csv", [], 1.0, capsys, 3.4)
+    assert found["mass_kg"]["kept"] > 0.98 * found["mass_kg"]["integrated"]
+    assert found["yield_t_ha"] == pytest.approx(10.0 * BASE_KG_M2, rel=0.01)

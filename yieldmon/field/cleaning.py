@@ -233,7 +233,9 @@ def _flow(at: Context) -> Flags:
     usable = down & (np.nan_to_num(mass) > 0)
     with np.errstate(invalid="ignore", divide="ignore"):
         rate = np.where(down & (at.table["interval_s"] > 0), mass / at.table["interval_s"] / at.table["width_m"], np.nan)
-        high = usable & (rate > fences(np.where(usable, rate, np.nan))[1])
+        # By the width that was newly cut: beside passes that overlap a whole width is no outlier.
+        share = np.where(usable, at.ground.area_m2 / at.ground.gross_m2, np.nan)
+        high = usable & (rate > fences(np.where(share >= _MIN_NEW_SHARE, rate / share, np.nan))[1])
     empty = _between_grain(at, usable) & (mass == 0) & (at.table["header_down"] > 0)
     return (~usable | high) & ~shared(at.steps, rate, high | empty)
 
