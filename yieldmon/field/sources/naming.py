@@ -10,6 +10,7 @@ import re
 import unicodedata
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 from yieldmon.errors import InputError
 from yieldmon.field.units import BUSHELS, FACTORS, factor, is_unit_of, plain_unit
@@ -111,6 +112,7 @@ QUANTITIES: Mapping[str, Quantity] = {
     ),
     "product": Quantity("text", _names("product variety hybrid")),
 }
+_KNOWN_NAMES = frozenset(name for facts in QUANTITIES.values() for name in facts.names)
 _NEEDS_NO_UNIT = ("longitude", "latitude", "time", "moisture", "heading")
 _SHAPEFILE_NAME, _LEAST_CUT = 10, 7
 """Longest name of a column in a shapefile, and shortest in plain letters that still says what was cut."""
@@ -176,6 +178,7 @@ def _require_unit_of(quantity: str, unit: str) -> None:
         raise InputError(f"--column {quantity}", f"has the unit {unit!r}", f"{quantity}=NAME, which has none")
 
 
+@lru_cache(maxsize=1024)
 def _spellings(name: str, bare: str) -> tuple[str, ...]:
     """What a column may be called: with and without its unit, and without brackets that hold no known one."""
     return plain_name(bare), plain_name(name), plain_name(_BRACKETS.sub("", name))
@@ -183,16 +186,17 @@ def _spellings(name: str, bare: str) -> tuple[str, ...]:
 
 def _is_called(wanted: str, name: str, bare: str) -> bool:
     """Whether a column bears a known name, whole or cut to ten characters as in a shapefile, its unit with it."""
-    if wanted in _spellings(name, bare):
+    spelled = _spellings(name, bare)
+    if wanted in spelled:
         return True
-    plain = plain_name(name)
+    plain = spelled[1]
     return len(name) == _SHAPEFILE_NAME and len(plain) >= _LEAST_CUT and (wanted.startswith(plain) or wanted == plain[:-1])
 
 
 def is_known_name(name: str) -> bool:
     """Whether a column of this name would be taken as a quantity."""
     bare, _ = split_unit(name)
-    return any(wanted in _spellings(name, bare) for facts in QUANTITIES.values() for wanted in facts.names)
+    return not _KNOWN_NAMES.isdisjoint(_spellings(name, bare))
 
 
 def plain_name(name: str) -> str:
