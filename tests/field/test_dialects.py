@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -99,6 +100,18 @@ def test_vector_files_date_their_points(clock: str, tmp_path: Path) -> None:
         assert "no time" in table.sources[0].notes[-1]
     else:
         looks_right(table)
+
+
+def test_geojson_a_feature_a_line(tmp_path: Path) -> None:
+    said = {"Flow(kg/s)": 1.0, "Moisture": 16.0, "Swath(m)": 9.144}
+    lines = []
+    for clock, latitude in (("11:59:59", 39.0), ("12:00:00", 39.00001796), ("12:00:01", 39.00003592)):
+        place = {"type": "Point", "coordinates": [-92.1, latitude]}
+        properties = {"Time": f"2013-09-23T{clock}Z", **said}
+        lines.append(json.dumps({"type": "Feature", "properties": properties, "geometry": place}))
+    path = tmp_path / "field.geojsonl"
+    path.write_text("\n".join([*lines, ""]))
+    looks_right(sources.read(path, ReadOptions()))
 
 
 #: Three rows of Ag Leader text 2 m apart, 1 kg/s; the header is up at the last.

@@ -18,7 +18,10 @@ ZIP_DAMAGE = (
     OverflowError,
 )
 
-_SUFFIXES = (".txt", ".csv", ".tsv", ".dat", ".shp", ".gpkg", ".geojson", ".gml", ".fgb", ".kml", ".sqlite", ".zip", ".xlsx")
+_SUFFIXES = (
+    ".txt", ".csv", ".tsv", ".dat", ".shp", ".gpkg", ".geojson", ".geojsonl", ".geojsons", ".gml", ".fgb", ".kml", ".sqlite",
+    ".zip", ".xlsx",
+)  # fmt: skip
 
 
 def may_be_harvest(name: str) -> bool:

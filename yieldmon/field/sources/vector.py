@@ -29,7 +29,7 @@ from .raw_table import Raw
 
 KIND = "GeoPackage, GeoJSON or shapefile"
 ORDER = 30
-_SUFFIXES = (".gpkg", ".geojson", ".json", ".shp", ".gml", ".fgb", ".kml")
+_SUFFIXES = (".gpkg", ".geojson", ".json", ".shp", ".gml", ".fgb", ".kml", ".geojsonl", ".geojsons")
 _LARGEST_METADATA_BYTES = 16_000_000
 _POSITION = ("longitude", "latitude")
 _AT_ONCE = 0.2
