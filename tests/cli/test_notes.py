@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 from yieldmon.cli.main import main
+from yieldmon.resources import shipped
 
 UNENDED = "friction: 0.3\ndensity: 1100\nshape_ratio: 2\nrestitution: 0.4"
 """A file without the end of its last line."""
@@ -53,3 +56,19 @@ def test_a_table_with_columns_of_its_own_is_refused_in_one_line(
     words = ["--params", str(known)] if verb == "estimate" else []
     assert main([verb, str(table), *words]) == 2
     assert capsys.readouterr().err.count("\n") == 1
+
+
+@pytest.mark.parametrize("verb", [["run", "--config"], ["check-config"]])
+def test_a_configuration_whose_machine_file_has_no_end_is_refused_in_one_line(
+    tmp_path: Path, params: Path, verb: list[str]
+) -> None:
+    params.write_text(UNENDED.replace("0.3", "9"))
+    config, machine = tmp_path / "c.yaml", tmp_path / "m.yaml"
+    machine.write_text(shipped("config/machines/sprocket-8.yaml").read_text().rstrip())
+    config.write_text(f"machine_file: {machine}\nparameter_file: {params}\n")
+    # A process of its own: the daemon sets signals, and what nobody takes is printed where no test listens.
+    words = [sys.executable, "-m", "yieldmon", *verb, str(config)]
+    done = subprocess.run(words, check=False, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 2
+    assert "friction: is 9" in done.stderr
+    assert done.stderr.count("\n") == 1

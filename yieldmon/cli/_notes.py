@@ -32,13 +32,13 @@ def note(text: str, before: str = "yieldmon") -> None:
 
 
 @contextmanager
-def held() -> Iterator[None]:
-    """Around a command's work: notes wait for its end, and go where it raises InputError."""
+def held() -> Iterator[list[str]]:
+    """Around a command's work: notes wait for its end, and go where it raises InputError. Gives their lines."""
     lines: list[str] = []
     handler, token = _Handler(), _held.set(lines)
     _READERS.addHandler(handler)
     try:
-        yield
+        yield lines
     except InputError:
         lines.clear()
         raise

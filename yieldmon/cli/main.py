@@ -195,9 +195,12 @@ def _run(argv: Sequence[str]) -> int:
     if left:
         unknown(parser, argv, left)
     assert module is not None, "the parser accepts no verb but the chosen one"
-    # The daemon's journal has each line as it comes.
-    with _outputs.checked(args), nullcontext() if args.verb == "run" else _notes.held():
-        return int(module.run(args))
+    # A daemon's journal has each line as it comes.
+    with _outputs.checked(args), nullcontext(list[str]()) if args.verb == "run" else _notes.held() as notes:
+        code = int(module.run(args))
+        if code == EXIT_USAGE:
+            notes.clear()
+        return code
 
 
 def main(argv: Sequence[str] | None = None) -> int:

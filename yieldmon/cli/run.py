@@ -8,6 +8,7 @@ import signal
 import sys
 from pathlib import Path
 
+from yieldmon.cli import _notes
 from yieldmon.resources import shipped
 from yieldmon.service.config import configuration
 from yieldmon.service.daemon import Daemon
@@ -39,7 +40,8 @@ def run(args: argparse.Namespace) -> int:
     # Until the daemon is there a hangup would end the process.
     signal.signal(signal.SIGHUP, lambda number, _: early.append(number))
     path = Path(args.config) if args.config is not None else shipped("config/yieldmon.yaml")
-    loaded = configuration.load(path)
+    with _notes.held():
+        loaded = configuration.load(path)
     # Under a service manager the journal has the time and takes the level from the prefix.
     lines = JournalLines()
     lines.addFilter(QuietLog())
