@@ -9,6 +9,7 @@ import pytest
 from studies.season import season as seasons
 from studies.season import study
 from studies.season.best_live import best_live
+from studies.season.home_flow import home_flow
 from studies.season.live_causes import live_causes, live_parts
 from studies.season.sweep_readings import sweep_readings
 from yieldmon.estimation.parameters import ParameterSet
@@ -64,3 +65,13 @@ def test_sweeps_read_friction_as_well_as_they_state(harvest: tuple[seasons.Seaso
     assert found["sweeps"] >= 10
     assert abs(found["score_mean"]) < 4.0 * found["score_mean_sd"]
     assert 0.6 < found["score_rms"] < 1.5
+
+
+def test_the_copy_of_the_filter_keeps_the_flow_at_home_only_where_it_is_told_to(
+    harvest: tuple[seasons.Season, ParameterSet],
+) -> None:
+    kept = replace(KEPT, sweep_interval_s=120.0)
+    right, off = (home_flow(*harvest, SETTINGS, kept, seasons=4, common_error=error) for error in (0.0, 0.05))
+    assert right["steady, tickets"] == off["steady, tickets"], "a ticket is of the plate at home"
+    moved = {way: abs(off[f"mean of laws, {way}"][0] - right[f"mean of laws, {way}"][0]) for way in ("sweeps", "constrained")}
+    assert 0.0 < moved["constrained"] < moved["sweeps"]
