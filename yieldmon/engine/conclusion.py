@@ -133,7 +133,7 @@ class Conclusion:
     def _by_mean_force(self, reading: Reading, estimate: Estimate | None, estimator: FlowEstimator) -> Flow:
         parts = self._parts
         old = parts.faults.is_active(FaultCode.CALIBRATION_OLD)
-        circumstances = Circumstances(parts.plate.sweep.visiting, old, parts.learning.model_error, parts.learning.drift_sd)
+        circumstances = Circumstances(parts.plate.sweep.visiting, old, parts.learning.load_error, parts.learning.drift_sd)
         return parts.flow_meter.flow(reading, estimate, estimator, circumstances)
 
     def _corrected(self, by_mean_force: Flow, end_s: float, estimator: FlowEstimator) -> Flow:
