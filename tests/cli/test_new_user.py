@@ -59,7 +59,7 @@ MISTAKES = {
     "process s.sqlite a.log --out x.csv": "names a store together with other sources; expected one store alone",
     f"ticket 7 {NOBODY}": "MASS: is missing; expected the weighed mass",
     f"ticket 7 9,12t {NOBODY}": "mass: '9,12t'; expected kilograms above 0, such as 9120, 9120kg, 9.12t or 20106lb, with a point",
-    f"ticket 7 9 stone {NOBODY}": "mass: '9stone'; expected kilograms",
+    f"ticket 7 9 stone {NOBODY}": "mass: '9 stone'; expected kilograms",
     f"ticket 7 9t --std-dev 3% {NOBODY}": "--std-dev: '3%'; expected kilograms",
     f"ticket 7..9 9t {NOBODY}": "LOAD: '7..9'; expected a number such as 7, or FIRST-LAST",
     f"ticket 9-7 9t {NOBODY}": "expected the first load before the last",
