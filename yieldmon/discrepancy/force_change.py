@@ -14,7 +14,7 @@ from yieldmon.physics.numerics import Array, real
 from .fit import Fit
 from .frame import Parameter, effect_parameters, predictions
 
-SIZES = (0.1, 0.2, 0.35, 0.6, 1.0, 1.7, 3.0)
+SIZES = (0.1, 0.2, 0.35, 0.6, 1.0, 1.7, 3.0, 5.0)
 """At which a change is drawn, in typical sizes from the null value."""
 _UNLIKELY = 2.0 * float(np.log(20.0))
 """-2 log of the odds that one machine has an effect `of_grain` for itself."""
