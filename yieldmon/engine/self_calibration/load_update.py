@@ -70,7 +70,7 @@ class LoadUpdate:
         near = near and self._without_curve(prior) is prior and self._knows_scale(prior, names)
         earlier = [load for load in counted if load.name not in names]
         if near and not self._leaves(earlier, prior, outcome.parameter_set):
-            return self._told(outcome, prior, names), drifting
+            return self._with_change_of_scale(outcome, prior, names), drifting
         # Outside the prior's standard deviations, or so far that its linearisation about the earlier loads no longer holds:
         # only the loads together determine the scale.
         try:
@@ -78,10 +78,10 @@ class LoadUpdate:
             found = calibrate_loads(self.model, self._without_curve(prior), counted, settings=self.load_settings, learnt=learnt)
         except ValueError:
             if near:
-                return self._told(outcome, prior, names), drifting
+                return self._with_change_of_scale(outcome, prior, names), drifting
             raise
         if near and (found.refused or found.contradiction is not None) and not _is_another(found):
-            return self._told(outcome, prior, names), drifting
+            return self._with_change_of_scale(outcome, prior, names), drifting
         reason = (
             f"weighed loads moved the scale by {100.0 * (found.scale - 1.0):+.1f} %; a next load is expected within "
             f"{100.0 * found.next_load_sd:.1f} %"
@@ -110,8 +110,8 @@ class LoadUpdate:
         outcome = replace(Outcome.unchanged(known), updated=not found.refused, reason=reason, scale=scale, dof=len(self.counted))
         return outcome, drifting
 
-    def _told(self, outcome: Outcome, prior: ParameterSet, names: Container[str]) -> Outcome:
-        """With what its parameters change of the mass of the loads of these names, in words."""
+    def _with_change_of_scale(self, outcome: Outcome, prior: ParameterSet, names: Container[str]) -> Outcome:
+        """The outcome whose reason says by how much its parameters change the mass of the loads of these names."""
         if not outcome.updated:
             return outcome
         each = [
