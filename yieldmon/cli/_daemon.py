@@ -16,7 +16,7 @@ from yieldmon.errors import InputError
 from yieldmon.service.folders import runtime_folder
 from yieldmon.service.operator.control_client import ask
 from yieldmon.service.operator.control_protocol import TICKET_KG, ControlError
-from yieldmon.units import KG_PER_LB, KG_PER_SHORT_TON, KG_PER_T, Units, UnitSystem
+from yieldmon.units import KG_PER_DT, KG_PER_LB, KG_PER_SHORT_TON, KG_PER_T, Units, UnitSystem
 
 SYSTEM_SOCKET = Path("/run/yieldmon/yieldmon.sock")
 
@@ -64,7 +64,7 @@ def daemon_socket(args: argparse.Namespace) -> Path:
 
 _MASS_UNITS = {
     "kg": 1.0, "lbs": KG_PER_LB, "lb": KG_PER_LB, "shorttons": KG_PER_SHORT_TON, "shortton": KG_PER_SHORT_TON,
-    "tonnes": KG_PER_T, "tonne": KG_PER_T, "dt": 0.1 * KG_PER_T, "t": KG_PER_T,
+    "tonnes": KG_PER_T, "tonne": KG_PER_T, "dt": KG_PER_DT, "t": KG_PER_T,
 }  # fmt: skip
 _SMALL_UNITS = ("kg", "lb", "lbs")
 _IN_THOUSANDS = re.compile(r"[1-9][0-9]{0,2}(,[0-9]{3})+(\.[0-9]+)?")

@@ -17,6 +17,7 @@ from types import MappingProxyType
 from yieldmon.errors import InputError
 from yieldmon.files.crops import crops, shipped_name
 from yieldmon.units import (
+    KG_PER_DT,
     KG_PER_LB,
     KG_PER_SHORT_TON,
     M2_PER_ACRE,
@@ -87,7 +88,7 @@ def crop(name: str) -> Crop | None:
 
 
 _MASS = {"kg": 1.0, "g": 1e-3, "t": 1e3, "lb": KG_PER_LB, "lbs": KG_PER_LB, "mg": 1e-6, "ton": KG_PER_SHORT_TON, "tonne": 1e3}
-_MASS |= {"dt": 100.0, "q": 100.0}  # decitonne (German) and quintal (French, Italian, Spanish), both 100 kg
+_MASS |= {"dt": KG_PER_DT, "q": KG_PER_DT}  # decitonne (German) and quintal (French, Italian, Spanish), both 100 kg
 _MASS |= {"sc": 60.0}  # saca of grain (Brazil)
 _MASS |= {"tonnes": 1e3, "cwt": 100.0 * KG_PER_LB, "short_ton": KG_PER_SHORT_TON, "metric_ton": 1e3}
 _LENGTH = {"m": 1.0, "cm": 0.01, "mm": 1e-3, "ft": M_PER_FT, "in": M_PER_IN, "km": 1e3, "mi": M_PER_MI, "inch": M_PER_IN}

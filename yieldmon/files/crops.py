@@ -58,7 +58,8 @@ _OTHER_LETTERS = {"ø": "o", "æ": "ae", "ł": "l", "ß": "ss"}
 _SHORTEST_SLIP = 4
 """Letters; of shorter words, and one slip from shorter ones, many are another crop's."""
 _HEAP_OVER_TEST_WEIGHT = 1.49
-_DENSITY_SD = 0.15
+DENSITY_SD = 0.15
+"""Relative, of a crop's bulk density on a paddle over varieties and years."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +96,7 @@ class Crop:
                 "gravity.acceleration_m_s2": GRAVITY_M_S2,
             },
             ("friction", "density", "restitution"),
-            np.diag([self.friction_sd**2, (_DENSITY_SD * density) ** 2, self.restitution_sd**2]),
+            np.diag([self.friction_sd**2, (DENSITY_SD * density) ** 2, self.restitution_sd**2]),
             provenance={"crop": self.name, "method": "published properties", "sources": f"config/crops.yaml: {self.sources}"},
         )
 

@@ -9,14 +9,16 @@ from math import isfinite
 from pathlib import Path
 
 from yieldmon.errors import InputError
-from yieldmon.units import KG_PER_LB, KG_PER_T
+from yieldmon.units import KG_PER_DT, KG_PER_LB, KG_PER_T
 
 from . import delimited
 
 RELATIVE_STD_DEV = 0.005
 """Standard deviation of a weighing that states none, as a share of the mass (a certified platform scale)."""
 _LOADS = ("load", "load_number", "loads", "log", "file")
-_KG: Mapping[str, float] = {"kg": 1.0, "t": KG_PER_T, "dt": 0.1 * KG_PER_T, "lb": KG_PER_LB}
+_KG: Mapping[str, float] = {"kg": 1.0, "t": KG_PER_T, "dt": KG_PER_DT, "lb": KG_PER_LB}
+COLUMNS = f"{', '.join(f'weighed_{unit}' for unit in list(_KG)[:-1])} or weighed_{list(_KG)[-1]}"
+"""Of a mass, in words."""
 _MASSES = ("weighed", "mass", "weight", "weighed_mass", "net", "net_weight", "net_mass")
 _DEVIATIONS = ("std_dev", "sd", "sigma")
 _MIN_KG, _MAX_KG = 1.0, 1e6
@@ -36,8 +38,8 @@ class WeighedTicket:
 
 
 def load(path: str | Path) -> tuple[WeighedTicket, ...]:
-    """The tickets of a file with the columns `load` (7, or 7-9 for several on one ticket) and `weighed_kg` (or _t, _lb), and if
-    known `std_dev_kg`.
+    """The tickets of a file with the columns `load` (7, or 7-9 for several on one ticket) and `weighed_kg` (or _t, _dt, _lb), and
+    if known `std_dev_kg`.
 
     Raises InputError naming line and column.
     """
@@ -97,7 +99,7 @@ def _with_unit(source: delimited.TextTable, kinds: tuple[str, ...], expected: st
     if bare and not found:
         raise InputError(f"{source.path}: header", f"{bare[0]} has no unit", f"{bare[0]}_kg, {bare[0]}_t or {bare[0]}_lb")
     said = " and ".join(found) or f"no column {expected}"
-    raise InputError(f"{source.path}: header", f"has {said}", "one column such as weighed_kg, weighed_t or weighed_lb")
+    raise InputError(f"{source.path}: header", f"has {said}", f"one column such as {COLUMNS}")
 
 
 def _number(source: delimited.TextTable, row: int, column: str) -> float:

@@ -20,7 +20,7 @@ from yieldmon.estimation.estimators import estimator_of
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.self_calibration.closed_loop_inputs import Sweep
 from yieldmon.estimation.weighing.load_inputs import WeighedLoad
-from yieldmon.files.ticket_file import WeighedTicket, unit_slip
+from yieldmon.files.ticket_file import COLUMNS, WeighedTicket, unit_slip
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import ForwardModel
 from yieldmon.repeats import repeated
@@ -202,8 +202,8 @@ def _weighed(name: str, ticket: WeighedTicket, covered: Sequence[MeasuredLoad], 
     parts, total_kg = [], sum(load.mass_kg for load in covered)
     if slip := unit_slip(ticket.mass_kg, total_kg):
         expected = (
-            "the masses in the unit of their column: weighed_kg, _t or _lb; or, where all loads are off by one factor, "
-            "the force cell's own sensor.gain_n_per_mv in the machine file"
+            f"the masses in the unit of their column: {COLUMNS}; or, where all loads are off by one factor, the force cell's own "
+            "sensor.gain_n_per_mv in the machine file"
         )
         raise InputError(ticket.where, f"load {name} {slip}", expected)
     for load in covered:
