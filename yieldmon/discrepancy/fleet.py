@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yieldmon.estimation.priors import Prior
+from yieldmon.files.crops import DENSITY_SD, SHIPPED_CROP, crops
 
 from .base_fit import fit_base
 from .candidates import library
@@ -30,8 +31,6 @@ from .selection import choose
 from .single_cause import of_one_cause
 
 LEAST_MACHINES = 3
-_FRICTION_SD, _DENSITY_SD = 0.06, 0.15
-"""Of a crop's grain over varieties and years (config/crops.yaml); density: relative."""
 _STATED = 1e6
 """Degrees of freedom of a stated noise: it is known."""
 
@@ -77,9 +76,10 @@ def _shared(lattice: Lattice, kept: NDArray[np.bool_], misfit: float, rng: np.ra
 
 
 def _of_crop(frame: Frame, grain: Mapping[str, float]) -> Prior:
-    """What is known of the crop's grain before any sweep: about the parameters that the machines began with."""
+    """What is known of the crop's grain before any sweep: about the parameters that the machines began with, as wide as for the
+    shipped crop (those of the others differ little)."""
     mean = {p.name: grain[p.name] for p in frame.base}
-    return Prior.independent(mean, {"friction": _FRICTION_SD, "density": _DENSITY_SD * mean["density"]})
+    return Prior.independent(mean, {"friction": crops()[SHIPPED_CROP].friction_sd, "density": DENSITY_SD * mean["density"]})
 
 
 def _consensus(lattice: Lattice, kept: NDArray[np.bool_], misfit: float) -> Frame:
