@@ -18,6 +18,8 @@ RESTITUTION_FORM = ("restitution",)
 """Parameters of the impact gain 1 + e."""
 EXCHANGE_FORM = ("k1", "k2")
 """Parameters of the impact gain k1 M / M_full + k2 [8.23]."""
+DRIEST_PCT = 2.0
+"""Moisture, wet basis, below which no grain is harvested: a meter at 0 has none to measure, or sends a share of 1."""
 
 
 @dataclass(frozen=True, slots=True)

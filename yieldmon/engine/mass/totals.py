@@ -10,6 +10,7 @@ from yieldmon.engine.mass.budget import EMPTY, NO_BUDGET, FlowBudget, MassBudget
 from yieldmon.engine.mass.missed_mass import MissedMass
 from yieldmon.engine.quick import maker_of
 from yieldmon.engine.settings import TotalsSettings
+from yieldmon.physics.grain import DRIEST_PCT
 
 CORN_MARKET_MOISTURE_PCT = 15.5
 """Where neither the configuration nor a crop says another."""
@@ -190,10 +191,6 @@ _made = maker_of(Totals)
 _before_area = attrgetter(*(field.name for field in fields(Totals)[:-3]))
 
 
-_DRIEST_PCT = 2.0
-"""No grain is drier: a meter that stands at 0 has none to measure, or sends a share of 1."""
-
-
 def dry_mass(
     wet_kg: float, moisture_pct: float, settings: TotalsSettings, market_moisture_pct: float = CORN_MARKET_MOISTURE_PCT
 ) -> float | None:
@@ -201,7 +198,7 @@ def dry_mass(
 
     market_moisture_pct: where the settings name none.
     """
-    if not isfinite(moisture_pct) or moisture_pct < _DRIEST_PCT:
+    if not isfinite(moisture_pct) or moisture_pct < DRIEST_PCT:
         return None
     given = settings.moisture_reference_pct
     factor = (100.0 - moisture_pct) / (100.0 - (market_moisture_pct if given is None else given))

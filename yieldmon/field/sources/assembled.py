@@ -13,6 +13,7 @@ from yieldmon.field.plane import Sites
 from yieldmon.field.table import LABELS, REQUIRED, Array, HarvestTable, Label, Source, build
 from yieldmon.field.units import FACTORS, factor, is_bushels
 from yieldmon.field.units import crop as known_crop
+from yieldmon.physics.grain import DRIEST_PCT
 
 from .crop_names import crop_names
 from .derived import derive
@@ -43,8 +44,6 @@ _TABLE_NAMES = {
     "pass": "pass_number",
     "section": "section",
 }
-_DRIEST_PCT = 2.0
-"""Moisture below which no grain is harvested."""
 _LARGEST = 1e12
 """In SI, of what has no limits of its own."""
 
@@ -133,8 +132,8 @@ def _limited(values: dict[str, Array], columns: Mapping[str, Column]) -> tuple[s
             values[quantity], note = without_marks(values[quantity], columns[quantity].name if quantity in columns else quantity)
             notes += note
     moisture = values.get("moisture", np.zeros(0))
-    usual = float(np.nanmedian(moisture)) if np.isfinite(moisture).any() else _DRIEST_PCT
-    if usual < _DRIEST_PCT and "moisture" in columns:
+    usual = float(np.nanmedian(moisture)) if np.isfinite(moisture).any() else DRIEST_PCT
+    if usual < DRIEST_PCT and "moisture" in columns:
         name = columns["moisture"].name
         notes += (f"{name}: a moisture of {usual:.2g} % is no crop's; expected another unit (--column moisture={name}:fraction)",)
     return notes

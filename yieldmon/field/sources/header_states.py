@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from yieldmon.field.table import Array, HarvestTable, Label
-from yieldmon.field.tracks import Flags, tracks
+from yieldmon.field.tracks import Flags, running, tracks
 
 from .delimited import number
 
@@ -34,8 +34,8 @@ _LEAST_ROWS, _MOST_UP = 30, 0.9
 
 _TURN_S, _TURN_DEG, _LEAST_TURNS = 40.0, 150.0, 5
 """A machine turns back within so many seconds; so many times tell."""
-_EMPTY, _EMPTY_S = 0.1, 3.0
-"""Of the usual flow, below it the machine runs empty; and seconds of it for each turn."""
+_EMPTY_S = 3.0
+"""Seconds without grain for each turn."""
 
 
 def down_of(state: Array, name: str) -> tuple[Array, tuple[str, ...]]:
@@ -104,7 +104,5 @@ def _turns_with_header_down(table: HarvestTable, mine: Flags) -> int:
         back = np.cos(steps.heading_rad[span:] - steps.heading_rad[:-span]) < np.cos(np.radians(_TURN_DEG))
     back &= steps.run[span:] == steps.run[:-span]
     turns = int(np.count_nonzero(back & ~np.r_[False, back[:-1]]))
-    flow = np.nan_to_num(steps.flow_kg_s)
-    usual = float(np.median(flow[flow > 0])) if (flow > 0).any() else 0.0
-    empty_s = float(steps.interval_s[flow < _EMPTY * usual].sum())
+    empty_s = float(steps.interval_s[~running(steps.flow_kg_s, steps.stream)].sum())
     return turns if turns >= _LEAST_TURNS and empty_s >= _EMPTY_S * turns else 0
