@@ -364,7 +364,7 @@ _TABLE = (
     ),
     FaultDefinition(
         _C.ZERO_MISSING, 520193, 31, _S, 1, 1,
-        "The elevator runs and no zero-load voltage could be taken: pulses in step with the paddles, or as named.",
+        "The elevator runs and no zero-load voltage could be taken; the detail says why.",
         "No flow is published and no mass is added until there is a zero.",
         "Run the elevator empty. If it is empty, the paddles shake the plate: check its mounting, then calibrate the zero.",
         _zero_missing,
