@@ -28,7 +28,26 @@ class Order:
 
 
 def covered_loads(journal: Journal, first: int, last: int, what: str = "ticket for load") -> list[Load]:
-    """The loads from one number to another. what: names them in an error. Raises InputError."""
+    """The loads from one number to another.
+
+    Parameters
+    ----------
+    journal : Journal
+    first, last : int
+        Numbers of loads.
+    what : str
+        Names them in an error.
+
+    Returns
+    -------
+    list of Load
+        Those that there are, by number.
+
+    Raises
+    ------
+    InputError
+        Where there is no load of either number, or the last is below the first.
+    """
     loads = {load.number: load for load in journal.loads}
     for number in (first, last):
         if number not in loads:

@@ -24,7 +24,24 @@ _WEIGHED_SD = 0.03
 
 
 def enter_ticket(order: Order) -> Answer:
-    """Correct loads, and let them teach where they can. Raises InputError."""
+    """Correct loads by a weighed mass, and let them teach where they can.
+
+    Parameters
+    ----------
+    order : Order
+        first_load, last_load, mass_kg, std_dev_kg (kg; 0.5 % of the mass where it is missing) and note.
+
+    Returns
+    -------
+    Answer
+        Its number, the masses, what is asked about it, and `anchor`: whether it is a reference for the calibration;
+        waits_for_crop: for whose return it waits then, "" for none.
+
+    Raises
+    ------
+    InputError
+        For loads that are unknown, open or without a measured mass, and for masses that no load has.
+    """
     request, monitor, journal = order.request, order.monitor, order.journal
     first = request.number_of("first_load", "load")
     last = request.number_of("last_load", "load") if request.given("last_load") else first
