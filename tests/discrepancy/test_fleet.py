@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
+from yieldmon.discrepancy.base_fit import fit_base
 from yieldmon.discrepancy.fleet import examine
-from yieldmon.discrepancy.force_change import ForceChange, Guess, Visible
-from yieldmon.discrepancy.frame import effect_parameters
+from yieldmon.discrepancy.force_change import ForceChange, Guess, Visible, force_change
+from yieldmon.discrepancy.frame import effect_parameters, predictions
 from yieldmon.discrepancy.lattice import Lattice, lay
 from yieldmon.discrepancy.policy import Policy
 from yieldmon.estimation.self_calibration.home_flow import AwayVisits
@@ -97,6 +98,24 @@ def test_machines_do_not_hide_behind_the_scatter_of_grain_that_they_make(offset_
 def guess_of(law: str, size: float) -> Guess:
     (parameter,) = effect_parameters(law, 1.0)
     return Guess(ForceChange(law, (parameter,), np.array([[parameter.start + size]]), np.zeros((1, 1))), 0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("law", "size"), [("lever_arm", 1.4), ("lever_arm", -1.4), ("plate_friction", 0.4), ("plate_angle_offset", 0.08)]
+)
+def test_a_large_effect_is_known_by_its_change_though_that_bends_with_size(law: str, size: float) -> None:
+    base = fit_base(alike(0.0, np.random.default_rng(7), sweeps=4).frame)
+    """Half a percent of a change of 40 % is many deviations of the sweeps' mean."""
+    drawn = force_change(base, law)
+    assert drawn is not None
+    (name,) = (p.name for p in drawn.parameters)
+    true = np.log(
+        np.real(predictions(base.frame, (*base.effects, law), {**base.values, name: size}))
+        / np.real(predictions(base.frame, base.effects, base.values))
+    )
+    shares = (drawn.change @ true) / np.sum(drawn.change**2, axis=1)
+    left = np.linalg.norm(true - shares[:, None] * drawn.change, axis=1) / np.linalg.norm(true)
+    assert left.min() < 0.004
 
 
 @pytest.mark.parametrize(("law", "sides"), [("lever_arm", 1.0), ("plate_friction", 2.0)])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from math import sqrt
 
 import pytest
 from engine_bench import (
@@ -102,6 +103,17 @@ def test_a_whole_sweep_updates_and_measuring_goes_on() -> None:
     assert records[-1].parameter_version == 7
     assert actuator.angle_deg == pytest.approx(HOME_DEG, abs=0.1)
     assert actuator.modes[-1] == bus.CommandMode.RELEASE
+
+
+@pytest.mark.parametrize("sweeps", [True, False], ids=["a sweep is to come", "none is"])
+def test_a_second_is_as_unsure_as_its_load_before_the_first_sweep(sweeps: bool) -> None:
+    settings = replace(SETTINGS, sweep=replace(SETTINGS.sweep, enabled=sweeps, first_after_s=600.0))
+    target = monitor(settings, calibrator=Teacher(CalibrationOutcome(None, "nothing")))
+    run_with_actuator(target, BENCH, Actuator(), 40.0)
+    record = target.records[-1]
+    shared = sqrt(record.std_dev_kg_s**2 - record.noise_std_dev_kg_s**2) / record.mass_flow_kg_s
+    assert shared == pytest.approx(record.load_std_dev_kg / record.load_kg, rel=0.1)
+    assert (shared > 0.05) == sweeps
 
 
 def test_a_sweep_that_a_reload_ends_is_begun_anew() -> None:
