@@ -16,8 +16,9 @@ import json
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -116,11 +117,13 @@ def combines(args: argparse.Namespace) -> int:
     return int(any(row[f"sweeps{kind}_mean_abs_pct"] > row[f"map{kind}_mean_abs_pct"] for row in rows))
 
 
-def bounds(args: argparse.Namespace) -> int:
-    """A line for each season of the combine as modelled: what the best estimator could have right live."""
+def print_each(args: argparse.Namespace, look: Callable[..., dict[str, Any]]) -> int:
+    """Print a line for each season of the combine as modelled.
+
+    look: what to find of a season, its first calibration, its settings and the daemon's.
+    """
     from studies.season import season as seasons
     from studies.season import study
-    from studies.season.best_live import best_live
     from yieldmon.physics.machine import Machine
     from yieldmon.plant.scenario import Scenario
 
@@ -129,28 +132,23 @@ def bounds(args: argparse.Namespace) -> int:
     for seed in range(args.seed, args.seed + args.seeds):
         season = seasons.simulate(settings, machine, scenario, seed)
         first = study.first_calibration(settings, machine, seed)
-        found = best_live(season, first, settings, study.StudySettings.of_daemon())
+        found = look(season, first, settings, study.StudySettings.of_daemon())
         print(json.dumps({"seed": seed, "loads": len(season.loads.mass_kg)} | found), flush=True)
     return 0
+
+
+def bounds(args: argparse.Namespace) -> int:
+    """A line for each season of the combine as modelled: what the best estimator could have right live."""
+    from studies.season.best_live import best_live
+
+    return print_each(args, best_live)
 
 
 def home_flows(args: argparse.Namespace) -> int:
     """A line for each season: its loads under many laws of drift, with sweeps that may move the flow at home and that may not."""
-    from studies.season import season as seasons
-    from studies.season import study
     from studies.season.home_flow import home_flow
-    from yieldmon.physics.machine import Machine
-    from yieldmon.plant.scenario import Scenario
 
-    settings, machine = seasons.SeasonSettings(hours=args.hours), Machine()
-    scenario = study.scenario_of(settings).model_copy(update={"effects": Scenario().effects})
-    for seed in range(args.seed, args.seed + args.seeds):
-        season = seasons.simulate(settings, machine, scenario, seed)
-        first = study.first_calibration(settings, machine, seed)
-        kept = study.StudySettings.of_daemon()
-        found = home_flow(season, first, settings, kept, seasons=args.home_flow, common_error=args.common_error)
-        print(json.dumps({"seed": seed, "loads": len(season.loads.mass_kg)} | found), flush=True)
-    return 0
+    return print_each(args, partial(home_flow, seasons=args.home_flow, common_error=args.common_error))
 
 
 def causes(args: argparse.Namespace) -> int:
