@@ -93,6 +93,13 @@ def test_a_cart_that_two_machines_filled_has_one_ticket(capsys: pytest.CaptureFi
     assert [load["factor"] for load in document["loads"]] == pytest.approx([1.05], abs=1e-4)
 
 
+def test_of_a_truck_that_a_machine_without_a_file_filled_as_well_the_rest_counts(capsys: pytest.CaptureFixture[str]) -> None:
+    ag_leader(Path("a.txt"), delay_s=9, seed=5, passes=6)
+    _, document, _ = mapped(capsys, "a.txt", *tickets("load,weighed_kg,sd_kg,other_kg,other_sd_kg\n1,9000,30,4000,40\n"))
+    (found,) = document["loads"]
+    assert (found["weighed_kg"], found["factor_sd"] * found["measured_kg"]) == pytest.approx((5000.0, 50.0), rel=1e-3)
+
+
 def test_a_ticket_of_no_such_machine_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     two_files()
     code, _, said = mapped(capsys, "a.txt", "b.txt", *tickets("load,weighed_kg,machine\n1,5000,c.txt\n"))

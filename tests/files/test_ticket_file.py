@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from yieldmon.errors import InputError
 from yieldmon.files.ticket_file import load
 
 HEADINGS = [
@@ -22,6 +23,28 @@ def test_headings_as_people_write_them(tmp_path, header, row, kg):
     assert (found.first, found.last) == ("7", "7")
     assert found.mass_kg == pytest.approx(kg, rel=1e-6)
     assert found.std_dev_kg == pytest.approx(0.005 * kg, rel=1e-6)
+
+
+OF_TWO_COMBINES = [
+    ("load,weighed_kg,other_kg", "7,27400,9100", (18300.0, (137.0**2 + 273.0**2) ** 0.5)),
+    ("load;weighed_t;sd_kg;Other [t];other std dev kg", "7;27,4;30;9,1;400", (18300.0, (30.0**2 + 400.0**2) ** 0.5)),
+    ("load,weighed_kg,other_kg", "7,27400,-", (27400.0, 137.0)),
+]
+
+
+@pytest.mark.parametrize(("header", "row", "own"), OF_TWO_COMBINES)
+def test_of_a_truck_that_another_combine_filled_as_well_only_the_rest_counts(tmp_path, header, row, own):
+    path = tmp_path / "tickets.csv"
+    path.write_text(f"{header}\n{row}\n")
+    (found,) = load(path)
+    assert (found.mass_kg, found.std_dev_kg) == pytest.approx(own)
+
+
+def test_a_truck_of_which_another_combine_leaves_nothing_is_refused(tmp_path):
+    path = tmp_path / "tickets.csv"
+    path.write_text("load,weighed_kg,other_kg\n7,9100,27400\n")
+    with pytest.raises(InputError, match=r"line 2, other_kg: leaves -18300 \+- 823 kg of the 9100 kg"):
+        load(path)
 
 
 def test_a_deviation_has_a_unit_of_its_own(tmp_path):

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Mapping
+from typing import Any
 
 from yieldmon.cli._daemon import add_daemon_arguments, ask_daemon, mass
 from yieldmon.cli._json import print_json
@@ -15,7 +17,10 @@ from yieldmon.cli._records import load_numbers, show, taken_back, undone, when
 from yieldmon.cli._units import add_units
 from yieldmon.errors import InputError
 from yieldmon.files.units import units_of
+from yieldmon.units import Units
 
+_OPTIONAL = {"--std-dev": "std_dev_kg", "--other": "other_kg", "--other-std-dev": "other_std_dev_kg"}
+"""Options that are masses, with their names in a request."""
 #: A correction beyond this is a wrong unit or load rather than a drifted calibration.
 UNLIKELY_PCT = 30.0
 
@@ -33,6 +38,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "mass", metavar="MASS|N", nargs="*", help="weighed mass: 9120, 9120kg, 9.12t or 20106lb; undo: number of the ticket"
     )
     parser.add_argument("--std-dev", metavar="MASS", help="standard deviation of the weighing (default: 0.5 %% of it)")
+    parser.add_argument("--other", metavar="MASS", help="of it from another combine that filled the same truck, by its monitor")
+    parser.add_argument("--other-std-dev", metavar="MASS", help="standard deviation of that (default: 3 %% of it)")
     parser.add_argument("--note", metavar="TEXT", help="a note to keep with it")
     add_daemon_arguments(parser)
     add_units(parser, "the daemon's configuration")
@@ -49,8 +56,10 @@ def run(args: argparse.Namespace) -> int:
     if args.mass is None:
         raise InputError("MASS", "is missing", "the weighed mass: 9120, 9120kg or 9.12t")
     request = {"command": "ticket", "first_load": first, "last_load": last, "mass_kg": mass(args.mass), "note": args.note}
-    if args.std_dev is not None:
-        request["std_dev_kg"] = mass(args.std_dev, "--std-dev")
+    for option, key in _OPTIONAL.items():
+        text = getattr(args, key.removesuffix("_kg"))
+        if text is not None:
+            request[key] = mass(text, option)
     _require_units(args)
     answer = ask_daemon(args, request)
     which = f"load {first}" if first == last else f"loads {first} to {last}"
@@ -85,6 +94,8 @@ def run(args: argparse.Namespace) -> int:
         use = f"a reference for {crop or 'the calibration'}" if answer["anchor"] else why_not
         measured, weighed = (units.mass_with_bushels(answer[key]) for key in ("measured_mass_kg", "weighed_mass_kg"))
         print(f"{which}: measured {measured}, weighed {weighed} ({change_pct:+.2f} %); {use}")
+        if truck := answer.get("truck"):
+            print(_of_truck(truck, answer, units))
         if crop:
             print(
                 f"it teaches {crop}, and loads of the last three days are measured again, once {crop} is harvested again: ",
@@ -96,9 +107,19 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
+def _of_truck(truck: Mapping[str, float], answer: Mapping[str, Any], units: Units) -> str:
+    """How the mass of a truck that two combines filled was shared out."""
+    whole, other, deviation = (units.mass(truck[key]) for key in ("truck_kg", "other_kg", "other_std_dev_kg"))
+    own, own_deviation = units.mass(answer["own_mass_kg"]), units.mass(answer["own_std_dev_kg"])
+    best, left = units.mass(answer["weighed_mass_kg"]), units.mass(truck["truck_kg"] - answer["weighed_mass_kg"])
+    leaves = f"of the truck's {whole} the other combine's {other} +- {deviation} leave {own} +- {own_deviation}"
+    return f"{leaves}; with what was measured it is {best}, and {left} of the other"
+
+
 def _require_units(args: argparse.Namespace) -> None:
     """Raises InputError for a mass without its unit where masses are shown in pounds."""
-    bare = {where: text for where, text in (("MASS", args.mass), ("--std-dev", args.std_dev)) if text and text[-1].isdigit()}
+    given = {"MASS": args.mass} | {option: getattr(args, key.removesuffix("_kg")) for option, key in _OPTIONAL.items()}
+    bare = {where: text for where, text in given.items() if text and text[-1].isdigit()}
     if bare and (args.units or ask_daemon(args, {"command": "loads"}).get("units")) == "us":
         where, text = next(iter(bare.items()))
         raise InputError(where, f"{text!r} is without its unit, where masses are shown in pounds", f"{text}lb or {text}kg")
@@ -116,13 +137,19 @@ def _listed(args: argparse.Namespace) -> int:
         (
             str(t["number"]), when(t["time_s"]), t["who"] or "-",
             str(t["first_load"]) if t["first_load"] == t["last_load"] else f"{t['first_load']}-{t['last_load']}",
-            units.mass(t["measured_mass_kg"]), units.mass(t["weighed_mass_kg"]), t.get("state", "-"),
+            units.mass(t["measured_mass_kg"]), units.mass(t["weighed_mass_kg"]), _whole(t, units), t.get("state", "-"),
             undone(t["undone_s"], t["undone_by"]), t["note"] or "-",
         )
         for t in answer["tickets"]
     )  # fmt: skip
-    show(("ticket", "entered", "by", "loads", "measured", "weighed", "state", "undone", "note"), rows)
+    show(("ticket", "entered", "by", "loads", "measured", "weighed", "truck - other", "state", "undone", "note"), rows)
     return 0
+
+
+def _whole(ticket: Mapping[str, Any], units: Units) -> str:
+    """The truck's mass and what another combine filled in."""
+    truck = ticket.get("truck")
+    return "-" if truck is None else f"{units.mass(truck['truck_kg'])} - {units.mass(truck['other_kg'])}"
 
 
 def _undone(args: argparse.Namespace) -> int:

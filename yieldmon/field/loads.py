@@ -24,7 +24,7 @@ UNKNOWN_SCALE_SD = 0.03
 """Relative standard deviation of a single load's factor about the field's, where fewer than three loads are weighed."""
 ALL = "all"
 """As the machine of a ticket: all that have a load of this name."""
-_COLUMNS = "load,weighed_kg[,sd_kg][,machine]"
+_COLUMNS = "load,weighed_kg[,sd_kg][,other_kg[,other_sd_kg]][,machine]"
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,8 @@ class LoadResult:
 
 
 def read_tickets(path: Path) -> list[Ticket]:
-    """CSV with the columns `load`, `weighed_kg` and, where wanted, `sd_kg` and `machine`, commas or semicolons between them.
+    """CSV with the columns `load`, `weighed_kg` and, where wanted, `sd_kg`, `machine`, and `other_kg` and `other_sd_kg` as
+    `ticket_file.own_part` has them; commas or semicolons between them.
 
     Raises
     ------
@@ -85,19 +86,26 @@ def read_tickets(path: Path) -> list[Ticket]:
     for number, row in enumerate(rows, 1):
         try:
             weighed = _mass(row[names["weighed_kg"]])
-            sd_text = row.get(names.get("sd_kg", ""))
-            sd = _mass(sd_text) if sd_text and sd_text.strip() else ticket_file.RELATIVE_STD_DEV * weighed
+            sd, other, other_sd = (_mass_or_none(row.get(names.get(name, ""))) for name in ("sd_kg", "other_kg", "other_sd_kg"))
         except (TypeError, ValueError):
             raise InputError(f"{path}: row {number}", "has no mass in kg", f"columns {_COLUMNS}") from None
+        sd = ticket_file.RELATIVE_STD_DEV * weighed if sd is None else sd
         load = (row.get(names["load"]) or "").strip()
         if not (load and 0 < weighed < 1e9 and 0 <= sd < 1e9):
             raise InputError(
                 f"{path}: row {number}", f"weighs {weighed:g} kg with sd {sd:g} kg", "a load's name and positive masses"
             )
+        if other is not None:
+            weighed, sd = ticket_file.own_part(weighed, sd, other, other_sd, f"{path}: row {number}, other_kg")
         tickets.append(Ticket(load, weighed, sd, (row.get(names.get("machine", "")) or "").strip()))
     if not tickets:
         raise InputError(str(path), "has no tickets", "at least one row")
     return tickets
+
+
+def _mass_or_none(text: str | None) -> float | None:
+    """As `_mass`; None for an empty cell or a column that there is not."""
+    return _mass(text) if text and text.strip() else None
 
 
 def _mass(text: str) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import isfinite
+from math import hypot, isfinite
 from pathlib import Path
 
 from yieldmon.errors import InputError
@@ -15,12 +15,16 @@ from . import delimited
 
 RELATIVE_STD_DEV = 0.005
 """Standard deviation of a weighing that states none, as a share of the mass (a certified platform scale)."""
+OTHER_RELATIVE_STD_DEV = 0.03
+"""The same of what another combine's monitor shows (one that was calibrated this season)."""
 _LOADS = ("load", "load_number", "loads", "log", "file")
 _KG: Mapping[str, float] = {"kg": 1.0, "t": KG_PER_T, "dt": KG_PER_DT, "lb": KG_PER_LB}
 COLUMNS = f"{', '.join(f'weighed_{unit}' for unit in list(_KG)[:-1])} or weighed_{list(_KG)[-1]}"
 """Of a mass, in words."""
 _MASSES = ("weighed", "mass", "weight", "weighed_mass", "net", "net_weight", "net_mass")
 _DEVIATIONS = ("std_dev", "sd", "sigma")
+_OTHERS = ("other", "other_mass")
+_OTHER_DEVIATIONS = ("other_std_dev", "other_sd")
 _MIN_KG, _MAX_KG = 1.0, 1e6
 _UNIT_FACTOR = 5.0
 """Between a weighed and a measured mass: machines that were never calibrated are off by half (studies/setup)."""
@@ -39,14 +43,17 @@ class WeighedTicket:
 
 def load(path: str | Path) -> tuple[WeighedTicket, ...]:
     """The tickets of a file with the columns `load` (7, or 7-9 for several on one ticket) and `weighed_kg` (or _t, _dt, _lb), and
-    if known `std_dev_kg`.
+    if known `std_dev_kg`; `other_kg` and `other_std_dev_kg` as `own_part` has them.
 
     Raises InputError naming line and column.
     """
     source = delimited.read(path)
     which = _one_of(source, _LOADS, "load", "the number of a load, or the name of its log")
     mass, factor = _with_unit(source, _MASSES, "weighed_kg")
-    deviation = _with_unit(source, _DEVIATIONS, "") if any(_named(_plain(n), _DEVIATIONS) for n in source.header) else None
+    deviation, other, other_deviation = (
+        _with_unit(source, kinds, "") if any(_named(_plain(n), kinds) for n in source.header) else None
+        for kinds in (_DEVIATIONS, _OTHERS, _OTHER_DEVIATIONS)
+    )
     tickets = []
     for i, cell in enumerate(source.column(which)):
         if not cell:
@@ -59,11 +66,45 @@ def load(path: str | Path) -> tuple[WeighedTicket, ...]:
             sd = _number(source, i, deviation[0]) * deviation[1]
             if not 0.0 < sd < kg:
                 raise InputError(source.where(i, deviation[0]), f"is {sd:g} kg", f"above 0 and below the load's {kg:g} kg")
+        if other is not None and not delimited.is_unknown(source.column(other[0])[i]):
+            of_other = None
+            if other_deviation is not None and not delimited.is_unknown(source.column(other_deviation[0])[i]):
+                of_other = _number(source, i, other_deviation[0]) * other_deviation[1]
+            kg, sd = own_part(kg, sd, _number(source, i, other[0]) * other[1], of_other, source.where(i, other[0]))
         first, dash, last = cell.partition("-")
         spans = bool(dash) and first.strip().isdecimal() and last.strip().isdecimal()
         names = (first.strip(), last.strip()) if spans else (cell, cell)
         tickets.append(WeighedTicket(*names, kg, sd, source.where(i, which)))
     return tuple(tickets)
+
+
+def own_part(
+    weighed_kg: float, std_dev_kg: float, other_kg: float, other_std_dev_kg: float | None, where: str
+) -> tuple[float, float]:
+    """What a truck that another combine filled as well holds of this one's grain, and its standard deviation, both kg.
+
+    Parameters
+    ----------
+    weighed_kg, std_dev_kg : float
+        The truck's grain.
+    other_kg, other_std_dev_kg : float, float or None
+        Of it from the other combine, by its own monitor; None: OTHER_RELATIVE_STD_DEV.
+    where : str
+        Names other_kg in an error.
+
+    Raises
+    ------
+    InputError
+        Where nothing is left, or less than it is uncertain by.
+    """
+    other_sd_kg = OTHER_RELATIVE_STD_DEV * other_kg if other_std_dev_kg is None else other_std_dev_kg
+    if not (other_kg >= 0.0 and other_sd_kg >= 0.0):
+        raise InputError(where, f"is {other_kg:g} +- {other_sd_kg:g} kg", "masses of 0 and above")
+    own_kg, own_sd_kg = weighed_kg - other_kg, hypot(std_dev_kg, other_sd_kg)
+    if not own_kg > own_sd_kg:
+        problem = f"leaves {own_kg:.0f} +- {own_sd_kg:.0f} kg of the {weighed_kg:.0f} kg"
+        raise InputError(where, problem, "the part of another combine, and more left than it is uncertain by")
+    return own_kg, own_sd_kg
 
 
 def unit_slip(weighed_kg: float, measured_kg: float) -> str:

@@ -14,7 +14,7 @@ ALLOWED: Mapping[str, frozenset[str]] = {
     "load-start": frozenset({"field", "crop"}),
     "load-stop": frozenset(),
     "load-correct": frozenset({"first_load", "last_load", "field", "crop"}),
-    "ticket": frozenset({"first_load", "last_load", "mass_kg", "std_dev_kg", "note"}),
+    "ticket": frozenset({"first_load", "last_load", "mass_kg", "std_dev_kg", "other_kg", "other_std_dev_kg", "note"}),
     "ticket-undo": frozenset({"ticket"}),
     "zero": frozenset(),
     "zero-undo": frozenset(),
@@ -26,6 +26,7 @@ _ABOUT_A_LOAD = frozenset({"load-start", "load-stop"})
 
 #: What a refusal says of the command line -> the page's button.
 _BUTTONS: Mapping[str, str] = {
+    "(--other)": "(field From another combine)",
     "; --force if it does": "; if it does: `yieldmon zero --force` on the monitor's computer",
     "`yieldmon load start`": "New load",
     "`yieldmon load stop`": "End load",

@@ -99,12 +99,10 @@ class ParameterHistory:
             raise InputError(f"version {version}", "is a change of crop", "a calibration, or `yieldmon load start --crop NAME`")
         gone = self._actions.lessons_gone_with(version)
         if gone:
-            ticket = self._actions.entered(gone[0])
-            loads = str(ticket.first_load) if ticket.first_load == ticket.last_load else f"{ticket.first_load}-{ticket.last_load}"
             raise InputError(
                 f"version {version}",
                 f"is an undo, and what it took back rests on ticket {', '.join(map(str, gone))}, which teaches no more",
-                f"the mass once more if it is right: `yieldmon ticket {loads} {ticket.weighed_mass_kg:.10g}kg` teaches again",
+                f"the mass once more if it is right: `yieldmon ticket {self._actions.as_entered(gone[0])}` teaches again",
             )
         if before not in self._versions:
             raise InputError(f"version {version}", "the parameters before it are not known", "a later version")

@@ -174,7 +174,7 @@ def _teach_again(
             why_not[number] = why
             continue
         taught.append(number)
-        again += weighings(covered, ticket, journal.actions.std_dev_kg(number))
+        again += weighings(covered, ticket, *journal.actions.taught(number))
     learnt = [
         load for n in journal.actions.learnt_from() if n not in taught
         for load in range(tickets[n].first_load, tickets[n].last_load + 1)
@@ -213,11 +213,11 @@ def why_no_reference(
     return ""
 
 
-def weighings(covered: Sequence[Load], ticket: Ticket, std_dev_kg: float) -> list[Weighing]:
-    """A ticket shared out over its loads."""
+def weighings(covered: Sequence[Load], ticket: Ticket, mass_kg: float, std_dev_kg: float) -> list[Weighing]:
+    """The mass by which a ticket teaches, shared out over its loads."""
     found = []
     for load in covered:
         share = load.mass_kg / ticket.measured_mass_kg
         if share > 0.0:
-            found.append((load.number, share * ticket.weighed_mass_kg, math.sqrt(share) * std_dev_kg))
+            found.append((load.number, share * mass_kg, math.sqrt(share) * std_dev_kg))
     return found

@@ -221,7 +221,7 @@ _COMMANDS: Mapping[str, tuple[Callable[[Order], Answer], tuple[str, ...]]] = {
     "load-correct": (_load_correct, ("first_load", "last_load", "field", "crop")),
     "totals-reset": (_totals_reset, ("total_kg",)),
     "loads": (_loads, ()),
-    "ticket": (enter_ticket, ("first_load", "last_load", "mass_kg", "std_dev_kg", "note")),
+    "ticket": (enter_ticket, ("first_load", "last_load", "mass_kg", "std_dev_kg", "other_kg", "other_std_dev_kg", "note")),
     "tickets": (_tickets, ()),
     "ticket-undo": (_ticket_undo, ("ticket",)),
     "calibrations": (_calibrations, ()),

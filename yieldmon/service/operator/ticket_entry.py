@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from math import exp
+from dataclasses import asdict, replace
+from math import exp, hypot, log
 from statistics import fmean
 
 from yieldmon.engine.flow_estimator import FlowEstimator
@@ -16,9 +17,13 @@ from yieldmon.files.crops import shipped_name
 from yieldmon.service.history.relearning import weighings, why_no_reference
 from yieldmon.service.operator.control_protocol import TICKET_KG
 from yieldmon.service.operator.order import Answer, Order, covered_loads
+from yieldmon.service.operator.requests import Request
 from yieldmon.service.storage.batch import Load, Ticket
+from yieldmon.service.storage.ledger import SharedTruck
 from yieldmon.service.tickets import ticket_doubt
 
+_EXACT = 1e-3
+"""Relative standard deviation of a mass that adds nothing to that of what was measured."""
 _WEIGHED_SD = 0.03
 """Of ln of a load, by parameters that have learnt from a ticket or two."""
 
@@ -29,18 +34,20 @@ def enter_ticket(order: Order) -> Answer:
     Parameters
     ----------
     order : Order
-        first_load, last_load, mass_kg, std_dev_kg (kg; 0.5 % of the mass where it is missing) and note.
+        first_load, last_load, mass_kg, std_dev_kg (kg; 0.5 % of the mass where it is missing) and note; other_kg and
+        other_std_dev_kg (kg; 3 % where it is missing) of what another combine filled in, by its own monitor.
 
     Returns
     -------
     Answer
         Its number, the masses, what is asked about it, and `anchor`: whether it is a reference for the calibration;
-        waits_for_crop: for whose return it waits then, "" for none.
+        waits_for_crop: for whose return it waits then, "" for none. truck: what was entered where another combine filled it too;
+        weighed_mass_kg is then the best of what that leaves and of what was measured.
 
     Raises
     ------
     InputError
-        For loads that are unknown, open or without a measured mass, and for masses that no load has.
+        For loads that are unknown, open or without a measured mass, for masses that no load has, and where nothing is left.
     """
     request, monitor, journal = order.request, order.monitor, order.journal
     first = request.number_of("first_load", "load")
@@ -60,25 +67,37 @@ def enter_ticket(order: Order) -> Answer:
         raise InputError(f"ticket for load {first}", "nothing was measured for it", "a load with a measured mass")
     again = journal.actions.ledger.factors
     known_kg = sum(load.mass_kg * again.get(load.number, 1.0) for load in covered)
-    ticket = Ticket(order.now_s, first, last, weighed_kg, measured_kg, request.name("note") or "")
+    truck, own_kg = _shared_truck(request, weighed_kg), weighed_kg
+    if truck is not None:
+        where = "other_kg"
+        own_kg, std_dev_kg = ticket_file.own_part(weighed_kg, std_dev_kg, truck.other_kg, truck.other_std_dev_kg, where)
+    ticket = Ticket(order.now_s, first, last, own_kg, measured_kg, request.name("note") or "")
     crop = _other_crop(order, covered)
-    why_not = ticket_file.unit_slip(weighed_kg, measured_kg) or why_no_reference(monitor, journal, covered, order.stored, crop)
-    shares = weighings(covered, ticket, std_dev_kg)
+    why_not = ticket_file.unit_slip(own_kg, measured_kg) or why_no_reference(monitor, journal, covered, order.stored, crop)
+    shares = weighings(covered, ticket, own_kg, std_dev_kg)
     departs = None if why_not else _departure(shares, order, crop)
     question = _question(ticket, departs, order, covered, crop)
+    if truck is not None:
+        alone = weighings(covered, ticket, own_kg, _EXACT * own_kg)
+        ticket = replace(
+            ticket, weighed_mass_kg=_best_kg(own_kg, std_dev_kg, known_kg, None if why_not else _departure(alone, order, crop))
+        )
     waits = journal.actions.unfinished_of_crop.get(crop) if crop else journal.actions.to_teach
     first_moves = exp(departs.ln) - 1.0 if departs is not None and departs.first and not waits else None
     if not why_not:
         for load_number, mass_kg, share_std_dev_kg in shares:
             monitor.ticket(load_number, mass_kg, share_std_dev_kg, crop)
     replaces = [n for n, t in journal.actions.ledger.tickets.items() if t.first_load <= last and t.last_load >= first]
-    number = journal.actions.ticket(ticket, request.who, std_dev_kg, is_reference=not why_not, crop=crop)
+    number = journal.actions.ticket(ticket, request.who, std_dev_kg, is_reference=not why_not, crop=crop, truck=truck)
     return {
         "crop": covered[-1].crop,
         "ticket": number,
         "first_load": first,
         "last_load": last,
-        "weighed_mass_kg": weighed_kg,
+        "weighed_mass_kg": ticket.weighed_mass_kg,
+        "truck": None if truck is None else asdict(truck),
+        "own_mass_kg": own_kg,
+        "own_std_dev_kg": std_dev_kg,
         "measured_mass_kg": measured_kg,
         "known_mass_kg": known_kg,
         "factor": ticket.factor,
@@ -89,6 +108,24 @@ def enter_ticket(order: Order) -> Answer:
         "replaces": replaces,
         "sets_scale_pct": None if first_moves is None else 100.0 * first_moves,
     }
+
+
+def _shared_truck(request: Request, weighed_kg: float) -> SharedTruck | None:
+    """What was entered of another combine; None for a truck of this one's grain alone."""
+    other_kg = request.mass_or_none("other_kg", *TICKET_KG, "kg")
+    std_dev_kg = request.mass_or_none("other_std_dev_kg", *TICKET_KG, "kg")
+    if other_kg is None:
+        if std_dev_kg is not None:
+            raise InputError("other_std_dev_kg", "is of nothing", "other_kg with it")
+        return None
+    return SharedTruck(weighed_kg, other_kg, ticket_file.OTHER_RELATIVE_STD_DEV * other_kg if std_dev_kg is None else std_dev_kg)
+
+
+def _best_kg(own_kg: float, std_dev_kg: float, known_kg: float, measured: ticket_doubt.Departure | None) -> float:
+    """What another combine leaves of a truck, and what was measured, each by how well it is known. measured: of a mass known
+    exactly; None where nothing is known of the load's deviation."""
+    ln, sd = (log(own_kg / known_kg), ticket_doubt.UNWEIGHED_SD) if measured is None else (measured.ln, measured.std_dev)
+    return own_kg * exp(-ln / (1.0 + (sd * own_kg / std_dev_kg) ** 2))
 
 
 def _other_crop(order: Order, covered: Sequence[Load]) -> str:
@@ -118,7 +155,8 @@ def _departure(shares: Sequence[Weighing], order: Order, crop: str) -> ticket_do
         scale = _ln_of_waiting(waiting, order, of_crop)
         if known.is_weighed or scale is None:
             return ticket_doubt.combined(parts, weighed_before=known.is_weighed)
-        apart = [(mass_kg, (ln - scale, min(sd, _WEIGHED_SD))) for mass_kg, (ln, sd) in parts]
+        sds = [hypot(_WEIGHED_SD, sd_kg / mass_kg) for _, mass_kg, sd_kg in shares]
+        apart = [(mass_kg, (ln - scale, min(sd, most))) for (mass_kg, (ln, sd)), most in zip(parts, sds, strict=True)]
         return ticket_doubt.combined(apart, weighed_before=True, only_one=len(waiting) == 1)
     return ticket_doubt.combined(
         parts,
@@ -140,7 +178,7 @@ def _ln_of_waiting(numbers: Sequence[int], order: Order, of_crop: FlowEstimator 
     for number in numbers:
         ticket = tickets[number]
         loads = [load for load in order.journal.loads if ticket.first_load <= load.number <= ticket.last_load]
-        for load, mass_kg, sd_kg in weighings(loads, ticket, order.journal.actions.std_dev_kg(number)):
+        for load, mass_kg, sd_kg in weighings(loads, ticket, *order.journal.actions.taught(number)):
             # Of a load that an earlier run measured nothing may be known now.
             with suppress(ValueError):
                 part = order.monitor.ticket_departure(load, mass_kg, sd_kg, of_crop)

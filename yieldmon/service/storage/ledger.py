@@ -18,6 +18,20 @@ CROP, UNDO = "crop", "undo"
 
 
 @dataclass(frozen=True)
+class SharedTruck:
+    """A weighed truck that another combine filled as well. other_kg: by that one's own monitor, with its standard deviation."""
+
+    truck_kg: float
+    other_kg: float
+    other_std_dev_kg: float
+
+    @property
+    def own_kg(self) -> float:
+        """What the other combine leaves of it."""
+        return self.truck_kg - self.other_kg
+
+
+@dataclass(frozen=True)
 class Ledger:
     """tickets: those that stand, by number (from 1, in the order they were entered). factors: mass measured again over the mass
     as measured, by load number."""
@@ -108,7 +122,7 @@ def ledger(tickets: Sequence[Ticket], actions: Iterable[Action]) -> Ledger:
 
 
 def ticket_rows(tickets: Sequence[Ticket], actions: Iterable[Action]) -> list[dict[str, Any]]:
-    """Each ticket with who entered it, and who took it back when."""
+    """Each ticket with who entered it, who took it back when, and the `SharedTruck` that it is of, None where there is none."""
     known = list(actions)
     entered = {int(a.document["ticket"]): a for a in known if a.kind == TICKET}
     undone = {int(a.document["ticket"]): a for a in known if a.kind == TICKET_UNDO}
@@ -116,11 +130,17 @@ def ticket_rows(tickets: Sequence[Ticket], actions: Iterable[Action]) -> list[di
         asdict(ticket) | {
             "number": number,
             "who": entered[number].who if number in entered else "",
+            "truck": entered[number].document.get("truck") if number in entered else None,
             "undone_s": undone[number].time_s if number in undone else None,
             "undone_by": undone[number].who if number in undone else None,
         }
         for number, ticket in enumerate(tickets, 1)
     ]  # fmt: skip
+
+
+def truck_of(document: Mapping[str, Any]) -> SharedTruck | None:
+    """Of a ticket's action; None where no other combine filled it."""
+    return SharedTruck(**document["truck"]) if "truck" in document else None
 
 
 def recropped(actions: Iterable[Action]) -> set[int]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from math import isclose
 from typing import Any
 
@@ -12,6 +12,7 @@ from yieldmon.errors import InputError
 from yieldmon.files.ticket_file import RELATIVE_STD_DEV
 from yieldmon.service.storage import ledger as ledgers
 from yieldmon.service.storage.batch import Action, Ticket
+from yieldmon.service.storage.ledger import SharedTruck
 from yieldmon.service.tickets.ticket_states import ticket_states
 
 
@@ -75,14 +76,22 @@ class ActionLog:
         return self._actions[-1].number + 1 if self._actions else 1
 
     def ticket(
-        self, ticket: Ticket, who: str = "", std_dev_kg: float | None = None, *, is_reference: bool = False, crop: str = ""
+        self,
+        ticket: Ticket,
+        who: str = "",
+        std_dev_kg: float | None = None,
+        *,
+        is_reference: bool = False,
+        crop: str = "",
+        truck: SharedTruck | None = None,
     ) -> int:
-        """A ticket; returns its number. std_dev_kg: of the weighing. is_reference: it was handed to the calibration. crop: for
-        whose return it waits there, where another one is harvested now."""
+        """A ticket; returns its number. std_dev_kg: of the weighing, or of what another combine leaves of `truck`. is_reference:
+        handed to the calibration. crop: for whose return it waits there, where another one is harvested now."""
         self._tickets.append(ticket)
         self._new_tickets.append(ticket)
         number = len(self._tickets)
-        document = {"ticket": number, "std_dev_kg": std_dev_kg, "reference": is_reference}
+        document: dict[str, Any] = {"ticket": number, "std_dev_kg": std_dev_kg, "reference": is_reference}
+        document |= {} if truck is None else {"truck": asdict(truck)}
         self.add(ledgers.TICKET, who, document, ticket.time_s)
         if is_reference:
             (self._of_crop.setdefault(crop, []) if crop else self.waiting).append(number)
@@ -192,14 +201,25 @@ class ActionLog:
         }
         return tuple(sorted(newest.values()))
 
-    def std_dev_kg(self, number: int) -> float:
-        """Of a ticket's weighing; where it was not kept the usual one."""
-        for action in self._actions:
-            if action.kind == ledgers.TICKET and action.document["ticket"] == number:
-                found = action.document.get("std_dev_kg")
-                if found is not None:
-                    return float(found)
-        return RELATIVE_STD_DEV * self._tickets[number - 1].weighed_mass_kg
+    def as_entered(self, number: int) -> str:
+        """The loads and masses of a ticket as the command line takes them."""
+        ticket, truck = self._tickets[number - 1], ledgers.truck_of(self._entry(number))
+        loads = str(ticket.first_load) if ticket.first_load == ticket.last_load else f"{ticket.first_load}-{ticket.last_load}"
+        if truck is None:
+            return f"{loads} {ticket.weighed_mass_kg:.10g}kg"
+        other = f"--other {truck.other_kg:.10g}kg --other-std-dev {truck.other_std_dev_kg:.4g}kg"
+        return f"{loads} {truck.truck_kg:.10g}kg {other}"
+
+    def _entry(self, number: int) -> Mapping[str, Any]:
+        """What was kept beside a ticket; nothing of one of a store before 0.2."""
+        return next((a.document for a in self._actions if a.kind == ledgers.TICKET and a.document["ticket"] == number), {})
+
+    def taught(self, number: int) -> tuple[float, float]:
+        """The mass by which a ticket teaches, with its standard deviation, kg; where that was not kept the usual one."""
+        entry = self._entry(number)
+        truck, std_dev_kg = ledgers.truck_of(entry), entry.get("std_dev_kg")
+        mass_kg = self._tickets[number - 1].weighed_mass_kg if truck is None else truck.own_kg
+        return mass_kg, RELATIVE_STD_DEV * mass_kg if std_dev_kg is None else float(std_dev_kg)
 
     def change_crop(self, before: str, now: str) -> None:
         """Another crop from now on: tickets that have not updated the parameters wait for the return of theirs."""
@@ -241,10 +261,8 @@ class ActionLog:
         return [number for number in self.waiting if number in learnt or self._is_of(number, change.taught)]
 
     def _is_of(self, number: int, taught: Sequence[tuple[int, float]]) -> bool:
-        ticket = self._tickets[number - 1]
-        return isclose(
-            sum(kg for load, kg in taught if ticket.first_load <= load <= ticket.last_load), ticket.weighed_mass_kg, rel_tol=1e-6
-        )
+        ticket, (mass_kg, _) = self._tickets[number - 1], self.taught(number)
+        return isclose(sum(kg for load, kg in taught if ticket.first_load <= load <= ticket.last_load), mass_kg, rel_tol=1e-6)
 
     def bring_back(self, version: int) -> None:
         """An undo brought this version back: loads that were measured with what it took back are to be measured again."""

@@ -24,7 +24,7 @@ _NEIGHBOURS = 3
 """Loads before and after, one of whose tickets may be taken for this one."""
 _LEAST_SD = 0.012
 """Of ln of a load's mass: what no parameters know it better than."""
-_UNWEIGHED_SD = 0.25
+UNWEIGHED_SD = 0.25
 """The same beside what is stated, until a ticket has counted: a crop's parameters know nothing of the machine."""
 _FAR_SDS, _LIKE_SDS, _NEARER = 3.0, 2.0, 3.0
 """Standard deviations from which a ticket contradicts its load, within which a slip explains it, and by which share it is then
@@ -62,7 +62,7 @@ def combined(parts: Sequence[tuple[float, tuple[float, float]]], *, weighed_befo
     shares = [(share / whole, ln, sd) for share, (ln, sd) in parts]
     std_dev = max(sum(w * sd for w, _, sd in shares), _LEAST_SD)
     ln = sum(w * ln for w, ln, _ in shares)
-    return Departure(ln, std_dev, second=only_one) if weighed_before else Departure(ln, hypot(std_dev, _UNWEIGHED_SD), first=True)
+    return Departure(ln, std_dev, second=only_one) if weighed_before else Departure(ln, hypot(std_dev, UNWEIGHED_SD), first=True)
 
 
 def question(
@@ -85,7 +85,7 @@ def question(
     expected_kg = weighed_kg * exp(-found.ln)
     tare_kg = weighed_kg - expected_kg
     if not slips and _TARES_KG[0] <= tare_kg <= _TARES_KG[1]:
-        slips = [(weighed_kg / expected_kg, f"the truck's own {_mass(tare_kg)} is on it")]
+        slips = [(weighed_kg / expected_kg, f"the truck's own {_mass(tare_kg)} or another combine's grain (--other) is on it")]
     more = "more" if found.ln > 0.0 else "less"
     off = f"{100.0 * abs(exp(found.ln) - 1.0):.1f} % {more} than the {_mass(expected_kg)} +- {100.0 * found.std_dev:.1f} %"
     what = " or ".join(f"{words} (then {_mass(weighed_kg / factor)})" for factor, words in slips)

@@ -45,6 +45,7 @@ function tickets(rows) {
     ["Ticket", (ticket) => ticket.number, true], ["Time", (ticket) => time(ticket.time_s)],
     ["Loads", (ticket) => (ticket.first_load === ticket.last_load ? ticket.first_load : `${ticket.first_load} to ${ticket.last_load}`), true],
     [`Weighed, ${units.mass.name}`, (ticket) => mass(ticket.weighed_mass_kg), true],
+    [`Truck − other combine, ${units.mass.name}`, (ticket) => (ticket.truck ? `${mass(ticket.truck.truck_kg)} − ${mass(ticket.truck.other_kg)}` : "-"), true],
     [`Measured, ${units.mass.name}`, (ticket) => mass(ticket.measured_mass_kg), true],
     ["Difference, %", (ticket) => number(100 * (ticket.weighed_mass_kg / ticket.measured_mass_kg - 1), 2), true],
     ["State", (ticket) => ticket.state],

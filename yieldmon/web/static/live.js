@@ -226,7 +226,8 @@ function answerOf(name, answer) {
     const use = !answer.anchor ? `no reference for the calibration: ${answer.why_no_anchor}`
       : of ? `a reference for ${of}, which learns once it is harvested again` : "a reference for the calibration";
     const masses = `Measured ${mass(answer.measured_mass_kg)} ${units.mass.name}, weighed ${mass(answer.weighed_mass_kg)} ${units.mass.name}`;
-    return `${masses} (${number(change, 2)} %); ${use}.${replaced}${first}${doubt}`;
+    const truck = answer.truck ? ` Of the truck, ${mass(answer.truck.truck_kg - answer.weighed_mass_kg)} ${units.mass.name} are of the other combine.` : "";
+    return `${masses} (${number(change, 2)} %); ${use}.${truck}${replaced}${first}${doubt}`;
   }
   if (name === "ticket-undo") {
     const back = answer.version === undefined ? "" : `; measuring with the parameters from before it (version ${answer.version})`;
@@ -253,9 +254,10 @@ function requestOf(dialog) {
     if (String(value).trim() === "") continue;
     request[name] = ["first_load", "last_load", "ticket"].includes(name) ? Number(value) : String(value).trim();
   }
-  if ("mass" in request) {
-    request.mass_kg = Number(request.mass) * units.mass.si;
-    delete request.mass;
+  for (const name of ["mass", "other", "other_std_dev"]) {
+    if (!(name in request)) continue;
+    request[`${name}_kg`] = Number(request[name]) * units.mass.si;
+    delete request[name];
   }
   if (["load-start", "load-stop"].includes(request.command)) request.shown_load = Number(dialog.dataset.load);
   return request;
@@ -294,7 +296,7 @@ async function prepareTicket(dialog) {
     const { loads } = await getJson("/api/history");
     const compare = () => {
       const [first, last] = ["first_load", "last_load"].map((name) => Number(form[name].value));
-      const weighed = Number(form.mass.value) * units.mass.si;
+      const weighed = (Number(form.mass.value) - Number(form.other.value)) * units.mass.si;
       const covered = loads.filter((load) => first <= load.number && load.number <= last);
       const measured = covered.reduce((sum, load) => sum + load.mass_kg, 0);
       const known = covered.reduce((sum, load) => sum + (load.posted_mass_kg ?? load.mass_kg), 0);
