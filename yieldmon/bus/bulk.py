@@ -62,6 +62,16 @@ class FrameBlock:
             self.long_of(rows) if self.long else {},
         )
 
+    def of_channels(self, names: Container[str]) -> FrameBlock:
+        """The rows of the channels named."""
+        rows = np.flatnonzero(np.isin(self.channel, [number for number, name in enumerate(self.channels) if name in names]))
+        return self if len(rows) == len(self) else self.take(rows)
+
+    def channels_in_use(self) -> frozenset[str]:
+        """Names of the channels that have a row; "" where a log names none."""
+        counts = np.bincount(self.channel, minlength=len(self.channels)).tolist()
+        return frozenset(name for name, count in zip(self.channels, counts, strict=True) if count)
+
     def long_of(self, rows: NDArray[np.intp] | slice) -> dict[int, bytes]:
         """`long` of a block of these rows."""
         if not self.long:

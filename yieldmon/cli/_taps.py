@@ -29,7 +29,7 @@ def run(args: argparse.Namespace) -> TapDocument:
     from yieldmon.service.logs import tap_samples
 
     configured = _by_loads.configuration_of(args)
-    stretches, source = tap_samples.read(args.taps, configured.signals)
+    stretches, source = tap_samples.read(args.taps, configured.signals, configured.log_channels)
     machine = configured.machine
     try:
         found = tap_response(stretches, source.interval_s, full_scale_mv=machine.sensor.full_scale_mv)

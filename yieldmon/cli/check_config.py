@@ -6,6 +6,7 @@ import argparse
 import sys
 from typing import Any
 
+from yieldmon.cli import _channels
 from yieldmon.cli._json import print_json
 from yieldmon.errors import InputError
 from yieldmon.resources import shipped
@@ -23,6 +24,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     parser.add_argument("file", nargs="?", metavar="FILE", help="YAML configuration (default: the shipped one)")
     parser.add_argument("--log", metavar="FILE", help="check the signal mapping against this recording")
+    _channels.add_channels(parser)
     parser.add_argument("--json", action="store_true", help="print what was found as one JSON document")
     parser.add_argument("--defaults", action="store_true", help="print the default configuration, commented, and end")
 
@@ -36,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
     problems: list[InputError] = []
     loaded = None
     try:
-        loaded = configuration.load(path)
+        loaded = _channels.with_channels(configuration.load(path), args.channels)
     except configuration.ConfigurationError as error:
         problems = error.problems
     except InputError as error:

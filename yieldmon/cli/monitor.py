@@ -14,6 +14,7 @@ import can
 from rich.console import Console, RenderableType
 from rich.live import Live
 
+from yieldmon.bus.candump import channel_name, flagged_id
 from yieldmon.bus.codec import Codec
 from yieldmon.bus.log_notes import LogNotes
 from yieldmon.bus.log_writing import writing
@@ -23,6 +24,7 @@ from yieldmon.bus.replay import Schedule
 from yieldmon.bus.waiting import receive
 from yieldmon.cli import _outputs
 from yieldmon.cli._cab import DaemonLink, Status, aged
+from yieldmon.cli._channels import SharedIdentifiers
 from yieldmon.cli._daemon import add_daemon_arguments, ask_daemon, daemon_socket, mass
 from yieldmon.cli._json import print_json
 from yieldmon.cli._limits import above_0, within
@@ -80,7 +82,8 @@ def run(args: argparse.Namespace) -> int:
     codec = Codec()
     traffic = Traffic(codec)
     with ExitStack() as stack:
-        source, view = _source(args, stack), View(args.sort, args.filter, cab=args.cab)
+        shared = SharedIdentifiers()
+        source, view = _source(args, stack, shared), View(args.sort, args.filter, cab=args.cab)
         interface, channel = getattr(args, "interface", None), getattr(args, "channel", None)
         view.source = args.log or f"{interface or ('no bus' if args.cab else 'bus')} {channel or ''}".strip()
         cab = _Cab(args, view, None if args.log or args.json or not _may_ask(args) else DaemonLink(daemon_socket(args)))
@@ -89,19 +92,21 @@ def run(args: argparse.Namespace) -> int:
             view.recording = record.start(args.record)
         if args.once:
             _listen(source, traffic, record, time.monotonic() + (float("inf") if args.log else args.seconds))
-            _refuse_empty(args.log, traffic)
+            _refuse_empty(args.log, channel, traffic)
             _print_once(traffic, codec, cab, args.json)
         elif args.json:
             _print_lines(source, traffic, record)
         else:
             _show(source, traffic, codec, cab, record, stack)
-        _refuse_empty(args.log, traffic)
+        _refuse_empty(args.log, channel, traffic)
+    if shared.problem is not None:
+        print(f"yieldmon: {args.log}: {shared.problem} and share their rows; -c NAME shows one", file=sys.stderr)
     return 0
 
 
-def _refuse_empty(log: str | None, traffic: Traffic) -> None:
+def _refuse_empty(log: str | None, channel: str | None, traffic: Traffic) -> None:
     if log is not None and traffic.first_s is None:
-        raise InputError(log, "no frame at all", "a log with frames")
+        raise InputError(log, "no frame at all" if channel is None else f"no frame of channel {channel}", "a log with frames")
 
 
 class _Recorder:
@@ -213,10 +218,10 @@ def _no_bus() -> Source:
         yield None
 
 
-def _source(args: argparse.Namespace, stack: ExitStack) -> Source:
+def _source(args: argparse.Namespace, stack: ExitStack, shared: SharedIdentifiers) -> Source:
     if args.log:
         require_log(args.log)
-        return _log_source(args.log, 0.0 if args.once else args.speed)
+        return _log_source(args.log, 0.0 if args.once else args.speed, getattr(args, "channel", None), shared)
     if args.cab and "interface" not in args:
         ask_daemon(args, {"command": "status"})
         return _no_bus()
@@ -228,10 +233,14 @@ def _bus_source(bus: can.BusABC) -> Source:
         yield receive(bus, REFRESH_S)
 
 
-def _log_source(path: str, speed: float) -> Source:
+def _log_source(path: str, speed: float, channel: str | None, shared: SharedIdentifiers) -> Source:
     schedule = Schedule(speed)
     begun = None
     for message in read_log(path, LogNotes()):
+        name = channel_name(message)
+        if channel is not None and name != channel:
+            continue
+        shared.take(name, (flagged_id(message),))
         due = schedule.due_s(message.timestamp)
         begun = time.monotonic() - due if begun is None else begun
         while schedule.is_paced and (wait := begun + due - time.monotonic()) > 0.0:

@@ -14,7 +14,7 @@ from yieldmon.bus.log_notes import LogNotes
 from yieldmon.bus.log_order import in_time_order
 from yieldmon.bus.logs import PACKED_SUFFIX, require_log
 from yieldmon.bus.packed_writing import pack
-from yieldmon.cli import _outputs
+from yieldmon.cli import _channels, _outputs
 from yieldmon.cli._json import print_json
 from yieldmon.errors import InputError
 from yieldmon.files.whole_file import scratch_for
@@ -32,6 +32,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     parser.add_argument("logs", nargs="+", metavar="LOG", help="candump or any log of python-can; several are one record")
     parser.add_argument("--out", required=True, metavar="FILE.parquet", help="file to write")
+    _channels.add_channels(parser)
     parser.add_argument("--json", action="store_true", help="print a summary as one JSON document")
     _outputs.add_force(parser, "out")
 
@@ -47,9 +48,11 @@ def run(args: argparse.Namespace) -> int:
     refuse_copies(args.logs)
     notes = LogNotes()
     with scratch_for(out) as scratch:
-        packed = pack(_blocks(in_time_order(args.logs), notes), scratch, Codec().layouts, lambda: notes.dropped_by_recorder)
+        blocks = _blocks(in_time_order(args.logs), notes, args.channels)
+        packed = pack(blocks, scratch, Codec().layouts, lambda: notes.dropped_by_recorder)
         if not packed.frames:
-            raise InputError(", ".join(args.logs), "no frame at all", "a log with CAN frames")
+            found = f"no frame of channel {' or '.join(args.channels)}" if args.channels and notes.frames else "no frame at all"
+            raise InputError(", ".join(args.logs), found, "a log with CAN frames")
     logs_bytes = sum(Path(log).stat().st_size for log in args.logs)
     document = {
         "file": str(out),
@@ -66,9 +69,9 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _blocks(logs: list[str], notes: LogNotes) -> Iterator[FrameBlock]:
+def _blocks(logs: list[str], notes: LogNotes, channels: list[str]) -> Iterator[FrameBlock]:
     for log in logs:
         for block in iter_blocks(log, notes):
             if (block.length > CLASSIC_BYTES).any():
                 raise InputError(log, "holds CAN FD frames with more than 8 bytes of data", "classic CAN frames")
-            yield block
+            yield block.of_channels(channels) if channels else block

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from yieldmon.bus.log_order import in_time_order
 from yieldmon.bus.logs import SUFFIXES, require_package
-from yieldmon.cli import _flow_curve, _named_files, _notes, _outputs
+from yieldmon.cli import _channels, _flow_curve, _named_files, _notes, _outputs
 from yieldmon.cli._json import print_json
 from yieldmon.cli._log_progress import log_progress
 from yieldmon.cli._units import add_units
@@ -59,6 +59,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--params", metavar="FILE", help="file or shipped name (default: the configuration's; of a store, its newest)"
     )
     parser.add_argument("--config", metavar="FILE", help="YAML configuration (default: the shipped one)")
+    _channels.add_channels(parser)
     _flow_curve.add_file(parser)
     parser.add_argument(
         "--out",
@@ -84,7 +85,7 @@ def run(args: argparse.Namespace) -> int:
     """Exit code 0 when every log was read to its end, damaged places aside."""
     _check(args)
     config = args.config if args.config is not None else shipped("config/yieldmon.yaml")
-    loaded = _configured(config, args.params, args.estimator)
+    loaded = _configured(config, args.params, args.estimator, args.channels)
     for note in loaded.notes:
         _notes.note(note, "note")
     units = units_of(args.units, loaded.document.units, loaded.parameters.provenance.get("crop", ""))
@@ -107,9 +108,11 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _configured(config: str | Path, params: str | None, estimator: str | None) -> configuration.Configuration:
-    """The configuration with what --params and --estimator put in its place."""
-    loaded = configuration.load(config)
+def _configured(
+    config: str | Path, params: str | None, estimator: str | None, channels: list[str]
+) -> configuration.Configuration:
+    """The configuration with what --params, --estimator and --channel put in its place."""
+    loaded = _channels.with_channels(configuration.load(config), channels)
     if params is not None:
         loaded = replace(loaded, parameters=_named_files.parameters(params))
     if estimator is not None:
@@ -189,6 +192,7 @@ def _separately(args: argparse.Namespace, config: str | Path, units: Units) -> i
         params=args.params,
         estimator=args.estimator,
         zero_mv=args.zero_mv,
+        channels=args.channels,
     )
     context = multiprocessing.get_context("fork")
     documents: dict[str, ProcessSummary] = {}
@@ -212,11 +216,19 @@ def _separately(args: argparse.Namespace, config: str | Path, units: Units) -> i
 
 
 def _separate_record(
-    log: str, *, folder: Path, kind: str, config: str | Path, params: str | None, estimator: str | None, zero_mv: float | None
+    log: str,
+    *,
+    folder: Path,
+    kind: str,
+    config: str | Path,
+    params: str | None,
+    estimator: str | None,
+    zero_mv: float | None,
+    channels: list[str],
 ) -> tuple[ProcessSummary | None, tuple[str, str, str] | None]:
     """The record's summary, or what InputError was raised with."""
     try:
-        loaded = _configured(config, params, estimator)
+        loaded = _configured(config, params, estimator, channels)
         return _one_record(
             [log], str(folder / f"{_stem(log)}.{kind}"), kind, loaded, reads_ahead=False, progress=None, zero_mv=zero_mv
         ), None

@@ -22,6 +22,7 @@ from yieldmon.bus.logs import require_log
 from yieldmon.bus.opening import add_bus_arguments, open_bus_from
 from yieldmon.bus.waiting import receive
 from yieldmon.cli import _outputs
+from yieldmon.cli._channels import SharedIdentifiers
 from yieldmon.cli._json import print_json
 from yieldmon.cli._limits import above_0
 from yieldmon.errors import InputError
@@ -65,13 +66,18 @@ def run(args: argparse.Namespace) -> int:
         if problems := [message.contradiction for message in messages.values() if message.contradiction]:
             more = f", and {len(problems) - 1} more like it" if len(problems) > 1 else ""
             print(f"yieldmon: {name}: a message is not used: {problems[0]}{more}", file=sys.stderr)
-    survey = Survey(databases)
-    for block in _log_blocks(args.log) if args.log else _bus_blocks(args):
+    survey, shared, channel = Survey(databases), SharedIdentifiers(), getattr(args, "channel", None)
+    for block in _log_blocks(args.log, channel, shared) if args.log else _bus_blocks(args):
         rows = np.flatnonzero((block.can_id & np.uint32(REMOTE_FLAG | ERROR_FLAG)) == 0)
         columns = (block.time_s[rows], block.can_id[rows], block.length[rows], block.payload[rows])
         survey.add(*columns, block.long_of(rows))
     if not survey.frames:
-        raise InputError(args.log or "the bus", "no data frame", "a bus or log with traffic")
+        of_channel = f" of channel {channel}" if args.log and channel else ""
+        raise InputError(args.log or "the bus", f"no data frame{of_channel}", "a bus or log with traffic")
+    if shared.problem is not None:
+        if args.write is not None:
+            raise InputError(args.log, f"{shared.problem}, which would make the rates wrong", "one channel: -c NAME")
+        print(f"yieldmon: {args.log}: {shared.problem} and count together; -c NAME takes one", file=sys.stderr)
     if survey.incomplete:
         print(f"yieldmon: {survey.incomplete} messages of several frames lack one and are not used", file=sys.stderr)
     if args.write is not None:
@@ -91,10 +97,16 @@ def _as_written(paths: dict[str, str], mapping: Path) -> dict[str, str]:
     return {name: Path(path).name if Path(path).parent == beside or path in ours else path for name, path in paths.items()}
 
 
-def _log_blocks(path: str) -> Iterator[FrameBlock]:
+def _log_blocks(path: str, channel: str | None, shared: SharedIdentifiers) -> Iterator[FrameBlock]:
+    """Of one channel, or of all."""
     require_log(path)
     notes = LogNotes(on_damage=lambda _damage: None)
-    yield from iter_blocks(path, notes)
+    for block in iter_blocks(path, notes):
+        for name in block.channels_in_use():
+            if channel in (None, name):
+                own = block.of_channels([name])
+                shared.take(name, np.unique(own.can_id).tolist())
+        yield block if channel is None else block.of_channels([channel])
     for damage in notes.damages[:3]:
         print(f"yieldmon: {damage}", file=sys.stderr)
     if notes.damaged_places > 3:

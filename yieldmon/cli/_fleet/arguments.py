@@ -7,6 +7,7 @@ import os
 from typing import TYPE_CHECKING
 
 from yieldmon.cli import _outputs
+from yieldmon.cli._channels import add_channels
 
 if TYPE_CHECKING:
     Words = argparse._SubParsersAction[argparse.ArgumentParser]
@@ -25,6 +26,7 @@ def run(words: Words) -> None:
     parser.add_argument("--out", required=True, metavar="DATASET", help="folder, or address such as s3://bucket/season")
     parser.add_argument("--config", metavar="FILE", help="configuration of machines that have none of their own")
     parser.add_argument("--params", metavar="FILE", help="parameters for all, in place of the configurations'")
+    add_channels(parser)
     parser.add_argument("--crop", metavar="NAME", default="", help="crop of days for which nothing else names one")
     parser.add_argument(
         "--workers",

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from yieldmon.cli import _named_files
+from yieldmon.cli._channels import with_channels
 from yieldmon.cli._json import print_json
 from yieldmon.errors import InputError
 from yieldmon.files.plain_text import plain
@@ -162,7 +163,7 @@ def _configurations(partitions: Sequence[Partition], args: argparse.Namespace) -
     def configured(path: str) -> _Configured:
         if is_remote(path):
             raise InputError(path, "is a remote configuration", "a configuration on this machine (--config, or in a manifest)")
-        loaded = configuration.load(path)
+        loaded = with_channels(configuration.load(path), args.channels)
         if parameters is not None:
             loaded = replace(loaded, parameters=parameters)
         return loaded, parameters_sha256(loaded)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -72,6 +72,11 @@ class Configuration:
     socket_path: Path
     prometheus_path: Path | None
     notes: tuple[str, ...] = ()
+
+    @property
+    def log_channels(self) -> tuple[str, ...]:
+        """Channels of which the frames of recordings are taken; empty: all."""
+        return tuple(self.document.bus.log_channels)
 
 
 def load(path: Path | str, environment: Mapping[str, str] = os.environ) -> Configuration:
@@ -212,6 +217,12 @@ def with_estimator(configuration: Configuration, path: Path | str) -> Configurat
         calibrator=None,
         parameters=with_curve(configuration.parameters, curve),
     )
+
+
+def with_log_channels(configuration: Configuration, channels: Sequence[str]) -> Configuration:
+    """The configuration that takes these channels of recordings, as if its file named them."""
+    bus = configuration.document.bus.model_copy(update={"log_channels": list(channels)})
+    return dataclasses.replace(configuration, document=configuration.document.model_copy(update={"bus": bus}))
 
 
 def check_curve_angle(curve: FlowCurve, machine: Machine, where: str) -> None:

@@ -24,6 +24,7 @@ class Bus(Section):
     options: dict[str, str | int | float | bool] = Field(
         default_factory=dict, description="further options for that interface, as python-can names them"
     )
+    log_channels: list[str] = Field(default_factory=list, max_length=16, description="channels of recordings to take; empty: all")
     receive_buffer_bytes: int = quantity(
         4 * 1024 * 1024, 65_536, 64 * 1024 * 1024, "bytes", "SocketCAN receive buffer to ask the kernel for"
     )

@@ -32,6 +32,7 @@ from yieldmon.engine.runs import FrameRun, SampleRun, SignalRun, in_millivolts, 
 from yieldmon.engine.sources import SampleSource, Sources
 from yieldmon.errors import InputError
 from yieldmon.identifiers import EXTENDED_FLAG
+from yieldmon.service.logs.channels import OneChannel
 from yieldmon.service.logs.processing import Summary, hand_over, refuse_nothing
 from yieldmon.service.storage.rows import SecondRow
 from yieldmon.service.traffic.side_inputs import SideInputs
@@ -62,10 +63,11 @@ class Stretch:
 
 @dataclass(frozen=True)
 class EndOfLog:
-    """A log is read to its end."""
+    """A log is read to its end. channels: those with a frame that was looked at, chosen or not."""
 
     path: str
     damages: list[str]
+    channels: frozenset[str] = field(default=frozenset(), compare=False)
 
 
 def process_in_bulk(
@@ -75,23 +77,28 @@ def process_in_bulk(
     take_row: Callable[[SecondRow], None],
     *,
     signals: SignalMap | None = None,
+    channels: Sequence[str] = (),
     reads_ahead: bool = False,
     progress: Callable[[Stretch | EndOfLog], None] | None = None,
     take_results: Callable[[Sequence[Result]], None] | None = None,
 ) -> Summary:
     """What processing.process_logs() does, and the same rows and summary. Raises InputError as that does.
 
-    signals: where the engine's quantities come from, None: the shipped DBC.
+    signals: where the engine's quantities come from, None: the shipped DBC. channels: whose frames are taken; empty: all.
     reads_ahead: read and decode in a second process. progress: called with each stretch that is done. take_results: called with
     what the monitor handed back, events included, before its rows.
     """
     names = [str(path) for path in paths]
     summary = Summary()
     read = _stretches_ahead if reads_ahead else _stretches_here
-    with _seldom_collecting(), read(names, Taking(codec, default_map() if signals is None else signals)) as stretches:
+    with (
+        _seldom_collecting(),
+        read(names, Taking(codec, default_map() if signals is None else signals, tuple(channels))) as stretches,
+    ):
         for stretch in stretches:
             if isinstance(stretch, EndOfLog):
                 summary.damages += stretch.damages
+                summary.channels |= stretch.channels
             else:
                 summary.frames += stretch.frames
                 summary.ours += stretch.ours
@@ -102,30 +109,40 @@ def process_in_bulk(
                     hand_over(monitor.feed_run(run, reports=False), take_row, summary, take_results)
             if progress is not None:
                 progress(stretch)
-    refuse_nothing(names, summary)
+    refuse_nothing(names, summary, channels)
     return summary
 
 
 @dataclass(frozen=True)
 class Taking:
-    """What is taken from a log: of the shipped DBC by the codec, of the mapping's groups by its decoder."""
+    """What is taken from a log: of the shipped DBC by the codec, of the mapping's groups by its decoder. channels: whose frames;
+    empty: all, where no input comes on two at the same times."""
 
     codec: Codec
     signals: SignalMap
+    channels: tuple[str, ...] = ()
 
 
 def stretches_of(paths: Iterable[str], taking: Taking) -> Iterator[Stretch | EndOfLog]:
     """The logs, one after the other, decoded. Raises InputError for a log that cannot be read."""
     decoder, side = MapDecoder(taking.signals), SideInputs()
     wanted = _wanted(taking, decoder, side)
+    one_channel = None if taking.channels else OneChannel(taking.signals.sources)
     for path in paths:
-        notes, frames = LogNotes(), 0
-        for block in _joined(iter_blocks(path, notes, wanted=wanted)):
+        notes, frames, channels = LogNotes(), 0, frozenset[str]()
+        for whole in _joined(iter_blocks(path, notes, wanted=wanted)):
+            channels |= whole.channels_in_use()
+            block = whole.of_channels(taking.channels) if taking.channels else whole
             before = decoder.incomplete
-            found = _stretch(*_decoded(taking, decoder, side, block), block, notes.frames - frames, taking.signals.sources)
+            columns, refused = _decoded(taking, decoder, side, block)
+            if one_channel is not None:
+                one_channel.take(path, block, {name: (each.rows, each.time_s) for name, each in columns.items()})
+            found = _stretch(columns, refused, block, notes.frames - frames, taking.signals.sources)
             yield replace(found, incomplete=decoder.incomplete - before)
             frames = notes.frames
-        yield EndOfLog(path, notes.lacks(path))
+        if one_channel is not None:
+            one_channel.end_of_log()
+        yield EndOfLog(path, notes.lacks(path), channels)
     if decoder.under_way:
         yield Stretch(0, 0, 0, incomplete=decoder.under_way)
 

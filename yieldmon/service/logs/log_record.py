@@ -69,7 +69,8 @@ def measure(
         monitor.restore(replace(monitor.snapshot(), zero=known))
     summary = process_in_bulk(
         logs, monitor, Codec(), take_row,
-        signals=configured.signals, reads_ahead=reads_ahead, progress=progress, take_results=take_results,
+        signals=configured.signals, channels=configured.log_channels,
+        reads_ahead=reads_ahead, progress=progress, take_results=take_results,
     )  # fmt: skip
     return summary, monitor
 

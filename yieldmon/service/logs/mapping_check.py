@@ -153,7 +153,8 @@ def seen_in(
     from yieldmon.bus.codec import Codec
     from yieldmon.service.logs import bulk_processing
 
-    for stretch in bulk_processing.stretches_of([str(log)], bulk_processing.Taking(Codec(), configuration.signals)):
+    taking = bulk_processing.Taking(Codec(), configuration.signals, configuration.log_channels)
+    for stretch in bulk_processing.stretches_of([str(log)], taking):
         if progress is not None:
             progress(stretch)
         if not isinstance(stretch, bulk_processing.EndOfLog):
@@ -256,7 +257,7 @@ def problems(configuration: Configuration, seen: dict[str, QuantitySeen], log: s
         (
             f"{log}: {name}",
             f"leaps between {entry.low:.6g} and {entry.high:.6g} {entry.unit}, as where two nodes send it",
-            "the values of one node: name it by `source`, or record one channel",
+            "the values of one node: name it by `source`",
         )
         for name, entry in seen.items()
         if entry.leaping_share > _MOSTLY

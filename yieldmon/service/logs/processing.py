@@ -6,12 +6,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from yieldmon.bus.candump import channel_name
 from yieldmon.bus.codec import Codec, FrameError
 from yieldmon.bus.log_notes import LogNotes
 from yieldmon.bus.logs import read_log
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.results import Result, records_in
 from yieldmon.errors import InputError
+from yieldmon.service.logs.channels import OneChannel
 from yieldmon.service.storage.rows import SecondRow, second_row
 from yieldmon.service.traffic.input_frames import InputFrames
 from yieldmon.signals.mapping import SignalMap, default_map
@@ -37,6 +39,8 @@ class Summary:
         That closed.
     damages : list of str
         Damaged places of the logs.
+    channels : set of str
+        Of the logs, chosen or not.
 
     Examples
     --------
@@ -50,6 +54,7 @@ class Summary:
     incomplete: int = 0
     windows: int = 0
     damages: list[str] = field(default_factory=list)
+    channels: set[str] = field(default_factory=set, compare=False)
 
 
 def process_logs(
@@ -58,6 +63,7 @@ def process_logs(
     codec: Codec,
     take_row: Callable[[SecondRow], None],
     signals: SignalMap | None = None,
+    channels: Sequence[str] = (),
 ) -> Summary:
     r"""Feed logs, one after the other, to a monitor.
 
@@ -71,6 +77,8 @@ def process_logs(
     signals : SignalMap, optional
         Where the engine's quantities come from; None: the shipped DBC. Frames that the monitor sends are not needed here: those
         in a log were sent by the monitor of that time.
+    channels : sequence of str, optional
+        Whose frames are taken; empty: all, where no input comes on two channels at the same times.
 
     Returns
     -------
@@ -100,9 +108,14 @@ def process_logs(
     mapping = default_map() if signals is None else signals
     bus = InputFrames(codec, mapping)
     sensors = {source.message for source in mapping.sources.impact}
+    one_channel = None if channels else OneChannel(mapping.sources)
     for path in paths:
         notes = LogNotes()
         for message in read_log(path, notes):
+            channel = channel_name(message)
+            summary.channels.add(channel)
+            if channels and channel not in channels:
+                continue
             try:
                 frames = bus.frames(message)
             except FrameError:
@@ -111,18 +124,25 @@ def process_logs(
             summary.ours += bool(frames)
             summary.samples += any(frame.message in sensors for frame in frames)
             for frame in frames:
+                if one_channel is not None:
+                    one_channel.take_frame(str(path), frame.message, channel, frame.time_s)
                 hand_over(monitor.feed(frame), take_row, summary)
+        if one_channel is not None:
+            one_channel.end_of_log()
         summary.frames += notes.frames
         summary.damages += notes.lacks(path)
     summary.incomplete = bus.incomplete + bus.under_way
-    refuse_nothing(paths, summary)
+    refuse_nothing(paths, summary, channels)
     return summary
 
 
-def refuse_nothing(paths: Sequence[Path | str], summary: Summary) -> None:
-    """Raises InputError when there was nothing in all the logs that the engine could take, or nothing to weigh."""
+def refuse_nothing(paths: Sequence[Path | str], summary: Summary, channels: Sequence[str] = ()) -> None:
+    """Raises InputError when there was nothing in all the logs that the engine could take, or nothing to weigh; channels: whose
+    frames were taken."""
     wrong = f", {summary.malformed} of wrong length" if summary.malformed else ""
     wrong += f", {summary.incomplete} messages lack a frame" if summary.incomplete else ""
+    if channels:
+        wrong += f" on channel {' and '.join(channels)}; the frames are of {_listed(summary.channels)}"
     if not summary.ours:
         found = f"none of {summary.frames} frames is one that yieldmon takes in" if summary.frames else "no frame at all"
         raise InputError(", ".join(map(str, paths)), found + wrong, "a log with sensor, speed and plate frames")
@@ -130,6 +150,10 @@ def refuse_nothing(paths: Sequence[Path | str], summary: Summary) -> None:
         where = ", ".join(map(str, paths))
         problem = f"no impact sensor: none of {summary.frames} frames brings its samples{wrong}"
         raise InputError(where, problem, "`signals` in the configuration; `yieldmon signals LOG` lists what there is")
+
+
+def _listed(channels: set[str]) -> str:
+    return ", ".join(sorted(channels - {""})) or "no named channel"
 
 
 def hand_over(

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from yieldmon.bus.candump import channel_name
 from yieldmon.bus.codec import Codec, FrameError
 from yieldmon.bus.log_notes import LogNotes
 from yieldmon.bus.logs import read_log
@@ -14,6 +15,7 @@ from yieldmon.engine.sources import SampleSource
 from yieldmon.errors import InputError
 from yieldmon.frames import Frame, SensorStatus, number
 from yieldmon.physics.numerics import Array
+from yieldmon.service.logs.channels import OneChannel
 from yieldmon.service.logs.log_copies import refuse_copies
 from yieldmon.service.traffic.input_frames import InputFrames
 from yieldmon.signals.mapping import SignalMap
@@ -22,8 +24,9 @@ _GAP = 1.5
 """Frame intervals from one frame to the next beyond which one is missing."""
 
 
-def read(paths: Sequence[str | Path], signals: SignalMap) -> tuple[list[Array], SampleSource]:
-    """Stretches of samples without a gap, mV, and their source: the one impact sensor of the mapping.
+def read(paths: Sequence[str | Path], signals: SignalMap, channels: Sequence[str] = ()) -> tuple[list[Array], SampleSource]:
+    """Stretches of samples without a gap, mV, and their source: the one impact sensor of the mapping. channels: whose frames are
+    taken; empty: all, where the samples do not come on two at the same times.
 
     Raises InputError for a log that cannot be read, for one without samples, and where several sensors carry the plate.
     """
@@ -34,7 +37,7 @@ def read(paths: Sequence[str | Path], signals: SignalMap) -> tuple[list[Array], 
     source = signals.sources.impact[0]
     stretches: list[Array] = []
     for path in paths:
-        found = _stretches(path, source, signals)
+        found = _stretches(path, source, signals, channels)
         if not found:
             hint = "`signals` in the configuration; `yieldmon signals LOG` lists what there is"
             raise InputError(str(path), "holds no sample of the impact sensor", hint)
@@ -42,11 +45,15 @@ def read(paths: Sequence[str | Path], signals: SignalMap) -> tuple[list[Array], 
     return stretches, source
 
 
-def _stretches(path: str | Path, source: SampleSource, signals: SignalMap) -> list[Array]:
+def _stretches(path: str | Path, source: SampleSource, signals: SignalMap, channels: Sequence[str]) -> list[Array]:
     bus, interval_s = InputFrames(Codec(), signals), source.interval_s * len(source.signals)
     stretches: list[list[float]] = []
     last_s = float("-inf")
+    one_channel = None if channels else OneChannel(signals.sources)
     for message in read_log(path, LogNotes()):
+        channel = channel_name(message)
+        if channels and channel not in channels:
+            continue
         try:
             frames = bus.frames(message)
         except FrameError:
@@ -54,6 +61,8 @@ def _stretches(path: str | Path, source: SampleSource, signals: SignalMap) -> li
         for frame in frames:
             if frame.message != source.message:
                 continue
+            if one_channel is not None:
+                one_channel.take_frame(str(path), frame.message, channel, frame.time_s)
             samples = _samples(frame, source)
             if not stretches or samples is None or not abs(frame.time_s - last_s) < _GAP * interval_s:
                 stretches.append([])

@@ -107,7 +107,15 @@ def _of_logs(
         monitor = build_monitor(
             configured.engine, configured.machine, configured.parameters, None, configured.signals.sources, drives_plate=False
         )
-        process_in_bulk([source], monitor, Codec(), rows.append, signals=configured.signals, progress=progress)
+        process_in_bulk(
+            [source],
+            monitor,
+            Codec(),
+            rows.append,
+            signals=configured.signals,
+            channels=configured.log_channels,
+            progress=progress,
+        )
         versions = {configured.parameters.version: configured.parameters}
         found += loads_in_log(rows, source, versions, len(found))
     return tuple(found)

@@ -66,7 +66,9 @@ def _of_log(source: str, configured: Configuration, before: int) -> list[WavedLo
     def take(results: Sequence[Result]) -> None:
         seen.extend(result.waveform.wave for result in windows_in(results))
 
-    process_in_bulk([source], monitor, Codec(), rows.append, signals=configured.signals, take_results=take)
+    process_in_bulk(
+        [source], monitor, Codec(), rows.append, signals=configured.signals, channels=configured.log_channels, take_results=take
+    )
     waves = {row.number: wave for row, wave in zip(rows, seen, strict=True) if wave is not None}
     versions = {configured.parameters.version: configured.parameters}
     return [
