@@ -141,3 +141,47 @@ def test_words_for_a_header_that_is_up(capsys: pytest.CaptureFixture[str]) -> No
 def test_dried_grain_is_named(capsys: pytest.CaptureFixture[str]) -> None:
     _, _, said = mapped(capsys, f"{HEAD},dry yield (t/ha),width (m)", lambda at: f"{PLACE.format(at)},7,6")
     assert "dry yield (t/ha) is of dried grain: so are the masses" in said
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        "Data,Ora,Longitudine,Latitudine,Resa (t/ha),Umidità (%),Larghezza di taglio (m),Velocità (km/h)",
+        "Data,Czas,Długość geograficzna,Szerokość geograficzna,Plon (t/ha),Wilgotność (%),Szerokość robocza (m),Prędkość (km/h)",
+        "Datum,Tijd,Lengtegraad,Breedtegraad,Opbrengst (t/ha),Vocht (%),Werkbreedte (m),Snelheid (km/h)",
+        "Dato,Tid,Længdegrad,Breddegrad,Udbytte (t/ha),Vandindhold (%),Arbejdsbredde (m),Hastighed (km/t)",
+        "Datum,Tid,Longitud,Latitud,Skörd (t/ha),Vattenhalt (%),Arbetsbredd (m),Hastighet (km/h)",
+        "Dato,Tid,Lengdegrad,Breddegrad,Avling (t/ha),Vanninnhold (%),Arbeidsbredde (m),Hastighet (km/t)",
+    ],
+    ids=["Italian", "Polish", "Dutch", "Danish", "Swedish", "Norwegian"],
+)
+def test_names_in_further_languages(names: str, capsys: pytest.CaptureFixture[str]) -> None:
+    def row(at: Point) -> str:
+        clock = f"10:{at.second // 60:02d}:{at.second % 60:02d}"
+        return f"2024-08-15,{clock},{at.longitude:.8f},{at.latitude:.8f},{YIELD_KG_M2 * 10},15.5,{WIDTH_M},{SPEED_M_S * 3.6}"
+
+    code, document, said = mapped(capsys, names, row)
+    assert code == 0, said
+    assert mass_kg(document) == pytest.approx(MASS_KG, rel=0.01)
+    assert document["area_ha"] * 1e4 == pytest.approx(MASS_KG / YIELD_KG_M2, rel=0.02)
+
+
+def test_a_width_that_is_given_needs_no_unit_in_the_file(capsys: pytest.CaptureFixture[str]) -> None:
+    head, row = f"{HEAD},flow (kg/s),Swath Width", lambda at: f"{PLACE.format(at)},{FLOW_KG_S},3"
+    assert mapped(capsys, head, row)[0] == 2
+    code, document, said = mapped(capsys, head, row, "--width", str(WIDTH_M))
+    assert code == 0, said
+    assert "Swath Width has no unit and is not used" in said
+    assert document["area_ha"] * 1e4 == pytest.approx(MASS_KG / YIELD_KG_M2, rel=0.03)
+
+
+def test_places_far_from_the_field_are_no_way(capsys: pytest.CaptureFixture[str]) -> None:
+    """Five rows of each 40 have one place that stands for "not known"; the yield is by area."""
+
+    def row(at: Point) -> str:
+        place = "0.0000001,0.0000001" if at.second % 40 < 5 else f"{at.longitude:.8f},{at.latitude:.8f}"
+        return f"{at.second},{place},{YIELD_KG_M2 * 10},{WIDTH_M}"
+
+    code, document, said = mapped(capsys, f"{HEAD},yield (t/ha),width (m)", row)
+    assert code == 0, said
+    assert mass_kg(document) == pytest.approx(MASS_KG, rel=0.03)

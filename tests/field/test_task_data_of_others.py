@@ -145,3 +145,77 @@ def test_parts_of_a_task_file_in_files_of_their_own(capsys: pytest.CaptureFixtur
     found = mapped(folder, capsys)
     is_the_harvest(found)
     assert "PFD00001.XML" in str(found["sources"][0]["skipped"])
+
+
+SECTIONS = [(f"DET-{n}", "4", round(WIDTH_M * 250)) for n in range(2, 6)]
+WIDE: Value = (67, "DET-1", [round(1000 * WIDTH_M)] * COUNT)
+PER_AREA = [round(YIELD_T_HA * 1e5)] * COUNT
+WET_PPM, DRIED_PPM = 200_000, 140_000
+DRY_SHARE = (1e6 - WET_PPM) / (1e6 - DRIED_PPM)
+
+
+def increase(every: int) -> list[int]:
+    """A counter of kg that goes on from another field and is sent anew after so many records."""
+    seconds = np.arange(COUNT) // every * every
+    return np.floor(70_000 + (seconds + 1) * MASS_KG / COUNT).astype(int).tolist()
+
+
+@pytest.mark.parametrize(
+    ("values", "says"),
+    [
+        ([(182, "DET-1", [round(FLOW_MG_S * DRY_SHARE)] * COUNT), (184, "DET-1", [DRIED_PPM] * COUNT)], "dried to 14 %"),
+        ([(181, "DET-1", [round(PER_AREA[0] * DRY_SHARE)] * COUNT), (184, "DET-1", [DRIED_PPM] * COUNT)], "dried to 14 %"),
+        ([(90, "DET-1", increase(1))], "increase of the total"),
+        ([(90, "DET-1", increase(7))], "increase of the total"),
+        ([(87, "DET-1", [0] * COUNT), (84, "DET-1", PER_AREA)], "yield by area"),
+        ([(84, section, PER_AREA) for section, _, _ in SECTIONS], "yield by area"),
+    ],
+    ids=["dry flow", "dry yield", "total", "total each 7 s", "a flow of 0", "yield of sections"],
+)
+def test_a_flow_follows_from_what_the_log_has(values: Sequence[Value], says: str, capsys: pytest.CaptureFixture[str]) -> None:
+    moisture: Value = (99, "DET-1", [WET_PPM] * COUNT)
+    found = mapped(task_data([device(1, [("DET-1", "1", 0), *SECTIONS])], [*values, WIDE, moisture]), capsys)
+    is_the_harvest(found)
+    assert says in str(found["sources"][0]["notes"])
+
+
+def test_sections_with_a_work_state_each(capsys: pytest.CaptureFixture[str]) -> None:
+    """In every second pass two of four sections work, beside ground that was cut, and bring half of the grain."""
+    halved = np.arange(COUNT) // PASS_S % 2 == 1
+    states = [(141, name, np.where(halved & (k > 1), 0, 1).tolist()) for k, (name, _, _) in enumerate(SECTIONS)]
+    flow = np.where(halved, FLOW_MG_S / 2, FLOW_MG_S).round().astype(int).tolist()
+    found = mapped(task_data([device(1, [("DET-1", "1", 0), *SECTIONS])], [(87, "DET-1", flow), *states]), capsys)
+    assert found["mass_kg"]["integrated"] == pytest.approx(0.75 * MASS_KG, rel=0.01)
+    assert found["area_ha"] * 1e4 == pytest.approx(0.75 * AREA_M2, rel=0.01)
+    assert found["sources"][0]["notes"] == []
+
+
+@pytest.mark.parametrize("unknown", [(0, 0), (2**31 - 1, 2**31 - 1), (-1, -1), (900_000_000, 1_800_000_000)])
+def test_places_that_say_not_known_are_no_ground(unknown: tuple[int, int], capsys: pytest.CaptureFixture[str]) -> None:
+    """Of every 40 records five have no position."""
+    folder = task_data([device(1, [("DET-1", "1", 0)])], WHOLE)
+    records = bytearray((folder / "TLG00001.bin").read_bytes())
+    length = len(records) // COUNT
+    for number in range(COUNT):
+        if number % 40 < 5:
+            struct.pack_into("<ii", records, number * length + 6, *unknown)
+    (folder / "TLG00001.bin").write_bytes(records)
+    found = mapped(folder, capsys)
+    assert found["mass_kg"]["integrated"] == pytest.approx(MASS_KG, rel=0.01)
+    assert 0.8 * AREA_M2 < found["area_ha"] * 1e4 < AREA_M2
+
+
+@pytest.mark.parametrize(
+    ("values", "says"),
+    [
+        ([(86, "DET-1", [9000] * COUNT), WIDE], "has yield as a volume (DDI 86), whose density it does not state"),
+        ([WIDE], "has no yield); expected mass in the log (DDI 87, 84 or 90; dried 182, 181 or 183)"),
+        ([(87, "DET-1", [round(FLOW_MG_S)] * COUNT)], "expected --width M"),
+    ],
+)
+def test_a_log_that_lacks_something_says_what_would_do(
+    values: Sequence[Value], says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = task_data([device(1, [("DET-1", "1", 0)])], values)
+    assert cli.main(["map", str(folder), "--out", "unused", "--products", "none"]) == 2
+    assert says in capsys.readouterr().err

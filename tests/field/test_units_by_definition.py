@@ -15,7 +15,8 @@ LB, FT, INCH, MILE = Exact("0.45359237"), Exact("0.3048"), Exact("0.0254"), Exac
 ACRE = 43560 * FT**2
 MASS = {
     "kg": Exact(1), "g": Exact(1, 1000), "mg": Exact(1, 10**6), "t": Exact(1000), "tonne": Exact(1000), "lb": LB, "lbs": LB,
-    "ton": 2000 * LB, "dt": Exact(100), "q": Exact(100), "tonnes": Exact(1000), "cwt": 100 * LB, "short_ton": 2000 * LB,
+    "ton": 2000 * LB, "dt": Exact(100), "q": Exact(100), "dz": Exact(100),
+    "hkg": Exact(100), "tonnes": Exact(1000), "cwt": 100 * LB, "short_ton": 2000 * LB,
     "metric_ton": Exact(1000), "sc": Exact(60),
 }  # fmt: skip
 LENGTH = {
@@ -42,7 +43,7 @@ DEFINED: dict[str, dict[str, Exact]] = {
     # Per hectare a ton is the metric one, and mg a megagram in small letters.
     | {"ton/ha": Exact(1000, 10000), "mg/ha": Exact(1000, 10000), "mg/ac": 1000 / ACRE, "mg/acre": 1000 / ACRE},
     "speed": over(LENGTH, TIME)
-    | {"km/h": Exact(1000, 3600), "kmh": Exact(1000, 3600), "mph": MILE / 3600}
+    | {"km/h": Exact(1000, 3600), "kmh": Exact(1000, 3600), "mph": MILE / 3600, "km/t": Exact(1000, 3600)}
     | dict.fromkeys(("kn", "kt", "kts", "knot", "knots"), Exact(1852, 3600)),
     "percent": dict.fromkeys(("%", "pct", "prcnt", "percent"), Exact(1)) | {"ppm": Exact(100, 10**6), "fraction": Exact(100)},
     "angle": dict.fromkeys(("deg", "arcdeg", "degrees"), Exact(1))
@@ -87,7 +88,8 @@ def test_a_bushel_needs_a_crop_and_no_other_quantity_has_one() -> None:
      ("Yield [t ha-1]", "t/ha"), ("Yield (t.ha-1)", "t/ha"),
      ("Yield t/ha", "t/ha"), ("Yield, kg/ha", "kg/ha"), ("Yield (bushels/acre)", "bu/acre"), ("Yield (cwt/ac)", "cwt/ac"),
      ("Yield kg ha\u207b\u00b9", "kg/ha"), ("Speed mph", "mph"), ("Swath ft", "ft"), ("Moisture %", "%"), ("Flow (ton/h)", ""),
-     ("Yld Mass(Dry)", ""), ("Load T", "")],
+     ("Yld Mass(Dry)", ""), ("Load T", ""), ("Yield (short ton/acre)", "short_ton/acre"), ("Yield (US tons/ac)", "short_ton/ac"),
+     ("Yield (quintals/ha)", "q/ha"), ("Yield (dz/ha)", "dz/ha"), ("Udbytte (hkg/ha)", "hkg/ha"), ("Hastighed (km/t)", "km/t")],
 )  # fmt: skip
 def test_units_as_people_write_them_behind_a_name(name: str, unit: str) -> None:
     assert split_unit(name)[1] == unit

@@ -57,7 +57,9 @@ def as_pattern(pattern: str) -> Callable[[datetime], str]:
 
 @pytest.mark.parametrize(
     "pattern",
-    ["%d/%m/%Y %H:%M:%S", "%d/%m/%Y %I:%M:%S %p", "%d-%m-%Y %H:%M:%S", "%d.%m.%y %H:%M:%S", "%m/%d/%y %H:%M:%S", "%H:%M:%S",
+    ['"%b %d, %Y %I:%M:%S %p"', '"%A, %d %B %Y %H:%M:%S"', '"%a, %b %d %Y %H:%M:%S"', "%Y.%m.%d. %H:%M:%S",
+     "%Y-%m-%d %I:%M:%S %p",
+     "%d/%m/%Y %H:%M:%S", "%d/%m/%Y %I:%M:%S %p", "%d-%m-%Y %H:%M:%S", "%d.%m.%y %H:%M:%S", "%m/%d/%y %H:%M:%S", "%H:%M:%S",
      "%I:%M:%S %p", "%m/%d/%Y %I:%M:%S %p", "%d-%b-%Y %H:%M:%S", "%d. %B %Y %H:%M:%S", "%Y/%m/%d %H:%M:%S",
      "%Y-%m-%d %H:%M:%S UTC"],
 )  # fmt: skip

@@ -31,7 +31,7 @@ _OUTSIDE_M = 5_000.0
 _CELL_M = 10_000.0
 _MANY_CELLS = 20_000
 _MIN_POINTS, _MIN_SHARE = 3, 0.01
-"""What a group of points has at least to be a site; fewer have a wrong position."""
+"""What a group of points has at least to be a site; fewer have a wrong position, as have all at one place."""
 _BESIDE_M = 1_000.0
 _ASTRAY_M = 1e8
 """West of all sites: where points are put that belong to none."""
@@ -94,7 +94,7 @@ class Sites:
 
     @classmethod
     def about(cls, longitude_deg: Array, latitude_deg: Array) -> Sites:
-        """About some points. Groups of under three points, or of under a hundredth of all, are no site."""
+        """About some points. Groups of under three points, of under a hundredth of all, or at one place are no site."""
         known = np.isfinite(longitude_deg) & np.isfinite(latitude_deg)
         longitude, latitude = np.asarray(longitude_deg)[known], np.asarray(latitude_deg)[known]
         planes: list[Plane] = []
@@ -193,12 +193,19 @@ def _groups(longitude_deg: Array, latitude_deg: Array) -> list[NDArray[Any]]:
     links = coo_array((np.ones(len(near)), (near[:, 0], near[:, 1])), shape=(len(cells), len(cells)))
     _, group_of_cell = connected_components(links, directed=False)
     size = np.bincount(group_of_cell, count)
-    enough = size >= max(_MIN_POINTS, _MIN_SHARE * len(places))
+    group = group_of_cell[cell_of]
+    enough = (size >= max(_MIN_POINTS, _MIN_SHARE * len(places))) & _has_extent(places[everyone], group, len(size))
     if not enough.any():
         enough[int(np.argmax(size))] = True
-    group = group_of_cell[cell_of]
     members = [everyone[group == number] for number in np.flatnonzero(enough)]
     return sorted(members, key=lambda rows: int(rows[0]))
+
+
+def _has_extent(places: Array, group: NDArray[Any], count: int) -> NDArray[np.bool_]:
+    """Which groups have more than one place: a place that says "not known" is one and the same."""
+    first = np.zeros((count, 3))
+    first[group[::-1]] = places[::-1]
+    return np.bincount(group, (places != first[group]).any(axis=1), count) > 0
 
 
 def wrapped_deg(angle_deg: Array) -> Array:

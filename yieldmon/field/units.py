@@ -88,7 +88,8 @@ def crop(name: str) -> Crop | None:
 
 
 _MASS = {"kg": 1.0, "g": 1e-3, "t": 1e3, "lb": KG_PER_LB, "lbs": KG_PER_LB, "mg": 1e-6, "ton": KG_PER_SHORT_TON, "tonne": 1e3}
-_MASS |= {"dt": KG_PER_DT, "q": KG_PER_DT}  # decitonne (German) and quintal (French, Italian, Spanish), both 100 kg
+# Decitonne and double hundredweight (German), quintal (French, Italian, Spanish), hectokilogram (Danish), all 100 kg.
+_MASS |= dict.fromkeys(("dt", "dz", "q", "hkg"), KG_PER_DT)
 _MASS |= {"sc": 60.0}  # saca of grain (Brazil)
 _MASS |= {"tonnes": 1e3, "cwt": 100.0 * KG_PER_LB, "short_ton": KG_PER_SHORT_TON, "metric_ton": 1e3}
 _LENGTH = {"m": 1.0, "cm": 0.01, "mm": 1e-3, "ft": M_PER_FT, "in": M_PER_IN, "km": 1e3, "mi": M_PER_MI, "inch": M_PER_IN}
@@ -116,6 +117,7 @@ FACTORS: dict[str, dict[str, float]] = {
     "mass_per_area": _ratios(_MASS, _AREA) | _PER_LARGE_AREA,  # kg/m2
     "speed": _ratios(_LENGTH, _TIME)
     | {"km/h": M_S_PER_KMH, "kmh": M_S_PER_KMH, "mph": M_S_PER_MPH}
+    | {"km/t": M_S_PER_KMH}  # per "time", Danish and Norwegian for an hour
     | dict.fromkeys(("kn", "kt", "kts", "knot", "knots"), M_S_PER_KNOT),  # m/s
     "percent": _PERCENT,  # %
     "angle": _ANGLE,  # deg
@@ -129,8 +131,9 @@ _OF_BUSHELS = ("mass_per_area", "mass_flow")
 _WORDS = {
     "bushels": "bu", "bushel": "bu", "tons": "ton", "pounds": "lb", "kilograms": "kg", "acres": "acre", "hectare": "ha",
     "feet": "ft", "foot": "ft", "inches": "in", "metres": "m", "meters": "m", "meter": "m", "metre": "m", "seconds": "s",
-    "second": "s", "sec.": "s", "hour": "h", "hours": "h", "qx": "q", "qq": "q", "metrictons": "metric_ton",
-    "shorttons": "short_ton", "sacas": "sc", "saca": "sc",
+    "second": "s", "sec.": "s", "hour": "h", "hours": "h", "qx": "q", "qq": "q", "quintals": "q", "quintal": "q",
+    "quintaux": "q", "metrictons": "metric_ton", "metricton": "metric_ton", "shorttons": "short_ton", "shortton": "short_ton",
+    "uston": "short_ton", "ustons": "short_ton", "sacas": "sc", "saca": "sc",
 }  # fmt: skip
 _BELOW = ("ac", "acre", "ha", "hr", "sec", "m2", "s", "h")
 

@@ -102,7 +102,7 @@ def _read(found: _Table, where: str, options: ReadOptions) -> HarvestTable:
     record = _OF_A_RECORD.issubset(names)
     if record and _MASS_OF_A_RECORD.issubset(names):
         given.setdefault("mass", ("mass_kg", "kg"))
-    columns, notes = columns_of(names, given, found.head.units, where)
+    columns, notes = columns_of(names, given, found.head.units, where, width_known=options.width_m is not None)
     place = {name: number for number, name in enumerate(names)}
     text_kinds = ("text", "date", "state")
     numbers = [place[c.name] for c in columns.values() if QUANTITIES[c.quantity].kind not in text_kinds]

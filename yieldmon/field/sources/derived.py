@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from yieldmon.errors import InputError
 from yieldmon.field.leaps import bridged
-from yieldmon.field.plane import Sites
+from yieldmon.field.plane import Sites, astray
 from yieldmon.field.table import Array
 from yieldmon.field.tracks import GAP_INTERVALS, usual_steps
 
@@ -54,7 +54,8 @@ def derive(values: dict[str, Array], time_s: Array, machine: NDArray[np.int32], 
             stream = np.cumsum(~joined[order]) - 1
             x, y = np.empty(count), np.empty(count)
             longitude, latitude = values["longitude"][order], values["latitude"][order]
-            x[order], y[order] = bridged(*Sites.about(longitude, latitude).to_m(longitude, latitude), time_s[order], stream)
+            east, north = Sites.about(longitude, latitude).to_m(longitude, latitude)
+            x[order], y[order] = bridged(np.where(astray(east), np.nan, east), north, time_s[order], stream)
             way = np.where(steady, np.hypot(x - x[before], y - y[before]), np.nan)
             after = np.full(count, np.nan)
             after[order[:-1]] = way[order[1:]]

@@ -18,7 +18,8 @@ import numpy as np
 
 from yieldmon.errors import InputError, brief
 from yieldmon.field.copies import without_copies
-from yieldmon.field.plane import Sites
+from yieldmon.field.leaps import bridged
+from yieldmon.field.plane import Sites, astray
 from yieldmon.field.table import DEFAULT_FLOW_S, FORAGE_FLOW_S, Array, HarvestTable, Label, Skipped, Source, build, joined
 
 from . import timelog
@@ -26,14 +27,13 @@ from .crop_names import crop_names
 from .damage import ZIP_DAMAGE, may_be_harvest
 from .options import ReadOptions
 from .positions import plausible
+from .task_flow import Driven, flow_kg_s
 from .task_values import (
     DEFAULT_WIDTH,
     KNOWN,
     LAG,
     LEAD,
     LENGTH_OF_CUT,
-    MASS_PER_AREA,
-    MASS_PER_TIME,
     MAX_WIDTH,
     MOISTURE,
     TOTAL_AREA,
@@ -185,6 +185,7 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
         if name.endswith(".BIN") and _LOG_NAME.match(name[:-4]) and name[:-4] not in listed
     ]
     parts = []
+    expected: dict[str, None] = {}
     for task in tasks:
         try:
             part, problem = _log(folder, task, device, options)
@@ -193,10 +194,13 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
             parts.append(part)
         except InputError as error:
             skipped.append(Skipped(task.log, error.problem))
+            expected[error.expected] = None
     if not parts:
         reasons = "; ".join(f"{one.part}: {one.why}" for one in skipped[:3])
         raise InputError(
-            str(path), f"has no log that can be read ({reasons or 'none is named'})", "a time log with yield and position"
+            str(path),
+            f"has no log that can be read ({reasons or 'none is named'})",
+            next(iter(expected)) if len(expected) == 1 else "a time log with yield and position",
         )
     once = without_copies(joined(parts), least_rows=1)
     whole = joined(_machines_apart(_by_log(once)))
@@ -313,22 +317,21 @@ def _log(folder: Folder, task: _Task, device: Devices, options: ReadOptions) -> 
     where = f"{folder.where}: {task.log}"
     if not count:
         raise InputError(where, log.problem, "records of a binary time log")
-    if not np.isfinite(log.longitude_deg).any():
+    # What means "no position" may be a place of the globe, so ways come after that is taken out.
+    places, no_places = plausible({"longitude_deg": log.longitude_deg, "latitude_deg": log.latitude_deg})
+    if not np.isfinite(places["longitude_deg"]).any():
         raise InputError(where, "has no positions", "records with PositionNorth and PositionEast")
     of = Values(log.values, device)
-    interval, way = _steps(log)
+    interval, way = _steps(log.time_s, places["longitude_deg"], places["latitude_deg"])
     width = of.width_m() if options.width_m is None else np.full(count, options.width_m)
     if width is None:
         raise InputError(where, f"has no working width (DDI {WIDTH}, {DEFAULT_WIDTH} or {MAX_WIDTH})", "--width M")
-    flow, notes = of.flow_kg_s(interval, way, width)
-    if flow is None:
-        raise InputError(where, f"has no yield (DDI {MASS_PER_TIME} or {MASS_PER_AREA})", "one of these in the log")
+    flow, notes = flow_kg_s(of, Driven(interval, way, width), where)
     moisture = of.one(MOISTURE, 1e-4)
     columns, limits = plausible(
         {
             "time_s": log.time_s,
-            "longitude_deg": log.longitude_deg,
-            "latitude_deg": log.latitude_deg,
+            **places,
             "flow_kg_s": flow,
             "interval_s": interval,
             "distance_m": way,
@@ -348,7 +351,7 @@ def _log(folder: Folder, task: _Task, device: Devices, options: ReadOptions) -> 
     table = build(
         columns,
         labels,
-        Source(where, KIND, count, (), *_totals(of, task), (*notes, *limits)),
+        Source(where, KIND, count, (), *_totals(of, task), (*no_places, *notes, *limits)),
         unix_time=True,
         declared_flow_s=None if lag is None else lag * 1e-3,
         default_flow_s=FORAGE_FLOW_S if of.of(LENGTH_OF_CUT) else DEFAULT_FLOW_S,
@@ -363,14 +366,17 @@ def _totals(of: Values, task: _Task) -> tuple[float | None, float | None]:
     return task.mass_kg if mass_kg is None else mass_kg, task.area_m2 if area_m2 is None else area_m2
 
 
-def _steps(log: timelog.TimeLog) -> tuple[Array, Array]:
-    """Time, s, and way, m, of each record since the one before."""
-    interval = np.diff(log.time_s, prepend=log.time_s[0])
+def _steps(time_s: Array, longitude_deg: Array, latitude_deg: Array) -> tuple[Array, Array]:
+    """Time, s, and way, m, of each record since the one before; NaN for a way between places that are not known."""
+    interval = np.diff(time_s, prepend=time_s[0])
     usual = np.median(interval[interval > 0]) if (interval > 0).any() else 1.0
     longest = max(_LONGEST_INTERVAL_S, 3.0 * usual)
     # After a pause the machine cut for one usual interval and drove as far as in the next, not for all of the pause.
     begins = (interval < 0) | (interval > longest)
     begins[0] = True
-    x, y = Sites.about(log.longitude_deg, log.latitude_deg).to_m(log.longitude_deg, log.latitude_deg)
+    x, y = Sites.about(longitude_deg, latitude_deg).to_m(longitude_deg, latitude_deg)
+    x, y = bridged(np.where(astray(x), np.nan, x), y, time_s, np.zeros(len(time_s), np.intp))
     way = np.hypot(np.diff(x, prepend=x[0]), np.diff(y, prepend=y[0]))
-    return np.where(begins, usual, interval), np.where(begins, np.append(np.where(begins, 0.0, way)[1:], 0.0), way)
+    found = np.isfinite(x) & ~np.isfinite(np.append(np.nan, x[:-1]))
+    way = np.where(begins | found, np.append(np.where(begins, 0.0, way)[1:], 0.0), way)
+    return np.where(begins, usual, interval), way

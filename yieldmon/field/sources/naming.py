@@ -30,18 +30,29 @@ def _names(text: str) -> tuple[str, ...]:
 
 QUANTITIES: Mapping[str, Quantity] = {
     "longitude": Quantity(
-        "angle", _names("longitude lon long lng x xcoord pointx longitud langengrad laengengrad easting ostwert rechtswert")
+        "angle",
+        _names(
+            "longitude lon long lng x xcoord pointx longitud langengrad laengengrad longitudine lengtegraad lngdegrad lengdegrad "
+            "dugoscgeograficzna easting ostwert rechtswert"
+        ),
     ),
-    "latitude": Quantity("angle", _names("latitude lat y ycoord pointy latitud breitengrad northing nordwert hochwert")),
+    "latitude": Quantity(
+        "angle",
+        _names(
+            "latitude lat y ycoord pointy latitud breitengrad latitudine breedtegraad breddegrad szerokoscgeograficzna northing "
+            "nordwert hochwert"
+        ),
+    ),
     "time": Quantity(
         "date",
         _names(
             "isotime timeutc utctime time timestamp datetime datetimeutc dateandtime gpstime unixtime datumuhrzeit datumzeit "
             "dateheure dateetheure fechahora fechayhora datahora dataehora uhrzeit zeit zeitstempel zeitpunkt hora heure "
+            "dataora dataeora datumtijd datoogtid dataiczas ora tijd tijdstip tid tidspunkt czas "
             "utc gpsutc utctimestamp timestamputc localtime timelocal"
         ),
     ),
-    "day": Quantity("text", _names("date gpsdate utcdate dateutc datum fecha data")),
+    "day": Quantity("text", _names("date gpsdate utcdate dateutc datum fecha data dato")),
     "flow": Quantity(
         "mass_flow",
         _names(
@@ -59,7 +70,7 @@ QUANTITIES: Mapping[str, Quantity] = {
             "rendimientohumedo rindehumedo hummasaderend masarendhum "
             "rendementhumide produtividadeumida yldvolwet yieldvolwet wetyieldvol "
             "yield yld massyield yieldmass yldmass grainyield cropyield yieldvol ertrag kornertrag rendimiento rinde rendement "
-            "produtividade rendimento produttivita resa plon "
+            "produtividade rendimento produttivita resa plon opbrengst udbytte skord avling "
             "vryieldmas vryieldmass vryieldvol yldmassdry yieldmassdry dryyield yielddry dryyieldmass drymassyield ertragtrocken "
             "rendimientoseco rindeseco secomasaderend masarendseco rendementsec produtividadeseca "
             "yldvoldry yieldvoldry dryyieldvol drymatter"
@@ -70,14 +81,19 @@ QUANTITIES: Mapping[str, Quantity] = {
         "percent",
         _names(
             "moisture moist grainmoisture moisturepercent moisturewet wetmoisture humidity feuchte feuchtigkeit kornfeuchte "
-            "humedad humidite umidade umidita wilgotnosc"
+            "humedad humidite umidade umidita wilgotnosc vocht vochtgehalte vandindhold fugt vattenhalt vanninnhold fuktighet"
         ),
     ),
     "interval": Quantity("time", _names("interval interv duration loginterval cycles cycle logint dt")),
-    "distance": Quantity("length", _names("distance dist distancetravelled distancetraveled distanz strecke distancia")),
+    "distance": Quantity(
+        "length", _names("distance dist distancetravelled distancetraveled distanz strecke distancia distanza afstand avstand")
+    ),
     "speed": Quantity(
         "speed",
-        _names("speed vehiclespeed groundspeed vehiclspeed geschwindigkeit velocidad velocidade vitesse"),
+        _names(
+            "speed vehiclespeed groundspeed vehiclspeed geschwindigkeit velocidad velocidade vitesse velocita snelheid hastighed "
+            "hastighet predkosc"
+        ),
     ),
     "width": Quantity(
         "length",
@@ -85,7 +101,8 @@ QUANTITIES: Mapping[str, Quantity] = {
             "width swath swathwidth swthwdth swthwidth workingwidth headerwidth swthwdthm cuttingwidth arbeitsbreite "
             "schnittbreite breite anchodetrabajo anchodecorte anchdefja anchfja ancho "
             "largeurdetravail largeurdecoupe largeur larguradetrabalho "
-            "larguradecorte largura"
+            "larguradecorte largura larghezza larghezzadilavoro larghezzaditaglio werkbreedte maaibreedte arbejdsbredde "
+            "arbetsbredd arbeidsbredde szerokoscrobocza"
         ),
     ),
     "heading": Quantity("angle", _names("heading head course track trackdeg bearing kurs rumbo")),
@@ -102,7 +119,7 @@ QUANTITIES: Mapping[str, Quantity] = {
     "section": Quantity("none", _names("section sectionid sectionnumber sectionno boomsection teilbreite seccion secao")),
     "field": Quantity("text", _names("field fieldname schlag lote parcelle")),
     "load": Quantity("text", _names("load loadname loadnumber ladung fuhre carga")),
-    "crop": Quantity("text", _names("crop grain cropname frucht kultur cultivo cultura culture")),
+    "crop": Quantity("text", _names("crop grain cropname frucht kultur cultivo cultura culture coltura gewas groda uprawa")),
     "machine": Quantity(
         "text",
         _names(
@@ -205,7 +222,7 @@ def plain_name(name: str) -> str:
 
 
 def columns_of(
-    names: Sequence[str], given: Mapping[str, tuple[str, str]], units: Mapping[str, str], where: str
+    names: Sequence[str], given: Mapping[str, tuple[str, str]], units: Mapping[str, str], where: str, *, width_known: bool = False
 ) -> tuple[dict[str, Column], tuple[str, ...]]:
     """Quantity -> column, and notes.
 
@@ -219,6 +236,8 @@ def columns_of(
         The file's own metadata: name -> unit.
     where : str
         Place for errors.
+    width_known : bool
+        Whether the file's own width is not needed.
 
     Raises
     ------
@@ -240,7 +259,7 @@ def columns_of(
     if "flow" not in out and "yield" in out and _DRIED.search(plain_name(out["yield"].name)):
         may_be = "may be" if plain_name(out["yield"].name).startswith("vr") else "is"
         notes.append(f"{out['yield'].name} {may_be} of dried grain: so are the masses")
-    _check_useful(out, lacking, names, where)
+    _check_useful(out, lacking, names, where, width_known=width_known)
     notes += [f"{name} has no unit and is not used" for name in lacking if name not in {column.name for column in out.values()}]
     return out, tuple(notes)
 
@@ -281,9 +300,13 @@ def _named_column(
     return None
 
 
-def _check_useful(out: Mapping[str, Column], lacking: Mapping[str, str], names: Sequence[str], where: str) -> None:
+def _check_useful(
+    out: Mapping[str, Column], lacking: Mapping[str, str], names: Sequence[str], where: str, *, width_known: bool
+) -> None:
     """Raises InputError where there is no flow, or a width of no known unit."""
-    width_lacks = "width" not in out and any(plain_name(name) in QUANTITIES["width"].names for name in lacking)
+    width_lacks = (
+        not width_known and "width" not in out and any(plain_name(name) in QUANTITIES["width"].names for name in lacking)
+    )
     if not width_lacks and ("flow" in out or "yield" in out or "mass" in out):
         return
     if lacking:

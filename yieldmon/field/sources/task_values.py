@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -17,11 +17,19 @@ from . import timelog
 WIDTH, DEFAULT_WIDTH, MAX_WIDTH = 67, 68, 70
 MASS_PER_AREA, MASS_PER_TIME, TOTAL_MASS, MOISTURE = 84, 87, 90, 99
 TOTAL_AREA, WORK_STATE, LAG, LEAD = 116, 141, 259, 260
+DRY_PER_AREA, DRY_PER_TIME, DRY_TOTAL, REFERENCE_MOISTURE = 181, 182, 183, 184
+VOLUMES = (83, 86, 89)
+"""Yield by area, by time and in all as volumes."""
 CONDENSED_STATES = range(161, 177)
 LENGTH_OF_CUT = 177
 """Only a forage harvester has one."""
 KNOWN = {WIDTH, MASS_PER_AREA, MASS_PER_TIME, TOTAL_MASS, MOISTURE, TOTAL_AREA, WORK_STATE, LAG, LEAD, *CONDENSED_STATES}
 _SECTION = "4"
+_YIELDS = ((MASS_PER_TIME, MASS_PER_AREA), (DRY_PER_TIME, DRY_PER_AREA), (TOTAL_MASS,), (DRY_TOTAL,))
+"""From which a flow follows, the best ones first."""
+_COUNTERS = {TOTAL_MASS, DRY_TOTAL, TOTAL_AREA}
+_ADD_UP = {WIDTH, DEFAULT_WIDTH, MAX_WIDTH, MASS_PER_TIME, DRY_PER_TIME, *_COUNTERS}
+"""What the whole has as a sum of its sections; of all else it has their mean."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +85,12 @@ def _number(element: ET.Element) -> int:
     return int(number) if number.isdecimal() and len(number) < 10 else 0
 
 
+def _from_the_start(counter: Array) -> Array:
+    """A counter that has its first value also before it was first sent: what it counted until then is not of this log."""
+    known = np.flatnonzero(np.isfinite(counter))
+    return np.where(np.arange(len(counter)) < known[0], counter[known[0]], counter) if known.size else counter
+
+
 def _risen(counter: Array) -> float:
     """What a counter counted; where it falls it began again."""
     known = counter[np.isfinite(counter)]
@@ -103,26 +117,46 @@ class Values:
     @cached_property
     def _measuring(self) -> str:
         """The device that measured the yield."""
-        found = [one for ddi in (MASS_PER_TIME, MASS_PER_AREA) for one in self._all(ddi)]
+        found = next((found for ddis in _YIELDS if (found := [one for ddi in ddis for one in self._all(ddi)])), [])
         if not found:
             return ""
         return self.device.of_element.get(max(found, key=lambda one: int(np.isfinite(one[1]).sum()))[0], "")
 
     def device_name(self) -> str:
         """Of the device that measured the yield."""
-        found = [element for ddi in (MASS_PER_TIME, MASS_PER_AREA) for element, _ in self.of(ddi)]
+        found = [element for ddis in _YIELDS for ddi in ddis for element, _ in self.of(ddi)]
         return next((self.device.names[element] for element in found if element in self.device.names), "")
 
     def one(self, ddi: int, scale: float) -> Array | None:
-        """The values of the element that has most of them, or the sum of sections."""
+        """The values of the element that has most of them, else the sum or the mean of its sections that work."""
         found = self.of(ddi)
         if not found:
             return None
+        whole = self._whole(found)
+        if whole is not None:
+            return scale * whole
+        values = np.array([values for _, values in found])
+        if ddi in _ADD_UP:
+            if ddi in _COUNTERS:
+                values = np.array([_from_the_start(one) for one in values])
+            together: Array = scale * np.nansum(values, axis=0)
+            return together
+        weights = np.where(np.isfinite(values), self._weights([element for element, _ in found], values.shape[1]), 0.0)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            mean: Array = scale * (weights * np.nan_to_num(values)).sum(axis=0) / weights.sum(axis=0)
+        return mean
+
+    def _whole(self, found: Sequence[tuple[str, Array]]) -> Array | None:
+        """Of elements that are no sections the one that has most values; None where all are."""
         whole = [values for element, values in found if element not in self.device.sections]
-        if whole:
-            return scale * max(whole, key=lambda values: int(np.isfinite(values).sum()))
-        together: Array = scale * np.nansum([values for _, values in found], axis=0)
-        return together
+        return max(whole, key=lambda values: int(np.isfinite(values).sum())) if whole else None
+
+    def _weights(self, elements: Sequence[str], count: int) -> Array:
+        """Width of each section where it works, shape (len(elements), count)."""
+        widths = dict(zip(self._own_sections, self._of_sections(), strict=False))
+        said, which = self._on(count)
+        working = {name: which[:, k] | (said != 1) for k, name in enumerate(self._own_sections) if k < which.shape[1]}
+        return np.array([widths.get(one, 1.0) * working.get(one, np.ones(count)) for one in elements])
 
     def single(self, ddi: int) -> float | None:
         """A value that stays: from the log's last record or the device description."""
@@ -139,18 +173,26 @@ class Values:
         whole = [value for element, value in found.items() if element not in self.device.sections]
         return max(whole) if whole else sum(found.values()) or None
 
+    @property
+    def _own_sections(self) -> list[str]:
+        """Sections of the measuring device, from left to right."""
+        return [one for one in self.device.sections if self.device.of_element.get(one, "") == self._measuring]
+
     def _of_sections(self) -> list[float]:
         """Width of each section of the measuring device, mm, from left to right; empty where one is not known."""
-        own = [element for element in self.device.sections if self.device.of_element.get(element, "") == self._measuring]
         for ddi in (WIDTH, DEFAULT_WIDTH, MAX_WIDTH):
-            widths = [self.device.constants.get((ddi, element)) for element in own]
+            widths = [self.device.constants.get((ddi, element)) for element in self._own_sections]
             known = [width for width in widths if width]
             if len(known) == len(widths):
                 return known
         return []
 
     def _on(self, count: int) -> tuple[Array, NDArray[np.bool_]]:
-        """By condensed work states: 1 where a section works, 0 where none does, NaN where it is not said; and which sections."""
+        """By the sections' work states: 1 where one works, 0 where none does, NaN where it is not said; and which sections."""
+        own, of_section = self._own_sections, dict(self.of(WORK_STATE))
+        if of_section.keys() & set(own):
+            each = np.column_stack([of_section.get(section, np.full(count, np.nan)) for section in own])
+            return np.where(np.isfinite(each).any(axis=1), (each == 1).any(axis=1).astype(float), np.nan), each == 1
         blocks = [block for block, ddi in enumerate(CONDENSED_STATES) if self.of(ddi)]
         any_on, which = np.full(count, np.nan), np.zeros((count, 16 * (max(blocks, default=-1) + 1)), bool)
         for block, ddi in enumerate(CONDENSED_STATES):
@@ -169,17 +211,8 @@ class Values:
         counter = self.one(ddi, 1.0)
         return None if counter is None else _risen(counter)
 
-    def flow_kg_s(self, interval_s: Array, way_m: Array, width_m: Array) -> tuple[Array | None, tuple[str, ...]]:
-        """Mass flow, and notes on it. interval_s, way_m, width_m: of each record."""
-        flow = self.one(MASS_PER_TIME, 1e-6)
-        per_area = self.one(MASS_PER_AREA, 1e-6)
-        if flow is not None or per_area is None:
-            return flow, ()
-        with np.errstate(invalid="ignore", divide="ignore"):
-            flow = np.where(interval_s > 0, per_area * way_m * width_m / interval_s, np.nan)
-        return flow, (f"flow is yield by area (DDI {MASS_PER_AREA}) times way and width",)
-
     def width_m(self) -> Array | None:
+        """Of what works, m; None where neither the log nor a description has it."""
         width = self.one(WIDTH, 1e-3)
         fallback = self._constant(WIDTH) or self.single(DEFAULT_WIDTH) or self.single(MAX_WIDTH)
         if width is None:
@@ -193,7 +226,8 @@ class Values:
         return width if fallback is None else np.where(np.isfinite(width), width, fallback * 1e-3)
 
     def header_down(self, count: int) -> Array:
-        state = self.one(WORK_STATE, 1.0)
+        """Header down: 1, up: 0, NaN where it is not said."""
+        state = self._whole(self.of(WORK_STATE))
         if state is not None:
             return np.where(np.isfinite(state), (state == 1).astype(float), np.nan)
         return self._on(count)[0]

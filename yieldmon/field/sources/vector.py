@@ -216,7 +216,7 @@ def _layer(path: Path, address: str, name: str, part: str | None, options: ReadO
     x, y, notes = to_degrees(layer.x, layer.y, layer.crs, options, where)
     usable = [one for one in layer.names if one not in _POSITION]
     wanted = {quantity: column for quantity, column in options.columns.items() if quantity not in _POSITION}
-    found, more = columns_of(usable, wanted, sidecar.units, where)
+    found, more = columns_of(usable, wanted, sidecar.units, where, width_known=options.width_m is not None)
     columns, numbers, texts = _values({q: (column, layer.fields[layer.names.index(column.name)]) for q, column in found.items()})
     more = (
         *more,

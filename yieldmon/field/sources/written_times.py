@@ -15,9 +15,14 @@ from yieldmon.field.table import Array
 _CLOCK = r"(\d{1,2})[:.h](\d{2})(?:[:.m](\d{2}(?:[.,]\d+)?)s?)?\s*([ap]\.?\s?m\.?)?"
 _TIME = re.compile(_CLOCK, re.IGNORECASE)
 _DATE = re.compile(rf"(\d{{1,2}})([/.-])(\d{{1,2}})\2(\d{{4}}|\d{{2}})(?:[ T,]+{_CLOCK})?\s*(z|utc|gmt)?", re.IGNORECASE)
-_YEAR_FIRST = re.compile(rf"(\d{{4}})[/.](\d{{1,2}})[/.](\d{{1,2}})(?:[ T,]+{_CLOCK})?\s*(z|utc|gmt)?", re.IGNORECASE)
+_YEAR_FIRST = re.compile(rf"(\d{{4}})([/.-])(\d{{1,2}})\2(\d{{1,2}})\.?(?:[ T,]+{_CLOCK})?\s*(z|utc|gmt)?", re.IGNORECASE)
+_WEEKDAY = r"(?:[^\W\d]{2,10}[.,]*\s+)?"
 _NAMED = re.compile(
-    rf"(\d{{1,2}})\.?[ /-]+([^\W\d]{{3,10}})\.?,?[ /-]+(\d{{4}}|\d{{2}})(?:[ T,]+{_CLOCK})?\s*(z|utc|gmt)?", re.IGNORECASE
+    rf"{_WEEKDAY}(\d{{1,2}})\.?[ /-]+([^\W\d]{{3,10}})\.?,?[ /-]+(\d{{4}}|\d{{2}})(?:[ T,]+{_CLOCK})?\s*(z|utc|gmt)?",
+    re.IGNORECASE,
+)
+_MONTH_NAMED_FIRST = re.compile(
+    rf"{_WEEKDAY}([^\W\d]{{3,10}})\.?\s+(\d{{1,2}}),?\s+(\d{{4}})(?:[ T,]+{_CLOCK})?\s*(z|utc|gmt)?", re.IGNORECASE
 )
 _ZONE_WORD = re.compile(r"\s*(?:utc|gmt)$", re.IGNORECASE)
 _MIDNIGHT = re.compile(r"[ T]+(?:0{1,2}:00(?::00(?:\.0+)?)?|12:00(?::00)? ?AM)$", re.IGNORECASE)
@@ -118,10 +123,14 @@ def _other(text: str) -> tuple[float, bool]:
     if named is not None:
         moment = _unix(named[3], _month(named[2]), named[1], named, 4)
         return moment, named[8] is None and isfinite(moment)
+    month_first = _MONTH_NAMED_FIRST.fullmatch(text)
+    if month_first is not None:
+        moment = _unix(month_first[3], _month(month_first[1]), month_first[2], month_first, 4)
+        return moment, month_first[8] is None and isfinite(moment)
     year_first = _YEAR_FIRST.fullmatch(text)
     if year_first is not None:
-        moment = _unix(year_first[1], int(year_first[2]), year_first[3], year_first, 4)
-        return moment, year_first[8] is None and isfinite(moment)
+        moment = _unix(year_first[1], int(year_first[3]), year_first[4], year_first, 5)
+        return moment, year_first[9] is None and isfinite(moment)
     plain = _ZONE_WORD.sub("+00:00", text)
     for read in (datetime.fromisoformat, lambda digits: datetime.strptime(digits, "%Y%m%d%H%M%S")):
         try:
