@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -61,3 +63,19 @@ def test_one_machine_more_makes_the_crop_better_known() -> None:
 def test_two_machines_are_no_fleet() -> None:
     with pytest.raises(ValueError, match="2 machines"):
         pooled(SHIPPED, fleet(2, 0.01, 1.0, 1))
+
+
+def test_density_and_gain_follow_a_friction_that_is_found_later() -> None:
+    machines = fleet(6, 0.005, 1.1, 4)
+    prior = pooled(SHIPPED, machines[:5]).parameter_set
+    names = ("friction", "density", "restitution")
+    covariance = prior.covariance_of(names)
+    more = prior.standard_deviation("friction")
+
+    def measured(*steps: float) -> float:
+        values = dict(prior.values) | {name: prior.values[name] + step for name, step in zip(names, steps, strict=True)}
+        return float(load_errors(MODEL, replace(prior, values=values), machines[5].loads).mean())
+
+    before, alone = measured(0.0, 0.0, 0.0), measured(more, 0.0, 0.0)
+    together = measured(*covariance[0] / more)
+    assert abs(together - before) < 0.2 * abs(alone - before)

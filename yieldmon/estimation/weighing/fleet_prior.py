@@ -6,7 +6,12 @@ vector and the scatter between machines are both estimated, and the prior of the
 machines differ in stays unknown of a machine that has not weighed anything. A scatter that few machines have shown is itself
 uncertain: the prior's deviations are widened by Student's t over the normal quantile, so that two of them hold 95 %.
 
+Loads say nothing of the other parameters, as friction, but what they say of density and gain depends on these: with more friction
+the same loads ask for a higher density. The covariance says so: a load is not as uncertain as friction alone would make it, and
+density and gain follow when a sweep then finds friction.
+
 Sources: Laird and Ware, "Random-effects models for longitudinal data", Biometrics 38 (1982): the EM algorithm used here;
+Schmidt, "Application of state-space methods to navigation problems" (1966): parameters that are held and go on counting;
 JCGM 100:2008, annex G.3: t-distribution for a deviation that rests on few observations.
 """
 
@@ -24,7 +29,7 @@ from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array
 
-from .density_and_gain import DENSITY, moved
+from .density_and_gain import DENSITY, moved, shifted
 from .load_inputs import LoadSettings, WeighedLoad
 
 _STEP = 1e-3
@@ -50,10 +55,11 @@ class MachineLoads:
 class FleetPrior:
     """The result of `pooled`.
 
-    parameter_set: for a new machine to start from, as wide as between and of_crop together, and wider for few machines.
+    parameter_set: for a new machine to start from, as wide as between and of_crop together, and wider for few machines; density
+    and gain go with the other parameters as the loads ask for.
     crop_shift (2,): ln density and ln gain over those of the start.
-    between (2, 2): covariance of machines about the crop; of_crop (2, 2): covariance of crop_shift. machines (m, 2): each
-    machine's own shift.
+    between (2, 2): covariance of machines about the crop; of_crop (2, 2): covariance of crop_shift, the other parameters as they
+    are. machines (m, 2): each machine's own shift.
     """
 
     parameter_set: ParameterSet
@@ -69,8 +75,8 @@ def load_errors(model: ForwardModel, known: ParameterSet, loads: Sequence[Weighe
 
 
 def load_deviation(model: ForwardModel, known: ParameterSet, loads: Sequence[WeighedLoad]) -> Array:
-    """Standard deviation (n,) of `load_errors` that density and gain of these parameters leave."""
-    slopes = _slopes(model, known, loads)
+    """Standard deviation (n,) of `load_errors` by all parameters that have one."""
+    slopes = np.concatenate((_held_slopes(model, known, loads), _slopes(model, known, loads)), axis=-1)
     covariance = _relative_covariance(known)
     return np.asarray(np.sqrt(np.einsum("ni,ij,nj->n", slopes, covariance, slopes)))
 
@@ -101,17 +107,19 @@ def pooled(start: ParameterSet, machines: Sequence[MachineLoads]) -> FleetPrior:
     for _ in range(_LINEARISED):
         here = moved(start, *shift)
         linear = [_linear(machine, here, settings, shift) for machine in machines]
-        shift, between, of_crop, own = _fitted(linear, before)
+        shift, between, of_crop, own, by_held = _fitted(linear, before)
     wide = _few_machines(len(machines)) ** 2 * (between + of_crop)
-    return FleetPrior(_with_covariance(moved(start, *shift), wide), shift, between, of_crop, own)
+    return FleetPrior(_with_covariance(moved(start, *shift), wide, by_held), shift, between, of_crop, own)
 
 
 @dataclass(frozen=True)
 class _Linear:
-    """target = slope @ x + noise: information (2, 2) of one machine's loads on its x, and slope.T @ weight @ target (2,)."""
+    """target = slope @ x + noise: information (2, 2) of one machine's loads on its x, and slope.T @ weight @ target (2,), also by
+    each held parameter (2, h)."""
 
     information: Array
     vector: Array
+    by_held: Array
 
 
 def _linear(machine: MachineLoads, known: ParameterSet, settings: LoadSettings, at: Array) -> _Linear:
@@ -121,11 +129,13 @@ def _linear(machine: MachineLoads, known: ParameterSet, settings: LoadSettings, 
         raise ValueError(f"machine {machine.name}: a load holds more force than a full paddle gives with the crop's parameters")
     variance = np.array([load.relative_sd**2 + load.measured_sd(settings.load_error) ** 2 for load in loads])
     target = slope @ at - error
-    return _Linear(slope.T @ (slope / variance[:, None]), slope.T @ (target / variance))
+    weighted = slope.T / variance
+    return _Linear(weighted @ slope, weighted @ target, -weighted @ _held_slopes(machine.model, known, loads))
 
 
-def _fitted(machines: Sequence[_Linear], before: Array) -> tuple[Array, Array, Array, Array]:
-    """Mean and its covariance, covariance between machines, and each machine's own vector."""
+def _fitted(machines: Sequence[_Linear], before: Array) -> tuple[Array, Array, Array, Array, Array]:
+    """Mean, covariance between machines, covariance of the mean, each machine's own vector, and the mean's change by each held
+    parameter (2, h)."""
     mean, between = np.zeros(2), np.eye(2) * (2.0 * _SCATTER_SD) ** 2
     inverse_before, own = np.linalg.inv(before), np.zeros((len(machines), 2))
     of_mean = before
@@ -135,8 +145,8 @@ def _fitted(machines: Sequence[_Linear], before: Array) -> tuple[Array, Array, A
         # Of each machine's loads on the common mean, its own vector integrated out.
         gains = [m.information @ (np.eye(2) - s @ m.information) for m, s in zip(machines, spreads, strict=True)]
         of_mean = np.linalg.inv(sum(gains) + inverse_before)
-        vectors = [m.vector - m.information @ (s @ m.vector) for m, s in zip(machines, spreads, strict=True)]
-        new = of_mean @ np.sum(vectors, axis=0)
+        shares = [np.eye(2) - m.information @ s for m, s in zip(machines, spreads, strict=True)]
+        new = of_mean @ np.sum([share @ m.vector for m, share in zip(machines, shares, strict=True)], axis=0)
         own = np.array([s @ (m.vector + inverse @ new) for m, s in zip(machines, spreads, strict=True)])
         scatter = np.eye(2) * _SCATTER_SD**2
         for s, x in zip(spreads, own, strict=True):
@@ -148,7 +158,8 @@ def _fitted(machines: Sequence[_Linear], before: Array) -> tuple[Array, Array, A
         mean, between = new, after
         if settled:
             break
-    return mean, between, of_mean, own
+    by_held = of_mean @ np.sum([share @ m.by_held for m, share in zip(machines, shares, strict=True)], axis=0)
+    return mean, between, of_mean, own, by_held
 
 
 def _masses_kg(model: ForwardModel, known: ParameterSet, loads: Sequence[WeighedLoad]) -> Array:
@@ -174,6 +185,22 @@ def _slopes(model: ForwardModel, known: ParameterSet, loads: Sequence[WeighedLoa
     return np.stack(columns, axis=-1)
 
 
+def _held_slopes(model: ForwardModel, known: ParameterSet, loads: Sequence[WeighedLoad]) -> Array:
+    """(n, h) of ln mass by each parameter beside density and gain."""
+    columns = []
+    for name in _held(known):
+        step = _STEP * known.standard_deviation(name)
+        up, down = (load_errors(model, shifted(known, name, sign * step), loads) for sign in (1.0, -1.0))
+        columns.append((up - down) / (2.0 * step))
+    return np.reshape(columns, (len(columns), len(loads))).T
+
+
+def _held(known: ParameterSet) -> list[str]:
+    """Parameters with a standard deviation that loads say nothing of."""
+    of_loads = (DENSITY, _scales(known)[0])
+    return [name for name in known.covariance_names if name not in of_loads and known.standard_deviation(name) > 0.0]
+
+
 def _few_machines(machines: int) -> float:
     """Factor on deviations by which two of them hold 95 % although the scatter was learnt from few machines."""
     return float(student_t.ppf(_TWO_SIDED, machines - 1) / norm.ppf(_TWO_SIDED))
@@ -187,16 +214,20 @@ def _scales(known: ParameterSet) -> tuple[str, Array]:
 
 
 def _relative_covariance(known: ParameterSet) -> Array:
+    """Of the held parameters, ln density and ln gain."""
     name, scale = _scales(known)
-    return known.covariance_of((DENSITY, name)) / np.outer(scale, scale)
+    held = _held(known)
+    sizes = np.concatenate((np.ones(len(held)), scale))
+    return known.covariance_of((*held, DENSITY, name)) / np.outer(sizes, sizes)
 
 
-def _with_covariance(known: ParameterSet, relative: Array) -> ParameterSet:
-    """The set with this covariance of ln density and ln gain; other parameters keep theirs."""
+def _with_covariance(known: ParameterSet, relative: Array, by_held: Array) -> ParameterSet:
+    """The set with this covariance of ln density and ln gain beside what these change by held parameters, which keep theirs."""
     gain, scale = _scales(known)
-    others = [name for name in known.covariance_names if name not in (DENSITY, gain)]
-    names = [*others, DENSITY, gain]
-    covariance = np.zeros((len(names), len(names)))
-    covariance[: len(others), : len(others)] = known.covariance_of(others)
-    covariance[-2:, -2:] = relative * np.outer(scale, scale)
-    return replace(known, covariance_names=tuple(names), covariance=covariance)
+    held = _held(known)
+    of_held = known.covariance_of(held)
+    together = by_held @ of_held
+    whole = np.block([[of_held, together.T], [together, relative + together @ by_held.T]])
+    sizes = np.concatenate((np.ones(len(held)), scale))
+    covariance = whole * np.outer(sizes, sizes)
+    return replace(known, covariance_names=(*held, DENSITY, gain), covariance=0.5 * (covariance + covariance.T))
