@@ -113,13 +113,13 @@ def test_error_frames_become_events(received: can.Message, kind: BusEventKind, d
 
 def test_full_queue_drops_and_marks_the_place() -> None:
     bus = ScriptedBus(*(frame(k) for k in range(10)))
-    receiver = Receiver(opener(bus), capacity=4)
+    receiver = Receiver(opener(bus), capacity=4, clock=lambda: 7.5)
     with receiver:
         assert bus.all_taken.wait(WAIT_S)
         assert collect(receiver, 4) == [0, 1, 2, 3]
         bus.feed.put(frame(10))
         marked, late = receiver.get(WAIT_S), receiver.get(WAIT_S)
-    assert (marked.kind, marked.count) == (BusEventKind.FRAMES_DROPPED, 6)
+    assert (marked.kind, marked.count, marked.time_s) == (BusEventKind.FRAMES_DROPPED, 6, 7.5)
     assert late.arbitration_id == 10
     assert receiver.counters().dropped == 6
 
@@ -157,10 +157,10 @@ def test_interface_goes_and_comes_back(loss: Exception) -> None:
 
 
 def test_an_unexpected_error_is_reported_and_survived(caplog: pytest.LogCaptureFixture) -> None:
-    with Receiver(opener(ScriptedBus(frame(1), ZeroDivisionError("boom")), ScriptedBus(frame(2)))) as receiver:
+    with Receiver(opener(ScriptedBus(frame(1), ZeroDivisionError("boom")), ScriptedBus(frame(2))), clock=lambda: 7.5) as receiver:
         items = [receiver.get(WAIT_S) for _ in range(4)]
-    kinds = [item.kind for item in items if isinstance(item, BusEvent)]
-    assert kinds == [BusEventKind.RECEIVER_FAILED, BusEventKind.INTERFACE_RESTORED]
+    events = [(item.kind, item.time_s) for item in items if isinstance(item, BusEvent)]
+    assert events == [(BusEventKind.RECEIVER_FAILED, 7.5), (BusEventKind.INTERFACE_RESTORED, 7.5)]
     assert items[1].detail == "ZeroDivisionError: boom"
     assert items[3].arbitration_id == 2
     assert receiver.counters().failures == 1

@@ -107,10 +107,13 @@ class Receiver:
         *,
         capacity: int = DEFAULT_CAPACITY,
         listen_s: float = LISTEN_S,
+        clock: Callable[[], float] = time.time,
     ) -> None:
         """open_bus: opens the bus anew each time it is called, raises can.CanError or OSError when it cannot.
-        capacity: frames that may wait for the consumer. listen_s: one read waits so long for a frame, and a stop for it."""
+        capacity: frames that may wait for the consumer. listen_s: one read waits so long for a frame, and a stop for it.
+        clock: what the bus stamps frames by, s; the times of events that are not a frame."""
         self._listen_s = listen_s
+        self._clock = clock
         self._open_bus = open_bus
         self._capacity = capacity
         self._queue: deque[Item] = deque()
@@ -249,7 +252,7 @@ class Receiver:
                 self._check_kernel_drops()
                 unchecked = 0
             if in_batches and 0 < taken < _BATCH_FRAMES:
-                rest_s = nap_s(self.due_s, time.time())
+                rest_s = nap_s(self.due_s, self._clock())
                 if rest_s > 0.0:
                     self._stopping.wait(rest_s)
 
@@ -288,7 +291,7 @@ class Receiver:
                     _shut(bus)
                 continue
             self._bus = bus
-            self._put_event(BusEvent(BusEventKind.INTERFACE_RESTORED, time.time()))
+            self._put_event(BusEvent(BusEventKind.INTERFACE_RESTORED, self._clock()))
             _log.info("%s: interface restored", bus.channel_info)
             if message is not None:
                 self._take([message])
@@ -303,7 +306,7 @@ class Receiver:
                 self._failures += 1
         if not self._stopping.is_set():
             _log.warning("%s: %s", kind.value, detail)
-            self._put_event(BusEvent(kind, time.time(), detail))
+            self._put_event(BusEvent(kind, self._clock(), detail))
 
     def _take(self, messages: list[can.Message]) -> None:
         with self._changed:
@@ -343,7 +346,7 @@ class Receiver:
         """Puts the mark for frames dropped since the last item; holds the lock already."""
         if self._dropped_here:
             detail = "the consumer did not keep up"
-            self._queue.append(BusEvent(BusEventKind.FRAMES_DROPPED, time.time(), detail, self._dropped_here))
+            self._queue.append(BusEvent(BusEventKind.FRAMES_DROPPED, self._clock(), detail, self._dropped_here))
             self._dropped_here = 0
 
     def _check_kernel_drops(self) -> None:
@@ -355,7 +358,7 @@ class Receiver:
             self._drops_seen += new
         if new > 0:
             detail = "the kernel's receive buffer was full"
-            self._put_event(BusEvent(BusEventKind.FRAMES_DROPPED, time.time(), detail, new))
+            self._put_event(BusEvent(BusEventKind.FRAMES_DROPPED, self._clock(), detail, new))
 
     def _close_bus(self) -> None:
         bus, self._bus = self._bus, None

@@ -3,28 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import sys
-import time
-from collections.abc import Iterable, Sequence
-from dataclasses import replace
-from datetime import date
-from math import isfinite
-from pathlib import Path
 
-from yieldmon.cli import _outputs
-from yieldmon.cli._json import print_json
-from yieldmon.cli._limits import within_if_given
 from yieldmon.cli._units import add_units
-from yieldmon.errors import InputError
-from yieldmon.field import harvest, loads, sources, summary
 from yieldmon.field.cleaning import NAMES, NEEDED
-from yieldmon.field.copies import without_copies
-from yieldmon.field.products import FILES, FORMATS, write_products
-from yieldmon.field.sources.options import ReadOptions
-from yieldmon.field.swath import HeaderPlace
-from yieldmon.field.table import HarvestTable, Skipped, joined
-from yieldmon.files.whole_file import real_path
-from yieldmon.units import UnitSystem
+from yieldmon.field.products import FORMATS
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -80,128 +62,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     """Exit code 0 when all files are written."""
-    started = time.monotonic()
-    out = Path(args.out)
-    formats = _formats(args.products)
-    read_options, map_options = _read_options(args), _map_options(args)
-    if out.exists() and not out.is_dir():
-        raise InputError("--out", f"{out} is a file", "a folder")
-    _outputs.require_writable_folder(out, "--out")
-    _spare_sources([real_path(name) for name in args.sources], real_path(out), formats)
+    # Needs the extra `map`, which help does not.
+    from yieldmon.cli import _map
 
-    def progress(text: str) -> None:
-        print(f"{time.monotonic() - started:6.1f} s  {text}", file=sys.stderr, flush=True)
-
-    table = _read([Path(name) for name in args.sources], read_options, progress)
-    result = replace(harvest.make_map(table, map_options, progress), system=UnitSystem(args.units or UnitSystem.METRIC))
-    out.mkdir(parents=True, exist_ok=True)
-    written = write_products(out, result, formats, args.grid, progress)
-    document = summary.document(result) | {"files": [str(path) for path in written]}
-    _print_summary(result)
-    if args.json:
-        print_json(document, indent=1)
-    return 0
-
-
-def _spare_sources(sources: Sequence[Path], out: Path, formats: Sequence[str]) -> None:
-    """Raises InputError where a harvest is named twice, or what is written would replace one."""
-    written = {out / name for kind in formats for name in FILES[kind]}
-    for number, source in enumerate(sources):
-        if source in sources[:number]:
-            raise InputError(str(source), "is named twice, which would double its mass", "each harvest once")
-        if source in written or (source == out and any(path.exists() for path in written)):
-            raise InputError(f"--out {out}", f"has files that would replace those of {source}, which is read", "another folder")
-
-
-def _read(paths: list[Path], options: ReadOptions, progress: sources.Progress) -> HarvestTable:
-    tables = []
-    for path in paths:
-        if sys.stderr.isatty():
-            progress(f"reading {path}")
-        table = sources.read(path, options)
-        tables.append(table)
-        for source in table.sources:
-            for why, parts in _by_reason(source.skipped).items():
-                print(f"yieldmon: {source.path}: {', '.join(parts)}: {why}; left out", file=sys.stderr)
-            for note in source.notes:
-                print(f"yieldmon: {source.path}: {note}", file=sys.stderr)
-    table = without_copies(joined(tables))
-    said = {source.path: source.skipped for one in tables for source in one.sources}
-    for source in table.sources:
-        for copy in source.skipped[len(said[source.path]) :]:
-            print(f"yieldmon: {source.path}: {copy.part} {copy.why}; left out", file=sys.stderr)
-    return table
-
-
-def _by_reason(skipped: Iterable[Skipped]) -> dict[str, list[str]]:
-    """What was left out for the same reason stands on one line."""
-    parts: dict[str, list[str]] = {}
-    for one in skipped:
-        parts.setdefault(one.why, []).append(one.part)
-    return parts
-
-
-def _print_summary(result: harvest.HarvestMap) -> None:
-    totals = result.totals
-    lines = summary.delay_lines(result)
-    if result.transport is not None:
-        lines.append(summary.transport_line(result.transport))
-    units = result.units
-    mass, crop_yield = units.mass_unit, units.yield_unit
-    middle, low, high = (crop_yield.of(value) for value in (totals.yield_kg_m2, totals.low_kg_m2, totals.high_kg_m2))
-    span = f" ({low:.2f} to {high:.2f})" if isfinite(low) else ""
-    lines.append(
-        f"{len(result.table)} points, {int(result.cleaned.kept.sum())} kept; {mass.of(totals.corrected_kg):.0f} {mass.name} "
-        f"measured, {mass.of(totals.by_reason.get('kept', 0.0)):.0f} {mass.name} kept; {units.area(totals.area_m2)} cut; "
-        + (f"{middle:.2f} {crop_yield.name}{span}" if isfinite(middle) else "no yield: no point is kept")
-    )
-    lines += [note for note in result.notes if "cannot be estimated" not in note]
-    for line in lines:
-        print(f"yieldmon: {line}", file=sys.stderr)
-
-
-def _formats(text: str) -> tuple[str, ...]:
-    if text == "all":
-        return tuple(FORMATS)
-    if text == "none":
-        return ()
-    chosen = tuple(name.strip() for name in text.split(",") if name.strip())
-    for name in chosen:
-        if name not in FORMATS:
-            raise InputError("--products", f"names {name!r}", f"all, none or some of {', '.join(FORMATS)}")
-    return chosen
-
-
-def _read_options(args: argparse.Namespace) -> ReadOptions:
-    columns = {}
-    for text in args.column:
-        quantity, _, rest = text.partition("=")
-        name, _, unit = rest.rpartition(":") if ":" in rest else (rest, "", "")
-        if not quantity or not name:
-            raise InputError("--column", f"is {text!r}", "QUANTITY=NAME[:UNIT]")
-        columns[quantity] = (name, unit)
-    first = None
-    if args.date:
-        try:
-            first = date.fromisoformat(args.date)
-        except ValueError:
-            raise InputError("--date", f"is {args.date!r}", "YYYY-MM-DD") from None
-    return ReadOptions(columns, within_if_given("--width", args.width, 0.1, 60.0), args.crop, args.field, first, args.crs)
-
-
-def _map_options(args: argparse.Namespace) -> harvest.MapOptions:
-    for name in args.without:
-        if name not in NAMES or name in NEEDED:
-            raise InputError("--without", f"names {name!r}", f"one of {', '.join(n for n in NAMES if n not in NEEDED)}")
-    within_if_given("--grid", args.grid, 1.0, 1000.0)
-    return harvest.MapOptions(
-        within_if_given("--flow-delay", args.flow_delay, -60.0, 120.0),
-        within_if_given("--moisture-delay", args.moisture_delay, -60.0, 120.0),
-        HeaderPlace(
-            within_if_given("--header-ahead", args.header_ahead, -20.0, 20.0) or 0.0,
-            within_if_given("--header-right", args.header_right, -20.0, 20.0) or 0.0,
-        ),
-        tuple(args.without),
-        tuple(loads.read_tickets(Path(args.tickets))) if args.tickets else (),
-        args.transport,
-    )
+    return _map.run(args)

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +21,11 @@ from numpy.typing import NDArray
 from .neighbours import local_outliers, shared
 from .placed import Placed
 from .plane import APART_M, astray
-from .swath import Swaths
 from .table import Array, HarvestTable
 from .tracks import MIN_SPEED_M_S, Flags, Index, Tracks
+
+if TYPE_CHECKING:
+    from .swath import Swaths  # which needs the extra `map`
 
 KEPT = "kept"
 NO_PLACE = "no place"

@@ -5,9 +5,12 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from yieldmon.field.grid import block_means
-from yieldmon.field.harvest import HarvestMap
+
+if TYPE_CHECKING:
+    from yieldmon.field.harvest import HarvestMap  # which needs the extra `map`
 
 #: Name -> what it holds. The module of that name writes it; the report is last, for it names the others.
 FORMATS = {
