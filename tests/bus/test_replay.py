@@ -122,7 +122,7 @@ def test_passes_follow_each_other() -> None:
 
 
 def test_an_empty_pass_ends_an_endless_replay() -> None:
-    assert run(iter(lambda: [], None), Schedule(), FakeClock()).sent == 0
+    assert run(iter(list, None), Schedule(), FakeClock()).sent == 0
 
 
 @pytest.mark.parametrize(

@@ -132,7 +132,8 @@ def _other(text: str) -> tuple[float, bool]:
         moment = _unix(year_first[1], int(year_first[3]), year_first[4], year_first, 5)
         return moment, year_first[9] is None and isfinite(moment)
     plain = _ZONE_WORD.sub("+00:00", text)
-    for read in (datetime.fromisoformat, lambda digits: datetime.strptime(digits, "%Y%m%d%H%M%S")):
+    # A time without a zone stays so: whether it has one is part of the answer.
+    for read in (datetime.fromisoformat, lambda digits: datetime.strptime(digits, "%Y%m%d%H%M%S")):  # noqa: DTZ007
         try:
             moment_of = read(plain)
             return utc.in_utc(moment_of).timestamp(), moment_of.tzinfo is None
