@@ -20,6 +20,8 @@ _RUNS = {
     "check-config": "check-config c.yaml --json",
     "monitor": "monitor day.log --once --speed 0 --json",
 }
+#: Of keys that are empty in these runs.
+_EMPTY_HERE = {"problems": "string", "notes": "string", "signals": "object or null", "factory_mass_flow_kg_s": "number or null"}
 #: Keys whose values are shown no deeper: a configuration has a page of its own, others are one for each name.
 _CLOSED = {"configuration", "signals"}
 
@@ -60,7 +62,7 @@ def _shape(value: Any, indent: str = "  ") -> list[str]:
         if isinstance(one, dict) and key not in _CLOSED:
             lines += [mark, *_shape(one, indent + "  ")]
         else:
-            lines.append(f"{mark}: {_kind(one)}")
+            lines.append(f"{mark}: {_EMPTY_HERE[key] if one is None else _kind(one)}")
     return lines
 
 
@@ -69,4 +71,4 @@ def _kind(value: Any) -> str:
         return "object"
     if isinstance(value, bool):
         return "boolean"
-    return {str: "string", int: "number", float: "number", type(None): "null or unknown", list: "list"}[type(value)]
+    return {str: "string", int: "number", float: "number", list: "list"}[type(value)]

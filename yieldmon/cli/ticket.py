@@ -1,7 +1,8 @@
 """Correct one or several past loads by a weighed mass, list the tickets, or take one back.
 
 What was measured stays on record beside the correction. A ticket for loads that the running daemon measured also becomes a
-reference mass for its calibration, and the loads of the day are measured again with the new parameters.
+reference mass for its calibration, and the loads of the last three days are measured again with the new
+parameters.
 """
 
 from __future__ import annotations
