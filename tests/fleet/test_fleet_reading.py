@@ -495,6 +495,33 @@ def test_a_ticket_that_no_other_bears_out_is_named_and_no_prior(tmp_path: Path, 
         assert f"weighs {times * 21.2:.0f} kg, " in doubtful[0]["problem"]
 
 
+def test_a_machine_that_weighs_in_pounds_is_named_and_a_crop_is_one_under_all_its_names(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = ["machine,day,log,tickets,crop"]
+    for machine, crop in enumerate(("corn", "Mais", "Corn", "maize", "körnermais", "mais")):
+        logs.write(tmp_path / f"{machine}.log", 60.0 + 2.0 * machine)
+        weighed = (20.0 + 0.8 * machine) * (2.2046 if machine == 3 else 1.0)
+        (tmp_path / f"{machine}.csv").write_text(f"load,weighed_kg\n1,{weighed}\n")
+        rows.append(f"m{machine},d,{machine}.log,{machine}.csv,{crop}")
+    manifest, dataset = tmp_path / "manifest.csv", str(tmp_path / "season")
+    manifest.write_text("\n".join(rows).replace("maize", "cron") + "\n")
+    assert measure(manifest, dataset) == 2
+    assert f"{manifest}: line 5, crop: is 'cron'; expected corn" in capsys.readouterr().err
+    manifest.write_text("\n".join(rows) + "\n")
+    assert measure(manifest, dataset, "--crop", "cron") == 2
+    assert measure(manifest, dataset) == 0
+    capsys.readouterr()
+    assert main(["fleet", "prior", dataset, "--crop", "Körnermais", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert [*found["machines"]] == ["m0", "m1", "m2", "m4", "m5"]
+    (said,) = found["left_out"]
+    assert said.startswith("m3: its tickets weigh 2.")
+    assert said.endswith(", as where pounds were taken for kilograms")
+    assert main(["fleet", "prior", dataset, "--crop", "wheat"]) == 2
+    assert "0 machines for wheat; its tickets are for corn; expected" in capsys.readouterr().err
+
+
 def test_tickets_of_days_without_a_crop_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for machine in range(3):
         day = tmp_path / "tree" / f"m{machine}" / "d"

@@ -21,6 +21,7 @@ from typing import Any
 from yieldmon.bus.logs import SUFFIXES
 from yieldmon.errors import InputError, reason
 from yieldmon.files import delimited
+from yieldmon.files.crops import misspelt
 from yieldmon.fleet.filesystem import filesystem_of, is_remote
 from yieldmon.fleet.names import folder_of, in_order, is_name
 
@@ -113,6 +114,8 @@ def _of_table(source: str) -> Manifest:
         path = _log_path(table, row, source, seen)
         rest = tuple(table.column(name)[row] if name in table.header else "" for name in _OPTIONAL)
         key = machine, day
+        if meant := misspelt(rest[2]):
+            raise InputError(table.where(row, "crop"), f"is {rest[2]!r}", meant)
         if others.setdefault(key, rest) != rest:
             raise InputError(table.where(row, "machine"), "differs from a row above of the day", f"one {', '.join(_OPTIONAL)}")
         if _may_be_read(path):

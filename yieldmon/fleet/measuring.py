@@ -25,6 +25,7 @@ from yieldmon.engine.sweeps.plate import SweepEnded
 from yieldmon.errors import InputError, of_the_computer
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import machine_file, parameter_file, ticket_file
+from yieldmon.files.crops import shipped_name
 from yieldmon.files.ticket_file import WeighedTicket
 from yieldmon.finite import finite
 from yieldmon.fleet import tables
@@ -191,6 +192,7 @@ def measure(
     tables.write(tables.SWEEPS, taken.sweeps, folder / "sweeps.parquet")
     tables.write(tables.FAULTS, taken.faults, folder / "faults.parquet")
     crop = crop or configured.parameters.provenance.get("crop", "")
+    crop = shipped_name(crop) or crop
     document["damages"] = [by_name(text, names) for text in [*document["damages"], *_without_ours(taken)]]
     samples = {names[span.log]: span.samples for span in taken.spans if span.log and span.samples}
     return Measured(document, crop, (*poisoned, *unmatched), samples)

@@ -13,14 +13,14 @@ from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.weighing.fleet_prior import LEAST_MACHINES, FleetPrior, MachineLoads, load_errors, pooled
 from yieldmon.estimation.weighing.load_inputs import WeighedLoad
-from yieldmon.estimation.weighing.unlike_others import unlike_the_others
+from yieldmon.estimation.weighing.unlike_others import unlike_the_other_machines, unlike_the_others
 from yieldmon.files import machine_file
 from yieldmon.files.crops import crop
 from yieldmon.files.ticket_file import WeighedTicket
 from yieldmon.fleet import tables
 from yieldmon.fleet.querying import Query, opened
 from yieldmon.fleet.repeats import contents_of
-from yieldmon.fleet.unlike_tickets import in_words
+from yieldmon.fleet.unlike_tickets import in_words, in_words_of_all
 from yieldmon.fleet.usable_seconds import Seen
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import ForwardModel
@@ -31,6 +31,7 @@ _DAYS = "SELECT machine, day, machine_document FROM provenance WHERE lower(crop)
 _OF_NO_CROP = (
     "SELECT count(*) AS count FROM loads JOIN provenance USING (machine, day) WHERE kind = 'ticket' AND coalesce(crop, '') = ''"
 )
+_CROPS = "SELECT DISTINCT crop FROM loads JOIN provenance USING (machine, day) WHERE kind = 'ticket' AND crop != '' ORDER BY crop"
 _TICKETS = "SELECT * FROM loads WHERE kind = 'ticket' AND machine = ? AND day = ? ORDER BY first_number"
 _LOGS = f"SELECT name, first_number, last_number FROM loads WHERE kind = '{tables.LOG}' AND machine = ? AND day = ? ORDER BY 2"
 _RECORDS = "SELECT * FROM {} WHERE number BETWEEN ? AND ? ORDER BY number"
@@ -65,14 +66,17 @@ def crop_prior(address: str, name: str) -> CropPrior:
     InputError
         The crop is not shipped, or too few machines have tickets for it.
     """
+    name = crop(name).name
     start = crop(name).parameters()
     with opened(address) as query:
         machines, left_out = _machines(query, name, start)
         of_no_crop = query.rows(_OF_NO_CROP)[0]["count"]
+        crops = [row["crop"] for row in query.rows(_CROPS)]
     if len(machines) < LEAST_MACHINES:
         without = f"; {of_no_crop} tickets are of days without a crop" if of_no_crop else ""
         mend = ", or `fleet run --crop`, for days without one" if of_no_crop else ""
-        found_no = f"has tickets of {len(machines)} machines for {name}{without}{_others(left_out)}"
+        others = f"; its tickets are for {', '.join(crops)}" if crops and name not in crops else ""
+        found_no = f"has tickets of {len(machines)} machines for {name}{others}{without}{_others(left_out)}"
         raise InputError(address, found_no, f"at least {LEAST_MACHINES}{mend}")
     try:
         found = pooled(start, machines)
@@ -124,7 +128,17 @@ def _machines(query: Query, name: str, start: ParameterSet) -> tuple[list[Machin
         kept, unlike = _alike(models[of], start, weighed)
         machines.append(MachineLoads(of, models[of], tuple(kept)))
         left_out += unlike
-    return machines, left_out
+    alike, unlike = _alike_machines(machines, start)
+    return alike, [*left_out, *unlike]
+
+
+def _alike_machines(machines: Sequence[MachineLoads], start: ParameterSet) -> tuple[list[MachineLoads], list[str]]:
+    """The machines without those that none of the others bears out, and lines on these."""
+    errors = np.array([np.median(load_errors(of.model, start, of.loads)) for of in machines])
+    unlike = unlike_the_other_machines(errors)
+    usual = float(np.median(errors[~unlike])) if unlike.any() else 0.0
+    lines = [in_words_of_all(of.name, usual - error) for of, error, one in zip(machines, errors, unlike, strict=True) if one]
+    return [of for of, one in zip(machines, unlike, strict=True) if not one], lines
 
 
 def _alike(

@@ -1,6 +1,13 @@
-"""What is said of a ticket that none of its machine's others bears out."""
+"""What is said of a ticket that none of its machine's others bears out, and of a machine that none of the others does."""
 
 from __future__ import annotations
+
+from math import exp
+
+from yieldmon.estimation.weighing.ticket_slips import UNIT_SLIPS
+
+_NEAR = 1.15
+"""Within which a factor may be that of a slip, beside how machines differ."""
 
 
 def in_words(weighed_kg: float, times: float) -> str:
@@ -12,3 +19,18 @@ def in_words(weighed_kg: float, times: float) -> str:
     "weighs 9120 kg, 2 times what the machine's other tickets say of it"
     """
     return f"weighs {weighed_kg:.0f} kg, {times:.3g} times what the machine's other tickets say of it"
+
+
+def in_words_of_all(machine: str, log_times: float) -> str:
+    """A machine whose tickets weigh exp(log_times) times what those of the other machines make of its loads.
+
+    Examples
+    --------
+    >>> in_words_of_all("m2", 0.8)
+    "m2: its tickets weigh 2.23 times what the other machines' say of its loads, as where pounds were taken for kilograms"
+    """
+    times = exp(log_times)
+    slip = next((what for factor, what in UNIT_SLIPS if 1.0 / _NEAR < times / factor < _NEAR), "")
+    return f"{machine}: its tickets weigh {times:.3g} times what the other machines' say of its loads" + (
+        f", as where {slip}" if slip else ""
+    )

@@ -18,6 +18,7 @@ from yieldmon.cli import _named_files
 from yieldmon.cli._channels import with_channels
 from yieldmon.cli._json import print_json
 from yieldmon.errors import InputError
+from yieldmon.files.crops import misspelt
 from yieldmon.files.plain_text import plain
 from yieldmon.fleet import manifest, scheduling
 from yieldmon.fleet.copies import with_copies
@@ -86,6 +87,8 @@ def run(args: argparse.Namespace) -> int:
 def _check_options(args: argparse.Namespace) -> None:
     if not 0 <= args.workers <= 1024:
         raise InputError("--workers", f"is {args.workers}", "a whole number from 0 to 1024")
+    if meant := misspelt(args.crop):
+        raise InputError("--crop", f"is {args.crop!r}", meant)
     if args.scheduler and args.adaptive:
         raise InputError(
             "--adaptive", "is given together with --scheduler", "one of them; a cluster elsewhere has its own adaptation"

@@ -1,4 +1,5 @@
-"""A weighed load of one machine that none of its others bears out, before anything is fitted."""
+"""A weighed load that none of its machine's others bears out, and a machine whose loads none of the others bears out, before
+anything is fitted."""
 
 from __future__ import annotations
 
@@ -9,8 +10,12 @@ from yieldmon.estimation.gaussian import SD_PER_MAD
 from yieldmon.physics.numerics import Array
 
 LEAST_LOADS = 3
+LEAST_MACHINES = 5
+"""Below which it is not known how machines scatter."""
 _LEAST_OFF, _TIMES_SCATTER = 0.2, 6.0
 """ln, and robust standard deviations of the others, by which a load is off."""
+_LEAST_OFF_OF_MACHINES = 0.4
+"""ln, of a machine's: two standard deviations of the gain of one that was never calibrated."""
 
 
 def unlike_the_others(log_errors: Array) -> NDArray[np.bool_]:
@@ -31,13 +36,38 @@ def unlike_the_others(log_errors: Array) -> NDArray[np.bool_]:
     >>> unlike_the_others(np.log([1.01, 0.1, 0.99, 1.0])).tolist()
     [False, True, False, False]
     """
+    return _off(log_errors, LEAST_LOADS, _LEAST_OFF)
+
+
+def unlike_the_other_machines(log_errors: Array) -> NDArray[np.bool_]:
+    """Which machines are off what the others have in common, as where all tickets of one are in pounds.
+
+    Parameters
+    ----------
+    log_errors : ndarray
+        (n,) ln of measured over weighed mass, the median of each machine's loads; nan where not known.
+
+    Returns
+    -------
+    ndarray of bool
+        (n,). None of fewer than five machines.
+
+    Examples
+    --------
+    >>> unlike_the_other_machines(np.log([1.01, 0.45, 0.99, 1.0, 1.03])).tolist()
+    [False, True, False, False, False]
+    """
+    return _off(log_errors, LEAST_MACHINES, _LEAST_OFF_OF_MACHINES)
+
+
+def _off(log_errors: Array, least: int, least_off: float) -> NDArray[np.bool_]:
     found = np.zeros(len(log_errors), bool)
     known = np.flatnonzero(np.isfinite(log_errors))
-    if len(known) < LEAST_LOADS:
+    if len(known) < least:
         return found
     for place in known:
         others = log_errors[known[known != place]]
         middle = float(np.median(others))
         scatter = SD_PER_MAD * float(np.median(np.abs(others - middle)))
-        found[place] = abs(log_errors[place] - middle) > max(_LEAST_OFF, _TIMES_SCATTER * scatter)
+        found[place] = abs(log_errors[place] - middle) > max(least_off, _TIMES_SCATTER * scatter)
     return found
