@@ -250,13 +250,14 @@ def test_task_data_by_the_standards_layout(exported):
     """Parsed from the layout of ISO 11783-10, byte by byte."""
     with zipfile.ZipFile(exported("t.zip", *WORDS)) as archive:
         content = {name: archive.read(name) for name in archive.namelist()}
+        assert {member.compress_type for member in archive.infolist()} == {zipfile.ZIP_DEFLATED}
     root = ET.fromstring(content["TASKDATA/TASKDATA.XML"])
     header = ET.fromstring(content["TASKDATA/TLG00001.xml"])
     log = content["TASKDATA/TLG00001.bin"]
     assert (root.tag, root.attrib["VersionMajor"], root.attrib["DataTransferOrigin"]) == ("ISO11783_TaskData", "4", "2")
     assert int(root.find("TSK/TLG").attrib["B"]) == len(log)
     identifiers = [int(value.attrib["A"], 16) for value in header.iter("DLV")]
-    assert identifiers == [87, 84, 90, 99, 181, 182, 183, 184, 239]
+    assert identifiers == [87, 84, 90, 99, 181, 182, 183, 184, 239, 67]
     assert {int(entry.attrib["B"], 16) for entry in root.iter("DPD")} == set(identifiers)
     presentations = {entry.attrib["A"] for entry in root.iter("DVP")}
     assert {entry.attrib["F"] for entry in root.iter("DPD") if "F" in entry.attrib} == presentations
@@ -277,6 +278,7 @@ def test_task_data_by_the_standards_layout(exported):
         assert values[87] == round(point.mass_flow_kg_s * 1e6)
         assert values[84] == round(point.yield_kg_m2 * 1e6)
         assert (values[99], values[184], values[239]) == (200_000, 155_000, int(point.held))
+        assert values[67] == round(point.swath_m * 1000)
     assert place == len(log)
     assert values[90] == round(sum(point.mass_kg for point in points))
 
@@ -313,6 +315,13 @@ def test_task_data_in_an_independent_reader(exported, isoxml):
         assert values["00EF_DET-1"] == int(point.held)
     totals = {int(total["ProcessDataDDI"], 16): total["ProcessDataValue"] for total in found["totals"]}
     assert totals[90] == round(sum(point.mass_kg for point in points))
+
+
+def test_task_data_is_read_by_map(exported, capsys):
+    path = exported("t.zip", *WORDS)
+    assert cli.main(["map", str(path), "--out", "unused", "--products", "none", "--json", "--flow-delay", "0"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["mass_kg"]["integrated"] == pytest.approx(sum(point.mass_kg for point in yield_points(ROWS, SETTINGS)), rel=0.01)
 
 
 def test_task_data_as_a_folder(exported):

@@ -15,7 +15,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "map",
         help="a yield map of a harvest, with a report",
         description=f"{__doc__} A SOURCE is a daemon's store, a table of `process`, Ag Leader text, ISO 11783-10 task data "
-        "(folder or zip), a zip of the John Deere Operations Center, a GeoPackage, GeoJSON or shapefile of points, or CSV.",
+        "(folder or zip), a zip of the John Deere Operations Center, a GeoPackage, GeoJSON, Parquet or shapefile of points, or "
+        "CSV.",
         epilog="example: yieldmon map north_field.txt --out north; yieldmon map today.sqlite --width 9.1 --out today",
     )
     parser.add_argument("sources", metavar="SOURCE", nargs="+", help="harvests; several make one map")

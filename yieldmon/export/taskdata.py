@@ -34,6 +34,7 @@ ENTRIES = (
     task_data.Entry(183, "Yield total dry mass", "kg", total=True),
     task_data.Entry(184, "Reference moisture for dry mass", "ppm"),
     task_data.Entry(239, "Yield hold status", ""),
+    task_data.Entry(67, "Actual working width", "mm"),
 )
 _TOTALS = tuple(entry.ddi for entry in ENTRIES if entry.total)
 _INDEX = {entry.ddi: index for index, entry in enumerate(ENTRIES)}
@@ -51,6 +52,7 @@ def raw_values(point: YieldPoint, total_kg: float, total_dry_kg: float | None, r
         183: total_dry_kg,
         184: reference_moisture_pct * 1e4,
         239: float(point.held),
+        67: point.swath_m * 1e3,
     }
     return {ddi: round(value) for ddi, value in known.items() if value is not None}
 
@@ -105,7 +107,7 @@ def write(path: Path, points: Sequence[YieldPoint], field: str, reference_moistu
     if path.suffix.lower() == ".zip":
         with scratch_for(path) as scratch, zipfile.ZipFile(scratch, "w", zipfile.ZIP_DEFLATED) as archive:
             for name, data in content.items():
-                archive.writestr(zipfile.ZipInfo(f"{FOLDER}/{name}"), data)
+                archive.writestr(zipfile.ZipInfo(f"{FOLDER}/{name}"), data, zipfile.ZIP_DEFLATED)
         return
     folder = path / FOLDER
     folder.mkdir(parents=True, exist_ok=True)

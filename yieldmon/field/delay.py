@@ -38,9 +38,9 @@ POINT_S = 1.0
 """A flow is the mean of the interval before its point, so the shift from point to point exceeds the delay by half of it. What is
 beyond that of a row a second is taken off."""
 _WINSOR = (1.0, 99.0)
-_EMPTY_SHARE = 0.1
-"""Of the median flow; below it the machine runs empty. Two passes shifted by half a pass are empty at the same places, which is
-no agreement of yields."""
+_LEAST_SHARE = 0.1
+"""Of the median flow; less says nothing of the yield at a place, as the machine fills or empties, though it runs (EMPTY_SHARE of
+tracks). Two passes shifted by half a pass have such flows at the same places, which is no agreement of yields."""
 
 
 class Decision(StrEnum):
@@ -205,7 +205,7 @@ def _series(steps: Tracks, quantity: str) -> tuple[Array, Array]:
     flow = np.nan_to_num(steps.flow_kg_s)
     usual = float(np.median(flow[flow > 0])) if (flow > 0).any() else 0.0
     with np.errstate(invalid="ignore"):
-        return np.where(flow > _EMPTY_SHARE * usual, flow, np.nan), np.where(steps.width_m > 0, speed * steps.width_m, np.nan)
+        return np.where(flow > _LEAST_SHARE * usual, flow, np.nan), np.where(steps.width_m > 0, speed * steps.width_m, np.nan)
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ from yieldmon.field.table import HarvestTable
 
 from .header_states import without_contradicted_states
 from .options import ReadOptions
+from .unread import require_readable
 
 HEAD_BYTES = 4096
 Progress = Callable[[str], None]
@@ -52,6 +53,7 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
                 head = stream.read(HEAD_BYTES)
         elif not path.is_dir():
             raise InputError(str(path), "is neither a file nor a folder", "a harvest")
+        require_readable(str(path), head)
         for module in modules():
             if module.recognises(path, head):
                 table, mixed = with_note(together(without_contradicted_states(module.read(path, options))))

@@ -118,7 +118,7 @@ def _read(found: _Table, where: str, options: ReadOptions) -> HarvestTable:
         why = f" ({table.skipped[0].why})" if table.skipped else ""
         raise InputError(where, f"has a header and no row that can be read{why}", "at least one row")
     values = {names[n]: v for n, v in table.numbers.items()}
-    of_places = _to_degrees(values, columns, options, where)
+    of_places = places_in_degrees(values, columns, options, where)
     raw = Raw(
         columns,
         values,
@@ -131,8 +131,19 @@ def _read(found: _Table, where: str, options: ReadOptions) -> HarvestTable:
     return assemble(raw, where, KIND, options)
 
 
-def _to_degrees(values: dict[str, Array], columns: dict[str, Column], options: ReadOptions, where: str) -> tuple[str, ...]:
-    """Changes coordinates of a plane; notes. Raises InputError where it is not said of which."""
+def places_in_degrees(values: dict[str, Array], columns: dict[str, Column], options: ReadOptions, where: str) -> tuple[str, ...]:
+    """Changes coordinates of a plane; notes. Raises InputError where it is not said of which.
+
+    Parameters
+    ----------
+    values : dict of str to array, shape (n,)
+        By column; changed.
+    columns : dict of str to Column
+        By quantity.
+    options : ReadOptions
+    where : str
+        Place for errors.
+    """
     if not {"longitude", "latitude"} <= columns.keys():
         return ()
     east, north = columns["longitude"].name, columns["latitude"].name

@@ -20,7 +20,7 @@ ZIP_DAMAGE = (
 
 _SUFFIXES = (
     ".txt", ".csv", ".tsv", ".dat", ".shp", ".gpkg", ".geojson", ".geojsonl", ".geojsons", ".gml", ".fgb", ".kml", ".sqlite",
-    ".zip", ".xlsx",
+    ".zip", ".xlsx", ".parquet",
 )  # fmt: skip
 
 

@@ -121,7 +121,7 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
 
 
 @dataclass(frozen=True)
-class _Metadata:
+class Metadata:
     """What a sidecar of the Operations Center says."""
 
     units: Mapping[str, str]
@@ -130,8 +130,8 @@ class _Metadata:
 
 
 @dataclass(frozen=True)
-class _Layer:
-    """What GDAL read: values of each field, points in the layer's own coordinate system (crs), and what it said."""
+class Layer:
+    """What was read: values of each field, points in the layer's own coordinate system (crs), and what was said."""
 
     names: tuple[str, ...]
     fields: Sequence[np.ndarray]
@@ -178,7 +178,7 @@ def _machines_apart(table: HarvestTable) -> HarvestTable:
     return replace(table, labels={**table.labels, "machine": Label(table.source_of_row, names)})
 
 
-def _read_layer(address: str, where: str, part: str | None) -> _Layer:
+def _read_layer(address: str, where: str, part: str | None) -> Layer:
     """A layer by name, or the only one. Raises InputError where there is none."""
     import pyogrio
     import pyogrio.errors
@@ -201,40 +201,94 @@ def _read_layer(address: str, where: str, part: str | None) -> _Layer:
         OverflowError,
     ) as error:
         raise InputError(where, f"cannot be read: {brief(error)}", "a vector file that GDAL reads") from error
+    kind = str(meta.get("geometry_type"))
+    names = tuple(map(str, meta["fields"]))
+    said_by_gdal = _warnings([str(one.message) for one in said])
+    return layer_of(geometry, dict(zip(names, fields, strict=True)), meta.get("crs"), where, kind, said_by_gdal)
+
+
+def layer_of(
+    geometry: np.ndarray | None,
+    fields: Mapping[str, np.ndarray],
+    crs: str | None,
+    where: str,
+    kind: str = "no shapes",
+    said: tuple[str, ...] = (),
+) -> Layer:
+    """A layer of well-known binary shapes. Raises InputError where there is none.
+
+    Parameters
+    ----------
+    geometry : array of bytes, shape (n,), or None
+        One a row.
+    fields : mapping of str to array, shape (n,)
+        By name.
+    crs : str or None
+        The coordinate system that the file names.
+    where : str
+        Place for errors.
+    kind : str
+        Of shape, as the file says.
+    said : tuple of str
+        While it was read.
+    """
     if geometry is None or not len(geometry):
         raise InputError(where, "has no points", "a layer of points")
     x, y = _points(geometry)
     if not np.isfinite(x).any():
-        raise InputError(where, f"holds {meta.get('geometry_type')}", "points")
-    return _Layer(tuple(map(str, meta["fields"])), fields, x, y, meta.get("crs"), _warnings([str(one.message) for one in said]))
+        raise InputError(where, f"holds {kind}", "points")
+    return Layer(tuple(fields), tuple(fields.values()), x, y, crs, said)
 
 
 def _layer(path: Path, address: str, name: str, part: str | None, options: ReadOptions) -> HarvestTable:
     where = (f"{path}: {name}" if name != path.name else str(path)) + (f": layer {part}" if part else "")
-    layer = _read_layer(address, where, part)
     sidecar = _metadata(path, name)
+    kind = "John Deere Operations Center" if sidecar.units else KIND
+    return table_of(_read_layer(address, where, part), sidecar, where, kind, options)
+
+
+def table_of(layer: Layer, sidecar: Metadata, where: str, kind: str, options: ReadOptions) -> HarvestTable:
+    """The harvest in a layer. Raises InputError where it is none.
+
+    Parameters
+    ----------
+    layer : Layer
+    sidecar : Metadata
+        What a file beside it says.
+    where : str
+        Place for errors.
+    kind : str
+        Of source.
+    options : ReadOptions
+    """
     x, y, notes = to_degrees(layer.x, layer.y, layer.crs, options, where)
     usable = [one for one in layer.names if one not in _POSITION]
     wanted = {quantity: column for quantity, column in options.columns.items() if quantity not in _POSITION}
     found, more = columns_of(usable, wanted, sidecar.units, where, width_known=options.width_m is not None)
-    columns, numbers, texts = _values({q: (column, layer.fields[layer.names.index(column.name)]) for q, column in found.items()})
-    more = (
-        *more,
-        *_unreadable(numbers, {column.name: layer.fields[layer.names.index(column.name)] for column in found.values()}),
-    )
+    columns, numbers, texts, unreadable = values_of(found, dict(zip(layer.names, layer.fields, strict=True)))
     columns |= {"longitude": Column(" x", "longitude", "deg"), "latitude": Column(" y", "latitude", "deg")}
     numbers |= {" x": x, " y": y}
     for quantity, said in (("crop", sidecar.crop), ("field", sidecar.field)):
         if said:
             texts[f" {quantity}"] = Label.constant(said, len(x))
             columns[quantity] = Column(f" {quantity}", quantity, "")
-    kind = "John Deere Operations Center" if sidecar.units else KIND
-    return assemble(Raw(columns, numbers, texts, len(x), notes=(*notes, *layer.said, *more)), where, kind, options)
+    return assemble(Raw(columns, numbers, texts, len(x), notes=(*notes, *layer.said, *more, *unreadable)), where, kind, options)
 
 
-def _values(found: Mapping[str, tuple[Column, np.ndarray]]) -> tuple[dict[str, Column], dict[str, Array], dict[str, Label]]:
-    """Columns by quantity, and numbers and texts by column. found: by quantity a column and its values."""
-    columns = {quantity: column for quantity, (column, _) in found.items()}
+def values_of(
+    columns_found: Mapping[str, Column], fields: Mapping[str, np.ndarray]
+) -> tuple[dict[str, Column], dict[str, Array], dict[str, Label], tuple[str, ...]]:
+    """Columns by quantity, numbers and texts by column, and notes on what is no number.
+
+    Parameters
+    ----------
+    columns_found : mapping of str to Column
+        By quantity.
+    fields : mapping of str to array, shape (n,)
+        By name of the column.
+    """
+    found = {quantity: (column, fields[column.name]) for quantity, column in columns_found.items()}
+    columns = dict(columns_found)
     numbers: dict[str, Array] = {}
     texts: dict[str, Label] = {}
     for quantity, (column, values) in found.items():
@@ -252,7 +306,7 @@ def _values(found: Mapping[str, tuple[Column, np.ndarray]]) -> tuple[dict[str, C
     if moment is not None:
         numbers["unix time"] = numbers.pop(moment.name)
         columns["time"] = Column("unix time", "time", "s")
-    return columns, numbers, texts
+    return columns, numbers, texts, _unreadable(numbers, {column.name: values for column, values in found.values()})
 
 
 def _warnings(said: Sequence[str]) -> tuple[str, ...]:
@@ -310,7 +364,7 @@ def _points(geometry: np.ndarray) -> tuple[Array, Array]:
     return shapely.get_x(shapes), shapely.get_y(shapes)
 
 
-def _metadata(path: Path, member: str) -> _Metadata:
+def _metadata(path: Path, member: str) -> Metadata:
     """Units from the JSON beside the shapefile, in the zip or in the folder."""
     stem = member.rsplit("/", 1)[-1].rsplit(".", 1)[0]
     try:
@@ -325,6 +379,6 @@ def _metadata(path: Path, member: str) -> _Metadata:
             text = bounded.read_whole(beside[0], "JSON", _LARGEST_METADATA_BYTES) if beside else b""
         document = json.loads(text) if text else {}
         units = {str(one["Name"]): str(one.get("Unit", "")) for one in document.get("DataAttributes", [])}
-        return _Metadata(units, str(document.get("CropToken", "")), str(document.get("FieldName", "")))
+        return Metadata(units, str(document.get("CropToken", "")), str(document.get("FieldName", "")))
     except (*ZIP_DAMAGE, ValueError, KeyError, TypeError, AttributeError):
-        return _Metadata({})
+        return Metadata({})
