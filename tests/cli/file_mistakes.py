@@ -209,7 +209,7 @@ MISTAKES = LOST | {
     "map field/points.csv --out new --width 100": "--width: is 100; expected 0.1 to 60",
     "map field/points.csv --out table.csv": "--out: table.csv is a file; expected a folder",
     "map field/points.csv --out new --products jpg": "--products: names 'jpg'; expected all, none or some of csv,",
-    "map field/points.csv --out new --tickets tickets-cols.csv": "tickets-cols.csv: first row: names number, kg; expected columns",
+    "map field/points.csv --out new --tickets tickets-cols.csv": "tickets-cols.csv: header: has no column load; expected load: the number",
     "fleet run tickets.csv --out new": "tickets.csv: header: has no column machine; expected machine, day, log",
     "fleet run twice-manifest.csv --out new": "twice-manifest.csv: line 3, log: names log.log a second time; expected each log",
     "fleet run slash.csv --out new": "slash.csv: line 2, machine: is 'a/b'; expected a name that begins with a letter or digit,",

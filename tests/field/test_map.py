@@ -7,6 +7,7 @@ import json
 import shutil
 import sqlite3
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +16,12 @@ import pytest
 
 from tests.in_process import program
 from tests.seconds import measured_second
+from yieldmon import api
 from yieldmon.cli import main as cli
 from yieldmon.field import cleaning
 from yieldmon.field.products import FILES, FORMATS, picture
-from yieldmon.service.storage.batch import Batch, Load
+from yieldmon.service.storage import ledger
+from yieldmon.service.storage.batch import Action, Batch, Load, Ticket
 from yieldmon.service.storage.store import Store
 from yieldmon.units import Units, UnitSystem
 
@@ -328,6 +331,41 @@ def test_a_daemons_store(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     points = geopandas.read_file(tmp_path / "out" / "harvest.gpkg", layer="points")
     assert points.field.iloc[0] == "north"
     assert "yield_sd_t_ha" in points
+
+
+def test_loads_that_a_store_has_corrected_are_so_in_its_map(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "season.sqlite"
+    store_of(path)
+    with Store(path) as store:
+        rows = [replace(row, load_number=1 + row.number // 151) for row in store.seconds()]
+    path.unlink()
+    masses = [sum(row.mass_kg for row in rows if row.load_number == n) for n in (1, 2, 3, 4)]
+    loads = [Load(n, "north", "corn", None, None, masses[n - 1], None) for n in (1, 2, 3, 4)]
+    tickets = (Ticket(0.0, 1, 2, 1.1 * (masses[0] + masses[1]), masses[0] + masses[1]),)
+    actions = (
+        Action(1, 0.0, ledger.TICKET, "root", {"ticket": 1, "std_dev_kg": 30.0}),
+        Action(2, 0.0, ledger.POSTING, "", {"version": 2, "tickets": [1], "factors": {"3": 1.05}}),
+    )
+    with Store(path) as store:
+        store.commit([Batch(1, rows[-1].time_s, {}, tuple(rows), tuple(loads), tickets=tickets, actions=actions)])
+    document = mapped(capsys, tmp_path / "out", path, "--width", "9", "--products", "none")
+    factors = {one["load"]: (one["factor"], one["weighed_kg"]) for one in document["loads"]}
+    assert factors == {
+        "1": (pytest.approx(1.1), pytest.approx(1.1 * masses[0])),
+        "2": (pytest.approx(1.1), pytest.approx(1.1 * masses[1])),
+        "3": (pytest.approx(1.05), None),
+        "4": (1.0, None),
+    }
+    mass = document["mass_kg"]
+    assert mass["corrected"] == pytest.approx(sum(load.corrected_mass_kg for load in api.read_loads(path)), abs=0.01)
+    assert mass["integrated"] == pytest.approx(sum(masses), abs=0.01)
+    assert document["loads"][0]["factor_sd"] * masses[0] == pytest.approx(30.0 * np.sqrt(masses[0] / sum(masses[:2])), rel=1e-4)
+    # Tickets that are named count before the store's.
+    file = tmp_path / "tickets.csv"
+    file.write_text(f"load;weighed_t;std_dev_kg\n3-4;{1.2e-3 * (masses[2] + masses[3]):.6f};20\n")
+    document = mapped(capsys, tmp_path / "out", path, "--width", "9", "--products", "none", "--tickets", file)
+    assert [one["factor"] for one in document["loads"]] == pytest.approx([1.1, 1.1, 1.2, 1.2], rel=1e-5)
+    assert document["loads"][3]["factor_sd"] * masses[3] == pytest.approx(20.0 * np.sqrt(masses[3] / sum(masses[2:])), rel=1e-4)
 
 
 @pytest.mark.parametrize(

@@ -228,6 +228,7 @@ def test_depth_and_number_are_bounded(how: str, tmp_path: Path, capsys: pytest.C
     ("text", "weighed_kg"),
     [
         ("Load;Weighed_kg\n<1>;30000,5\n", 30_000.5),
+        ("load,Net weight [t]\n1,30\n", 30_000.0),
         ('load,weighed_kg\n"L1:<1>","30000,5"\n', 30_000.5),
         ("load,weighed_kg,sd_kg\r\n\r\n1,30000,\r\n,,\r\n", 30_000.0),
         ("\ufeffLOAD\tWEIGHED_KG\tSD_KG\n1\t30000\t100\n", 30_000.0),
@@ -245,12 +246,14 @@ def test_tickets_as_spreadsheets_write_them(
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("load,weighed_t\n1,30\n", "names load, weighed_t"),
-        ("1,30000\n2,20000\n", "names 1, 30000"),
-        ('load,weighed_kg\n1,"30,000"\n', "has no mass in kg"),
-        ("load,weighed_kg\n1,\n", "has no mass in kg"),
+        ("load,weighed\n1,30\n", "weighed has no unit"),
+        ("1,30000\n2,20000\n", "has no column load"),
+        ('load,weighed_kg\n1,"30,000"\n', "is '30,000'; expected a number"),
+        ("load,weighed_kg\n1,\n", "is ''; expected a number"),
         ("load,weighed_kg\nx,1\n", "names a load that the harvest does not have"),
-        ("\n", "has no tickets"),
+        ("\n", "is empty"),
+        ("load,weighed_kg\n,\n", "has a header and no rows"),
+        ("load,weighed_kg\n2-1,30000\n", "ends before it begins"),
     ],
 )
 def test_tickets_that_do_not_fit_are_one_line(text: str, says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

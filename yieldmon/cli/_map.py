@@ -15,13 +15,14 @@ from yieldmon.cli import _outputs
 from yieldmon.cli._json import print_json
 from yieldmon.cli._limits import within_if_given
 from yieldmon.errors import InputError
-from yieldmon.field import harvest, loads, sources, summary
+from yieldmon.field import harvest, sources, summary
 from yieldmon.field.cleaning import NAMES, NEEDED
 from yieldmon.field.copies import without_copies
 from yieldmon.field.products import FILES, FORMATS, write_products
 from yieldmon.field.sources.options import ReadOptions
 from yieldmon.field.swath import HeaderPlace
 from yieldmon.field.table import HarvestTable, Skipped, joined
+from yieldmon.files import ticket_file
 from yieldmon.files.whole_file import real_path
 from yieldmon.units import UnitSystem
 
@@ -98,9 +99,14 @@ def _print_summary(result: harvest.HarvestMap) -> None:
     mass, crop_yield = units.mass_unit, units.yield_unit
     middle, low, high = (crop_yield.of(value) for value in (totals.yield_kg_m2, totals.low_kg_m2, totals.high_kg_m2))
     span = f" ({low:.2f} to {high:.2f})" if isfinite(low) else ""
+    weighed = ""
+    if totals.low_kg is not None and totals.high_kg is not None:
+        corrected, least, most = (f"{mass.of(value):.0f}" for value in (totals.corrected_kg, totals.low_kg, totals.high_kg))
+        weighed = f"{corrected} {mass.name} by weighed loads ({least} to {most}), "
     lines.append(
-        f"{len(result.table)} points, {int(result.cleaned.kept.sum())} kept; {mass.of(totals.corrected_kg):.0f} {mass.name} "
-        f"measured, {mass.of(totals.by_reason.get('kept', 0.0)):.0f} {mass.name} kept; {units.area(totals.area_m2)} cut; "
+        f"{len(result.table)} points, {int(result.cleaned.kept.sum())} kept; {mass.of(totals.measured_kg):.0f} {mass.name} "
+        f"measured, {weighed}{mass.of(totals.by_reason.get('kept', 0.0)):.0f} {mass.name} kept; "
+        f"{units.area(totals.area_m2)} cut; "
         + (f"{middle:.2f} {crop_yield.name}{span}" if isfinite(middle) else "no yield: no point is kept")
     )
     lines += [note for note in result.notes if "cannot be estimated" not in note]
@@ -150,6 +156,6 @@ def _map_options(args: argparse.Namespace) -> harvest.MapOptions:
             within_if_given("--header-right", args.header_right, -20.0, 20.0) or 0.0,
         ),
         tuple(args.without),
-        tuple(loads.read_tickets(Path(args.tickets))) if args.tickets else (),
+        ticket_file.load(args.tickets) if args.tickets else (),
         args.transport,
     )

@@ -25,7 +25,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "--products", metavar="LIST", default="all", help=f"which files, with commas: {', '.join(FORMATS)}; all (default) or none"
     )
-    parser.add_argument("--tickets", metavar="FILE", help="CSV of weighed loads: load,weighed_kg[,sd_kg][,machine]")
+    parser.add_argument("--tickets", metavar="FILE", help="table of load and weighed_kg, if known std_dev_kg, machine")
     parser.add_argument(
         "--without",
         metavar="REASON",

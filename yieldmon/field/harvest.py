@@ -8,11 +8,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from yieldmon.estimation.gaussian import REACH_95
+from yieldmon.files.ticket_file import WeighedTicket
 from yieldmon.units import KG_PER_LB, M2_PER_ACRE, S_PER_DAY, Units, UnitSystem
 
 from .cleaning import Cleaned, Context, clean, mass_by_reason, much_left_out
 from .delay import Decision, Delay
-from .loads import LoadResult, Ticket, correct
+from .loads import LoadResult, correct
 from .machines import Machine, machines_of, placed_by_machine
 from .pairs import Pairs, opposing_pairs
 from .placed import Placed, measured_mass_kg
@@ -46,7 +47,7 @@ class MapOptions:
         Offset of the header from the antenna.
     without : collection of str
         Cleaning rules that are off.
-    tickets : sequence of Ticket
+    tickets : sequence of WeighedTicket
         Weighed loads.
     transport : bool
         Try to undo the machine's smear; it is done only where it beats its control.
@@ -58,7 +59,7 @@ class MapOptions:
     moisture_delay_s: float | None = None
     header: HeaderPlace = field(default_factory=HeaderPlace)
     without: Collection[str] = ()
-    tickets: Sequence[Ticket] = ()
+    tickets: Sequence[WeighedTicket] = ()
     transport: bool = False
     seed: int = SEED
 
@@ -176,7 +177,8 @@ def make_map(table: HarvestTable, options: MapOptions, progress: Callable[[str],
     steps = cut_before_measured(steps, table, {machine.stream: machine.flow.value_s for machine in machines})
     factor, loads = correct(table, options.tickets)
     progress("ground")
-    placed = placed_by_machine(table, steps, machines, factor if options.tickets else None)
+    weighed = any(load.factor_sd is not None for load in loads)
+    placed = placed_by_machine(table, steps, machines, factor if weighed else None)
     ground = swaths(table, steps, options.header)
     progress("cleaning")
     at = Context(table, steps, placed, ground)
@@ -187,7 +189,7 @@ def make_map(table: HarvestTable, options: MapOptions, progress: Callable[[str],
     facts = crop(name)
     totals = _totals(
         table, steps, placed, ground, cleaned,
-        loads=loads, weighed=bool(options.tickets), generator=np.random.default_rng(options.seed),
+        loads=loads, weighed=weighed, generator=np.random.default_rng(options.seed),
     )  # fmt: skip
     return HarvestMap(
         table,

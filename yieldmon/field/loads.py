@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,32 +9,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from yieldmon import bounded
 from yieldmon.errors import InputError
-from yieldmon.files import ticket_file
-from yieldmon.files.delimited import LARGEST_BYTES
+from yieldmon.files.ticket_file import WeighedTicket
 
 from .mixed import mixed_loads
 from .placed import measured_mass_kg
-from .sources.delimited import delimiter_of
-from .table import Array, HarvestTable
+from .table import UNKNOWN_SCALE_SD, Array, HarvestTable
 
-UNKNOWN_SCALE_SD = 0.03
-"""Relative standard deviation of a single load's factor about the field's, where fewer than three loads are weighed."""
 ALL = "all"
 """As the machine of a ticket: all that have a load of this name."""
-_COLUMNS = "load,weighed_kg[,sd_kg][,other_kg[,other_sd_kg]][,machine]"
-
-
-@dataclass(frozen=True)
-class Ticket:
-    """A weighed load."""
-
-    load: str
-    weighed_kg: float
-    sd_kg: float
-    machine: str = ""
-    """Or file, where the load's name is one of several machines'; ALL: they filled it together."""
 
 
 @dataclass(frozen=True)
@@ -60,67 +42,12 @@ class LoadResult:
         }
 
 
-def read_tickets(path: Path) -> list[Ticket]:
-    """CSV with the columns `load`, `weighed_kg` and, where wanted, `sd_kg`, `machine`, and `other_kg` and `other_sd_kg` as
-    `ticket_file.own_part` has them; commas or semicolons between them.
-
-    Raises
-    ------
-    InputError
-        Naming file and row.
-    """
-    wanted = f"CSV with {_COLUMNS}"
-    try:
-        text = bounded.read_whole(path, wanted, LARGEST_BYTES).decode("utf-8-sig")
-        lines = [line for line in bounded.split(text, str(path), wanted) if line.strip(" \t,;")]
-        delimiter = delimiter_of(lines[0]) if lines else ","
-        rows = list(csv.DictReader(lines, delimiter=delimiter, skipinitialspace=True))
-    except (UnicodeError, csv.Error) as error:
-        raise InputError(str(path), f"cannot be read: {error}", wanted) from error
-    if not lines:
-        raise InputError(str(path), "has no tickets", "at least one row")
-    names = {str(name).strip().lower(): name for name in rows[0]} if rows else {}
-    if rows and not {"load", "weighed_kg"} <= set(names):
-        raise InputError(f"{path}: first row", f"names {', '.join(map(str, rows[0]))[:80]}", f"columns {_COLUMNS}")
-    tickets = []
-    for number, row in enumerate(rows, 1):
-        try:
-            weighed = _mass(row[names["weighed_kg"]])
-            sd, other, other_sd = (_mass_or_none(row.get(names.get(name, ""))) for name in ("sd_kg", "other_kg", "other_sd_kg"))
-        except (TypeError, ValueError):
-            raise InputError(f"{path}: row {number}", "has no mass in kg", f"columns {_COLUMNS}") from None
-        sd = ticket_file.RELATIVE_STD_DEV * weighed if sd is None else sd
-        load = (row.get(names["load"]) or "").strip()
-        if not (load and 0 < weighed < 1e9 and 0 <= sd < 1e9):
-            raise InputError(
-                f"{path}: row {number}", f"weighs {weighed:g} kg with sd {sd:g} kg", "a load's name and positive masses"
-            )
-        if other is not None:
-            weighed, sd = ticket_file.own_part(weighed, sd, other, other_sd, f"{path}: row {number}, other_kg")
-        tickets.append(Ticket(load, weighed, sd, (row.get(names.get("machine", "")) or "").strip()))
-    if not tickets:
-        raise InputError(str(path), "has no tickets", "at least one row")
-    return tickets
-
-
-def _mass_or_none(text: str | None) -> float | None:
-    """As `_mass`; None for an empty cell or a column that there is not."""
-    return _mass(text) if text and text.strip() else None
-
-
-def _mass(text: str) -> float:
-    """A number with a point or a comma before its decimals. Raises ValueError; also for `36,000`, which may be either."""
-    plain = text.strip()
-    if "," in plain and (plain.count(",") > 1 or "." in plain or len(plain.rpartition(",")[2]) == 3):
-        raise ValueError(plain)
-    return float(plain.replace(",", "."))
-
-
-def correct(table: HarvestTable, tickets: Sequence[Ticket]) -> tuple[Array, tuple[LoadResult, ...]]:
+def correct(table: HarvestTable, tickets: Sequence[WeighedTicket]) -> tuple[Array, tuple[LoadResult, ...]]:
     """A factor for each row, and the loads in order.
 
-    A weighed load takes its own factor; any other takes that of all weighed loads together, with the spread between them. Loads
-    of one name that several machines have are one for each machine, unless a ticket says that they filled it together.
+    A weighed load takes its own factor, one that its source has corrected the source's; any other takes that of all weighed loads
+    together, with the spread between them. Loads of one name that several machines have are one for each machine, unless a ticket
+    says that they filled it together.
 
     Raises
     ------
@@ -129,25 +56,30 @@ def correct(table: HarvestTable, tickets: Sequence[Ticket]) -> tuple[Array, tupl
         load it is: several machines have one of that name, or the rows of two are mixed in it.
     """
     label, owners = table.labels["load"], Owners.of(table)
-    together = {_number_of(ticket, label.names) for ticket in tickets if ticket.machine.lower() == ALL}
+    together = {number for ticket in tickets if ticket.machine.lower() == ALL for number in _numbers_of(ticket, label.names)}
     key = np.where(np.isin(label.codes, list(together)), 0, owners.of_row)
     count = len(owners.names)
-    pairs, codes = np.unique(label.codes.astype(np.intp) * count + key, return_inverse=True)
+    pairs, firsts, codes = np.unique(label.codes.astype(np.intp) * count + key, return_index=True, return_inverse=True)
     loads = [divmod(int(pair), count) for pair in pairs]
     measured = np.bincount(codes, measured_mass_kg(table), len(loads))
     weighed = _by_load(loads, label.names, measured, tickets, owners, together)
     _refuse_mixed({loads[load][0] for load in weighed} - together, label.names, table)
-    factors = {load: ticket.weighed_kg / measured[load] for load, ticket in weighed.items()}
+    factors = {load: mass.kg / measured[load] for load, mass in weighed.items()}
+    corrected = [table.sources[table.source_of_row[row]].known_loads.get(label.names[label.codes[row]]) for row in firsts]
     common, spread = _common([(factors[load], measured[load]) for load in weighed])
+    if spread is None and any(corrected):
+        spread = UNKNOWN_SCALE_SD
     results = []
     for load, (number, owner) in enumerate(loads):
         shared = number not in together and sum(one == number for one, _ in loads) > 1
-        name, ticket = f"{label.names[number]}, {owners.names[owner]}" if shared else label.names[number], weighed.get(load)
-        if ticket is None:
-            results.append(LoadResult(name, float(measured[load]), None, common, spread))
+        name, mass = f"{label.names[number]}, {owners.names[owner]}" if shared else label.names[number], weighed.get(load)
+        if mass is not None:
+            sd = mass.sd_kg / measured[load]
+            results.append(LoadResult(name, float(measured[load]), mass.kg, factors[load], float(sd)))
+        elif (known := corrected[load]) is not None:
+            results.append(LoadResult(name, float(measured[load]), known.weighed_kg, known.factor, known.factor_sd))
         else:
-            sd = ticket.sd_kg / measured[load]
-            results.append(LoadResult(name, float(measured[load]), ticket.weighed_kg, factors[load], float(sd)))
+            results.append(LoadResult(name, float(measured[load]), None, common, spread))
     return np.array([one.factor for one in results] or [1.0])[codes], tuple(results)
 
 
@@ -182,50 +114,83 @@ def _refuse_mixed(loads: set[int], names: Sequence[str], table: HarvestTable) ->
         )
 
 
-def _number_of(ticket: Ticket, names: Sequence[str]) -> int:
+def _numbers_of(ticket: WeighedTicket, names: Sequence[str]) -> list[int]:
+    """The loads of a ticket, by their place in the names."""
+    if _said(ticket) in names:
+        return [names.index(_said(ticket))]
+    if ticket.first == ticket.last:
+        return [_number_of(ticket.first, names)]
+    if int(ticket.last) < int(ticket.first):
+        raise InputError(f"ticket of load {_said(ticket)!r}", "ends before it begins", "the first load and the last")
+    return [_number_of(str(number), names) for number in range(int(ticket.first), int(ticket.last) + 1)]
+
+
+def _number_of(load_name: str, names: Sequence[str]) -> int:
     plain = {" ".join(name.split()): number for number, name in enumerate(names)}
     short = {name.split(":")[0].removeprefix("L"): number for name, number in plain.items()}
     behind = [name.split(":", 1)[1].strip() if ":" in name else "" for name in plain]
-    load = plain.get(ticket.load, short.get(ticket.load.removeprefix("L")))
-    if load is None and behind.count(ticket.load) == 1:
-        load = list(plain.values())[behind.index(ticket.load)]
+    load = plain.get(load_name, short.get(load_name.removeprefix("L")))
+    if load is None and behind.count(load_name) == 1:
+        load = list(plain.values())[behind.index(load_name)]
     if load is None:
         raise InputError(
-            f"ticket of load {ticket.load!r}", "names a load that the harvest does not have", f"one of {', '.join(plain)}"
+            f"ticket of load {load_name!r}", "names a load that the harvest does not have", f"one of {', '.join(plain)}"
         )
     return load
+
+
+@dataclass(frozen=True)
+class _Weighed:
+    """A load's mass by its tickets."""
+
+    kg: float = 0.0
+    sd_kg: float = 0.0
+
+    def __add__(self, other: _Weighed) -> _Weighed:
+        return _Weighed(self.kg + other.kg, float(np.hypot(self.sd_kg, other.sd_kg)))
 
 
 def _by_load(
     loads: Sequence[tuple[int, int]],
     names: Sequence[str],
     measured: Array,
-    tickets: Sequence[Ticket],
+    tickets: Sequence[WeighedTicket],
     owners: Owners,
     together: set[int],
-) -> Mapping[int, Ticket]:
-    out: dict[int, Ticket] = {}
+) -> Mapping[int, _Weighed]:
+    out: dict[int, _Weighed] = {}
     for ticket in tickets:
-        number = _number_of(ticket, names)
-        where = f"ticket of load {ticket.load!r}"
-        held = [load for load, (name, _) in enumerate(loads) if name == number]
-        whose = [owners.names[loads[load][1]] for load in held]
-        if ticket.machine and number not in together:
-            if ticket.machine not in whose:
-                raise InputError(where, f"names the machine {ticket.machine!r}", f"one of {', '.join(whose)}, or {ALL}")
-            held = [held[whose.index(ticket.machine)]]
-        if len(held) > 1:
-            expected = f"a column machine with one of these, or with {ALL!r} where they filled it together"
-            raise InputError(where, f"is of {len(held)} machines or files: {', '.join(whose)}", expected)
-        load = held[0] if held else -1
-        if load < 0 or measured[load] <= 0:
-            raise InputError(where, "is of a load that measured nothing", "a load with grain")
-        whole = ticket
-        if load in out:
-            old = out[load]
-            whole = Ticket(old.load, old.weighed_kg + ticket.weighed_kg, float(np.hypot(old.sd_kg, ticket.sd_kg)), old.machine)
-        out[load] = whole
+        held = [_held_by(ticket, number, loads, owners, together) for number in _numbers_of(ticket, names)]
+        total = float(sum(measured[load] for load in held))
+        if not total > 0:
+            raise InputError(f"ticket of load {_said(ticket)!r}", "is of a load that measured nothing", "a load with grain")
+        for load in held:
+            share = float(measured[load]) / total
+            if share > 0:
+                # How a mass divides among several loads is not weighed: their deviations add up to that of the whole.
+                out[load] = out.get(load, _Weighed()) + _Weighed(ticket.mass_kg * share, ticket.std_dev_kg * share**0.5)
     return out
+
+
+def _said(ticket: WeighedTicket) -> str:
+    return ticket.first if ticket.first == ticket.last else f"{ticket.first}-{ticket.last}"
+
+
+def _held_by(ticket: WeighedTicket, number: int, loads: Sequence[tuple[int, int]], owners: Owners, together: set[int]) -> int:
+    """Index into `loads` of the machine's load that a ticket is of."""
+    where = f"ticket of load {_said(ticket)!r}"
+    held = [load for load, (name, _) in enumerate(loads) if name == number]
+    whose = [owners.names[loads[load][1]] for load in held]
+    if ticket.machine and number not in together:
+        if ticket.machine not in whose:
+            raise InputError(where, f"names the machine {ticket.machine!r}", f"one of {', '.join(whose)}, or {ALL}")
+        return held[whose.index(ticket.machine)]
+    if len(held) > 1:
+        expected = f"a column machine with one of these, or with {ALL!r} where they filled it together"
+        raise InputError(where, f"is of {len(held)} machines or files: {', '.join(whose)}", expected)
+    if not held:
+        raise InputError(where, "is of a load that measured nothing", "a load with grain")
+    return held[0]
 
 
 def _common(factors: Sequence[tuple[float, float]]) -> tuple[float, float | None]:

@@ -38,6 +38,9 @@ DEFAULT_FLOW_S = 12.0
 FORAGE_FLOW_S = 2.0
 """Delay of a forage harvester of which no more is known: its moisture, measured behind the chopper, lags by 1.9 s (0.4 to 2.9) in
 the task data of studies/harvests, and its flow is measured at the feed rolls, before that."""
+UNKNOWN_SCALE_SD = 0.03
+"""Relative standard deviation of a single load's factor about the field's, where fewer than three loads are weighed, or it was
+measured again and not weighed itself."""
 #: Text columns.
 LABELS = ("field", "load", "crop", "machine", "product")
 
@@ -79,6 +82,16 @@ class Skipped:
 
 
 @dataclass(frozen=True)
+class KnownLoad:
+    """A load that its source has corrected. factor, factor_sd: corrected over measured mass; weighed_kg: None where it was not
+    weighed itself but measured again."""
+
+    factor: float
+    factor_sd: float
+    weighed_kg: float | None
+
+
+@dataclass(frozen=True)
 class Source:
     """Where rows came from.
 
@@ -102,6 +115,8 @@ class Source:
         As of a HarvestTable of this source alone.
     taken_out : bool
         Whether the source says that its delays have been taken out of its rows.
+    known_loads : mapping of str to KnownLoad
+        Loads by name that the source itself has corrected; its rows are as measured.
     """
 
     path: str
@@ -114,6 +129,7 @@ class Source:
     declared_flow_s: float | None = None
     default_flow_s: float = 0.0
     taken_out: bool = False
+    known_loads: Mapping[str, KnownLoad] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ _MASSES = ("weighed", "mass", "weight", "weighed_mass", "net", "net_weight", "ne
 _DEVIATIONS = ("std_dev", "sd", "sigma")
 _OTHERS = ("other", "other_mass")
 _OTHER_DEVIATIONS = ("other_std_dev", "other_sd")
+_MACHINE = "machine"
 _MIN_KG, _MAX_KG = 1.0, 1e6
 _UNIT_FACTOR = 5.0
 """Between a weighed and a measured mass: machines that were never calibrated are off by half (studies/setup)."""
@@ -32,18 +33,20 @@ _UNIT_FACTOR = 5.0
 
 @dataclass(frozen=True, slots=True)
 class WeighedTicket:
-    """A weighed mass for the loads `first` to `last` (numbers, or the name of a log that holds one load). where: for errors."""
+    """A weighed mass for the loads `first` to `last` (numbers, or the name of one load or of a log that holds one). where: for
+    errors. machine: whose loads these are, where several have them."""
 
     first: str
     last: str
     mass_kg: float
     std_dev_kg: float
     where: str
+    machine: str = ""
 
 
 def load(path: str | Path) -> tuple[WeighedTicket, ...]:
     """The tickets of a file with the columns `load` (7, or 7-9 for several on one ticket) and `weighed_kg` (or _t, _dt, _lb), and
-    if known `std_dev_kg`; `other_kg` and `other_std_dev_kg` as `own_part` has them.
+    if known `std_dev_kg`, `machine`; `other_kg` and `other_std_dev_kg` as `own_part` has them.
 
     Raises InputError naming line and column.
     """
@@ -54,6 +57,7 @@ def load(path: str | Path) -> tuple[WeighedTicket, ...]:
         _with_unit(source, kinds, "") if any(_named(_plain(n), kinds) for n in source.header) else None
         for kinds in (_DEVIATIONS, _OTHERS, _OTHER_DEVIATIONS)
     )
+    machines = next((source.column(name) for name in source.header if _plain(name) == _MACHINE), ())
     tickets = []
     for i, cell in enumerate(source.column(which)):
         if not cell:
@@ -74,7 +78,8 @@ def load(path: str | Path) -> tuple[WeighedTicket, ...]:
         first, dash, last = cell.partition("-")
         spans = bool(dash) and first.strip().isdecimal() and last.strip().isdecimal()
         names = (first.strip(), last.strip()) if spans else (cell, cell)
-        tickets.append(WeighedTicket(*names, kg, sd, source.where(i, which)))
+        machine = machines[i] if machines and not delimited.is_unknown(machines[i]) else ""
+        tickets.append(WeighedTicket(*names, kg, sd, source.where(i, which), machine))
     return tuple(tickets)
 
 
@@ -145,8 +150,10 @@ def _with_unit(source: delimited.TextTable, kinds: tuple[str, ...], expected: st
 
 def _number(source: delimited.TextTable, row: int, column: str) -> float:
     cell = source.column(column)[row]
+    whole, comma, decimals = cell.partition(",")
     try:
-        value = delimited.plain_number(cell)
+        # `36,000` may be thirty-six or thirty-six thousand.
+        value = delimited.plain_number(cell if not comma or len(decimals) == 3 else f"{whole}.{decimals}")
     except ValueError:
         value = float("nan")
     if not isfinite(value):

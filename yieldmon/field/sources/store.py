@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from yieldmon.errors import InputError
-from yieldmon.field.table import DEFAULT_FLOW_S, Array, HarvestTable, Label, Source, build
+from yieldmon.field.table import DEFAULT_FLOW_S, UNKNOWN_SCALE_SD, Array, HarvestTable, KnownLoad, Label, Source, build
 from yieldmon.frames import EstimateQuality
 from yieldmon.service.logs import recorded
 from yieldmon.service.storage.batch import Load
 from yieldmon.service.storage.rows import SecondRow
+from yieldmon.service.storage.store import Store
 from yieldmon.service.storage.store_names import SQLITE_MAGIC
+from yieldmon.service.tickets.action_log import ActionLog
 
 from .crop_names import crop_names
 from .options import ReadOptions
@@ -35,9 +38,35 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
         with recorded.opened(path) as store:
             rows = store.seconds()
             loads = {load.number: load for load in store.loads()}
+            known = known_loads(store)
     except (UnicodeError, sqlite3.Error) as error:
         raise InputError(str(path), f"is damaged: {error}", "a daemon's store") from error
-    return table_of(rows, loads, path, KIND, options)
+    table = table_of(rows, loads, path, KIND, options)
+    return replace(table, sources=tuple(_with_loads(source, known) for source in table.sources))
+
+
+def known_loads(store: Store) -> dict[str, KnownLoad]:
+    """The loads that tickets of the store have corrected, or that were measured again, by number."""
+    log = ActionLog(store.tickets(), store.actions(), 0.0)
+    known = {}
+    for load in recorded.corrected_loads(store):
+        if not load.mass_kg > 0.0 or (load.ticket_id is None and load.posted_mass_kg is None):
+            continue
+        weighed_kg, sd_kg = None, UNKNOWN_SCALE_SD * load.corrected_mass_kg
+        if load.ticket_id is not None:
+            weighed_kg, (whole_kg, whole_sd_kg) = load.corrected_mass_kg, log.taught(load.ticket_id)
+            # How a ticket's mass divides among several loads is not weighed: their deviations add up to that of the whole.
+            sd_kg = whole_sd_kg * (weighed_kg / whole_kg) ** 0.5
+        known[str(load.number)] = KnownLoad(load.corrected_mass_kg / load.mass_kg, sd_kg / load.mass_kg, weighed_kg)
+    return known
+
+
+def _with_loads(source: Source, known: Mapping[str, KnownLoad]) -> Source:
+    if not known:
+        return source
+    weighed = sum(load.weighed_kg is not None for load in known.values())
+    note = f"{weighed} of its loads as weighed, {len(known) - weighed} as measured again, as `yieldmon load list` has them"
+    return replace(source, known_loads=known, notes=(*source.notes, note))
 
 
 def table_of(rows: list[SecondRow], loads: Mapping[int, Load], path: Path, kind: str, options: ReadOptions) -> HarvestTable:

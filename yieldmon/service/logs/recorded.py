@@ -141,7 +141,12 @@ def read_loads(path: Path | str) -> list[LoadRecord]:
     if Path(path).suffix.lower() in SUFFIXES and not is_store(path):
         raise InputError(str(path), "is a table of seconds, which has no loads", "a daemon's store")
     with opened(Path(path)) as store:
-        return [LoadRecord(**row) for row in store.corrected_loads()]
+        return corrected_loads(store)
+
+
+def corrected_loads(store: Store) -> list[LoadRecord]:
+    """All loads of a store that is open, with all their masses."""
+    return [LoadRecord(**row) for row in store.corrected_loads()]
 
 
 @contextmanager
