@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import fsspec
 import pytest
 
 from tests.file_limit import files_end_at
@@ -180,3 +181,29 @@ def test_no_room_to_unpack_harvests_leaves_none_out(tmp_path: Path) -> None:
             archive.writestr(name, "time_s,latitude_deg,longitude_deg,mass_flow_kg_s\n" + "1,50,10,5\n" * count)
     with files_end_at(100_000), pytest.raises(InputError, match="to unpack it; expected room there, or another folder"):
         sources.read(tmp_path / "a.zip", sources.ReadOptions())
+
+
+def test_a_dataset_in_a_storage_leaves_those_whose_names_its_own_is_a_pattern_for(tmp_path: Path) -> None:
+    def stored() -> dict[str, bytes]:
+        names: list[str] = files.find("/fleet")
+        return {name: files.cat_file(name) for name in names}
+
+    files, _ = fsspec.core.url_to_fs("memory://fleet")
+    (tmp_path / "records.parquet").write_bytes(b"records")
+    name, content = "machine=m/day=d", {"key": "k", "poisoned": []}
+    first, second = Dataset("memory://fleet/season1"), Dataset("memory://fleet/season[1]")
+    first.commit(name, tmp_path, content, first.begin())
+    before = stored()
+    token = second.begin()
+    second.commit(name, tmp_path, content, token)
+    second.fail("machine=m/day=e", {"machine": "m", "day": "e", "problem": "p"}, token)
+    files.pipe_file(f"/fleet/season[1]/{name}/stray.parquet", b"half")
+    token = second.begin()
+    second.commit(name, tmp_path, content, token)
+    second.commit("machine=m/day=e", tmp_path, content, token)
+    second.end(token)
+    after = stored()
+    own = {path.removeprefix("/fleet/season[1]/") for path in after if path.startswith("/fleet/season[1]/")}
+    files.rm_file("/fleet/season1/_run")
+    assert own == {f"machine=m/day={day}/{file}" for day in "de" for file in ("records.parquet", "_COMMITTED")}
+    assert {path: after[path] for path in before} == before

@@ -356,8 +356,14 @@ class Dataset:
             else:
                 Path(path).unlink(missing_ok=True)
             return
+        # By exact names: `rm` takes what is special in the dataset's own name for a pattern.
         with suppress(FileNotFoundError):
-            self._files.rm(path, recursive=True)
+            found = self._files.find(path, withdirs=True, detail=True)
+            for child, entry in sorted({path: {"type": "directory"}, **found}.items(), reverse=True):
+                if entry["type"] != "directory":
+                    self._files.rm_file(child)
+                elif self._files.isdir(child):
+                    self._files.rmdir(child)
 
 
 _MARK: Mapping[str, type] = {"key": str, "files": dict, "poisoned": list}
