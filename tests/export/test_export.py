@@ -401,3 +401,24 @@ def test_a_geopackage_that_outgrows_its_medium_is_one_line(folder, tmp_path, cap
     assert said.count("\n") == 1
     assert "; expected " in said
     assert list(out.iterdir()) == []
+
+
+def test_a_stores_points_have_the_field_crop_and_dry_mass_of_their_loads(tmp_path):
+    """As `load list` has them: wheat is dry at 13.5 %, corn at 15.5."""
+    rows = [dataclasses.replace(row, load_number=1 if row.number <= 99 else 2, moisture_pct=20.0) for row in ROWS]
+    loads = (
+        Load(1, "north", "wheat", START_S, START_S + 99.0, 560.0, None),
+        Load(2, "south", "", START_S + 99.0, None, 600.0, None),
+    )
+    with Store(tmp_path / "two.sqlite") as store:
+        store.commit([Batch(1, START_S, {}, tuple(rows), loads)])
+    words = ["export", str(tmp_path / "two.sqlite"), "--swath", "9", "--flow-delay", str(DELAY_S), "--out"]
+    assert cli.main([*words, str(tmp_path / "t.txt")]) == 0
+    written = {tuple(line.split(",")[11:14]) for line in (tmp_path / "t.txt").read_text().splitlines()}
+    assert written == {('"F1:north"', '"L1:<1>"', '"wheat"'), ('"F1:south"', '"L2:<1>"', '"corn"')}
+    for given, of_wheat in (([], 80.0 / 86.5), (["--grain", "rice"], 80.0 / 87.0), (["--reference-moisture", "10"], 80.0 / 90.0)):
+        assert cli.main([*words, str(tmp_path / "t.csv"), "--what", "points", "--force", *given]) == 0
+        with (tmp_path / "t.csv").open(encoding="utf-8") as stream:
+            points = list(csv.DictReader(stream))
+        shares = {p["load_number"]: float(p["dry_yield_kg_m2"]) / float(p["yield_kg_m2"]) for p in points}
+        assert shares == {"1": pytest.approx(of_wheat), "2": pytest.approx(of_wheat if given else 80.0 / 84.5)}

@@ -354,7 +354,7 @@ def odd_names(rng: random.Random) -> None:
     rows = [measured_second(n, 1.7e9 + n, 9.0, latitude_deg=40.0 + n * 1e-5) for n in range(1, 40)]
     points = yield_points(rows, PointSettings(6.0, 0.0, 0.0, 0.0))
     with _folder() as folder:
-        _line_or_work(lambda: taskdata.write(folder / "t.zip", points, name, 15.5), f"{name!r} in task data")
+        _line_or_work(lambda: taskdata.write(folder / "t.zip", points, name, lambda load: 15.5), f"{name!r} in task data")
         with zipfile.ZipFile(folder / "t.zip") as packed:
             documents = [packed.read(one) for one in packed.namelist() if one.upper().endswith(".XML")]
         try:
@@ -362,7 +362,9 @@ def odd_names(rng: random.Random) -> None:
                 ET.fromstring(document)
         except ET.ParseError as error:
             raise Broken(f"{name!r} in task data: {error}") from error
-        _line_or_work(lambda: agleader.write(folder / "a.txt", points, name, "Corn"), f"{name!r} in Ag Leader's text")
+        _line_or_work(
+            lambda: agleader.write(folder / "a.txt", points, lambda load: (name, "Corn")), f"{name!r} in Ag Leader's text"
+        )
         text = (folder / "a.txt").read_bytes().decode("utf-8", "surrogatepass")
         require(not re.search("[\0-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u202e]", text), f"{name!r} as it is in Ag Leader's text")
         load = Load(1, name, "corn", 1.0, None, 10.0, None)

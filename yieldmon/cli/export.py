@@ -9,10 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from yieldmon.cli import _outputs
-from yieldmon.cli._limits import within
+from yieldmon.cli._limits import within, within_if_given
+from yieldmon.engine.mass.totals import CORN_MARKET_MOISTURE_PCT
 from yieldmon.errors import InputError
 from yieldmon.export import agleader, columns, geojson, geopackage, taskdata
 from yieldmon.export.points import PointSettings, YieldPoint, yield_points
+from yieldmon.files.crops import find_crop
 from yieldmon.service.logs import recorded
 from yieldmon.service.storage.ledger import LoadRecord
 from yieldmon.service.storage.rows import SecondRow
@@ -27,6 +29,7 @@ ENDINGS = {
 }
 FORMATS = tuple(ENDINGS.values())
 TABLES = ("csv", "parquet")
+_FIELD, _GRAIN = "field", "corn"
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -50,9 +53,11 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     points.add_argument("--flow-delay", type=float, default=12.0, metavar="S", help="from cutting to the sensor (default: 12)")
     points.add_argument("--start-delay", type=float, default=4.0, metavar="S", help="left out at a pass's start (default: 4)")
     points.add_argument("--end-delay", type=float, default=4.0, metavar="S", help="left out at a pass's end (default: 4)")
-    points.add_argument("--reference-moisture", type=float, default=15.5, metavar="PCT", help="of dry mass (default: 15.5)")
-    points.add_argument("--field", default="field", metavar="NAME", help="name of the field (default: field)")
-    points.add_argument("--grain", default="corn", metavar="NAME", help="name of the crop (default: corn)")
+    points.add_argument(
+        "--reference-moisture", type=float, metavar="PCT", help="of dry mass (default: the crop's market moisture, else 15.5)"
+    )
+    points.add_argument("--field", metavar="NAME", help="name of the field (default: the load's, else field)")
+    points.add_argument("--grain", metavar="NAME", help="name of the crop (default: the load's, else corn)")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -76,16 +81,24 @@ def run(args: argparse.Namespace) -> int:
         _table(kind)(out, SecondRow, rows)
         print(f"{out}: {_counted(len(rows), 'second')}", file=sys.stderr)
         return 0
-    points = yield_points(rows, _settings(args), args.record)
+    loads = recorded.read_loads(args.record) if recorded.is_store(args.record) else []
+    settings = _settings(args, loads)
+    points = yield_points(rows, settings, args.record)
     if not points:
         expected = "flow, and a position --flow-delay before it"
         raise InputError(args.record, "has no second of harvest that a place belongs to", expected)
-    _write_points(kind, out, points, args)
+    _write_points(kind, out, points, settings, _names(args, loads))
     said = f"{out}: {_counted(len(points), 'yield point')}"
     if kind in ("agleader", "taskdata"):
         # Readers take such files for raw ones.
         said += f"; the flow delay of {args.flow_delay:g} s is taken out: read them with `yieldmon map --flow-delay 0`"
     print(said, file=sys.stderr)
+    in_points = {point.load_number for point in points}
+    corrected = [load for load in loads if load.number in in_points and load.corrected_mass_kg != load.mass_kg]
+    if corrected:
+        better = f"{sum(load.corrected_mass_kg for load in corrected):.0f} for {sum(load.mass_kg for load in corrected):.0f} kg"
+        note = f"points are as measured; {_counted(len(corrected), 'load')} weighed or measured again ({better})"
+        print(f"yieldmon: {note}: `yieldmon map` corrects its points", file=sys.stderr)
     return 0
 
 
@@ -97,7 +110,15 @@ def _table(kind: str) -> Callable[[Path, type, Sequence[Any]], None]:
     return columns.write_csv if kind == "csv" else columns.write_parquet
 
 
-def _write_points(kind: str, out: Path, points: list[YieldPoint], args: argparse.Namespace) -> None:
+def _names(args: argparse.Namespace, loads: Sequence[LoadRecord]) -> Callable[[int], tuple[str, str]]:
+    """Field and crop of a load, by its number."""
+    known = {load.number: (args.field or load.field or _FIELD, args.grain or load.crop or _GRAIN) for load in loads}
+    return lambda number: known.get(number, (args.field or _FIELD, args.grain or _GRAIN))
+
+
+def _write_points(
+    kind: str, out: Path, points: list[YieldPoint], settings: PointSettings, names_of: Callable[[int], tuple[str, str]]
+) -> None:
     if kind in TABLES:
         _table(kind)(out, YieldPoint, points)
     elif kind == "geojson":
@@ -105,12 +126,14 @@ def _write_points(kind: str, out: Path, points: list[YieldPoint], args: argparse
     elif kind == "geopackage":
         geopackage.write(out, points)
     elif kind == "agleader":
-        agleader.write(out, points, args.field, args.grain)
+        agleader.write(out, points, names_of)
     else:
-        taskdata.write(out, points, args.field, args.reference_moisture)
+        fields = {names_of(point.load_number)[0] for point in points}
+        taskdata.write(out, points, fields.pop() if len(fields) == 1 else _FIELD, settings.reference_of)
 
 
-def _settings(args: argparse.Namespace) -> PointSettings:
+def _settings(args: argparse.Namespace, loads: Sequence[LoadRecord]) -> PointSettings:
+    given_pct = args.reference_moisture
     if args.swath is None:
         raise InputError("--swath", "is missing", "the working width in m, for yield by area")
     for name, value, low, high in (
@@ -118,13 +141,21 @@ def _settings(args: argparse.Namespace) -> PointSettings:
         ("--flow-delay", args.flow_delay, 0.0, 60.0),
         ("--start-delay", args.start_delay, 0.0, 600.0),
         ("--end-delay", args.end_delay, 0.0, 600.0),
-        ("--reference-moisture", args.reference_moisture, 0.0, 50.0),
     ):
         within(name, value, low, high)
+    within_if_given("--reference-moisture", given_pct, 0.0, 50.0)
+    given_pct = given_pct if given_pct is not None or not args.grain else _market_moisture_pct(args.grain)
     return PointSettings(
         swath_m=args.swath,
         flow_delay_s=args.flow_delay,
         start_pass_delay_s=args.start_delay,
         end_pass_delay_s=args.end_delay,
-        reference_moisture_pct=args.reference_moisture,
+        reference_moisture_pct=CORN_MARKET_MOISTURE_PCT if given_pct is None else given_pct,
+        reference_by_load={load.number: _market_moisture_pct(load.crop) for load in loads} if given_pct is None else {},
     )
+
+
+def _market_moisture_pct(crop: str) -> float:
+    """As loads have it: corn's where the crop is not known."""
+    known = find_crop(crop)
+    return CORN_MARKET_MOISTURE_PCT if known is None else known.market_moisture_pct

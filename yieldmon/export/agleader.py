@@ -10,7 +10,7 @@ Leader Format"; the units, the data set gartner.corn of the R package agridat, w
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from yieldmon.files import whole_file
@@ -52,7 +52,7 @@ def line(point: YieldPoint, field: str, grain: str) -> str:
     return ",".join(values)
 
 
-def write(path: Path, points: Sequence[YieldPoint], field: str, grain: str) -> None:
-    """One line a point."""
-    text = "".join(line(point, field, grain) + "\r\n" for point in points)
+def write(path: Path, points: Sequence[YieldPoint], names_of: Callable[[int], tuple[str, str]]) -> None:
+    """One line a point. names_of: field and grain of a load, by its number."""
+    text = "".join(line(point, *names_of(point.load_number)) + "\r\n" for point in points)
     whole_file.write(path, text.encode("ascii", "replace"))

@@ -9,8 +9,8 @@ out (start and end pass delay). See Blackmore and Marshall, "Yield mapping: erro
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 from yieldmon.engine.mass.totals import dry_mass
@@ -27,7 +27,7 @@ _HALF_S = 0.5 + 1e-6
 @dataclass(frozen=True)
 class PointSettings:
     """swath_m: working width. pass_gap_s: a pause of the position's flow this long ends a pass. min_speed_m_s: below it the yield
-    of a place is not defined. reference_moisture_pct: of dry mass."""
+    of a place is not defined. reference_moisture_pct: of dry mass; reference_by_load: of the loads whose crop is known."""
 
     swath_m: float
     flow_delay_s: float = 12.0
@@ -36,6 +36,11 @@ class PointSettings:
     pass_gap_s: float = 2.5
     min_speed_m_s: float = 0.3
     reference_moisture_pct: float = 15.5
+    reference_by_load: Mapping[int, float] = field(default_factory=dict)
+
+    def reference_of(self, load_number: int) -> float:
+        """Moisture of a load's dry mass, %."""
+        return self.reference_by_load.get(load_number, self.reference_moisture_pct)
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +76,6 @@ def yield_points(rows: Sequence[SecondRow], settings: PointSettings, where: str 
     if not placed:
         expected = "VehiclePosition and VehicleDirectionSpeed frames"
         raise InputError(where, "has no second with position and ground speed", expected)
-    totals = TotalsSettings(moisture_reference_pct=settings.reference_moisture_pct)
     times_s = [row.time_s for row in placed]
     matched = []
     for row in rows:
@@ -86,7 +90,7 @@ def yield_points(rows: Sequence[SecondRow], settings: PointSettings, where: str 
         for place, row in driven:
             if place.time_s - first_s < settings.start_pass_delay_s or last_s - place.time_s < settings.end_pass_delay_s:
                 continue
-            points.append(_point(place, row, settings, totals, number))
+            points.append(_point(place, row, settings, number))
     return points
 
 
@@ -108,12 +112,13 @@ def _passes(matched: Sequence[tuple[SecondRow, SecondRow]], gap_s: float) -> Ite
     yield current
 
 
-def _point(place: SecondRow, row: SecondRow, settings: PointSettings, totals: TotalsSettings, number: int) -> YieldPoint:
+def _point(place: SecondRow, row: SecondRow, settings: PointSettings, number: int) -> YieldPoint:
     assert place.latitude_deg is not None, "the caller chose places"
     assert place.longitude_deg is not None, "a latitude never comes alone"
     assert place.ground_speed_m_s is not None, "the caller chose places"
     distance = place.ground_speed_m_s * row.duration_s
     area = distance * settings.swath_m
+    totals = TotalsSettings(moisture_reference_pct=settings.reference_of(row.load_number))
     dry = dry_mass(row.mass_kg, _NAN if row.moisture_pct is None else row.moisture_pct, totals)
     return YieldPoint(
         time_s=place.time_s,

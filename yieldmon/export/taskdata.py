@@ -8,7 +8,7 @@ from __future__ import annotations
 import struct
 import xml.etree.ElementTree as ET
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from yieldmon import utc
@@ -57,7 +57,7 @@ def raw_values(point: YieldPoint, total_kg: float, total_dry_kg: float | None, r
     return {ddi: round(value) for ddi, value in known.items() if value is not None}
 
 
-def binary_log(points: Sequence[YieldPoint], reference_moisture_pct: float) -> tuple[bytes, dict[int, int]]:
+def binary_log(points: Sequence[YieldPoint], reference_of: Callable[[int], float]) -> tuple[bytes, dict[int, int]]:
     """The records of the time log, and the last raw value of each total.
 
     A record: ms since midnight (uint32), days since 1980-01-01 (uint16), north and east in 1e-7 deg (int32), position status
@@ -70,7 +70,7 @@ def binary_log(points: Sequence[YieldPoint], reference_moisture_pct: float) -> t
         total_kg += point.mass_kg
         dry_known = dry_known and point.dry_mass_flow_kg_s is not None
         total_dry_kg += (point.dry_mass_flow_kg_s or 0.0) * point.duration_s
-        values = raw_values(point, total_kg, total_dry_kg if dry_known else None, reference_moisture_pct)
+        values = raw_values(point, total_kg, total_dry_kg if dry_known else None, reference_of(point.load_number))
         totals |= {ddi: values[ddi] for ddi in _TOTALS if ddi in values}
         since = utc.moment(round(point.time_s, 3)) - task_data.EPOCH
         milliseconds = since.seconds * 1000 + round(since.microseconds / 1000)
@@ -82,11 +82,11 @@ def binary_log(points: Sequence[YieldPoint], reference_moisture_pct: float) -> t
     return b"".join(records), totals
 
 
-def files(points: Sequence[YieldPoint], field: str, reference_moisture_pct: float) -> dict[str, bytes]:
+def files(points: Sequence[YieldPoint], field: str, reference_of: Callable[[int], float]) -> dict[str, bytes]:
     """File name -> content of a TASKDATA folder. Raises ValueError without points."""
     if not points:
         raise ValueError("no points")
-    content, totals = binary_log(points, reference_moisture_pct)
+    content, totals = binary_log(points, reference_of)
     first, last = (utc.moment(points[k].time_s) for k in (0, -1))
     log = task_data.Log(LOG_NAME, content, first, last, round((last - first).total_seconds()), totals)
     root = task_data.task_data()
@@ -97,10 +97,11 @@ def files(points: Sequence[YieldPoint], field: str, reference_moisture_pct: floa
     return task_data.files_of(root, ENTRIES, [log])
 
 
-def write(path: Path, points: Sequence[YieldPoint], field: str, reference_moisture_pct: float) -> None:
-    """A zip with the folder TASKDATA in it for a name that ends in .zip, else that folder inside `path`."""
+def write(path: Path, points: Sequence[YieldPoint], field: str, reference_of: Callable[[int], float]) -> None:
+    """A zip with the folder TASKDATA in it for a name that ends in .zip, else that folder inside `path`. reference_of: moisture
+    of a load's dry mass, %, by its number."""
     try:
-        content = files(points, plain(field), reference_moisture_pct)
+        content = files(points, plain(field), reference_of)
     except (struct.error, OverflowError) as error:
         expected = "times from 1980 to 2159 and masses below 2 Mt"
         raise InputError(str(path), f"a point does not fit task data: {error}", expected) from error
