@@ -103,7 +103,9 @@ def check(path: Path, within_s: float = 1e-6) -> list[can.Message]:
 def test_every_kind_of_frame_of_a_pcap(tmp_path: Path, link: int, order: str, nanoseconds: bool) -> None:
     path = tmp_path / "drive.pcap"
     path.write_bytes(pcap([packet(frame, link) for frame in FRAMES], link, order, nanoseconds))
-    assert all(message.is_rx == (link == SOCKETCAN) for message in check(path))
+    found = check(path)
+    assert all(message.is_rx == (link == SOCKETCAN) for message in found)
+    assert {message.channel for message in found} == {"2" if link == SLL2 else None}, "of all interfaces, each by its number"
 
 
 @pytest.mark.parametrize("order", "<>")

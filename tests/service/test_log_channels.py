@@ -69,7 +69,7 @@ def test_inputs_on_two_channels_are_refused_and_one_can_be_chosen(
 ) -> None:
     """Bridged buses gave 0 kg, the files of two loggers twice the mass."""
     paths = written(tmp_path, *files)
-    said = f"{message} comes on can0 and can1 at the same times"
+    said = f"{message} comes on channels can0 and can1 at the same times"
     assert main(["process", *paths, "--out", str(tmp_path / "o.csv")]) == 2
     error = capsys.readouterr().err
     assert f"{paths[-1]}: {said}" in error
@@ -113,7 +113,7 @@ READERS: dict[str, Callable[[list[str], configuration.Configuration], object]] =
 @pytest.mark.parametrize("reader", READERS)
 def test_what_learns_from_logs_takes_the_configurations_channel(reader: str, tmp_path: Path) -> None:
     paths = bridged(tmp_path)
-    with pytest.raises(InputError, match="ImpactSensorSamples comes on can0 and can1"):
+    with pytest.raises(InputError, match="ImpactSensorSamples comes on channels can0 and can1"):
         READERS[reader](paths, CONFIGURED)
     (tmp_path / "c.yaml").write_text("bus: {log_channels: [can1]}")
     assert READERS[reader](paths, configuration.load(tmp_path / "c.yaml"))
@@ -133,7 +133,7 @@ def test_a_channel_that_is_not_there_is_refused_with_those_that_are(tmp_path: Pa
 def test_check_config_takes_a_channel(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (log,) = bridged(tmp_path)
     assert main(["check-config", "--log", log]) == 2
-    assert "ImpactSensorSamples comes on can0 and can1" in capsys.readouterr().err
+    assert "ImpactSensorSamples comes on channels can0 and can1" in capsys.readouterr().err
     assert main(["check-config", "--log", log, "-c", "can1", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["signals"]["impact"]["rate_hz"] == pytest.approx(1000.0, rel=1e-3)
 
@@ -178,6 +178,6 @@ def test_a_fleet_measures_one_of_two_loggers_files(tmp_path: Path, capsys: pytes
     run = ["fleet", "run", str(tmp_path / "logs"), "--workers", "0", "--json", "--out"]
     assert main([*run, str(tmp_path / "a")]) == 1
     document = json.loads(capsys.readouterr().out)
-    assert ["comes on can0 and can1" in item["problem"] for item in document["poisoned"]] == [True]
+    assert ["comes on channels can0 and can1" in item["problem"] for item in document["poisoned"]] == [True]
     assert document["done"] == 1
     assert main([*run, str(tmp_path / "b"), "--channel", "can1"]) == 0

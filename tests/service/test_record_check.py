@@ -31,6 +31,12 @@ def test_a_stretch_without_seconds_is_a_gap(times_s, gaps, gap_s):
     assert (check.gaps, check.gap_s) == (gaps, pytest.approx(gap_s))
 
 
+def test_a_recorder_that_is_told_the_date_leaves_no_gap():
+    """57 years without samples were said of it."""
+    check = checked(1.0, 2.0, 1_790_000_003.0, 1_790_000_004.0)
+    assert (check.gaps, check.gap_s) == (0, 0.0)
+
+
 def test_a_second_with_the_machines_speed_in_place_of_a_measured_one_lacks_it():
     check = RecordCheck()
     for number, faults in enumerate(("", "SpeedMissing", "BusError SpeedMissing", "BusError"), 1):

@@ -163,13 +163,16 @@ def _of_packet(order: str, body: bytes, interfaces: list[_Interface]) -> can.Mes
 def _message(interface: _Interface, time_s: float, packet: bytes) -> can.Message | None:
     """The frame of a packet; None where it is of another protocol."""
     before, protocol_at = _HEADS[interface.link]
-    outgoing = False
+    outgoing, channel = False, interface.name
     if protocol_at is not None:
         if len(packet) < before:
             raise ValueError("a damaged packet")
         if struct.unpack_from(">H", packet, protocol_at)[0] not in _CAN_PROTOCOLS:
             return None
         outgoing = (packet[10] if interface.link == _SLL2 else packet[1]) == 4
+        if interface.link == _SLL2:
+            # Of all interfaces: each has its number, and no name.
+            channel = str(struct.unpack_from(">I", packet, 4)[0])
     if len(packet) < before + _FRAME.size:
         raise ValueError("a packet that is no frame")
     identifier, length, flags = _FRAME.unpack_from(packet, before)
@@ -183,7 +186,7 @@ def _message(interface: _Interface, time_s: float, packet: bytes) -> can.Message
     is_extended = bool(identifier & EXTENDED_FLAG) and not is_error
     return can.Message(
         timestamp=time_s,
-        channel=interface.name,
+        channel=channel,
         arbitration_id=identifier & (LARGEST_EXTENDED_ID if is_extended or is_error else LARGEST_STANDARD_ID),
         is_extended_id=is_extended,
         is_error_frame=is_error,

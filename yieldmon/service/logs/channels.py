@@ -63,16 +63,13 @@ def _by_channel(block: FrameBlock, rows: NDArray[np.intp], times_s: NDArray[np.f
 
 
 def _refuse_shared(log: str, message: str, by_channel: Mapping[str, set[int]]) -> None:
-    names = sorted(by_channel)
+    names = sorted(by_channel.keys() - {""})
     for place, one in enumerate(names):
         for other in names[place + 1 :]:
             if len(by_channel[one] & by_channel[other]) >= _SHARED_S:
+                of_dbc = message.partition("/")[0]
                 raise InputError(
                     log,
-                    f"{message} comes on {_said(one)} and {_said(other)} at the same times, as of bridged buses or two loggers",
-                    f"one channel: --channel {_said(one)} or {_said(other)} (bus.log_channels of the configuration)",
+                    f"{of_dbc} comes on channels {one} and {other} at the same times, as of bridged buses or two loggers",
+                    f"one channel: --channel {one} or {other} (bus.log_channels of the configuration)",
                 )
-
-
-def _said(name: str) -> str:
-    return name or "no channel"

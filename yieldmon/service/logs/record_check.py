@@ -8,6 +8,7 @@ from math import inf
 from yieldmon.documents.process import ProcessSummary
 from yieldmon.engine.faults import FaultCode
 from yieldmon.service.storage.rows import SecondRow
+from yieldmon.utc import EARLIEST_BUS_TIME_S
 
 _BACK_S = 0.5
 """Further back than this is the clock or another log."""
@@ -47,7 +48,9 @@ class RecordCheck:
         """The next second."""
         silent = not row.coverage > 0.0
         before_s = self._stretch[1] if self._stretch is not None else row.time_s
-        jumped = row.time_s - before_s > row.duration_s + _GAP_S
+        # A recorder that is told the date in the middle leaves nothing out.
+        dated = before_s < EARLIEST_BUS_TIME_S <= row.time_s
+        jumped = row.time_s - before_s > row.duration_s + _GAP_S and not dated
         if jumped:
             self.gap_s += row.time_s - before_s - row.duration_s
         if silent:
