@@ -21,9 +21,9 @@ from yieldmon.bus.opening import add_bus_arguments, open_bus_from
 from yieldmon.bus.replay import ON_TIME_S, Progress, Schedule, Selection, Sender, replay
 from yieldmon.cli._json import print_json
 from yieldmon.cli._limits import within
+from yieldmon.cli.main import EXIT_INTERRUPTED
 from yieldmon.errors import InputError
 
-_EXIT_INTERRUPTED = 130
 _DAMAGES_SHOWN = 10
 
 
@@ -86,7 +86,7 @@ def run(args: argparse.Namespace) -> int:
             replay(passes, sender.send, schedule, progress)
             code = 0
         except KeyboardInterrupt:
-            code = _EXIT_INTERRUPTED
+            code = EXIT_INTERRUPTED
     if not progress.sent and code == 0:
         raise InputError(", ".join(args.logs), "no frame to send", "frames that the options let through")
     _report(progress, notes, args)

@@ -11,6 +11,7 @@ import zipfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from yieldmon import data_dictionary as ddi
 from yieldmon import utc
 from yieldmon.errors import InputError
 from yieldmon.files import task_data, whole_file
@@ -25,16 +26,16 @@ FILES = (task_data.MAIN_FILE, f"{LOG_NAME}.xml", f"{LOG_NAME}.bin")
 """In it."""
 
 ENTRIES = (
-    task_data.Entry(87, "Mass per time yield", "mg/s"),
-    task_data.Entry(84, "Mass per area yield", "mg/m2"),
-    task_data.Entry(90, "Yield total mass", "kg", total=True),
-    task_data.Entry(99, "Crop moisture", "ppm"),
-    task_data.Entry(181, "Dry mass per area yield", "mg/m2"),
-    task_data.Entry(182, "Dry mass per time yield", "mg/s"),
-    task_data.Entry(183, "Yield total dry mass", "kg", total=True),
-    task_data.Entry(184, "Reference moisture for dry mass", "ppm"),
-    task_data.Entry(239, "Yield hold status", ""),
-    task_data.Entry(67, "Actual working width", "mm"),
+    task_data.Entry(ddi.MASS_PER_TIME, "Mass per time yield", "mg/s"),
+    task_data.Entry(ddi.MASS_PER_AREA, "Mass per area yield", "mg/m2"),
+    task_data.Entry(ddi.TOTAL_MASS, "Yield total mass", "kg", total=True),
+    task_data.Entry(ddi.MOISTURE, "Crop moisture", "ppm"),
+    task_data.Entry(ddi.DRY_PER_AREA, "Dry mass per area yield", "mg/m2"),
+    task_data.Entry(ddi.DRY_PER_TIME, "Dry mass per time yield", "mg/s"),
+    task_data.Entry(ddi.DRY_TOTAL, "Yield total dry mass", "kg", total=True),
+    task_data.Entry(ddi.REFERENCE_MOISTURE, "Reference moisture for dry mass", "ppm"),
+    task_data.Entry(ddi.HOLD, "Yield hold status", ""),
+    task_data.Entry(ddi.WIDTH, "Actual working width", "mm"),
 )
 _TOTALS = tuple(entry.ddi for entry in ENTRIES if entry.total)
 _INDEX = {entry.ddi: index for index, entry in enumerate(ENTRIES)}
@@ -43,18 +44,18 @@ _INDEX = {entry.ddi: index for index, entry in enumerate(ENTRIES)}
 def raw_values(point: YieldPoint, total_kg: float, total_dry_kg: float | None, reference_moisture_pct: float) -> dict[int, int]:
     """DDI -> raw integer of what is known at a point. total_kg, total_dry_kg: of the task, this point included."""
     known: dict[int, float | None] = {
-        87: point.mass_flow_kg_s * 1e6,
-        84: point.yield_kg_m2 * 1e6,
-        90: total_kg,
-        99: None if point.moisture_pct is None else point.moisture_pct * 1e4,
-        181: None if point.dry_yield_kg_m2 is None else point.dry_yield_kg_m2 * 1e6,
-        182: None if point.dry_mass_flow_kg_s is None else point.dry_mass_flow_kg_s * 1e6,
-        183: total_dry_kg,
-        184: reference_moisture_pct * 1e4,
-        239: float(point.held),
-        67: point.swath_m * 1e3,
+        ddi.MASS_PER_TIME: point.mass_flow_kg_s * 1e6,
+        ddi.MASS_PER_AREA: point.yield_kg_m2 * 1e6,
+        ddi.TOTAL_MASS: total_kg,
+        ddi.MOISTURE: None if point.moisture_pct is None else point.moisture_pct * 1e4,
+        ddi.DRY_PER_AREA: None if point.dry_yield_kg_m2 is None else point.dry_yield_kg_m2 * 1e6,
+        ddi.DRY_PER_TIME: None if point.dry_mass_flow_kg_s is None else point.dry_mass_flow_kg_s * 1e6,
+        ddi.DRY_TOTAL: total_dry_kg,
+        ddi.REFERENCE_MOISTURE: reference_moisture_pct * 1e4,
+        ddi.HOLD: float(point.held),
+        ddi.WIDTH: point.swath_m * 1e3,
     }
-    return {ddi: round(value) for ddi, value in known.items() if value is not None}
+    return {number: round(value) for number, value in known.items() if value is not None}
 
 
 def binary_log(points: Sequence[YieldPoint], reference_of: Callable[[int], float]) -> tuple[bytes, dict[int, int]]:

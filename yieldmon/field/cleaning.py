@@ -30,16 +30,21 @@ if TYPE_CHECKING:
 KEPT = "kept"
 NO_PLACE = "no place"
 """Mass measured at a time whose place, one delay before, is not in the record."""
+# Thresholds that people are told stand in RULES with what they are of.
 _MAX_RAMP_S = 20.0
+"""At most left out at the start and at the end of a pass."""
 _RAMP_LEVEL = 0.95
 _AFTER_S = 10.0
+"""The yield of a pass's start is held against that of so long after it."""
 _TURN_DEG = 30.0
 _SPEED_STEP = 0.25
 _SHORT_PASS_WIDTHS = 3.0
 _FENCE = 3.0
+"""Interquartile ranges from the quartiles to Tukey's outer fences."""
 _MIN_NEW_SHARE = 0.5
 _JUMP_TIMES = 3.0
 _MIN_PART, _MAX_PARTS = 200, 200
+"""Rows from which on a source and crop have thresholds of their own, and how many such parts there may be."""
 _MUCH = 0.25
 """Share of the mass from which on what one rule leaves out is said by itself."""
 

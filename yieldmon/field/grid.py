@@ -12,6 +12,7 @@ from .tracks import Flags, Index
 
 MAX_BLOCKS = 4_000_000
 _DEG_M = 111_320.0
+"""About: blocks need not be square to the metre."""
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from math import degrees
 from yieldmon.bus.databases import MessageBits, SignalBits
 from yieldmon.errors import InputError
 from yieldmon.identifiers import GROUP_MASK, IDENTITY_MASK, NULL_ADDRESS, SOURCE_MASK, group_of
+from yieldmon.network.diagnostics import DM1
 from yieldmon.network.identifier import (
     ACKNOWLEDGEMENT,
     ADDRESS_CLAIMED,
@@ -28,11 +29,10 @@ from yieldmon.signals.units import accepted, factor
 OWN = "own"
 MIN_PERIOD_MS, MAX_PERIOD_MS = 50.0, 10_000.0
 _EXTENDED = 1 << 29
-_DM1 = 0xFECA
 #: Groups by which nodes agree on addresses and long messages.
 _OF_THE_NETWORK = {
     ACKNOWLEDGEMENT: "acknowledgement", ADDRESS_CLAIMED: "address claim", REQUEST: "request", PROCESS_DATA: "process data",
-    TRANSPORT_CONNECTION: "transport protocol", TRANSPORT_DATA: "transport protocol", _DM1: "DM1",
+    TRANSPORT_CONNECTION: "transport protocol", TRANSPORT_DATA: "transport protocol", DM1: "DM1",
 }  # fmt: skip
 
 

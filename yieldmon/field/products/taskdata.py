@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from yieldmon import data_dictionary as ddi
 from yieldmon.field.grid import Grid
 from yieldmon.field.harvest import HarvestMap
 from yieldmon.field.table import Array
@@ -23,16 +24,15 @@ from yieldmon.units import S_PER_DAY
 from . import FILES
 
 ENTRIES = (
-    task_data.Entry(67, "Actual working width", "mm"),
-    task_data.Entry(84, "Mass per area yield", "mg/m2"),
-    task_data.Entry(87, "Mass per time yield", "mg/s"),
-    task_data.Entry(90, "Yield total mass", "kg", total=True),
-    task_data.Entry(99, "Crop moisture", "ppm"),
-    task_data.Entry(116, "Total area", "m2", total=True),
-    task_data.Entry(141, "Actual work state", ""),
-    task_data.Entry(259, "Yield lag ignore time", "ms"),
+    task_data.Entry(ddi.WIDTH, "Actual working width", "mm"),
+    task_data.Entry(ddi.MASS_PER_AREA, "Mass per area yield", "mg/m2"),
+    task_data.Entry(ddi.MASS_PER_TIME, "Mass per time yield", "mg/s"),
+    task_data.Entry(ddi.TOTAL_MASS, "Yield total mass", "kg", total=True),
+    task_data.Entry(ddi.MOISTURE, "Crop moisture", "ppm"),
+    task_data.Entry(ddi.TOTAL_AREA, "Total area", "m2", total=True),
+    task_data.Entry(ddi.WORK_STATE, "Actual work state", ""),
+    task_data.Entry(ddi.LAG, "Yield lag ignore time", "ms"),
 )
-_LAG = 259
 
 
 def write(folder: Path, result: HarvestMap, grid: Grid) -> list[Path]:
@@ -70,16 +70,16 @@ def _log(result: HarvestMap, stream: int, number: int) -> tuple[str, task_data.L
     machine = next((one for one in result.machines if one.stream == stream), result.machines[0])
     lag_ms = max(machine.flow.value_s, 0.0) * 1000.0
     values: dict[int, Array] = {
-        67: steps.width_m[rows] * 1000,
-        84: np.where(np.isfinite(per_area), per_area, 0.0) * 1e6,
-        87: flow * 1e6,
-        90: total,
-        99: np.nan_to_num(steps.moisture_pct[rows]) * 1e4,
-        116: area,
-        141: steps.down[rows].astype(float),
-        _LAG: np.full(len(rows), lag_ms),
+        ddi.WIDTH: steps.width_m[rows] * 1000,
+        ddi.MASS_PER_AREA: np.where(np.isfinite(per_area), per_area, 0.0) * 1e6,
+        ddi.MASS_PER_TIME: flow * 1e6,
+        ddi.TOTAL_MASS: total,
+        ddi.MOISTURE: np.nan_to_num(steps.moisture_pct[rows]) * 1e4,
+        ddi.TOTAL_AREA: area,
+        ddi.WORK_STATE: steps.down[rows].astype(float),
+        ddi.LAG: np.full(len(rows), lag_ms),
     }
-    raw = {ddi: np.clip(np.round(one), -(2**31) + 1, 2**31 - 1).astype(np.int32) for ddi, one in values.items()}
+    raw = {number: np.clip(np.round(one), -(2**31) + 1, 2**31 - 1).astype(np.int32) for number, one in values.items()}
     time = _since_epoch(steps.time_s[rows], result.table.unix_time)
     label = result.table.labels["field"]
     first_row = int(np.flatnonzero(steps.step_of_row == rows[0])[0])

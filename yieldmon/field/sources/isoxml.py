@@ -16,6 +16,17 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
+from yieldmon.data_dictionary import (
+    DEFAULT_WIDTH,
+    LAG,
+    LEAD,
+    LENGTH_OF_CUT,
+    MAX_WIDTH,
+    MOISTURE,
+    TOTAL_AREA,
+    TOTAL_MASS,
+    WIDTH,
+)
 from yieldmon.errors import InputError, brief
 from yieldmon.field.copies import without_copies
 from yieldmon.field.leaps import bridged
@@ -28,21 +39,7 @@ from .damage import ZIP_DAMAGE, may_be_harvest
 from .options import ReadOptions
 from .positions import plausible
 from .task_flow import Driven, flow_kg_s
-from .task_values import (
-    DEFAULT_WIDTH,
-    KNOWN,
-    LAG,
-    LEAD,
-    LENGTH_OF_CUT,
-    MAX_WIDTH,
-    MOISTURE,
-    TOTAL_AREA,
-    TOTAL_MASS,
-    WIDTH,
-    Devices,
-    Values,
-    devices,
-)
+from .task_values import KNOWN, Devices, Values, devices
 
 KIND = "ISO 11783-10 task data"
 ORDER = 10

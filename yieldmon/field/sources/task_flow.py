@@ -6,10 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from yieldmon.errors import InputError
-from yieldmon.field.table import Array
-
-from .task_values import (
+from yieldmon.data_dictionary import (
     DRY_PER_AREA,
     DRY_PER_TIME,
     DRY_TOTAL,
@@ -18,9 +15,16 @@ from .task_values import (
     MOISTURE,
     REFERENCE_MOISTURE,
     TOTAL_MASS,
-    VOLUMES,
-    Values,
+    TOTAL_VOLUME,
+    VOLUME_PER_AREA,
+    VOLUME_PER_TIME,
 )
+from yieldmon.errors import InputError
+from yieldmon.field.table import Array
+
+from .task_values import Values
+
+_VOLUMES = (VOLUME_PER_AREA, VOLUME_PER_TIME, TOTAL_VOLUME)
 
 _LONGEST_SPREAD = 3.0
 """Times the usual time from one change of a counter to the next, over which at most an increase is spread."""
@@ -46,7 +50,7 @@ def flow_kg_s(of: Values, driven: Driven, where: str) -> tuple[Array, tuple[str,
             return _wet(of, flow, notes) if dry else (flow, notes)
     wet, dried = f"{MASS_PER_TIME}, {MASS_PER_AREA} or {TOTAL_MASS}", f"{DRY_PER_TIME}, {DRY_PER_AREA} or {DRY_TOTAL}"
     expected = f"mass in the log (DDI {wet}; dried {dried})"
-    volumes = [str(ddi) for ddi in VOLUMES if of.of(ddi)]
+    volumes = [str(ddi) for ddi in _VOLUMES if of.of(ddi)]
     if volumes:
         raise InputError(where, f"has yield as a volume (DDI {', '.join(volumes)}), whose density it does not state", expected)
     raise InputError(where, "has no yield", expected)

@@ -10,19 +10,27 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from yieldmon.data_dictionary import (
+    CONDENSED_STATES,
+    DEFAULT_WIDTH,
+    DRY_PER_AREA,
+    DRY_PER_TIME,
+    DRY_TOTAL,
+    LAG,
+    LEAD,
+    MASS_PER_AREA,
+    MASS_PER_TIME,
+    MAX_WIDTH,
+    MOISTURE,
+    TOTAL_AREA,
+    TOTAL_MASS,
+    WIDTH,
+    WORK_STATE,
+)
 from yieldmon.field.table import Array
 
 from . import timelog
 
-WIDTH, DEFAULT_WIDTH, MAX_WIDTH = 67, 68, 70
-MASS_PER_AREA, MASS_PER_TIME, TOTAL_MASS, MOISTURE = 84, 87, 90, 99
-TOTAL_AREA, WORK_STATE, LAG, LEAD = 116, 141, 259, 260
-DRY_PER_AREA, DRY_PER_TIME, DRY_TOTAL, REFERENCE_MOISTURE = 181, 182, 183, 184
-VOLUMES = (83, 86, 89)
-"""Yield by area, by time and in all as volumes."""
-CONDENSED_STATES = range(161, 177)
-LENGTH_OF_CUT = 177
-"""Only a forage harvester has one."""
 KNOWN = {WIDTH, MASS_PER_AREA, MASS_PER_TIME, TOTAL_MASS, MOISTURE, TOTAL_AREA, WORK_STATE, LAG, LEAD, *CONDENSED_STATES}
 _SECTION = "4"
 _YIELDS = ((MASS_PER_TIME, MASS_PER_AREA), (DRY_PER_TIME, DRY_PER_AREA), (TOTAL_MASS,), (DRY_TOTAL,))

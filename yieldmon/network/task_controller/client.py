@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 
+from yieldmon import data_dictionary
 from yieldmon.identifiers import GLOBAL_ADDRESS
 from yieldmon.network.identifier import ACKNOWLEDGEMENT
 from yieldmon.network.process_data import (
@@ -103,7 +104,7 @@ class TaskControllerClient:
         self._task_active = False
         self._distance_m = 0.0
         self._values: dict[int, int] = {}
-        self._counted = {combine.AREA: 0.0, combine.EFFECTIVE_TIME: 0.0}
+        self._counted = {data_dictionary.TOTAL_AREA: 0.0, data_dictionary.EFFECTIVE_TIME: 0.0}
         self._first_load: int | None = None
         self._offsets: dict[int, int] = {}
         """Total of ours minus that of the task, by DDI."""
@@ -157,9 +158,9 @@ class TaskControllerClient:
             moved_m = second.ground_speed_m_s * duration_s
             self._distance_m += moved_m
             if second.harvesting and self._width_m is not None:
-                self._counted[combine.AREA] += moved_m * self._width_m
+                self._counted[data_dictionary.TOTAL_AREA] += moved_m * self._width_m
         if second.harvesting:
-            self._counted[combine.EFFECTIVE_TIME] += duration_s
+            self._counted[data_dictionary.EFFECTIVE_TIME] += duration_s
         if second.first_load != self._first_load:
             self._own_totals_reset()
             self._first_load = second.first_load

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from yieldmon import data_dictionary as ddi
 from yieldmon.network.name import Name
 from yieldmon.network.process_data import MOST
 from yieldmon.physics.machine import Implement
@@ -15,13 +16,9 @@ YIELD_ELEMENT = 2
 DEFAULTS_DDI = 57343
 """Request for default process data, on the device element."""
 
-YIELD, FLOW, TOTAL, MOISTURE = 84, 87, 90, 99
-DRY_YIELD, DRY_FLOW, DRY_TOTAL = 181, 182, 183
-HOLD, AREA, EFFECTIVE_TIME, WIDTH = 239, 116, 119, 67
-LATENCY, OFFSET_X, OFFSET_Y, CONNECTOR = 143, 134, 135, 157
-OWN_TOTALS = (TOTAL, DRY_TOTAL)
+OWN_TOTALS = (ddi.TOTAL_MASS, ddi.DRY_TOTAL)
 """Those that the monitor counts; the client counts the others."""
-TOTALS = (*OWN_TOTALS, AREA, EFFECTIVE_TIME)
+TOTALS = (*OWN_TOTALS, ddi.TOTAL_AREA, ddi.EFFECTIVE_TIME)
 
 _TONNES_PER_HECTARE = Presentation("t/ha", 1e-5, 2)
 _KG_PER_S = Presentation("kg/s", 1e-6, 2)
@@ -38,30 +35,30 @@ def combine(implement: Implement, name: Name, *, designator: str, software_versi
     """The device: itself, a connector, and the header that harvests."""
     properties = []
     if implement.header_offset_m is not None:
-        properties.append(Property(OFFSET_X, "Offset ahead", round(implement.header_offset_m * 1000), _METRES))
-        properties.append(Property(OFFSET_Y, "Offset right", 0, _METRES))
+        properties.append(Property(ddi.OFFSET_X, "Offset ahead", round(implement.header_offset_m * 1000), _METRES))
+        properties.append(Property(ddi.OFFSET_Y, "Offset right", 0, _METRES))
     if implement.working_width_m is not None:
-        properties.append(Property(WIDTH, "Working width", round(implement.working_width_m * 1000), _METRES))
+        properties.append(Property(ddi.WIDTH, "Working width", round(implement.working_width_m * 1000), _METRES))
     if implement.grain_delay_s is not None:
         # The value was true this long before it is sent.
-        properties.append(Property(LATENCY, "Grain delay", -round(implement.grain_delay_s * 1000), _SECONDS))
+        properties.append(Property(ddi.LATENCY, "Grain delay", -round(implement.grain_delay_s * 1000), _SECONDS))
     measured = [
-        Variable(FLOW, "Mass flow", _KG_PER_S),
-        Variable(DRY_FLOW, "Dry mass flow", _KG_PER_S),
-        Variable(MOISTURE, "Moisture", _PERCENT),
-        Variable(HOLD, "Yield hold"),
-        Variable(TOTAL, "Mass", _KG, _TOTAL_TRIGGERS, settable=True),
-        Variable(DRY_TOTAL, "Dry mass", _KG, _TOTAL_TRIGGERS, settable=True),
-        Variable(EFFECTIVE_TIME, "Harvesting time", _HOURS, _TOTAL_TRIGGERS, settable=True),
+        Variable(ddi.MASS_PER_TIME, "Mass flow", _KG_PER_S),
+        Variable(ddi.DRY_PER_TIME, "Dry mass flow", _KG_PER_S),
+        Variable(ddi.MOISTURE, "Moisture", _PERCENT),
+        Variable(ddi.HOLD, "Yield hold"),
+        Variable(ddi.TOTAL_MASS, "Mass", _KG, _TOTAL_TRIGGERS, settable=True),
+        Variable(ddi.DRY_TOTAL, "Dry mass", _KG, _TOTAL_TRIGGERS, settable=True),
+        Variable(ddi.EFFECTIVE_TIME, "Harvesting time", _HOURS, _TOTAL_TRIGGERS, settable=True),
     ]
     if implement.working_width_m is not None:
         measured += [
-            Variable(YIELD, "Yield", _TONNES_PER_HECTARE),
-            Variable(DRY_YIELD, "Dry yield", _TONNES_PER_HECTARE),
-            Variable(AREA, "Area", _HECTARES, _TOTAL_TRIGGERS, settable=True),
+            Variable(ddi.MASS_PER_AREA, "Yield", _TONNES_PER_HECTARE),
+            Variable(ddi.DRY_PER_AREA, "Dry yield", _TONNES_PER_HECTARE),
+            Variable(ddi.TOTAL_AREA, "Area", _HECTARES, _TOTAL_TRIGGERS, settable=True),
         ]
     defaults = Variable(DEFAULTS_DDI, "Default data", None, Trigger.TOTAL, default=False)
-    connector = Property(CONNECTOR, "Connector", implement.connector_type)
+    connector = Property(ddi.CONNECTOR_TYPE, "Connector", implement.connector_type)
     elements = (
         Element(ElementType.DEVICE, designator, variables=(defaults,)),
         Element(ElementType.CONNECTOR, "Connector", properties=(connector,)),
@@ -92,13 +89,13 @@ def raw_values(second: Second, working_width_m: float | None, min_speed_m_s: flo
         rate_m2_s = working_width_m * speed_m_s
     flow, dry = second.flow_kg_s, second.dry_flow_kg_s
     known: dict[int, float | None] = {
-        FLOW: None if flow is None else flow * 1e6,
-        DRY_FLOW: None if dry is None else dry * 1e6,
-        YIELD: None if flow is None or rate_m2_s is None else flow / rate_m2_s * 1e6,
-        DRY_YIELD: None if dry is None or rate_m2_s is None else dry / rate_m2_s * 1e6,
-        MOISTURE: None if second.moisture_pct is None else second.moisture_pct * 1e4,
-        TOTAL: second.total_kg,
-        DRY_TOTAL: second.dry_total_kg,
-        HOLD: float(not second.harvesting or flow is None),
+        ddi.MASS_PER_TIME: None if flow is None else flow * 1e6,
+        ddi.DRY_PER_TIME: None if dry is None else dry * 1e6,
+        ddi.MASS_PER_AREA: None if flow is None or rate_m2_s is None else flow / rate_m2_s * 1e6,
+        ddi.DRY_PER_AREA: None if dry is None or rate_m2_s is None else dry / rate_m2_s * 1e6,
+        ddi.MOISTURE: None if second.moisture_pct is None else second.moisture_pct * 1e4,
+        ddi.TOTAL_MASS: second.total_kg,
+        ddi.DRY_TOTAL: second.dry_total_kg,
+        ddi.HOLD: float(not second.harvesting or flow is None),
     }
-    return {ddi: min(max(0, round(value)), MOST) for ddi, value in known.items() if value is not None}
+    return {number: min(max(0, round(value)), MOST) for number, value in known.items() if value is not None}

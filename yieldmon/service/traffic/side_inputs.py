@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from yieldmon.bus.bulk import NOT_AVAILABLE, USABLE, DecodedBlock, FrameBlock, MessageColumns, SignalColumn
 from yieldmon.bus.candump import ERROR_FLAG, REMOTE_FLAG
 from yieldmon.bus.factory_monitor import MASS_FLOW, FactoryMonitor
+from yieldmon.data_dictionary import MASS_PER_TIME
 from yieldmon.frames import FACTORY_MONITOR, VEHICLE_DIRECTION_SPEED, VEHICLE_POSITION, Frame, Value
 from yieldmon.identifiers import EXTENDED_FLAG, FORMAT_MASK, GROUP_MASK, IDENTITY_MASK, SOURCE_MASK, is_broadcast
 from yieldmon.network.fast_packet import FAST_PACKET_GROUPS
@@ -36,7 +37,6 @@ from yieldmon.network.reassembly import Reassembler
 from yieldmon.service.traffic.side_columns import merged, placed, taken, taken_column
 from yieldmon.units import KMH_PER_M_S
 
-_FLOW_DDI = 87
 _KG_PER_MG = 1e-6
 _ADDRESSED_MASK = FORMAT_MASK | SOURCE_MASK
 #: Groups that the shipped DBC decodes; their frames go on as they are while nothing better speaks.
@@ -238,7 +238,7 @@ class SideInputs:
         payload = block.payload[others]
         process_data = groups >> np.uint32(8) == PROCESS_DATA >> 8
         value = (payload & np.uint64(0xF)) == np.uint64(Command.VALUE)
-        flow = (payload >> np.uint64(16) & np.uint64(0xFFFF)) == np.uint64(_FLOW_DDI)
+        flow = (payload >> np.uint64(16) & np.uint64(0xFFFF)) == np.uint64(MASS_PER_TIME)
         wanted: NDArray[np.bool_] = ~np.isin(groups, np.array(sorted(GROUPS), np.uint32)) & (~process_data | (value & flow))
         return others[wanted]
 
@@ -253,7 +253,7 @@ class SideInputs:
             return [decoded]
         if group >> 8 == PROCESS_DATA >> 8:
             value = read_process_data(data)
-            if value is None or value.command is not Command.VALUE or value.ddi != _FLOW_DDI or value.value < 0:
+            if value is None or value.command is not Command.VALUE or value.ddi != MASS_PER_TIME or value.value < 0:
                 return []
             return [_factory_frame(time_s, value.value * _KG_PER_MG)]
         flow = self._factory.decode(identifier, data).get(MASS_FLOW)
