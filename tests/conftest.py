@@ -27,10 +27,12 @@ def pytest_configure(config: pytest.Config) -> None:
     """Property tests take the same examples in each run; new ones: --hypothesis-profile random."""
     if not config.pluginmanager.has_plugin("hypothesispytest"):
         return  # the virtual machine's tests do without it
-    from hypothesis import settings
+    from hypothesis import HealthCheck, settings
 
-    settings.register_profile("fixed", derandomize=True, print_blob=True)
-    settings.register_profile("random", derandomize=False, print_blob=True)
+    # How long an example takes says more of the machine's other work than of the code.
+    untimed = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow], print_blob=True)
+    settings.register_profile("fixed", untimed, derandomize=True)
+    settings.register_profile("random", untimed, derandomize=False)
     settings.load_profile("fixed")
 
 

@@ -39,7 +39,7 @@ def speed(data: bytes):
 
 @pytest.mark.parametrize("layout", LAYOUTS, ids=lambda layout: layout.name)
 @given(data=payloads)
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_decode_is_what_cantools_decodes(layout, data: bytes) -> None:
     frame = CODEC.decode(message(layout.frame_id, data))
     theirs = DATABASE.decode_message(layout.frame_id, data, decode_choices=False)
@@ -61,7 +61,7 @@ def test_decode_is_what_cantools_decodes(layout, data: bytes) -> None:
 
 @pytest.mark.parametrize("layout", LAYOUTS, ids=lambda layout: layout.name)
 @given(data=payloads)
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_encode_undoes_decode(layout, data: bytes) -> None:
     frame = CODEC.decode(message(layout.frame_id, data))
     packed = CODEC.encode(frame)
@@ -75,7 +75,7 @@ def test_encode_undoes_decode(layout, data: bytes) -> None:
 
 @pytest.mark.parametrize("layout", LAYOUTS, ids=lambda layout: layout.name)
 @given(data=payloads)
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_encode_is_what_cantools_encodes(layout, data: bytes) -> None:
     frame = CODEC.decode(message(layout.frame_id, data))
     if any(isinstance(value, frames.Unusable) for value in frame.signals.values()):
@@ -223,7 +223,7 @@ def frame_strategy():
 
 
 @given(st.lists(frame_strategy(), max_size=40))
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 def test_bulk_decodes_as_the_codec_does(log: list[can.Message]) -> None:
     decoded = decode_block(CODEC, block_of(log))
     expected, refused = {}, []

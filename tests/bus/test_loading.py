@@ -90,7 +90,7 @@ odd_lines = st.one_of(
     packed=st.booleans(),
     compiled=st.booleans(),
 )
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_fast_is_slow(tmp_path_factory, lines, repeats: int, ended: bool, chunk_bytes: int, packed: bool, compiled: bool) -> None:
     text = ("\n".join(lines * repeats) + "\n" * ended).encode()
     path = tmp_path_factory.getbasetemp() / ("any.log.gz" if packed else "any.log")

@@ -184,7 +184,7 @@ def test_candump_damage(line: str) -> None:
 
 
 @given(st.text(max_size=80))
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 def test_candump_parser_takes_any_text(line: str) -> None:
     parse_line(line)
 
@@ -421,7 +421,7 @@ def test_utf8_mark_is_no_damage(tmp_path: Path) -> None:
 
 
 @given(st.binary(max_size=400))
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @pytest.mark.parametrize("suffix", [".log", ".csv", ".trc", ".asc", ".blf", ".pcap", ".pcapng"])
 def test_any_bytes_give_frames_or_an_input_error(tmp_path_factory, suffix: str, content: bytes) -> None:
     path = tmp_path_factory.getbasetemp() / f"any{suffix}"

@@ -45,7 +45,7 @@ def content(block: FrameBlock) -> list[tuple[object, ...]]:
     bits=st.sampled_from([13, 14, 31, 32, 33, 63, 64]),
     sampled=st.booleans(),
 )
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 def test_columns_come_back(values: list[int], repeats: int, bits: int, sampled: bool) -> None:
     column = np.array(values * repeats, np.uint64) << np.uint64(bits - 13)
     coded = encode(column, bits, sampled=sampled)
@@ -106,7 +106,7 @@ frames = st.builds(
 
 
 @given(st.lists(frames, min_size=1, max_size=60))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_any_frames_come_back(tmp_path_factory: pytest.TempPathFactory, messages: list[can.Message]) -> None:
     path = tmp_path_factory.getbasetemp() / "any.parquet"
     block = block_of(messages)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from math import isnan, nan
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from yieldmon.engine.mass.load_summary import LoadClosed, LoadSummary
@@ -79,7 +79,6 @@ def same(found: LoadSummary, known: Sum) -> None:
     assert [found.measured_kg, found.dry_kg, found.unknown_moisture_kg, found.unknown_area_kg] == pytest.approx(known.parts)
 
 
-@settings(deadline=None)
 @given(STEPS)
 def test_any_order_of_masses_and_corrections(steps: list[tuple]) -> None:
     loads, book = Loads(EngineSettings()), Book()

@@ -501,13 +501,13 @@ def check_output(out: list[Frame]) -> None:
             assert 40.0 - 1e-9 <= frame.signals["TargetPlateAngle"] <= 90.0 + 1e-9  # type: ignore[operator]
 
 
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 @given(st.lists(FRAMES, max_size=60))
 def test_no_sequence_of_frames_raises(frames: list[Frame]) -> None:
     check_output(feed(monitor(), frames))
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(st.lists(st.tuples(st.integers(0, len(STEADY_FRAMES) - 1), FRAMES), max_size=40), st.integers(0, 2**31))
 def test_junk_among_good_frames_never_raises_nor_runs_totals_back(junk: list[tuple[int, Frame]], seed: int) -> None:
     frames = list(STEADY_FRAMES[: 280 * 12])

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from engine_bench import monitor
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from yieldmon import frames as bus
@@ -80,7 +80,6 @@ def test_gate_closes_only_after_several_windows_without_grain() -> None:
 MASSES = st.lists(st.tuples(st.floats(0.0, 100.0), st.none() | st.floats(0.0, 100.0), st.sampled_from("....ns")), max_size=60)
 
 
-@settings(deadline=None)
 @given(MASSES)
 def test_totals_never_run_back_and_loads_add_up(masses: list[tuple[float, float | None, str]]) -> None:
     totals, loads = Totals(), [0.0]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from engine_bench import MACHINE
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from yieldmon.engine.settings import PlateSettings
@@ -16,7 +16,6 @@ DEMANDS = st.builds(PlateDemand, mode=st.sampled_from(CommandMode), target_deg=s
 MEASURED = st.one_of(st.floats(allow_nan=True, allow_infinity=True), st.floats(0.0, 180.0))
 
 
-@settings(deadline=None)
 @given(st.lists(st.tuples(DEMANDS, MEASURED), max_size=50), st.floats(0.5, 90.0))
 def test_every_command_is_within_range_and_rate(demands: list[tuple[PlateDemand, float]], rate_deg_s: float) -> None:
     commander = PlateCommander(PlateSettings(max_rate_deg_s=rate_deg_s), MACHINE)

@@ -171,7 +171,7 @@ def test_an_empty_run_is_nothing() -> None:
     assert feed(target, BENCH.frames(3)) == feed(monitor(), BENCH.frames(3))
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(data=st.data())
 def test_windows_closed_together_are_those_closed_one_by_one(data: st.DataObject) -> None:
     count = data.draw(st.integers(2, 9))

@@ -61,7 +61,7 @@ def test_constant_flow_while_the_speed_changes(rpm_from: float, rpm_to: float) -
     assert found.mean() == pytest.approx(10.0, rel=0.005)
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(
     values=st.lists(st.floats(-100.0, 4000.0), min_size=40, max_size=40),
     rpm=st.lists(st.floats(0.0, 700.0), min_size=40, max_size=40),

@@ -6,7 +6,7 @@ from itertools import takewhile
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from yieldmon.engine.sampling.sample_frames import SampleFrames
@@ -31,7 +31,6 @@ SAMPLE = st.tuples(st.integers(0, 2), st.sampled_from([True, True, True, False])
 
 
 @pytest.mark.parametrize("clean", [True, False], ids=["all usable", "some usable"])
-@settings(deadline=None)
 @given(data=st.data())
 def test_spans_and_held_samples(clean: bool, data: st.DataObject) -> None:
     frame = st.lists(SAMPLE, min_size=PER_FRAME, max_size=PER_FRAME)

@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from yieldmon.engine.faults import FaultCode
@@ -43,7 +43,6 @@ CODES = sorted(FaultCode, key=lambda code: code.value)
 SOME = st.lists(st.sets(st.sampled_from(CODES[::4])), max_size=14)
 
 
-@settings(deadline=None)
 @given(SOME, st.lists(st.tuples(st.integers(0, 14), st.sampled_from(CODES[::4]), st.booleans()), max_size=4))
 def test_any_sequence_of_verdicts_and_reports(seconds: list[set[FaultCode]], reports: list[tuple[int, FaultCode, bool]]) -> None:
     """A verdict counts once it has lasted; what the service reports holds until it says otherwise."""

@@ -7,7 +7,7 @@ from math import isnan, nan
 
 import pytest
 from engine_bench import MACHINE
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from yieldmon.engine.flow import Flow
@@ -116,7 +116,6 @@ def same(found: LoadSummary, model: Model) -> None:
     assert (found.start_s, found.end_s) == pytest.approx((model.start_s, model.end_s), nan_ok=True)
 
 
-@settings(deadline=None)
 @given(STEPS)
 def test_any_order_of_loads_masses_and_resets(steps: list[tuple]) -> None:
     loads, book = Loads(SETTINGS), Book()

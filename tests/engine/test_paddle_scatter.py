@@ -8,7 +8,7 @@ from engine_bench import MACHINE, Bench, feed, monitor
 from hypothesis import given
 from hypothesis import strategies as st
 
-from yieldmon.engine.measurement import PaddleScatter
+from yieldmon.engine.sampling.paddle_scatter import PaddleScatter
 from yieldmon.engine.settings import WindowSettings
 from yieldmon.physics.machine import RPM
 

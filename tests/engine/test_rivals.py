@@ -6,7 +6,7 @@ from math import inf, nan
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from yieldmon.engine.rivals import RivalLimits, RivalWatch, TankWatch, angle_limits, speed_limits, tank_leaps
@@ -89,7 +89,6 @@ def test_a_leap_is_more_than_step_and_rate_within_half_a_second(step_s: float, c
     assert found.tolist() == [2 * leaps]
 
 
-@settings(deadline=None)
 @given(
     st.lists(st.lists(st.sampled_from([50.0, 52.0, 70.0, 30.0]), max_size=6), min_size=1, max_size=5),
 )

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from yieldmon.engine.mass.missed_mass import NO_LOAD, MissedMass
@@ -43,7 +43,6 @@ SECONDS = st.builds(
 )  # fmt: skip
 
 
-@settings(deadline=None)
 @given(st.lists(SECONDS, max_size=8), st.dictionaries(st.sampled_from([NO_LOAD, 1, 2]), st.floats(0.0, 50.0), max_size=2))
 def test_each_second_is_measured_again_and_the_scales_mass_taken_back(
     seconds: list[KeptSecond], by_scale: dict[int, float]

@@ -198,7 +198,7 @@ WORDS = st.one_of(
 )
 
 
-@settings(deadline=None, max_examples=200)
+@settings(max_examples=200)
 @given(st.lists(st.tuples(st.none() | WORDS, STRETCHES), min_size=1, max_size=8))
 def test_any_order_of_windows_and_words(steps: list[tuple[tuple[object, ...] | None, list[list[Shown]]]]) -> None:
     tracker, model, now_s = ZeroTracker(SETTINGS), Model(), 100.0

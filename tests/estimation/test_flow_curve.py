@@ -134,7 +134,7 @@ def test_a_parabola_that_bends_back_is_saturated_above_its_top() -> None:
     assert found.mass_flow_kg_s == pytest.approx([12.495, np.nan], nan_ok=True)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.lists(st.floats(0.9, 1.1), min_size=8, max_size=8))
 def test_a_table_rises_whatever_the_noise(noise: list[float]) -> None:
     exact = rows(FLOWS)

@@ -202,7 +202,7 @@ def test_a_memory_of_nothing_is_refused(memory_kt: float) -> None:
         advance(begin(KNOWN, LIKELY), STILL, 1.0, 1.0, memory_kt=memory_kt)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.lists(st.tuples(st.sampled_from(NAMES), st.floats(0.5, 1.5), st.floats(0.0, 3e6)), max_size=12))
 def test_covariance_stays_a_covariance(lessons: list[tuple[str, float, float]]) -> None:
     known = begin(KNOWN, {"friction": 0.2, "restitution": 0.03, "density": 0.05})

@@ -81,7 +81,7 @@ def test_a_bias_that_a_weighed_load_fixed_adds_nothing_to_that_update() -> None:
     assert found[-1.0].at_home_sd < 0.2 * gain
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     flow=st.floats(3.0, 18.0), shape=st.one_of(st.just(inf), st.floats(0.01, 1.0)),
     kernels=st.one_of(st.just(inf), st.floats(0.005, 0.3)), friction=st.floats(0.005, 0.1),

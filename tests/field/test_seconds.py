@@ -40,7 +40,7 @@ def passes(step_s: np.ndarray, header_down: np.ndarray | None = None) -> Harvest
 
 
 @given(st.lists(st.floats(0.02, 0.6), min_size=5, max_size=200), st.integers(0, 2**31))
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 def test_mass_and_way_stay(steps: list[float], seed: int) -> None:
     draw = np.random.default_rng(seed)
     table = passes(np.array(steps), draw.integers(0, 2, len(steps)).astype(float))

@@ -120,7 +120,7 @@ def test_a_wrong_position_is_far_away(tmp_path: Path, capsys: pytest.CaptureFixt
     assert document["points_by_reason"]["far away"] == 3
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     st.lists(st.tuples(st.floats(-179.9, 179.9), st.floats(-75.0, 75.0)), min_size=1, max_size=4),
     st.integers(0, 2**32 - 1),

@@ -29,7 +29,7 @@ def same(a: ParameterSet, b: ParameterSet) -> bool:
     )
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     friction=st.floats(min_value=0.0, max_value=5.0),
     density=st.floats(min_value=20.0, max_value=20000.0),

@@ -72,7 +72,7 @@ PLAIN = st.recursive(
 )
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(PLAIN)
 def test_plain_data_survives_writing_and_reading(document):
     assert strict_yaml.parse(strict_yaml.dump(document), "f") == document
@@ -87,7 +87,7 @@ def test_a_text_that_looks_like_something_else_stays_a_text(text):
     assert yaml.safe_load(strict_yaml.dump({"key": text})) == {"key": text}
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(st.text(st.sampled_from("ab:-[]{}&*!|>'\"#%@`,? \n\t01.e~<=\\")))
 def test_any_text_is_data_or_one_line(text):
     with suppress(InputError):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from fractions import Fraction
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from yieldmon.network.rates import Budget
@@ -14,7 +14,6 @@ from yieldmon.network.rates import Budget
 STEPS = st.lists(st.integers(-4, 24), max_size=30)
 
 
-@settings(deadline=None)
 @given(per_s=st.sampled_from([1, 2, 8]), at_once=st.sampled_from([1, 3, 10]), steps=STEPS)
 def test_a_bucket_that_fills_at_its_rate(per_s: int, at_once: int, steps: list[int]) -> None:
     """A clock that runs back fills nothing and takes nothing away."""

@@ -91,7 +91,7 @@ def test_sessions_are_bounded() -> None:
     assert feed(receiver, "1CEC8340#1014000303DAFE00")[0] == ["1CEC4083#FF01FFFFFFDAFE00"]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(data=st.binary(min_size=9, max_size=300), group=st.sampled_from([65226, 51968]), window=st.integers(1, 40))
 def test_sender_and_receiver_agree(data: bytes, group: int, window: int) -> None:
     sender, receiver = TransportSender(), TransportReceiver()
@@ -151,7 +151,7 @@ def test_waiting_messages_are_bounded() -> None:
     assert (len(sender), sender.refused) == (3, 7)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(data=st.binary(min_size=1, max_size=223), counter=st.integers(0, 7))
 def test_fast_packet_round_trip(data: bytes, counter: int) -> None:
     receiver = FastPacketReceiver()

@@ -64,7 +64,7 @@ def test_table_cells_match_adaptive_quadrature(flow: float) -> None:
         assert momentum(mass, np.radians(degrees), 400.0 * RPM, GRAIN) == pytest.approx(expected, rel=1e-7)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(grains, angles, speeds, st.floats(0.005, 0.97))
 def test_any_grain_matches_adaptive_quadrature(values: dict[str, float], angle: float, speed: float, fill: float) -> None:
     mass = fill * full(values)
@@ -72,7 +72,7 @@ def test_any_grain_matches_adaptive_quadrature(values: dict[str, float], angle: 
     assert momentum(mass, angle, speed, values) == pytest.approx(expected, rel=1e-7)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(grains, angles, speeds, fills, st.floats(0.5, 1.9))
 def test_scale_of_flow_density_and_gain_is_unobservable(
     values: dict[str, float], angle: float, speed: float, fill: float, factor: float
@@ -83,7 +83,7 @@ def test_scale_of_flow_density_and_gain_is_unobservable(
     assert momentum(factor * mass, angle, speed, moved) == pytest.approx(momentum(mass, angle, speed, gain), rel=1e-12)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(grains, angles, speeds, fills)
 def test_momentum_goes_as_speed_and_never_above_what_the_load_carries(
     values: dict[str, float], angle: float, speed: float, fill: float
@@ -95,7 +95,7 @@ def test_momentum_goes_as_speed_and_never_above_what_the_load_carries(
     assert 0.0 <= value <= (1.0 + values["restitution"]) * np.sqrt(2.0) * mass * MACHINE.paddle_length_m * speed
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(grains, angles, speeds)
 def test_more_load_never_gives_less_force(values: dict[str, float], angle: float, speed: float) -> None:
     loads = np.linspace(0.0, full(values), 40)
@@ -223,7 +223,7 @@ def test_derivatives_match_a_high_order_difference(effects: tuple[str, ...], val
         assert slopes[..., j] == pytest.approx(expected, rel=1e-6, abs=1e-7 * scale), name
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(grains, angles, speeds, fills)
 def test_effects_at_nothing_change_nothing(values: dict[str, float], angle: float, speed: float, fill: float) -> None:
     model = ForwardModel(MACHINE, ("gravity", "zero_offset"))

@@ -29,7 +29,7 @@ def throw(friction: float = 0.2, speed: float = 400.0 * RPM, gravity: float | No
 # Settling
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(ratios, st.floats(0.0, 1.0))
 def test_inner_radius_inverts_the_filled_fraction(ratio: float, share: float) -> None:
     fraction = np.asarray(share * ratio / 2.0)
@@ -49,7 +49,7 @@ def test_inner_radius_of_a_heap_that_cannot_be_is_nan(fraction: float) -> None:
     assert np.isnan(settling.inner_radius(np.asarray(fraction), np.asarray(2.0)))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(ratios, st.floats(0.01, 0.99))
 def test_opening_angle_encloses_the_filled_area(ratio: float, x: float) -> None:
     # psi may fall back on the paddle for grain inside the line's nearest point; the closed form covers rho >= x.
@@ -63,7 +63,7 @@ def test_opening_angle_encloses_the_filled_area(ratio: float, x: float) -> None:
     assert area == pytest.approx(float(settling.filled_fraction(np.asarray(x), np.asarray(ratio))), rel=1e-7)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(ratios, st.floats(0.0, 0.99), st.floats(1e-6, 1.0))
 def test_opening_angle_lies_on_the_straight_inner_surface(ratio: float, x: float, t: float) -> None:
     psi_f = ratio * (1.0 - x)
@@ -149,7 +149,7 @@ def test_grain_leaves_the_tip_with_the_paddles_speed_and_its_own() -> None:
 # Flight
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(st.floats(np.radians(40.0), np.radians(90.0)), st.floats(0.0, 1.2), st.sampled_from([None, 3.0, 9.81]))
 def test_meeting_lies_on_path_and_plate(angle: float, tau: float, gravity: float | None) -> None:
     setting = throw(0.2, 350.0 * RPM, gravity, angle).setting

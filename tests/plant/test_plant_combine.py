@@ -86,7 +86,7 @@ def test_the_same_seed_gives_the_same_frames_and_another_does_not(combine):
 
 
 @given(st.lists(st.floats(0.001, 3.0), min_size=1, max_size=25))
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 def test_how_it_is_advanced_does_not_matter(default_table, steps):
     whole = VirtualCombine(scenario(duration_s=6), MACHINE, 5, default_table)
     pieces = VirtualCombine(scenario(duration_s=6), MACHINE, 5, default_table)

@@ -132,7 +132,7 @@ def test_slip_slows_the_paddles_and_loads_them_more():
 
 
 @given(st.floats(0.5, 1.2))
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 def test_what_a_paddle_cannot_hold_waits_and_is_not_lost(full_kg):
     _, free = loaded(10.0)
     harvest = steady_harvest(10.0)

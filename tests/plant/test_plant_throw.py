@@ -103,7 +103,7 @@ def test_a_parcel_flies_as_scipy_says(drag, plate_deg):
 
 
 @given(st.floats(0.02, 0.98), st.floats(0.8, 2.5))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_heap_has_the_area_of_its_polygon_and_keeps_it_when_cut(fill, shape_ratio):
     area = fill * 0.5 * shape_ratio
     x = float(heap.inner_radius(np.array([area]), shape_ratio)[0])
@@ -117,7 +117,7 @@ def test_heap_has_the_area_of_its_polygon_and_keeps_it_when_cut(fill, shape_rati
 
 
 @given(st.floats(0.005, 5.5), st.floats(36, 94), st.floats(250, 600))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_no_mass_is_made_or_lost_and_no_more_lands_than_was_thrown(mass, angle_deg, rpm):
     effects = Effects(stream_spread={}, residual_radial_speed={}, miss_capture={"captured_share": 0.3})
     result = throw(MACHINE, Grain(), effects, mass, np.deg2rad(angle_deg), rpm * RPM, cells=80)
@@ -145,7 +145,7 @@ def test_finer_parcels_change_nothing_that_matters():
 
 
 @given(st.floats(0.5, 2.0), st.floats(0.05, 2.0))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 def test_mass_and_density_scale_the_impulse_together(factor, mass):
     denser = Grain(bulk_density_kg_m3=1100.0 * factor)
     assert impulse(grain=denser, mass=mass * factor) == pytest.approx(factor * impulse(mass=mass), rel=1e-9)

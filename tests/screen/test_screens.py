@@ -40,7 +40,7 @@ def words(screen: str) -> str:
     return " ".join(screen.split())
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(data=st.data(), width=st.integers(80, 240), height=st.integers(24, 70))
 def test_no_value_of_the_chosen_message_is_cut(data: st.DataObject, width: int, height: int) -> None:
     seen = traffic(3)
@@ -61,7 +61,7 @@ def test_no_value_of_the_chosen_message_is_cut(data: st.DataObject, width: int, 
             assert signal.name in text
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     width=st.integers(80, 200), height=st.integers(24, 60), us=st.booleans(), kg=st.floats(0.0, 1e7), flow=st.floats(0.0, 60.0),
     faults=st.integers(0, 8),
@@ -116,7 +116,7 @@ def test_a_fault_in_the_cab_is_in_the_units_chosen(units: Units, said: str) -> N
     assert said.replace("weighed", "gained") in words(shown)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     width=st.integers(30, 130), height=st.integers(8, 40), faults=st.integers(0, 8),
     prompt=st.sampled_from(["", "ticket: number of the load and its weighed mass, such as 7 9.12t: 7_"]),

@@ -55,7 +55,7 @@ def entered(steps: list) -> tuple[list[Ticket], list[Action]]:  # type: ignore[t
     return tickets, actions
 
 
-@settings(deadline=None, max_examples=150)
+@settings(max_examples=150)
 @given(STEPS)
 def test_the_view_says_what_the_ledger_says(steps: list) -> None:  # type: ignore[type-arg]
     tickets, actions = entered(steps)

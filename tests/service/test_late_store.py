@@ -12,7 +12,7 @@ from pathlib import Path
 
 import can
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.service.bench import PATIENCE_S, START_S, UNHURRIED, Bench, encoded, running, traffic, wait_for
@@ -291,7 +291,6 @@ def accumulated(totals: Totals, masses: list[tuple[float, float | None, float, f
     return totals
 
 
-@settings(deadline=None)
 @given(first=MASSES, second=MASSES, is_open=st.booleans())
 def test_totals_of_two_monitors_are_those_of_one_that_measured_all(first, second, is_open):
     begin = Totals(load_number=7) if is_open else Totals(load_number=7).stop_load()

@@ -77,7 +77,7 @@ class Plain:
         return {**found, FaultCode.NETWORK_FAULT: "; ".join(look["network"]), FaultCode.STORE_FAILING: troubled}
 
 
-@settings(deadline=None, max_examples=200)
+@settings(max_examples=200)
 @given(STEPS)
 def test_what_is_handed_on_is_what_a_list_of_conditions_says(steps: list) -> None:  # type: ignore[type-arg]
     faults, plain, now_s = ServiceFaults(), Plain(), 100.0

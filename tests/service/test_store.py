@@ -141,7 +141,7 @@ def test_a_ticket_that_is_handed_on_to_a_store_made_anew_is_entered_once(path, c
         assert len(store.tickets()) == tickets
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.lists(st.lists(st.integers(1, 8), max_size=4), max_size=6))
 def test_any_order_of_repeats_leaves_totals_that_fit_the_records(tmp_path_factory, commits):
     with Store(tmp_path_factory.mktemp("store") / "s") as store:

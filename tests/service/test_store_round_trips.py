@@ -44,7 +44,7 @@ def some(rows: st.SearchStrategy) -> st.SearchStrategy[list]:
 CONTENTS = st.fixed_dictionaries({name: some(rows) for name, rows in {**EVENTS, **NUMBERED, "loads": LOADS}.items()})
 
 
-@settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=12, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(first=CONTENTS, then=CONTENTS, counters=COUNTERS, state=DOCUMENTS, apart=st.booleans())
 def test_rows_of_every_kind_come_back(tmp_path: Path, first: dict, then: dict, counters: dict, state: dict, apart: bool) -> None:
     """Of what has a number the last one with it counts; what has none is kept in order."""
@@ -83,7 +83,7 @@ VALUES = {float: NUMBERS, int: st.integers(0, 2**31), str: TEXT}
 NEEDED = {field.name for field in fields(SecondRow)} - {field.name for field in fields(SecondRow) if "None" in str(field.type)}
 
 
-@settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=12, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_every_column_of_a_second_comes_back(tmp_path: Path, data: st.DataObject) -> None:
     path, plain = tmp_path / "s", second(1)

@@ -32,7 +32,7 @@ def signals(draw: st.DrawFn) -> tuple[str, int]:
     return text, draw(st.integers(0, 2**64 - 1))
 
 
-@settings(deadline=None, max_examples=150)
+@settings(max_examples=150)
 @given(made=signals())
 def test_any_signal_decodes_as_cantools_decodes_it(made: tuple[str, int], tmp_path_factory: pytest.TempPathFactory) -> None:
     text, number = made

@@ -162,7 +162,7 @@ def test_a_source_by_its_name(way: object, dbc: Path) -> None:
     assert way(taking, messages) == [(pytest.approx(1.15), 412.5), (pytest.approx(3.15), 412.5)]  # type: ignore[operator]
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(seed=st.integers(0, 2**32), sizes=st.lists(st.integers(20, 300), min_size=1, max_size=8))
 def test_interleaved_senders_as_can_j1939_and_cantools_read_them(seed: int, sizes: list[int], dbc: Path) -> None:
     random = Random(seed)
@@ -188,7 +188,7 @@ def test_interleaved_senders_as_can_j1939_and_cantools_read_them(seed: int, size
     assert sorted(value for _, value in in_blocks(decoder(dbc, "Long", "Big"), messages, 7)) == sorted(wanted)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(lost=st.lists(st.one_of(st.none(), st.integers(0, 3)), min_size=1, max_size=12), fast=st.booleans())
 def test_whoever_lost_a_frame_is_dropped_and_counted(lost: list[int | None], fast: bool, dbc: Path) -> None:
     """At most one frame of each message, 20 bytes of one value each."""
@@ -231,7 +231,7 @@ def test_sessions_without_end_are_bounded_and_those_of_others_not_opened(dbc: Pa
     assert (others.under_way, others.incomplete) == (0, 0)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(seed=st.integers(0, 2**32), size=st.integers(1, 40))
 def test_anything_gives_the_same_one_by_one_and_in_blocks(seed: int, size: int, dbc: Path) -> None:
     random, messages = Random(seed), []

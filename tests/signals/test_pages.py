@@ -55,7 +55,7 @@ def messages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, MessageBits]
     return load_messages(path)
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(
     frames=st.lists(st.tuples(st.integers(0, 5), st.integers(0, 7), st.binary(min_size=6, max_size=6)), min_size=1, max_size=20)
 )

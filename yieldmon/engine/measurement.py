@@ -5,17 +5,18 @@ Comes before the flow: nothing here knows what an estimator makes of the force.
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import dataclass
 from math import degrees, hypot, isfinite, radians
 
 from yieldmon.engine.inputs import InputSnapshot
 from yieldmon.engine.mass.gates import GateInputs, HarvestGate
+from yieldmon.engine.mass.tank_rise import TankRise
 from yieldmon.engine.quick import maker_of
 from yieldmon.engine.sampling.aliasing import ALIAS_FREE_HZ, aliasing_share
+from yieldmon.engine.sampling.paddle_scatter import PaddleScatter
 from yieldmon.engine.sampling.windows import Window
 from yieldmon.engine.sampling.zero import ZeroRefusal, ZeroState, ZeroTracker
-from yieldmon.engine.settings import EngineSettings, WindowSettings
+from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.sources import Sources
 from yieldmon.frames import EstimateQuality, HeaderDown, WorkState
 from yieldmon.physics.machine import RPM, Machine
@@ -24,6 +25,8 @@ _NAN = float("nan")
 _NEVER = 1 << 62
 _OTHER_SPEEDS = (("rad/s", 1.0 / RPM), ("turns a second", 60.0))
 """Units in which a speed may come that is taken for rpm, and rpm in each."""
+_ENOUGH = 0.8
+"""Share of a second whose samples give an empty elevator's level, where some are lost all the time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,40 +64,6 @@ class Reading:
 
 
 _reading, _gate_inputs = maker_of(Reading), maker_of(GateInputs)
-_LARGEST_RATIO = 4.0
-"""A window's squared scatter counts for no more than this times what is known."""
-_ENOUGH = 0.8
-"""Share of a second whose samples give an empty elevator's level, where some are lost all the time."""
-_TANK_S = 60.0
-"""Stable readings of the tank's scale within this time are compared."""
-_TANK_RISE = 3.0
-"""Rise between them that is grain, in standard deviations of the scale."""
-
-
-class PaddleScatter:
-    """Squared relative standard deviation of one paddle's momentum, learnt over the windows.
-
-    It begins at the prior with the prior's weight; older windows count less, so that another crop or chain is followed.
-    """
-
-    def __init__(self, settings: WindowSettings) -> None:
-        self._settings = settings
-        self._sum = settings.scatter_prior_patterns * settings.paddle_scatter**2
-        self.patterns = settings.scatter_prior_patterns
-        """Weight of what is known, in paddle patterns."""
-
-    @property
-    def square(self) -> float:
-        """As known now."""
-        return self._sum / self.patterns if self.patterns > 0.0 else self._settings.paddle_scatter**2
-
-    def see(self, square: float, patterns: float) -> None:
-        """A window's own, from so many paddle patterns."""
-        # A step of the flow inside the window is no scatter.
-        taken = min(square, _LARGEST_RATIO * self.square)
-        kept = 1.0 - patterns / self._settings.scatter_memory_patterns
-        self._sum = kept * self._sum + patterns * taken
-        self.patterns = kept * self.patterns + patterns
 
 
 class Measurement:
@@ -120,7 +89,7 @@ class Measurement:
         self._jumps = 0
         self._since_jump = _NEVER
         self._started_s: float = _NAN
-        self._tank: deque[tuple[float, float]] = deque()
+        self._tank = TankRise(settings.anchors.scale_std_dev_kg)
         self._last: tuple[Window, float] | None = None
 
     @property
@@ -153,10 +122,8 @@ class Measurement:
                 signs.append("there was some in the last seconds")
             if isfinite(force_n) and force_n > self._settings.gate.grain_on_n:
                 signs.append(f"the plate feels {force_n:.1f} N")
-        if len(self._tank) > 1:
-            rise_kg = self._tank[-1][1] - self._tank[0][1]
-            if rise_kg > _TANK_RISE * self._settings.anchors.scale_std_dev_kg:
-                signs.append(f"the tank has gained {rise_kg:.0f} kg in {self._tank[-1][0] - self._tank[0][0]:.0f} s")
+        if rise := self._tank.sign_of_grain:
+            signs.append(rise)
         return " and ".join(signs)
 
     def read(self, window: Window, inputs: InputSnapshot, clock_jumps: int) -> Reading:
@@ -174,7 +141,7 @@ class Measurement:
         idle_s = self._idle_s(inputs)
         quality, force, noise = self._gated(window, speed_was_known and not stuck, in_range, idle_s)
         self._last = (window, force) if window.samples else None
-        self._watch_tank(inputs)
+        self._tank.see(inputs)
         taken = self._follow_zero(window, inputs, inputs.speed_known and in_range and not stuck, still and at_home)
         sampled_before, self._sampled = self._sampled, window.coverage > 0.0
         self._since_jump = 0 if clock_jumps != self._jumps else self._since_jump + 1
@@ -187,14 +154,6 @@ class Measurement:
             self._gate.harvesting, zero.state, zero.drift, zero.calibrating, sampled_before, self._since_jump, taken,
             zero_age_s, zero.refusal,
         )  # fmt: skip
-
-    def _watch_tank(self, inputs: InputSnapshot) -> None:
-        if inputs.tank_disputed:
-            self._tank.clear()
-        elif isfinite(inputs.tank_kg) and (not self._tank or inputs.tank_time_s > self._tank[-1][0]):
-            self._tank.append((inputs.tank_time_s, inputs.tank_kg))
-        while self._tank and inputs.time_s - self._tank[0][0] > _TANK_S:
-            self._tank.popleft()
 
     def _gated(self, window: Window, usable: bool, in_range: bool, idle_s: float) -> tuple[EstimateQuality | None, float, float]:
         """Why the window has no flow (None: an estimate decides), its force and the force's standard deviation, N."""

@@ -134,7 +134,8 @@ class Prior:
     def whitening(self, names: Sequence[str]) -> tuple[Array, Array]:
         """(W, mean) such that |W (theta - mean)|^2 is the prior's -2 log density, theta in the order of `names`.
 
-        W: (n, len(names)); names without a prior have zero columns and mean 0.
+        W: (n, len(names)); names without a prior have zero columns and mean 0. Raises ValueError where `names` lacks one
+        of the prior's.
         """
         # The inverse of the lower Cholesky factor whitens; scaling first keeps densities beside frictions well conditioned.
         white = np.linalg.inv(_factor(self.covariance))

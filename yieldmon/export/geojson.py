@@ -15,7 +15,8 @@ from .points import YieldPoint
 
 
 def properties(point: YieldPoint) -> dict[str, object]:
-    """All but the position; time as ISO 8601 in UTC beside Unix time."""
+    """All but the position; time as ISO 8601 in UTC beside Unix time. Raises InputError for a position off the
+    globe."""
     values = dataclasses.asdict(point)
     longitude, latitude = values.pop("longitude_deg"), values.pop("latitude_deg")
     if not (-180.0 <= longitude <= 180.0 and -90.0 <= latitude <= 90.0):

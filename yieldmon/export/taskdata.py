@@ -100,7 +100,7 @@ def files(points: Sequence[YieldPoint], field: str, reference_of: Callable[[int]
 
 def write(path: Path, points: Sequence[YieldPoint], field: str, reference_of: Callable[[int], float]) -> None:
     """A zip with the folder TASKDATA in it for a name that ends in .zip, else that folder inside `path`. reference_of: moisture
-    of a load's dry mass, %, by its number."""
+    of a load's dry mass, %, by its number. Raises InputError for a time or mass that the format cannot hold."""
     try:
         content = files(points, plain(field), reference_of)
     except (struct.error, OverflowError) as error:

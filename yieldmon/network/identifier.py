@@ -79,7 +79,7 @@ class Payload(NamedTuple):
 
 
 def frame(group: int, data: bytes, source: int, destination: int = GLOBAL_ADDRESS, priority: int = DEFAULT_PRIORITY) -> RawFrame:
-    """A frame of one parameter group, of eight bytes at most."""
+    """A frame of one parameter group, of eight bytes at most. Raises ValueError for more."""
     if len(data) > 8:
         raise ValueError(f"{len(data)} bytes in one frame, expected at most 8")
     return RawFrame(Identifier(priority, group, destination, source).value, bytes(data))

@@ -73,7 +73,7 @@ class Name:
 
     @classmethod
     def of_bytes(cls, data: bytes) -> Name:
-        """The NAME in the eight bytes of an address claim."""
+        """The NAME in the eight bytes of an address claim. Raises ValueError for another length."""
         if len(data) != _NAME_BYTES:
             raise ValueError(f"NAME of {len(data)} bytes, expected {_NAME_BYTES}")
         return cls.of_int(int.from_bytes(data, "little"))

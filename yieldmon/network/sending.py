@@ -61,7 +61,10 @@ class TransportSender:
         return any(message.group == group for message in self._queues.get(destination, ()))
 
     def submit(self, group: int, data: bytes, source: int, destination: int, now_s: float) -> list[RawFrame]:
-        """Begin to send, or queue behind what is under way to the same destination; [] too where there is no space."""
+        """Begin to send, or queue behind what is under way to the same destination; [] too where there is no space.
+
+        Raises ValueError for a message that one frame or no transfer can carry.
+        """
         if not 8 < len(data) <= MAX_BYTES:
             raise ValueError(f"message of {len(data)} bytes, expected 9 to {MAX_BYTES}")
         broadcast = destination == GLOBAL_ADDRESS

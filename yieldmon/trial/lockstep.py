@@ -33,6 +33,7 @@ def run(combine: VirtualCombine, monitor: Monitor, codec: Codec, progress: Progr
 
     Every frame is encoded, sent on a python-can virtual bus of its own, received by the other node and decoded there; each
     frame is answered before the next is sent, so the outcome does not depend on the speed of the machine.
+    Raises RuntimeError where the virtual bus loses one.
     """
     channel = f"yieldmon-{uuid.uuid4()}"
     published: list[Frame] = []

@@ -20,7 +20,8 @@ _OPTIONAL = ("Dir", "EDL", "BRS", "ESI", "RTR")
 
 
 def parser(heading: str) -> Parser | None:
-    """What reads the lines behind this one; None where it is not CANedge's heading."""
+    """What reads the lines behind this one; None where it is not CANedge's heading. Raises ValueError for one
+    that lacks a column."""
     if not heading.startswith(_NEEDED[0]):
         return None
     delimiter = heading[len(_NEEDED[0]) : len(_NEEDED[0]) + 1]

@@ -31,7 +31,7 @@ class Form(NamedTuple):
 
 
 def whole(text: str, what: str, base: int = 10) -> int:
-    """A whole number that is not negative; `base` 16 with or without 0x."""
+    """A whole number that is not negative; `base` 16 with or without 0x. Raises ValueError."""
     try:
         number = int(text, base)
     except ValueError:
@@ -42,7 +42,7 @@ def whole(text: str, what: str, base: int = 10) -> int:
 
 
 def seconds(text: str, what: str = "time") -> float:
-    """A number with a point or a comma."""
+    """A number with a point or a comma. Raises ValueError."""
     try:
         number = float(text.replace(",", "."))
     except ValueError:
@@ -53,7 +53,7 @@ def seconds(text: str, what: str = "time") -> float:
 
 
 def switch(text: str, what: str) -> bool:
-    """0 or 1, true or false."""
+    """0 or 1, true or false. Raises ValueError."""
     known = {"0": False, "false": False, "1": True, "true": True}
     if text.lower() not in known:
         raise ValueError(f"{what} {text[:20]!r} is not 0 or 1, true or false")
@@ -61,7 +61,7 @@ def switch(text: str, what: str) -> bool:
 
 
 def data_bytes(fields: Sequence[str], base: int = 16) -> bytes:
-    """One byte a field."""
+    """One byte a field. Raises ValueError."""
     numbers = [whole(text, "byte", base) for text in fields]
     if any(number > 0xFF for number in numbers):
         raise ValueError(f"byte {max(numbers)} is above 255")
@@ -69,7 +69,7 @@ def data_bytes(fields: Sequence[str], base: int = 16) -> bytes:
 
 
 def fd_length(code: int) -> int:
-    """Bytes of a CAN FD frame by its data length code."""
+    """Bytes of a CAN FD frame by its data length code. Raises ValueError for a code above 15."""
     if code >= len(FD_LENGTHS):
         raise ValueError(f"data length code {code} is above 15")
     return FD_LENGTHS[code]

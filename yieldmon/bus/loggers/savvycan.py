@@ -21,7 +21,10 @@ _HEADING = ("time stamp", "id", "extended", "bus", "len")
 
 
 def parser(heading: str) -> Parser | None:
-    """What reads the lines behind this one; None where it is not SavvyCAN's heading."""
+    """What reads the lines behind this one; None where it is not SavvyCAN's heading.
+
+    The reader raises ValueError for a line with too few fields.
+    """
     columns = [column.strip().lower() for column in heading.split(",")]
     if not set(_HEADING) <= set(columns) or columns[0] != _HEADING[0]:
         return None

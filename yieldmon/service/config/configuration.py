@@ -115,7 +115,7 @@ def load(path: Path | str, environment: Mapping[str, str] = os.environ) -> Confi
 
 
 def build(content: Any, path: Path, environment: Mapping[str, str] = os.environ) -> Configuration:
-    """Configuration from the content of the file at `path`, as load() does."""
+    """Configuration from the content of the file at `path`, as load() does. Raises ConfigurationError."""
     try:
         content, renamed = with_present_keys(content, str(path))
     except InputError as error:

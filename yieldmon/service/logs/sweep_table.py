@@ -105,15 +105,14 @@ def of_seconds(
 ) -> SweepTable:
     """The table of one or several records' seconds that count for a sweep; where: for errors. See `read`.
 
-    The sweeps of several records are numbered anew.
+    The sweeps of several records are numbered anew. Raises InputError where no sweep can be used.
     """
     every = [sweep for rows in records for sweep in _by_sweep([_values(row) for row in rows if _usable(row)])]
     if len(records) > 1:
         every = [replace(sweep, sweep_id=number) for number, sweep in enumerate(every, 1)]
     sweeps = every[-last if last is not None else 0 :]
-    path = where
     if not sweeps:
-        raise InputError(path, "holds no sweep", "a store in which a sweep of the plate was measured")
+        raise InputError(where, "holds no sweep", "a store in which a sweep of the plate was measured")
     model = ForwardModel(machine, parameters.effects)
     visits = _visits(sweeps, model, parameters)
     angle_deg = _same(np.degrees([v.angle_rad for v in visits]), np.degrees(SAME_ANGLE_RAD))
@@ -121,7 +120,7 @@ def of_seconds(
     if angles.size < LEAST_ANGLES:
         found = ", ".join(f"{a:g}" for a in angles) or "none"
         raise InputError(
-            path, f"has sweeps with a known flow at {angles.size} plate angles ({found} deg)", f"at least {LEAST_ANGLES}"
+            where, f"has sweeps with a known flow at {angles.size} plate angles ({found} deg)", f"at least {LEAST_ANGLES}"
         )
     columns = _standardised(visits, angle_deg, model, parameters)
     # A visit's few windows say little of their own scatter: weights made of it would favour what happens to agree.
@@ -132,11 +131,11 @@ def of_seconds(
     used = len(set(trial))
     scale_sd = _scale_sd(visits, model, parameters)
     note = (
-        f"{path}: {len(visits)} visits in {used} sweeps; the flow is what version {parameters.version} of the parameters makes "
+        f"{where}: {len(visits)} visits in {used} sweeps; the flow is what version {parameters.version} of the parameters makes "
         f"of the force at the home angle, so the scale of flow and gain is theirs (good to {100.0 * scale_sd:.1f} %)"
     )
     table = Table(
-        path, hashlib.sha256(text.encode()).hexdigest(), "mass_flow_kg_s", "force_n", columns, {"trial": trial}, (note,)
+        where, hashlib.sha256(text.encode()).hexdigest(), "mass_flow_kg_s", "force_n", columns, {"trial": trial}, (note,)
     )
     return SweepTable(table, text, used, scale_sd)
 

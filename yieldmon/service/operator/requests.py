@@ -28,7 +28,7 @@ class Request:
         return self.values.get(key) is not None
 
     def flag(self, key: str) -> bool:
-        """Whether the value is true; no value is false."""
+        """Whether the value is true; no value is false. Raises InputError."""
         value = self.values.get(key)
         if value is not None and not isinstance(value, bool):
             raise InputError(key, brief(repr(value), _SHOWN), "true or false")
@@ -41,7 +41,7 @@ class Request:
             raise InputError(command, f"takes no {brief(strange, _SHOWN)!r}", ", ".join(keys) or "no argument")
 
     def name(self, key: str) -> str | None:
-        """A printable text on one line, None where there is none."""
+        """A printable text on one line, None where there is none. Raises InputError."""
         value = self.values.get(key)
         if value is None:
             return None
@@ -50,18 +50,18 @@ class Request:
         return value
 
     def number_of(self, key: str, what: str) -> int:
-        """The number by which a load, a ticket or a version goes."""
+        """The number by which a load, a ticket or a version goes. Raises InputError."""
         value = self.values.get(key)
         if not isinstance(value, int) or isinstance(value, bool) or value < 0:
             raise InputError(key, brief(repr(value), _SHOWN), f"the number of a {what}")
         return value
 
     def mass_or_none(self, key: str, low: float, high: float, unit: str) -> float | None:
-        """A mass from low to high, None where there is none."""
+        """A mass from low to high, None where there is none. Raises InputError."""
         return self.mass(key, low, high, unit) if self.given(key) else None
 
     def mass(self, key: str, low: float, high: float, unit: str) -> float:
-        """A mass from low to high, which must be there."""
+        """A mass from low to high, which must be there. Raises InputError."""
         value = self.values.get(key)
         if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
             raise InputError(key, brief(repr(value), _SHOWN), f"a mass from {low:g} to {high:g} {unit}")
