@@ -68,10 +68,16 @@ def test_parquet_that_is_no_harvest(content: pyarrow.Table, says: str, capsys: p
         ),
         (b"\x1f\x8b\x08\x00", "is compressed; expected what is in it (gunzip)"),
         (b"Rar!\x1a\x07", "is a RAR archive"),
-        (b"%PDF-1.7\n", "is a PDF"),
     ],
 )
 def test_what_cannot_be_read_says_what_would_do(head: bytes, says: str, capsys: pytest.CaptureFixture[str]) -> None:
     Path("h.dat").write_bytes(head + bytes(100))
     assert cli.main(["map", "h.dat", "--out", "unused", "--products", "none"]) == 2
     assert says in capsys.readouterr().err
+
+
+def test_parquet_with_a_name_that_is_no_text(capsys: pytest.CaptureFixture[str]) -> None:
+    pyarrow.parquet.write_table(table(places="columns"), "h.parquet")
+    Path("h.parquet").write_bytes(Path("h.parquet").read_bytes().replace(b"width_m", b"\xafidth_m"))
+    assert cli.main(["map", "h.parquet", "--out", "unused", "--products", "none"]) == 2
+    assert "h.parquet: " in capsys.readouterr().err

@@ -185,3 +185,39 @@ def test_places_far_from_the_field_are_no_way(capsys: pytest.CaptureFixture[str]
     code, document, said = mapped(capsys, f"{HEAD},yield (t/ha),width (m)", row)
     assert code == 0, said
     assert mass_kg(document) == pytest.approx(MASS_KG, rel=0.03)
+
+
+@pytest.mark.parametrize("time", ["2024-08-15T13:05:00Z", "2024-08-14T22:00:00Z", "2024-08-15", "0", "13:05:00"])
+def test_a_time_that_stands_still_is_none(time: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """As of a file's export, or of the day's begin in another zone."""
+    code, document, said = mapped(
+        capsys,
+        "time,longitude,latitude,flow (kg/s),width (m)",
+        lambda at: f"{time},{at.longitude:.8f},{at.latitude:.8f},{FLOW_KG_S},6",
+    )
+    assert code == 0, said
+    assert mass_kg(document) == pytest.approx(MASS_KG, rel=0.01)
+    assert "rows are taken as one second apart" in said
+
+
+def test_bars_between_columns(capsys: pytest.CaptureFixture[str]) -> None:
+    code, document, said = mapped(
+        capsys,
+        f"{HEAD}|flow (kg/s)|width (m)".replace(",", "|"),
+        lambda at: f"{PLACE.format(at)}|{FLOW_KG_S}|6".replace(",", "|"),
+    )
+    assert code == 0, said
+    assert mass_kg(document) == pytest.approx(MASS_KG, rel=0.01)
+
+
+def test_no_field_is_at_the_pole(capsys: pytest.CaptureFixture[str]) -> None:
+    """Every fourth row has one place that stands for "not known"."""
+
+    def row(at: Point) -> str:
+        place = "180,90" if at.second % 4 == 0 else f"{at.longitude:.8f},{at.latitude:.8f}"
+        return f"{at.second},{place},{FLOW_KG_S},{WIDTH_M}"
+
+    code, document, said = mapped(capsys, f"{HEAD},flow (kg/s),width (m)", row)
+    assert code == 0, said
+    assert "latitude_deg outside -85 to 85 are taken as unknown" in said
+    assert mass_kg(document) == pytest.approx(MASS_KG, rel=0.01)

@@ -158,13 +158,13 @@ def of_serial_days(days: Array) -> Array:
 
 
 def days_only(time_s: Array) -> bool:
-    """Whether Unix times are days and no more: all at midnight, and several of the same.
+    """Whether Unix times are days and no more: all at one time of the day, midnight of some zone mostly, and several of the same.
 
-    >>> days_only(np.array([86400.0, 86400.0, 172800.0])), days_only(np.array([86400.0]))
+    >>> days_only(np.array([79200.0, 79200.0, 165600.0])), days_only(np.array([86400.0]))
     (True, False)
     """
     known = time_s[np.isfinite(time_s)]
-    return bool(known.size > np.unique(known).size and (known % S_PER_DAY == 0).all())
+    return bool(known.size > np.unique(known).size and np.unique(known % S_PER_DAY).size == 1)
 
 
 def evened(time_s: Array, way_m: Array) -> tuple[Array, float]:

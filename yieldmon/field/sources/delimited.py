@@ -71,12 +71,12 @@ def encoding_of(head: bytes) -> str:
 
 
 def delimiter_of(line: str) -> str:
-    """The most frequent of comma, semicolon and tab outside quotes; commas that may be within each number are not counted."""
+    """The most frequent of comma, semicolon, tab and bar outside quotes; commas that may be in each number are not counted."""
     plain = "".join(part for number, part in enumerate(line.split('"')) if number % 2 == 0)
-    for mark in ";\t":
+    for mark in ";\t|":
         if plain.count(mark) >= 2 and plain.count(",") <= plain.count(mark) + 1:
             return mark
-    return max(",;\t", key=plain.count)
+    return max(",;\t|", key=plain.count)
 
 
 def has_decimal_comma(cells: Iterable[str]) -> bool:

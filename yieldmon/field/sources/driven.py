@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from yieldmon.field.plane import Sites
 from yieldmon.field.table import Array
 
-from .positions import plausible
+from .positions import HIGHEST_DEG, plausible
 from .raw_table import Raw
 
 _LEAST_ROWS = 30
@@ -19,8 +19,8 @@ _RISING = 0.98
 """Share of a machine's rows from which a distance that never falls is a sum."""
 _FAR_OFF = 1.6
 """Times that distances may differ from positions: a knot is 1.15 miles an hour and 1.85 km/h."""
-_HIGHEST_DEG, _UNLIKE = 85.0, 0.15
-"""Latitude up to which fields are looked for, and how unlike (log) ways to the east and the north must be."""
+_UNLIKE = 0.15
+"""How unlike (log) ways to the east and the north must be."""
 _LEAST_M = 0.3
 """Between two positions, that they say something."""
 _SPAN_M, _MOST_ROWS, _STRAIGHT = 40.0, 30, 0.98
@@ -67,7 +67,7 @@ def ways_checked(raw: Raw, values: dict[str, Array], time_s: Array) -> tuple[str
 def _are_swapped(raw: Raw, values: dict[str, Array], way_m: Array, time_s: Array) -> bool:
     """Whether ways to the east and to the north fit equally well only where longitude and latitude are exchanged."""
     exchanged = values | {"longitude": values["latitude"], "latitude": values["longitude"]}
-    if not np.nanmax(np.abs(exchanged["latitude"]), initial=0.0) <= _HIGHEST_DEG:
+    if not np.nanmax(np.abs(exchanged["latitude"]), initial=0.0) <= HIGHEST_DEG:
         return False
     as_they_are, other = (_east_to_north(_straight(raw, _plane(one), way_m, time_s)) for one in (values, exchanged))
     if as_they_are is None or other is None:

@@ -14,7 +14,7 @@ from yieldmon.repeats import repeated
 from .delimited import delimiter_of
 from .naming import is_known_name
 
-SEPARATOR = re.compile(r"sep=([,;\t])\s*", re.IGNORECASE)
+SEPARATOR = re.compile(r"sep=([,;\t|])\s*", re.IGNORECASE)
 """What spreadsheets write above the header."""
 _LOOKED_AT = 40
 _LEAST_KNOWN = 3

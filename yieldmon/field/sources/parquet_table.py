@@ -35,7 +35,7 @@ def recognises(path: Path, head: bytes) -> bool:
 
     try:
         return not _OF_PROCESS.issubset(pyarrow.parquet.read_schema(path).names)
-    except (pyarrow.ArrowException, OSError):
+    except (pyarrow.ArrowException, OSError, ValueError):
         return False
 
 

@@ -8,10 +8,13 @@ import numpy as np
 
 from yieldmon.field.table import Array
 
+HIGHEST_DEG = 85.0
+"""Latitude beyond which there is no field."""
+
 #: Column -> lowest and highest value that is taken as one.
 LIMITS: Mapping[str, tuple[float, float]] = {
     "longitude_deg": (-180.0, 180.0),
-    "latitude_deg": (-90.0, 90.0),
+    "latitude_deg": (-HIGHEST_DEG, HIGHEST_DEG),
     # Forage harvesters reach 100; a raw value that means "none" is often far above.
     "flow_kg_s": (0.0, 300.0),
     # A sensor that has nothing in it yet reads 0.

@@ -57,6 +57,8 @@ def column_times(raw: Raw, options: ReadOptions, where: str) -> ColumnTimes:
     time_s, unix, notes = _of_column(column, raw, options, where)
     if unix and clocks.days_only(time_s):
         return ColumnTimes(None, unix=False, notes=(f"{column.name} holds days and no times",))
+    if np.isfinite(time_s).sum() > 1 and np.unique(time_s[np.isfinite(time_s)]).size == 1:
+        return ColumnTimes(None, unix=False, notes=(f"{column.name} is the same in all rows",))
     lost = int(np.isnan(time_s).sum())
     if lost:
         notes.append(f"{column.name} holds no time that can be read in {lost} of {raw.count} rows")

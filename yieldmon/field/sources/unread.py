@@ -12,7 +12,6 @@ _KINDS = {
     b"\x1f\x8b": ("is compressed", "what is in it (gunzip)"),
     b"Rar!": ("is a RAR archive", "what is in it, or a zip"),
     b"7z\xbc\xaf": ("is a 7z archive", "what is in it, or a zip"),
-    b"%PDF": ("is a PDF", "the data that it was made of"),
 }
 _OPEN_DOCUMENT = b"mimetypeapplication/vnd.oasis.opendocument"
 
