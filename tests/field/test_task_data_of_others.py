@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import struct
 from collections.abc import Sequence
@@ -53,7 +54,7 @@ def log(folder: Path, name: str, values: Sequence[Value], which: range) -> None:
     for number, row in enumerate(rows(speeds=False)):
         if number not in which:
             continue
-        since = row["time"] - 315_964_800.0
+        since = row["time"] - 315_532_800.0
         out += struct.pack("<IH", round(since % 86400 * 1000), int(since // 86400))
         out += struct.pack("<iiB", round(row["latitude"] * 1e7), round(row["longitude"] * 1e7), 4)
         out += bytes([len(values)]) + b"".join(struct.pack("<Bi", k, one[2][number]) for k, one in enumerate(values))
@@ -219,3 +220,23 @@ def test_a_log_that_lacks_something_says_what_would_do(
     folder = task_data([device(1, [("DET-1", "1", 0)])], values)
     assert cli.main(["map", str(folder), "--out", "unused", "--products", "none"]) == 2
     assert says in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("behind_s", "shift_s"), [(7200, 7200), (-5.5 * 3600, -5.5 * 3600), (20, 0), (1024 * 7 * 86400, 0)])
+def test_a_local_clock_is_set_by_the_receivers(behind_s: float, shift_s: float, capsys: pytest.CaptureFixture[str]) -> None:
+    """behind_s: of the receiver's clock; one of 1024 weeks is its mistake."""
+    folder = task_data([device(1, [("DET-1", "1", 0)])], WHOLE)
+    records, length = (folder / "TLG00001.bin").read_bytes(), (folder / "TLG00001.bin").stat().st_size // COUNT
+    out = bytearray()
+    for number in range(COUNT):
+        record = records[number * length : (number + 1) * length]
+        milliseconds, days = struct.unpack_from("<IH", record)
+        receiver_s = days * 86400 + milliseconds / 1000 - behind_s
+        out += record[:15] + struct.pack("<IH", round(receiver_s % 86400 * 1000), int(receiver_s // 86400)) + record[15:]
+    (folder / "TLG00001.bin").write_bytes(out)
+    header = folder / "TLG00001.xml"
+    header.write_text(header.read_text().replace('D=""/>', 'D="" H="" I=""/>', 1))
+    assert cli.main(["map", str(folder), "--out", "out", "--products", "csv", "--flow-delay", "0"]) == 0
+    with Path("out/points.csv").open() as stream:
+        first = next(csv.DictReader(stream))
+    assert float(first["time_s"]) == pytest.approx(rows(speeds=False)[0]["time"] - shift_s, abs=0.01)

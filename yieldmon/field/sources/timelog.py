@@ -14,7 +14,7 @@ import numpy as np
 from yieldmon.errors import InputError
 from yieldmon.field.table import Array
 from yieldmon.files import task_data
-from yieldmon.units import S_PER_DAY
+from yieldmon.units import S_PER_DAY, S_PER_H
 
 POSITION_DEG = 1e-7
 #: Attribute of PTN -> numpy type in a record, in the order of a record.
@@ -30,6 +30,8 @@ _POSITION = {
     "I": ("<u2", "gps_day"),
 }
 _NOT_AVAILABLE = -(2**31)
+_ZONES_S, _FARTHEST_ZONE_S, _CLOCK_ERROR_S = 900.0, 14.0 * S_PER_H, 300.0
+"""Between zones, to the farthest one, and by how much a terminal's clock may be off."""
 
 
 @dataclass(frozen=True)
@@ -132,14 +134,24 @@ def read(data: bytes, head: Header) -> TimeLog:
     def field(name: str, scale: float) -> Array:
         return records[name] * scale if name in names else np.full(count, np.nan)
 
+    time_s = task_data.EPOCH.timestamp() + records["day"] * S_PER_DAY + records["ms"] * 1e-3
+    if {"gps_ms", "gps_day"} <= set(names):
+        time_s += _zone_s(time_s, task_data.EPOCH.timestamp() + records["gps_day"] * S_PER_DAY + records["gps_ms"] * 1e-3)
     return TimeLog(
-        task_data.EPOCH.timestamp() + records["day"] * S_PER_DAY + records["ms"] * 1e-3,
+        time_s,
         field("east", POSITION_DEG),
         field("north", POSITION_DEG),
         field("up_mm", 1e-3),
         values,
         problem,
     )
+
+
+def _zone_s(local_s: Array, gps_s: Array) -> float:
+    """From the terminal's clock, which may be local, to UTC, by the receiver's; 0 where the two are not a zone apart."""
+    apart_s = float(np.median(gps_s - local_s))
+    zone_s = round(apart_s / _ZONES_S) * _ZONES_S
+    return zone_s if abs(zone_s) <= _FARTHEST_ZONE_S and abs(apart_s - zone_s) < _CLOCK_ERROR_S else 0.0
 
 
 def _starts(data: bytes, fixed: np.dtype[np.void], count_values: int) -> tuple[np.ndarray, str]:
