@@ -239,11 +239,11 @@ def test_agleader_text_has_the_manuals_columns(exported):
 
 
 def test_a_field_named_with_quotes_stays_one_column(exported):
-    words = [*WORDS[: WORDS.index("--field")], "--field", 'the "long"\nhill, west']
+    words = [*WORDS[: WORDS.index("--field")], "--field", 'the "long"\nHöhe, groß']
     with exported("q.txt", *words).open(encoding="ascii", newline="") as stream:
         lines = list(csv.reader(stream))
     assert lines
-    assert {(len(line), line[11]) for line in lines} == {(17, "F1:the 'long' hill, west")}
+    assert {(len(line), line[11]) for line in lines} == {(17, "F1:the 'long' Hohe, gross")}
 
 
 def test_task_data_by_the_standards_layout(exported):

@@ -6,6 +6,8 @@ import unicodedata
 
 _UNFIT = frozenset({"Cc", "Cs", "Cn", "Zl", "Zp"})
 _BIDI = frozenset("\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069")
+_WITHOUT_ACCENT = str.maketrans({"ß": "ss", "æ": "ae", "Æ": "AE", "ø": "o", "Ø": "O", "ł": "l", "Ł": "L", "đ": "d", "Đ": "D"})
+"""Letters of Latin alphabets that are no other letter with an accent."""
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 
 
@@ -15,8 +17,14 @@ def plain(text: str) -> str:
 
 
 def quotable(text: str) -> str:
-    """The text as it stands between double quotes in a file that knows no escape for them."""
-    return plain(" ".join(text.replace('"', "'").split()))
+    """The text as it stands between double quotes in a file that knows no escape for them, nor letters with accents.
+
+    >>> quotable('Große "Höhe"')
+    "Grosse 'Hohe'"
+    """
+    letters = unicodedata.normalize("NFKD", text.translate(_WITHOUT_ACCENT))
+    bare = "".join(letter for letter in letters if not unicodedata.combining(letter))
+    return plain(" ".join(bare.replace('"', "'").split()))
 
 
 def cell(text: str) -> str:
