@@ -70,6 +70,23 @@ def test_what_matters_is_read_of_an_odd_file(tmp_path: Path, sound: str, odd: st
     assert [one.places for one in found.signals.values()] == [one.places for one in expected.signals.values()]
 
 
+@pytest.mark.parametrize("bit_rate", ["", " 500000:1,2"])
+def test_names_of_more_than_32_characters_are_those_of_their_attributes(tmp_path: Path, bit_rate: str) -> None:
+    """Also where cantools refuses something else; messages then had their short names."""
+    long = """BA_DEF_ BO_ "SystemMessageLongSymbol" STRING ;
+BA_DEF_ SG_ "SystemSignalLongSymbol" STRING ;
+BA_DEF_DEF_ "SystemMessageLongSymbol" "";
+BA_DEF_DEF_ "SystemSignalLongSymbol" "";
+BA_ "SystemMessageLongSymbol" BO_ 2566844926 "Shaft_of_the_clean_grain_elevator_at_the_top";
+BA_ "SystemSignalLongSymbol" SG_ 2566844926 Speed "Speed_of_the_clean_grain_elevator_at_the_top";
+"""
+    found = messages(tmp_path, PLAIN.replace("BS_:", f"BS_:{bit_rate}").replace("VAL_ 25", f"{long}VAL_ 25"))
+    (message,) = found.values()  # type: ignore[attr-defined]
+    assert message.name == "Shaft_of_the_clean_grain_elevator_at_the_top"
+    assert list(message.signals) == ["Page", "Speed_of_the_clean_grain_elevator_at_the_top", "Load"]
+    assert message.signals["Speed_of_the_clean_grain_elevator_at_the_top"].mux == (2,)
+
+
 @pytest.mark.parametrize(
     ("sound", "odd", "said"),
     [

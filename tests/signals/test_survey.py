@@ -152,6 +152,13 @@ STATE = (
 VAL_ 516 ActuatorState 2 "fault" ;
 """
 )
+HEADER = (
+    HEAD
+    + """BO_ 516 Switches: 1 Node
+ SG_ Header : 0|2@1+ (1,0) [0|3] "" Node
+VAL_ 516 Header 0 "down" 1 "up" 3 "SNA" ;
+"""
+)
 RECEIVER = (
     HEAD
     + """BO_ 514 Nav: 8 Node
@@ -254,6 +261,12 @@ def written(folder: Path, dbc: str, frames: list[tuple[int, bytes]], capsys: pyt
             [(516, bytes([place % 3])) for place in range(100)],
             ["actuator_state: {dbc: node.dbc, message: Plate, signal: ActuatorState}"],
             id="a state that is a fault",
+        ),
+        pytest.param(
+            HEADER,
+            [(516, bytes([place % 2])) for place in range(100)],
+            ["header_down: {dbc: node.dbc, message: Switches, signal: Header, values: {0: 1, 1: 0}}"],
+            id="a switch that is 1 when the header is up",
         ),
         pytest.param(
             RECEIVER,

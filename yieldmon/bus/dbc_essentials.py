@@ -17,13 +17,16 @@ _KIND = re.compile(r"SIG_VALTYPE_\s+(\d+)\s+(\w+)\s*:?\s*([0-3])\s*;", re.ASCII)
 _AS_IT_IS = {
     "VAL_": re.compile(r"VAL_\s+\d+\s+\w+(?:\s+-?\d+\s+\"[^\"]*\")*\s*;", re.ASCII),
     "SG_MUL_VAL_": re.compile(r"SG_MUL_VAL_\s+\d+\s+\w+\s+\w+\s+[^\";]*;", re.ASCII),
-    **dict.fromkeys(("BA_DEF_", "BA_DEF_DEF_", "BA_"), re.compile(r"BA_\w*\s+(?:BO_\s+)?\"VFrameFormat\"[^;]*;", re.ASCII)),
+    **dict.fromkeys(
+        ("BA_DEF_", "BA_DEF_DEF_", "BA_"),
+        re.compile(r"BA_\w*\s+(?:(?:BO_|SG_)\s+)?\"(?:VFrameFormat|System(?:Message|Signal)LongSymbol)\"[^;]*;", re.ASCII),
+    ),
 }
-"""The one attribute that matters is the frame format, by which a message is J1939's."""
+"""The attributes that matter: the frame format, by which a message is J1939's, and names of more than 32 characters."""
 
 
 def essentials(text: str) -> str | None:
-    """Messages, signals with their multiplexers and kinds, names of values and frame formats of a DBC's text; None where a
+    """Messages, signals with multiplexers and kinds, names of values, frame formats and long names of a DBC's text; None where a
     message or a signal is not as it has to be, or a quotation mark too many may hide one."""
     kept, known, message = list[str](), set[tuple[str, str]](), ""
     parts = list(_START.finditer(text))

@@ -107,6 +107,8 @@ def _entries(found: Candidate, paths: Mapping[str, str], candidates: Mapping[str
         keys.append(_EXCITATION)
     if found.not_available:
         keys.append(f"not_available: {list(found.not_available)}")
+    if found.values:
+        keys.append(f"values: {{{', '.join(f'{raw}: {code}' for raw, code in found.values)}}}")
     if found.mux is not None:
         keys.append(f"mux: {found.mux}")
     if found.quantity == "elevator_speed" and SHAFTS_ELSEWHERE.search(found.signal):

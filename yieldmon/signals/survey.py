@@ -20,6 +20,7 @@ from yieldmon.signals.binding import IMPACT, MIN_RATE_HZ
 from yieldmon.signals.extraction import Extraction, named_no_value
 from yieldmon.signals.group_names import group_name
 from yieldmon.signals.long_messages import LongMessages, Numbers, Whole, numbers
+from yieldmon.signals.state_names import codes_by_name
 from yieldmon.signals.units import factor, zero
 
 _MOST_IDENTIFIERS = 10_000
@@ -114,8 +115,8 @@ class Candidate:
 
     unit: as the DBC says; mux: value of the multiplexer with which it is sent most; source: of the sender where the DBC does
     not distinguish it from others; node: the sender's NAME then, where one was heard; moved: that node was heard at several
-    addresses; span: lowest and highest value; not_available: raw values that the DBC's value table calls so; score: how well
-    it fits, above 0.
+    addresses; span: lowest and highest value; not_available: raw values that the DBC's value table calls so; values: raw value
+    and code of a switch whose names say that they differ; score: how well it fits, above 0.
     """
 
     quantity: str
@@ -130,6 +131,7 @@ class Candidate:
     moved: bool = False
     span: tuple[float, float] = (0.0, 0.0)
     not_available: tuple[int, ...] = ()
+    values: tuple[tuple[int, int], ...] = ()
     score: float = 1.0
 
     @property
@@ -279,6 +281,7 @@ class Survey:
                             moved=node is not None and homes[node] > 1,
                             span=(signal.low, signal.high),
                             not_available=_not_available(quantity, signal.bits),
+                            values=tuple(sorted(codes_by_name(quantity, signal.bits).items())),
                             score=score,
                         )
                         found.setdefault(quantity, []).append(candidate)

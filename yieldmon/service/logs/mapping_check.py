@@ -19,6 +19,7 @@ from yieldmon.physics.numerics import Array
 from yieldmon.service.config.configuration import Configuration
 from yieldmon.signals.packing import Packing, span
 from yieldmon.signals.published import PUBLISHED
+from yieldmon.signals.state_names import codes_by_name
 from yieldmon.units import S_PER_DAY
 
 if TYPE_CHECKING:
@@ -124,6 +125,15 @@ def notes(configuration: Configuration) -> list[str]:
     for name, value in configuration.signals.sources.fixed.items():
         if name != "plate_angle":
             found.append(f"{name} is taken to be {value:g} {QUANTITIES[name].unit} always")
+    for taken in configuration.signals.groups:
+        for name, extraction in taken.signals.items():
+            codes = codes_by_name(name, extraction.bits) if extraction.codes is None else {}
+            if codes:
+                given = ", ".join(f"{raw}: {code}" for raw, code in sorted(codes.items()))
+                found.append(
+                    f"{name} is taken as {extraction.bits.name} has it, {QUANTITIES[name].meaning}; the DBC's names say "
+                    f"otherwise: values: {{{given}}}"
+                )
     for group in configuration.outputs.groups:
         when = "with each new value" if group.period_s is None else f"every {1000.0 * group.period_s:g} ms"
         source = "xx" if group.own_address else f"{group.frame_id & 0xFF:02X}"
