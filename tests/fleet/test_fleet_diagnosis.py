@@ -115,7 +115,7 @@ def test_machines_of_another_geometry_and_with_too_few_sweeps_are_not_judged() -
     found = diagnose(fleet, ALIKE_ONLY)
     said = {v.name: (v.verdict, v.judged) for v in found.machines}
     assert said["other"] == ("fewer than 3 machines of its geometry", False)
-    assert said["short"] == ("needs 40 visits away from home at 3 angles", False)
+    assert said["short"] == ("has 18 visits away from home at 5 angles, needs 40 at 3", False)
     assert [said[f"m{i}"] for i in range(3)] == [("none", True)] * 3
     assert found.shared == "none"
     assert diagnose(fleet[:2], ALIKE_ONLY).shared == diagnose([], ALIKE_ONLY).shared == "not compared"

@@ -75,6 +75,7 @@ def test_report(season: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert "<script>" not in text
     assert "http" not in text
     assert "2026-10-02" in text
+    assert "@media print{.scroll{max-height:none;" in text
 
 
 def test_report_names_damaged_logs_and_those_counted_twice(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

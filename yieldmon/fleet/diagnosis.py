@@ -158,9 +158,9 @@ def _of_geometry(group: _Group) -> _Answer:
         own_verdicts = tuple(MachineVerdict(m.name, "parameters without restitution") for m in group.machines)
         return _Answer("not compared", (), own_verdicts)
     sweeps = {m.name: away_of_seconds(m.days, m.machine, m.parameters) for m in group.machines}
-    usable = [m for m in group.machines if _says_enough(sweeps[m.name])]
-    why = f"needs {_LEAST_VISITS} visits away from home at {_LEAST_ANGLES} angles"
-    own = {m.name: MachineVerdict(m.name, why) for m in group.machines}
+    lacks = {name: _lack(of_machine) for name, of_machine in sweeps.items()}
+    usable = [m for m in group.machines if not lacks[m.name]]
+    own = {m.name: MachineVerdict(m.name, lacks[m.name]) for m in group.machines}
     if len(usable) < LEAST_MACHINES:
         own |= {m.name: MachineVerdict(m.name, f"fewer than {LEAST_MACHINES} machines of its geometry") for m in usable}
         return _Answer("not compared", (), tuple(own.values()))
@@ -179,9 +179,13 @@ def _alike(machines: Sequence[MachineSweeps]) -> list[list[MachineSweeps]]:
     return list(groups.values())
 
 
-def _says_enough(sweeps: Sequence[AwayVisits]) -> bool:
+def _lack(sweeps: Sequence[AwayVisits]) -> str:
+    """What a machine's sweeps have too little of; "" for nothing."""
     angles = {round(float(np.degrees(angle))) for sweep in sweeps for angle in sweep.plate_angle_rad}
-    return sum(map(len, sweeps)) >= _LEAST_VISITS and len(angles) >= _LEAST_ANGLES
+    visits = sum(map(len, sweeps))
+    if visits >= _LEAST_VISITS and len(angles) >= _LEAST_ANGLES:
+        return ""
+    return f"has {visits} visits away from home at {len(angles)} angles, needs {_LEAST_VISITS} at {_LEAST_ANGLES}"
 
 
 def _lattice(group: Sequence[MachineSweeps], sweeps: Mapping[str, Sequence[AwayVisits]]) -> Lattice:

@@ -14,6 +14,7 @@ th,td{padding:.25rem .6rem;border-bottom:1px solid #dde3df;text-align:right}
 th:first-child,td:first-child{text-align:left}th{background:#f2f5f3;position:sticky;top:0}
 .scroll{overflow-x:auto;max-height:32rem;overflow-y:auto}.bad{color:#a02020}
 svg{vertical-align:middle}
+@media print{.scroll{max-height:none;overflow:visible}th{position:static}}
 """
 _WIDTH, _HEIGHT = 120, 24
 
