@@ -222,10 +222,17 @@ def test_an_installation_of_before_releases_makes_way(tmp_path: Path) -> None:
 def test_the_bill_of_materials_names_all_that_the_lock_does() -> None:
     made = subprocess.run([sys.executable, str(ROOT / "tools" / "sbom")], capture_output=True, text=True, check=True).stdout
     bill = json.loads(made)
-    lock = (ROOT / "requirements.lock").read_text(encoding="utf-8")
-    names = [line.partition("==")[0] for line in lock.splitlines() if "==" in line and not line.startswith((" ", "#"))]
-    assert [part["name"] for part in bill["components"]] == names
-    assert all(part["hashes"] and part["purl"].startswith("pkg:pypi/") for part in bill["components"])
+    locks = [(ROOT / name).read_text(encoding="utf-8") for name in ("requirements.lock", "requirements-web.lock")]
+    names = [
+        [line.partition("==")[0] for line in lock.splitlines() if "==" in line and not line.startswith((" ", "#"))]
+        for lock in locks
+    ]
+    *packages, charts = bill["components"]
+    assert [part["name"] for part in packages] == [*names[0], *names[1]]
+    assert [part["scope"] for part in packages] == ["required"] * len(names[0]) + ["optional"] * len(names[1])
+    assert all(part["hashes"] and part["purl"].startswith("pkg:pypi/") for part in packages)
+    assert (charts["name"], charts["licenses"]) == ("uplot", [{"license": {"id": "MIT"}}])
+    assert f"uPlot {charts['version']} (MIT" in (ROOT / "docs" / "internals" / "web.md").read_text(encoding="utf-8")
     assert (bill["bomFormat"], bill["specVersion"]) == ("CycloneDX", "1.5")
 
 
