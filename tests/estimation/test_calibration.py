@@ -356,6 +356,34 @@ def test_a_standard_deviation_covers_the_truth_where_the_fit_ends_at_a_bound() -
     assert max(z) < 2.2
 
 
+@pytest.mark.parametrize("share", [0.008, 0.016])
+def test_bounds_take_no_more_off_the_standard_error_than_puts_it_within_them(share: float) -> None:
+    """The best fit is not drawn towards the middle of the bounds, so its error is that of the rows."""
+    angle, flow = (v.ravel() for v in np.meshgrid(np.radians([40.0, 55.0, 70.0, 85.0]), np.linspace(2.0, 18.0, 6)))
+    conditions = Conditions(angle, 42.0, mass_flow_kg_s=flow)
+    clean = np.real(MODEL.paddle_momentum(conditions, TRUE))
+    noise = share * float(clean.max()) * np.random.default_rng(3).standard_normal(clean.shape)
+    found = calibrate(MODEL, Measurements(conditions, clean + noise), dict(START), FREE, starts=2, intervals=False)
+    assert not any(p.at_bound for p in found.parameters)
+    anywhere = np.array([1.0, 1.0, 2000.0 - 750.0]) / np.sqrt(12.0)
+    beyond = np.array([p.standard_error for p in found.parameters]) / anywhere
+    stated = np.array([found.parameter_set.standard_deviation(name) for name in FREE]) / anywhere
+    assert beyond.max() > 0.5
+    assert stated.max() == pytest.approx(min(beyond.max(), 1.0), rel=1e-6)
+    assert np.all(stated <= beyond * (1.0 + 1e-6))
+
+
+def test_an_outlier_of_a_robust_fit_is_no_error_of_the_model() -> None:
+    """A twentieth of the readings is 30 % off, the others by noise of 1 %."""
+    angle, flow = (v.ravel() for v in np.meshgrid(np.radians([40.0, 55.0, 70.0, 85.0]), np.linspace(2.0, 18.0, 6)))
+    conditions = Conditions(np.tile(angle, 3), 42.0, mass_flow_kg_s=np.tile(flow, 3))
+    rng = np.random.default_rng(4)
+    reading = np.real(MODEL.paddle_momentum(conditions, TRUE)) * (1.0 + 0.01 * rng.standard_normal(72))
+    reading[rng.choice(72, 4, replace=False)] *= [0.7, 1.3, 0.7, 1.3]
+    found = calibrate(MODEL, Measurements(conditions, reading), dict(START), FREE, starts=2, robust=True, intervals=False)
+    assert found.parameter_set.model_error < 0.01
+
+
 @pytest.mark.parametrize(
     ("rows", "message"),
     [
@@ -365,6 +393,7 @@ def test_a_standard_deviation_covers_the_truth_where_the_fit_ends_at_a_bound() -
         (lambda: Measurements(Conditions(1.2, 42.0, paddle_mass_kg=np.full(8, 50.0)), np.ones(8)), "heaviest load"),
         (lambda: Measurements(Conditions(1.2, 42.0, mass_flow_kg_s=np.full(8, -5.0)), np.ones(8)), "load must be 0 or more"),
         (lambda: Measurements(Conditions(1.2, np.full(7, 42.0), mass_flow_kg_s=5.0), np.ones(8)), r"rad_s has the shape \(7,\)"),
+        (lambda: Measurements(HOME, np.zeros(8)), "every reading is 0"),
     ],
 )
 def test_bad_rows_are_refused(rows, message: str) -> None:  # type: ignore[no-untyped-def]
@@ -379,6 +408,8 @@ def test_bad_rows_are_refused(rows, message: str) -> None:  # type: ignore[no-un
         (("friction", "friction"), {}, "expected each once"),
         (FREE, {"starts": 0}, "starts 0: expected 1 or more"),
         (FREE, {"bounds": {"friction": (1.0, 0.0)}}, r"bounds of friction \(1, 0\): expected the lower one first"),
+        (FREE, {"bounds": {"fricton": (0.0, 1.0)}}, "bounds of fricton: not in this model; expected one of friction"),
+        (FREE, {"bounds": {"zero_offset.force_n": (0.0, 1.0)}}, "bounds of zero_offset.force_n: not in this model"),
     ],
 )
 def test_a_search_that_cannot_be_made_is_refused(free: tuple[str, ...], changes: dict, message: str) -> None:  # type: ignore[type-arg]

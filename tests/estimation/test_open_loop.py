@@ -104,6 +104,13 @@ def test_no_flow_of_an_angle_or_a_speed_that_cannot_be(angle: float, speed: floa
     assert flow[1] == loop().invert(60.0, ANGLE, SPEED)
 
 
+@pytest.mark.parametrize("noise_n", [-1.0, np.nan, np.inf])
+def test_no_flow_of_a_noise_that_cannot_be(noise_n: float) -> None:
+    found = loop().estimate([60.0, 60.0], ANGLE, SPEED, [noise_n, 1.0])
+    assert found.status.tolist() == [FlowStatus.NOT_AVAILABLE, FlowStatus.OK]
+    assert np.isnan([found.mass_flow_kg_s[0], found.std_dev_kg_s[0], found.noise_std_dev_kg_s[0]]).all()
+
+
 def test_no_rows_give_no_rows() -> None:
     assert loop().invert([], ANGLE, SPEED).shape == (0,)
     assert loop().estimate([], ANGLE, SPEED).status.shape == (0,)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -167,6 +168,23 @@ def test_an_angle_or_a_speed_that_cannot_be_is_refused(angle: float, speed: floa
     for reading in (MODEL.force, MODEL.paddle_momentum):
         with pytest.raises(ValueError, match=message):
             reading(conditions, GRAIN)
+
+
+@pytest.mark.parametrize(
+    ("ask", "message"),
+    [
+        (lambda at: MODEL.force(at, GRAIN, overfull="nans"), "overfull 'nans': expected 'raise' or 'nan'"),
+        (
+            lambda at: MODEL.derivatives(at, GRAIN, ["density"], of="forse"),
+            "derivatives of 'forse': expected 'momentum' or 'force'",
+        ),
+        (lambda at: MODEL.force(at, GRAIN | {"gravity.acceleration_m_s2": 9.81}), "gravity.*does not have this effect"),
+        (lambda at: MODEL.paddle_momentum(at, GRAIN | {"gravity.acceleration_m_s2": 9.81}), "gravity.*does not have this effect"),
+    ],
+)
+def test_a_question_that_means_something_else_is_refused(ask: Callable[[Conditions], object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        ask(Conditions(1.2, 42.0, mass_flow_kg_s=10.0))
 
 
 def test_a_negative_load_is_refused() -> None:

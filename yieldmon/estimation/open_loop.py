@@ -177,7 +177,8 @@ def broadcast_inputs(
     inputs = (force_n, plate_angle_rad, elevator_speed_rad_s, force_std_dev_n, moisture)
     arrays = np.broadcast_arrays(*(np.asarray(v, dtype=float) for v in inputs))
     force, angle, speed, noise, _ = arrays
-    usable = np.isfinite(force) & (np.abs(angle) <= np.pi) & np.isfinite(speed) & (speed > 0.0) & np.isfinite(noise)
+    usable = np.isfinite(force) & (np.abs(angle) <= np.pi) & np.isfinite(speed) & (speed > 0.0)
+    usable = usable & np.isfinite(noise) & (noise >= 0.0)
     return tuple(arrays), usable
 
 
@@ -290,7 +291,7 @@ class OpenLoop:
         force_n, plate_angle_rad, elevator_speed_rad_s, moisture_pct : array_like
             As in `invert`; nan where unknown.
         force_std_dev_n : array_like
-            Of the force, from window noise, N.
+            Of the force, from window noise, N, 0 or more.
 
         Returns
         -------

@@ -225,16 +225,10 @@ class ForwardModel:
         Raises
         ------
         ValueError
-            For a load above a full paddle, and for an angle or a speed outside its range, unless `overfull` is "nan"; for a
-            parameter that is missing.
+            For a load above a full paddle, an angle or a speed outside its range, and a parameter of an effect that the model
+            does not have, unless `overfull` is "nan"; for a parameter that is missing.
         """
-        if overfull == "raise":
-            refuse_impossible("conditions", conditions.plate_angle_rad, conditions.elevator_speed_rad_s)
-        throw = self._throw(conditions, parameters)
-        momentum = throw.momentum(_offered_kg(throw, conditions))
-        if overfull == "raise":
-            self._refuse_overfull(throw, conditions)
-        return momentum
+        return self._momentum(conditions, parameters, overfull)[0]
 
     def force(self, conditions: Conditions, parameters: Parameters, *, overfull: str = "raise") -> AnyArray:
         """Mean horizontal force: momentum per paddle times paddle passes per second [8.24].
@@ -254,13 +248,8 @@ class ForwardModel:
         ValueError
             As `paddle_momentum`.
         """
-        if overfull == "raise":
-            refuse_impossible("conditions", conditions.plate_angle_rad, conditions.elevator_speed_rad_s)
-        throw = self._throw(conditions, parameters)
-        momentum = throw.momentum(_offered_kg(throw, conditions))
-        if overfull == "raise":
-            self._refuse_overfull(throw, conditions)
-        return momentum * throw.passes_per_s
+        momentum, passes_per_s = self._momentum(conditions, parameters, overfull)
+        return momentum * passes_per_s
 
     def derivatives(
         self, conditions: Conditions, parameters: Parameters, names: Sequence[str], *, of: str = "momentum"
@@ -285,7 +274,7 @@ class ForwardModel:
         Raises
         ------
         ValueError
-            For a name that is neither a parameter nor the load that the conditions give.
+            For a name that is neither a parameter nor the load that the conditions give, and for another `of`.
 
         References
         ----------
@@ -300,6 +289,8 @@ class ForwardModel:
         >>> jacobian.round(2)
         array([ 6.77, 56.33])
         """
+        if of not in ("momentum", "force"):
+            raise ValueError(f"derivatives of {of!r}: expected 'momentum' or 'force'")
         evaluate = self.paddle_momentum if of == "momentum" else self.force
         value = real(np.asarray(evaluate(conditions, parameters, overfull="nan")))
         columns = []
@@ -328,6 +319,27 @@ class ForwardModel:
             conditions.moisture_pct,
             conditions.plate_position_m,
         )
+
+    def _momentum(self, conditions: Conditions, parameters: Parameters, overfull: str) -> tuple[AnyArray, AnyArray]:
+        """Momentum per paddle and paddle passes per second."""
+        if overfull not in ("raise", "nan"):
+            raise ValueError(f"overfull {overfull!r}: expected 'raise' or 'nan'")
+        refuses = overfull == "raise"
+        if refuses:
+            refuse_impossible("conditions", conditions.plate_angle_rad, conditions.elevator_speed_rad_s)
+            self._refuse_other_effects(parameters)
+        throw = self._throw(conditions, parameters)
+        momentum = throw.momentum(_offered_kg(throw, conditions))
+        if refuses:
+            self._refuse_overfull(throw, conditions)
+        return momentum, throw.passes_per_s
+
+    def _refuse_other_effects(self, parameters: Parameters) -> None:
+        own = self.effects
+        for name in parameters:
+            effect, dot, _ = name.partition(".")
+            if dot and effect not in own:
+                raise ValueError(f"parameters: {name}: the model does not have this effect; expected effects {own}")
 
     def _refuse_overfull(self, throw: Throw, conditions: Conditions) -> None:
         mass, full = np.broadcast_arrays(real(throw.load_mass(_offered_kg(throw, conditions))), real(throw.full_mass_kg))

@@ -88,6 +88,10 @@ class CalibrationProblem:
         for name, (low, high) in (bounds or {}).items():
             if not low < high:
                 raise ValueError(f"bounds of {name} ({low:g}, {high:g}): expected the lower one first")
+            if name not in start and name not in GRAIN:
+                raise ValueError(f"bounds of {name}: not in this model; expected one of {', '.join(start)}")
+        if not np.any(data.momentum):
+            raise ValueError("measurements: every reading is 0; expected readings of grain")
         self.model, self.data, self.names, self.robust = model, data, names, robust
         self.start, self._prior, self._bounds = dict(start), prior, bounds
         cells, self.cell = data.cells()

@@ -16,6 +16,8 @@ from .calibration_result import CONFIDENCE
 
 _CLOSE = 0.05
 """Share of the width between bounds within which a value counts as at one of them."""
+_HALVINGS = 40
+"""Of the interval in which the bounds' share is looked for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,11 +48,11 @@ def fit_uncertainty(
     free = _spread_out(alike, unlike)
     # In the file a parameter is never less certain than anywhere between its bounds.
     most = distance_within(problem.lower, problem.upper, theta)
-    bounded, _ = _inverse(information + np.diag(most**-2.0), problem.unit)
-    if np.any(singular):
+    bounded = alike
+    if np.any(singular) or np.any(np.diag(alike) > most**2):
         bounded = _bounded_inverse(information, most)
     covariance = _spread_out(bounded, unlike)
-    size = _learnt_error(problem, predicted - problem.data.momentum, cell_slopes)
+    size = _learnt_error(problem, predicted - problem.data.momentum, cell_slopes, noise)
     if size > 0.0:
         covariance = _with_model_error(problem, covariance, bounded, size, most, predicted, weighted, noise)
     deviation = np.sqrt(np.diag(free))
@@ -104,23 +106,25 @@ def _with_model_error(
     return np.asarray(widened * np.outer(limit, limit))
 
 
-def _learnt_error(problem: CalibrationProblem, error: Array, slopes: Array) -> float:
+def _learnt_error(problem: CalibrationProblem, error: Array, slopes: Array, fitted: Noise) -> float:
     """Relative size of the model's own error, from angles and loads left out, where replicates or a stated sigma part it from
     noise; else 0.
 
-    error: of each row. slopes: of each cell.
+    error: of each row. slopes: of each cell. fitted: the rows' noise as the fit took it; outliers of a robust fit say as
+    little of the model as they did there.
     """
     if (problem.pure_dof < LEAST_PURE_DOF and not problem.given_sigma) or not slopes.shape[1]:
         return 0.0
-    count = np.bincount(problem.cell)
+    share = (fitted.weight * problem.row_sd) ** 2 if problem.robust else np.ones(error.size)
+    count = np.bincount(problem.cell, share)
     first = np.unique(problem.cell, return_index=True)[1]
     angle, _, load, _ = problem.data.columns()[:, first]
-    mean = np.bincount(problem.cell, error) / count
-    predicted = np.bincount(problem.cell, error + problem.data.momentum) / count
+    mean = np.bincount(problem.cell, share * error) / count
+    predicted = np.bincount(problem.cell, share * (error + problem.data.momentum)) / count
     if not np.any(predicted):
         return 0.0  # No grain reaches the plate: there is nothing that an error could be relative to.
     if problem.given_sigma:
-        noise = np.bincount(problem.cell, problem.row_sd**-2.0) ** -0.5
+        noise = np.bincount(problem.cell, share * problem.row_sd**-2.0) ** -0.5
     else:
         noise = np.maximum(problem.pure_sd, 1e-9 * float(np.max(np.abs(predicted)))) / np.sqrt(count)
     if problem.spread is not None:
@@ -149,11 +153,17 @@ def _inverse(information: Array, unit: Array) -> tuple[Array, NDArray[np.bool_]]
 
 
 def _bounded_inverse(information: Array, sd: Array) -> Array:
-    """Covariance where the information leaves directions free: in those, that of anywhere between the bounds, sd (n,).
+    """Inverse of an information matrix to which as much of the bounds' own, sd (n,), is added as keeps each variance within sd^2.
 
-    The information of rows without noise is so large that the bounds' own, added to it, would be lost in rounding.
+    No more than that: the best fit is not drawn towards the middle, and its error is that of the rows. The information of rows
+    without noise is so large that what is added would be lost in rounding; directions that it leaves free have none.
     """
     values, vectors = np.linalg.eigh(information * np.outer(sd, sd))
     values = np.where(values <= 1e-13 * max(float(values[-1]), 0.0), 0.0, values)
-    covariance = (vectors / (1.0 + values)) @ vectors.T * np.outer(sd, sd)
+    least, share = 0.0, 1.0
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (least + share)
+        enough = np.max(vectors**2 @ (1.0 / (middle + values))) <= 1.0
+        least, share = (least, middle) if enough else (middle, share)
+    covariance = (vectors / (share + values)) @ vectors.T * np.outer(sd, sd)
     return np.asarray(0.5 * (covariance + covariance.T))
