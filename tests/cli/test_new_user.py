@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from yieldmon.cli._daemon import mass
 from yieldmon.cli.main import main
 
 STORE = Path(__file__).parents[1] / "golden" / "store-0.1.0.sqlite"
@@ -91,6 +92,17 @@ def test_a_mistake_costs_a_line_and_no_file(folder: Path, capsys: pytest.Capture
     assert err.startswith("yieldmon: ")
     assert reported in err
     assert {p.name: hashlib.sha256(p.read_bytes()).hexdigest() for p in folder.iterdir() if p.is_file()} == before
+
+
+@pytest.mark.parametrize(
+    "written",
+    [
+        "9120", "9 120 kg", "9\u202f120 kg", "9\u00a0120\u00a0kg", "9,120kg", "9'120 kg", "9\u2019120 kg", "9120 kilos",
+        "9.12 t", "9.120t", "9.12 metric tons", "9.12 MT", "91.2 dt", "91.2 q", "91.2 quintals", "20,106.16 pounds",
+    ],
+)  # fmt: skip
+def test_a_mass_is_read_as_slips_have_it(written: str) -> None:
+    assert mass(written) == pytest.approx(9120.0, rel=1e-6)
 
 
 def test_a_blank_between_mass_and_unit_is_no_mistake(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -66,6 +66,8 @@ QUALITY: dict[str, tuple[float, dict[str, float], EstimateQuality | None]] = {
     "for longer, below empty": (-60.0, {"held_s": nextafter(0.5, 1.0)}, NOT_AVAILABLE),
     "for longer, without force": (0.75, {"held_s": 1.0}, None),
     "for longer, with hardly any": (0.99 * SETTINGS.gate.grain_on_n, {"held_s": 1.0}, None),
+    "without grain, while the state holds": (0.9 * SETTINGS.gate.grain_off_n, {}, NOT_HARVESTING),
+    "below empty, while the state holds": (-0.2, {}, NOT_HARVESTING),
     "slowest": (60.0, {"speed_rad_s": MACHINE.min_elevator_speed_rad_s}, None),
     "too slow": (60.0, {"speed_rad_s": nextafter(MACHINE.min_elevator_speed_rad_s, 0.0)}, NOT_AVAILABLE),
     "fastest": (60.0, {"speed_rad_s": MACHINE.max_elevator_speed_rad_s}, None),

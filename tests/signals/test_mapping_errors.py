@@ -51,6 +51,7 @@ CASES = {
     ),
     "unknown message": (IMPACT.replace("Bridge", "Brigde"), "impact_voltage.message", "Brigde", "Bridge"),
     "unknown signal": (IMPACT.replace("signal: Counts", "signal: Count"), "impact_voltage.signal", "Count", "Counts"),
+    "half a quantity": ("speed: {value: 70}", "speed", "unknown quantity", "elevator_speed or ground_speed"),
     "unknown quantity": ("plate_angel: {value: 70}", "plate_angel", "unknown quantity", "plate_angle"),
     "unknown key": (IMPACT.replace("rate_hz", "rate"), "impact_voltage.rate", "unknown key", "rate_hz"),
     "no rate": (IMPACT.replace(", rate_hz: 100", ""), "impact_voltage.rate_hz", "missing", "10 to 5000"),

@@ -63,12 +63,16 @@ def daemon_socket(args: argparse.Namespace) -> Path:
 
 
 _MASS_UNITS = {
-    "kg": 1.0, "lbs": KG_PER_LB, "lb": KG_PER_LB, "shorttons": KG_PER_SHORT_TON, "shortton": KG_PER_SHORT_TON,
+    "kg": 1.0, "kilograms": 1.0, "kilogram": 1.0, "kilos": 1.0, "kilo": 1.0,
+    "lbs": KG_PER_LB, "lb": KG_PER_LB, "pounds": KG_PER_LB, "pound": KG_PER_LB,
+    "shorttons": KG_PER_SHORT_TON, "shortton": KG_PER_SHORT_TON, "metrictons": KG_PER_T, "metricton": KG_PER_T, "mt": KG_PER_T,
+    "quintals": KG_PER_DT, "quintal": KG_PER_DT, "q": KG_PER_DT,
     "tonnes": KG_PER_T, "tonne": KG_PER_T, "dt": KG_PER_DT, "t": KG_PER_T,
 }  # fmt: skip
-_SMALL_UNITS = ("kg", "lb", "lbs")
-_IN_THOUSANDS = re.compile(r"[1-9][0-9]{0,2}(,[0-9]{3})+(\.[0-9]+)?")
-"""A number as `status` shows masses, 41,222."""
+"""A unit that is the end of another one comes after it."""
+_SMALL_UNITS = tuple(unit for unit, kg in _MASS_UNITS.items() if kg <= 1.0)
+_IN_THOUSANDS = re.compile(r"[1-9][0-9]{0,2}(?P<mark>[,'’])[0-9]{3}((?P=mark)[0-9]{3})*(\.[0-9]+)?")
+"""A number as `status` shows masses, 41,222, or as Swiss slips do, 41'222."""
 _APART = re.compile(r"[0-9]\s+[0-9]")
 _SPACED = re.compile(r"\s*[1-9][0-9]{0,2}(\s[0-9]{3})+(\.[0-9]+)?\s*[a-z]*(\s[a-z]+)?\s*$", re.IGNORECASE)
 """A number with spaces between thousands, 9 120 kg."""
@@ -77,14 +81,15 @@ _SPACED = re.compile(r"\s*[1-9][0-9]{0,2}(\s[0-9]{3})+(\.[0-9]+)?\s*[a-z]*(\s[a-
 def mass(text: str, where: str = "mass") -> float:
     """A mass in kg from the command line: a number above 0, with or without its unit, in letters of any size, of kilograms or
     pounds also with commas between thousands. Raises InputError."""
-    number = text.replace(" ", "").lower()
+    # Slips are copied with spaces that do not break.
+    number = "".join(text.split()).lower()
     if _APART.search(text) and not _SPACED.match(text):
         raise InputError(where, repr(text), "one number, such as 9120, 9 120 kg or 9.12t")
     unit = next((unit for unit in _MASS_UNITS if number.endswith(unit)), "")
     number, scale = number.removesuffix(unit), _MASS_UNITS.get(unit, 1.0)
     if unit in _SMALL_UNITS and _IN_THOUSANDS.fullmatch(number):
         # 9,120t may be 9.12 t; nobody weighs a load to the gram.
-        number = number.replace(",", "")
+        number = re.sub("[,'’]", "", number)
     try:
         mass_kg = float(number) * scale
     except ValueError:

@@ -36,7 +36,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     parser.add_argument("loads", metavar="LOAD|list|undo", help="number of the load, or FIRST-LAST for several on one ticket")
     parser.add_argument(
-        "mass", metavar="MASS|N", nargs="*", help="weighed mass: 9120, 9120kg, 9.12t or 20106lb; undo: number of the ticket"
+        "mass",
+        metavar="MASS|N",
+        nargs="*",
+        help="mass: 9120kg, 9.12t, 91.2dt, 91.2q or 20106lb; undo: number of the ticket",
     )
     parser.add_argument("--std-dev", metavar="MASS", help="standard deviation of the weighing (default: 0.5 %% of it)")
     parser.add_argument("--other", metavar="MASS", help="of it from another combine that filled the same truck, by its monitor")

@@ -168,7 +168,10 @@ class Measurement:
         if not self._gate.see(gate):
             return quality.NOT_AVAILABLE if grain and not in_range else quality.NOT_HARVESTING, force, noise
         held_long = window.held_s > 0.5 * self._settings.windows.window_s and abs(force) > self._settings.gate.grain_on_n
-        return quality.NOT_AVAILABLE if held_long else None, force, noise
+        if held_long:
+            return quality.NOT_AVAILABLE, force, noise
+        # The state holds for some seconds after the grain; a second without any is no flow of 0.
+        return None if grain else quality.NOT_HARVESTING, force, noise
 
     def _force_std_dev(self, window: Window, force_n: float) -> float:
         """Standard deviation of the mean force: scatter within the window, drawn towards that of the windows before it, N."""

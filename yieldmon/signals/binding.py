@@ -86,8 +86,9 @@ def named_message(
 def check_quantity(name: str, where: str) -> None:
     """Raises InputError for a quantity that is not known."""
     if name not in BINDABLE:
-        near = difflib.get_close_matches(name, BINDABLE, n=1)
-        raise InputError(where, "unknown quantity", near[0] if near else f"one of {', '.join(BINDABLE)}")
+        # `speed` is nearer to elevator_speed than to speed_group, which has fewer other letters.
+        near = [known for known in BINDABLE if known.endswith(f"_{name}")] or difflib.get_close_matches(name, BINDABLE, n=1)
+        raise InputError(where, "unknown quantity", " or ".join(near) or f"one of {', '.join(BINDABLE)}")
 
 
 def check(binding: Binding) -> None:

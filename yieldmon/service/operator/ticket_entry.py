@@ -69,8 +69,8 @@ def enter_ticket(order: Order) -> Answer:
     known_kg = sum(load.mass_kg * again.get(load.number, 1.0) for load in covered)
     truck, own_kg = _shared_truck(request, weighed_kg), weighed_kg
     if truck is not None:
-        where = "other_kg"
-        own_kg, std_dev_kg = ticket_file.own_part(weighed_kg, std_dev_kg, truck.other_kg, truck.other_std_dev_kg, where)
+        others = truck.other_kg, truck.other_std_dev_kg
+        own_kg, std_dev_kg = ticket_file.own_part(weighed_kg, std_dev_kg, *others, "mass from the other combine")
     ticket = Ticket(order.now_s, first, last, own_kg, measured_kg, request.name("note") or "")
     crop = _other_crop(order, covered)
     why_not = ticket_file.unit_slip(own_kg, measured_kg) or why_no_reference(monitor, journal, covered, order.stored, crop)
