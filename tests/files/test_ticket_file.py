@@ -10,6 +10,7 @@ from yieldmon.files.ticket_file import load
 HEADINGS = [
     ("load,weighed_kg", "7,9120", 9120.0),
     ("Load;Weighed [t]", "7;9,12", 9120.0),
+    ("load;weighed_q", "7;91,2", 9120.0),
     ("LOAD\tNet weight (lb)", "7\t20106.16", 9120.0),
     ("ticket,Load number,Net mass kg,driver", "A-12,7,9120,Ann", 9120.0),
 ]

@@ -18,7 +18,7 @@ RELATIVE_STD_DEV = 0.005
 OTHER_RELATIVE_STD_DEV = 0.03
 """The same of what another combine's monitor shows (one that was calibrated this season)."""
 _LOADS = ("load", "load_number", "loads", "log", "file")
-_KG: Mapping[str, float] = {"kg": 1.0, "t": KG_PER_T, "dt": KG_PER_DT, "lb": KG_PER_LB}
+_KG: Mapping[str, float] = {"kg": 1.0, "t": KG_PER_T, "dt": KG_PER_DT, "q": KG_PER_DT, "lb": KG_PER_LB}
 COLUMNS = f"{', '.join(f'weighed_{unit}' for unit in list(_KG)[:-1])} or weighed_{list(_KG)[-1]}"
 """Of a mass, in words."""
 _MASSES = ("weighed", "mass", "weight", "weighed_mass", "net", "net_weight", "net_mass")
