@@ -25,6 +25,22 @@ def test_a_whole_record_lacks_nothing():
     assert (check.seconds, check.gaps, check.gap_s, check.overlap_s, check.overlap_kg, check.missing) == (3, 0, 0.0, 0.0, 0.0, {})
 
 
+@pytest.mark.parametrize(
+    ("coverage", "gaps", "gap_s"),
+    [
+        ((1.0, 0.4, 0.0, 0.0, 0.3, 1.0), 1, 3.3),
+        ((1.0, 1.0, 0.0, 1.0, 1.0), 1, 1.0),
+        ((0.0, 0.3, 0.5, 0.0), 2, 3.2),
+        ((1.0, 0.6, 0.6, 1.0), 0, 0.0),
+    ],
+)
+def test_a_gap_is_as_long_as_its_samples_lack(coverage, gaps, gap_s):
+    check = RecordCheck()
+    for number, share in enumerate(coverage, 1):
+        check.take(replace(second(number, time_s=float(number)), **{**WHOLE, "coverage": share}))
+    assert (check.gaps, check.gap_s) == (gaps, pytest.approx(gap_s))
+
+
 @pytest.mark.parametrize(("times_s", "gaps", "gap_s"), [((1.0, 2.4), 0, 0.0), ((1.0, 3.0), 1, 1.0), ((1.0, 3.0, 10.0), 2, 7.0)])
 def test_a_stretch_without_seconds_is_a_gap(times_s, gaps, gap_s):
     check = checked(*times_s)

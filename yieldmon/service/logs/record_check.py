@@ -42,19 +42,26 @@ class RecordCheck:
     _before: list[tuple[float, float]] = field(default_factory=list)
     """Of those before it, joined where they touch."""
     _silent: bool = False
+    _lacking_s: float = 0.0
+    """Of the second before, not silent: what it lacks of samples."""
     _unknown: dict[str, int] = field(default_factory=lambda: dict.fromkeys(_INPUTS, 0))
 
     def take(self, row: SecondRow) -> None:
         """The next second."""
         silent = not row.coverage > 0.0
+        lacking_s = (1.0 - row.coverage) * row.duration_s
         before_s = self._stretch[1] if self._stretch is not None else row.time_s
         # A recorder that is told the date in the middle leaves nothing out.
         dated = before_s < EARLIEST_BUS_TIME_S <= row.time_s
         jumped = row.time_s - before_s > row.duration_s + _GAP_S and not dated
         if jumped:
             self.gap_s += row.time_s - before_s - row.duration_s
+        # Silence seldom begins and ends with a second: the ones about it lack the rest.
         if silent:
-            self.gap_s += row.duration_s
+            self.gap_s += row.duration_s + self._lacking_s
+        elif self._silent:
+            self.gap_s += lacking_s
+        self._lacking_s = 0.0 if silent or self._silent else lacking_s
         self.gaps += jumped or (silent and not self._silent)
         self._silent = silent
         if self._comes_again(row):
