@@ -133,6 +133,18 @@ def test_a_calibration_of_ones_own_is_only_named():
     assert monitor.estimator.parameters.values["friction"] == 0.22
 
 
+def test_a_calibration_that_names_no_crop_is_a_renamed_loads_too() -> None:
+    """As a load that begins with that name keeps it; once an operator has named a crop it is that one's."""
+    own = replace(crop("corn").parameters(), values={**crop("corn").parameters().values, "density": 900.0}, provenance={})
+    monitor, journal = started(own)
+    assert not load(monitor, journal, "")["changed"]
+    for name in ("corn", "wheat", "teff"):
+        assert journal.parameters.of(name, own, "") is own
+    assert not load(monitor, journal, "wheat")["changed"]
+    assert journal.parameters.of("wheat", own, journal.crop) is own
+    assert journal.parameters.of("corn", own, journal.crop).values == crop("corn").parameters().values
+
+
 def test_a_crop_of_which_nothing_is_known_keeps_the_parameters():
     monitor, journal = started()
     before = monitor.estimator.parameters.values

@@ -67,8 +67,11 @@ class ParameterHistory:
         return crop in self._of_crop
 
     def of(self, crop: str, in_use: ParameterSet, named: str) -> ParameterSet | None:
-        """What is known of a crop; None where nothing is. named: the crop that an operator named last."""
-        if crop == self.crop_of(in_use, named):
+        """What is known of a crop; None where nothing is. named: the crop that an operator named last.
+
+        Parameters in use of which nothing says whose they are are any crop's, as in `change_crop`.
+        """
+        if self.crop_of(in_use, named) in ("", crop):
             return in_use
         known = self._of_crop.get(crop)
         return crops()[crop].parameters() if known is None and crop in crops() else known
