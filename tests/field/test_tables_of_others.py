@@ -221,3 +221,34 @@ def test_no_field_is_at_the_pole(capsys: pytest.CaptureFixture[str]) -> None:
     assert code == 0, said
     assert "latitude_deg outside -85 to 85 are taken as unknown" in said
     assert mass_kg(document) == pytest.approx(MASS_KG, rel=0.01)
+
+
+def sexagesimal(degrees: float, letters: str) -> str:
+    seconds = abs(degrees) % 1 * 3600
+    return f"{int(abs(degrees))}°{int(seconds // 60)}'{seconds % 60:.4f}\"{letters[degrees < 0]}"
+
+
+PLACES: dict[str, Callable[[float, float], str]] = {
+    "letters": lambda x, y: f"{abs(x):.8f}{'EW'[x < 0]},{'NS'[y < 0]} {abs(y):.8f}",
+    "minutes": lambda x, y: (
+        f"{int(abs(x))}°{abs(x) % 1 * 60:.6f}'{'EW'[x < 0]},{int(abs(y))}° {abs(y) % 1 * 60:.6f}' {'NS'[y < 0]}"
+    ),
+    "seconds": lambda x, y: f"{sexagesimal(x, 'EW')},{sexagesimal(y, 'NS')}",
+    "well-known text": lambda x, y: f"POINT ({x:.8f} {y:.8f}),",
+    "well-known text with a height": lambda x, y: f"SRID=4326;POINT Z ({x:.8f} {y:.8f} 61.2),",
+}
+
+
+@pytest.mark.parametrize("sign", [1, -1], ids=["north east", "south west"])
+@pytest.mark.parametrize("form", PLACES)
+def test_places_as_texts(form: str, sign: int, capsys: pytest.CaptureFixture[str]) -> None:
+    names = "WKT," if "text" in form else "longitude,latitude"
+    code, document, said = mapped(
+        capsys,
+        f"time (s),{names},flow (kg/s),width (m)",
+        lambda at: f"{at.second},{PLACES[form](float(sign * at.longitude), float(sign * at.latitude))},{FLOW_KG_S},{WIDTH_M}",
+    )
+    assert code == 0, said
+    assert document["sources"][0]["points"] == SECONDS
+    assert mass_kg(document) == pytest.approx(MASS_KG, rel=0.001)
+    assert document["area_ha"] * 1e4 == pytest.approx(MASS_KG / YIELD_KG_M2, rel=0.03)

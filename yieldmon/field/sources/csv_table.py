@@ -12,11 +12,11 @@ from yieldmon.field.table import DEFAULT_FLOW_S, Array, HarvestTable, Skipped, j
 from yieldmon.field.units import factor
 from yieldmon.files import delimited as workbooks
 
-from . import heads
+from . import heads, written_places
 from .assembled import assemble
 from .coordinates import MEND, mostly_degrees, to_degrees
 from .delimited import encoding_of, has_decimal_comma, pointed_columns, read_rows, rows_of
-from .naming import QUANTITIES, Column, columns_of
+from .naming import QUANTITIES, Column, columns_of, plain_name, split_unit
 from .options import ReadOptions
 from .raw_table import Raw
 
@@ -96,8 +96,9 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
 
 def _read(found: _Table, where: str, options: ReadOptions) -> HarvestTable:
     """The rows of a text or sheet. Raises InputError."""
+    heads.require_each_once(found.head.names, where)
+    found = _with_places(found)
     names = found.head.names
-    heads.require_each_once(names, where)
     given = dict(options.columns)
     record = _OF_A_RECORD.issubset(names)
     if record and _MASS_OF_A_RECORD.issubset(names):
@@ -110,9 +111,11 @@ def _read(found: _Table, where: str, options: ReadOptions) -> HarvestTable:
     positions = [place[columns[q].name] for q in ("longitude", "latitude") if q in columns]
     comma = found.comma
     if comma is None:
-        comma = has_decimal_comma(row[column] for row in found.sample for column in positions if column < len(row))
+        comma = has_decimal_comma(cell for row in found.sample for cell in _cells(row, positions))
     pointed = pointed_columns(found.sample, numbers) if comma else frozenset()
     rows = heads.without_headers(found.rows, names, where)
+    if any(written_places.degrees(cell) != cell for row in found.sample for cell in _cells(row, positions)):
+        rows = written_places.with_degrees(rows, positions)
     table = read_rows(rows, numbers, texts, max([*numbers, *texts]) + 1, decimal_comma=comma, pointed=pointed)
     if not table.count:
         why = f" ({table.skipped[0].why})" if table.skipped else ""
@@ -129,6 +132,23 @@ def _read(found: _Table, where: str, options: ReadOptions) -> HarvestTable:
         default_flow_s=DEFAULT_FLOW_S if record else 0.0,
     )
     return assemble(raw, where, KIND, options)
+
+
+def _cells(row: Sequence[str], columns: Sequence[int]) -> list[str]:
+    """The cells that a row has in some columns."""
+    return [row[column] for column in columns if column < len(row)]
+
+
+def _with_places(found: _Table) -> _Table:
+    """With columns of longitude and latitude where the table has them as points in well-known text."""
+    names = found.head.names
+    if any(plain_name(split_unit(name)[0]) in QUANTITIES["longitude"].names for name in names):
+        return found
+    column = written_places.column_of_points(names, found.sample)
+    if column is None:
+        return found
+    head = replace(found.head, names=[*names, "longitude", "latitude"])
+    return replace(found, head=head, rows=written_places.with_coordinates(found.rows, column, len(names)))
 
 
 def places_in_degrees(values: dict[str, Array], columns: dict[str, Column], options: ReadOptions, where: str) -> tuple[str, ...]:
