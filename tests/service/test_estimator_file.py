@@ -12,7 +12,8 @@ import pytest
 from yieldmon.cli.main import main
 from yieldmon.engine.faults import FaultCode
 from yieldmon.engine.monitor import Monitor
-from yieldmon.engine.results import WindowResult
+from yieldmon.engine.results import WindowResult, windows_in
+from yieldmon.engine.runs import run_of
 from yieldmon.errors import InputError
 from yieldmon.files import flow_curve_file, parameter_file
 from yieldmon.frames import NOT_AVAILABLE, EstimateQuality, Frame
@@ -46,8 +47,7 @@ def traffic() -> tuple[Frame, ...]:
 
 
 def windows(monitor: Monitor) -> list[WindowResult]:
-    results = (result for frame in traffic() for result in monitor.feed(frame))
-    return [result for result in results if isinstance(result, WindowResult)]
+    return windows_in(monitor.feed_run(run_of(traffic())))
 
 
 def started(path: Path) -> tuple[Monitor, Journal]:
