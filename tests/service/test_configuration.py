@@ -181,6 +181,7 @@ WRONG = [
     ("sweep: {home_every: 2.5}", "sweep.home_every: 2.5; expected a whole number from 1 to 50 angles"),
     ("sweep: {enabled: yes}", "sweep.enabled: 'yes'; expected true or false"),
     ("sweep: {angles_deg: [40, fifty]}", "sweep.angles_deg[1]: 'fifty'; expected a list of numbers, deg"),
+    ("bus: {log_channels: [1]}", "bus.log_channels[0]: 1; expected a list of words (a number in quotes)"),
     ("sweep: {angles_deg: []}", "sweep.angles_deg: []; expected a list of numbers, deg"),
     (
         "sweep: {windows_per_step: 20}",

@@ -244,7 +244,7 @@ _TABLE = (
         _C.SPEED_MISSING, 520194, 9, _S, 1, 3,
         "No usable elevator speed for ten of its periods.",
         "No flow is published and no mass is added.",
-        "Check the speed sensor and its node.",
+        "Check the speed sensor, its node, and unit and scale of its mapping.",
         lambda o: _if(not o.reading.speed_known),
     ),
     FaultDefinition(

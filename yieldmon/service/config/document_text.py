@@ -132,7 +132,7 @@ def _kind(kind: Any, field: FieldInfo) -> str:
     if get_origin(kind) is Literal:
         return "one of " + ", ".join(get_args(kind))
     if _origin(kind) is list:
-        return f"a list of numbers, {_unit(field).strip()}"
+        return "a list of words" if str in get_args(kind) else f"a list of numbers, {_unit(field).strip()}"
     words = {bool: "true or false", str: "a word", types.NoneType: "null", dict: "keys with plain values"}
     return words[_origin(kind)]
 
