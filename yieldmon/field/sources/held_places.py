@@ -31,7 +31,7 @@ def between_fixes(
     Examples
     --------
     >>> held = np.repeat(np.arange(20.0), 5)
-    >>> between_fixes(held, held, np.arange(100.0), np.zeros(100, np.int32))[0][[0, 1, 5, 96]].tolist()
+    >>> between_fixes(held, held, np.arange(100.0), np.zeros(100, np.int32))[0][[0, 1, 5, 96]].round(6).tolist()
     [0.0, 0.2, 1.0, 19.2]
     """
     order = np.lexsort((np.arange(len(time_s)), time_s, machine))
