@@ -103,6 +103,20 @@ def test_other_recordings_of_two_channels_are_measured(
     assert processed(capsys, tmp_path, *written(tmp_path, *files))["total_mass_kg"] == pytest.approx(alone, rel=2e-3)
 
 
+def test_inputs_in_logs_apart_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """One candump for each interface: they were read one after the other, and gave 0 kg for want of a speed."""
+    paths = written(tmp_path, sent("can0", ALL - {IMPACT}), sent("can1", frozenset({IMPACT})))
+    said = f"{paths[1]}: has ImpactSensorSamples and no ElevatorSpeed, which {paths[0]} has at the same times"
+    assert main(["process", *paths, "--out", str(tmp_path / "o.csv")]) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert f"sort -m {paths[0]} {paths[1]} > both.log" in error
+    with pytest.raises(InputError, match="has ImpactSensorSamples and no ElevatorSpeed"):
+        process_logs(paths, monitor_of(CONFIGURED, drives_plate=False), CODEC, lambda row: None)
+    first, later = sent("can0", last_s=SWITCH_S), sent("can0", ALL - {IMPACT}, first_s=SWITCH_S)
+    assert main(["process", *written(tmp_path, first, later), "--out", str(tmp_path / "o.csv")]) == 0
+
+
 READERS: dict[str, Callable[[list[str], configuration.Configuration], object]] = {
     "weighed loads": weighed_loads.read,
     "waves": weighed_waves.read,

@@ -141,7 +141,7 @@ def stretches_of(paths: Iterable[str], taking: Taking) -> Iterator[Stretch | End
             yield replace(found, incomplete=decoder.incomplete - before)
             frames = notes.frames
         if one_channel is not None:
-            one_channel.end_of_log()
+            one_channel.end_of_log(path)
         yield EndOfLog(path, notes.lacks(path), channels)
     if decoder.under_way:
         yield Stretch(0, 0, 0, incomplete=decoder.under_way)

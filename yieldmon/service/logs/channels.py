@@ -1,4 +1,4 @@
-"""Inputs that come on several channels of a recording at the same times, as those of bridged buses do."""
+"""Inputs of recordings by channel and log: those that come on several at the same times, and those that lie in logs apart."""
 
 from __future__ import annotations
 
@@ -20,12 +20,15 @@ _SHARED_S = 3
 
 
 class OneChannel:
-    """Refuses a record whose impact samples, speed or angle come on several channels at the same times."""
+    """Refuses a record whose impact samples, speed or angle come on several channels at the same times, or some in one log and
+    some in another of the same time."""
 
     def __init__(self, sources: Sources) -> None:
         inputs = (source.message for source in sources.inputs if source.quantity in _SENT_BY_ONE)
         self._watched = tuple(dict.fromkeys([*(source.message for source in sources.impact), *inputs]))
         self._seconds: dict[str, dict[str, set[int]]] = {}
+        self._of_log: dict[str, set[int]] = {}
+        self._logs: list[tuple[str, dict[str, set[int]]]] = []
 
     def take(self, log: str, block: FrameBlock, found: Mapping[str, tuple[NDArray[np.intp], NDArray[np.float64]]]) -> None:
         """Rows and times of the messages in a block. Raises InputError at the third second that two channels share."""
@@ -35,8 +38,9 @@ class OneChannel:
             rows, times_s = found[message]
             by_channel = self._seconds.setdefault(message, {})
             for name, times in _by_channel(block, rows, times_s):
-                seconds = by_channel.setdefault(name, set())
-                seconds.update(np.unique(np.floor(times[np.isfinite(times)])).astype(np.int64).tolist())
+                seconds = _seconds_of(times)
+                by_channel.setdefault(name, set()).update(seconds)
+                self._of_log.setdefault(message, set()).update(seconds)
             if len(by_channel) > 1:
                 _refuse_shared(log, message, by_channel)
 
@@ -45,14 +49,47 @@ class OneChannel:
         if message in self._watched and isfinite(time_s):
             by_channel = self._seconds.setdefault(message, {})
             by_channel.setdefault(channel, set()).add(floor(time_s))
+            self._of_log.setdefault(message, set()).add(floor(time_s))
             if len(by_channel) > 1:
                 _refuse_shared(log, message, by_channel)
 
-    def end_of_log(self) -> None:
-        """Times without a date say nothing of another log's."""
+    def end_of_log(self, log: str) -> None:
+        """Holds a log's inputs against those of the logs before. Times without a date say nothing of another log's."""
         for by_channel in self._seconds.values():
             for name, seconds in by_channel.items():
-                by_channel[name] = {second for second in seconds if second >= EARLIEST_BUS_TIME_S}
+                by_channel[name] = _dated(seconds)
+        here = {message: _dated(self._of_log[message]) for message in self._watched if message in self._of_log}
+        for other, there in self._logs:
+            _refuse_apart(log, here, other, there)
+        self._logs.append((log, here))
+        self._of_log = {}
+
+
+def _seconds_of(times_s: NDArray[np.float64]) -> list[int]:
+    """Whole seconds of times, which mostly rise."""
+    seconds = np.floor(times_s[np.isfinite(times_s)]).astype(np.int64)
+    found: list[int] = seconds[np.flatnonzero(np.diff(seconds, prepend=seconds[:1] - 1))].tolist()
+    return found
+
+
+def _dated(seconds: set[int]) -> set[int]:
+    return {second for second in seconds if second >= EARLIEST_BUS_TIME_S}
+
+
+def _refuse_apart(log: str, here: Mapping[str, set[int]], other: str, there: Mapping[str, set[int]]) -> None:
+    """Read one after the other, neither would have a second with all inputs."""
+    for one in (message for message in here if message not in there):
+        for two in (message for message in there if message not in here):
+            if len(here[one] & there[two]) >= _SHARED_S:
+                raise InputError(
+                    log,
+                    f"has {_of_dbc(one)} and no {_of_dbc(two)}, which {other} has at the same times, as of a logger a channel",
+                    f"one log of both; of candump's `sort -m {other} {log} > both.log` makes it",
+                )
+
+
+def _of_dbc(message: str) -> str:
+    return message.partition("/")[0]
 
 
 def _by_channel(block: FrameBlock, rows: NDArray[np.intp], times_s: NDArray[np.float64]) -> list[tuple[str, NDArray[np.float64]]]:
@@ -67,9 +104,8 @@ def _refuse_shared(log: str, message: str, by_channel: Mapping[str, set[int]]) -
     for place, one in enumerate(names):
         for other in names[place + 1 :]:
             if len(by_channel[one] & by_channel[other]) >= _SHARED_S:
-                of_dbc = message.partition("/")[0]
                 raise InputError(
                     log,
-                    f"{of_dbc} comes on channels {one} and {other} at the same times, as of bridged buses or two loggers",
+                    f"{_of_dbc(message)} comes on channels {one} and {other} at the same times, as of bridged buses",
                     f"one channel: --channel {one} or {other} (bus.log_channels of the configuration)",
                 )

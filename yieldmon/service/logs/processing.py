@@ -128,7 +128,7 @@ def process_logs(
                     one_channel.take_frame(str(path), frame.message, channel, frame.time_s)
                 hand_over(monitor.feed(frame), take_row, summary)
         if one_channel is not None:
-            one_channel.end_of_log()
+            one_channel.end_of_log(str(path))
         summary.frames += notes.frames
         summary.damages += notes.lacks(path)
     summary.incomplete = bus.incomplete + bus.under_way
