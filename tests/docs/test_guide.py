@@ -195,6 +195,14 @@ def test_troubleshooting_speaks_of_every_fault() -> None:
 
 
 @pytest.mark.parametrize("page", LINKED, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_paths_of_the_repository_are_there(page: Path) -> None:
+    named = re.findall(
+        r"`((?:yieldmon|tests|studies|tools|config|dbc|examples|systemd|docs)/[\w./-]+)`", page.read_text(encoding="utf-8")
+    )
+    assert [path for path in named if "NAME" not in path and not (ROOT / path).exists()] == []
+
+
+@pytest.mark.parametrize("page", LINKED, ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_links_lead_somewhere(page: Path) -> None:
     targets = re.findall(r"\]\(([^)\s#]+)(?:#[^)\s]*)?\)", page.read_text(encoding="utf-8"))
     missing = [target for target in targets if "://" not in target and not (page.parent / target).exists()]
