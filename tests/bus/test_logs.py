@@ -214,6 +214,29 @@ def test_damaged_candump_lines_are_reported_and_the_rest_is_read(tmp_path: Path)
     assert "0x00" in notes.damages[1].problem
 
 
+def test_what_candump_says_of_error_frames_is_no_damage(tmp_path: Path) -> None:
+    """Three damaged places for each error frame of a recording with -e."""
+    path = tmp_path / "e.log"
+    path.write_text(
+        " (1700000000.000100)  can0  200001AC   [8]  00 10 80 19 00 00 80 00   ERRORFRAME\n"
+        "\tcontroller-problem{rx-error-passive,tx-error-passive}\n\tprotocol-violation{{error-on-tx}{acknowledge-slot}}\n"
+        "\tno-acknowledgement-on-tx\n\tbus-error\n\terror-counter-tx-rx{{128}{0}}\n"
+        " (1700000000.000200)  can0  RX - -  20000040   [8]  00 00 00 00 00 00 00 00   ERRORFRAME\n\tbus-off\n"
+        "\tbus-on\n"
+    )
+    found, notes = read(path)
+    assert [message.is_error_frame for message in found] == [True, True]
+    assert [str(damage) for damage in notes.damages] == [f"{path}:9: 'bus-on' is not a candump line"]
+
+
+@pytest.mark.parametrize("line", ["  can0  18FF1380   [3]  01 02 03", "  can0  TX - -  123   [0]  remote request"])
+def test_candump_without_times_is_refused_with_how_to_record(line: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.log"
+    path.write_text(f"{line}\n{line}\n")
+    with pytest.raises(InputError, match=r"has no time; record with `candump -L`; no frame in the whole file"):
+        read(path)
+
+
 @pytest.mark.parametrize("suffix", TEXT_FORMATS)
 @pytest.mark.parametrize("junk", [b"\x00\xff\x01\n", b"x" * 9000 + b"\n"], ids=["binary", "huge"])
 def test_a_damaged_line_in_any_text_format_costs_that_line(tmp_path: Path, suffix: str, junk: bytes) -> None:

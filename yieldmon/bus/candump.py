@@ -12,6 +12,8 @@ Screen format with absolute or relative times (``-t a``, ``-t z``), or with the 
     (1436509052.249713)  can0  18FF1380   [8]  01 02 03 04 05 06 07 08
     (1436509052.249713)  can0  RX - -  20000004   [8]  00 01 00 00 00 00 00 00   ERRORFRAME
     (2015-07-10 06:17:32.249713)  can0  18FF1380   [8]  01 02 03 04 05 06 07 08
+
+Below an error frame ``-e`` writes what it means, a class of errors a line.
 """
 
 from __future__ import annotations
@@ -37,6 +39,10 @@ _SCREEN_LINE = re.compile(
     r"(?P<id>[0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})\s+\[0?(?P<length>\d{1,2})\]"
     r"(?:\s+(?P<remote>remote request)|(?P<data>(?:\s+[0-9A-Fa-f]{2})*))(?:\s+'.*')?(?:\s+ERRORFRAME)?"
 )
+_EXPLANATION = re.compile(
+    r"(?:tx-timeout|lost-arbitration|controller-problem|protocol-violation|transceiver-status|no-acknowledgement-on-tx|bus-off"
+    r"|bus-error|restarted-after-bus-off|error-counter-tx-rx)(?:\{.*\})?"
+)
 _DROPPED = re.compile(r"DROPCOUNT: dropped (\d+) ")
 
 
@@ -44,6 +50,16 @@ def dropped_frames(line: str) -> int | None:
     """Frames that a ``DROPCOUNT:`` line says the recorder lost, None when it is no such line."""
     match = _DROPPED.match(line)
     return int(match[1]) if match else None
+
+
+def is_explanation(line: str) -> bool:
+    """Whether a line says what an error frame means, as of ``candump -e``."""
+    return _EXPLANATION.fullmatch(line) is not None
+
+
+def lacks_time(line: str) -> bool:
+    """Whether a line is one of candump's screen format without a time."""
+    return _SCREEN_LINE.fullmatch(f"(0.0) {line}") is not None
 
 
 def flagged_id(message: can.Message) -> int:

@@ -11,7 +11,7 @@ from typing import Any, cast
 
 import can
 
-from yieldmon.bus.candump import dropped_frames, parse_line
+from yieldmon.bus.candump import dropped_frames, is_explanation, lacks_time, parse_line
 from yieldmon.bus.frame_check import impossible
 from yieldmon.bus.gunzip import early_end_of, open_bytes
 from yieldmon.bus.log_notes import LogNotes
@@ -161,15 +161,17 @@ def line_problem(raw: bytes) -> str | None:
 
 
 def candump_frame(line: str, notes: LogNotes, damage: Callable[[str], None]) -> can.Message | None:
-    """The frame of a candump line; None for a blank line, a drop count (noted) and a damaged line (reported to
-    `damage`)."""
+    """The frame of a candump line; None for a blank line, what `candump -e` says of an error frame, a drop count (noted) and a
+    damaged line (reported to `damage`)."""
     text = line.strip()
     message = parse_line(text)
     if message is None:
         dropped = dropped_frames(text)
         if dropped is not None:
             notes.dropped_by_recorder += dropped
-        elif text:
+        elif lacks_time(text):
+            damage(f"{text[:60]!r} has no time; record with `candump -L`")
+        elif text and not is_explanation(text):
             damage(f"{text[:60]!r} is not a candump line")
     return message
 
