@@ -131,6 +131,11 @@ def test_kvaser_says_its_bases_itself(tmp_path: Path, ids: str, data: str, separ
         (KVASER.format(id="HEX", data="HEX").replace("Format of id field,HEX\n", ""), "does not say whether identifiers"),
         ("CSV CAN data\n" + "x\n" * 50, "no line begins Time, Channel"),
         ("TimestampEpoch;BusChannel;ID;IDE;DLC\n1.0;1;123;0;0\n", "lacks the column DataLength"),
+        (
+            "timestamps,CAN_DataFrame.BusChannel,CAN_DataFrame.ID,CAN_DataFrame.IDE,CAN_DataFrame.DLC,CAN_DataFrame.DataLength,"
+            "CAN_DataFrame.DataBytes\n0.1,1,421,0,8,8,[1 2 3 4 5 6 7 8]\n0.2,1,421,0,8,12,[11 22 33 44 55 66 7 8]\n",
+            "columns 'timestamps,CAN_DataFrame.BusChannel",
+        ),
         ("Time,Id,Data\n0.1,123,AA BB\n", "of python-can, SavvyCAN, Kvaser or CANedge"),
     ],
 )

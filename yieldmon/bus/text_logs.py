@@ -37,6 +37,8 @@ _CONTROL_BYTE = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]")
 
 #: What stands for a header when python-can's reader goes on behind a damaged line: the line it may skip without loss.
 _RESUME_LINE = "header"
+_PYTHON_CAN_COLUMNS = frozenset({"timestamp", "arbitration_id", "extended", "remote", "error", "dlc", "data"})
+_COLUMN, _LEAST_COLUMNS, _LEAST_KNOWN = re.compile(r"[A-Za-z_]"), 5, 3
 _UNPACKED = re.compile(r"values to unpack \(expected (\d+)")
 """How Python says that a line has more or fewer fields than its reader takes."""
 
@@ -200,8 +202,19 @@ def _read_csv(lines: _Lines, notes: LogNotes) -> Iterator[can.Message]:
     if parse is not None:
         yield from _read_lines(lines, parse)
         return
+    if _is_heading_of_others(heading):
+        lines.damage(f"columns {heading[:60]!r} of another program")
+        return
     lines.resume_with = heading
     yield from _read_with_python_can(lines)
+
+
+def _is_heading_of_others(line: str) -> bool:
+    """Whether a CSV's first line names columns that are not python-can's: what stands below may pass for its frames. A line that
+    names none may be its damaged heading, or a frame of a log whose beginning is cut off."""
+    names = [field.strip() for field in line.split(",")]
+    named = len(names) >= _LEAST_COLUMNS and all(_COLUMN.match(name) for name in names if name)
+    return named and len(_PYTHON_CAN_COLUMNS.intersection(names)) < _LEAST_KNOWN
 
 
 def _read_trace(lines: _Lines) -> Iterator[can.Message]:
