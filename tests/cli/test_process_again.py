@@ -228,6 +228,33 @@ def test_a_log_that_lacks_samples_in_each_second_says_so(capsys, tmp_path, logs)
     assert "begins in grain" not in err
 
 
+@pytest.mark.parametrize(
+    ("signals", "says"),
+    [
+        (
+            "plate_angle: {message: PlateActuatorFeedback, signal: PlateAngle, range: [150, 160]}",
+            "no mass: no frame reports the plate's angle",
+        ),
+        (
+            "elevator_speed: {message: ElevatorSpeed, signal: ElevatorSpeed, range: [1, 2]}",
+            "no mass: no frame reports the elevator's speed",
+        ),
+        (
+            "impact_voltage: {message: ImpactSensorSamples, signals: [Sample0, Sample1, Sample2, Sample3], "
+            "rate_hz: 1000, scale: -1, offset: 1000}",
+            "no mass: the zero drifted (ZeroDrifted): if there was grain, is the sensor's sign right?",
+        ),
+    ],
+)
+def test_a_mapping_that_gives_no_mass_says_so(capsys, tmp_path, signals: str, says: str) -> None:
+    log = write(tmp_path / "day.log", (0.0, 14.0, 0.0), (14.0, 40.0, 200.0))
+    (tmp_path / "c.yaml").write_text(f"signals: {{{signals}}}\n")
+    code, _, err = process(capsys, tmp_path, log, "--config", tmp_path / "c.yaml")
+    assert code == 0, err
+    assert says in err
+    assert "begins in grain" not in err
+
+
 def test_a_log_that_lacks_some_samples_in_each_second_has_its_mass(capsys, tmp_path, logs) -> None:
     lines = logs["whole"].read_text().splitlines(keepends=True)
     (tmp_path / "lossy.log").write_text("".join(line for number, line in enumerate(lines) if number % 30))

@@ -20,6 +20,7 @@ from yieldmon.cli._json import print_json
 from yieldmon.cli._log_progress import log_progress
 from yieldmon.cli._units import add_units
 from yieldmon.documents.process import ProcessSummary, ReprocessSummary
+from yieldmon.engine.faults import FaultCode
 from yieldmon.errors import InputError
 from yieldmon.files.units import units_of
 from yieldmon.files.whole_file import real_path
@@ -302,24 +303,34 @@ def _line(document: ProcessSummary, units: Units) -> str:
     if document["faults"]:
         lines.append("faults: " + ", ".join(f"{code} {count} x" for code, count in document["faults"].items()))
     lines += record_lines(document)
-    if not document["windows"]:
-        lines.append(
-            "no mass: no whole second passes between the frames' times, as of a recorder without a clock, or candump -td"
-        )
-    elif not document["zero_known"] and document.get("missing", {}).get("elevator speed", 0.0) > _MOSTLY:
-        lines.append(
-            "no mass: no frame reports the elevator's speed, and without it there is no zero; what the log holds is shown by "
-            "`yieldmon check-config CONFIG --log LOG`"
-        )
-    elif not document["zero_known"] and document.get("frames_lost_share", 0.0) > _MOSTLY:
-        lines.append(
-            "no mass: each second lacks samples (FramesLost): frames are lost, or two nodes or channels send them, and such "
-            "seconds give no zero; `yieldmon check-config CONFIG --log LOG` shows what is there"
-        )
-    elif not document["zero_known"]:
-        lines.append(
-            "no mass: the log begins in grain, with no stretch of the elevator running empty, so there is no zero; --zero-mv "
-            "gives a known one, as the table of an earlier log or `yieldmon status` has it; if it begins empty, `yieldmon "
-            "check-config CONFIG --log LOG` says whether the samples can be a force"
-        )
+    if why := _why_no_mass(document):
+        lines.append(f"no mass: {why}")
     return "\n".join(lines)
+
+
+def _why_no_mass(document: ProcessSummary) -> str:
+    """What there is to say where nothing could be measured; "" where something was, or where there may have been no grain."""
+    shown = "`yieldmon check-config CONFIG --log LOG` shows what is there"
+    missing = document.get("missing", {})
+    if not document["windows"]:
+        return "no whole second passes between the frames' times, as of a recorder without a clock, or candump -td"
+    if document["zero_known"]:
+        turned = not document["total_mass_kg"] and FaultCode.ZERO_DRIFTED in document["faults"]
+        return f"the zero drifted (ZeroDrifted): if there was grain, is the sensor's sign right? {shown}" if turned else ""
+    if missing.get("elevator speed", 0.0) > _MOSTLY:
+        return f"no frame reports the elevator's speed, and without it there is no zero; {shown}"
+    if missing.get("plate angle", 0.0) > _MOSTLY:
+        return (
+            "no frame reports the plate's angle, and without it there is no zero; of a plate that is bolted on it is "
+            f"plate.fixed_angle_deg; {shown}"
+        )
+    if document.get("frames_lost_share", 0.0) > _MOSTLY:
+        return (
+            "each second lacks samples (FramesLost): frames are lost, or two nodes or channels send them, and such seconds give "
+            f"no zero; {shown}"
+        )
+    return (
+        "the log begins in grain, with no stretch of the elevator running empty, so there is no zero; --zero-mv gives a known "
+        "one, as the table of an earlier log or `yieldmon status` has it; if it begins empty, `yieldmon check-config CONFIG "
+        "--log LOG` says whether the samples can be a force"
+    )
