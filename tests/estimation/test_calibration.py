@@ -373,6 +373,22 @@ def test_bounds_take_no_more_off_the_standard_error_than_puts_it_within_them(sha
     assert np.all(stated <= beyond * (1.0 + 1e-6))
 
 
+def test_bounds_leave_the_flow_as_well_known_as_its_rows_make_it() -> None:
+    """At one plate angle friction and density, each hardly known, make up for each other."""
+    model, gravity = ForwardModel(MACHINE, ("gravity",)), {"gravity.acceleration_m_s2": 9.81}
+    true, angle = TRUE | gravity | {"friction": 0.4}, np.radians(70.0)
+    speed, flow = (np.tile(v.ravel(), 3) for v in np.meshgrid([36.0, 48.0], [2.0, 5.0, 9.0, 14.0, 19.0]))
+    rows = Conditions(angle, speed, mass_flow_kg_s=flow)
+    clean = np.real(model.paddle_momentum(rows, true))
+    force = float(np.real(model.force(Conditions(angle, 42.0, mass_flow_kg_s=8.0), true)))
+    stated = []
+    for seed in range(5):
+        noise = 0.01 * np.random.default_rng([seed, 8]).standard_normal(clean.shape)
+        found = calibrate(model, Measurements(rows, clean * (1.0 + noise)), START | gravity, FREE, starts=2, intervals=False)
+        stated.append(float(OpenLoop(model, found.parameter_set).estimate(force, angle, 42.0).std_dev_kg_s) / 8.0)
+    assert max(stated) < 0.012
+
+
 def test_an_outlier_of_a_robust_fit_is_no_error_of_the_model() -> None:
     """A twentieth of the readings is 30 % off, the others by noise of 1 %."""
     angle, flow = (v.ravel() for v in np.meshgrid(np.radians([40.0, 55.0, 70.0, 85.0]), np.linspace(2.0, 18.0, 6)))

@@ -48,13 +48,12 @@ def fit_uncertainty(
     free = _spread_out(alike, unlike)
     # In the file a parameter is never less certain than anywhere between its bounds.
     most = distance_within(problem.lower, problem.upper, theta)
-    bounded = alike
-    if np.any(singular) or np.any(np.diag(alike) > most**2):
-        bounded = _bounded_inverse(information, most)
-    covariance = _spread_out(bounded, unlike)
+    inverse = _bounded_inverse(information, most) if np.any(singular) else alike
+    covariance = _spread_out(inverse, unlike)
     size = _learnt_error(problem, predicted - problem.data.momentum, cell_slopes, noise)
     if size > 0.0:
-        covariance = _with_model_error(problem, covariance, bounded, size, most, predicted, weighted, noise)
+        covariance = _with_model_error(problem, covariance, inverse, size, predicted, weighted, noise)
+    covariance = _within(covariance, most)
     deviation = np.sqrt(np.diag(free))
     with np.errstate(divide="ignore", invalid="ignore"):
         correlation = free / np.outer(deviation, deviation)
@@ -90,20 +89,17 @@ def _with_model_error(
     covariance: Array,
     inverse: Array,
     size: float,
-    most: Array,
     predicted: Array,
     weighted: Array,
     noise: Noise,
 ) -> Array:
-    """covariance: by noise. inverse: of the information, by which the fit follows an error. most: standard deviations, (n,)."""
+    """covariance: by noise. inverse: of the information, by which the fit follows an error."""
     angle, speed, load, _ = problem.data.columns()
     # A constant error is absorbed by the impact gain: it is none of the forces', but one of what they are made of.
     shapes = np.column_stack((model_error.basis(angle, load, speed), np.ones(load.size)))
     own = size * shapes * (model_error.level(predicted) * noise.weight)[:, None]
     moved = inverse @ (weighted.T / max(noise.variance_factor, 1e-300) @ own)
-    widened = covariance + moved @ moved.T
-    limit = np.minimum(1.0, most / np.sqrt(np.maximum(np.diag(widened), 1e-300)))
-    return np.asarray(widened * np.outer(limit, limit))
+    return np.asarray(covariance + moved @ moved.T)
 
 
 def _learnt_error(problem: CalibrationProblem, error: Array, slopes: Array, fitted: Noise) -> float:
@@ -153,17 +149,30 @@ def _inverse(information: Array, unit: Array) -> tuple[Array, NDArray[np.bool_]]
 
 
 def _bounded_inverse(information: Array, sd: Array) -> Array:
-    """Inverse of an information matrix to which as much of the bounds' own, sd (n,), is added as keeps each variance within sd^2.
+    """Covariance where the information leaves directions free: in those, that of anywhere between the bounds, sd (n,).
 
-    No more than that: the best fit is not drawn towards the middle, and its error is that of the rows. The information of rows
-    without noise is so large that what is added would be lost in rounding; directions that it leaves free have none.
+    The information of rows without noise is so large that the bounds' own, added to it, would be lost in rounding.
     """
     values, vectors = np.linalg.eigh(information * np.outer(sd, sd))
     values = np.where(values <= 1e-13 * max(float(values[-1]), 0.0), 0.0, values)
+    covariance = (vectors / (1.0 + values)) @ vectors.T * np.outer(sd, sd)
+    return np.asarray(0.5 * (covariance + covariance.T))
+
+
+def _within(covariance: Array, sd: Array) -> Array:
+    """The covariance with as much of the bounds' own information, sd (n,), added as keeps each variance within sd^2.
+
+    No more than that: the best fit is not drawn towards the middle, and its error is that of the rows. What the rows determine
+    together, such as the flow, stays as well known as it is, which scaling of single parameters would not leave.
+    """
+    if np.all(np.diag(covariance) <= sd**2):
+        return covariance
+    values, vectors = np.linalg.eigh(covariance / np.outer(sd, sd))
+    values = np.maximum(values, 0.0)
     least, share = 0.0, 1.0
     for _ in range(_HALVINGS):
         middle = 0.5 * (least + share)
-        enough = np.max(vectors**2 @ (1.0 / (middle + values))) <= 1.0
+        enough = np.max(vectors**2 @ (values / (1.0 + middle * values))) <= 1.0
         least, share = (least, middle) if enough else (middle, share)
-    covariance = (vectors / (share + values)) @ vectors.T * np.outer(sd, sd)
+    covariance = (vectors * (values / (1.0 + share * values))) @ vectors.T * np.outer(sd, sd)
     return np.asarray(0.5 * (covariance + covariance.T))
