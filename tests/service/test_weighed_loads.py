@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
+import unicodedata
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from tests.service.test_posting import MACHINE, known, rows
 from yieldmon.cli.main import main
 from yieldmon.errors import InputError
 from yieldmon.files import parameter_file
-from yieldmon.files.ticket_file import WeighedTicket
+from yieldmon.files.ticket_file import WeighedTicket, names_log
 from yieldmon.physics.model import ForwardModel
 from yieldmon.service.logs.weighed_loads import MeasuredLoad, force_columns, loads_of, loads_on, match, sweeps_of
 from yieldmon.service.storage.batch import Batch, Load, ParameterVersion
@@ -143,6 +144,15 @@ MEASURED = [
 def test_a_ticket_names_loads_by_number_or_by_their_log(first: str, last: str, named: str) -> None:
     found = loads_on(WeighedTicket(first, last, 50.0, 0.1, "line 2"), MEASURED)
     assert "".join(load.name for load in found) == named
+
+
+@pytest.mark.parametrize("coding", ["NFC", "NFD"])
+@pytest.mark.parametrize("name", ["2026.10.06 Fuhre ä", "2026.10.06 Fuhre ä.log", "2026.10.06 Fuhre ä.log.gz", "2026"])
+def test_a_log_is_known_by_its_name_whatever_dots_and_accents_it_has(name: str, coding: Literal["NFC", "NFD"]) -> None:
+    log = unicodedata.normalize(coding, "2026.10.06 Fuhre ä.log.gz")
+    assert names_log(name, log)
+    loads = [MEASURED[3], replace(MEASURED[0], log=f"day/{log}")]
+    assert loads_on(WeighedTicket(name, name, 50.0, 0.1, "line 2"), loads) == loads[1:]
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""CAN logs as packed frames: one Parquet file, a fraction of the size, read many times faster, every frame the same."""
+"""CAN logs as packed frames: one Parquet file, a fraction of the size, read many times faster, every classic frame the same."""
 
 from __future__ import annotations
 

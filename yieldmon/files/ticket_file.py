@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import unicodedata
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import hypot, isfinite
@@ -42,6 +43,22 @@ class WeighedTicket:
     std_dev_kg: float
     where: str
     machine: str = ""
+
+
+def names_log(name: str, log: str) -> bool:
+    """Whether a ticket's name is that of a log, in whatever coding of Unicode: of its file, with or without its ending, or what
+    stands there before the first dot.
+
+    Examples
+    --------
+    >>> [names_log(name, "day/10.06.a.log.gz") for name in ("10.06.a.log.gz", "10.06.a.log", "10.06.a", "10", "10.06")]
+    [True, True, True, True, False]
+    """
+    file = unicodedata.normalize("NFC", Path(log).name)
+    whole = file[: -len(".gz")] if file.lower().endswith(".gz") else file
+    return unicodedata.normalize("NFC", Path(name).name) in (
+        file, whole, whole.rpartition(".")[0], file.partition(".")[0],
+    )  # fmt: skip
 
 
 def load(path: str | Path) -> tuple[WeighedTicket, ...]:

@@ -348,8 +348,7 @@ def _covered(ticket: WeighedTicket, given: Sequence[str]) -> Sequence[str]:
     if ticket.first.isdecimal() and ticket.last.isdecimal():
         first, last = int(ticket.first), int(ticket.last)
         return given[first - 1 : last] if 1 <= first <= last <= len(given) else ()
-    wanted = Path(ticket.first).name
-    found = [name for name in given if wanted in (name, name.partition(".")[0])]
+    found = [name for name in given if ticket_file.names_log(ticket.first, name)]
     return found if len(found) == 1 else ()
 
 

@@ -20,7 +20,7 @@ from yieldmon.estimation.estimators import estimator_of
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.self_calibration.closed_loop_inputs import Sweep
 from yieldmon.estimation.weighing.load_inputs import WeighedLoad
-from yieldmon.files.ticket_file import COLUMNS, WeighedTicket, unit_slip
+from yieldmon.files.ticket_file import COLUMNS, WeighedTicket, names_log, unit_slip
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import ForwardModel
 from yieldmon.repeats import repeated
@@ -192,7 +192,7 @@ def loads_on(ticket: WeighedTicket, loads: Sequence[MeasuredLoad]) -> list[Measu
             raise InputError(ticket.where, f"is {ticket.first}-{ticket.last}", "the first load first")
         return list(loads[first : last + 1])
     wanted = Path(ticket.first).name
-    of_log = [load for load in loads if load.log and wanted in (Path(load.log).name, _stem(load.log))]
+    of_log = [load for load in loads if load.log and names_log(ticket.first, load.log)]
     if len(of_log) == 1:
         return of_log
     if len(of_log) > 1:
@@ -200,10 +200,6 @@ def loads_on(ticket: WeighedTicket, loads: Sequence[MeasuredLoad]) -> list[Measu
         raise InputError(ticket.where, f"{wanted} holds {len(of_log)} loads", f"one of the numbers {held}")
     known = f"{names[0]} to {names[-1]}" if names else "none was measured"
     raise InputError(ticket.where, f"is {ticket.first}, no load that was measured", known)
-
-
-def _stem(log: str) -> str:
-    return Path(log).name.partition(".")[0]
 
 
 def _weighed(name: str, ticket: WeighedTicket, covered: Sequence[MeasuredLoad], machine: Machine) -> WeighedLoad:
