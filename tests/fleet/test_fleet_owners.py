@@ -189,7 +189,7 @@ def test_logs_that_add_nothing_to_their_day_are_named_at_each_run(
     text = (day / "a.log").read_bytes()
     (day / "b.log").touch()
     (day / "c.log").write_text("(1600000000.000000) can0 18F00400#FFFFFFFFFFFFFFFF\n" * 3)
-    (day / "d.log.gz").write_bytes(gzip.compress(text.replace(b"can0", b"can1"))[:-99])
+    (day / "d.log.gz").write_bytes(gzip.compress(text.lower())[:-99])
     for status in ("done", "skipped"):
         code, document, _ = fleet_run(tree, out, capsys)
         assert (code, document[status], document["poisoned"]) == (0, 2, [])
