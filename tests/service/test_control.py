@@ -128,7 +128,11 @@ def test_another_user_learns_how_to_ask(path):
         os.seteuid(user)
 
 
-def test_an_unknown_group_is_reported(tmp_path):
+def test_an_unknown_group_is_reported(tmp_path, capsys):
+    path = tmp_path / "group.yaml"
+    path.write_text("status: {group: no-such-group}\n")
+    assert main(["check-config", str(path)]) == 0
+    assert "note: status.group: this computer has no group 'no-such-group'" in capsys.readouterr().out
     with pytest.raises(InputError, match=r"status\.group: 'no-such-group'; expected a group of this system"):
         ControlServer(tmp_path / "s.sock", "no-such-group", answer)
 

@@ -75,9 +75,13 @@ def _held_against(
 ) -> tuple[dict[str, Any] | None, list[str], list[InputError]]:
     """What a recording shows of the mapping's quantities, what is to be known of the mapping, and what is wrong with it."""
     from yieldmon.service.config import plausible
+    from yieldmon.service.control_socket import has_group
     from yieldmon.service.logs import mapping_check
 
-    notes = [*loaded.notes, *mapping_check.notes(loaded)]
+    notes, group = [*loaded.notes, *mapping_check.notes(loaded)], loaded.document.status.group
+    if group is not None and not has_group(group):
+        # Of another computer it may be one.
+        notes.append(f"status.group: this computer has no group {group!r}, and a daemon would not start on it")
     if loaded.engine.waveform.enabled:
         # Brings the engine along, which other configurations are checked without.
         from yieldmon.service.config import waveform_needs

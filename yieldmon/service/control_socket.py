@@ -41,6 +41,13 @@ def _identity(path: Path) -> tuple[int, int]:
     return found.st_dev, found.st_ino
 
 
+def has_group(name: str) -> bool:
+    """Whether this system has a group."""
+    with suppress(KeyError):
+        return bool(grp.getgrnam(name))
+    return False
+
+
 def listen(path: Path, group: str | None) -> Listening:
     """A socket that listens at a path, where what is there of an earlier run is replaced; group: may use it too.
 
