@@ -91,6 +91,7 @@ def test_the_last_ticket_in_short_tons_is_asked_about_raises_the_alarm_and_is_me
         mended = enter(1.0)
         assert mended.startswith("yieldmon: load 5: ticket 3 stood for it; the newer one counts")
         assert mended.count("\n") == 1
+        assert enter(1.0).startswith("yieldmon: load 5: ticket 4 stood for it")
         assert "ScaleDisagrees" not in [fault["code"] for fault in bench.daemon.snapshot["faults"]]
 
 

@@ -87,7 +87,8 @@ def enter_ticket(order: Order) -> Answer:
     if not why_not:
         for load_number, mass_kg, share_std_dev_kg in shares:
             monitor.ticket(load_number, mass_kg, share_std_dev_kg, crop)
-    replaces = [n for n, t in journal.actions.ledger.tickets.items() if t.first_load <= last and t.last_load >= first]
+    counting = (journal.actions.ledger.ticket_of(load.number) for load in covered)
+    replaces = sorted({found[0] for found in counting if found is not None})
     number = journal.actions.ticket(ticket, request.who, std_dev_kg, is_reference=not why_not, crop=crop, truck=truck)
     return {
         "crop": covered[-1].crop,
