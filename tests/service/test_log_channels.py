@@ -59,10 +59,9 @@ def processed(capsys: pytest.CaptureFixture[str], folder: Path, *arguments: str)
     ("files", "message"),
     [
         ([sent("can0") + sent("can1")], "ImpactSensorSamples"),
-        ([sent("can0") + sent("can1", frozenset({SPEED}))], "ElevatorSpeed"),
         ([sent("can0"), sent("can1")], "ImpactSensorSamples"),
     ],
-    ids=["bridged", "speed forwarded", "files of two loggers"],
+    ids=["bridged", "files of two loggers"],
 )
 def test_inputs_on_two_channels_are_refused_and_one_can_be_chosen(
     files: list[list[Row]], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -101,6 +100,30 @@ def test_other_recordings_of_two_channels_are_measured(
 ) -> None:
     alone = processed(capsys, tmp_path, logs.write(tmp_path / "alone" / "a.log").as_posix())["total_mass_kg"]
     assert processed(capsys, tmp_path, *written(tmp_path, *files))["total_mass_kg"] == pytest.approx(alone, rel=2e-3)
+
+
+def test_a_speed_that_a_gateway_forwards_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """An engine's speed gives the total that it gives alone, one of a stated rate none."""
+    (tmp_path / "c.yaml").write_text(
+        "signals:\n  elevator_speed: {dbc: j1939.dbc, message: EEC1, signal: EngineSpeed, ratio: 0.2}\n"
+    )
+    engine = [
+        (at, "", line.partition(SPEED)[0] + "0CF00400#F0FFFF803EFFFFFF\n") for at, _, line in sent("can0", frozenset({SPEED}))
+    ]
+    rest = sent("can0", ALL - {SPEED})
+    forwarded = [(at + LATE_S, "", line.replace("can0", "can1")) for at, _, line in engine]
+    (log,) = written(tmp_path, [*rest, *engine, *forwarded])
+    found = processed(capsys, tmp_path, log, "--config", str(tmp_path / "c.yaml"))
+    assert found["damages"] == [f"{log}: EEC1 comes on channels can0 and can1 at the same times; --channel takes one"]
+    one = processed(capsys, tmp_path, log, "--config", str(tmp_path / "c.yaml"), "-c", "can0")
+    assert one["damages"] == []
+    assert found["total_mass_kg"] == pytest.approx(one["total_mass_kg"], rel=2e-3)
+    assert one["total_mass_kg"] > 10.0
+    (log,) = bridged(tmp_path, frozenset({SPEED}))
+    said = [f"{log}: ElevatorSpeed comes on channels can0 and can1 at the same times; --channel takes one"]
+    assert processed(capsys, tmp_path, log)["damages"] == said
+    by_frame = process_logs([log], monitor_of(CONFIGURED, drives_plate=False), CODEC, lambda row: None)
+    assert by_frame.damages == said
 
 
 def test_inputs_in_logs_apart_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

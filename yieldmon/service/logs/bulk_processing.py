@@ -116,7 +116,7 @@ def process_in_bulk(
 @dataclass(frozen=True)
 class Taking:
     """What is taken from a log: of the shipped DBC by the codec, of the mapping's groups by its decoder. channels: whose frames;
-    empty: all, where no input comes on two at the same times."""
+    empty: all, where no impact samples come on two at the same times."""
 
     codec: Codec
     signals: SignalMap
@@ -140,9 +140,8 @@ def stretches_of(paths: Iterable[str], taking: Taking) -> Iterator[Stretch | End
             found = _stretch(columns, refused, block, notes.frames - frames, taking.signals.sources)
             yield replace(found, incomplete=decoder.incomplete - before)
             frames = notes.frames
-        if one_channel is not None:
-            one_channel.end_of_log(path)
-        yield EndOfLog(path, notes.lacks(path), channels)
+        shared = one_channel.end_of_log(path) if one_channel is not None else []
+        yield EndOfLog(path, notes.lacks(path) + shared, channels)
     if decoder.under_way:
         yield Stretch(0, 0, 0, incomplete=decoder.under_way)
 

@@ -20,14 +20,16 @@ _SHARED_S = 3
 
 
 class OneChannel:
-    """Refuses a record whose impact samples, speed or angle come on several channels at the same times, or some in one log and
-    some in another of the same time."""
+    """Refuses a record whose impact samples come on several channels at the same times, or that has some inputs in one log and
+    some in another of the same time. Speeds and angles on several are said only: a gateway's copies need do no harm."""
 
     def __init__(self, sources: Sources) -> None:
         inputs = (source.message for source in sources.inputs if source.quantity in _SENT_BY_ONE)
+        self._impact = frozenset(source.message for source in sources.impact)
         self._watched = tuple(dict.fromkeys([*(source.message for source in sources.impact), *inputs]))
         self._seconds: dict[str, dict[str, set[int]]] = {}
         self._of_log: dict[str, set[int]] = {}
+        self._said: set[str] = set()
         self._logs: list[tuple[str, dict[str, set[int]]]] = []
 
     def take(self, log: str, block: FrameBlock, found: Mapping[str, tuple[NDArray[np.intp], NDArray[np.float64]]]) -> None:
@@ -41,7 +43,7 @@ class OneChannel:
                 seconds = _seconds_of(times)
                 by_channel.setdefault(name, set()).update(seconds)
                 self._of_log.setdefault(message, set()).update(seconds)
-            if len(by_channel) > 1:
+            if message in self._impact:
                 _refuse_shared(log, message, by_channel)
 
     def take_frame(self, log: str, message: str, channel: str, time_s: float) -> None:
@@ -50,11 +52,20 @@ class OneChannel:
             by_channel = self._seconds.setdefault(message, {})
             by_channel.setdefault(channel, set()).add(floor(time_s))
             self._of_log.setdefault(message, set()).add(floor(time_s))
-            if len(by_channel) > 1:
+            if message in self._impact:
                 _refuse_shared(log, message, by_channel)
 
-    def end_of_log(self, log: str) -> None:
-        """Holds a log's inputs against those of the logs before. Times without a date say nothing of another log's."""
+    def end_of_log(self, log: str) -> list[str]:
+        """Holds a log's inputs against those of the logs before; a line for each speed or angle on several channels.
+
+        Times without a date say nothing of another log's.
+        """
+        lines = []
+        for message in self._seconds.keys() - self._impact - self._said:
+            if shared := _shared(message, self._seconds[message]):
+                self._said.add(message)
+                lines.append(f"{log}: {shared[0]}; --channel takes one")
+        lines.sort()
         for by_channel in self._seconds.values():
             for name, seconds in by_channel.items():
                 by_channel[name] = _dated(seconds)
@@ -63,6 +74,7 @@ class OneChannel:
             _refuse_apart(log, here, other, there)
         self._logs.append((log, here))
         self._of_log = {}
+        return lines
 
 
 def _seconds_of(times_s: NDArray[np.float64]) -> list[int]:
@@ -100,12 +112,17 @@ def _by_channel(block: FrameBlock, rows: NDArray[np.intp], times_s: NDArray[np.f
 
 
 def _refuse_shared(log: str, message: str, by_channel: Mapping[str, set[int]]) -> None:
+    if shared := _shared(message, by_channel):
+        problem, one, other = shared
+        expected = f"one channel: --channel {one} or {other} (bus.log_channels of the configuration)"
+        raise InputError(log, f"{problem}, as of bridged buses", expected)
+
+
+def _shared(message: str, by_channel: Mapping[str, set[int]]) -> tuple[str, str, str] | None:
+    """What is to be said of a message on two channels, and these; None where it comes on one at a time."""
     names = sorted(by_channel.keys() - {""})
     for place, one in enumerate(names):
         for other in names[place + 1 :]:
             if len(by_channel[one] & by_channel[other]) >= _SHARED_S:
-                raise InputError(
-                    log,
-                    f"{_of_dbc(message)} comes on channels {one} and {other} at the same times, as of bridged buses",
-                    f"one channel: --channel {one} or {other} (bus.log_channels of the configuration)",
-                )
+                return f"{_of_dbc(message)} comes on channels {one} and {other} at the same times", one, other
+    return None

@@ -78,7 +78,7 @@ def process_logs(
         Where the engine's quantities come from; None: the shipped DBC. Frames that the monitor sends are not needed here: those
         in a log were sent by the monitor of that time.
     channels : sequence of str, optional
-        Whose frames are taken; empty: all, where no input comes on two channels at the same times.
+        Whose frames are taken; empty: all, where no impact samples come on two channels at the same times.
 
     Returns
     -------
@@ -127,10 +127,9 @@ def process_logs(
                 if one_channel is not None:
                     one_channel.take_frame(str(path), frame.message, channel, frame.time_s)
                 hand_over(monitor.feed(frame), take_row, summary)
-        if one_channel is not None:
-            one_channel.end_of_log(str(path))
+        shared = one_channel.end_of_log(str(path)) if one_channel is not None else []
         summary.frames += notes.frames
-        summary.damages += notes.lacks(path)
+        summary.damages += notes.lacks(path) + shared
     summary.incomplete = bus.incomplete + bus.under_way
     refuse_nothing(paths, summary, channels)
     return summary
