@@ -564,10 +564,14 @@ def test_a_load_is_complete_when_no_window_of_it_is_missing(lost: Callable[[int]
     assert target.ticket(2, 100.0, 1.0).complete is complete
 
 
-def test_a_load_that_began_before_there_was_a_zero_is_not_complete() -> None:
-    target = monitor()
+@pytest.mark.parametrize(("zero_windows", "complete"), [(3, True), (7, False)])
+def test_a_load_that_began_before_there_was_a_zero_is_complete_where_that_came_soon(zero_windows: int, complete: bool) -> None:
+    """The elevator runs empty from the first second. Seven windows are more than there are before grain comes."""
+    settings = EngineSettings()
+    target = monitor(replace(settings, zero=replace(settings.zero, first_zero_windows=zero_windows)))
     feed(target, STEADY_FRAMES)
-    assert not target.ticket(1, 100.0, 1.0).complete
+    assert (target.totals.load_kg > 0.0) is complete
+    assert target.ticket(1, 100.0, 1.0).complete is complete
 
 
 @pytest.mark.parametrize(("load_kg", "load_open", "complete"), [(50.0, True, False), (0.0, True, True)])

@@ -94,12 +94,27 @@ def test_missed_mass_joins_its_own_load_and_no_other() -> None:
         (["available", "silent"], False),
         (["silent", "available", "silent"], False),
         (["silent", "available", "waking"], False),
+        (["unzeroed"] * 3 + ["waking", "available"], True),
+        (["unzeroed"] * 5, False),
+        (["standing"] * 100 + ["unzeroed"] * 3 + ["waking", "available"], True),
+        (["silent"] * 5 + ["unzeroed"] * 3 + ["waking", "available"], True),
+        (["unzeroed"] * 3 + ["available", "waking"], False),
+        (["available", "unzeroed"], False),
     ],
     ids=str,
 )
 def test_a_load_may_begin_before_its_sensors_send(seconds: list[str] | str, whole: bool) -> None:
     opening, taken = Opening(), [seconds] if seconds == "available" else seconds
-    found = [opening.lacks_nothing(1.0, available=second == "available", silent=second == "silent") for second in taken]
+    found = [
+        opening.lacks_nothing(
+            1.0,
+            available=second == "available",
+            silent=second == "silent",
+            unzeroed=second in ("unzeroed", "standing"),
+            standing=second == "standing",
+        )
+        for second in taken
+    ]
     assert all(found) is whole
 
 

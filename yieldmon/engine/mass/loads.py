@@ -89,10 +89,22 @@ class Loads:
         self.totals = self.totals.stop_load()
         return closed
 
-    def count(self, window: Window, flow: Flow, moisture_pct: float, area_m2: float = _NAN, silent: bool = False) -> float:
-        """Add a window and its area to the totals; returns its mass, kg. silent: neither samples nor speed above 0."""
+    def count(
+        self,
+        window: Window,
+        flow: Flow,
+        moisture_pct: float,
+        area_m2: float = _NAN,
+        *,
+        silent: bool = False,
+        unzeroed: bool = False,
+        standing: bool = False,
+    ) -> float:
+        """Add a window and its area to the totals; returns its mass, kg. silent, unzeroed, standing: see `Opening`."""
         available = flow.measured or flow.quality is not EstimateQuality.NOT_AVAILABLE
-        if not self._opening.lacks_nothing(window.end_s - window.start_s, available=available, silent=silent):
+        if not self._opening.lacks_nothing(
+            window.end_s - window.start_s, available=available, silent=silent, unzeroed=unzeroed, standing=standing
+        ):
             self._complete = False
         if not flow.measured:
             self.totals = self.totals.with_area(area_m2, 0.0)

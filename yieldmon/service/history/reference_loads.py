@@ -131,7 +131,9 @@ def _whole(load: Load, seconds: Sequence[SecondRow], min_coverage: float) -> boo
         measured = second.mass_flow_kg_s is not None
         available = measured or second.quality != EstimateQuality.NOT_AVAILABLE
         silent = not (second.coverage > 0.0 or (second.elevator_speed_rpm or 0.0) > 0.0)
-        if not opening.lacks_nothing(second.duration_s, available=available, silent=silent):
+        unzeroed = second.zero_mv is None and second.coverage > 0.0 and second.elevator_speed_rpm is not None
+        standing = unzeroed and second.elevator_speed_rpm == 0.0
+        if not opening.lacks_nothing(second.duration_s, available=available, silent=silent, unzeroed=unzeroed, standing=standing):
             return False
         if measured and (second.coverage < min_coverage or second.surplus_frames > 0):
             return False
