@@ -443,6 +443,7 @@ def test_an_interface_that_goes_and_comes_back(tmp_path):
 
 def test_loads_tickets_and_names(tmp_path, capsys):
     with running(tmp_path) as bench:
+        bench.play(6, GRAIN_MV)
         warm_up(bench)
         answer = ask(tmp_path, capsys, "load", "start", "--field", "north", "--crop", "corn")
         parameters = {"crop": None, "version": 1, "changed": False}
@@ -456,7 +457,7 @@ def test_loads_tickets_and_names(tmp_path, capsys):
         weighed = 1.02 * (loads[0]["mass_kg"] + loads[1]["mass_kg"])
         ticket = ask(tmp_path, capsys, "ticket", "1-2", f"{weighed}kg", "--note", "elevator 3")
         assert ticket["factor"] == pytest.approx(1.02)
-        assert ticket["anchor"] is False, "load 1 began before there was a zero"
+        assert ticket["anchor"] is False, "load 1 began in grain, before there was a zero"
         assert ask(tmp_path, capsys, "ticket", "2", f"{1.02 * loads[1]['mass_kg']}kg")["anchor"] is True
         assert [anchor.load_number for anchor in bench.daemon.monitor.anchors] == [2]
         after = ask(tmp_path, capsys, "load", "list")["loads"]
