@@ -13,7 +13,7 @@ from yieldmon import frames as bus
 from yieldmon.engine.inputs import Inputs
 from yieldmon.engine.mass.loads import Loads
 from yieldmon.engine.mass.missed_mass import MissedMass
-from yieldmon.engine.mass.opening import Opening
+from yieldmon.engine.mass.opening import Missing, Opening
 from yieldmon.engine.mass.totals import Totals
 from yieldmon.engine.runs import run_of
 from yieldmon.engine.settings import EngineSettings, InputSettings, TotalsSettings
@@ -80,6 +80,15 @@ def test_missed_mass_joins_its_own_load_and_no_other() -> None:
     assert (loads.totals.total_kg, loads.totals.total_unknown_moisture_kg) == (102.0, 102.0)
 
 
+MISSING = {
+    "available": None,
+    "silent": Missing.of(sampled=False, speed=nan, zeroed=False),
+    "waking": Missing.of(sampled=False, speed=30.0, zeroed=False),
+    "unzeroed": Missing.of(sampled=True, speed=30.0, zeroed=False),
+    "standing": Missing.of(sampled=True, speed=0.0, zeroed=False),
+}
+
+
 @pytest.mark.parametrize(
     ("seconds", "whole"),
     [
@@ -105,16 +114,7 @@ def test_missed_mass_joins_its_own_load_and_no_other() -> None:
 )
 def test_a_load_may_begin_before_its_sensors_send(seconds: list[str] | str, whole: bool) -> None:
     opening, taken = Opening(), [seconds] if seconds == "available" else seconds
-    found = [
-        opening.lacks_nothing(
-            1.0,
-            available=second == "available",
-            silent=second == "silent",
-            unzeroed=second in ("unzeroed", "standing"),
-            standing=second == "standing",
-        )
-        for second in taken
-    ]
+    found = [opening.lacks_nothing(1.0, MISSING[second]) for second in taken]
     assert all(found) is whole
 
 

@@ -13,6 +13,7 @@ from yieldmon.engine.flow_estimator import FlowEstimator
 from yieldmon.engine.health import conditions
 from yieldmon.engine.mass.load_summary import LoadEvents
 from yieldmon.engine.mass.missed_mass import NO_LOAD, MissedMass
+from yieldmon.engine.mass.opening import Missing
 from yieldmon.engine.measurement import Reading
 from yieldmon.engine.parts import Parts
 from yieldmon.engine.publishing import Published
@@ -99,11 +100,8 @@ class Conclusion:
         by_mean_force = self._by_mean_force(reading, estimate, estimator)
         flow = self._corrected(away_from_home(by_mean_force, reading, learning.model_error), window.end_s, estimator)
         area_m2 = parts.area.second(window.end_s, window.weight_s, reading.inputs, grain_comes=flow.measured)
-        silent = not (window.samples or reading.speed_rad_s > 0.0)
-        unzeroed = reading.zero is None and window.samples > 0 and isfinite(reading.speed_rad_s)
-        standing = unzeroed and reading.speed_rad_s == 0.0
-        moisture_pct = reading.inputs.fresh["moisture"]
-        mass_kg = loads.count(window, flow, moisture_pct, area_m2, silent=silent, unzeroed=unzeroed, standing=standing)
+        missing = Missing.of(sampled=window.samples > 0, speed=reading.speed_rad_s, zeroed=reading.zero is not None)
+        mass_kg = loads.count(window, flow, reading.inputs.fresh["moisture"], area_m2, missing)
         self._weigh(reading, flow, mass_kg)
         angle_rad = window.plate_angle_rad if isfinite(window.plate_angle_rad) else parts.machine.home_plate_angle_rad
         loads.share(mass_kg, flow, estimator.parameters.version, angle_rad, learning.load_error)

@@ -18,7 +18,7 @@ from yieldmon.engine.mass.budget import MassBudget
 from yieldmon.engine.mass.load_errors import Deviations, LoadErrors
 from yieldmon.engine.mass.load_summary import LoadClosed, LoadEvents, LoadOpened, LoadRestated, LoadSummary
 from yieldmon.engine.mass.missed_mass import NO_LOAD, MissedMass
-from yieldmon.engine.mass.opening import Opening
+from yieldmon.engine.mass.opening import Missing, Opening
 from yieldmon.engine.mass.shared_error import ClosedLoadState
 from yieldmon.engine.mass.totals import Totals, dry_mass
 from yieldmon.engine.sampling.windows import Window
@@ -95,16 +95,11 @@ class Loads:
         flow: Flow,
         moisture_pct: float,
         area_m2: float = _NAN,
-        *,
-        silent: bool = False,
-        unzeroed: bool = False,
-        standing: bool = False,
+        missing: Missing = Missing.SOME,
     ) -> float:
-        """Add a window and its area to the totals; returns its mass, kg. silent, unzeroed, standing: see `Opening`."""
+        """Add a window and its area to the totals; returns its mass, kg. missing: of the inputs, where there is no flow."""
         available = flow.measured or flow.quality is not EstimateQuality.NOT_AVAILABLE
-        if not self._opening.lacks_nothing(
-            window.end_s - window.start_s, available=available, silent=silent, unzeroed=unzeroed, standing=standing
-        ):
+        if not self._opening.lacks_nothing(window.end_s - window.start_s, None if available else missing):
             self._complete = False
         if not flow.measured:
             self.totals = self.totals.with_area(area_m2, 0.0)

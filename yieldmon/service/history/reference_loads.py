@@ -15,7 +15,7 @@ import numpy as np
 
 from yieldmon.engine.mass.budget import MassBudget
 from yieldmon.engine.mass.load_summary import LoadSummary
-from yieldmon.engine.mass.opening import Opening
+from yieldmon.engine.mass.opening import Missing, Opening
 from yieldmon.engine.sampling.since_zero import KeptSecond
 from yieldmon.estimation.estimators import estimator_of
 from yieldmon.estimation.parameters import ParameterSet
@@ -130,10 +130,9 @@ def _whole(load: Load, seconds: Sequence[SecondRow], min_coverage: float) -> boo
     for second in seconds:
         measured = second.mass_flow_kg_s is not None
         available = measured or second.quality != EstimateQuality.NOT_AVAILABLE
-        silent = not (second.coverage > 0.0 or (second.elevator_speed_rpm or 0.0) > 0.0)
-        unzeroed = second.zero_mv is None and second.coverage > 0.0 and second.elevator_speed_rpm is not None
-        standing = unzeroed and second.elevator_speed_rpm == 0.0
-        if not opening.lacks_nothing(second.duration_s, available=available, silent=silent, unzeroed=unzeroed, standing=standing):
+        speed_rpm = nan if second.elevator_speed_rpm is None else second.elevator_speed_rpm
+        missing = Missing.of(sampled=second.coverage > 0.0, speed=speed_rpm, zeroed=second.zero_mv is not None)
+        if not opening.lacks_nothing(second.duration_s, None if available else missing):
             return False
         if measured and (second.coverage < min_coverage or second.surplus_frames > 0):
             return False
