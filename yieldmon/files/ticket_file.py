@@ -62,8 +62,8 @@ def names_log(name: str, log: str) -> bool:
 
 
 def load(path: str | Path) -> tuple[WeighedTicket, ...]:
-    """The tickets of a file with the columns `load` (7, or 7-9 for several on one ticket) and `weighed_kg` (or _t, _dt, _lb), and
-    if known `std_dev_kg`, `machine`; `other_kg` and `other_std_dev_kg` as `own_part` has them.
+    """The tickets of a file with the columns `load` (7, or 7-9 for several on one ticket) and `weighed_kg` (or _t, _dt, _q,
+    _lb), and if known `std_dev_kg`, `machine`; `other_kg` and `other_std_dev_kg` as `own_part` has them.
 
     Raises InputError naming line and column.
     """

@@ -48,10 +48,13 @@ class OneChannel:
 
     def take_frame(self, log: str, message: str, channel: str, time_s: float) -> None:
         """One frame of a log, as take()."""
-        if message in self._watched and isfinite(time_s):
-            by_channel = self._seconds.setdefault(message, {})
-            by_channel.setdefault(channel, set()).add(floor(time_s))
-            self._of_log.setdefault(message, set()).add(floor(time_s))
+        if message not in self._watched or not isfinite(time_s):
+            return
+        by_channel, second = self._seconds.setdefault(message, {}), floor(time_s)
+        self._of_log.setdefault(message, set()).add(second)
+        seconds = by_channel.setdefault(channel, set())
+        if second not in seconds:
+            seconds.add(second)
             if message in self._impact:
                 _refuse_shared(log, message, by_channel)
 
