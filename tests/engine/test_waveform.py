@@ -59,9 +59,20 @@ def as_run(frames: Sequence[Frame], *, kernels: bool = True) -> FrameRun:
 def harvested(**settings: object) -> tuple[WindowRecord, ...]:
     """Records of the last ten seconds."""
     waveform = replace(WaveformSettings(), shape=LAW, **settings)  # type: ignore[arg-type]
+    return tuple(records_in(looking(waveform).feed_run(as_run(traffic()))))[-10:]
+
+
+def looking(waveform: WaveformSettings) -> Monitor:
+    """Of the shipped machine, without sweeps."""
     engine = replace(EngineSettings(), sweep=replace(SweepSettings(), enabled=False), waveform=waveform)
-    monitor = Monitor(engine, MACHINE, OpenLoop(ForwardModel(MACHINE, PARAMETERS.effects), PARAMETERS))
-    return tuple(records_in(monitor.feed_run(as_run(traffic()))))[-10:]
+    return Monitor(engine, MACHINE, OpenLoop(ForwardModel(MACHINE, PARAMETERS.effects), PARAMETERS))
+
+
+def test_a_run_of_frames_gives_the_bits_of_single_ones() -> None:
+    monitor = looking(replace(WaveformSettings(), shape=LAW, enabled=True, combine=True, thousand_kernel_weight_g=350.0))
+    single = [r for frame in traffic() for r in records_in(monitor.feed(frame))][-10:]
+    assert all(r.shape_verdict is ShapeVerdict.USED for r in single)
+    assert repr(tuple(single)) == repr(harvested(enabled=True, combine=True, thousand_kernel_weight_g=350.0))
 
 
 def test_is_off_unless_asked_for_and_then_changes_nothing_else() -> None:
