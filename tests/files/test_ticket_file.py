@@ -41,6 +41,15 @@ def test_of_a_truck_that_another_combine_filled_as_well_only_the_rest_counts(tmp
     assert (found.mass_kg, found.std_dev_kg) == pytest.approx(own)
 
 
+@pytest.mark.parametrize("column", ["weighed", "std_dev", "other", "other_std_dev"])
+def test_a_mass_without_its_unit_is_refused(tmp_path, column):
+    path = tmp_path / "tickets.csv"
+    header = [name for name in ("weighed_kg", "std_dev_kg", "other_kg", "other_std_dev_kg") if name != f"{column}_kg"]
+    path.write_text(f"load,{','.join(header)},{column}\n7,27400,30,9100,300\n")
+    with pytest.raises(InputError, match=f"header: {column} has no unit; expected {column}_kg"):
+        load(path)
+
+
 def test_a_truck_of_which_another_combine_leaves_nothing_is_refused(tmp_path):
     path = tmp_path / "tickets.csv"
     path.write_text("load,weighed_kg,other_kg\n7,9100,27400\n")

@@ -70,10 +70,7 @@ def load(path: str | Path) -> tuple[WeighedTicket, ...]:
     source = delimited.read(path)
     which = _one_of(source, _LOADS, "load", "the number of a load, or the name of its log")
     mass, factor = _with_unit(source, _MASSES, "weighed_kg")
-    deviation, other, other_deviation = (
-        _with_unit(source, kinds, "") if any(_named(_plain(n), kinds) for n in source.header) else None
-        for kinds in (_DEVIATIONS, _OTHERS, _OTHER_DEVIATIONS)
-    )
+    deviation, other, other_deviation = (_if_there(source, kinds) for kinds in (_DEVIATIONS, _OTHERS, _OTHER_DEVIATIONS))
     machines = next((source.column(name) for name in source.header if _plain(name) == _MACHINE), ())
     tickets = []
     for i, cell in enumerate(source.column(which)):
@@ -151,6 +148,12 @@ def _one_of(source: delimited.TextTable, names: tuple[str, ...], expected: str, 
         said = " and ".join(found) or f"no column {expected}"
         raise InputError(f"{source.path}: header", f"has {said}", f"{expected}: {meaning}")
     return found[0]
+
+
+def _if_there(source: delimited.TextTable, kinds: tuple[str, ...]) -> tuple[str, float] | None:
+    """As _with_unit(), of a column that need not be there."""
+    columns = [_plain(name) for name in source.header]
+    return _with_unit(source, kinds, "") if any(name in kinds or _named(name, kinds) for name in columns) else None
 
 
 def _with_unit(source: delimited.TextTable, kinds: tuple[str, ...], expected: str) -> tuple[str, float]:
