@@ -1,6 +1,6 @@
 """MF4 logs, read in a process of its own: asammdf goes in circles on some damaged files, and prints what it meets.
 
-The process has as much processor time as a file of that size is worth. It writes records: a kind, and a frame or a text.
+The process is ended where no frame comes for long, in processor time. It writes records: a kind, and a frame or a text.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import signal
 import struct
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import IO
@@ -19,8 +20,12 @@ import can
 
 from yieldmon.bus import mf4
 
-#: Processor time once asammdf is imported, and so much more for each megabyte; a sound log takes a fifth of it at most.
-_READING_S, _READING_S_PER_MB = 0.5, 20.0
+#: Processor time from the start of reading to the first frame, and from one to the next, and so much more for each megabyte:
+#: an unsorted file is sorted as a whole before its first. A sound log takes a quarter of it at most.
+_STALLED_S, _STALLED_S_PER_MB = 0.5, 0.4
+#: At least this share of what the process took to start, which tells how slow the machine is.
+_STALLED_OF_START = 0.5
+_FRAMES_BETWEEN = 100
 _LARGEST_ADDRESS_SPACE_BYTES = 8 << 30
 _FRAME, _PROBLEM, _END = b"f", b"p", b"e"
 _HEAD = struct.Struct("<dIHiBB")
@@ -39,9 +44,9 @@ class Mf4Log:
         """Raises ModuleNotFoundError where asammdf is not installed."""
         mf4.require()
         _refuse_older(path)
-        self._limit_s = _READING_S + _READING_S_PER_MB * path.stat().st_size / 1e6
+        stalled_s = _STALLED_S + _STALLED_S_PER_MB * path.stat().st_size / 1e6
         # -P: no module of the folder where the user happens to be.
-        command = [sys.executable, "-P", "-m", "yieldmon.bus.mf4_reading", str(path.absolute()), str(self._limit_s)]
+        command = [sys.executable, "-P", "-m", "yieldmon.bus.mf4_reading", str(path.absolute()), str(stalled_s)]
         self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
 
     def __iter__(self) -> Iterator[can.Message]:
@@ -69,7 +74,7 @@ class Mf4Log:
     def _ended(self) -> str:
         code = self._process.wait()
         if code == -signal.SIGPROF:
-            return f"takes more than {self._limit_s:.3g} s of processor time"
+            return "its reader makes no progress, as on damaged blocks that lead back to themselves"
         return f"its reader ended with {code}"
 
 
@@ -96,17 +101,20 @@ def _packed(message: can.Message) -> bytes:
     return _FRAME + _HEAD.pack(message.timestamp, message.arbitration_id, flags, channel, message.dlc, len(data)) + data
 
 
-def main(path: str, limit_s: float) -> None:
-    """The process: frames to standard output, which nothing else reaches. limit_s: processor time from now on; it ends then."""
+def main(path: str, stalled_s: float) -> None:
+    """The process: frames to standard output, which nothing else reaches. It ends after stalled_s of CPU time without."""
+    stalled_s = max(stalled_s, _STALLED_OF_START * time.process_time())
     signal.signal(signal.SIGPROF, signal.SIG_DFL)
-    signal.setitimer(signal.ITIMER_PROF, limit_s)
+    signal.setitimer(signal.ITIMER_PROF, stalled_s)
     resource.setrlimit(resource.RLIMIT_AS, (_LARGEST_ADDRESS_SPACE_BYTES, _LARGEST_ADDRESS_SPACE_BYTES))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     with os.fdopen(os.dup(1), "wb") as out:
         nothing = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nothing, 1)
         try:
-            for message in can.MF4Reader(path):
+            for count, message in enumerate(can.MF4Reader(path)):
+                if count % _FRAMES_BETWEEN == 0:
+                    signal.setitimer(signal.ITIMER_PROF, stalled_s)
                 out.write(_packed(message))
         except BrokenPipeError:
             os._exit(0)
