@@ -207,3 +207,10 @@ def test_links_lead_somewhere(page: Path) -> None:
     targets = re.findall(r"\]\(([^)\s#]+)(?:#[^)\s]*)?\)", page.read_text(encoding="utf-8"))
     missing = [target for target in targets if "://" not in target and not (page.parent / target).exists()]
     assert missing == []
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/index.md"])
+def test_every_page_is_linked(page: str) -> None:
+    text = (ROOT / page).read_text(encoding="utf-8")
+    names = [f"{part}/{other.name}" for part in ("guide", "reference", "internals") for other in (DOCS / part).glob("*.md")]
+    assert [name for name in sorted(names) if f"{name})" not in text] == []

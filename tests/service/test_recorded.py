@@ -43,12 +43,16 @@ def test_json_that_is_no_record_is_one_line(tmp_path: Path, line):
         recorded.read_seconds(path)
 
 
-def test_task_data_of_a_time_that_it_has_no_room_for_is_one_line(tmp_path: Path, capsys):
+@pytest.mark.parametrize(("time_s", "date"), [(5.0, "1970-01-01T00:00:05Z"), (5.99e9, "2159-10-2")])
+def test_task_data_of_a_time_that_it_has_no_room_for_is_one_line(tmp_path: Path, capsys, time_s, date):
     path = tmp_path / "r.jsonl"
-    path.write_text(json.dumps(GOOD | {"time_s": 5.0}) + "\n")
+    path.write_text(json.dumps(GOOD | {"time_s": time_s}) + "\n")
     words = ["--swath", "6", "--flow-delay", "0", "--start-delay", "0", "--end-delay", "0"]
     assert main(["export", str(path), "--out", str(tmp_path / "x.zip"), *words]) == 2
-    assert "does not fit task data" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert f"task data cannot hold a point of {date}" in said
+    assert ".geojson" in said
+    assert said.count("\n") == 1
 
 
 def test_a_store_is_read_whole_by_a_link_while_it_is_written(tmp_path: Path):

@@ -38,6 +38,7 @@ ENTRIES = (
     task_data.Entry(ddi.WIDTH, "Actual working width", "mm"),
 )
 _TOTALS = tuple(entry.ddi for entry in ENTRIES if entry.total)
+_LAST_DAY = 65_535
 _INDEX = {entry.ddi: index for index, entry in enumerate(ENTRIES)}
 
 
@@ -79,7 +80,7 @@ def binary_log(points: Sequence[YieldPoint], reference_of: Callable[[int], float
         records.append(struct.pack("<IHiiBB", milliseconds, since.days, north, east, 1, len(values)))
         records += [struct.pack("<Bi", _INDEX[ddi], value) for ddi, value in values.items()]
     if not dry_known:
-        del totals[183]
+        del totals[ddi.DRY_TOTAL]
     return b"".join(records), totals
 
 
@@ -98,14 +99,22 @@ def files(points: Sequence[YieldPoint], field: str, reference_of: Callable[[int]
     return task_data.files_of(root, ENTRIES, [log])
 
 
+def _refuse_other_times(path: Path, points: Sequence[YieldPoint]) -> None:
+    for point in points:
+        at = utc.moment(point.time_s)
+        if not 0 <= (at - task_data.EPOCH).days <= _LAST_DAY:
+            expected = "times from 1980 to 2159; .geojson, .gpkg and .txt take those of a clock without a date"
+            raise InputError(str(path), f"task data cannot hold a point of {utc.text(at)}", expected)
+
+
 def write(path: Path, points: Sequence[YieldPoint], field: str, reference_of: Callable[[int], float]) -> None:
     """A zip with the folder TASKDATA in it for a name that ends in .zip, else that folder inside `path`. reference_of: moisture
     of a load's dry mass, %, by its number. Raises InputError for a time or mass that the format cannot hold."""
+    _refuse_other_times(path, points)
     try:
         content = files(points, plain(field), reference_of)
     except (struct.error, OverflowError) as error:
-        expected = "times from 1980 to 2159 and masses below 2 Mt"
-        raise InputError(str(path), f"a point does not fit task data: {error}", expected) from error
+        raise InputError(str(path), f"a point does not fit task data: {error}", "masses below 2 Mt") from error
     if path.suffix.lower() == ".zip":
         with scratch_for(path) as scratch, zipfile.ZipFile(scratch, "w", zipfile.ZIP_DEFLATED) as archive:
             for name, data in content.items():
