@@ -108,6 +108,39 @@ def test_two_nodes_that_send_one_quantity_are_told(tmp_path: Path, second_rpm: f
     assert found == (["leaps between 160 and 401 rpm, as where two nodes send it"] if told else [])
 
 
+@pytest.mark.parametrize(
+    ("counted", "interval_s", "said"),
+    [
+        (lambda k: 8 * k % 256, 0.02, []),
+        (
+            lambda k: 200 * k % 256,
+            0.8,
+            ["a counter of 256 values may turn twice, and is not used: 60 pulses per turn need one every 0.73 s"],
+        ),
+        (
+            lambda k: (40, 0, 41)[k % 3],
+            0.1,
+            ["pulses that each frame counts anew are a frequency: unit Hz, `scale` the frames per"],
+        ),
+    ],
+)
+def test_pulses_that_are_no_count_that_goes_on_are_told(counted, interval_s: float, said: list[str], tmp_path: Path) -> None:
+    dbc = DBC.replace('Turns : 0|16@1+ (0.5,0) [0|0] "rpm"', 'Turns : 0|8@1+ (1,0) [0|255] ""')
+    (tmp_path / "own.dbc").write_text(dbc)
+    shaft = SHAFT.replace("}", ", pulses_per_turn: 60}")
+    (tmp_path / "c.yaml").write_text(
+        f"plate: {{fixed_angle_deg: 70}}\nsignals:\n  impact_voltage: {CELL}\n  elevator_speed: {shaft}\n"
+    )
+    config = configuration.load(tmp_path / "c.yaml")
+    cell = [(100.0 + 0.004 * k, 257, struct.pack("<hh", 10, 20)) for k in range(250)]
+    log = log_of(tmp_path, *cell, *((100.0 + interval_s * k, 258, bytes([counted(k), 0])) for k in range(60)))
+    seen, _ = seen_in(config, log)
+    told = [*remarks(config, seen), *(expected for _, _, expected in problems(config, seen, str(log)))]
+    found = [line for line in told if "pulses" in line]
+    assert len(found) == len(said)
+    assert all(part in line for part, line in zip(said, found, strict=True))
+
+
 def impact(config: Configuration, **figures: float) -> dict[str, QuantitySeen]:
     good = QuantitySeen("mV", 9, 9, 500.0, 0.0, 1.0, 0.002, (0.0,), (0.0, 1.0))
     speed = QuantitySeen("rpm", 9, 9, 10.0, 400.0, 400.0, 0.1, (400.0,), (400.0, 400.0))

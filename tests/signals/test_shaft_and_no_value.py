@@ -40,8 +40,8 @@ def decoded(folder: Path, dbc: str, binding: str, raws: list[int]) -> list[float
     return found
 
 
-def counts(pulses_per_turn: float, turns_at: int) -> list[int]:
-    return [int(pulses_per_turn * RPM / 60.0 * PERIOD_S * number) % turns_at for number in range(200)]
+def counts(pulses_per_turn: float, turns_at: int, rpm: float = RPM) -> list[int]:
+    return [int(pulses_per_turn * rpm / 60.0 * PERIOD_S * number) % turns_at for number in range(200)]
 
 
 @pytest.mark.parametrize(
@@ -62,6 +62,26 @@ def test_a_counter_of_pulses_turns_where_the_range_ends_unless_it_counts_on(
 def test_a_count_of_pulses_has_the_factor_of_its_dbc(tmp_path: Path) -> None:
     dbc = DBC.format(bits=16, scale=0.5, low=0, high=0, unit="")
     assert decoded(tmp_path, dbc, ", pulses_per_turn: 12", counts(24, 1 << 16))[10:] == pytest.approx([RPM] * 190)
+
+
+@pytest.mark.parametrize("pulses_per_turn", [1, 2, 3])
+def test_a_shaft_with_few_pulses_has_a_speed_that_does_not_leap(pulses_per_turn: int, tmp_path: Path) -> None:
+    """With one magnet a speed of half a second was 360 or 480 rpm, as where two nodes send it, and all mass was contested."""
+    dbc = DBC.format(bits=16, scale=1, low=0, high=0, unit="")
+    raws = counts(pulses_per_turn, 1 << 16, 397.0)
+    found = decoded(tmp_path, dbc, f", pulses_per_turn: {pulses_per_turn}", raws + raws[-1:] * 30)
+    turning = np.array(found[30:200])
+    assert np.ptp(turning) < 50.0
+    assert turning.mean() == pytest.approx(397.0, rel=0.005)
+    assert found[-1] == 0.0
+
+
+@pytest.mark.parametrize(("pulses_per_turn", "usable"), [(400, True), (500, False)])
+def test_a_counter_that_may_turn_twice_between_frames_gives_no_speed(pulses_per_turn: int, usable: bool, tmp_path: Path) -> None:
+    """With 500 pulses per turn, 256 values and frames 0.1 s apart 560 rpm were 253 rpm."""
+    dbc = DBC.format(bits=8, scale=1, low=0, high=0, unit="")
+    found = decoded(tmp_path, dbc, f", pulses_per_turn: {pulses_per_turn}", counts(pulses_per_turn, 256, 560.0))
+    assert not np.any(np.isfinite(found)) or usable
 
 
 @pytest.mark.parametrize(

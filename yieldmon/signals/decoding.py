@@ -256,7 +256,10 @@ class _GroupDecoder:
         bits = [extraction.bits for extraction in (*group.signals.values(), *(page for page, _ in group.pages))]
         self.needed = max((one.end for one in bits), default=0) if group.message.is_long else group.message.length
         """Bytes that a message must have. Long ones are often longer in the DBC than on the bus."""
-        self._pulses = [(pulses, PulseSpeed(pulses.pulses_per_turn, pulses.modulus, pulses.values)) for pulses in group.pulses]
+        self._pulses = [
+            (pulses, PulseSpeed(pulses.pulses_per_turn, pulses.modulus, pulses.values, pulses.longest_s))
+            for pulses in group.pulses
+        ]
         self._signals = tuple(group.signals.items())
         self._bytes = tuple(sorted({one.byte for one in bits}))
 

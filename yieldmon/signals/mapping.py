@@ -15,7 +15,7 @@ from yieldmon.engine.sources import DEFAULT_SOURCES, QUANTITIES, InputSource, Sa
 from yieldmon.errors import InputError
 from yieldmon.identifiers import GROUP_MASK, IDENTITY_MASK, NULL_ADDRESS
 from yieldmon.network.assembly import MAX_BYTES
-from yieldmon.physics.machine import Machine
+from yieldmon.physics.machine import RPM, Machine
 from yieldmon.signals.binding import IMPACT, Binding, Source, check, named_message
 from yieldmon.signals.extraction import Extraction, named_no_value
 from yieldmon.signals.units import accepted, factor, period_s, zero
@@ -34,13 +34,15 @@ _NEEDS_SCALE = {"counts": "millivolts per count", "mV/V": "volts that feed the b
 @dataclass(frozen=True, slots=True)
 class Pulses:
     """A signal of a group that counts pulses, and the quantity made of it. modulus, values: where the counter turns by the DBC's
-    range, and how many values it can have."""
+    range, and how many values it can have. longest_s: between frames; over longer times two speeds that are measured give one
+    count."""
 
     signal: str
     pulses_per_turn: float
     factor: float
     modulus: int
     values: int
+    longest_s: float
 
 
 @dataclass(frozen=True)
@@ -131,7 +133,7 @@ def build(
         if binding.is_impact:
             impact.append(_impact(binding, drafts[key], len(impact), machine))
         else:
-            inputs.append(_input(binding, drafts[key]))
+            inputs.append(_input(binding, drafts[key], machine))
         _check_bits(binding, drafts[key], bound)
     taken = {binding.quantity for binding in bindings} | set(switched_off) | set(constants)
     defaults = tuple(source for source in DEFAULT_SOURCES.inputs if source.quantity not in taken)
@@ -325,7 +327,7 @@ def _impact(binding: Binding, draft: _Draft, number: int, machine: Machine) -> S
     )
 
 
-def _input(binding: Binding, draft: _Draft) -> InputSource:
+def _input(binding: Binding, draft: _Draft, machine: Machine) -> InputSource:
     signal = _signal(binding, draft.message, binding.signals[0])
     unit = signal.unit if binding.unit is None else binding.unit
     of_speed = factor("rpm", unit)
@@ -338,7 +340,7 @@ def _input(binding: Binding, draft: _Draft) -> InputSource:
     elif of_speed is not None and binding.unit is None:
         raise binding.refuse("pulses_per_turn", f"{signal.name} is in {unit}", "no such key for a speed")
     else:
-        extraction = _count(binding, signal, draft, binding.pulses_per_turn)
+        extraction = _count(binding, signal, draft, binding.pulses_per_turn, machine)
     draft.signals[binding.quantity] = extraction
     return InputSource(binding.quantity, draft.name, binding.quantity)
 
@@ -357,12 +359,14 @@ def _of_period(binding: Binding, signal: SignalBits, second: float) -> Extractio
     )
 
 
-def _count(binding: Binding, signal: SignalBits, draft: _Draft, pulses_per_turn: float) -> Extraction:
+def _count(binding: Binding, signal: SignalBits, draft: _Draft, pulses_per_turn: float, machine: Machine) -> Extraction:
     """Of a signal that counts pulses; its DBC may give it a factor."""
     if signal.kind == "float":
         raise binding.refuse("signal", f"{signal.name} is a floating-point number", "a counter of pulses")
     into = binding.scale * binding.ratio * signal.scale
-    draft.pulses.append(Pulses(binding.quantity, pulses_per_turn, into, signal.turns_at, 1 << signal.bits))
+    measured_rpm = (machine.max_elevator_speed_rad_s - machine.min_elevator_speed_rad_s) / RPM
+    longest_s = signal.turns_at * _HZ * abs(into) / (measured_rpm * pulses_per_turn)
+    draft.pulses.append(Pulses(binding.quantity, pulses_per_turn, into, signal.turns_at, 1 << signal.bits, longest_s))
     absent = _not_available(binding, signal)
     return Extraction(replace(signal, raw_max=None), 1.0, 0.0, not_available=absent)
 

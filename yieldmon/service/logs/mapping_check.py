@@ -50,6 +50,7 @@ _MOSTLY = 0.5
 """Of the seconds of a recording."""
 _SHORTEST_BITS = 8
 _IMPACT_SIGNAL = re.compile(r"impact(\d+)\.\d+")
+_COUNTED_ANEW = "; pulses that each frame counts anew are a frequency: unit Hz, `scale` the frames per second"
 _FORCES_N = np.geomspace(5.0, 500.0, 24)
 
 
@@ -263,11 +264,12 @@ def problems(configuration: Configuration, seen: dict[str, QuantitySeen], log: s
             )
             found.append((f"{log}: {name}", f"{what}: {instead}".rstrip() if instead else what, expected))
     found += _angle_problems(configuration.machine, seen, log)
+    counted = {pulses.signal for group in configuration.signals.groups for pulses in group.pulses}
     found += [
         (
             f"{log}: {name}",
             f"leaps between {entry.low:.6g} and {entry.high:.6g} {entry.unit}, as where two nodes send it",
-            "the values of one node: name it by `source`",
+            f"the values of one node: name it by `source`{_COUNTED_ANEW if name in counted else ''}",
         )
         for name, entry in seen.items()
         if entry.leaping_share > _MOSTLY
@@ -309,6 +311,7 @@ def remarks(configuration: Configuration, seen: dict[str, QuantitySeen]) -> list
         )
     if moisture is not None and moisture.high is not None and moisture.high < _LEAST_MOISTURE_PCT:
         found.append(f'moisture is never above {moisture.high:.3g} %: if it comes as a share of 1, unit: "1" makes it per cent')
+    found += _turns_too_soon(configuration, seen)
     for name, entry in seen.items():
         if entry.silences >= _OFTEN and name in QUANTITIES:
             found.append(
@@ -321,6 +324,20 @@ def remarks(configuration: Configuration, seen: dict[str, QuantitySeen]) -> list
             "ground_speed is known and the header's width is not, so that area and yield stay unknown: "
             "implement: {working_width_m: 9.1} in the machine file, as wide as the header is"
         )
+    return found
+
+
+def _turns_too_soon(configuration: Configuration, seen: dict[str, QuantitySeen]) -> list[str]:
+    """Of a counter of pulses that may turn more than once from one frame to the next."""
+    found = []
+    for pulses in (pulses for group in configuration.signals.groups for pulses in group.pulses):
+        rate_hz = seen[pulses.signal].rate_hz
+        if rate_hz is not None and rate_hz * pulses.longest_s < 1.0:
+            found.append(
+                f"{pulses.signal} comes {1.0 / rate_hz:.3g} s apart, in which a counter of {pulses.modulus} values may turn "
+                f"twice, and is not used: {pulses.pulses_per_turn:g} pulses per turn need one every {pulses.longest_s:.2g} s, "
+                "or more bits"
+            )
     return found
 
 
