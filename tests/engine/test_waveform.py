@@ -556,7 +556,7 @@ def test_the_bias_outlives_a_restart_with_the_parameters_that_it_updated() -> No
         _, changes = listened(after, later)
         assert bool(changes) is changes_expected
         # Where it is not known what of the parameters is the bias's, nothing that kernels say is taken as new.
-        assert ("teaches again after a weighed load" in (after.outcome.reason if after.outcome else "")) is not changes_expected
+        assert ("does so again after a weighed load" in (after.outcome.reason if after.outcome else "")) is not changes_expected
 
 
 def test_channels_that_lie_apart_widen_what_is_stated() -> None:

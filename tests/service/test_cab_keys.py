@@ -161,4 +161,4 @@ def test_a_ticket_that_comes_after_its_crop_says_when_it_teaches(tmp_path) -> No
         measured_kg = bench.status["loads"][1]["mass_kg"]
         reported = cab.press("t", *f"2 {1.02 * measured_kg:.4f}kg", "\r", "y")
         assert reported.startswith("ticket for load 2 taken: +2.0 % against what was measured")
-        assert reported.endswith("; it teaches wheat once that is harvested again")
+        assert reported.endswith("; it updates the parameters of wheat once that is harvested again")

@@ -138,7 +138,9 @@ def test_a_ticket_for_loads_of_two_crops_teaches_none_of_them() -> None:
     known.loads.named(2, None, "wheat")
     answer = commands.execute({"command": "ticket", "first_load": 1, "last_load": 2, "mass_kg": 4100.0}, monitor, known, 1.7e9)
     assert (answer["anchor"], monitor.tickets, answer["factor"]) == (False, [], pytest.approx(1.025))
-    assert answer["why_no_anchor"].startswith("loads of corn and wheat on one ticket teach none of them; `yieldmon load correct`")
+    assert answer["why_no_anchor"].startswith(
+        "loads of corn and wheat on one ticket update the parameters of none; `yieldmon load correct`"
+    )
 
 
 def test_a_ticket_of_another_crop_under_a_curve_updates_nothing() -> None:

@@ -111,7 +111,7 @@ def test_a_second_undo_takes_back_what_was_learnt_again(tmp_path) -> None:
         assert (answer["learnt_again"], answer["not_learnt_again"], answer["sweeps_undone"]) == ([2, 3], [], 0)
         assert taken_back(answer) == (
             "ticket 1 undone; calibration 2 to 4 undone, what was in use before is version 5; "
-            "what ticket 2, 3 taught is learnt again without it"
+            "the update by ticket 2, 3 is made again without it"
         )
         settle(season, bench)
         ask(season.folder, "ticket", "undo", "2")
@@ -134,7 +134,7 @@ def test_an_undo_that_took_a_lesson_back_is_not_undone_behind_its_ticket(undo: t
         with pytest.raises(SystemExit):
             cli.main(["calibrations", "undo", "4", "--socket", str(season.folder / "yieldmon.sock")])
         said = capsys.readouterr().err
-        assert "version 4: is an undo, and what it took back rests on ticket 2, which teaches no more" in said
+        assert "version 4: is an undo, and what it took back rests on ticket 2, which updates no parameters now" in said
         words = said.split("`")[1].removeprefix("yieldmon ").split()
         assert ask(season.folder, *words, "--std-dev", f"{0.002 * 1.003 * TRUE * season.masses[3]}kg")["anchor"]
         same(left(season, bench), before)
@@ -217,9 +217,10 @@ def test_a_calibration_undone_leaves_what_the_others_teach(place: int, restart: 
     same({"values": found["values"]}, {"values": never["values"]})
     told = back(answer)
     assert (
-        f"; ticket {place + 1} teaches no more and still corrects its load: `yieldmon ticket undo {place + 1}` takes that" in told
+        f"; ticket {place + 1} still corrects its load and updates no parameters: `yieldmon ticket undo {place + 1}` takes that"
+        in told
     )
-    assert ("is learnt again without it" in told) is bool(others)
+    assert ("is made again without it" in told) is bool(others)
 
 
 def test_a_silenced_ticket_stays_silent_when_another_is_taken_back(tmp_path) -> None:
@@ -326,15 +327,19 @@ def test_a_ticket_that_is_still_to_teach_says_so(tmp_path, capsys) -> None:
         season.harvest(bench)
         together(season, bench, kill_after=0)
         states = [row["state"] for row in ask(season.folder, "ticket", "list")["tickets"]]
-        assert states == ["to teach"] * 3
+        assert states == ["to update the parameters"] * 3
         settle(season, bench)
         states = [row["state"] for row in ask(season.folder, "ticket", "list")["tickets"]]
-        assert states == ["taught version 2", "taught version 3", "taught version 4"]
+        assert states == [
+            "updated the parameters to version 2",
+            "updated the parameters to version 3",
+            "updated the parameters to version 4",
+        ]
         ask(season.folder, "ticket", "undo", "2")
         assert ask(season.folder, "ticket", "list")["tickets"][1]["state"] == "undone"
         capsys.readouterr()
         assert cli.main(["ticket", "list", "--socket", str(season.folder / "yieldmon.sock")]) == 0
-        assert "taught version 2" in capsys.readouterr().out
+        assert "updated the parameters to version 2" in capsys.readouterr().out
 
 
 def test_the_owner_is_told_what_a_correction_and_a_second_ticket_leave(tmp_path, capsys) -> None:
@@ -426,12 +431,17 @@ def test_each_ticket_says_what_became_of_it(tmp_path, capsys) -> None:
             assert [row["state"] for row in recorded.ticket_table(store)] == found
         return found
 
-    doubted = "contradicts those before it, teaches when another agrees"
+    doubted = "contradicts those before it, counts when another agrees"
     with running(season.folder) as bench:
         season.harvest(bench)
         enter(season, bench, [*RIGHT, (5, 0.8 * TRUE)])
         settle(season, bench)
-        assert states() == ["taught version 2", "taught version 3", "taught version 4", doubted]
+        assert states() == [
+            "updated the parameters to version 2",
+            "updated the parameters to version 3",
+            "updated the parameters to version 4",
+            doubted,
+        ]
         season.now_s = bench.now_s
     with running(season.folder, start_s=season.now_s + 60.0) as bench:
         bench.play(2, 0.0)
@@ -444,9 +454,9 @@ def test_each_ticket_says_what_became_of_it(tmp_path, capsys) -> None:
         assert [row[4] for row in rows[1:]] == [f"{kept[row[0]]:,.0f}" for row in rows[1:]]
         enter(season, bench, [(5, TRUE)])
         settle(season, bench)
-        assert states()[3:] == ["replaced by ticket 5", "taught version 5"]
+        assert states()[3:] == ["replaced by ticket 5", "updated the parameters to version 5"]
         ask(season.folder, "calibrations", "undo", "5")
         ask(season.folder, "ticket", "undo", "1")
         settle(season, bench)
         found = states()
-        assert (found[0], found[4]) == ("undone", "corrects its load, teaches no more")
+        assert (found[0], found[4]) == ("undone", "corrects its load, updates no parameters")

@@ -85,13 +85,13 @@ def test_a_ticket_that_comes_after_its_crop_teaches_it_when_it_returns(restart: 
         barley = dict(bench.daemon.monitor.estimator.parameters.values)
         told, warned = said(folder, "ticket", "2", f"{TRUE * masses[2]:.3f}kg")
         assert "a reference for wheat" in told
-        assert "it teaches wheat" in told
+        assert "it updates the parameters of wheat" in told
         assert "`yieldmon load start --crop wheat`" in told
         assert "the first ticket, it sets the scale by itself" in warned
         bench.play(3, 0.0)
         bench.played()
         assert dict(bench.daemon.monitor.estimator.parameters.values) == barley
-        assert ask(folder, "ticket", "list")["tickets"][0]["state"] == "to teach wheat"
+        assert ask(folder, "ticket", "list")["tickets"][0]["state"] == "to update the parameters of wheat"
         if not restart:
             ask(folder, "load", "start", "--crop", "wheat")
             found = settled(folder, bench)

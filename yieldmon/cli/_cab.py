@@ -97,7 +97,7 @@ def said(request: Mapping[str, Any], answer: Mapping[str, Any]) -> str:
             if answer.get("replaces"):
                 doubt += "; it replaces the one before: of two weighings of one load enter the sum"
             if crop := answer.get("waits_for_crop"):
-                doubt += f"; it teaches {crop} once that is harvested again"
+                doubt += f"; it updates the parameters of {crop} once that is harvested again"
             return f"{taken}{doubt}" if answer["anchor"] else f"{taken}; no reference: {answer['why_no_anchor']}"
         case "zero":
             return "the zero is being taken; keep the elevator running empty; `yieldmon zero --undo` takes it back"

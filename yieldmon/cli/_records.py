@@ -26,7 +26,7 @@ def undone(time_s: float | None, who: str | None) -> str:
 
 def back(answer: Mapping[str, Any]) -> str:
     """What an undo of a calibration did."""
-    left = _silenced(answer) + _teaching(answer)
+    left = _silenced(answer) + _updates(answer)
     if answer.get("crop"):
         return f"calibration {answer['undone']} undone for {answer['crop']}; the parameters in use now stay{left}"
     undone_ = str(answer["undone"]) if answer["undone"] == answer["until"] else f"{answer['undone']} to {answer['until']}"
@@ -34,26 +34,29 @@ def back(answer: Mapping[str, Any]) -> str:
 
 
 def _silenced(answer: Mapping[str, Any]) -> str:
-    """The tickets whose own lesson was undone."""
+    """The tickets whose own update was undone."""
     numbers = answer.get("silenced", ())
     if not numbers:
         return ""
-    does = "teaches no more and still corrects its load" if len(numbers) == 1 else "teach no more and still correct their loads"
+    one = len(numbers) == 1
+    does = f"still {'corrects its load' if one else 'correct their loads'} and {'updates' if one else 'update'} no parameters"
     return f"; ticket {_listed(numbers)} {does}: `yieldmon ticket undo {numbers[0]}` takes that back too"
 
 
-def _teaching(answer: Mapping[str, Any]) -> str:
-    """What becomes of what standing tickets and sweeps had taught since."""
+def _updates(answer: Mapping[str, Any]) -> str:
+    """What becomes of the updates by standing tickets and sweeps since."""
     parts = []
     if again := answer.get("learnt_again"):
-        parts.append(f"what ticket {_listed(again)} taught is learnt again without it")
-    parts += [f"ticket {row['ticket']} is not learnt again: {row['why']}" for row in answer.get("not_learnt_again", ())]
+        parts.append(f"the update by ticket {_listed(again)} is made again without it")
+    parts += [
+        f"the update by ticket {row['ticket']} is not made again: {row['why']}" for row in answer.get("not_learnt_again", ())
+    ]
     if "not_learnt_again" not in answer and answer.get("standing_tickets"):
         tickets = _listed(answer["standing_tickets"])
-        parts.append(f"what ticket {tickets} taught is undone with it: enter such a mass again if it is right")
+        parts.append(f"the update by ticket {tickets} is undone with it: enter such a mass again if it is right")
     if count := answer.get("sweeps_undone"):
         sweeps = "a sweep" if count == 1 else f"{count} sweeps"
-        parts.append(f"what {sweeps} taught since then is undone with it; the next one teaches anew")
+        parts.append(f"the update by {sweeps} since then is undone with it; the next one makes its own")
     return "".join(f"; {part}" for part in parts)
 
 
@@ -61,8 +64,8 @@ def taken_back(answer: Mapping[str, Any]) -> str:
     """What an undo of a ticket did."""
     if "undone" in answer:
         return f"ticket {answer['ticket']} undone; {back(answer)}"
-    stays = f"; what it taught stays: {answer['teaching_stays']}" if "teaching_stays" in answer else ""
-    return f"ticket {answer['ticket']} undone{stays}{_teaching(answer)}"
+    stays = f"; its update of the parameters stays: {answer['teaching_stays']}" if "teaching_stays" in answer else ""
+    return f"ticket {answer['ticket']} undone{stays}{_updates(answer)}"
 
 
 def load_numbers(text: str) -> tuple[int, int]:
@@ -83,14 +86,15 @@ def corrected(answer: Mapping[str, Any]) -> str:
     if again := answer.get("measured_again"):
         parts.append(f"load {_listed(again)} measured again with the parameters of {answer['crop']}, seconds stay as they are")
     parts += [f"load {row['load']} is not measured again: {row['why']}" for row in answer.get("not_measured_again", ())]
-    for lesson in answer.get("taken_back", ()):
-        if "undone" in lesson:
-            parts.append(f"what ticket {lesson['ticket']} taught another crop is taken back: {back(lesson)}")
-        elif "teaching_stays" in lesson:
-            parts.append(f"what ticket {lesson['ticket']} taught another crop stays: {lesson['teaching_stays']}")
-    if taught := answer.get("learnt_again"):
-        parts.append(f"ticket {_listed(taught)} teaches {answer['crop']}")
-    parts += [f"ticket {row['ticket']} teaches nothing: {row['why']}" for row in answer.get("not_learnt_again", ())]
+    for update in answer.get("taken_back", ()):
+        of_other = f"the update of another crop by ticket {update['ticket']}"
+        if "undone" in update:
+            parts.append(f"{of_other} is taken back: {back(update)}")
+        elif "teaching_stays" in update:
+            parts.append(f"{of_other} stays: {update['teaching_stays']}")
+    if updated := answer.get("learnt_again"):
+        parts.append(f"the parameters of {answer['crop']} are updated by ticket {_listed(updated)}")
+    parts += [f"ticket {row['ticket']} updates no parameters: {row['why']}" for row in answer.get("not_learnt_again", ())]
     if goes_on := answer.get("goes_on"):
         parts.append(f"the next load is still {goes_on}: `yieldmon load start --crop {answer['crop']}` if it is not")
     return "; ".join(parts)

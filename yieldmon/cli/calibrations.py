@@ -21,8 +21,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser = subparsers.add_parser(
         "calibrations",
         help="list calibrations and zeros, or take one back",
-        description=f"{__doc__} undo takes back a calibration: later tickets teach again, its own corrects its load and "
-        "teaches no more. A zero goes back with `yieldmon zero --undo`.",
+        description=f"{__doc__} undo takes back a calibration: later tickets update the parameters again, its own only "
+        "corrects its load. A zero goes back with `yieldmon zero --undo`.",
         epilog="example: yieldmon calibrations list; yieldmon calibrations undo 14",
     )
     actions = parser.add_subparsers(dest="action", metavar="list|undo", required=True)

@@ -102,7 +102,8 @@ def run(args: argparse.Namespace) -> int:
             print(_of_truck(truck, answer, units))
         if crop:
             print(
-                f"it teaches {crop}, and loads of the last three days are measured again, once {crop} is harvested again: ",
+                f"it updates the parameters of {crop}, and loads of the last three days are measured again, once {crop} is "
+                "harvested again: ",
                 end="",
             )
             print(f"`yieldmon load start --crop {crop}`, also for some seconds with the elevator empty")

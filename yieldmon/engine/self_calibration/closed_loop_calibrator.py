@@ -155,11 +155,11 @@ class ClosedLoopCalibrator:
         bias = self._knowledge.bias(used, carried.step, record.total_kg)
         if bias is None:
             if KERNEL_NOISE in used.provenance:
-                reason = "what kernel noise taught these parameters is not known any more; it teaches again after a weighed load"
+                reason = "how kernel noise updated these parameters is not known any more; it does so again after a weighed load"
                 return CalibrationOutcome(None, reason)
             bias = common_bias.begin(lesson.lasting_sd, len(carried.drifting.joint))
         if lesson.lasting_sd**2 > _WORSE * bias.largest:
-            return CalibrationOutcome(None, "kernel noise is known worse than when it began to teach; the parameters stay")
+            return CalibrationOutcome(None, "kernel noise is known worse than at its first update; the parameters stay")
         try:
             taught = common_bias.teach(self._model, carried.drifting, bias, lesson)
             refused = refusal(taught.drifting.parameters)

@@ -241,7 +241,7 @@ def _another_law(found: LoadCalibration, law: AnotherLaw, sweeps: int) -> list[s
             "the machine or the grain changes from load to load."
         )
     if sweeps:
-        out.append("sweeps of the plate are left out: what they teach rests on the model's curve.")
+        out.append("sweeps of the plate are left out: what they show rests on the model's curve.")
     out += _next_load(found)
     return out
 

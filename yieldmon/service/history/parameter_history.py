@@ -104,8 +104,8 @@ class ParameterHistory:
         if gone:
             raise InputError(
                 f"version {version}",
-                f"is an undo, and what it took back rests on ticket {', '.join(map(str, gone))}, which teaches no more",
-                f"the mass once more if it is right: `yieldmon ticket {self._actions.as_entered(gone[0])}` teaches again",
+                f"is an undo, and what it took back rests on ticket {', '.join(map(str, gone))}, which updates no parameters now",
+                f"the mass once more if it is right: `yieldmon ticket {self._actions.as_entered(gone[0])}`",
             )
         if before not in self._versions:
             raise InputError(f"version {version}", "the parameters before it are not known", "a later version")

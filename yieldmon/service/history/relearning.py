@@ -193,7 +193,7 @@ def why_no_reference(
     named = sorted({load.crop for load in covered if load.crop})
     if len({name.lower() for name in named}) > 1:
         both = " and ".join(named)
-        return f"loads of {both} on one ticket teach none of them; `yieldmon load correct` if one has the wrong crop"
+        return f"loads of {both} on one ticket update the parameters of none; `yieldmon load correct` if one has the wrong crop"
     other = next((load.crop for load in covered if load.crop and in_use and load.crop.lower() != in_use.lower()), None)
     if other is not None:
         return f"a load of {other}; the parameters in use are those of {in_use}; `yieldmon calibrate --loads` learns from it"

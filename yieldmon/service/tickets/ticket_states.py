@@ -8,7 +8,7 @@ from yieldmon.service.storage import ledger as ledgers
 from yieldmon.service.storage.batch import Action, Ticket
 
 _CORRECTS = "corrects its load"
-_CONTRADICTS = "contradicts those before it, teaches when another agrees"
+_CONTRADICTS = "contradicts those before it, counts when another agrees"
 
 
 def ticket_states(
@@ -31,17 +31,18 @@ def ticket_states(
     -------
     dict
     """
-    taught, silenced = _taught(actions), ledgers.silenced(actions)
+    updated, silenced = _versions(actions), ledgers.silenced(actions)
     newest = {load: number for number, ticket in sorted(ledger.tickets.items()) for load in _loads_of(ticket)}
     states = {}
     for number, ticket in ledger.tickets.items():
         counting = {newest[load] for load in _loads_of(ticket)}
         if number in to_teach:
-            state = f"to teach {to_teach[number]}".strip()
-        elif number in taught:
-            state = f"taught version {taught[number]}"
+            of_crop = f" of {to_teach[number]}" if to_teach[number] else ""
+            state = f"to update the parameters{of_crop}"
+        elif number in updated:
+            state = f"updated the parameters to version {updated[number]}"
         elif number in silenced:
-            state = "corrects its load, teaches no more"
+            state = "corrects its load, updates no parameters"
         elif any(load in doubted_loads for load in _loads_of(ticket)):
             state = _CONTRADICTS
         else:
@@ -53,7 +54,7 @@ def ticket_states(
     return states
 
 
-def _taught(actions: Sequence[Action]) -> dict[int, int]:
+def _versions(actions: Sequence[Action]) -> dict[int, int]:
     """The first version that stands of those that each ticket has led to, by the ticket's number."""
     gone = ledgers.undone_versions(actions)
     led = (

@@ -231,8 +231,8 @@ function answerOf(name, answer) {
   }
   if (name === "ticket-undo") {
     const back = answer.version === undefined ? "" : `; measuring with the parameters from before it (version ${answer.version})`;
-    const again = answer.learnt_again?.length ? `; ticket ${answer.learnt_again.join(", ")} teaches again` : "";
-    const left = answer.not_learnt_again?.length ? `; ticket ${answer.not_learnt_again.map((row) => row.ticket).join(", ")} does not` : "";
+    const again = answer.learnt_again?.length ? `; parameters updated again by ticket ${answer.learnt_again.join(", ")}` : "";
+    const left = answer.not_learnt_again?.length ? `; not by ticket ${answer.not_learnt_again.map((row) => row.ticket).join(", ")}` : "";
     return `Ticket ${answer.ticket} undone${back}${again}${left}.`;
   }
   if (name === "load-correct") {
