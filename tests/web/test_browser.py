@@ -243,8 +243,7 @@ def test_what_a_late_ticket_is_told(browser: Browser, tmp_path: Path) -> None:
             both = told("Ticket", "Correct the loads", first_load="2", last_load="3", mass=f"{masses[2] + masses[3]:.2f}")
             assert (
                 "no reference for the calibration: loads of corn and wheat on one ticket update the parameters of none; "
-                "Wrong crop if"
-                in both
+                "Wrong crop if" in both
             )
             assert "Ticket 1 stood for it; the newer one counts (of two weighings of one load enter the sum)." in both
             unknown = told("New load", "Begin load", crop="havre")
