@@ -8,8 +8,9 @@
 
 z = (published - true) / published standard deviation. Flow: every second from 4 kg/s. Load: every load of a minute. An error that
 all seconds of a run share is one draw, however long the run: so every run is a machine of its own, whose parameters are the
-shipped ones with an error drawn from their covariance, and whose effect has a size drawn from a distribution. Rows "after"
-count from the first whole sweep (sweeps) or the first ticket (slip, ticketed) on: what nothing has shown yet, no budget can hold.
+shipped ones with an error drawn from their covariance, and whose effect has a size drawn from a distribution; a seed
+draws another machine in each scenario, so that those of all scenarios are as many draws. Rows "after" count
+from the first whole sweep (sweeps) or the first ticket (slip, ticketed) on: what nothing has shown yet, no budget can hold.
 Rows "load_posted" are all loads as they are stated at the end of the run, when sweeps and tickets have shown what they show,
 "total" their total mass. Behind sd stands the range in which 90 % of it lie when the machines are drawn again: what few machines
 leave open. Rows "together" are of all scenarios of the command; in its rows "flow_known" and "load_known" slip counts from its
@@ -26,6 +27,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
@@ -265,7 +267,7 @@ def harvest(loaded: configuration.Configuration, parameters: ParameterSet, sizes
 
 def drawn(case: Case, loaded: configuration.Configuration, seed: int, *, fixed: bool = False) -> tuple[Sizes, ParameterSet]:
     """What the machine of a seed does, and its parameters. fixed: the shipped ones and the case's fixed sizes."""
-    rng = np.random.default_rng((seed, 16))
+    rng = np.random.default_rng((seed, 16, crc32(case.name.encode())))
     if fixed:
         return case.fixed, loaded.parameters
     sizes = case.drawn(rng)

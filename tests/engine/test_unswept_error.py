@@ -52,6 +52,19 @@ def test_before_the_first_sweep_a_load_is_as_unsure_as_that_may_show() -> None:
     assert after.load_error.home < 0.2 * before.load_error.home
 
 
+def test_it_is_of_the_angles_that_the_sweep_visits_and_counts_the_calibrations_own_error_once() -> None:
+    def found(angles_deg: tuple[float, ...], model_error: float = 0.0) -> float:
+        of = learning(replace(SETTINGS, sweep=replace(SETTINGS.sweep, angles_deg=angles_deg)))
+        of.use(OpenLoop(MODEL, replace(PARAMETERS, model_error=model_error)), None)
+        return of.load_error.home
+
+    usual = SETTINGS.sweep.angles_deg
+    assert found(usual) == pytest.approx(found((*usual, 70.0, 40.0)), rel=1e-12)
+    assert found((90.0,)) != pytest.approx(found(usual), rel=0.05), "other effects show in it"
+    assert found((70.0,)) == 0.0, "a sweep that stays at home may show nothing"
+    assert np.hypot(found(usual, 0.02), 0.02) == pytest.approx(found(usual), rel=1e-6), "the flow has it from the parameters"
+
+
 @pytest.mark.parametrize(
     "of",
     [

@@ -216,12 +216,18 @@ def test_more_sweeps_raise_the_confidence() -> None:
 
 
 def test_before_any_sweep_it_is_what_sweeps_that_say_nothing_leave() -> None:
-    before = unswept_error(MODEL, PARAMETERS)
+    """Of the same causes: one that a sweep of these angles shows too little of is in neither."""
     log_force = _log_force(MODEL, PARAMETERS.values)
     vague = ReducedSweep(ANGLES, log_force, np.full(ANGLES.size, 3.0), *(np.mean(r) for r in _CALIBRATED))
     said = model_error(MODEL, PARAMETERS, [vague])
+    before = unswept_error(MODEL, PARAMETERS, ANGLES)
     assert 0.01 < before.home < 0.1
-    assert said.home == pytest.approx(before.home, rel=0.3)
+    for angle in (*ANGLES, *NODES_RAD):
+        assert said.at(angle) == pytest.approx(before.at(angle), rel=0.02)
+
+
+def test_a_sweep_that_stays_at_home_may_show_nothing() -> None:
+    assert unswept_error(MODEL, PARAMETERS, ANGLES[3:4]) == NO_ERROR
 
 
 def test_before_any_sweep_it_is_that_of_machine_grain_and_range_whatever_was_asked_before() -> None:
@@ -229,13 +235,13 @@ def test_before_any_sweep_it_is_that_of_machine_grain_and_range_whatever_was_ask
     fast = replace(PARAMETERS, calibrated=replace(PARAMETERS.calibrated, elevator_speed_rad_s=(50.0, 52.0)))
     steep = ForwardModel(replace(MODEL.machine, home_plate_angle_rad=np.radians(80.0)), MODEL.effects)
     cases = ((MODEL, PARAMETERS), (MODEL, grain), (MODEL, fast), (steep, PARAMETERS))
-    found = [unswept_error(*case) for case in cases]
+    found = [unswept_error(*case, ANGLES) for case in cases]
     assert len({error.home for error in found}) == len(cases)
-    assert [unswept_error(*case) for case in reversed(cases)] == found[::-1]
+    assert [unswept_error(*case, ANGLES) for case in reversed(cases)] == found[::-1]
 
 
 def test_a_whole_sweep_of_a_machine_that_follows_the_model_takes_most_of_it_away() -> None:
-    assert _found(np.zeros(6), range(2)).home < 0.2 * unswept_error(MODEL, PARAMETERS).home
+    assert _found(np.zeros(6), range(2)).home < 0.2 * unswept_error(MODEL, PARAMETERS, ANGLES).home
 
 
 def test_sweeps_before_a_weighed_mass_say_no_more_of_the_model_after_it() -> None:

@@ -132,9 +132,9 @@ class Disagreement:
         if pattern is not None and usable:
             self._state = replace(self._state, unfinished=(*self._state.unfinished, pattern)[-self._settings.keep_sweeps :])
 
-    def unswept_error(self, parameters: ParameterSet) -> AngleError:
-        """How far the force by these parameters may be off by what a first sweep may show."""
-        return unswept_error(self._model(parameters), parameters)
+    def unswept_error(self, parameters: ParameterSet, angles_deg: Sequence[float]) -> AngleError:
+        """How far the force by these parameters may be off by what a first sweep of these angles may show."""
+        return unswept_error(self._model(parameters), parameters, np.radians(angles_deg))
 
     @property
     def seen(self) -> bool:

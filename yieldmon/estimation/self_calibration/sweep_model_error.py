@@ -57,38 +57,48 @@ class _Pattern:
     covariance: Array
 
 
-def unswept_error(model: ForwardModel, parameters: ParameterSet) -> AngleError:
-    """The model's error that the first sweep may show: what `model_error` weighs the sweeps' pattern with, before it.
+def unswept_error(model: ForwardModel, parameters: ParameterSet, plate_angle_rad: Sequence[float] | Array) -> AngleError:
+    """The model's error that the first sweep may show: what `model_error` weighs the sweep's pattern with, before it.
 
     Parameters
     ----------
     model : ForwardModel
         With the parameters' effects.
     parameters : ParameterSet
+    plate_angle_rad : array_like
+        That the sweep visits: effects of which it shows too little there are not among those that it may show.
 
     Returns
     -------
     AngleError
         In the middle of what the parameters were calibrated over.
     """
+    away = {angle for angle in map(float, plate_angle_rad) if abs(angle - model.machine.home_plate_angle_rad) > SAME_ANGLE_RAD}
+    if not away:
+        return NO_ERROR
     # The same at each start, reload and crop's return, and a fortieth of a second.
     return _unswept_error(
-        model.machine, model.nodes, tuple(parameters.values.items()), parameters.calibrated, *_missing(parameters)
-    )
+        model.machine, model.nodes, tuple(parameters.values.items()), parameters.calibrated, tuple(sorted(away)),
+        *_missing(parameters),
+    )  # fmt: skip
 
 
 @lru_cache(maxsize=16)
 def _unswept_error(
-    machine: Machine, nodes: int, values: tuple[tuple[str, float], ...], known: CalibratedRange, *missing: Effect
+    machine: Machine,
+    nodes: int,
+    values: tuple[tuple[str, float], ...],
+    known: CalibratedRange,
+    away_rad: tuple[float, ...],
+    *missing: Effect,
 ) -> AngleError:
-    """missing: effects that the parameters do not speak of."""
+    """away_rad: angles of the sweep away from home; missing: effects that the parameters do not speak of."""
     parameters = ParameterSet(dict(values), calibrated=known)
     model = ForwardModel(machine, parameters.effects, nodes=nodes)
     home_rad = model.machine.home_plate_angle_rad
-    away = NODES_RAD[np.abs(NODES_RAD - home_rad) > SAME_ANGLE_RAD]
     ranges = (known.elevator_speed_rad_s, known.mass_flow_kg_s, known.moisture_pct)
     at = [middle if ends is None else 0.5 * sum(ends) for ends, middle in zip(ranges, _MIDDLE, strict=True)]
-    changes = _changes(model, parameters, away, at)
+    changes = _changes(model, parameters, np.array(away_rad), at)
     each = (1.0 - _NONE) / _count(parameters)
     moments = [np.outer(change.at_nodes, change.at_nodes) for change in changes]
     return AngleError.of(each / (_NONE + each * len(changes)) * sum(moments, start=_NO_MOMENT), home_rad)
