@@ -169,6 +169,13 @@ BO_ 515 Board: 4 Node
  SG_ volts : 16|16@1+ (0.1,0) [0|6553.5] "mV" Node
 """
 )
+OWN_NUMBERS = (
+    HEAD
+    + """BO_ 517 Adc: 4 Node
+ SG_ Raw : 0|16@1+ (1,0) [0|65535] "{unit}" Node
+ SG_ {shaft} : 16|16@1+ (1,0) [0|65535] "" Node
+"""
+)
 
 
 def words(*values: float) -> bytes:
@@ -273,6 +280,40 @@ def written(folder: Path, dbc: str, frames: list[tuple[int, bytes]], capsys: pyt
             [(514 + place % 2, words(50.0 + place % 40, 12.0, 0, 0)) for place in range(100)],
             ["impact_force: {dbc: node.dbc, message: Board, signal: force", "  latitude: {", "  longitude: {"],
             id="short names, and a voltage that stands",
+        ),
+        *(
+            pytest.param(
+                OWN_NUMBERS.format(unit=unit, shaft=shaft),
+                [(517, words(50.0 + 7 * place % 40, 1.0 * place)) for place in range(100)],
+                proposed,
+                id=f"{shaft}, {unit or 'no unit'}",
+            )
+            for unit, shaft, proposed in (
+                (
+                    "",
+                    "X",
+                    ["signals: {}", "by their rates", "# or impact_voltage: {", "Raw, rate_hz: 100, unit: counts, scale: 0.1}"],
+                ),
+                (
+                    "%",
+                    "X",
+                    ["signals: {}", "by their rates", "# or impact_voltage: {", "Raw, rate_hz: 100, unit: counts, scale: 0.1}"],
+                ),
+                ("degC", "HallSensor", ["# pulses_per_turn is a guess", "signal: HallSensor, pulses_per_turn: 1}"]),
+            )
+        ),
+        *(
+            pytest.param(
+                INPUTS.replace("mV", unit).replace("Input1", name).replace("Input2", "Other2").replace("AnalogInputs", message),
+                [(512, words(20.0 + place % 40, 0.0)) for place in range(100)],
+                proposed,
+                id=f"{name} in {unit}",
+            )
+            for unit, message, name, proposed in (
+                ("kg", "LoadCell", "Weight", ["  impact_force: {", "signal: Weight, rate_hz: 100, unit: kgf}"]),
+                ("lbs", "Plate", "Reading", ["  impact_force: {", "signal: Reading, rate_hz: 100, unit: lbf}"]),
+                ("kg", "GrainTank", "Weight", ["nothing on this bus looks like an impact", "  tank_mass: {", "signal: Weight}"]),
+            )
         ),
     ],
 )

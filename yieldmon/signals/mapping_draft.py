@@ -7,15 +7,16 @@ from collections.abc import Mapping, Sequence
 
 from yieldmon.engine.sources import QUANTITIES
 from yieldmon.signals.binding import IMPACT
-from yieldmon.signals.survey import SHAFTS_ELSEWHERE, Candidate, Survey
+from yieldmon.signals.survey import BARE, FAST_HZ, SHAFTS_ELSEWHERE, Candidate, Survey, force_unit, is_makers_own
 
 _CHANNELS = re.compile(r"(input|chan(nel)?|ch|ain|port)_?\d+", re.IGNORECASE)
 """Numbered signals of one frame that are sensors of their own, not samples of one."""
 _GUESS = "ratio: 0.2"
+_PULSES = "pulses_per_turn: 1"
 _EXCITATION = "scale: 5"
 _COUNTS = "scale: 0.1"
-_FAST_HZ, _MOST_NAMELESS = 9.0, 6
-"""Rate from which on frames without a DBC may be an impact sensor's, and how many are named."""
+_MOST_NAMELESS = 6
+"""So many frames without a DBC that may be an impact sensor's are named."""
 TELLING = ("manufacturer_code", "function", "function_instance", "ecu_instance", "identity_number")
 """Fields of a NAME that identify a node, as `source` of a mapping takes them."""
 
@@ -40,12 +41,15 @@ def mapping_text(survey: Survey, paths: Mapping[str, str]) -> str:
         entries = list(dict.fromkeys(entry for one in free for entry in _entries(one, paths, candidates)))[:4]
         if any(_GUESS in entry for entry in entries):
             lines.append("  # The ratio is a guess: turns of the elevator's upper shaft per turn of the measured one.")
+        if any(_PULSES in entry for entry in entries):
+            lines.append("  # pulses_per_turn is a guess: magnets or teeth of the elevator's upper shaft.")
         if any(_COUNTS in entry for entry in entries):
             lines.append("  # The scale is a guess: mV per count; with `offset` where counts fall as the force rises.")
         if any(_EXCITATION in entry for entry in entries):
             lines.append("  # The scale is a guess: volts that feed the bridge.")
         if free[0].weak:
-            lines.append(f"  # Nothing here is named like {quantity}; by their units it could be:")
+            how = "their rates" if quantity in IMPACT else "their units"
+            lines.append(f"  # Nothing here is named like {quantity}; by {how} it could be:")
         else:
             used.update((free[0].message, signal) for signal in _samples(free[0], candidates))
             lines.append(f"  {quantity}: {entries.pop(0)}")
@@ -56,18 +60,13 @@ def mapping_text(survey: Survey, paths: Mapping[str, str]) -> str:
 def _no_impact(survey: Survey) -> list[str]:
     """Comments on where an impact sensor may be: frames of no DBC and of no group of J1939 with a name of its own."""
     lines = ["  # impact_voltage: nothing on this bus looks like an impact sensor; see docs/guide/wiring.md"]
-    fast = [m for m in survey.messages if m.dbc is None and (m.rate_hz or 0.0) >= _FAST_HZ and _is_makers_own(m.group)]
+    fast = [m for m in survey.messages if m.dbc is None and (m.rate_hz or 0.0) >= FAST_HZ and is_makers_own(m.group)]
     if fast:
         fast.sort(key=lambda message: -(message.rate_hz or 0.0))
         shown = ", ".join(f"0x{m.identifier:X} ({m.rate_hz:.4g} Hz)" for m in fast[:_MOST_NAMELESS])
         lines.append(f"  # By their rate these could be one: {shown}.")
         lines.append("  # Name their signals in a DBC, such as examples/wiring/analog_module.dbc, and run this again with --dbc.")
     return lines
-
-
-def _is_makers_own(group: int | None) -> bool:
-    """Whether what a group means is its maker's to say: 11-bit identifiers, Proprietary A, A2 and B."""
-    return group is None or group in (0xEF00, 0x1EF00) or group & 0xFF00 == 0xFF00
 
 
 def _samples(found: Candidate, candidates: Mapping[str, Sequence[Candidate]]) -> list[str]:
@@ -101,10 +100,14 @@ def _entries(found: Candidate, paths: Mapping[str, str], candidates: Mapping[str
         keys.append(f"signal: {found.signal}")
         if found.quantity in IMPACT:
             keys.append(f"rate_hz: {found.rate_hz:.4g}")
-    if found.quantity in IMPACT and not found.unit:
+    if found.quantity in IMPACT and found.unit in BARE:
         keys += ["unit: counts", _COUNTS]
     if found.quantity in IMPACT and found.unit == "mV/V":
         keys.append(_EXCITATION)
+    if found.quantity == "impact_force" and (weighs := force_unit(found.unit)) is not None:
+        keys.append(f"unit: {weighs}")
+    if found.quantity == "elevator_speed" and not found.unit:
+        keys.append(_PULSES)
     if found.not_available:
         keys.append(f"not_available: {list(found.not_available)}")
     if found.values:

@@ -22,6 +22,7 @@ from yieldmon.signals.group_names import group_name
 from yieldmon.signals.long_messages import LongMessages, Numbers, Whole, numbers
 from yieldmon.signals.state_names import codes_by_name
 from yieldmon.signals.units import factor, zero
+from yieldmon.units import KG_PER_LB
 
 _MOST_IDENTIFIERS = 10_000
 """A hostile node may send any identifier; those beyond are only counted."""
@@ -54,6 +55,23 @@ _BY_UNIT = frozenset({"elevator_speed", "plate_angle", "test_weight", "tank_mass
 """Quantities whose unit says enough for a guess where no name does."""
 _WEAK = 0.25
 """Score of such a guess; every other one is higher."""
+_PULSES = re.compile(r"pulse|hall|tooth|teeth|encoder", re.IGNORECASE)
+"""Names of counters of a shaft's pulses."""
+_BETWEEN_NAMED_AND_ELSEWHERE = 1.75
+"""Score of such a counter: an engine's speed is less likely the elevator's, one that is named so is more."""
+_LEAST_BITS = 8
+"""Of a sample that is named so, or a counter."""
+FAST_HZ, _LEAST_BITS_OF_A_NUMBER = 9.0, 10
+"""Rate from which on frames of a maker's own may be an impact sensor's, and bits of a sample without a name or a unit."""
+BARE = ("", "%")
+"""Units of such a sample."""
+_GAUGE_HZ = 50.0
+_GAUGE, _SCALE = (
+    re.compile(r"impact|force|load|cell|weight|plate", re.IGNORECASE),
+    re.compile(r"tank|bin|hopper|axle", re.IGNORECASE),
+)
+"""A force in kg or lb: names of a gauge that sends so many values per second, and of scales, which none is."""
+_NO_SAMPLES = re.compile(r"counter|status", re.IGNORECASE)
 SHAFTS_ELSEWHERE = re.compile(r"engine|pto|front|rear|feeder", re.IGNORECASE)
 """Names of shafts that are not the elevator's."""
 
@@ -348,24 +366,52 @@ def _score(quantity: str, message: MessageSeen, signal: SignalSeen) -> float:
     hint = re.compile(_HINTS[quantity], re.IGNORECASE)
     named, message_named = hint.search(signal.bits.name) is not None, hint.search(message.name or "") is not None
     if quantity in IMPACT:
-        return _impact_score(quantity, message.rate_hz or 0.0, signal, 1.0 * named + 0.5 * message_named)
+        return _impact_score(quantity, message, signal, 1.0 * named + 0.5 * message_named)
     if QUANTITIES[quantity].unit == "":
         return 2.0 if named and signal.bits.unit == "" and signal.bits.bits <= 8 else 0.0
     return _slow_score(quantity, message.rate_hz or 0.0, signal, named, message_named)
 
 
-def _impact_score(quantity: str, rate_hz: float, signal: SignalSeen, named: float) -> float:
-    bits = signal.bits
-    if rate_hz < _LEAST_OF_RATE * MIN_RATE_HZ or bits.bits < 8 or re.search(r"counter|status", bits.name, re.IGNORECASE):
+def counts_pulses(bits: SignalBits) -> bool:
+    """Whether a signal is named like a counter of a shaft's pulses."""
+    return bits.unit == "" and bits.kind != "float" and bits.bits >= _LEAST_BITS and _PULSES.search(bits.name) is not None
+
+
+def force_unit(unit: str) -> str | None:
+    """That of a force where a gauge says how much it weighs; None for a unit that is none of a mass in kg or lb."""
+    of_mass = factor("kg", unit)
+    return {1.0: "kgf", KG_PER_LB: "lbf"}.get(of_mass) if of_mass is not None else None
+
+
+def _is_gauge(names: str, rate_hz: float) -> bool:
+    return rate_hz >= _LEAST_OF_RATE * _GAUGE_HZ and _GAUGE.search(names) is not None and _SCALE.search(names) is None
+
+
+def is_makers_own(group: int | None) -> bool:
+    """Whether what a group means is its maker's to say: 11-bit identifiers, Proprietary A, A2 and B."""
+    return group is None or group in (0xEF00, 0x1EF00) or group & 0xFF00 == 0xFF00
+
+
+def _impact_score(quantity: str, message: MessageSeen, signal: SignalSeen, named: float) -> float:
+    bits, rate_hz = signal.bits, message.rate_hz or 0.0
+    if rate_hz < _LEAST_OF_RATE * MIN_RATE_HZ or bits.bits < _LEAST_BITS or _NO_SAMPLES.search(bits.name) or counts_pulses(bits):
         return 0.0
     fits = bits.unit != "" and factor(IMPACT[quantity], bits.unit) is not None
+    fits = fits or (
+        quantity == "impact_force" and force_unit(bits.unit) is not None and _is_gauge(f"{message.name} {bits.name}", rate_hz)
+    )
     plain = bits.unit == "" and quantity == "impact_voltage" and named > 0.0
+    bare = bits.unit in BARE and quantity == "impact_voltage" and bits.bits >= _LEAST_BITS_OF_A_NUMBER
+    if bare and not plain and rate_hz >= FAST_HZ and is_makers_own(message.group) and signal.high > signal.low:
+        return _WEAK
     # Grain makes an impact sensor's signal move more than any other.
     moves = (signal.high - signal.low) / max(abs(signal.high), abs(signal.low), 1e-9)
     return 2.0 * fits + named + 0.25 * (moves > 0.0) + 0.01 * moves + rate_hz * 1e-6 if fits or plain else 0.0
 
 
 def _slow_score(quantity: str, rate_hz: float, signal: SignalSeen, named: bool, message_named: bool) -> float:
+    if quantity == "elevator_speed" and counts_pulses(signal.bits):
+        return _BETWEEN_NAMED_AND_ELSEWHERE if signal.high > signal.low else 0.0
     found = factor(QUANTITIES[quantity].unit, signal.bits.unit) if signal.bits.unit else None
     if found is None or not QUANTITIES[quantity].usable(signal.last * found + zero(QUANTITIES[quantity].unit, signal.bits.unit)):
         return 0.0
