@@ -74,9 +74,12 @@ def position(at_s: float, **degrees: Value) -> Frame:
 @pytest.mark.parametrize(
     ("second", "expected"),
     [({"Latitude": 47.5, "Longitude": 8.5}, (47.5, 8.5)), ({"Latitude": 47.5, "Longitude": 200.0}, (47.0, 8.0)),
-     ({"Latitude": 95.0, "Longitude": 8.5}, (47.0, 8.0)), ({"Latitude": 47.5, "Longitude": bus.NOT_AVAILABLE}, (47.0, 8.0))],
-    ids=["both", "no longitude", "no latitude", "longitude not available"],
+     ({"Latitude": 95.0, "Longitude": 8.5}, (47.0, 8.0)), ({"Latitude": 0.0, "Longitude": 0.0}, (47.0, 8.0)),
+     ({"Latitude": 0.0, "Longitude": 8.5}, (0.0, 8.5)), ({"Latitude": 47.5, "Longitude": bus.NOT_AVAILABLE}, (47.0, 8.0))],
+    ids=["both", "no longitude", "no latitude", "neither", "on the equator", "longitude not available"],
 )  # fmt: skip
-def test_halves_of_a_position_are_not_used(second: Mapping[str, Value], expected: tuple[float, float]) -> None:
+def test_halves_of_a_position_and_places_without_a_fix_are_not_used(
+    second: Mapping[str, Value], expected: tuple[float, float]
+) -> None:
     found = seen([position(1.0, Latitude=47.0, Longitude=8.0), position(1.5, **second)], 2.0)
     assert (found.fresh["latitude"], found.fresh["longitude"]) == expected

@@ -25,6 +25,7 @@ def contents(seed: int) -> list[bytes]:
         data[at] = rng.choice((0x00, 0x7F, 0x80, 0xFA, 0xFB, 0xFC, 0xFD, 0xFE, 0xFF))
         data[3] = data[7] = rng.choice((0x00, 0x0F, 0x3F, 0x7C, 0xFA, 0xFF))
         found.append(bytes(data))
+    found += [bytes(8), (2_100_000_000).to_bytes(4, "little") * 2, bytes(4) + b"\x00\x01\x00\x00"]
     for low in range(0xF8, 0x100):
         found += [bytes([low] + [0xFF] * 7), bytes([0, 0, *[low, 0xFF] * 3]), bytes([0, 0, low, 0xFA, low, 0xFA, low, 0x7F])]
     return found

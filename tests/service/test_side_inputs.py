@@ -42,7 +42,7 @@ def course_speed(time_s: float, speed_m_s: float) -> can.Message:
 
 
 def position(time_s: float, latitude: float, counter: int) -> list[can.Message]:
-    data = struct.pack("<BHIqqq", 0, 20000, 0, round(latitude * 1e16), round(-90e16), 0) + bytes(12)
+    data = struct.pack("<BHIqqq", 0, 20000, 0, round(latitude * 1e16), round(-90e16), 0) + b"\x10" + bytes(11)
     return [message(time_s + k * 1e-4, f.identifier, f.data) for k, f in enumerate(split(129029, data, 0x1C, counter=counter))]
 
 

@@ -21,6 +21,7 @@ from yieldmon.engine.settings import InputSettings
 from yieldmon.engine.sources import CONDITIONS, DEFAULT_SOURCES, PAIRS, QUANTITIES, InputSource, Sources
 from yieldmon.frames import ActuatorState, Value, number
 from yieldmon.physics.numerics import Array
+from yieldmon.places import is_somewhere
 
 DEGREE = pi / 180.0
 MOVING = ("elevator_speed", "plate_angle")
@@ -132,7 +133,7 @@ class Inputs:
             usable = quantity.usable(values)
             pair = found.get(PAIRS.get(name, ""))
             if pair is not None and pair[0] is part:
-                usable = usable & QUANTITIES[PAIRS[name]].usable(pair[1])
+                usable = usable & QUANTITIES[PAIRS[name]].usable(pair[1]) & is_somewhere(values, pair[1])
             if name in CONDITIONS:
                 usable = usable & self._condition_holds_by_row(name, part, found)
             tracks[name] = _track(part.times_s + offset_s, values * quantity.factor, usable)
@@ -191,7 +192,9 @@ class Inputs:
 
     def _pair_usable(self, name: str, values: Mapping[str, float]) -> bool:
         other = PAIRS.get(name, "")
-        return other not in values or bool(QUANTITIES[other].usable(values[other]))
+        if other not in values:
+            return True
+        return bool(QUANTITIES[other].usable(values[other]) and is_somewhere(values[name], values[other]))
 
     def _condition_holds(self, name: str, values: Mapping[str, float]) -> bool:
         """Whether the quantity on which this one depends lets it be used."""

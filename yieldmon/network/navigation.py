@@ -14,6 +14,7 @@ from functools import partial
 from typing import NamedTuple
 
 from yieldmon.identifiers import CLASSIC_BYTES
+from yieldmon.places import is_somewhere
 from yieldmon.units import M_S_PER_KMH, S_PER_DAY
 
 from .identifier import Payload
@@ -110,6 +111,8 @@ FIELDS: Mapping[int, tuple[Field, ...]] = {
     ),
 }
 """What messages of one frame hold, without a time of day."""
+_GNSS_METHOD_AT, _NO_FIX = 31, 0
+"""Byte of 129029 with the method in its upper half, and the method without which there is no position."""
 LARGEST_LATITUDE_DEG, LARGEST_LONGITUDE_DEG = 90.0, 180.0
 
 
@@ -132,10 +135,12 @@ def _holds(payload: int, start: int, bits: int, value: int) -> bool:
 
 
 def _on_the_globe(values: Values) -> Values:
-    """Latitude and longitude both or neither."""
+    """Latitude and longitude both or neither, and neither where they are 0."""
     latitude, longitude = values.get(Quantity.LATITUDE), values.get(Quantity.LONGITUDE)
     known = latitude is not None and longitude is not None
-    if known and abs(latitude or 0.0) <= LARGEST_LATITUDE_DEG and abs(longitude or 0.0) <= LARGEST_LONGITUDE_DEG:
+    place = latitude or 0.0, longitude or 0.0
+    on_it = known and abs(place[0]) <= LARGEST_LATITUDE_DEG and abs(place[1]) <= LARGEST_LONGITUDE_DEG
+    if on_it and is_somewhere(*place):
         return values
     return {name: value for name, value in values.items() if name not in (Quantity.LATITUDE, Quantity.LONGITUDE)}
 
@@ -161,6 +166,8 @@ def _time_date(data: bytes) -> Values:
 
 def _gnss_position(data: bytes) -> Values:
     _sequence, days, time, latitude, longitude, altitude = struct.unpack("<BHIqqq", data[:31])
+    if len(data) > _GNSS_METHOD_AT and data[_GNSS_METHOD_AT] >> 4 == _NO_FIX:
+        return _date_time(days, time)
     place = {
         Quantity.LATITUDE: _nmea(latitude, 64, 1e-16, signed=True),
         Quantity.LONGITUDE: _nmea(longitude, 64, 1e-16, signed=True),

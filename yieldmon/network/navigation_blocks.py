@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from yieldmon.identifiers import CLASSIC_BYTES
 from yieldmon.physics.numerics import Array
+from yieldmon.places import is_somewhere
 
 from .navigation import FIELDS, LARGEST_LATITUDE_DEG, LARGEST_LONGITUDE_DEG, ORDER, TIMEOUT_S, Field, Navigation, Quantity
 
@@ -51,12 +52,13 @@ def _values(field: Field, payload: NDArray[np.uint64]) -> Array:
 
 
 def _on_the_globe(values: dict[Quantity, Array]) -> dict[Quantity, Array]:
-    """Latitude and longitude both or neither."""
+    """Latitude and longitude both or neither, and neither where they are 0."""
     if Quantity.LATITUDE not in values:
         return values
     latitude, longitude = values[Quantity.LATITUDE], values[Quantity.LONGITUDE]
     with np.errstate(invalid="ignore"):
         usable = (np.abs(latitude) <= LARGEST_LATITUDE_DEG) & (np.abs(longitude) <= LARGEST_LONGITUDE_DEG)
+        usable &= is_somewhere(latitude, longitude)
     return {name: np.where(usable, column, np.nan) for name, column in values.items()}
 
 
