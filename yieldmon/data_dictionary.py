@@ -13,11 +13,11 @@ MOISTURE = 99
 TOTAL_AREA, EFFECTIVE_TIME = 116, 119
 """m2; s."""
 OFFSET_X, OFFSET_Y = 134, 135
-"""Of a device element, mm ahead and to the right."""
+"""Of a device element, mm ahead and to the right of its device's reference point."""
 WORK_STATE = 141
 """1 at work, of the whole implement."""
 LATENCY, CONNECTOR_TYPE = 143, 157
-"""Physical setpoint time latency, ms; type of the connector."""
+"""Physical actual value time latency, ms, below 0 where a value was true before it is sent; type of the connector."""
 CONDENSED_STATES = range(161, 177)
 """Work states of sixteen sections each."""
 LENGTH_OF_CUT = 177
@@ -27,4 +27,4 @@ DRY_PER_AREA, DRY_PER_TIME, DRY_TOTAL, REFERENCE_MOISTURE = 181, 182, 183, 184
 HOLD = 239
 """Yield hold status, 1 where yield does not count."""
 LAG, LEAD = 259, 260
-"""Yield lag and lead ignore time, ms."""
+"""Yield lag and lead ignore time, ms: for how long yield does not count after work ends and begins."""

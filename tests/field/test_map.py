@@ -146,7 +146,7 @@ def test_task_data_by_isoxml(corn_map: tuple[Path, dict[str, Any]]) -> None:
     assert totals[90] == round(document["mass_kg"]["integrated"])
     assert len(found["records"]) == 6000
     names = {info["DDINumber"] for info in found["valuesInfo"]}
-    assert {67, 87, 90, 259} <= names
+    assert {67, 87, 90, 143} <= names
 
 
 def test_task_data_come_back_the_same(

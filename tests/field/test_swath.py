@@ -9,7 +9,8 @@ import pytest
 from shapely.geometry import Polygon
 from shapely.ops import unary_union
 
-from yieldmon.field.swath import HeaderPlace, swaths
+from yieldmon.field.header_place import HeaderPlace, at_header
+from yieldmon.field.swath import swaths
 from yieldmon.field.table import HarvestTable, Source, build
 from yieldmon.field.tracks import tracks
 
@@ -109,11 +110,16 @@ def test_a_field_across_two_zones_and_the_date_line_has_the_same_area() -> None:
 
 def test_header_offset_moves_the_ground() -> None:
     table, _ = table_of([Drive((0, 0), (0, 100))], 40.0, -90.0)
-    plain, ahead = (swaths(table, tracks(table), HeaderPlace(metres, 0.0)) for metres in (0.0, 4.0))
-    moved = ahead.corners_m[10] - plain.corners_m[10]
-    assert moved == pytest.approx(np.tile([0.0, 4.0], (4, 1)), abs=1e-6)
-    right = swaths(table, tracks(table), HeaderPlace(0.0, 1.5))
-    assert right.corners_m[10] - plain.corners_m[10] == pytest.approx(np.tile([1.5, 0.0], (4, 1)), abs=1e-6)
+    plane = tracks(table).plane
+
+    def corners_m(header: HeaderPlace) -> np.ndarray:
+        moved = at_header(table, header)
+        steps = tracks(moved)
+        return np.column_stack(plane.to_m(*steps.plane.to_deg(*swaths(moved, steps).corners_m[10].T)))
+
+    plain = corners_m(HeaderPlace())
+    for header, expected in ((HeaderPlace(4.0, 0.0), [0.0, 4.0]), (HeaderPlace(0.0, 1.5), [1.5, 0.0])):
+        assert corners_m(header) - plain == pytest.approx(np.tile(expected, (4, 1)), abs=1e-3)
 
 
 def test_header_up_cuts_nothing() -> None:

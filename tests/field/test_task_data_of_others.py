@@ -13,6 +13,8 @@ import numpy as np
 import pytest
 
 from yieldmon.cli import main as cli
+from yieldmon.field import sources
+from yieldmon.field.sources.options import ReadOptions
 
 from .test_rows_of_strangers import AREA_M2, MASS_KG, PASS_S, PASSES, SPEED_M_S, WIDTH_M, YIELD_T_HA, home, rows  # noqa: F401
 
@@ -131,11 +133,13 @@ def test_a_flow_that_is_not_available_is_not_the_one_before(capsys: pytest.Captu
     assert found["mass_kg"]["integrated"] == pytest.approx(known, rel=0.001)
 
 
-@pytest.mark.parametrize("sections", [False, True])
-def test_a_width_that_never_changes_stands_in_the_description(sections: bool, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("sections", ["", "a width each", "one width for all"])
+def test_a_width_that_never_changes_stands_in_the_description(sections: str, capsys: pytest.CaptureFixture[str]) -> None:
     wide = round(1000 * WIDTH_M)
     parts = [("DET-3", "4", wide // 2), ("DET-4", "4", wide // 2)] if sections else []
     machine = device(1, [("DET-1", "1", 0 if sections else wide), *parts]).replace('B="0046"', 'B="0043"')
+    if "all" in sections:
+        machine = machine.replace('<DOR A="92"/>', '<DOR A="91"/>').replace(f'<DPT A="92" B="0043" C="{wide // 2}"/>', "")
     is_the_harvest(mapped(task_data([machine], WHOLE[:1]), capsys))
 
 
@@ -240,3 +244,61 @@ def test_a_local_clock_is_set_by_the_receivers(behind_s: float, shift_s: float, 
     with Path("out/points.csv").open() as stream:
         first = next(csv.DictReader(stream))
     assert float(first["time_s"]) == pytest.approx(rows(speeds=False)[0]["time"] - shift_s, abs=0.01)
+
+
+def offset(number: int, ddi: int, millimetres: int) -> str:
+    return f'<DPT A="{number}" B="{ddi:04X}" C="{millimetres}"/>'
+
+
+def element(name: str, kind: int, *references: int) -> str:
+    return f'<DET A="{name}" B="1" C="{kind}" E="1" F="0">' + "".join(f'<DOR A="{one}"/>' for one in references) + "</DET>"
+
+
+ANTENNA = element("DET-7", 7, 1, 2) + offset(1, 134, 870) + offset(2, 135, -300)
+COMBINE = f'<DVC A="DVC-2" B="combine">{ANTENNA}{element("DET-6", 6, 3)}{offset(3, 134, 2322)}</DVC>'
+HEADER = element("DET-1", 2) + element("DET-5", 6, 4) + offset(4, 134, -100)
+OFFSET_SECTIONS = element("DET-2", 4, 10, 11) + element("DET-3", 4, 10, 12) + offset(10, 134, 4000) + offset(11, 135, -1500)
+COUPLED = '<CNN A="DVC-1" B="DET-5" C="DVC-2" D="DET-6"/>'
+SENT = [(134, "DET-1", [1372] * COUNT), (135, "DET-1", [250] * COUNT)]
+
+
+@pytest.mark.parametrize(
+    ("devices", "values", "task", "expected"),
+    [
+        # One device: 4.2 m ahead of the axle, the antenna 0.87 m.
+        ([element("DET-1", 1, 5) + offset(5, 134, 4200) + ANTENNA], [], TASK, (3.33, 0.3)),
+        # The header is a device of its own and sends its offsets; which connectors are coupled is said, or there is one each.
+        ([HEADER, COMBINE], SENT, TASK, (2.322 - 0.87 + 0.1 + 1.372, 0.3 + 0.25)),
+        (
+            [HEADER, COMBINE.replace("</DVC>", element("DET-8", 6, 9) + offset(9, 134, -3000) + "</DVC>")],
+            SENT, TASK.replace("<TLG", f"{COUPLED}<TLG"), (2.322 - 0.87 + 0.1 + 1.372, 0.3 + 0.25),
+        ),
+        # By the sections, from left to right.
+        ([element("DET-1", 1) + OFFSET_SECTIONS + offset(12, 135, 2500) + ANTENNA], [], TASK, (3.13, 0.5 + 0.3)),
+        # Not said: the antenna, the header, the coupling.
+        ([element("DET-1", 1, 5) + offset(5, 134, 4200)], [], TASK, None),
+        ([element("DET-1", 1) + ANTENNA], [], TASK, None),
+        ([HEADER, COMBINE.replace("</DVC>", element("DET-8", 6, 9) + offset(9, 134, -3000) + "</DVC>")], SENT, TASK, None),
+        ([element("DET-1", 1, 5) + offset(5, 134, 42000) + ANTENNA], [], TASK, "41.13 m ahead of the antenna"),
+    ],
+)  # fmt: skip
+def test_the_header_is_where_the_descriptions_say(
+    devices: Sequence[str], values: Sequence[Value], task: str, expected: tuple[float, float] | str | None
+) -> None:
+    own = f'<DVC A="DVC-1" B="header">{devices[0]}</DVC>'
+    table = sources.read(task_data([own, *devices[1:]], [*WHOLE, *values], task), ReadOptions())
+    said = str(table.sources[0].notes)
+    if isinstance(expected, tuple):
+        assert table["header_ahead_m"] == pytest.approx(np.full(COUNT, expected[0]))
+        assert table["header_right_m"] == pytest.approx(np.full(COUNT, expected[1]))
+        assert f"{expected[0]:.2f} m ahead of the antenna and {expected[1]:.2f} m to the right" in said
+        return
+    assert np.isnan(table["header_ahead_m"]).all()
+    assert (expected or "no offset") in f"{said} no offset"
+
+
+@pytest.mark.parametrize(("latency", "lag", "declared"), [(-14_999, 10_000, 14.999), (0, 10_000, 10.0), (500, 10_000, 10.0)])
+def test_the_delay_is_the_age_of_the_values(latency: int, lag: int, declared: float) -> None:
+    values = [*WHOLE, (143, "DET-1", [latency] * COUNT), (259, "DET-1", [lag] * COUNT)]
+    table = sources.read(task_data([device(1, [("DET-1", "2", 0)])], values), ReadOptions())
+    assert table.declared_flow_s == pytest.approx(declared)

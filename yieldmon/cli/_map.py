@@ -18,9 +18,9 @@ from yieldmon.errors import InputError
 from yieldmon.field import harvest, sources, summary
 from yieldmon.field.cleaning import NAMES, NEEDED
 from yieldmon.field.copies import without_copies
+from yieldmon.field.header_place import FARTHEST_M, HeaderPlace
 from yieldmon.field.products import FILES, FORMATS, write_products
 from yieldmon.field.sources.options import ReadOptions
-from yieldmon.field.swath import HeaderPlace
 from yieldmon.field.table import HarvestTable, Skipped, joined
 from yieldmon.files import ticket_file
 from yieldmon.files.whole_file import real_path
@@ -152,8 +152,8 @@ def _map_options(args: argparse.Namespace) -> harvest.MapOptions:
         within_if_given("--flow-delay", args.flow_delay, -60.0, 120.0),
         within_if_given("--moisture-delay", args.moisture_delay, -60.0, 120.0),
         HeaderPlace(
-            within_if_given("--header-ahead", args.header_ahead, -20.0, 20.0) or 0.0,
-            within_if_given("--header-right", args.header_right, -20.0, 20.0) or 0.0,
+            within_if_given("--header-ahead", args.header_ahead, -FARTHEST_M, FARTHEST_M),
+            within_if_given("--header-right", args.header_right, -FARTHEST_M, FARTHEST_M),
         ),
         tuple(args.without),
         ticket_file.load(args.tickets) if args.tickets else (),

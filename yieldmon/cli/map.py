@@ -47,10 +47,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     what.add_argument("--date", metavar="YYYY-MM-DD", help="date of the first point, for clocks without one")
     what.add_argument("--crs", default="", metavar="EPSG:CODE", help="coordinate system, for files that name none")
     what.add_argument(
-        "--header-ahead", type=float, default=0.0, metavar="M", help="from the antenna forward to the header (default: 0)"
+        "--header-ahead", type=float, metavar="M", help="from the antenna forward to the header (default: the file's)"
     )
     what.add_argument(
-        "--header-right", type=float, default=0.0, metavar="M", help="from the antenna right to its middle (default: 0)"
+        "--header-right", type=float, metavar="M", help="from the antenna right to its middle (default: the file's)"
     )
     what.add_argument(
         "--column",

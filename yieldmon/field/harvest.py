@@ -13,11 +13,12 @@ from yieldmon.units import KG_PER_LB, M2_PER_ACRE, S_PER_DAY, Units, UnitSystem
 
 from .cleaning import Cleaned, Context, clean, mass_by_reason, much_left_out
 from .delay import Decision, Delay
+from .header_place import HeaderPlace, at_header
 from .loads import LoadResult, correct
 from .machines import Machine, machines_of, placed_by_machine
 from .pairs import Pairs, opposing_pairs
 from .placed import Placed, measured_mass_kg
-from .swath import HeaderPlace, Swaths, swaths
+from .swath import Swaths, swaths
 from .table import Array, HarvestTable
 from .tracks import Tracks, cut_before_measured, tracks
 from .transport import Transport, assess, filtered
@@ -44,7 +45,7 @@ class MapOptions:
     flow_delay_s, moisture_delay_s : float or None
         Given instead of estimated.
     header : HeaderPlace
-        Offset of the header from the antenna.
+        Offset of the header from the antenna, in place of what the sources have.
     without : collection of str
         Cleaning rules that are off.
     tickets : sequence of WeighedTicket
@@ -162,6 +163,7 @@ def make_map(table: HarvestTable, options: MapOptions, progress: Callable[[str],
         For tickets that do not fit.
     """
     progress("passes")
+    table = at_header(table, options.header)
     steps = tracks(table)
     pairs = opposing_pairs(steps)
     progress("delay")
@@ -179,7 +181,7 @@ def make_map(table: HarvestTable, options: MapOptions, progress: Callable[[str],
     progress("ground")
     weighed = any(load.factor_sd is not None for load in loads)
     placed = placed_by_machine(table, steps, machines, factor if weighed else None)
-    ground = swaths(table, steps, options.header)
+    ground = swaths(table, steps)
     progress("cleaning")
     at = Context(table, steps, placed, ground)
     cleaned = clean(at, options.without)

@@ -13,21 +13,13 @@ import shapely
 from numpy.typing import NDArray
 
 from .table import Array, HarvestTable
-from .tracks import Flags, Index, Tracks
+from .tracks import Flags, Index, Tracks, row_headings
 
 CHUNK = 20_000
 MIN_OVERLAP = 1e-4
 """Share of a swath below which an overlap is a rounding error of positions."""
 _MAX_EDGE_TURN = np.cos(np.radians(60.0))
 Shapes = NDArray[np.object_]
-
-
-@dataclass(frozen=True)
-class HeaderPlace:
-    """Where the header's middle is, seen from the antenna: m ahead of it and m to the right of it."""
-
-    ahead_m: float = 0.0
-    right_m: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -64,17 +56,15 @@ class Swaths:
         return out
 
 
-def swaths(table: HarvestTable, steps: Tracks, header: HeaderPlace = HeaderPlace()) -> Swaths:
+def swaths(table: HarvestTable, steps: Tracks) -> Swaths:
     """The ground of each row, in order of time.
 
     Parameters
     ----------
     table, steps
-        A harvest and its tracks.
-    header : HeaderPlace
-        Offset of the header's middle from the recorded positions.
+        A harvest, with the places of the header's middle, and its tracks.
     """
-    corners, cut, order = _corners(table, steps, header)
+    corners, cut, order = _corners(table, steps)
     gross = np.zeros(len(table))
     area = np.zeros(len(table))
     rows = order[cut[order]]
@@ -86,7 +76,7 @@ def swaths(table: HarvestTable, steps: Tracks, header: HeaderPlace = HeaderPlace
     return Swaths(corners, cut, gross, area, rows[changed], left)
 
 
-def _corners(table: HarvestTable, steps: Tracks, header: HeaderPlace) -> tuple[Array, Flags, Index]:
+def _corners(table: HarvestTable, steps: Tracks) -> tuple[Array, Flags, Index]:
     """Corners of each row, whether it cut, and the rows in order of time."""
     count = len(table)
     step = steps.step_of_row
@@ -94,11 +84,9 @@ def _corners(table: HarvestTable, steps: Tracks, header: HeaderPlace) -> tuple[A
     time = table["time_s"] if table.unix_time else steps.time_s[step] + 0.0
     order = np.lexsort((np.arange(count), time, np.zeros(count) if table.unix_time else table.source_of_row))
     lanes = np.lexsort((time, section, steps.stream[step]))
-    heading = _filled(steps.heading_rad, steps.run)[step]
-    heading = np.where(np.isfinite(heading), heading, np.radians(table["heading_deg"]))
+    heading = row_headings(table, steps)
     sin, cos = np.sin(heading), np.cos(heading)
-    x = steps.row_x_m + header.ahead_m * sin + header.right_m * cos
-    y = steps.row_y_m + header.ahead_m * cos - header.right_m * sin
+    x, y = steps.row_x_m, steps.row_y_m
     before = np.full(count, -1, np.intp)
     before[lanes[1:]] = lanes[:-1]
     same = before >= 0
@@ -127,18 +115,6 @@ def _corners(table: HarvestTable, steps: Tracks, header: HeaderPlace) -> tuple[A
     cut = steps.down[step] & np.isfinite(corners).all(axis=(1, 2)) & (half > 0) & (np.hypot(x - back_x, y - back_y) > 1e-6)
     header_up = table["header_down"] == 0
     return corners, cut & ~header_up, order
-
-
-def _filled(heading: Array, run: Index) -> Array:
-    """The last heading known within a run goes on while the machine stands; before the first, the first."""
-    out = heading.copy()
-    for way in (1, -1):
-        values, runs = out[::way], run[::way]
-        place = np.where(np.isfinite(values), np.arange(len(values)), -1)
-        last = np.maximum.accumulate(place) if len(place) else place
-        usable = (last >= 0) & (runs[np.maximum(last, 0)] == runs)
-        out = np.where(usable, values[np.maximum(last, 0)], values)[::way]
-    return out
 
 
 def _polygons(corners: Array) -> Shapes:

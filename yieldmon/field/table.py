@@ -31,6 +31,8 @@ COLUMNS: Mapping[str, str] = {
     "pass_number": "as the source counts passes",
     "section": "number of the header's section, 0 for the whole header",
     "elevation_m": "above the ellipsoid or the sea, as the source has it",
+    "header_ahead_m": "from the place forward to the header's middle",
+    "header_right_m": "from the place right to the header's middle",
 }
 REQUIRED = ("time_s", "longitude_deg", "latitude_deg", "flow_kg_s", "interval_s", "distance_m", "width_m")
 DEFAULT_FLOW_S = 12.0

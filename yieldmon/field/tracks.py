@@ -338,3 +338,21 @@ def _headings(x: Array, y: Array, run: Index, driving: Flags) -> Array:
     dx, dy = x[after] - x[before], y[after] - y[before]
     heading = np.arctan2(dx, dy)
     return np.where(driving & (np.hypot(dx, dy) > 0), heading, np.nan)
+
+
+def row_headings(table: HarvestTable, steps: Tracks) -> Array:
+    """Heading of each row, rad: while the machine stands the last one, else as the source has it; NaN where none is known."""
+    heading = _filled(steps.heading_rad, steps.run)[steps.step_of_row]
+    return np.where(np.isfinite(heading), heading, np.radians(table["heading_deg"]))
+
+
+def _filled(heading: Array, run: Index) -> Array:
+    """The last heading known within a run goes on while the machine stands; before the first, the first."""
+    out = heading.copy()
+    for way in (1, -1):
+        values, runs = out[::way], run[::way]
+        place = np.where(np.isfinite(values), np.arange(len(values)), -1)
+        last = np.maximum.accumulate(place) if len(place) else place
+        usable = (last >= 0) & (runs[np.maximum(last, 0)] == runs)
+        out = np.where(usable, values[np.maximum(last, 0)], values)[::way]
+    return out

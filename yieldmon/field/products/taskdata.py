@@ -1,6 +1,6 @@
 """ISO 11783-10 task data as measured: a task and a binary time log for each machine, zipped.
 
-No delay is taken out; it stands in the log and the device description as the lag. The last total of a log is its measured mass.
+No delay is taken out; it stands in the log as the latency of its values. The last total of a log is its measured mass.
 Layout: ISO 11783-10:2015; values by the data dictionary of ISO 11783-11.
 """
 
@@ -31,7 +31,7 @@ ENTRIES = (
     task_data.Entry(ddi.MOISTURE, "Crop moisture", "ppm"),
     task_data.Entry(ddi.TOTAL_AREA, "Total area", "m2", total=True),
     task_data.Entry(ddi.WORK_STATE, "Actual work state", ""),
-    task_data.Entry(ddi.LAG, "Yield lag ignore time", "ms"),
+    task_data.Entry(ddi.LATENCY, "Actual value time latency", "ms"),
 )
 
 
@@ -68,7 +68,7 @@ def _log(result: HarvestMap, stream: int, number: int) -> tuple[str, task_data.L
     with np.errstate(invalid="ignore", divide="ignore"):
         per_area = flow / (steps.speed_m_s[rows] * steps.width_m[rows])
     machine = next((one for one in result.machines if one.stream == stream), result.machines[0])
-    lag_ms = max(machine.flow.value_s, 0.0) * 1000.0
+    latency_ms = -1000.0 * max(machine.flow.value_s, 0.0)
     values: dict[int, Array] = {
         ddi.WIDTH: steps.width_m[rows] * 1000,
         ddi.MASS_PER_AREA: np.where(np.isfinite(per_area), per_area, 0.0) * 1e6,
@@ -77,7 +77,7 @@ def _log(result: HarvestMap, stream: int, number: int) -> tuple[str, task_data.L
         ddi.MOISTURE: np.nan_to_num(steps.moisture_pct[rows]) * 1e4,
         ddi.TOTAL_AREA: area,
         ddi.WORK_STATE: steps.down[rows].astype(float),
-        ddi.LAG: np.full(len(rows), lag_ms),
+        ddi.LATENCY: np.full(len(rows), latency_ms),
     }
     raw = {number: np.clip(np.round(one), -(2**31) + 1, 2**31 - 1).astype(np.int32) for number, one in values.items()}
     time = _since_epoch(steps.time_s[rows], result.table.unix_time)

@@ -19,6 +19,7 @@ import numpy as np
 from yieldmon.data_dictionary import (
     DEFAULT_WIDTH,
     LAG,
+    LATENCY,
     LEAD,
     LENGTH_OF_CUT,
     MAX_WIDTH,
@@ -39,6 +40,7 @@ from .damage import ZIP_DAMAGE, may_be_harvest
 from .options import ReadOptions
 from .positions import plausible
 from .task_flow import Driven, flow_kg_s
+from .task_geometry import header_from_antenna
 from .task_values import KNOWN, Devices, Values, devices
 
 KIND = "ISO 11783-10 task data"
@@ -325,6 +327,7 @@ def _log(folder: Folder, task: _Task, device: Devices, options: ReadOptions) -> 
         raise InputError(where, f"has no working width (DDI {WIDTH}, {DEFAULT_WIDTH} or {MAX_WIDTH})", "--width M")
     flow, notes = flow_kg_s(of, Driven(interval, way, width), where)
     moisture = of.one(MOISTURE, 1e-4)
+    to_header, of_header = header_from_antenna(of, count)
     columns, limits = plausible(
         {
             "time_s": log.time_s,
@@ -336,6 +339,7 @@ def _log(folder: Folder, task: _Task, device: Devices, options: ReadOptions) -> 
             "elevation_m": log.elevation_m,
             "moisture_pct": np.full(count, np.nan) if moisture is None else np.where(moisture > 0, moisture, np.nan),
             "header_down": of.header_down(count),
+            **to_header,
         }
     )
     labels = {
@@ -344,17 +348,25 @@ def _log(folder: Folder, task: _Task, device: Devices, options: ReadOptions) -> 
         "crop": Label.constant(task.crop, count),
         "machine": Label.constant(of.device_name(), count),
     }
-    lag = of.single(LAG) or of.single(LEAD)
     table = build(
         columns,
         labels,
-        Source(where, KIND, count, (), *_totals(of, task), (*no_places, *notes, *limits)),
+        Source(where, KIND, count, (), *_totals(of, task), (*no_places, *notes, *of_header, *limits)),
         unix_time=True,
-        declared_flow_s=None if lag is None else lag * 1e-3,
+        declared_flow_s=_declared_s(of),
         default_flow_s=FORAGE_FLOW_S if of.of(LENGTH_OF_CUT) else DEFAULT_FLOW_S,
         extra={f"DDI {ddi:04X} {element}".strip(): values for (ddi, element), values in log.values.items() if ddi not in KNOWN},
     )
     return table, log.problem
+
+
+def _declared_s(of: Values) -> float | None:
+    """From cutting to the sensor as the machine says: the age of its values, else for how long yield does not count at a turn."""
+    latency = of.single(LATENCY)
+    if latency is not None and latency < 0:
+        return -1e-3 * latency
+    lag = of.single(LAG) or of.single(LEAD)
+    return None if lag is None else 1e-3 * lag
 
 
 def _totals(of: Values, task: _Task) -> tuple[float | None, float | None]:

@@ -54,12 +54,18 @@ class Devices:
         Element -> name of its device.
     of_element : mapping of str to str
         Element -> identifier of its device.
+    kinds : mapping of str to str
+        Element -> its type.
+    couplings : tuple of (str, str)
+        Connectors of two devices that are coupled.
     """
 
     constants: Mapping[tuple[int, str], float] = field(default_factory=dict)
     sections: tuple[str, ...] = ()
     names: Mapping[str, str] = field(default_factory=dict)
     of_element: Mapping[str, str] = field(default_factory=dict)
+    kinds: Mapping[str, str] = field(default_factory=dict)
+    couplings: tuple[tuple[str, str], ...] = ()
 
 
 def devices(root: ET.Element) -> Devices:
@@ -67,14 +73,18 @@ def devices(root: ET.Element) -> Devices:
     constants: dict[tuple[int, str], float] = {}
     for device in root.iter("DVC"):
         elements = list(device.iter("DET"))
-        referring = {reference.get("A", ""): one.get("A", "") for one in elements for reference in one.iter("DOR")}
-        first = elements[0].get("A", "") if elements else ""
+        # Elements that are alike may share a property.
+        referring: dict[str, list[str]] = {}
+        for one in elements:
+            for reference in one.iter("DOR"):
+                referring.setdefault(reference.get("A", ""), []).append(one.get("A", ""))
+        first = [elements[0].get("A", "") if elements else ""]
         for property_ in device.iter("DPT"):
             try:
                 ddi, value = int(property_.get("B", ""), 16), timelog.process_value(property_.get("C", ""))
             except ValueError:
                 continue
-            constants[ddi, referring.get(property_.get("A", ""), first)] = value
+            constants |= {(ddi, element): value for element in referring.get(property_.get("A", ""), first)}
     sections = [element for element in root.iter("DET") if element.get("C") == _SECTION]
     return Devices(
         constants,
@@ -85,6 +95,8 @@ def devices(root: ET.Element) -> Devices:
             for element in device.iter("DET")
         },
         {element.get("A", ""): device.get("A", "") for device in root.iter("DVC") for element in device.iter("DET")},
+        {element.get("A", ""): element.get("C", "") for element in root.iter("DET")},
+        tuple((one.get("B", ""), one.get("D", "")) for one in root.iter("CNN")),
     )
 
 
@@ -116,15 +128,15 @@ class Values:
     def of(self, ddi: int) -> list[tuple[str, Array]]:
         """Element and values."""
         found = self._all(ddi)
-        own = [one for one in found if self.device.of_element.get(one[0], "") == self._measuring]
+        own = [one for one in found if self.device.of_element.get(one[0], "") == self.measuring]
         return own or found
 
     def _all(self, ddi: int) -> list[tuple[str, Array]]:
         return [(element, values) for (key, element), values in self.values.items() if key == ddi]
 
     @cached_property
-    def _measuring(self) -> str:
-        """The device that measured the yield."""
+    def measuring(self) -> str:
+        """The device that measured the yield, by its identifier."""
         found = next((found for ddis in _YIELDS if (found := [one for ddi in ddis for one in self._all(ddi)])), [])
         if not found:
             return ""
@@ -176,7 +188,7 @@ class Values:
     def _constant(self, ddi: int) -> float | None:
         """Of the device description: of the whole, else of its sections together."""
         found = {element: value for (key, element), value in self.device.constants.items() if key == ddi}
-        own = {element: value for element, value in found.items() if self.device.of_element.get(element, "") == self._measuring}
+        own = {element: value for element, value in found.items() if self.device.of_element.get(element, "") == self.measuring}
         found = own or found
         whole = [value for element, value in found.items() if element not in self.device.sections]
         return max(whole) if whole else sum(found.values()) or None
@@ -184,7 +196,7 @@ class Values:
     @property
     def _own_sections(self) -> list[str]:
         """Sections of the measuring device, from left to right."""
-        return [one for one in self.device.sections if self.device.of_element.get(one, "") == self._measuring]
+        return [one for one in self.device.sections if self.device.of_element.get(one, "") == self.measuring]
 
     def _of_sections(self) -> list[float]:
         """Width of each section of the measuring device, mm, from left to right; empty where one is not known."""
