@@ -338,6 +338,27 @@ def test_a_mass_is_taken_in_its_unit(text, kg, monkeypatch, capsys):
     assert next(r for r in asked if r["command"] == "ticket")["mass_kg"] == pytest.approx(kg, rel=1e-5)
 
 
+@pytest.mark.parametrize(
+    ("text", "thousands", "decimals"),
+    [
+        ("9.120kg", "9120kg", "9.1200kg"),
+        ("9.120 kg", "9120kg", "9.1200kg"),
+        ("812.500", "812500", "812.5000"),
+        ("20.106lb", "20106lb", "20.1060lb"),
+        ("1.020.106lb", "1020106lb", ""),
+    ],
+)
+@pytest.mark.parametrize("option", ["", "--std-dev="])
+def test_a_point_that_may_part_thousands_is_asked_about(text, thousands, decimals, option, tmp_path, capsys):
+    """Nobody weighs a load to the gram: a German slip's 9.120 kg was 9.12 kg."""
+    decimals = f", or {decimals} for decimals" if decimals else ""
+    where, words = ("--std-dev", ["5t", f"--std-dev={text}"]) if option else ("mass", [text])
+    assert main(["ticket", "--socket", str(tmp_path / "none.sock"), "7", *words]) == 2
+    assert (
+        capsys.readouterr().err == f"yieldmon: {where}: {text!r} may be thousands or decimals; expected {thousands}{decimals}\n"
+    )
+
+
 @pytest.mark.parametrize("words", [["3", "4t"], ["3", "4", "t"], ["12", "9120kg"], ["9", "12t"]])
 def test_two_numbers_are_no_mass(words, tmp_path, capsys):
     assert main(["ticket", "--socket", str(tmp_path / "none.sock"), "2", *words]) == 2

@@ -73,6 +73,8 @@ _MASS_UNITS = {
 _SMALL_UNITS = tuple(unit for unit, kg in _MASS_UNITS.items() if kg <= 1.0)
 _IN_THOUSANDS = re.compile(r"[1-9][0-9]{0,2}(?P<mark>[,'’])[0-9]{3}((?P=mark)[0-9]{3})*(\.[0-9]+)?")
 """A number as `status` shows masses, 41,222, or as Swiss slips do, 41'222."""
+_POINTED = re.compile(r"[1-9][0-9]{0,2}(\.[0-9]{3})+")
+"""A number as German slips do, 9.120; it may be one with three decimals."""
 _APART = re.compile(r"[0-9]\s+[0-9]")
 _SPACED = re.compile(r"\s*[1-9][0-9]{0,2}(\s[0-9]{3})+(\.[0-9]+)?\s*[a-z]*(\s[a-z]+)?\s*$", re.IGNORECASE)
 """A number with spaces between thousands, 9 120 kg."""
@@ -90,6 +92,9 @@ def mass(text: str, where: str = "mass") -> float:
     if unit in _SMALL_UNITS and _IN_THOUSANDS.fullmatch(number):
         # 9,120t may be 9.12 t; nobody weighs a load to the gram.
         number = re.sub("[,'’]", "", number)
+    if unit in ("", *_SMALL_UNITS) and _POINTED.fullmatch(number):
+        or_decimals = f", or {number}0{unit} for decimals" if number.count(".") == 1 else ""
+        raise InputError(where, f"{text!r} may be thousands or decimals", f"{number.replace('.', '')}{unit}{or_decimals}")
     try:
         mass_kg = float(number) * scale
     except ValueError:

@@ -133,9 +133,9 @@ def _number_of(load_name: str, names: Sequence[str]) -> int:
     if load is None and behind.count(load_name) == 1:
         load = list(plain.values())[behind.index(load_name)]
     if load is None:
-        raise InputError(
-            f"ticket of load {load_name!r}", "names a load that the harvest does not have", f"one of {', '.join(plain)}"
-        )
+        known = ", ".join(name for name in plain if name)
+        expected = f"one of {known}" if known else "a harvest whose rows name their loads"
+        raise InputError(f"ticket of load {load_name!r}", "names a load that the harvest does not have", expected)
     return load
 
 
