@@ -165,6 +165,10 @@ class Bench:
         last = math.floor(self.now_s - 0.11)
         wait_for(lambda: self.rows and self.rows[-1]["time_s"] >= last, f"window {last}, have {self.rows[-1:]}")
 
+    def taken(self) -> None:
+        """Waits until the engine has taken the last samples that were played: a command before them ends a load earlier."""
+        wait_for(lambda: self.daemon.monitor.bus_time_s > self.now_s - 0.006, "the last samples that were played")
+
     @property
     def status(self) -> dict:
         return dict(self.daemon.snapshot)

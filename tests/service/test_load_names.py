@@ -20,6 +20,7 @@ def harvest(season: Season, bench, crops) -> None:
         ask(season.folder, "load", "start", "--crop", crop)
         bench.play(seconds, signal_mv)
         bench.played()
+        bench.taken()
         ask(season.folder, "load", "stop")
         rows = ask(season.folder, "load", "list")["loads"]
         season.masses = {row["number"]: row["mass_kg"] for row in rows}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import shutil
 import sqlite3
+import threading
 from dataclasses import replace
 from pathlib import Path
 
@@ -28,16 +29,35 @@ def enter(season: Season, bench, tickets) -> None:
         assert season.ticket(bench, number, factor)["why_no_anchor"] == ""
 
 
+def last_second(season: Season) -> float:
+    """The newest in the store."""
+    with contextlib.closing(sqlite3.connect(season.folder / "yieldmon.sqlite")) as database:
+        return float(database.execute("SELECT max(time_s) FROM second").fetchone()[0] or 0.0)
+
+
+SETTLED_S = 10.0
+
+
 def settle(season: Season, bench) -> None:
-    """Until no ticket waits and loads are measured again: one ticket teaches with each window."""
+    """Until no ticket waits and loads are measured again: one ticket teaches with each window.
+
+    For as long on the bus however busy the machine is: the zero follows empty seconds, and with it what is measured next.
+    """
+    until_s = bench.now_s + SETTLED_S
 
     def settled() -> bool:
         bench.play(1, 0.0)
         bench.played()
+        # In as few seconds as it takes: what comes of each is in the store before the next.
+        wait_for(lambda: all(thread.name != "posting" for thread in threading.enumerate()), "loads that are measured again")
+        wait_for(lambda: last_second(season) >= bench.rows[-1]["time_s"], "the second's record")
         with Store(season.folder / "yieldmon.sqlite") as store:
             return not bench.daemon.monitor.masses_wait and not store.state()["unfinished_tickets"]
 
     wait_for(settled, "tickets that teach and loads that are measured again")
+    assert bench.now_s <= until_s
+    bench.play(until_s - bench.now_s, 0.0)
+    bench.played()
 
 
 def left(season: Season, bench) -> dict:

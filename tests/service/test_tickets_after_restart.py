@@ -49,6 +49,7 @@ class Season:
             ask(self.folder, "load", "start")
             bench.play(seconds, signal_mv)
             bench.played()
+            bench.taken()
         ask(self.folder, "load", "stop")
         bench.play(2, 0.0)
         bench.played()
