@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from yieldmon import frames
 from yieldmon.bus.codec import Codec
+from yieldmon.bus.filtering import FilterTable
 from yieldmon.bus.replay import Progress, Schedule, Selection, Sender, replay
 from yieldmon.frames import Frame
 
@@ -130,7 +131,7 @@ def test_an_empty_pass_ends_an_endless_replay() -> None:
     [
         ({}, [0, 1, 2, 3, 4, 5, 6, 7]),
         ({"fd": True}, [0, 1, 2, 3, 4, 5, 6, 7, 8]),
-        ({"inputs_only": True}, [0, 1]),
+        ({"inputs": FilterTable(CODEC.filters(["ElevatorSpeed", "VehiclePosition"]))}, [0, 1]),
         ({"channels": frozenset({"can1"})}, [3]),
         ({"from_s": 1.5}, [3, 4, 5, 6, 7]),
         ({"from_s": 1.5, "to_s": 4.0}, [3, 4, 5]),
@@ -151,7 +152,7 @@ def test_selection(options: dict, kept: list[int]) -> None:
         can.Message(timestamp=14.0, arbitration_id=0x100, data=bytes(16), is_fd=True),
         can.Message(timestamp=14.0, is_error_frame=True),
     ]
-    selected = list(Selection(**options).of(messages, CODEC))
+    selected = list(Selection(**options).of(messages))
     assert [next(k for k, message in enumerate(messages) if message is chosen) for chosen in selected] == kept
 
 

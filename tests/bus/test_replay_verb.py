@@ -102,6 +102,7 @@ def test_damage_is_reported_and_skipped(drive: Path, capsys: pytest.CaptureFixtu
         (["{}", "--map", "can0"], "--map: 'can0'; expected FROM=TO"),
         (["{}", "--inputs-only"], "no frame to send"),
         (["{}", "--from", "1000"], "no frame to send"),
+        (["{}", "--config", "c.yaml"], "--config: is given without --inputs-only; expected both, or neither"),
     ],
 )
 def test_bad_input_is_one_line(drive: Path, options: list[str], problem: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -111,6 +112,36 @@ def test_bad_input_is_one_line(drive: Path, options: list[str], problem: str, ca
     assert out == ""
     assert problem in err
     assert len(err.splitlines()) == 1
+
+
+OWN_DBC = """\
+VERSION ""
+BU_: Node
+BO_ 384 Cell: 2 Node
+ SG_ Force : 0|16@1+ (1,0) [0|0] "mV" Node
+"""
+OWN = "signals: {impact_voltage: {dbc: own.dbc, message: Cell, signal: Force, rate_hz: 100}}"
+
+
+@pytest.mark.parametrize(
+    ("configuration", "sent"),
+    [
+        (None, [0x08FF1081, 0x0CFF1180, 0x09F8011C, 0x18FEF31C, 0x0CFE49F0]),
+        (OWN, [0x180, 0x0CFF1180, 0x09F8011C, 0x18FEF31C, 0x0CFE49F0]),
+    ],
+)
+def test_inputs_only_sends_what_the_daemon_takes(configuration: str | None, sent: list[int], tmp_path: Path) -> None:
+    """Standard position and speed were left out, and so was the whole of a mapped sensor."""
+    (tmp_path / "own.dbc").write_text(OWN_DBC)
+    (tmp_path / "c.yaml").write_text(configuration or "")
+    on_the_bus = ("180", "08FF1081", "181", "0CFF1180", "18FEF500", "09F8011C", "18FEF31C", "18FF1583", "0CFE49F0", "18FECA83")
+    lines = [f"({1_700_000_000 + k / 100:.6f}) can0 {identifier}#{'00' * 8}\n" for k, identifier in enumerate(on_the_bus)]
+    (tmp_path / "drive.log").write_text("".join(lines))
+    options = ["--config", str(tmp_path / "c.yaml")] if configuration is not None else []
+    with can.Bus("verb-9", interface="virtual") as listener:
+        assert main(["replay", str(tmp_path / "drive.log"), "-i", "virtual", "-c", "verb-9", "--inputs-only", *options]) == 0
+        found = [message.arbitration_id for message in iter(lambda: listener.recv(0), None)]
+    assert sorted(found) == sorted(sent)
 
 
 def test_a_missing_second_log_is_reported_before_the_first_is_sent(drive: Path) -> None:

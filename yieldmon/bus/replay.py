@@ -14,9 +14,8 @@ from dataclasses import dataclass
 
 import can
 
-from yieldmon.bus.codec import Codec
+from yieldmon.bus.filtering import FilterTable
 from yieldmon.bus.waiting import send
-from yieldmon.frames import INPUTS
 
 #: A log may hold frames of two channels slightly out of order; only a larger step back is one of the recorder's clock.
 _STEP_BACK_S = 1.0
@@ -68,18 +67,18 @@ class Schedule:
 class Selection:
     """Which frames of a log are sent. Error frames never are.
 
-    from_s, to_s: seconds after the log's first frame, to_s excluded. inputs_only: just the frames that yieldmon takes
-    in, so that a log which holds its output too can drive it. channels: names in the log, None for all. fd: send CAN FD
+    from_s, to_s: seconds after the log's first frame, to_s excluded. inputs: just those that these let through, so that a
+    log which holds yieldmon's output too can drive it; None: all. channels: names in the log, None for all. fd: send CAN FD
     frames.
     """
 
     from_s: float = 0.0
     to_s: float = math.inf
-    inputs_only: bool = False
+    inputs: FilterTable | None = None
     channels: frozenset[str] | None = None
     fd: bool = False
 
-    def of(self, messages: Iterable[can.Message], codec: Codec) -> Iterator[can.Message]:
+    def of(self, messages: Iterable[can.Message]) -> Iterator[can.Message]:
         """The selected frames; ends at the first frame at to_s or later."""
         start_s = None
         for message in messages:
@@ -87,18 +86,15 @@ class Selection:
             after_s = message.timestamp - start_s
             if after_s >= self.to_s:
                 return
-            if after_s >= self.from_s and self._takes(message, codec):
+            if after_s >= self.from_s and self._takes(message):
                 yield message
 
-    def _takes(self, message: can.Message, codec: Codec) -> bool:
+    def _takes(self, message: can.Message) -> bool:
         if message.is_error_frame or (message.is_fd and not self.fd):
             return False
         if self.channels is not None and str(message.channel) not in self.channels:
             return False
-        if not self.inputs_only:
-            return True
-        layout = codec.layout_of(message.arbitration_id) if message.is_extended_id else None
-        return layout is not None and layout.name in INPUTS and not message.is_remote_frame
+        return self.inputs is None or (not message.is_remote_frame and self.inputs.passes(message))
 
 
 @dataclass

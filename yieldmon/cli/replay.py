@@ -15,6 +15,7 @@ from rich.live import Live
 from rich.text import Text
 
 from yieldmon.bus.codec import Codec
+from yieldmon.bus.filtering import FilterTable
 from yieldmon.bus.log_notes import Damage, LogNotes
 from yieldmon.bus.logs import read_log, require_log
 from yieldmon.bus.opening import add_bus_arguments, open_bus_from
@@ -23,6 +24,7 @@ from yieldmon.cli._json import print_json
 from yieldmon.cli._limits import within
 from yieldmon.cli.main import EXIT_INTERRUPTED
 from yieldmon.errors import InputError
+from yieldmon.resources import shipped
 
 _DAMAGES_SHOWN = 10
 
@@ -50,6 +52,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="send the frames that the log has on channel FROM on channel TO; frames of channels not named are not sent",
     )
     parser.add_argument("--inputs-only", action="store_true", help="just the frames that yieldmon takes in")
+    parser.add_argument("--config", metavar="FILE", help="whose signals --inputs-only sends (default: the shipped one's)")
     parser.add_argument("--json", action="store_true", help="print the summary as one JSON document")
     add_bus_arguments(parser)
 
@@ -61,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
     selection = Selection(
         from_s=within("--from", args.from_s, 0.0),
         to_s=args.to_s,
-        inputs_only=args.inputs_only,
+        inputs=_inputs(args),
         channels=frozenset(channels) if channels else None,
         fd="fd" in args,
     )
@@ -69,11 +72,10 @@ def run(args: argparse.Namespace) -> int:
         raise InputError("--to", f"is {args.to_s:g}", f"more than --from, {args.from_s:g}")
     notes = LogNotes(on_damage=_sparing_damage_report())
     progress = Progress()
-    codec = Codec()
 
     def one_pass() -> Iterator[can.Message]:
         logs = (read_log(path, notes) for path in args.logs)
-        return selection.of(chain.from_iterable(logs), codec)
+        return selection.of(chain.from_iterable(logs))
 
     for path in args.logs:
         require_log(path)
@@ -91,6 +93,19 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(", ".join(args.logs), "no frame to send", "frames that the options let through")
     _report(progress, notes, args)
     return code
+
+
+def _inputs(args: argparse.Namespace) -> FilterTable | None:
+    """What --inputs-only lets through; None without it."""
+    if not args.inputs_only:
+        if args.config is not None:
+            raise InputError("--config", "is given without --inputs-only", "both, or neither")
+        return None
+    from yieldmon.service.config import configuration
+    from yieldmon.service.traffic.input_frames import InputFrames
+
+    loaded = configuration.load(args.config if args.config is not None else shipped("config/yieldmon.yaml"))
+    return FilterTable(InputFrames(Codec(), loaded.signals).input_filters())
 
 
 def _channel_map(pairs: list[str]) -> dict[str, str]:

@@ -59,7 +59,11 @@ class InputFrames:
 
     def filters(self) -> list[can.typechecking.CanFilter]:
         """python-can filters that let through what the engine takes, and what only a yield monitor sends."""
-        own = self._codec.filters(sorted(self._own))
+        return self._codec.filters(sorted(OUTPUTS)) + self.input_filters()
+
+    def input_filters(self) -> list[can.typechecking.CanFilter]:
+        """Those for what the engine takes."""
+        own = self._codec.filters(sorted(self._own - frozenset(OUTPUTS)))
         mapped: list[can.typechecking.CanFilter] = [
             {
                 "can_id": match.identity & LARGEST_EXTENDED_ID,
