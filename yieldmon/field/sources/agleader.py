@@ -12,6 +12,8 @@ from __future__ import annotations
 
 import csv
 import re
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -109,7 +111,7 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
     source = rows_of(path, encoding, delimiter)
     if headed:
         next(source, None)
-    rows = read_rows(source, [*_NUMBERS, *layout["numbers"]], layout["texts"], 10, _comma(sample, delimiter))
+    rows = read_rows(source, [*_NUMBERS, *layout.numbers], layout.texts, 10, _comma(sample, delimiter))
     if not rows.count:
         raise InputError(
             str(path), "has no row that can be read", "ten numbers and more a row: longitude, latitude, flow in lb/s, ..."
@@ -136,40 +138,70 @@ def _comma(sample: list[str], delimiter: str) -> bool:
     return has_decimal_comma(cell for row in rows for cell in row[:2] if _is_number(cell, comma=True))
 
 
-def _layout(sample: list[str], delimiter: str) -> dict[str, list[int]]:
+@dataclass(frozen=True)
+class _Layout:
+    """Columns after the tenth, each None where there is none: serial number, elevation and texts."""
+
+    serial: int | None
+    elevation: int | None
+    field: int | None
+    load: int | None
+    crop: int | None
+    product: int | None
+    mark: int | None
+
+    @property
+    def numbers(self) -> list[int]:
+        return _known(self.serial, self.elevation)
+
+    @property
+    def texts(self) -> list[int]:
+        return _known(*self.labels.values(), self.mark)
+
+    @property
+    def labels(self) -> dict[str, int | None]:
+        """Name -> column."""
+        return {"field": self.field, "load": self.load, "crop": self.crop, "product": self.product}
+
+
+def _known(*columns: int | None) -> list[int]:
+    return [column for column in columns if column is not None]
+
+
+def _layout(sample: list[str], delimiter: str) -> _Layout:
     """Which columns after the tenth are what, from the rows at the head: serial and elevation are numbers, names are text."""
     comma = _comma(sample, delimiter)
     cells = [row for row in csv.reader(sample, delimiter=delimiter, skipinitialspace=True) if _is_row(row, comma=comma)][:200]
     width = min((len(row) for row in cells), default=10)
     numeric = [column for column in range(10, width) if all(_is_number(row[column], comma=comma) for row in cells)]
     text = [column for column in range(10, width) if column not in numeric]
-    serial = [10] if 10 in numeric else []
-    field = [c for c in text if all(_FIELD.match(row[c]) for row in cells)][:1]
-    load = [c for c in text if all(_LOAD.match(row[c]) for row in cells)][:1]
-    mark = [c for c in text if all(_TAKEN_OUT.fullmatch(row[c].strip()) for row in cells)][:1]
-    rest = [c for c in text if c not in field + load + mark and any(row[c].strip().upper() not in ("", "NA") for row in cells)]
-    if not field and rest:
-        field, rest = rest[:1], rest[1:]
-    after = [c for c in numeric if c > (rest or load or field or [10])[-1]]
-    elevation = after[2:3] if len(after) >= 3 else []
-    return {
-        "numbers": serial + elevation,
-        "serial": serial,
-        "elevation": elevation,
-        "field": field,
-        "load": load,
-        "crop": rest[:1],
-        "product": rest[1:2],
-        "mark": mark,
-        "texts": field + load + rest[:2] + mark,
-    }
+
+    def first_where_all(matches: Callable[[str], object]) -> int | None:
+        return next((column for column in text if all(matches(row[column]) for row in cells)), None)
+
+    field, load = first_where_all(_FIELD.match), first_where_all(_LOAD.match)
+    mark = first_where_all(lambda cell: _TAKEN_OUT.fullmatch(cell.strip()))
+    named = {field, load, mark}
+    rest = [c for c in text if c not in named and any(row[c].strip().upper() not in ("", "NA") for row in cells)]
+    if field is None and rest:
+        field = rest.pop(0)
+    last_text = rest[-1] if rest else load if load is not None else field if field is not None else 10
+    after = [column for column in numeric if column > last_text]
+    crop, product, *_ = (*rest, None, None)
+    return _Layout(
+        serial=10 if 10 in numeric else None,
+        elevation=after[2] if len(after) >= 3 else None,
+        field=field,
+        load=load,
+        crop=crop,
+        product=product,
+        mark=mark,
+    )
 
 
-def _table(
-    path: Path, rows: Rows, layout: dict[str, list[int]], options: ReadOptions, of_header: tuple[str, ...] = ()
-) -> HarvestTable:
+def _table(path: Path, rows: Rows, layout: _Layout, options: ReadOptions, of_header: tuple[str, ...] = ()) -> HarvestTable:
     values = rows.numbers
-    machine = _machine(values[10], values[3]) if layout["serial"] else None
+    machine = _machine(values[10], values[3]) if layout.serial is not None else None
     time, notes = _clock(values[3], machine)
     if options.first_date is not None:
         time = clocks.dated(time, options.first_date)
@@ -190,15 +222,15 @@ def _table(
     )
     if options.width_m is not None:
         columns["width_m"] = np.full(rows.count, options.width_m)
-    if layout["elevation"]:
-        columns["elevation_m"] = values[layout["elevation"][0]] * M_PER_FT
-    labels = {name: rows.texts[layout[name][0]] for name in ("field", "load", "crop", "product") if layout[name]}
+    if layout.elevation is not None:
+        columns["elevation_m"] = values[layout.elevation] * M_PER_FT
+    labels = {name: rows.texts[column] for name, column in layout.labels.items() if column is not None}
     labels["crop"], of_crop = crop_names(labels.get("crop", Label.constant("", rows.count)), options.crop)
     if options.field:
         labels["field"] = Label.constant(options.field, rows.count)
     if machine is not None:
         labels["machine"] = machine
-    marks = rows.texts[layout["mark"][0]].names if layout["mark"] else ()
+    marks = rows.texts[layout.mark].names if layout.mark is not None else ()
     source = Source(
         str(path),
         KIND,
