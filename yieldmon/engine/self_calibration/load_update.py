@@ -82,33 +82,23 @@ class LoadUpdate:
             raise
         if near and (found.refused or found.contradiction is not None) and not _is_another(found):
             return self._with_change_of_scale(outcome, prior, names), drifting
-        reason = (
-            f"weighed loads moved the scale by {100.0 * (found.scale - 1.0):+.1f} %; a next load is expected within "
-            f"{100.0 * found.next_load_sd:.1f} %"
-        )
-        if found.refused:
-            reason = " ".join(found.sentences)
-        else:
-            curve = curve_sentence(found) if _is_another(found) else ""
-            alone = (
-                "by one ticket alone: if it is wrong by 10 %, so is every load, until a second shows it"
-                if len(counted) == 1
-                else ""
-            )
-            reason = "; ".join(filter(None, (reason, alone, curve, wrong_ticket_sentence(found))))
+        outcome = Outcome.unchanged(_in_order_of(prior, found.parameter_set))
         scale = ScaleReport(
             found.scale_sd, found.scale_sd, float(np.log(found.scale)), observable=True, unobservable_directions=()
         )
-        known, wide = found.parameter_set, widened(prior, self.load_settings)
-        names = (*(n for n in prior.covariance_names if n in known.covariance_names),)
-        names = (*names, *(n for n in known.covariance_names if n not in names))
-        known = replace(known, covariance_names=names, covariance=known.covariance_of(names))
-        if names == prior.covariance_names and set(names) == set(wide.covariance_names):
-            joint = drifting.joint.copy()
-            joint[: len(names), : len(names)] = wide.covariance_of(names)
-            drifting = replace(drifting, parameters=replace(prior, covariance=wide.covariance_of(names)), joint=joint)
-        outcome = replace(Outcome.unchanged(known), updated=not found.refused, reason=reason, scale=scale, dof=len(self.counted))
-        return outcome, drifting
+        outcome = replace(outcome, updated=not found.refused, reason=_reason(found, len(counted)), scale=scale, dof=len(counted))
+        return outcome, self._widened(drifting, outcome.parameter_set.covariance_names)
+
+    def _widened(self, drifting: DriftingParameters, names: tuple[str, ...]) -> DriftingParameters:
+        """The prior with density and gain as uncertain as those of a machine that was never calibrated, where its covariance has
+        these names."""
+        prior = drifting.parameters
+        wide = widened(prior, self.load_settings)
+        if names != prior.covariance_names or set(names) != set(wide.covariance_names):
+            return drifting
+        joint = drifting.joint.copy()
+        joint[: len(names), : len(names)] = wide.covariance_of(names)
+        return replace(drifting, parameters=replace(prior, covariance=wide.covariance_of(names)), joint=joint)
 
     def _with_change_of_scale(self, outcome: Outcome, prior: ParameterSet, names: Container[str]) -> Outcome:
         """The outcome whose reason says by how much its parameters change the mass of the loads of these names."""
@@ -159,6 +149,26 @@ def _alike(loads: Sequence[WeighedLoad]) -> list[list[WeighedLoad]]:
     """Those with moisture and those without."""
     groups = ([load for load in loads if (load.moisture_pct is None) is without] for without in (False, True))
     return [group for group in groups if group]
+
+
+def _reason(found: LoadCalibration, loads: int) -> str:
+    """What is said of a calibration by so many weighed loads."""
+    if found.refused:
+        return " ".join(found.sentences)
+    moved = (
+        f"weighed loads moved the scale by {100.0 * (found.scale - 1.0):+.1f} %; a next load is expected within "
+        f"{100.0 * found.next_load_sd:.1f} %"
+    )
+    alone = "by one ticket alone: if it is wrong by 10 %, so is every load, until a second shows it" if loads == 1 else ""
+    curve = curve_sentence(found) if _is_another(found) else ""
+    return "; ".join(filter(None, (moved, alone, curve, wrong_ticket_sentence(found))))
+
+
+def _in_order_of(prior: ParameterSet, known: ParameterSet) -> ParameterSet:
+    """`known`, its covariance in the order of the prior's names, then its own."""
+    names = tuple(name for name in prior.covariance_names if name in known.covariance_names)
+    names += tuple(name for name in known.covariance_names if name not in names)
+    return replace(known, covariance_names=names, covariance=known.covariance_of(names))
 
 
 def _is_another(found: LoadCalibration) -> bool:

@@ -86,7 +86,7 @@ def recognises(path: Path, head: bytes) -> bool:
         try:
             with zipfile.ZipFile(path) as archive:
                 names = [name.replace("\\", "/") for name in archive.namelist()]
-            homes = {name.rpartition("/")[0] for name in names if is_task_member(name)}
+            homes = {_folder_and_file(name)[0] for name in names if is_task_member(name)}
             return len(homes) == 1 and not any(may_be_harvest(name) and not is_task_part(name) for name in names)
         except ZIP_DAMAGE:
             return False
@@ -95,14 +95,20 @@ def recognises(path: Path, head: bytes) -> bool:
 
 def is_task_member(name: str) -> bool:
     """Whether a file of this name says that its folder holds task data."""
-    base = name.replace("\\", "/").rsplit("/", 1)[-1].upper()
+    base = _folder_and_file(name)[1].upper()
     return base == TASK_FILE or (base.endswith(".BIN") and bool(_LOG_NAME.match(base[:-4])))
 
 
 def is_task_part(name: str) -> bool:
     """Whether a file of this name belongs to task data: the task file, a log, a grid, or an outsourced part."""
-    base = name.replace("\\", "/").rsplit("/", 1)[-1].upper()
+    base = _folder_and_file(name)[1].upper()
     return base in (TASK_FILE, "LINKLIST.XML") or bool(_PART_NAME.match(base))
+
+
+def _folder_and_file(name: str) -> tuple[str, str]:
+    """Of a zip's member, whose folders may be parted by backslashes."""
+    folder, _, file = name.replace("\\", "/").rpartition("/")
+    return folder, file
 
 
 def _task_folder(path: Path) -> Path | None:
@@ -127,14 +133,10 @@ def _open(path: Path) -> Folder:
             lambda name: _content(path.parent / name),
         )
     with zipfile.ZipFile(path) as archive:
-        members = [info for info in archive.infolist() if not info.is_dir()]
-    tasks = [m.filename for m in members if is_task_member(m.filename)]
-    home = tasks[0].replace("\\", "/").rpartition("/")[0]
-    here = {
-        m.filename.replace("\\", "/").rpartition("/")[2].upper(): m.filename
-        for m in members
-        if m.filename.replace("\\", "/").rpartition("/")[0] == home
-    }
+        members = [info.filename for info in archive.infolist() if not info.is_dir()]
+    home = next(_folder_and_file(name)[0] for name in members if is_task_member(name))
+    parted = ((_folder_and_file(name), name) for name in members)
+    here = {file.upper(): name for (folder, file), name in parted if folder == home}
 
     def get(name: str) -> bytes:
         with zipfile.ZipFile(path) as archive:
@@ -176,6 +178,41 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
         skipped.append(Skipped(TASK_FILE, error.problem))
         root = ET.Element("ISO11783_TaskData")
     _take_parts(root, folder, skipped)
+    once = without_copies(joined(_logs(root, folder, options, skipped)), least_rows=1)
+    whole = joined(_machines_apart(_by_log(once)))
+    crop_of_row, of_crop = crop_names(whole.labels["crop"], options.crop)
+    whole = replace(whole, labels={**whole.labels, "crop": crop_of_row})
+    notes = dict.fromkeys(note for source in whole.sources for note in source.notes)
+    skipped += [
+        Skipped(f"{_log_of(source.path)}: {one.part}", one.why.replace(f"{folder.where}: ", ""))
+        for source in once.sources
+        for one in source.skipped
+    ]
+    source = Source(
+        str(path),
+        KIND,
+        len(whole),
+        tuple(skipped),
+        _total([source.mass_kg for source in once.sources]),
+        _total([source.area_m2 for source in once.sources]),
+        (*of_crop, *notes),
+        whole.declared_flow_s,
+        whole.default_flow_s,
+    )
+    return replace(whole, sources=(source,), source_of_row=np.zeros(len(whole), np.int32))
+
+
+def _total(values: Sequence[float | None]) -> float | None:
+    """None where one is not known."""
+    known = [value for value in values if value is not None]
+    return float(sum(known)) if len(known) == len(values) else None
+
+
+def _logs(root: ET.Element, folder: Folder, options: ReadOptions, skipped: list[Skipped]) -> list[HarvestTable]:
+    """The logs that tasks name, and those of the folder that none does. Adds those that cannot be read to skipped.
+
+    Raises InputError where there is none.
+    """
     device, tasks = devices(root), _tasks(root, skipped)
     listed = {task.log.upper() for task in tasks}
     tasks += [
@@ -194,37 +231,14 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
         except InputError as error:
             skipped.append(Skipped(task.log, error.problem))
             expected[error.expected] = None
-    if not parts:
-        reasons = "; ".join(f"{one.part}: {one.why}" for one in skipped[:3])
-        raise InputError(
-            str(path),
-            f"has no log that can be read ({reasons or 'none is named'})",
-            next(iter(expected)) if len(expected) == 1 else "a time log with yield and position",
-        )
-    once = without_copies(joined(parts), least_rows=1)
-    whole = joined(_machines_apart(_by_log(once)))
-    crop_of_row, of_crop = crop_names(whole.labels["crop"], options.crop)
-    whole = replace(whole, labels={**whole.labels, "crop": crop_of_row})
-    masses = [source.mass_kg for source in once.sources]
-    areas = [source.area_m2 for source in once.sources]
-    notes = dict.fromkeys(note for source in whole.sources for note in source.notes)
-    skipped += [
-        Skipped(f"{_log_of(source.path)}: {one.part}", one.why.replace(f"{folder.where}: ", ""))
-        for source in once.sources
-        for one in source.skipped
-    ]
-    source = Source(
-        str(path),
-        KIND,
-        len(whole),
-        tuple(skipped),
-        None if None in masses else float(sum(m for m in masses if m is not None)),
-        None if None in areas else float(sum(a for a in areas if a is not None)),
-        (*of_crop, *notes),
-        whole.declared_flow_s,
-        whole.default_flow_s,
+    if parts:
+        return parts
+    reasons = "; ".join(f"{one.part}: {one.why}" for one in skipped[:3])
+    raise InputError(
+        folder.where,
+        f"has no log that can be read ({reasons or 'none is named'})",
+        next(iter(expected)) if len(expected) == 1 else "a time log with yield and position",
     )
-    return replace(whole, sources=(source,), source_of_row=np.zeros(len(whole), np.int32))
 
 
 def _machines_apart(parts: Sequence[HarvestTable]) -> list[HarvestTable]:

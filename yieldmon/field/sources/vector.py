@@ -89,22 +89,7 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
         files = [(str(path), path.name)]
     else:
         files = [(f"/vsizip/{path.absolute()}/{name}", name) for name in _members(path)]
-    parts, skipped = [], []
-    last: InputError | None = None
-    for address, name in files:
-        for layers in _layers(address):
-            found = []
-            for part in layers:
-                try:
-                    found.append(_layer(path, address, name, part, options))
-                except InputError as error:
-                    last = last or error
-                    skipped.append(Skipped(name if part is None else f"{name}: layer {part}", error.problem))
-            parts += found
-            if found:
-                break
-    if not parts:
-        raise last or InputError(str(path), "has no layer of points", "a vector file")
+    parts, skipped = _read_layers(path, files, options)
     table = _machines_apart(without_copies(joined(parts)))
     skipped += [one for source in table.sources[1:] for one in source.skipped]
     if len(parts) == 1 and not skipped:
@@ -118,6 +103,28 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
         notes=tuple(dict.fromkeys(note for one in table.sources for note in one.notes)),
     )
     return replace(table, sources=(source,), source_of_row=np.zeros(len(table), np.int32))
+
+
+def _read_layers(path: Path, files: Sequence[tuple[str, str]], options: ReadOptions) -> tuple[list[HarvestTable], list[Skipped]]:
+    """The layers of points of these files (address, name), or of their other shapes where no points are, and those that cannot
+    be read. Raises the first InputError where none can."""
+    parts, skipped = list[HarvestTable](), list[Skipped]()
+    first: InputError | None = None
+    for address, name in files:
+        for layers in _layers(address):
+            found = []
+            for part in layers:
+                try:
+                    found.append(_layer(path, address, name, part, options))
+                except InputError as error:
+                    first = first or error
+                    skipped.append(Skipped(name if part is None else f"{name}: layer {part}", error.problem))
+            parts += found
+            if found:
+                break
+    if not parts:
+        raise first or InputError(str(path), "has no layer of points", "a vector file")
+    return parts, skipped
 
 
 @dataclass(frozen=True)
