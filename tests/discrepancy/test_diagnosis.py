@@ -221,7 +221,9 @@ def test_every_lack_of_fit_says_which_rows_it_is_over(make_rows, start, outside,
 def test_no_picture_of_the_report_is_cut_at_its_edges(make_rows, start, outside, tmp_path) -> None:
     found = outside(make_rows, start, "bracket that yields in one range of angle")
     report.write_report(found, tmp_path, "rows")
-    for path in tmp_path.glob("*.png"):
+    pictures = list(tmp_path.glob("*.png"))
+    assert pictures
+    for path in pictures:
         pixels = images.imread(path)[..., :3]
         border = np.concatenate((pixels[:2].ravel(), pixels[-2:].ravel(), pixels[:, :2].ravel(), pixels[:, -2:].ravel()))
         assert np.all(border == 1.0), path.name

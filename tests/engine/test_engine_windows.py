@@ -117,7 +117,7 @@ def test_a_second_sensor_on_the_bus_is_seen_as_surplus() -> None:
     both = np.concatenate((table, forged))
     both = both[np.argsort(both[:, 0], kind="stable")]
     windows = close_seconds(WindowBuilder(WindowSettings(), MACHINE), both, np.full(40, 400.0))
-    assert all(w.surplus_frames > 100 for w in windows[:4])
+    assert min(w.surplus_frames for w in windows[:3]) > 100
 
 
 def test_without_counter_losses_are_counted_by_time() -> None:

@@ -67,7 +67,8 @@ def test_no_zero_is_learnt_while_cutting() -> None:
     header = [Frame(1000.0 + 0.5 * i, bus.HARVEST_STATE, {"HeaderDown": 1, "WorkState": 1}) for i in range(60)]
     target = monitor()
     feed(target, sorted([*Bench(flow=lambda t: 0.5).frames(30), *header], key=lambda f: f.time_s))
-    assert all(np.isnan(r.zero_mv) for r in target.records)
+    assert len(target.records) >= 29
+    assert np.isnan([r.zero_mv for r in target.records]).all()
 
 
 def test_no_zero_is_learnt_from_a_full_flow() -> None:

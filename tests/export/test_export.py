@@ -95,6 +95,7 @@ def exported(folder, tmp_path):
 
 def test_grain_goes_back_where_it_was_cut():
     points = yield_points(ROWS, SETTINGS)
+    assert points
     for point in points:
         number = round(point.time_s - START_S - 0.1)
         assert point.latitude_deg == 40.0 + SPEED_M_S * number * METRE_DEG

@@ -240,6 +240,8 @@ def test_what_a_second_log_alone_holds_counts(tmp_path: Path) -> None:
         rows = dated(rows_of(0, 10 * machine))
         logs = {"a.log": (rows[:100], f"a{machine}"), "b.log": (rows[80:], f"b{machine}")}
         commit_logs(dataset, token, f"machine=m{machine}/day=0", logs)
-    for machine, found in enumerate(sweeps_of(str(tmp_path / "season"))):
+    every = sweeps_of(str(tmp_path / "season"))
+    assert len(every) == 3
+    for machine, found in enumerate(every):
         times = [row.time_s for row in found.days[0]]
         assert times == [row.time_s for row in dated(rows_of(0, 10 * machine)) if row.usable_for_calibration]

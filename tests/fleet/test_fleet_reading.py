@@ -166,14 +166,36 @@ def test_report_names_days_without_a_zero(tmp_path: Path) -> None:
     assert found["totals"]["mass_kg"] == 0.0
 
 
-def test_report_counts_faults(season: Path) -> None:
-    days = summarise(str(season / "first"))["days"]
-    machines = summarise(str(season / "first"))["machines"]
-    for machine in machines:
-        for code, entry in machine["faults"].items():
-            own = [day["faults"].get(code, 0) for day in days if day["machine"] == machine["machine"]]
-            assert entry["count"] == sum(own)
-            assert entry["days"] == sum(count > 0 for count in own)
+def with_faults(day: Path, rows: list[tuple[str, float, float | None]]) -> None:
+    """A day of a dataset has these faults: code, begin, end."""
+    table = [{"code": code, "begin_s": begin, "end_s": end, "detail": ""} for code, begin, end in rows]
+    pq.write_table(pa.Table.from_pylist(table, schema=pq.read_schema(day / "faults.parquet")), day / "faults.parquet")
+    seal(day)
+
+
+def test_report_counts_faults(season: Path, tmp_path: Path) -> None:
+    data = tmp_path / "data"
+    shutil.copytree(season / "first", data)
+    for day, codes in (
+        ("machine=m0/day=2026-10-01", ("SensorStuck", "SensorStuck", "BusError")),
+        ("machine=m0/day=2026-10-02", ("SensorStuck",)),
+        ("machine=m1/day=2026-10-01", ("BusError",)),
+        ("machine=m1/day=2026-10-02", ()),
+    ):
+        begins_s = pq.read_table(data / day / "records.parquet", columns=["time_s"])["time_s"][0].as_py()
+        with_faults(data / day, [(code, begins_s + k, begins_s + k + 1.0) for k, code in enumerate(codes)])
+    found = summarise(str(data))
+    counted = {
+        machine["machine"]: {code: (entry["count"], entry["days"]) for code, entry in machine["faults"].items()}
+        for machine in found["machines"]
+    }
+    assert counted == {"m0": {"SensorStuck": (3, 2), "BusError": (1, 1)}, "m1": {"BusError": (1, 1)}}
+    assert [day["faults"] for day in found["days"]] == [
+        {"SensorStuck": 2, "BusError": 1},
+        {"SensorStuck": 1},
+        {"BusError": 1},
+        {},
+    ]
 
 
 def test_a_fault_lasts_to_its_end_or_that_of_the_day(season: Path, tmp_path: Path) -> None:
@@ -189,9 +211,7 @@ def test_a_fault_lasts_to_its_end_or_that_of_the_day(season: Path, tmp_path: Pat
         "ClockJumped": (last, first, 0.0),
         "BusError": (first, first + 7200.0, float(seconds)),
     }
-    rows = [{"code": code, "begin_s": begin, "end_s": end, "detail": ""} for code, (begin, end, _) in faults.items()]
-    pq.write_table(pa.Table.from_pylist(rows, schema=pq.read_schema(day / "faults.parquet")), day / "faults.parquet")
-    seal(day)
+    with_faults(day, [(code, begin, end) for code, (begin, end, _) in faults.items()])
     [found] = [m["faults"] for m in summarise(str(data))["machines"] if m["machine"] == "m0"]
     for code, (_, _, lasted) in faults.items():
         assert found[code]["seconds"] == pytest.approx(lasted, abs=1.0), code

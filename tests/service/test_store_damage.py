@@ -523,7 +523,7 @@ def test_a_crafted_store_is_refused(tmp_path, sql):
     database.execute("PRAGMA user_version = 3")
     database.commit()
     database.close()
-    with pytest.raises(Exception, match="where a store has a plain table"):
+    with pytest.raises(InputError, match="where a store has a plain table"):
         read_only(path)
 
 

@@ -75,6 +75,7 @@ def test_a_new_or_empty_store_is_none_of_theirs(tmp_path, content):
     if content is not None:
         path.write_bytes(content)
     refuse_stranger(path, tmp_path / "none")
+    assert path.exists() is (content is not None)
 
 
 def test_a_store_below_a_medium_that_is_not_mounted_is_refused(tmp_path):
