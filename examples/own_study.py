@@ -14,4 +14,4 @@ for friction in (0.15, 0.20, 0.25, 0.30):
     at = api.Conditions(plate_angle_rad=np.radians(angles_deg), elevator_speed_rad_s=speed, mass_flow_kg_s=flow)
     force = np.asarray(model.force(at, {**grain, "friction": friction}))
     measured = assumed.invert(force, np.radians(angles_deg), speed)
-    print(f"{friction:13.2f}  ", *(f"{error:8.1f}" for error in 100.0 * (measured / flow - 1.0)))
+    print(f"{friction:13.2f}  ", *(f"{error:z8.1f}" for error in 100.0 * (measured / flow - 1.0)))

@@ -40,11 +40,11 @@ def write(folder: Path, result: HarvestMap, grid: Grid) -> list[Path]:
                 )
                 started = True
         if len(grid.row):
-            _write_grid(scratch, result, grid)
+            _write_grid(scratch, grid)
     return [path]
 
 
-def _write_grid(path: Path, result: HarvestMap, grid: Grid) -> None:
+def _write_grid(path: Path, grid: Grid) -> None:
     west = grid.west_deg + grid.column * grid.width_deg
     north = grid.north_deg - grid.row * grid.height_deg
     blocks = shapely.multipolygons(

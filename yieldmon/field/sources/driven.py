@@ -21,7 +21,7 @@ _FAR_OFF = 1.6
 """Times that distances may differ from positions: a knot is 1.15 miles an hour and 1.85 km/h."""
 _UNLIKE = 0.15
 """How unlike (log) ways to the east and the north must be."""
-_LEAST_M = 0.3
+LEAST_M = 0.3
 """Between two positions, that they say something."""
 _SPAN_M, _MOST_ROWS, _STRAIGHT = 40.0, 30, 0.98
 """Length of a stretch, its rows at most, and how near to a straight line it is."""
@@ -113,7 +113,7 @@ def _straight(raw: Raw, places_m: tuple[Array, Array], way_m: Array, time_s: Arr
     if not 0.0 < usual_m < np.inf:
         return None
     apart_m = np.hypot(*(np.diff(one) for one in places_m))
-    moved_m = float(np.median(apart_m[apart_m > _LEAST_M])) if (apart_m > _LEAST_M).any() else usual_m
+    moved_m = float(np.median(apart_m[apart_m > LEAST_M])) if (apart_m > LEAST_M).any() else usual_m
     long = int(np.clip(round(_SPAN_M / min(usual_m, moved_m)), 2, _MOST_ROWS))
     found = []
     for rows in _orders(raw, time_s):
@@ -127,7 +127,7 @@ def _straight(raw: Raw, places_m: tuple[Array, Array], way_m: Array, time_s: Arr
         halves = sum(np.hypot(x[b] - x[a], y[b] - y[a]) for a, b in ((first, middle), (middle, last)))
         with np.errstate(invalid="ignore"):
             told = (
-                (np.hypot(east, north) >= np.maximum(_STRAIGHT * halves, _LEAST_M)) & (way > 0) & (pauses[last] == pauses[first])
+                (np.hypot(east, north) >= np.maximum(_STRAIGHT * halves, LEAST_M)) & (way > 0) & (pauses[last] == pauses[first])
             )
         found.append((way[told], east[told], north[told]))
     if sum(len(one[0]) for one in found) < _LEAST_SPANS:

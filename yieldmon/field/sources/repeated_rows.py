@@ -9,12 +9,12 @@ import numpy as np
 from yieldmon.field.plane import Sites
 from yieldmon.field.table import Array, Skipped
 
+from .driven import LEAST_M
 from .raw_table import Raw
 from .row_times import ColumnTimes
 
 _WHOLE = 0.7
 """Of the step to the next other row, that a row's own interval or distance is where it is no part of a faster log."""
-_LEAST_M = 0.3
 
 
 def without_repeats(raw: Raw, values: dict[str, Array], said: ColumnTimes) -> tuple[Raw, dict[str, Array], ColumnTimes]:
@@ -71,7 +71,7 @@ def _are_parts(values: dict[str, Array], time_s: Array, kept: np.ndarray) -> boo
             continue
         own = values[quantity][order][1:]
         with np.errstate(invalid="ignore", over="ignore"):
-            told = (own > 0) & (step > (_LEAST_M if quantity == "distance" else 0.0))
+            told = (own > 0) & (step > (LEAST_M if quantity == "distance" else 0.0))
             if told.any() and float(np.median(own[told] / step[told])) < _WHOLE:
                 return True
     return False

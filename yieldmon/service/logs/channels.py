@@ -99,7 +99,7 @@ def _refuse_apart(log: str, here: Mapping[str, set[int]], other: str, there: Map
                 raise InputError(
                     log,
                     f"has {_of_dbc(one)} and no {_of_dbc(two)}, which {other} has at the same times, as of a logger a channel",
-                    f"one log of both; of candump's `sort -m {other} {log} > both.log` makes it",
+                    f"one log of both: `sort -m {other} {log} > both.log`, of candump's",
                 )
 
 

@@ -56,15 +56,8 @@ def enter_ticket(order: Order) -> Answer:
     std_dev_kg = request.mass_or_none("std_dev_kg", *TICKET_KG, "kg")
     if std_dev_kg is None:
         std_dev_kg = ticket_file.RELATIVE_STD_DEV * weighed_kg
-    if monitor.totals.load_open and first <= monitor.totals.load_number <= last:
-        number = monitor.totals.load_number
-        raise InputError(
-            f"ticket for load {number}", "it is still open, so more grain may come", "`yieldmon load stop` first, or another load"
-        )
-    covered = covered_loads(journal, first, last)
+    covered = _closed_loads(order, first, last)
     measured_kg = sum(load.mass_kg for load in covered)
-    if not measured_kg > 0.0:
-        raise InputError(f"ticket for load {first}", "nothing was measured for it", "a load with a measured mass")
     again = journal.actions.ledger.factors
     known_kg = sum(load.mass_kg * again.get(load.number, 1.0) for load in covered)
     truck, own_kg = _shared_truck(request, weighed_kg), weighed_kg
@@ -109,6 +102,18 @@ def enter_ticket(order: Order) -> Answer:
         "replaces": replaces,
         "sets_scale_pct": None if first_moves is None else 100.0 * first_moves,
     }
+
+
+def _closed_loads(order: Order, first: int, last: int) -> Sequence[Load]:
+    """The loads from first to last. Raises InputError where one is open, or nothing was measured for them."""
+    totals = order.monitor.totals
+    if totals.load_open and first <= totals.load_number <= last:
+        where = f"ticket for load {totals.load_number}"
+        raise InputError(where, "it is still open, so more grain may come", "`yieldmon load stop` first, or another load")
+    covered = covered_loads(order.journal, first, last)
+    if not sum(load.mass_kg for load in covered) > 0.0:
+        raise InputError(f"ticket for load {first}", "nothing was measured for it", "a load with a measured mass")
+    return covered
 
 
 def _shared_truck(request: Request, weighed_kg: float) -> SharedTruck | None:
