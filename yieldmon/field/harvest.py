@@ -30,6 +30,8 @@ DRAWS = 400
 _SAME_DELAY_S = 0.5
 _LEAST_KG_M2, _MOST_GRAIN_KG_M2, _MOST_KG_M2 = 0.005, 4.0, 20.0
 """Mean yields beyond which units are wrong: of grain 40 t/ha is a record, of cane and beets 200."""
+_LEAST_UNMEASURED = 0.005
+"""Share of the ground without a flow from which it is said."""
 _SLOWEST_M_S, _FASTEST_M_S, _LEAST_TO_TELL = 0.1, 12.0, 10
 """Speeds of a harvest in the median, and rows with grain that tell."""
 _SEASONS_APART_DAYS, _SAME_GROUND = 60, 0.1
@@ -210,6 +212,7 @@ def make_map(table: HarvestTable, options: MapOptions, progress: Callable[[str],
         transport,
         (
             *_notes(table, machines, options.transport and transport is None),
+            *_unmeasured(table, steps),
             *doubts(table, totals, cleaned),
             *much_left_out(cleaned, totals.by_reason),
         ),
@@ -239,6 +242,18 @@ def _notes(table: HarvestTable, machines: Sequence[Machine], transport_left: boo
     if len(crops) > 1:
         out.append(f"the harvest has {len(crops)} crops ({', '.join(crops)}): yield and total are of all together")
     return tuple(out)
+
+
+def _unmeasured(table: HarvestTable, steps: Tracks) -> list[str]:
+    """A note on grain that was cut and has no flow."""
+    cutting = steps.down[steps.step_of_row] & (table["distance_m"] > 0) & ~(table["header_down"] == 0)
+    lacking = cutting & np.isnan(table["flow_kg_s"])
+    way = np.nan_to_num(table["distance_m"] * table["width_m"])
+    share = float(way[lacking].sum() / way[cutting].sum()) if lacking.any() else 0.0
+    if share < _LEAST_UNMEASURED:
+        return []
+    said = f"{int(lacking.sum())} rows of passes, {100.0 * share:.2g} % of the ground, have no flow"
+    return [f"{said}: their grain is not in the mass"]
 
 
 def doubts(table: HarvestTable, totals: Totals, cleaned: Cleaned) -> tuple[str, ...]:

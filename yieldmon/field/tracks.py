@@ -29,6 +29,8 @@ GAP_INTERVALS = 3.0
 """So many usual intervals without a step are a gap."""
 EMPTY_SHARE = 0.05
 """Of a machine's median flow; below it the machine runs empty: a sensor's zero drifts, and grain trickles after a pass."""
+_MOMENTS_S = 4.0
+"""From one known flow to the next, for which grain goes on: shorter than a turn."""
 FAR_S = 10_000.0
 """Between times that are to be far apart: those of two streams on one axis, and those that are not known."""
 
@@ -180,7 +182,7 @@ def tracks(table: HarvestTable) -> Tracks:
     flow[np.isnan(mean(table["flow_kg_s"]))] = np.nan
     header = mean(table["header_down"])
     driving = np.nan_to_num(speed) > MIN_SPEED_M_S
-    down = np.where(np.isfinite(header), header > 0, driving & running(flow, step_stream)) & np.isfinite(step_x)
+    down = np.where(np.isfinite(header), header > 0, driving & running(flow, step_stream, step_time)) & np.isfinite(step_x)
     return Tracks(
         plane=plane,
         step_of_row=step_of_row,
@@ -223,7 +225,7 @@ def cut_before_measured(steps: Tracks, table: HarvestTable, delays_s: Mapping[in
     said = np.zeros(len(steps), bool)
     said[steps.step_of_row[np.isfinite(table["header_down"])]] = True
     down = steps.down.copy()
-    grain_flows = running(steps.flow_kg_s, steps.stream)
+    grain_flows = running(steps.flow_kg_s, steps.stream, steps.time_s)
     for stream, delay_s in delays_s.items():
         mine = np.flatnonzero(~said & ((steps.stream == stream) | (stream < 0)))
         if abs(delay_s) < steps.usual_interval_s or not mine.size:
@@ -234,11 +236,11 @@ def cut_before_measured(steps: Tracks, table: HarvestTable, delays_s: Mapping[in
     return replace(steps, down=down, pass_number=_passes(down, steps.run))
 
 
-def running(flow_kg_s: Array, stream: Index) -> Flags:
-    """Where each machine has more than EMPTY_SHARE of its own median flow.
+def running(flow_kg_s: Array, stream: Index, time_s: Array) -> Flags:
+    """Where each machine has more than EMPTY_SHARE of its own median flow, or a flow that is not known for moments between such.
 
-    >>> running(np.array([0.0, 0.1, 8.0, 9.0, np.nan, 0.1]), np.array([0, 0, 0, 0, 0, 1])).tolist()
-    [False, False, True, True, False, True]
+    >>> running(np.array([0.0, 0.1, 8.0, np.nan, 9.0, np.nan, 0.1]), np.array([0, 0, 0, 0, 0, 0, 1]), np.arange(7.0)).tolist()
+    [False, False, True, True, True, False, True]
     """
     flow = np.nan_to_num(flow_kg_s)
     machines, number = np.unique(stream, return_inverse=True)
@@ -248,7 +250,15 @@ def running(flow_kg_s: Array, stream: Index) -> Flags:
     usual = np.zeros(len(machines))
     some = count > 0
     usual[some] = flow[order[(np.cumsum(count) - count + count // 2)[some]]]
-    return np.asarray(flow > EMPTY_SHARE * usual[number]) & (flow > 0)
+    grain_flows = np.asarray(flow > EMPTY_SHARE * usual[number]) & (flow > 0)
+    known = np.flatnonzero(np.isfinite(flow_kg_s))
+    lacking = np.flatnonzero(~np.isfinite(flow_kg_s))
+    right = np.searchsorted(known, lacking)
+    inside = (right > 0) & (right < known.size)
+    lacking, before, after = lacking[inside], known[right[inside] - 1], known[right[inside]]
+    moments = (number[before] == number[after]) & (time_s[after] - time_s[before] <= _MOMENTS_S)
+    grain_flows[lacking] = moments & grain_flows[before] & grain_flows[after]
+    return grain_flows
 
 
 def _interval(time_s: Array, stream: Index) -> float:

@@ -104,5 +104,5 @@ def _turns_with_header_down(table: HarvestTable, mine: Flags) -> int:
         back = np.cos(steps.heading_rad[span:] - steps.heading_rad[:-span]) < np.cos(np.radians(_TURN_DEG))
     back &= steps.run[span:] == steps.run[:-span]
     turns = int(np.count_nonzero(back & ~np.r_[False, back[:-1]]))
-    empty_s = float(steps.interval_s[~running(steps.flow_kg_s, steps.stream)].sum())
+    empty_s = float(steps.interval_s[~running(steps.flow_kg_s, steps.stream, steps.time_s)].sum())
     return turns if turns >= _LEAST_TURNS and empty_s >= _EMPTY_S * turns else 0
