@@ -122,6 +122,35 @@ def test_header_offset_moves_the_ground() -> None:
         assert corners_m(header) - plain == pytest.approx(np.tile(expected, (4, 1)), abs=1e-3)
 
 
+@pytest.mark.parametrize(
+    ("right_m", "from_m", "to_m"),
+    [
+        # By its width alone: where the header is not over ground that was cut.
+        (np.nan, 9.0, 12.0),
+        # By its sections: the right half, and the left one over ground that was cut.
+        (1.5, 9.0, 12.0),
+        (-1.5, 9.0, 9.0),
+    ],
+)
+def test_a_part_of_the_header_cuts_at_its_side(right_m: float, from_m: float, to_m: float) -> None:
+    """Half a header of 6 m, driven along the edge of ground that was cut; in its middle it would lose half of its ground."""
+    table, _ = table_of([Drive((0, 0), (0, 100)), Drive((6, 100), (6, 0)), Drive((9, 0), (9, 100), 3.0)], 40.0, -90.0)
+    last = np.arange(100, 150)
+    found = swaths(table.with_columns(cut_right_m=np.where(np.isin(np.arange(150), last), right_m, np.nan)), tracks(table))
+    assert found.gross_m2[last] == pytest.approx(np.full(50, 3.0 * STEP_M), rel=1e-3)
+    assert found.area_m2[last] == pytest.approx(np.full(50, (to_m - from_m) * STEP_M), rel=2e-3, abs=0.02)
+    if to_m > from_m:
+        west, _, east, _ = unary_union(found.polygons(last)).bounds
+        first, _, _, _ = found.polygons(np.array([10]))[0].bounds
+        assert (west - first, east - first) == pytest.approx((from_m + 3.0, to_m + 3.0), abs=0.02)
+
+
+def test_a_strip_between_cut_ground_is_in_the_middle_of_the_header() -> None:
+    drives = [Drive((0, 0), (0, 100)), Drive((9, 100), (9, 0)), Drive((4.5, 0), (4.5, 100), 3.0)]
+    table, _ = table_of(drives, 40.0, -90.0)
+    assert swaths(table, tracks(table)).area_m2.sum() == pytest.approx(100 * 15.0, rel=1e-3)
+
+
 def test_header_up_cuts_nothing() -> None:
     table, _ = table_of([Drive((0, 0), (0, 100))], 40.0, -90.0)
     down = np.ones(len(table))

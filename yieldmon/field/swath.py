@@ -18,6 +18,9 @@ from .tracks import Flags, Index, Tracks, row_headings
 CHUNK = 20_000
 MIN_OVERLAP = 1e-4
 """Share of a swath below which an overlap is a rounding error of positions."""
+_WHOLE_PERCENTILE, _LEAST_SPARE, _LEAST_LOST = 95.0, 0.1, 0.1
+"""Width that counts as the whole header's; shares of a width that is spare, and of the ground that a stretch loses, from which
+it is asked at which side a part of the header cuts."""
 _MAX_EDGE_TURN = np.cos(np.radians(60.0))
 Shapes = NDArray[np.object_]
 
@@ -64,9 +67,19 @@ def swaths(table: HarvestTable, steps: Tracks) -> Swaths:
     table, steps
         A harvest, with the places of the header's middle, and its tracks.
     """
-    corners, cut, order = _corners(table, steps)
-    gross = np.zeros(len(table))
-    area = np.zeros(len(table))
+    lanes = _lanes(table, steps)
+    right = np.nan_to_num(table["cut_right_m"])
+    found = _less_earlier(lanes.order, *lanes.corners(right))
+    moved = _beside_cut_ground(table, steps, lanes, found)
+    if not moved.any():
+        return found
+    return _less_earlier(lanes.order, *lanes.corners(right + moved))
+
+
+def _less_earlier(order: Index, corners: Array, cut: Flags) -> Swaths:
+    """The ground of each row without that of rows before it."""
+    gross = np.zeros(len(order))
+    area = np.zeros(len(order))
     rows = order[cut[order]]
     shapes = _polygons(corners[rows])
     gross[rows] = area[rows] = shapely.area(shapes)
@@ -76,8 +89,85 @@ def swaths(table: HarvestTable, steps: Tracks) -> Swaths:
     return Swaths(corners, cut, gross, area, rows[changed], left)
 
 
-def _corners(table: HarvestTable, steps: Tracks) -> tuple[Array, Flags, Index]:
-    """Corners of each row, whether it cut, and the rows in order of time."""
+def _beside_cut_ground(table: HarvestTable, steps: Tracks, lanes: _Lanes, found: Swaths) -> Array:
+    """By how much to the right of the header's middle the part lies that cuts, m, where a source has its width only.
+
+    The rest of the header is over ground that was cut: a stretch of one width that would lose ground in the middle lies at the
+    side where it loses least.
+    """
+    width = np.nan_to_num(table["width_m"])
+    moved = np.zeros(len(table))
+    stream = steps.stream[steps.step_of_row]
+    spare = np.zeros(len(table))
+    for one in np.unique(stream):
+        mine = (stream == one) & found.cut
+        if mine.any():
+            spare[mine] = float(np.percentile(width[mine], _WHOLE_PERCENTILE)) - width[mine]
+    narrow = found.cut & (spare > _LEAST_SPARE * width) & np.isnan(table["cut_right_m"]) & ~np.isfinite(table["section"])
+    if not narrow.any():
+        return moved
+    rows = lanes.order[narrow[lanes.order]]
+    keys = np.column_stack((stream[rows], steps.pass_number[steps.step_of_row[rows]], np.round(width[rows], 2)))
+    stretch = np.cumsum((np.diff(keys, axis=0, prepend=np.nan) != 0).any(axis=1)) - 1
+    lost = np.bincount(stretch, (found.gross_m2 - found.area_m2)[rows])
+    whole = np.bincount(stretch, found.gross_m2[rows])
+    asked = (lost > _LEAST_LOST * whole)[stretch]
+    rows, stretch = rows[asked], stretch[asked]
+    if not rows.size:
+        return moved
+    every = lanes.order[found.cut[lanes.order]]
+    place = np.empty(len(table), np.intp)
+    place[every] = np.arange(len(every))
+    tree, ground = shapely.STRtree(_polygons(found.corners_m[every])), found.polygons(every)
+    best, least = np.zeros(len(lost)), lost
+    number = np.full(len(table), -1, np.intp)
+    number[rows] = stretch
+    for side in (-0.5, 0.5):
+        corners, _ = lanes.corners(np.where(number >= 0, side * spare, 0.0))
+        shapes = _polygons(corners[rows])
+        one, other = tree.query(shapes)
+        before = (other < place[rows][one]) & (number[every[other]] != stretch[one])
+        one, other = one[before], other[before]
+        taken = np.bincount(stretch[one], shapely.area(shapely.intersection(shapes[one], ground[other])), len(lost))
+        better = taken < least - _LEAST_LOST * whole
+        best, least = np.where(better, side, best), np.where(better, taken, least)
+    moved[rows] = best[stretch] * spare[rows]
+    return moved
+
+
+@dataclass(frozen=True)
+class _Lanes:
+    """Places, headings and widths of the rows, from which the corners of their swaths follow; and the rows in order of time."""
+
+    order: Index
+    x: Array
+    y: Array
+    back_x: Array
+    back_y: Array
+    sin: Array
+    cos: Array
+    back_sin: Array
+    back_cos: Array
+    half: Array
+    may_cut: Flags
+
+    def corners(self, right_m: Array) -> tuple[Array, Flags]:
+        """Of swaths so far to the right of the places, and which rows cut."""
+        one, other = right_m - self.half, right_m + self.half
+        corners = np.stack(
+            [
+                np.column_stack((self.back_x + one * self.back_cos, self.back_y - one * self.back_sin)),
+                np.column_stack((self.back_x + other * self.back_cos, self.back_y - other * self.back_sin)),
+                np.column_stack((self.x + other * self.cos, self.y - other * self.sin)),
+                np.column_stack((self.x + one * self.cos, self.y - one * self.sin)),
+            ],
+            axis=1,
+        )
+        way = np.hypot(self.x - self.back_x, self.y - self.back_y)
+        return corners, self.may_cut & np.isfinite(corners).all(axis=(1, 2)) & (self.half > 0) & (way > 1e-6)
+
+
+def _lanes(table: HarvestTable, steps: Tracks) -> _Lanes:
     count = len(table)
     step = steps.step_of_row
     section = np.nan_to_num(table["section"])
@@ -102,19 +192,8 @@ def _corners(table: HarvestTable, steps: Tracks) -> tuple[Array, Flags, Index]:
     back_x = np.where(joined, x[before], x - distance * sin)
     back_y = np.where(joined, y[before], y - distance * cos)
     back_sin, back_cos = np.where(joined, sin[before], sin), np.where(joined, cos[before], cos)
-    half = 0.5 * table["width_m"]
-    corners = np.stack(
-        [
-            np.column_stack((back_x - half * back_cos, back_y + half * back_sin)),
-            np.column_stack((back_x + half * back_cos, back_y - half * back_sin)),
-            np.column_stack((x + half * cos, y - half * sin)),
-            np.column_stack((x - half * cos, y + half * sin)),
-        ],
-        axis=1,
-    )
-    cut = steps.down[step] & np.isfinite(corners).all(axis=(1, 2)) & (half > 0) & (np.hypot(x - back_x, y - back_y) > 1e-6)
-    header_up = table["header_down"] == 0
-    return corners, cut & ~header_up, order
+    may_cut = steps.down[step] & ~(table["header_down"] == 0)
+    return _Lanes(order, x, y, back_x, back_y, sin, cos, back_sin, back_cos, 0.5 * table["width_m"], may_cut)
 
 
 def _polygons(corners: Array) -> Shapes:

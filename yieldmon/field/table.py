@@ -33,6 +33,7 @@ COLUMNS: Mapping[str, str] = {
     "elevation_m": "above the ellipsoid or the sea, as the source has it",
     "header_ahead_m": "from the place forward to the header's middle",
     "header_right_m": "from the place right to the header's middle",
+    "cut_right_m": "from the header's middle right to that of the part of it that cuts",
 }
 REQUIRED = ("time_s", "longitude_deg", "latitude_deg", "flow_kg_s", "interval_s", "distance_m", "width_m")
 DEFAULT_FLOW_S = 12.0

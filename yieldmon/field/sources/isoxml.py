@@ -354,6 +354,7 @@ def _log(folder: Folder, task: _Task, device: Devices, options: ReadOptions) -> 
             "moisture_pct": np.full(count, np.nan) if moisture is None else np.where(moisture > 0, moisture, np.nan),
             "header_down": of.header_down(count),
             **to_header,
+            **({"cut_right_m": of.cut_right_m(count)} if options.width_m is None else {}),
         }
     )
     labels = {

@@ -245,6 +245,18 @@ class Values:
             return None if fallback is None else np.full(count, fallback * 1e-3)
         return width if fallback is None else np.where(np.isfinite(width), width, fallback * 1e-3)
 
+    def cut_right_m(self, count: int) -> Array:
+        """From the header's middle right to that of its sections that work, m; NaN where they are not known."""
+        widths = np.array(self._of_sections())
+        said, which = self._on(count)
+        if not widths.size or which.shape[1] < widths.size:
+            return np.full(count, np.nan)
+        middles = np.cumsum(widths) - 0.5 * widths - 0.5 * widths.sum()
+        working = which[:, : widths.size] * widths
+        total = working.sum(axis=1)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.where((said == 1) & (total > 0), 1e-3 * (working @ middles) / total, np.nan)
+
     def header_down(self, count: int) -> Array:
         """Header down: 1, up: 0, NaN where it is not said."""
         state = self._whole(self.of(WORK_STATE))
