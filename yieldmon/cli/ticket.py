@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from yieldmon.cli._daemon import add_daemon_arguments, ask_daemon, mass
@@ -69,27 +69,8 @@ def run(args: argparse.Namespace) -> int:
     which = f"load {first}" if first == last else f"loads {first} to {last}"
     change_pct = 100.0 * (answer["factor"] - 1.0)
     units = units_of(args.units, answer.get("units", "metric"), answer.get("crop", ""))
-    # What earlier tickets made of the load tells a slip from a calibration that was off.
-    off_pct = 100.0 * (answer["weighed_mass_kg"] / answer.get("known_mass_kg", answer["measured_mass_kg"]) - 1.0)
-    doubt = answer.get("question") or (f"{off_pct:+.0f} % is a lot" if abs(off_pct) > UNLIKELY_PCT else "")
-    if doubt:
-        print(
-            f"yieldmon: {which}: {units.in_text(doubt)}; if it is a slip, enter the right mass as another ticket", file=sys.stderr
-        )
-    if replaced := answer.get("replaces"):
-        numbers = ", ".join(map(str, replaced))
-        print(
-            f"yieldmon: {which}: ticket {numbers} stood for it; the newer one counts (`yieldmon ticket undo {answer['ticket']}` "
-            "if it is for another load; of two weighings of one load enter the sum)",
-            file=sys.stderr,
-        )
-    alone = answer.get("sets_scale_pct")
-    if alone is not None:
-        print(
-            f"yieldmon: {which}: the first ticket, it sets the scale by itself ({alone:+.1f} %); compare it with the slip, and "
-            "weigh a second load, which confirms or contradicts it",
-            file=sys.stderr,
-        )
+    for warning in _warnings(answer, units):
+        print(f"yieldmon: {which}: {warning}", file=sys.stderr)
     if args.json:
         print_json(answer)
     else:
@@ -110,6 +91,25 @@ def run(args: argparse.Namespace) -> int:
         elif answer["anchor"]:
             print("the loads of the last three days are measured again with the updated parameters: `yieldmon load list`")
     return 0
+
+
+def _warnings(answer: Mapping[str, Any], units: Units) -> Iterator[str]:
+    """What is to be looked at again in a ticket that was taken."""
+    # What earlier tickets made of the load tells a slip from a calibration that was off.
+    off_pct = 100.0 * (answer["weighed_mass_kg"] / answer.get("known_mass_kg", answer["measured_mass_kg"]) - 1.0)
+    doubt = answer.get("question") or (f"{off_pct:+.0f} % is a lot" if abs(off_pct) > UNLIKELY_PCT else "")
+    if doubt:
+        yield f"{units.in_text(doubt)}; if it is a slip, enter the right mass as another ticket"
+    if replaced := answer.get("replaces"):
+        yield (
+            f"ticket {', '.join(map(str, replaced))} stood for it; the newer one counts (`yieldmon ticket undo "
+            f"{answer['ticket']}` if it is for another load; of two weighings of one load enter the sum)"
+        )
+    if (alone := answer.get("sets_scale_pct")) is not None:
+        yield (
+            f"the first ticket, it sets the scale by itself ({alone:+.1f} %); compare it with the slip, and weigh a second load, "
+            "which confirms or contradicts it"
+        )
 
 
 def _of_truck(truck: Mapping[str, float], answer: Mapping[str, Any], units: Units) -> str:

@@ -11,10 +11,14 @@ from yieldmon.signals.survey import BARE, FAST_HZ, SHAFTS_ELSEWHERE, Candidate, 
 
 _CHANNELS = re.compile(r"(input|chan(nel)?|ch|ain|port)_?\d+", re.IGNORECASE)
 """Numbered signals of one frame that are sensors of their own, not samples of one."""
-_GUESS = "ratio: 0.2"
-_PULSES = "pulses_per_turn: 1"
-_EXCITATION = "scale: 5"
-_COUNTS = "scale: 0.1"
+_RATIO, _PULSES, _COUNTS, _EXCITATION = "ratio: 0.2", "pulses_per_turn: 1", "scale: 0.1", "scale: 5"
+_GUESSES = {
+    _RATIO: "The ratio is a guess: turns of the elevator's upper shaft per turn of the measured one.",
+    _PULSES: "pulses_per_turn is a guess: magnets or teeth of the elevator's upper shaft.",
+    _COUNTS: "The scale is a guess: mV per count; with `offset` where counts fall as the force rises.",
+    _EXCITATION: "The scale is a guess: volts that feed the bridge.",
+}
+"""Keys of an entry that the bus does not show -> what is said of them."""
 _MOST_NAMELESS = 6
 """So many frames without a DBC that may be an impact sensor's are named."""
 TELLING = ("manufacturer_code", "function", "function_instance", "ecu_instance", "identity_number")
@@ -39,14 +43,7 @@ def mapping_text(survey: Survey, paths: Mapping[str, str]) -> str:
         if not free:
             continue
         entries = list(dict.fromkeys(entry for one in free for entry in _entries(one, paths, candidates)))[:4]
-        if any(_GUESS in entry for entry in entries):
-            lines.append("  # The ratio is a guess: turns of the elevator's upper shaft per turn of the measured one.")
-        if any(_PULSES in entry for entry in entries):
-            lines.append("  # pulses_per_turn is a guess: magnets or teeth of the elevator's upper shaft.")
-        if any(_COUNTS in entry for entry in entries):
-            lines.append("  # The scale is a guess: mV per count; with `offset` where counts fall as the force rises.")
-        if any(_EXCITATION in entry for entry in entries):
-            lines.append("  # The scale is a guess: volts that feed the bridge.")
+        lines += [f"  # {said}" for key, said in _GUESSES.items() if any(key in entry for entry in entries)]
         if free[0].weak:
             how = "their rates" if quantity in IMPACT else "their units"
             lines.append(f"  # Nothing here is named like {quantity}; by {how} it could be:")
@@ -115,7 +112,7 @@ def _entries(found: Candidate, paths: Mapping[str, str], candidates: Mapping[str
     if found.mux is not None:
         keys.append(f"mux: {found.mux}")
     if found.quantity == "elevator_speed" and SHAFTS_ELSEWHERE.search(found.signal):
-        keys.append(_GUESS)
+        keys.append(_RATIO)
     sources = [] if found.source is None or found.moved else [f"source: {found.source}"]
     if found.node is not None:
         sources.append(f"source: {{{', '.join(f'{key}: {getattr(found.node, key)}' for key in TELLING)}}}")

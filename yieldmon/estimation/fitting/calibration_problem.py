@@ -43,6 +43,24 @@ class Noise:
         return np.asarray(np.sqrt(max(self.variance_factor, 1e-300)) / self.weight)
 
 
+def _refuse(data: Measurements, start: Mapping[str, float], names: tuple[str, ...], bounds: Bounds, *, with_prior: bool) -> None:
+    """Raises ValueError for a calibration that has no answer."""
+    if data.momentum.size < len(names) and not with_prior:
+        raise ValueError(f"{data.momentum.size} rows cannot fix {len(names)} parameters ({', '.join(names)})")
+    missing = [n for n in names if n not in start]
+    if missing:
+        raise ValueError(f"free parameters {missing} are not among {list(start)}")
+    if len(set(names)) < len(names):
+        raise ValueError(f"free parameters {list(names)}: expected each once")
+    for name, (low, high) in bounds.items():
+        if not low < high:
+            raise ValueError(f"bounds of {name} ({low:g}, {high:g}): expected the lower one first")
+        if name not in start and name not in GRAIN:
+            raise ValueError(f"bounds of {name}: not in this model; expected one of {', '.join(start)}")
+    if not np.any(data.momentum):
+        raise ValueError("measurements: every reading is 0; expected readings of grain")
+
+
 class CalibrationProblem:
     """Rows, their weights, the free parameters, their bounds and prior.
 
@@ -78,20 +96,7 @@ class CalibrationProblem:
         bounds: Bounds | None,
         robust: bool,
     ) -> None:
-        if data.momentum.size < len(names) and prior is None:
-            raise ValueError(f"{data.momentum.size} rows cannot fix {len(names)} parameters ({', '.join(names)})")
-        missing = [n for n in names if n not in start]
-        if missing:
-            raise ValueError(f"free parameters {missing} are not among {list(start)}")
-        if len(set(names)) < len(names):
-            raise ValueError(f"free parameters {list(names)}: expected each once")
-        for name, (low, high) in (bounds or {}).items():
-            if not low < high:
-                raise ValueError(f"bounds of {name} ({low:g}, {high:g}): expected the lower one first")
-            if name not in start and name not in GRAIN:
-                raise ValueError(f"bounds of {name}: not in this model; expected one of {', '.join(start)}")
-        if not np.any(data.momentum):
-            raise ValueError("measurements: every reading is 0; expected readings of grain")
+        _refuse(data, start, names, bounds or {}, with_prior=prior is not None)
         self.model, self.data, self.names, self.robust = model, data, names, robust
         self.start, self._prior, self._bounds = dict(start), prior, bounds
         cells, self.cell = data.cells()

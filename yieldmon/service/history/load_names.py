@@ -49,7 +49,7 @@ def correct(
         raise InputError(
             f"load {first}" if first == last else f"loads {first} to {last}", f"has {problem} already", "another name"
         )
-    tickets = _tickets_of(others, journal) if others else {}
+    tickets = _tickets_of(others, journal)
     before = [{"load": load.number, "field": load.field, "crop": load.crop} for load in wanted.loads]
     back = relearning.without_lessons(list(tickets), monitor, journal, who, now_s, stored)
     document = {"first_load": first, "last_load": last, "field": wanted.field, "crop": wanted.crop, "before": before}
@@ -61,18 +61,16 @@ def correct(
         return answer
     parameters = journal.parameters.of(wanted.crop or "", monitor.estimator.parameters, journal.crop)
     by_number = {load.load.number: load for load in stored}
-    factors, why_not = {}, {}
+    factors, why_not = dict[int, float](), dict[int, str]()
     for load in others:
         kept = by_number.get(load.number)
+        dry_kg = None if kept is None else _dry_kg(kept, wanted.crop or "", monitor.settings.totals)
+        journal.loads.dried(load.number, dry_kg)
         if kept is None:
             why_not[load.number] = "its seconds are not on record"
-            journal.loads.dried(load.number, None)
-            continue
-        journal.loads.dried(load.number, _dry_kg(kept, wanted.crop or "", monitor.settings.totals))
-        found = None if parameters is None else load_factor(_measured(kept), parameters, monitor.machine)
-        if parameters is None:
+        elif parameters is None:
             why_not[load.number] = f"nothing is known of {wanted.crop}"
-        elif found is None:
+        elif (found := load_factor(_measured(kept), parameters, monitor.machine)) is None:
             why_not[load.number] = "too little of it rests on a known force"
         else:
             factors[load.number] = found
