@@ -141,6 +141,44 @@ def test_pulses_that_are_no_count_that_goes_on_are_told(counted, interval_s: flo
     assert all(part in line for part, line in zip(said, found, strict=True))
 
 
+@pytest.mark.parametrize(
+    ("count", "said"),
+    [
+        (lambda k: k % 16, ""),
+        (lambda k: k % 15, "impact's counter runs from 0 to 14 and not from 0 to 15: give it the range [0|14] in the DBC"),
+        (lambda k: 1 + k % 15, "impact's counter runs from 1 to 15 and not from 0 to 15: leave `counter` out"),
+        (
+            lambda k: 4 * k % 16,
+            "impact's counter goes on by 4 from one frame to the next: it counts no frames, so leave `counter` out",
+        ),
+        (lambda k: 7, "impact's counter goes on by 0 from one frame to the next: it counts no frames, so leave `counter` out"),
+    ],
+)
+def test_a_counter_that_counts_no_frames_is_told(count, said: str, tmp_path: Path) -> None:
+    (tmp_path / "own.dbc").write_text(DBC.replace('Volt1 : 16|16@1- (0.1,0) [0|0] "mV"', 'Count : 16|4@1+ (1,0) [0|15] ""', 1))
+    cell = CELL.replace("signals: [Volt0, Volt1]", "signal: Volt0, counter: Count")
+    (tmp_path / "c.yaml").write_text(f"plate: {{fixed_angle_deg: 70}}\nsignals:\n  impact_voltage: {cell}\n")
+    config = configuration.load(tmp_path / "c.yaml")
+    seen, _ = seen_in(
+        config, log_of(tmp_path, *((100.0 + 0.002 * k, 257, struct.pack("<hH", k % 9, count(k))) for k in range(300)))
+    )
+    assert [line for line in remarks(config, seen) if "counter" in line] == [said] * bool(said)
+
+
+@pytest.mark.parametrize(
+    ("second", "told"), [((0.0, 1.0), True), ((0.01, 1.01), True), ((0.0, 1.03), False), ((5.0, 6.0), False)]
+)
+def test_one_sensor_in_two_messages_is_told(second: tuple[float, float], told: bool, tmp_path: Path) -> None:
+    """Its force counted twice."""
+    (tmp_path / "own.dbc").write_text(DBC)
+    cells = f"[{CELL}, {WIDE}}}]"
+    (tmp_path / "c.yaml").write_text(f"plate: {{fixed_angle_deg: 70}}\nsignals:\n  impact_voltage: {cells}\n")
+    config = configuration.load(tmp_path / "c.yaml")
+    seen = impact(config)
+    seen["impact 2"] = replace(seen["impact"], low=second[0], high=second[1])
+    assert any("have the same range, and their forces add up" in line for line in remarks(config, seen)) is told
+
+
 def impact(config: Configuration, **figures: float) -> dict[str, QuantitySeen]:
     good = QuantitySeen("mV", 9, 9, 500.0, 0.0, 1.0, 0.002, (0.0,), (0.0, 1.0))
     speed = QuantitySeen("rpm", 9, 9, 10.0, 400.0, 400.0, 0.1, (400.0,), (400.0, 400.0))

@@ -42,6 +42,7 @@ _MENDS = {
     ".sqlite3": "give it the ending .db if it is python-can's",
 }
 """What to do with a file of another ending, which is {}."""
+_ROTATED = "give {} the ending of its format last, as in drive.1.log"
 
 
 def read_log(path: Path | str, notes: LogNotes | None = None) -> Iterator[can.Message]:
@@ -117,7 +118,7 @@ def log_format(path: Path) -> tuple[str, bool]:
     suffix = (suffixes[-2:-1] if compressed else suffixes[-1:]) or [""]
     if suffix[0] not in SUFFIXES or (compressed and suffix[0] == PACKED_SUFFIX):
         known = f"one of {' '.join(SUFFIXES)}, each but the last also with .gz behind"
-        mend = _MENDS.get(suffix[0])
+        mend = _MENDS.get(suffix[0], _ROTATED if suffix[0][1:].isdigit() else None)
         raise InputError(str(path), "unknown log format", f"{known}; {mend.format(path.name)}" if mend else known)
     return suffix[0], compressed
 

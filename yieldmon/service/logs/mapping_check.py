@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
+from itertools import combinations
 from math import degrees, radians
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -44,6 +45,10 @@ _LEAST_SHARE = 0.25
 """Of the full scale, below 0: a cell that pulls."""
 _SPEED_BAND = np.linspace(0.98, 1.02, 9)
 """A loaded elevator turns up to this share off its stated speed: enough to fold a harmonic onto 0."""
+_TURNS = 4
+"""So often a counter turns before its ends are known."""
+_ALIKE = 0.02
+"""Of the range of one sensor, what that of another differs by at its ends where both are one."""
 _OFTEN = 3
 """Once or twice a recording may begin anew."""
 _MOSTLY = 0.5
@@ -75,6 +80,8 @@ class QuantitySeen:
     """Of the seconds, those whose values leap up and down as no one sender's do."""
     silences: int = 0
     """Times without a value that are longer than one holds."""
+    counter_flaw: str = ""
+    """Why the counter of an impact sensor counts no frames, and what to do; empty where it does."""
 
 
 def aliasing_pct(configuration: Configuration) -> dict[str, float]:
@@ -160,6 +167,7 @@ def seen_in(
     read. Raises InputError for a log that cannot be read."""
     incomplete = 0
     parts: dict[str, list[tuple[Array, Array, Array]]] = {}
+    counters: dict[str, list[Array]] = {}
     sources = configuration.signals.sources
     from yieldmon.bus.codec import Codec
     from yieldmon.service.logs import bulk_processing
@@ -171,11 +179,14 @@ def seen_in(
         if not isinstance(stretch, bulk_processing.EndOfLog):
             incomplete += stretch.incomplete
             for run in stretch.runs:
-                _take(run, configuration, parts)
+                _take(run, configuration, parts, counters)
     expected = [*(_impact_name(k) for k in range(len(sources.impact))), *(source.quantity for source in sources.inputs)]
     inputs = configuration.engine.inputs
     holds_s = {name: float(getattr(inputs, quantity.timeout)) for name, quantity in QUANTITIES.items()}
     found = {name: _summary(name, parts.get(name, []), holds_s.get(name, np.inf)) for name in dict.fromkeys(expected)}
+    for number, source in enumerate(sources.impact):
+        if source.counter is not None and (name := _impact_name(number)) in counters:
+            found[name] = replace(found[name], counter_flaw=_counter_flaw(np.concatenate(counters[name]), source))
     for name, limits in _rival_limits(configuration.machine).items():
         if name in found and parts.get(name):
             found[name] = replace(found[name], leaping_share=_leaping_share(parts[name], *limits))
@@ -202,13 +213,19 @@ def _impact_name(number: int) -> str:
     return "impact" if number == 0 else f"impact {number + 1}"
 
 
-def _take(run: FrameRun, configuration: Configuration, parts: dict[str, list[tuple[Array, Array, Array]]]) -> None:
+def _take(
+    run: FrameRun,
+    configuration: Configuration,
+    parts: dict[str, list[tuple[Array, Array, Array]]],
+    counters: dict[str, list[Array]],
+) -> None:
     sources = configuration.signals.sources
     for number, (source, samples) in enumerate(zip(sources.impact, run.samples, strict=True)):
         if samples.places.size:
             lags = np.arange(len(source.signals) - 1, -1, -1) * source.interval_s
             times = run.times_s[samples.places][:, None] - lags
             values = samples.rows[:, 2:].ravel()
+            counters.setdefault(_impact_name(number), []).append(samples.rows[:, 0])
             parts.setdefault(_impact_name(number), []).append((times.ravel(), values, values))
     by_message = {part.message: part for part in run.others}
     for entry in sources.inputs:
@@ -240,6 +257,22 @@ def _summary(name: str, parts: list[tuple[Array, Array, Array]], holds_s: float)
         step_share=_step_share(good),
         silences=int(np.count_nonzero(np.diff(at) > holds_s)),
     )
+
+
+def _counter_flaw(counts: Array, source: SampleSource) -> str:
+    counts = counts[np.isfinite(counts)].astype(np.int64)
+    if counts.size < _LEAST_STEPS:
+        return ""
+    low, high = int(counts.min()), int(counts.max())
+    modulus = source.counter_modulus if high < source.counter_modulus else source.counter_values
+    steps, often = np.unique(np.diff(counts) % modulus, return_counts=True)
+    step = int(steps[often.argmax()])
+    if step != 1 and often.max() > _MOSTLY * (counts.size - 1):
+        return f"goes on by {step} from one frame to the next: it counts no frames, so leave `counter` out"
+    if (low, high) == (0, modulus - 1) or counts.size < _TURNS * modulus:
+        return ""
+    mend = "leave `counter` out" if low else f"give it the range [0|{high}] in the DBC"
+    return f"runs from {low} to {high} and not from 0 to {modulus - 1}: {mend}"
 
 
 def _step_share(values: Array) -> float | None:
@@ -387,6 +420,24 @@ def _impact_remarks(configuration: Configuration, seen: dict[str, QuantitySeen])
                 f"{name} jumps by {100.0 * entry.step_share:.0f} % of its range from one sample to the next, as no force does: "
                 "look at start bit, byte order (@0 or @1 in the DBC) and sign of its signal"
             )
+        if entry.counter_flaw:
+            found.append(f"{name}'s counter {entry.counter_flaw}")
+    return found + _one_sensor_twice(configuration, seen)
+
+
+def _one_sensor_twice(configuration: Configuration, seen: dict[str, QuantitySeen]) -> list[str]:
+    """Of impact sensors that say the same."""
+    found = []
+    entries = [(name, seen[name]) for name in map(_impact_name, range(len(configuration.signals.sources.impact)))]
+    for (name, one), (other_name, other) in combinations(entries, 2):
+        if one.low is None or one.high is None or other.low is None or other.high is None or one.unit != other.unit:
+            continue
+        apart = max(abs(one.low - other.low), abs(one.high - other.high))
+        if apart < _ALIKE * (one.high - one.low):
+            found.append(
+                f"{name} and {other_name} have the same range, and their forces add up: where they are samples of one sensor in "
+                "two messages, bind one message, at its own rate_hz"
+            )
     return found
 
 
@@ -402,5 +453,5 @@ def _instead(configuration: Configuration, name: str, log: str) -> str | None:
 
 def as_json(seen: dict[str, QuantitySeen]) -> dict[str, Any]:
     """For `--json`."""
-    left_out = ("step_share", "leaping_share", "silences")
+    left_out = ("step_share", "leaping_share", "silences", "counter_flaw")
     return {name: {key: value for key, value in asdict(entry).items() if key not in left_out} for name, entry in seen.items()}
