@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tools.reference import pages
+from tools.reference import columns, pages
 from yieldmon.bus.codec import Codec
 from yieldmon.cli.main import find_verbs
 from yieldmon.engine.faults import FAULTS
@@ -36,6 +36,10 @@ def test_nothing_is_missing() -> None:
     assert all(f"## {verb}\n" in commands for verb in find_verbs())
     assert all(f"|{code.value}|" in faults for code in FAULTS)
     assert all(f"## {key}\n" in configuration or f"|`{key}`|" in configuration for key in Document.model_fields)
+
+
+def test_every_column_of_a_second_has_a_meaning() -> None:
+    assert [name for name, meaning in columns.meanings().items() if not meaning] == []
 
 
 def test_a_part_is_put_between_its_marks(monkeypatch: pytest.MonkeyPatch) -> None:

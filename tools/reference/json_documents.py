@@ -21,7 +21,9 @@ _RUNS = {
     "monitor": "monitor day.log --once --speed 0 --json",
 }
 #: Of keys that are empty in these runs.
-_EMPTY_HERE = {"problems": "string", "notes": "string", "signals": "object or null", "factory_mass_flow_kg_s": "number or null"}
+_EMPTY_HERE = {"notes": "string", "signals": "object or null", "factory_mass_flow_kg_s": "number or null"}
+#: Of lists of objects that are empty in these runs: one of them.
+_OBJECTS = {"problems": {"where": "", "problem": "", "expected": ""}}
 #: Keys whose values are shown no deeper: a configuration has a page of its own, others are one for each name.
 _CLOSED = {"configuration", "signals"}
 
@@ -57,7 +59,7 @@ def _shape(value: Any, indent: str = "  ") -> list[str]:
     lines: list[str] = []
     for key, inner in value.items():
         listed = isinstance(inner, list)
-        one = (inner[0] if inner else None) if listed else inner
+        one = (inner[0] if inner else _OBJECTS.get(key)) if listed else inner
         mark = f"{indent}{key}{'[]' if listed else ''}"
         if isinstance(one, dict) and key not in _CLOSED:
             lines += [mark, *_shape(one, indent + "  ")]

@@ -16,6 +16,7 @@ SCHEMAS = DOCS / "reference" / "schemas"
 #: Name of a part -> what makes its Markdown.
 BLOCKS: dict[str, Callable[[], str]] = {
     "api": api.markdown,
+    "column-meanings": columns.meanings_markdown,
     "columns": columns.markdown,
     "commands": commands.markdown,
     "configuration": configuration.markdown,

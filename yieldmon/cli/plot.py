@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 TRUTH_COLUMNS = ("time_s", "mass_flow_kg_s", "total_mass_kg")
-RECORD_HELP = "a daemon's store (.sqlite, .db), or a table that `yieldmon process` wrote"
+RECORD_HELP = "a daemon's store (.sqlite, .db), or a table of `process`"
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

@@ -123,17 +123,88 @@ def second_field(
 class WindowRecord:
     """One second of measurement. nan where a value is not known; angles in rad, speeds in rad/s.
 
-    time_s: bus time of the window's end; its result belongs to duration_s before it, less half a paddle pattern. coverage: share
-    measured. mass_flow_kg_s: as published, weighed with the windows before. mass_kg: added to the totals, as measured.
-    plate_still: the plate did not move while the window was formed. sweep_id and sweep_step: 0 and -1 outside sweeps;
-    usable_for_calibration: the window counts for its sweep step. position_group, speed_group: parameter group of the
-    standard source in use, nan for that of the DBC. factory_mass_flow_kg_s: what the factory's own monitor says; never an input.
-    noise_std_dev_kg_s: the part of the measured flow's standard deviation that averages out. load_std_dev_kg and
-    total_std_dev_kg: of
-    the masses.
-    area_m2: harvested for the second's grain (engine.area).
-    shape_*, kernel_*: flow from the pulses' shape and from kernel noise, beside that of the mean force alone (mean_force_*).
-    shape_verdict, kernel_verdict: whether either gives one, else why not.
+    Attributes
+    ----------
+    window
+        Number of the window.
+    time_s
+        Bus time of the window's end: seconds since 1970 where the bus or log has a date.
+    duration_s
+        Before time_s, less half a paddle pattern: what the second stands for.
+    mass_flow_kg_s
+        Wet grain, as published: weighed with the windows before.
+    std_dev_kg_s, force_std_dev_n, load_std_dev_kg, total_std_dev_kg
+        Standard deviation of mass_flow_kg_s, force_n, load_kg and total_kg.
+    shape_std_dev_kg_s, shape_volume_std_dev_m3_s, kernel_std_dev_kg_s, mean_force_std_dev_kg_s
+        Standard deviation of the flow of that name.
+    quality
+        Code of EstimateQuality.
+    operating_state
+        Code of OperatingState.
+    mass_kg
+        Wet grain that the second adds to load and total, as measured.
+    load_number
+        Of the load that it belongs to.
+    load_kg
+        Wet grain of the load, this second included.
+    total_kg
+        Wet grain since the totals were reset, this second included.
+    coverage
+        Share of the window that was measured, 0 to 1.
+    force_n
+        Mean force of the grain on the plate.
+    elevator_speed_rad_s
+        Of the upper shaft.
+    plate_angle_rad
+        From the horizontal, 90 deg upright.
+    plate_still
+        The plate did not move while the window was formed.
+    moisture_pct, test_weight_kg_m3, grain_temperature_degc
+        As the combine sent it, unless that is too old.
+    zero_mv
+        Zero-load voltage that was taken off.
+    pulse_mv
+        Amplitude of what repeats with the paddle pattern.
+    saturated_share
+        Share of samples at the end of the sensor's range, or at a ceiling below it.
+    lost_frames
+        Sample frames missing by their counter and time.
+    surplus_frames
+        Sample frames, speeds and angles of a second sender.
+    repeated_frames
+        Sample frames that came twice; one is used.
+    sweep_id
+        Of the sweep under way, 0 outside sweeps.
+    sweep_step
+        Of the sweep under way, from 0; -1 outside sweeps.
+    usable_for_calibration
+        The window counts for its sweep step.
+    parameter_version
+        Of the parameters in use.
+    faults
+        Names of the active faults.
+    latitude_deg, longitude_deg, ground_speed_m_s, course_deg
+        Of the receiver when the window ended, not of the ground where the grain was cut.
+    position_group, speed_group
+        Parameter group of the standard source in use; not known where it is that of the DBC.
+    factory_mass_flow_kg_s
+        What the factory's own monitor says; never an input.
+    noise_std_dev_kg_s
+        Part of the measured flow's standard deviation that averages out over seconds.
+    shape_flow_kg_s
+        Flow from the pulses' shape.
+    kernel_flow_kg_s
+        Flow from kernel noise.
+    area_m2
+        Harvested for the second's grain.
+    shape_volume_flow_m3_s
+        Volume flow on the paddles, from the pulses' shape.
+    mean_force_flow_kg_s
+        Flow from the mean force alone.
+    thousand_kernel_weight_g
+        As used with kernel noise.
+    kernel_verdict, shape_verdict
+        Whether it gives a flow, else why not.
     """
 
     window: int = second_field(lambda s: s.number, "whole", row=None)
