@@ -53,6 +53,8 @@ def test_what_one_machine_shows_beside_the_others_is_its_own() -> None:
     assert [v.name for v in found.machines] == ["m0", "m1", "m2", "m3", "m4"]
     assert list(named(found.machines)) == ["m2"]
     assert "plate_friction" in named(found.machines)["m2"]
+    [effect] = found.machines[2].named
+    assert 0.5 < effect.confidence < 0.999, "by the evidence of those that are tied over that of all, not that it differs alone"
 
 
 def test_what_all_machines_show_is_none_ones_own() -> None:

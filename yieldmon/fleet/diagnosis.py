@@ -44,7 +44,8 @@ POLICY = Policy(starts=3)
 
 @dataclass(frozen=True)
 class Named:
-    """An effect that a diagnosis names. equivalent: those that its data do not distinguish from it; values: of its parameters."""
+    """An effect that a diagnosis names. equivalent: those that its data do not distinguish from it; confidence: that it is one of
+    these; values: of its parameters."""
 
     effect: str
     equivalent: tuple[str, ...] = ()
@@ -223,7 +224,9 @@ def _verdict(name: str, own: Own, policy: Policy, *, differs: bool) -> MachineVe
         return MachineVerdict(name, "none")
     best, *others = own.explanations
     tied = tuple(e.effect for e in others if e.behind <= policy.tie)
-    named = Named(best.effect, tied, 1.0 - own.p_value, best.values)
+    evidence = np.exp(-0.5 * np.array([e.behind for e in own.explanations]))
+    share = float(evidence[: 1 + len(tied)].sum() / evidence.sum())
+    named = Named(best.effect, tied, (1.0 - own.p_value) * share, best.values)
     return MachineVerdict(name, "effect" if 1 + len(tied) <= policy.largest_class else "unknown", (named,))
 
 
