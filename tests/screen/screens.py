@@ -91,7 +91,7 @@ def _frames(name: str, **view: Any) -> RenderableType:
     seen = traffic()
     rows = seen.sorted_rows("id")
     chosen = next(place for place, row in enumerate(rows) if row.name == name)
-    return Screen(seen, CODEC, View(source="socketcan can0", selected=chosen, **view))
+    return Screen(seen, View(source="socketcan can0", selected=chosen, **view))
 
 
 def _cab(units: Units = Units(), prompt: str = "", **changes: Any) -> RenderableType:  # noqa: B008 - frozen

@@ -65,7 +65,7 @@ def drawn(traffic: Traffic, view: View | None = None, width: int = 80, height: i
     console = Console(
         file=io.StringIO(), width=width, height=height, force_terminal=True, color_system=None, legacy_windows=False
     )
-    console.print(Screen(traffic, CODEC, view or View()), height=height)
+    console.print(Screen(traffic, view or View()), height=height)
     return console.file.getvalue().splitlines()
 
 
@@ -85,6 +85,52 @@ def test_a_row_is_stale_after_ten_periods(age_s, stale):
     traffic = watched([speed(0.1 * i) for i in range(1, 31)], [1.0, 2.0, 3.0])
     (row,) = traffic.rows.values()
     assert row.is_stale(3.0 + age_s) is stale
+
+
+OWN_DBC = """\
+VERSION ""
+BU_: Node
+BO_ 401 Cell: 8 Node
+ SG_ Page M : 0|2@1+ (1,0) [0|3] "" Node
+ SG_ Left m0 : 15|16@0- (0.01,-5) [0|0] "N" Node
+ SG_ Right m1 : 15|16@0- (0.01,-5) [0|0] "N" Node
+ SG_ Heat : 32|32@1- (1,0) [0|0] "degC" Node
+BO_ 2566848784 Shaft: 4 Node
+ SG_ Pulses : 0|16@1+ (1,0) [0|0] "" Node
+ SG_ Turns : 16|16@1+ (0.125,0) [0|0] "rpm" Node
+BO_ 402 Wide: 64 Node
+ SG_ Last : 496|16@1+ (0.5,0) [0|0] "mV" Node
+SIG_VALTYPE_ 401 Heat : 1;
+VAL_ 2566848784 Turns 65535 "SNA" ;
+"""
+
+
+def test_messages_of_a_makers_dbc_are_decoded(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    (tmp_path / "own.dbc").write_text(OWN_DBC)
+    frames_sent = (
+        (401, False, struct.pack(">BhxI", 0, -2500, 0)),
+        (401, False, struct.pack(">Bhx", 1, 12_345) + struct.pack("<f", 21.25)),
+        (0x18FF0177, True, struct.pack("<HH", 4711, 0xFFFF)),
+        (402, False, bytes(62) + struct.pack("<H", 1001)),
+        (403, False, b"\x01"),
+    )
+    with can.Logger(str(tmp_path / "own.log")) as logger:
+        for place, (identifier, extended, data) in enumerate(frames_sent):
+            logger.on_message_received(
+                can.Message(1.79e9 + 0.01 * place, identifier, extended, is_fd=len(data) > 8, data=data, channel="can0")
+            )
+    words = ["monitor", str(tmp_path / "own.log"), "--once", "--speed", "0", "--dbc", str(tmp_path / "own.dbc")]
+    assert main([*words, "--json"]) == 0
+    rows = {row["id"]: (row["message"], row["signals"]) for row in json.loads(capsys.readouterr().out)["rows"]}
+    assert rows == {
+        "191": ("Cell", {"Page": 1, "Left": None, "Right": pytest.approx(118.45), "Heat": 21.25}),
+        "18FF0177": ("Shaft", {"Pulses": 4711, "Turns": None}),
+        "192": ("Wide", {"Last": 500.5}),
+        "193": (None, None),
+    }
+    assert main(words) == 0
+    shown = capsys.readouterr().out
+    assert all(part in shown for part in ("Cell 191, 8 bytes", "21.25 degC", "on: Page", "18FF0177 Shaft"))
 
 
 def test_error_frames_are_counted_and_make_no_row():

@@ -46,7 +46,7 @@ def test_no_value_of_the_chosen_message_is_cut(data: st.DataObject, width: int, 
     seen = traffic(3)
     rows = seen.sorted_rows("id")
     place = data.draw(st.integers(0, len(rows) - 1))
-    text = words(drawn(Screen(seen, CODEC, View(selected=place)), width, height))
+    text = words(drawn(Screen(seen, View(selected=place)), width, height))
     row = rows[place]
     assert row.last is not None
     assert bytes(row.last.data).hex(" ").upper() in text
@@ -97,7 +97,7 @@ def test_bytes_that_change_stand_out_and_the_range_is_that_of_all_frames() -> No
     seen.observe(CODEC.encode(Frame(1.5, frames.ELEVATOR_SPEED, {"ElevatorSpeed": 401.0})))
     seen.mark(1.5)
     console = Console(file=io.StringIO(), width=80, height=24, force_terminal=True, color_system="standard")
-    console.print(Screen(seen, CODEC, View()), height=24)
+    console.print(Screen(seen, View()), height=24)
     changed = re.findall(r"\x1b\[1;7m([0-9A-F]{2})\x1b\[0m", console.file.getvalue())
     assert changed == [f"{int(401.0 / 0.125) & 0xFF:02X}"]
 
@@ -132,7 +132,7 @@ def test_a_low_window_shows_what_is_asked_and_that_there_are_faults(width: int, 
 
 @pytest.mark.parametrize(("width", "height"), [(40, 12), (30, 8), (80, 24), (60, 7)])
 def test_a_low_window_of_the_bus_shows_flow_state_and_filter(width: int, height: int) -> None:
-    shown = words(drawn(Screen(traffic(), CODEC, View(needle="mass", typing=True)), width, height))
+    shown = words(drawn(Screen(traffic(), View(needle="mass", typing=True)), width, height))
     assert "faults: ZeroDrifted" in shown
     assert "filter: mass_" in shown
     assert "id message" in shown

@@ -12,7 +12,7 @@ from yieldmon.cli.main import build_parser, find_verbs
 
 #: Said once at the top of the page: each with the further lines of its help.
 _COMMON = re.compile(
-    r"^  --(?:(?:json|force|socket|config|seed|machine|set|units)\b|params FILE .*default: corn|out FILE +picture to write)"
+    r"^  --(?:(?:json|force|socket|config|dbc|seed|machine|set|units)\b|params FILE .*default: corn|out FILE +picture to write)"
     r".*\n?(?:^ {9,}.*\n?)*",
     re.M,
 )

@@ -36,5 +36,5 @@ def write(target: Path) -> None:
             marked_s = frame.time_s
             traffic.mark(marked_s)
     console = Console(record=True, width=80, height=24, file=io.StringIO(), force_terminal=True, color_system="truecolor")
-    console.print(Screen(traffic, codec, View(source="socketcan can0")), height=24)
+    console.print(Screen(traffic, View(source="socketcan can0")), height=24)
     target.write_text(console.export_svg(title="yieldmon monitor -i socketcan -c can0", theme=MONOKAI), encoding="utf-8")

@@ -16,6 +16,7 @@ from rich.live import Live
 
 from yieldmon.bus.candump import channel_name, flagged_id
 from yieldmon.bus.codec import Codec
+from yieldmon.bus.databases import load_messages
 from yieldmon.bus.log_notes import LogNotes
 from yieldmon.bus.log_writing import writing
 from yieldmon.bus.logs import read_log, require_log
@@ -35,6 +36,7 @@ from yieldmon.frames import Unusable
 from yieldmon.screen import keys
 from yieldmon.screen.cab import Cab, from_frames
 from yieldmon.screen.dialog import KEYS, Dialog
+from yieldmon.screen.other_messages import OtherMessages
 from yieldmon.screen.panels import ORDERS, Screen, View
 from yieldmon.screen.traffic import Row, Traffic
 from yieldmon.service.operator.control_client import ask
@@ -59,6 +61,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         epilog="example: yieldmon monitor -i socketcan -c can0; yieldmon monitor drive.log --once --json",
     )
     parser.add_argument("log", nargs="?", metavar="LOG", help="show this log instead of a bus")
+    parser.add_argument("--dbc", action="append", default=[], metavar="FILE", help="DBC that names messages; repeatable")
     parser.add_argument("--speed", type=float, default=1.0, metavar="X", help="of a log: times as fast; 0: at once (default: 1)")
     parser.add_argument("--once", action="store_true", help="print one screen and end: after --seconds, or at a log's end")
     parser.add_argument("--seconds", type=float, default=3.0, metavar="S", help="how long --once listens (default: 3)")
@@ -79,8 +82,7 @@ def run(args: argparse.Namespace) -> int:
     above_0("--seconds", args.seconds)
     if not (args.once or args.json or args.record or sys.stdout.isatty()):
         raise InputError("standard output", "is not a terminal", "a terminal, --once, --json or --record F")
-    codec = Codec()
-    traffic = Traffic(codec)
+    traffic = Traffic(Codec(), OtherMessages([load_messages(path) for path in args.dbc]))
     with ExitStack() as stack:
         shared = SharedIdentifiers()
         source, view = _source(args, stack, shared), View(args.sort, args.filter, cab=args.cab)
@@ -93,11 +95,11 @@ def run(args: argparse.Namespace) -> int:
         if args.once:
             _listen(source, traffic, record, time.monotonic() + (float("inf") if args.log else args.seconds))
             _refuse_empty(args.log, channel, traffic)
-            _print_once(traffic, codec, cab, args.json)
+            _print_once(traffic, cab, args.json)
         elif args.json:
             _print_lines(source, traffic, record)
         else:
-            _show(source, traffic, codec, cab, record, stack)
+            _show(source, traffic, cab, record, stack)
         _refuse_empty(args.log, channel, traffic)
     if shared.problem is not None:
         print(f"yieldmon: {args.log}: {shared.problem} and share their rows; -c NAME shows one", file=sys.stderr)
@@ -184,13 +186,13 @@ class _Cab:
         """A status that was asked for."""
         self._status, self._heard_s = status, time.monotonic()
 
-    def screen(self, traffic: Traffic, codec: Codec) -> RenderableType:
+    def screen(self, traffic: Traffic) -> RenderableType:
         """What to draw now."""
         status = self._status
         crop = status["crop"]["name"] if status is not None else ""
         self.view.units = units_of(self._system, status["units"] if status is not None else "metric", crop)
         if not self.view.cab:
-            return Screen(traffic, codec, self.view)
+            return Screen(traffic, self.view)
         shown = from_frames(traffic) if status is None else aged(status, time.monotonic() - self._heard_s)
         return Cab(shown, self.view.units, self.dialog.prompt, self.view)
 
@@ -285,13 +287,13 @@ def _refreshes(source: Source, traffic: Traffic, record: _Recorder, act: Callabl
                 return
 
 
-def _show(source: Source, traffic: Traffic, codec: Codec, cab: _Cab, record: _Recorder, stack: ExitStack) -> None:
+def _show(source: Source, traffic: Traffic, cab: _Cab, record: _Recorder, stack: ExitStack) -> None:
     console = Console()
     if console.is_dumb_terminal:
         raise InputError("TERM", f"is {os.environ.get('TERM', '')!r}, which draws no screen", "`--once`, or another terminal")
     if cab.daemon is not None:
         stack.enter_context(cab.daemon)
-    with keys.raw_keys(), Live(cab.screen(traffic, codec), console=console, screen=True, auto_refresh=False) as live:
+    with keys.raw_keys(), Live(cab.screen(traffic), console=console, screen=True, auto_refresh=False) as live:
 
         def act() -> bool:
             cab.look()
@@ -302,7 +304,7 @@ def _show(source: Source, traffic: Traffic, codec: Codec, cab: _Cab, record: _Re
                     case "record":
                         cab.view.recording = record.toggle()
             if not cab.view.paused or cab.dialog.open:
-                live.update(cab.screen(traffic, codec), refresh=True)
+                live.update(cab.screen(traffic), refresh=True)
             return True
 
         _refreshes(source, traffic, record, act)
@@ -328,7 +330,7 @@ def _print_lines(source: Source, traffic: Traffic, record: _Recorder) -> None:
         report()
 
 
-def _print_once(traffic: Traffic, codec: Codec, cab: _Cab, as_json: bool) -> None:
+def _print_once(traffic: Traffic, cab: _Cab, as_json: bool) -> None:
     if as_json:
         print_json(_document(traffic, cab.view))
         return
@@ -337,7 +339,7 @@ def _print_once(traffic: Traffic, codec: Codec, cab: _Cab, as_json: bool) -> Non
             cab.know(ask(cab.daemon.path, {"command": "status"}))
     console = Console()
     height = max(console.height, _UNBOUND_LINES + len(traffic.rows)) if not sys.stdout.isatty() else console.height
-    console.print(cab.screen(traffic, codec), height=height)
+    console.print(cab.screen(traffic), height=height)
 
 
 def _document(traffic: Traffic, view: View) -> dict[str, object]:

@@ -13,12 +13,12 @@ from .traffic import Row
 
 
 def card(row: Row, layout: MessageLayout | None, frame: Frame | None, width: int, *, ranges: bool = True) -> list[Text]:
-    """A title and the message's signals; its bytes where it is none of ours.
+    """A title and the message's signals; its bytes where no DBC names it.
 
     Parameters
     ----------
     row, layout, frame
-        What was seen, the DBC's layout and the last frame decoded; None for a message that is not ours or has a wrong length.
+        What was seen, the DBC's layout and the last frame decoded; None for a message that no DBC names or of a wrong length.
     width : int
         Columns to use.
     ranges : bool

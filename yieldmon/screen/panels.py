@@ -12,7 +12,6 @@ from math import isfinite
 from rich.console import Console, ConsoleOptions, Group, RenderResult
 from rich.text import Text
 
-from yieldmon.bus.codec import Codec
 from yieldmon.frames import (
     ACCUMULATED_MASS,
     MASS_FLOW,
@@ -59,9 +58,8 @@ class View:
 class Screen:
     """Renderable: head with the figures, the list of frames, signals of the chosen one, a line of keys."""
 
-    def __init__(self, traffic: Traffic, codec: Codec, view: View) -> None:
+    def __init__(self, traffic: Traffic, view: View) -> None:
         self._traffic = traffic
-        self._codec = codec
         self._view = view
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
@@ -188,8 +186,7 @@ class Screen:
         return lines
 
     def _card(self, row: Row, width: int, *, ranges: bool = True) -> list[Text]:
-        layout = self._codec.layout_of(row.key[0]) if row.key[1] else None
-        return card(row, layout, self._traffic.decoded(row), width, ranges=ranges)
+        return card(row, self._traffic.layout_of(row), self._traffic.decoded(row), width, ranges=ranges)
 
     def _widths(self, width: int, rows: list[Row]) -> tuple[int, int, bool]:
         """Of the name and of the count, and whether there is room for bytes."""

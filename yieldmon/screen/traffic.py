@@ -11,7 +11,9 @@ import can
 from yieldmon.bus.codec import Codec, FrameError
 from yieldmon.bus.factory_monitor import MASS_FLOW as FACTORY_FLOW
 from yieldmon.bus.factory_monitor import FactoryMonitor
+from yieldmon.bus.layout import MessageLayout
 from yieldmon.frames import MASS_FLOW, Frame
+from yieldmon.screen.other_messages import OtherMessages
 
 STALE_PERIODS = 10.0
 RATE_SPAN_S = 3.0
@@ -36,7 +38,7 @@ class Row:
     last: can.Message | None = None
     marks: deque[tuple[float, int]] = field(default_factory=lambda: deque(maxlen=64))
     is_factory: bool = False
-    is_ours: bool = False
+    is_named: bool = False
     changed_s: list[float] = field(default_factory=list)
     """When each byte was last seen changed."""
     extremes: dict[str, tuple[float, float]] = field(default_factory=dict)
@@ -48,7 +50,7 @@ class Row:
         """Count a frame."""
         self.count += 1
         self.last = message
-        if self.is_ours and len(self._unread) < _UNREAD:
+        if self.is_named and len(self._unread) < _UNREAD:
             self._unread[bytes(message.data)] = message
 
     def mark_bytes(self, now_s: float) -> None:
@@ -72,7 +74,7 @@ class Row:
         return now_s - self.last.timestamp if self.last is not None else inf
 
     def is_stale(self, now_s: float) -> bool:
-        """Whether ten periods have passed without a frame; for an identifier that is not ours, by its own rate."""
+        """Whether ten periods have passed without a frame; for one of another's DBC or none, by its own rate."""
         period = self.period_s
         if period <= 0.0:
             rate = self.rate_hz(now_s)
@@ -94,8 +96,10 @@ class Row:
 class Traffic:
     """Counts every frame; decodes only what is asked for, so that a saturated bus costs little."""
 
-    def __init__(self, codec: Codec) -> None:
+    def __init__(self, codec: Codec, others: OtherMessages | None = None) -> None:
+        """others: what makers' DBC files name beside the codec's own."""
         self._codec = codec
+        self._others = others if others is not None else OtherMessages()
         self.rows: dict[Key, Row] = {}
         self.flow_kg_s: deque[float | None] = deque(maxlen=TREND_WINDOWS)
         self.frames = 0
@@ -142,23 +146,28 @@ class Traffic:
 
     def _widen(self, row: Row) -> None:
         for message in row.unread():
-            try:
-                frame = self._codec.decode(message)
-            except FrameError:
-                continue
+            frame = self._decoded(message)
             for name, value in frame.signals.items() if frame is not None else ():
                 if isinstance(value, int | float):
                     low, high = row.extremes.get(name, (value, value))
                     row.extremes[name] = min(low, value), max(high, value)
 
     def decoded(self, row: Row) -> Frame | None:
-        """The row's last frame, None where it is not one of ours or has the wrong length."""
-        if row.last is None:
-            return None
+        """The row's last frame, None where no DBC names it or it has the wrong length."""
+        return self._decoded(row.last) if row.last is not None else None
+
+    def _decoded(self, message: can.Message) -> Frame | None:
         try:
-            return self._codec.decode(row.last)
+            return self._codec.decode(message) or self._others.decode(message)
         except FrameError:
             return None
+
+    def layout_of(self, row: Row) -> MessageLayout | None:
+        """What the row's message holds, None where no DBC names it."""
+        return self._own_layout(row.key) or self._others.layout_of(*row.key)
+
+    def _own_layout(self, key: Key) -> MessageLayout | None:
+        return self._codec.layout_of(key[0]) if key[1] else None
 
     def latest(self, name: str) -> Frame | None:
         """The last frame of a message of ours by its name in the DBC, None while there is none."""
@@ -186,10 +195,12 @@ class Traffic:
         return rows
 
     def _new_row(self, key: Key) -> Row:
-        layout = self._codec.layout_of(key[0]) if key[1] else None
+        layout = self._own_layout(key)
         factory = self._factory.name_of(key[0]) if key[1] and layout is None else None
-        name = layout.name if layout else factory or ""
-        row = Row(key, name, layout.cycle_time_s if layout else 0.0, is_factory=factory is not None, is_ours=layout is not None)
+        other = self._others.layout_of(*key) if layout is None else None
+        name = layout.name if layout else other.name if other else factory or ""
+        named = layout is not None or other is not None
+        row = Row(key, name, layout.cycle_time_s if layout else 0.0, is_factory=factory is not None, is_named=named)
         if layout:
             self._by_name[layout.name] = row
         return row
