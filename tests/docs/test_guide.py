@@ -114,6 +114,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "drive.log.gz").write_bytes(gzip.compress("".join(lines).encode("ascii")))
     shutil.copy(ROOT / "tests/golden/store-0.1.0.sqlite", folder / "yieldmon.sqlite")
     shutil.copy(shipped("config/parameters/corn.yaml"), folder / "corn.yaml")
+    shutil.copy(ROOT / "examples/wiring/analog_module.dbc", folder / "maker.dbc")
     (folder / "yieldmon.yaml").write_text("{}\n", encoding="utf-8")
     rows = [f"{angle},{flow},{3.0 * flow + 0.1 * angle}" for angle in (40, 60, 80) for flow in (2, 8, 16)]
     (folder / "table.csv").write_text("plate_angle_deg,mass_flow_kg_s,force_n\n" + "\n".join(rows) + "\n", encoding="utf-8")
