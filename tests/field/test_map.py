@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from tests.in_process import program
+from tests.schema_check import problems
 from tests.seconds import measured_second
 from yieldmon import api
 from yieldmon.cli import main as cli
@@ -35,6 +36,7 @@ def mapped(capsys: pytest.CaptureFixture[str], out: Path, *words: str | Path) ->
     reported = capsys.readouterr()
     assert code == 0, reported.err
     document: dict[str, Any] = json.loads(reported.out)
+    assert problems(document, "map") == []
     return document
 
 

@@ -11,6 +11,7 @@ import can
 import pytest
 
 from studies.sample_rates.__main__ import harvest, measured
+from tests.schema_check import problems
 from tests.signals.layouts import COUNTS, MULTIPLEXED, NEWTONS, NODE_NAME, OTHER_NAME, PROPRIETARY, Layout
 from yieldmon.cli.main import main
 from yieldmon.physics.machine import Machine
@@ -25,7 +26,9 @@ TRACTOR = Path(__file__).parents[1] / "data" / "tractor_bus.log"
 
 def survey(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict:
     assert main(["signals", *arguments, "--json"]) == 0
-    return json.loads(capsys.readouterr().out)
+    found = json.loads(capsys.readouterr().out)
+    assert problems(found, "signals") == []
+    return found
 
 
 def test_a_tractors_bus(capsys: pytest.CaptureFixture[str]) -> None:

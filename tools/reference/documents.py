@@ -12,7 +12,9 @@ from yieldmon.documents.calibrate import (
     TapDocument,
 )
 from yieldmon.documents.diagnose import DiagnosisDocument
+from yieldmon.documents.harvest_map import MapDocument
 from yieldmon.documents.process import ProcessSummary
+from yieldmon.documents.signals import SurveyDocument
 from yieldmon.documents.status import Status
 
 #: Name of the schema -> type.
@@ -25,4 +27,6 @@ DOCUMENTS: dict[str, Any] = {
     "calibrate-pulse-shape": PulseShapeDocument,
     "calibrate-taps": TapDocument,
     "diagnose": DiagnosisDocument,
+    "map": MapDocument,
+    "signals": SurveyDocument,
 }

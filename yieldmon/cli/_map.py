@@ -45,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
     result = replace(harvest.make_map(table, map_options, progress), system=UnitSystem(args.units or UnitSystem.METRIC))
     out.mkdir(parents=True, exist_ok=True)
     written = write_products(out, result, formats, args.grid, progress)
-    document = summary.document(result) | {"files": [str(path) for path in written]}
+    document = summary.document(result, [str(path) for path in written])
     _print_summary(result)
     if args.json:
         print_json(document, indent=1)

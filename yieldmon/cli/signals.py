@@ -9,7 +9,6 @@ import time
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -25,6 +24,7 @@ from yieldmon.cli import _outputs
 from yieldmon.cli._channels import SharedIdentifiers
 from yieldmon.cli._json import print_json
 from yieldmon.cli._limits import above_0
+from yieldmon.documents.signals import CandidateDocument, MessageDocument, SurveyDocument
 from yieldmon.errors import InputError
 from yieldmon.files import whole_file
 from yieldmon.finite import finite
@@ -126,7 +126,7 @@ def _bus_blocks(args: argparse.Namespace) -> Iterator[FrameBlock]:
             yield block_of(messages)
 
 
-def _document(survey: Survey) -> dict[str, Any]:
+def _document(survey: Survey) -> SurveyDocument:
     return {
         "messages": [_message(message) for message in survey.messages],
         "nodes": [
@@ -138,7 +138,7 @@ def _document(survey: Survey) -> dict[str, Any]:
     }
 
 
-def _candidate(found: Candidate) -> dict[str, Any]:
+def _candidate(found: Candidate) -> CandidateDocument:
     return {
         "message": found.message,
         "signal": found.signal,
@@ -149,7 +149,7 @@ def _candidate(found: Candidate) -> dict[str, Any]:
     }
 
 
-def _message(message: MessageSeen) -> dict[str, Any]:
+def _message(message: MessageSeen) -> MessageDocument:
     return {
         "id": f"0x{message.identifier:08X}" if message.extended else f"0x{message.identifier:03X}",
         "name": message.name,
@@ -159,7 +159,7 @@ def _message(message: MessageSeen) -> dict[str, Any]:
         "frames": message.frames,
         "dbc": message.dbc,
         "signals": {
-            name: {key: finite(getattr(seen, key)) for key in ("low", "high", "last")} | {"unit": seen.bits.unit}
+            name: {"low": finite(seen.low), "high": finite(seen.high), "last": finite(seen.last), "unit": seen.bits.unit}
             for name, seen in message.signals.items()
         },
     }

@@ -176,7 +176,7 @@ class PulseShapeDocument(TypedDict):
 
 
 class TapDocument(TypedDict):
-    """`yieldmon calibrate --taps --json`. each_s: of each tap that counts; left_out: taps by the reason why they do not."""
+    """`yieldmon calibrate --taps --json`. each_s: of each tap that counts; left_out: taps by reason."""
 
     file: str
     taps: int

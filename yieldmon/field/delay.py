@@ -15,6 +15,8 @@ from enum import StrEnum
 
 import numpy as np
 
+from yieldmon.documents.harvest_map import DelayDocument
+
 from .pairs import Pairs, of_like_passes
 from .table import Array
 from .tracks import MIN_SPEED_M_S, Index, Tracks
@@ -97,13 +99,13 @@ class Delay:
     held_out: float
     pairs: int
 
-    def document(self) -> dict[str, object]:
+    def document(self) -> DelayDocument:
         """As JSON takes it."""
         return {
             "value": round(self.value_s, 3),
             "low": _rounded(self.low_s),
             "high": _rounded(self.high_s),
-            "decision": self.decision,
+            "decision": self.decision.value,
             "declared": self.declared_s,
             "why": self.why,
         }

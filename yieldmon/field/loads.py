@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from yieldmon.documents.harvest_map import MapLoad
 from yieldmon.errors import InputError
 from yieldmon.files.ticket_file import WeighedTicket
 
@@ -30,7 +31,7 @@ class LoadResult:
     factor: float
     factor_sd: float | None
 
-    def document(self) -> dict[str, object]:
+    def document(self) -> MapLoad:
         """As JSON takes it."""
         return {
             "load": self.load,

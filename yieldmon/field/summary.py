@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import isfinite
-from typing import Any
 
+from yieldmon.documents.harvest_map import Delays, MapDocument, TransportDocument
 from yieldmon.units import M2_PER_HA
 
 from .cleaning import KEPT
@@ -13,8 +14,8 @@ from .harvest import KG_M2_TO_T_HA, HarvestMap
 from .transport import Transport
 
 
-def document(result: HarvestMap) -> dict[str, Any]:
-    """The map's numbers by the names that other programs use; None for what is not known."""
+def document(result: HarvestMap, files: Sequence[str]) -> MapDocument:
+    """The map's numbers by the names that other programs use; None for what is not known. files: that were written."""
     totals, flow = result.totals, result.flow_delay
     left_out = {name: round(mass, 3) for name, mass in totals.by_reason.items() if name != KEPT}
     weighed = any(load.weighed_kg is not None for load in result.loads)
@@ -32,8 +33,13 @@ def document(result: HarvestMap) -> dict[str, Any]:
             }
             for source in result.table.sources
         ],
-        "delay": {"flow_s": flow.document(), "moisture_s": result.moisture_delay.document()} | _by_machine(result),
-        "agreement": {name: _known(getattr(flow, name)) for name in ("no_shift", "shifted", "held_out")} | {"pairs": flow.pairs},
+        "delay": _delays(result),
+        "agreement": {
+            "no_shift": _known(flow.no_shift),
+            "shifted": _known(flow.shifted),
+            "held_out": _known(flow.held_out),
+            "pairs": flow.pairs,
+        },
         "mass_kg": {
             "machine_total": totals.machine_kg,
             "integrated": round(totals.measured_kg, 3),
@@ -54,18 +60,18 @@ def document(result: HarvestMap) -> dict[str, Any]:
         "points_by_reason": result.cleaned.points_by_reason(),
         "loads": [load.document() for load in result.loads] if weighed or len(result.loads) > 1 else [],
         "notes": list(result.notes),
+        "files": list(files),
     }
 
 
-def _by_machine(result: HarvestMap) -> dict[str, Any]:
-    if len(result.machines) < 2:
-        return {}
-    return {
-        "machines": [
+def _delays(result: HarvestMap) -> Delays:
+    found: Delays = {"flow_s": result.flow_delay.document(), "moisture_s": result.moisture_delay.document()}
+    if len(result.machines) > 1:
+        found["machines"] = [
             {"name": one.name, "points": len(one.rows), "flow_s": one.flow.document(), "moisture_s": one.moisture.document()}
             for one in result.machines
         ]
-    }
+    return found
 
 
 def delay_lines(result: HarvestMap) -> list[str]:
@@ -77,10 +83,16 @@ def delay_lines(result: HarvestMap) -> list[str]:
     ]
 
 
-def transport_document(transport: Transport) -> dict[str, object]:
+def transport_document(transport: Transport) -> TransportDocument:
     """As JSON takes it."""
-    return {"decision": "on" if transport.better else "off", "time_constant_s": transport.chosen.tau_s} | {
-        name: _known(getattr(transport, name)) for name in ("plain", "smoothed", "inverted", "margin", "margin_sd")
+    return {
+        "decision": "on" if transport.better else "off",
+        "time_constant_s": transport.chosen.tau_s,
+        "plain": _known(transport.plain),
+        "smoothed": _known(transport.smoothed),
+        "inverted": _known(transport.inverted),
+        "margin": _known(transport.margin),
+        "margin_sd": _known(transport.margin_sd),
     }
 
 
