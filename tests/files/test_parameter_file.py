@@ -90,6 +90,11 @@ def test_the_shipped_corn_loads():
         ({"covariance": {"names": ["friction"], "matrix": [[1.0, 2.0]]}}, "covariance.matrix: is not square"),
         ({"covariance": {"names": ["k1"], "matrix": [[1.0]]}}, "covariance names ['k1'] have no value"),
         ({"covariance": {"names": ["friction"], "matrix": [[-1.0]]}}, "negative variance"),
+        ({"covariance": {"names": ["friction"] * 2, "matrix": [[1, 0], [0, 1]]}}, "covariance names ['friction'] more than once"),
+        (
+            {"covariance": {"names": ["friction", "density", "shape_ratio"], "matrix": [[1, 9, -0.9], [9, 99, 9], [-0.9, 9, 1]]}},
+            "covariance.matrix: has correlations that cannot all be: their lowest eigenvalue is -0.81; expected 0 or more",
+        ),
         ({"calibrated_range": {"plate_angle_deg": [90, 40]}}, "expected the lowest first"),
         ({"calibrated_range": {"colour": [1, 2]}}, "calibrated_range.colour: unknown key"),
     ],

@@ -124,6 +124,8 @@ class ParameterSet:
         missing = [name for name in self.covariance_names if name not in self.values]
         if missing:
             raise ValueError(f"covariance names {missing} have no value; expected some of {list(self.values)}")
+        if twice := sorted({name for name in self.covariance_names if self.covariance_names.count(name) > 1}):
+            raise ValueError(f"covariance names {twice} more than once; expected each parameter once")
         exactly = np.array_equal(covariance, covariance.T)
         if not exactly and not np.allclose(covariance, covariance.T, rtol=1e-9, atol=0.0):
             raise ValueError("covariance is not symmetric")

@@ -39,6 +39,8 @@ _BEYOND_BOUNDS = 0.05
 _LARGEST_CORRELATION = 1.0 + 1e-6
 _ROUNDING = 1e-9
 """Of a covariance, over the largest variance."""
+_LEAST_EIGENVALUE = -1e-3
+"""Of a matrix of correlations: those written with three digits may be as far from one that is possible."""
 _KEYS = ("format", "version", "effects", "covariance", "calibrated_range", "response_unit", "model_error", "curve", "provenance")
 #: All keys of a parameter file.
 KEYS = frozenset((*GRAIN_LIMITS, *_KEYS))
@@ -184,7 +186,7 @@ def _check_effects(known: ParameterSet, where: str) -> None:
 
 
 def _check_correlations(known: ParameterSet, where: str) -> None:
-    """Raises InputError for a covariance that no two quantities can have."""
+    """Raises InputError for a covariance that no quantities can have."""
     variance = np.diag(known.covariance)
     std_dev = np.sqrt(variance)
     rounding = _ROUNDING * variance.max(initial=0.0)
@@ -193,6 +195,13 @@ def _check_correlations(known: ParameterSet, where: str) -> None:
         first, second = (known.covariance_names[k] for k in sorted((i, j)))
         problem = f"{first} and {second}: {known.covariance[i, j]:g} with variances {std_dev[i] ** 2:g} and {std_dev[j] ** 2:g}"
         raise InputError(f"{where}: covariance.matrix", problem, "a correlation from -1 to 1")
+    known_to_vary = np.flatnonzero(std_dev > 0.0)
+    if known_to_vary.size:
+        part = np.ix_(known_to_vary, known_to_vary)
+        lowest = float(np.linalg.eigvalsh(known.covariance[part] / np.outer(std_dev, std_dev)[part])[0])
+        if lowest < _LEAST_EIGENVALUE:
+            problem = f"has correlations that cannot all be: their lowest eigenvalue is {lowest:.2g}"
+            raise InputError(f"{where}: covariance.matrix", problem, "0 or more")
 
 
 def _effect_values(effects: Mapping[str, Any], where: str) -> dict[str, float]:
