@@ -141,6 +141,19 @@ def test_data_that_are_cut_say_nothing(group: int, length: int) -> None:
     assert values(group, bytes(length)) == {}
 
 
+def test_of_two_senders_of_a_group_the_first_counts_until_it_is_silent() -> None:
+    navigation = Navigation(timeout_s=2.0)
+    found = []
+    for time_s, source, degrees in ((0.0, 0x1C, 47.0), (0.1, 0x2A, 48.0), (1.0, 0x1C, 47.1), (3.0, 0x2A, 48.1), (3.1, 0x2A, 48.2),
+                                    (3.2, 0x1C, 47.2)):  # fmt: skip
+        data = struct.pack("<ii", round(degrees * 1e7), 85000000)
+        navigation.feed(payload(129025, data, time_s, source))
+        best = navigation.best(Quantity.LATITUDE, time_s)
+        assert best is not None
+        found.append(round(best.value, 6))
+    assert found == [47.0, 47.0, 47.1, 47.1, 48.2, 48.2]
+
+
 def test_best_source_and_the_next_one() -> None:
     navigation = Navigation(timeout_s=2.0)
     wheel = struct.pack("<HIBB", 2500, 0, 0, 1)

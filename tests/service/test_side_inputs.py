@@ -100,6 +100,28 @@ def test_best_source_is_used_and_said(log: Path) -> None:
     ]
 
 
+@pytest.mark.parametrize(
+    ("identifier", "form", "offset"), [(0x09F80100, "<ii", 0.0), (0x18FEF300, "<II", 210.0)], ids=["129025", "65267"]
+)
+def test_of_two_receivers_one_is_used_while_it_speaks(identifier: int, form: str, offset: float, tmp_path: Path) -> None:
+    """Places of the two came in turn, 111 km apart here."""
+
+    def place(time_s: float, source: int, latitude: float) -> can.Message:
+        return message(time_s, identifier | source, struct.pack(form, *(round((d + offset) * 1e7) for d in (latitude, 8.0))))
+
+    own = [message(m.timestamp, m.arbitration_id, bytes(m.data)) for m in map(CODEC.encode, traffic(START_S, 30, 0.0))]
+    places = [place(START_S + k / 5 + 0.05, 0x1C, 47.0) for k in range(75)]
+    places += [place(START_S + k / 5 + 0.09, 0x2A, 48.0) for k in range(150)]
+    path = tmp_path / "two.log"
+    with writing(path) as logger:
+        for item in sorted([*own, *places], key=lambda m: m.timestamp):
+            logger.on_message_received(item)
+    bulk = rows_of(process_in_bulk, path)
+    assert bulk == rows_of(process_logs, path)
+    latitudes = {round(row.time_s - START_S): row.latitude_deg for row in bulk}
+    assert [round(latitudes[s] or 0.0, 6) for s in (3, 10, 14, 20, 27)] == [47.0, 47.0, 47.0, 48.0, 48.0]
+
+
 def test_factory_flow_is_recorded_and_no_input(log: Path, tmp_path: Path) -> None:
     rows = rows_of(process_in_bulk, log)
     known = [row for row in rows if row.factory_mass_flow_kg_s is not None]

@@ -209,7 +209,8 @@ def read(payload: Payload) -> list[Reading]:
 
 
 class Navigation:
-    """The latest of every source, and the best of them.
+    """The latest of every source, and the best of them. Where several nodes send one group, the first of them counts until it has
+    been silent for the timeout: two receivers are some metres apart.
 
     Parameters
     ----------
@@ -226,8 +227,16 @@ class Navigation:
         for reading in read(payload):
             self.take(reading)
 
-    def take(self, reading: Reading) -> None:
-        """Take one reading."""
+    def take(self, reading: Reading) -> bool:
+        """Take one reading; whether it counts."""
+        before = self.latest(reading.quantity, reading.group)
+        if before is not None and before.source != reading.source and self._is_fresh(before, reading.time_s):
+            return False
+        self.remember(reading)
+        return True
+
+    def remember(self, reading: Reading) -> None:
+        """Take one reading that is known to count."""
         self._latest[(reading.quantity, reading.group)] = reading
 
     def latest(self, quantity: Quantity, group: int) -> Reading | None:
@@ -238,6 +247,9 @@ class Navigation:
         """The reading to use at now_s: the first source in `ORDER` that has one no older than the timeout."""
         for group in ORDER.get(quantity, ()):
             reading = self._latest.get((quantity, group))
-            if reading is not None and 0.0 <= now_s - reading.time_s <= self._timeout_s:
+            if reading is not None and self._is_fresh(reading, now_s):
                 return reading
         return None
+
+    def _is_fresh(self, reading: Reading, now_s: float) -> bool:
+        return 0.0 <= now_s - reading.time_s <= self._timeout_s

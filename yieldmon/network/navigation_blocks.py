@@ -93,6 +93,39 @@ def read_block(
     return readings
 
 
+def of_first_sender(
+    before: Navigation, quantity: Quantity, group: int, column: Column, sources: NDArray[np.uint32]
+) -> NDArray[np.bool_]:
+    """Which of a column's readings count, as `Navigation.take` says it.
+
+    Parameters
+    ----------
+    before : Navigation
+        As it was at the block's beginning.
+    quantity : Quantity
+    group : int
+    column : Column
+        n readings.
+    sources : uint32 array, shape (n,)
+        Source addresses of their frames.
+
+    Returns
+    -------
+    bool array, shape (n,)
+    """
+    counts = np.ones(column.rows.shape, bool)
+    latest = before.latest(quantity, group)
+    if not column.rows.size or np.all(sources == (sources[0] if latest is None else latest.source)):
+        return counts
+    sender, last_s = (-1, -np.inf) if latest is None else (latest.source, latest.time_s)
+    for place, (source, time_s) in enumerate(zip(sources.tolist(), column.time_s.tolist(), strict=True)):
+        if source != sender and 0.0 <= time_s - last_s <= TIMEOUT_S:
+            counts[place] = False
+        else:
+            sender, last_s = source, time_s
+    return counts
+
+
 def best_groups(
     before: Navigation, readings: BlockReadings, quantity: Quantity, rows: NDArray[np.intp], time_s: Array
 ) -> NDArray[np.intp]:

@@ -30,7 +30,7 @@ from yieldmon.network.navigation import (
     read,
 )
 from yieldmon.network.navigation import VEHICLE_POSITION as POSITION_GROUP
-from yieldmon.network.navigation_blocks import BlockReadings, Column, best_groups, read_block
+from yieldmon.network.navigation_blocks import BlockReadings, Column, best_groups, of_first_sender, read_block
 from yieldmon.network.process_data import PROCESS_DATA, Command
 from yieldmon.network.process_data import read as read_process_data
 from yieldmon.network.reassembly import Reassembler
@@ -51,6 +51,8 @@ _SPEED = "NavigationSpeed"
 #: Signals beside which a frame says the group that they are from.
 _GROUP_SIGNALS = {"Latitude": "PositionGroup", _SPEED: "SpeedGroup"}
 _MOST_GROUPS = 1 << 18
+_Ignored = dict[tuple[Quantity, int], NDArray[np.intp]]
+"""Rows of the frames whose reading of a quantity out of a group does not count."""
 
 
 class SideInputs:
@@ -97,14 +99,14 @@ class SideInputs:
         """The same for a whole block of a log, the blocks in order."""
         others, native = self._rows(block)
         silent = not others.size and (not len(block) or abs(float(block.time_s[0]) - self._other_s) > TIMEOUT_S)
-        heard = self._readings_of(block, others, native)
-        if silent:
+        heard, ignored = self._readings_of(block, others, native)
+        if silent and not ignored:
             self._remember(heard, block)
             return decoded
         parts: dict[str, list[MessageColumns]] = {VEHICLE_POSITION: [], VEHICLE_DIRECTION_SPEED: []}
         for name, group in zip(parts, _IN_THE_DBC, strict=True):
             if name in decoded.messages:
-                parts[name].append(self._unless_superseded_block(decoded.messages[name], group, heard))
+                parts[name].append(self._unless_superseded_block(decoded.messages[name], group, heard, ignored))
         known = np.concatenate([decoded.messages[name].rows for name in parts if name in decoded.messages] or [others[:0]])
         for columns in self._navigation_columns(heard, known):
             parts[columns.name].append(columns)
@@ -139,8 +141,10 @@ class SideInputs:
         native = self._native[_groups(block.can_id[rows])]
         return rows[~native], rows[native]
 
-    def _readings_of(self, block: FrameBlock, others: NDArray[np.intp], native: NDArray[np.intp]) -> BlockReadings:
-        """What a block says of position, speed and course."""
+    def _readings_of(
+        self, block: FrameBlock, others: NDArray[np.intp], native: NDArray[np.intp]
+    ) -> tuple[BlockReadings, _Ignored]:
+        """What a block says of position, speed and course, and what further senders of a group say."""
         rows = np.sort(np.concatenate((others, native)))
         groups = _groups(block.can_id[rows])
         heard: BlockReadings = {}
@@ -157,7 +161,12 @@ class SideInputs:
                 latest = max(latest, int(here[-1]))
         if latest >= 0:
             self._other_s = float(block.time_s[latest])
-        return heard
+        ignored: _Ignored = {}
+        for key, column in heard.items():
+            counts = of_first_sender(self._navigation, *key, column, block.can_id[column.rows] & np.uint32(SOURCE_MASK))
+            if not counts.all():
+                ignored[key], heard[key] = column.rows[~counts], taken_column(column, counts)
+        return heard, ignored
 
     def _fast_packets(self, block: FrameBlock, rows: NDArray[np.intp], heard: BlockReadings) -> NDArray[np.intp]:
         """Adds what fast packets in these rows say; returns the rows with which one was whole."""
@@ -180,9 +189,11 @@ class SideInputs:
             if column.rows.size:
                 row = int(column.rows[-1])
                 source = int(block.can_id[row]) & 0xFF
-                self._navigation.take(Reading(float(column.time_s[-1]), quantity, float(column.values[-1]), group, source))
+                self._navigation.remember(Reading(float(column.time_s[-1]), quantity, float(column.values[-1]), group, source))
 
-    def _unless_superseded_block(self, columns: MessageColumns, group: int, heard: BlockReadings) -> MessageColumns:
+    def _unless_superseded_block(
+        self, columns: MessageColumns, group: int, heard: BlockReadings, ignored: _Ignored
+    ) -> MessageColumns:
         """The DBC's frames without the signals for which a better source speaks, and without those of which nothing is left."""
         signals: dict[str, SignalColumn] = {}
         left = np.zeros(columns.rows.shape, bool)
@@ -193,6 +204,8 @@ class SideInputs:
                 continue
             best = best_groups(self._navigation, heard, quantity, columns.rows, columns.time_s)
             kept = (best == 0) | (best == group)
+            if (quantity, group) in ignored:
+                kept &= ~np.isin(columns.rows, ignored[quantity, group])
             left |= kept
             if kept.any():
                 status = np.where(kept, column.status, np.uint8(NOT_AVAILABLE))
@@ -245,9 +258,9 @@ class SideInputs:
     def _frames(self, identifier: int, data: bytes, time_s: float, decoded: Frame | None) -> list[Frame]:
         group = identifier >> 8 & 0x3FFFF
         if group in GROUPS:
-            readings = self._navigate(identifier, data, time_s)
+            readings, ignored = self._navigate(identifier, data, time_s)
             if decoded is not None:
-                return self._unless_superseded(decoded, group)
+                return self._unless_superseded(decoded, group, ignored)
             return _navigation_frames([reading for reading in readings if self._is_best(reading, time_s)], time_s)
         if decoded is not None:
             return [decoded]
@@ -259,26 +272,31 @@ class SideInputs:
         flow = self._factory.decode(identifier, data).get(MASS_FLOW)
         return [] if flow is None else [_factory_frame(time_s, flow)]
 
-    def _navigate(self, identifier: int, data: bytes, time_s: float) -> list[Reading]:
+    def _navigate(self, identifier: int, data: bytes, time_s: float) -> tuple[list[Reading], set[Quantity]]:
+        """The readings that count, and the quantities of those that do not."""
         readings: list[Reading] = []
+        ignored: set[Quantity] = set()
         for payload in self._reassembler.feed(identifier, data, time_s):
-            self._navigation.feed(payload)
             if payload.group not in _IN_THE_DBC:
                 self._other_s = time_s
-            readings += read(payload)
-        return readings
+            for reading in read(payload):
+                if self._navigation.take(reading):
+                    readings.append(reading)
+                else:
+                    ignored.add(reading.quantity)
+        return readings, ignored
 
     def _is_best(self, reading: Reading, time_s: float) -> bool:
         best = self._navigation.best(reading.quantity, time_s)
         return best is not None and best.group == reading.group
 
-    def _unless_superseded(self, frame: Frame, group: int) -> list[Frame]:
+    def _unless_superseded(self, frame: Frame, group: int, ignored: set[Quantity]) -> list[Frame]:
         """The frame without the signals for which a better source speaks; none when nothing is left."""
         kept: dict[str, Value] = {}
         for signal, value in frame.signals.items():
             quantity = _SIGNALS.get(frame.message, {}).get(signal)
             best = self._navigation.best(quantity, frame.time_s) if quantity is not None else None
-            if best is None or best.group == group:
+            if quantity not in ignored and (best is None or best.group == group):
                 kept[signal] = value
         if len(kept) == len(frame.signals):
             return [frame]
