@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from math import isfinite
 from typing import Any
 
 import pytest
-from engine_bench import PARAMETERS, Bench, feed, monitor
+from engine_bench import PARAMETERS, Bench, feed, monitor, only
 
 from yieldmon import frames as bus
 from yieldmon.engine.health import FaultBook
 from yieldmon.engine.mass.totals import Totals
 from yieldmon.engine.publishing import Published, Publisher
 from yieldmon.engine.records import WindowRecord
+from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.sweeps.sweep import SweepMachine
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.frames import NOT_AVAILABLE, EstimateQuality, Value
@@ -35,7 +37,7 @@ def published(
     message: str, age_s: float | None = 120.0, parameters: ParameterSet = PARAMETERS, **changes: Any
 ) -> dict[str, Value]:
     record, sweep = measured()
-    frames = Publisher(0.75).frames(replace(record, **changes), Published(sweep, parameters, age_s, FaultBook()))
+    frames = Publisher().frames(replace(record, **changes), Published(sweep, parameters, age_s, FaultBook()))
     (found,) = (frame.signals for frame in frames if frame.message == message)
     return dict(found)
 
@@ -55,11 +57,8 @@ def test_counters_begin_anew_after_their_largest_value(message: str, signal: str
     ("changes", "available", "quality"),
     [
         ({}, True, Q.OK),
-        ({"coverage": 0.75}, True, Q.OK),
-        ({"coverage": 0.7499}, False, Q.NOT_AVAILABLE),
         ({"mass_flow_kg_s": NAN}, False, Q.NOT_AVAILABLE),
         ({"mass_flow_kg_s": NAN, "quality": Q.NOT_HARVESTING}, False, Q.NOT_HARVESTING),
-        ({"coverage": 0.5, "quality": Q.NOT_HARVESTING}, False, Q.NOT_HARVESTING),
     ],
 )
 def test_flow_is_available_where_it_was_measured(changes: dict[str, Any], available: bool, quality: Q) -> None:
@@ -67,6 +66,22 @@ def test_flow_is_available_where_it_was_measured(changes: dict[str, Any], availa
     record, _ = measured()
     flow = (record.mass_flow_kg_s, record.std_dev_kg_s) if available else (NOT_AVAILABLE, NOT_AVAILABLE)
     assert (found["MassFlowRate"], found["MassFlowStdDev"], found["EstimateQuality"]) == (*flow, int(quality))
+
+
+@pytest.mark.parametrize(("kept_until_s", "known"), [(1009.26, True), (1009.2, False)], ids=["0.24 of it", "0.18 of it"])
+def test_a_second_of_too_few_samples_has_no_flow_in_frame_and_record(kept_until_s: float, known: bool) -> None:
+    """What was measured of it counts in the load; its record said 28.7 +- 13 kg/s, its frame nothing."""
+    target, least = monitor(), EngineSettings().windows.min_coverage
+    frames = Bench(flow=lambda t: 10.0 if t > 1005.0 else 0.0).frames(12)
+    out = feed(target, [f for f in frames if f.message != bus.IMPACT_SENSOR_SAMPLES or not kept_until_s < f.time_s < 1010.12])
+    (record,) = [one for one in target.records if one.time_s == pytest.approx(1010.1)]
+    assert (least <= record.coverage < 0.3) if known else (0.1 < record.coverage < least)
+    assert record.mass_kg == pytest.approx(10.0 if known else 10.0 * record.coverage, rel=0.1)
+    assert record.quality == (Q.DEGRADED if known else Q.NOT_AVAILABLE)
+    assert isfinite(record.mass_flow_kg_s) == isfinite(record.std_dev_kg_s) == known
+    (sent,) = [f for f in only(out, bus.MASS_FLOW) if f.time_s == record.time_s]
+    assert (sent.signals["MassFlowRate"] != NOT_AVAILABLE) == known
+    assert sent.signals["EstimateQuality"] == int(record.quality)
 
 
 @pytest.mark.parametrize(("signal", "attribute"), [("MassFlowRate", "mass_flow_kg_s"), ("MassFlowStdDev", "std_dev_kg_s")])
@@ -97,7 +112,7 @@ def test_friction_and_gain_of_the_impact(values: dict[str, float], gain: float) 
 
 
 def test_masses_near_the_largest_that_their_signals_carry() -> None:
-    publisher = Publisher(0.75)
+    publisher = Publisher()
     most_load, most_total = (RANGES[bus.ACCUMULATED_MASS][name][1] for name in ("LoadMass", "TotalMass"))
 
     class Counted:

@@ -47,6 +47,8 @@ NOT_HARVESTING = {"mass_flow_kg_s": None, "quality": int(EstimateQuality.NOT_HAR
         ({1: SILENT | {"elevator_speed_rpm": 0.0}}, {"mass_kg": 0.8 * MASS_KG}, True),
         ({1: SILENT | {"elevator_speed_rpm": 1.0}}, {"mass_kg": 0.8 * MASS_KG}, False),
         ({1: SILENT | {"coverage": 0.1}}, {"mass_kg": 0.8 * MASS_KG}, False),
+        # Too few samples for a flow, and what was measured counts.
+        ({1: SILENT, 2: NOT_MEASURED | {"coverage": 0.1}}, {"mass_kg": 0.8 * MASS_KG}, False),
         ({2: SILENT}, {"mass_kg": 0.8 * MASS_KG}, False),
         ({3: NOT_HARVESTING | {"coverage": 0.0, "surplus_frames": 1}}, {}, True),
         ({}, {"mass_kg": MASS_KG * 1.00009}, True),

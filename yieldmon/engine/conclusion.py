@@ -221,7 +221,9 @@ class Conclusion:
             bus_s=bus_s,
             number=self.windows,
             reading=reading,
-            flow=parts.flow_meter.published(measured.flow, plate_rests_at_home=reading.still and reading.at_home),
+            flow=parts.flow_meter.published(
+                measured.flow, coverage=reading.window.coverage, plate_rests_at_home=reading.still and reading.at_home
+            ),
             mass_kg=measured.mass_kg,
             area_m2=measured.area_m2,
             totals=parts.loads.totals,

@@ -122,8 +122,15 @@ class FlowMeter:
         budget = self._budget(reading, rate, std_dev, own, estimator, circumstances)
         return _flow(rate, budget.std_dev_kg_s, quality, reading.force_n, reading.force_std_dev_n, outside, saturated, budget)
 
-    def published(self, flow: Flow, *, plate_rests_at_home: bool) -> Flow:
-        """The flow to publish: windows of a plate at rest at home weighed together; every other stands for itself."""
+    def published(self, flow: Flow, *, plate_rests_at_home: bool, coverage: float = 1.0) -> Flow:
+        """The flow to publish: windows of a plate at rest at home weighed together; every other stands for itself. coverage: of
+        the window, below the least of which there is none."""
+        found = self._weighed(flow, plate_rests_at_home=plate_rests_at_home)
+        if not found.measured or coverage >= self._settings.windows.min_coverage:
+            return found
+        return replace(found, rate_kg_s=_NAN, std_dev_kg_s=_NAN, quality=EstimateQuality.NOT_AVAILABLE)
+
+    def _weighed(self, flow: Flow, *, plate_rests_at_home: bool) -> Flow:
         usable = plate_rests_at_home and not flow.saturated and flow.force_n > 0.0 and flow.rate_kg_s > 0.0
         if not usable:
             self._filter.reset()

@@ -85,7 +85,7 @@ class Parts:
             faults=FaultBook(),
             since_zero=SinceZero(),
             learning=Learning(settings, machine, estimator, calibrator, drives_plate=drives_plate),
-            publisher=Publisher(windows.min_coverage, ranges),
+            publisher=Publisher(ranges),
         )
 
     @property

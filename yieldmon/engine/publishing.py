@@ -33,8 +33,7 @@ class Published:
 class Publisher:
     """Makes the frames of a window. ranges: smallest and largest value of each signal; None: those of the shipped DBC."""
 
-    def __init__(self, min_coverage: float, ranges: SignalRanges | None = None) -> None:
-        self._min_coverage = min_coverage
+    def __init__(self, ranges: SignalRanges | None = None) -> None:
         self._ranges = signal_ranges() if ranges is None else ranges
         masses = self._ranges[bus.ACCUMULATED_MASS]
         self._masses = (
@@ -66,7 +65,7 @@ class Publisher:
         return "; ".join(near) if near else None
 
     def _mass_flow(self, record: WindowRecord) -> dict[str, Value]:
-        known = isfinite(record.mass_flow_kg_s) and record.coverage >= self._min_coverage
+        known = isfinite(record.mass_flow_kg_s)
         quality = record.quality
         if not known and quality is not EstimateQuality.NOT_HARVESTING:
             quality = EstimateQuality.NOT_AVAILABLE

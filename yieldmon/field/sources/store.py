@@ -103,7 +103,8 @@ def table_of(rows: list[SecondRow], loads: Mapping[int, Load], path: Path, kind:
     duration = _column(rows, "duration_s")
     mass = _column(rows, "mass_kg")
     with np.errstate(invalid="ignore", divide="ignore"):
-        flow = np.where(duration > 0, mass / duration, flow)
+        # Of a second of too few samples neither frame nor table has a flow.
+        flow = np.where((duration > 0) & ~(np.isnan(flow) & (mass > 0)), mass / duration, flow)
     speed = _column(rows, "ground_speed_m_s")
     columns, notes = plausible(
         {

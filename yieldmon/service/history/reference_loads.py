@@ -134,7 +134,8 @@ def _whole(load: Load, seconds: Sequence[SecondRow], min_coverage: float) -> boo
         missing = Missing.of(sampled=second.coverage > 0.0, speed=speed_rpm, zeroed=second.zero_mv is not None)
         if not opening.lacks_nothing(second.duration_s, None if available else missing):
             return False
-        if measured and (second.coverage < min_coverage or second.surplus_frames > 0):
+        counted = measured or (not available and second.mass_kg > 0.0)
+        if counted and (second.coverage < min_coverage or second.surplus_frames > 0):
             return False
     begun = [seconds[0].time_s - seconds[0].duration_s if load.started_s is None else load.started_s]
     ends = [*begun, *(s.time_s for s in seconds)]
