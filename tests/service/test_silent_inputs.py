@@ -19,6 +19,8 @@ BO_ 2147484066 Wide: 2 N
  SG_ V : 0|16@1+ (0.1,0) [0|0] "rpm" N
 BO_ 2566849278 Group: 2 N
  SG_ V : 0|16@1+ (0.1,0) [0|0] "rpm" N
+BO_ 2365522449 Own: 2 N
+ SG_ V : 0|16@1+ (0.1,0) [0|0] "rpm" N
 """
 DATA = (4000).to_bytes(2, "little")
 FRAMES = [
@@ -33,6 +35,7 @@ FRAMES = [
         ("message: Narrow", "it comes with a 29-bit identifier, the DBC gives it 11 bits"),
         ("message: Wide", "it comes with an 11-bit identifier, the DBC gives it 29 bits"),
         ("message: Group, source: 5", "it comes from 17, 18 only"),
+        ("message: Own", "it comes with priority 6, the DBC gives it 3; with `source: 17` any will do"),
         ("message: Group, source: {identity_number: 9}", "no node with that NAME claims an address"),
         ("message: Group, source: {function: 128}", "nodes 1, 2 all fit that NAME"),
         ("message: Group, source: {identity_number: 7}", "it comes from 17, 18 only"),

@@ -209,6 +209,15 @@ def written(folder: Path, dbc: str, frames: list[tuple[int, bytes]], capsys: pyt
             id="more than ten samples",
         ),
         pytest.param(
+            MANY,
+            [
+                (512, words(*(500.0 + (k + place // 20) % 9 for k in range(12)))) if place % 20 == 0 else (513, b"")
+                for place in range(2000)
+            ],
+            ["S11], rate_hz: 60}"],
+            id="fewer than ten messages a second with many samples",
+        ),
+        pytest.param(
             INPUTS,
             [(512, words(2900.0 + place % 2, 500.0 + 3 * (place % 90))) for place in range(200)],
             ["impact_voltage: {dbc: node.dbc, message: AnalogInputs, signal: Input2, rate_hz: 100}"],

@@ -7,10 +7,8 @@ from collections.abc import Mapping, Sequence
 
 from yieldmon.engine.sources import QUANTITIES
 from yieldmon.signals.binding import IMPACT
-from yieldmon.signals.survey import BARE, FAST_HZ, SHAFTS_ELSEWHERE, Candidate, Survey, force_unit, is_makers_own
+from yieldmon.signals.survey import BARE, CHANNELS, FAST_HZ, SHAFTS_ELSEWHERE, Candidate, Survey, force_unit, is_makers_own
 
-_CHANNELS = re.compile(r"(input|chan(nel)?|ch|ain|port)_?\d+", re.IGNORECASE)
-"""Numbered signals of one frame that are sensors of their own, not samples of one."""
 _RATIO, _PULSES, _COUNTS, _EXCITATION = "ratio: 0.2", "pulses_per_turn: 1", "scale: 0.1", "scale: 5"
 _GUESSES = {
     _RATIO: "The ratio is a guess: turns of the elevator's upper shaft per turn of the measured one.",
@@ -69,7 +67,7 @@ def _no_impact(survey: Survey) -> list[str]:
 def _samples(found: Candidate, candidates: Mapping[str, Sequence[Candidate]]) -> list[str]:
     """The signals that are one impact sensor's samples in one frame, oldest first; for anything else the one signal."""
     numbered = re.fullmatch(r"(.*?)(\d+)", found.signal)
-    if found.quantity not in IMPACT or numbered is None or _CHANNELS.fullmatch(found.signal):
+    if found.quantity not in IMPACT or numbered is None or CHANNELS.fullmatch(found.signal):
         return [found.signal]
     frame = (found.dbc, found.message, found.mux, found.source, found.unit)
     alike = {}

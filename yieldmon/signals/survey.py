@@ -72,6 +72,8 @@ _GAUGE, _SCALE = (
 )
 """A force in kg or lb: names of a gauge that sends so many values per second, and of scales, which none is."""
 _NO_SAMPLES = re.compile(r"counter|status", re.IGNORECASE)
+CHANNELS = re.compile(r"(input|chan(nel)?|ch|ain|port)_?\d+", re.IGNORECASE)
+"""Numbered signals of one frame that are sensors of their own, not samples of one."""
 SHAFTS_ELSEWHERE = re.compile(r"engine|pto|front|rear|feeder", re.IGNORECASE)
 """Names of shafts that are not the elevator's."""
 
@@ -392,9 +394,23 @@ def is_makers_own(group: int | None) -> bool:
     return group is None or group in (0xEF00, 0x1EF00) or group & 0xFF00 == 0xFF00
 
 
+def _samples(message: MessageSeen, bits: SignalBits) -> int:
+    """Signals of a message that are numbered like this one, as an impact sensor's samples are."""
+    stem = bits.name.rstrip("0123456789")
+    if stem == bits.name or CHANNELS.fullmatch(bits.name):
+        return 1
+    others = (signal.bits for signal in message.signals.values())
+    return sum(other.name.rstrip("0123456789") == stem and other.unit == bits.unit for other in others)
+
+
 def _impact_score(quantity: str, message: MessageSeen, signal: SignalSeen, named: float) -> float:
     bits, rate_hz = signal.bits, message.rate_hz or 0.0
-    if rate_hz < _LEAST_OF_RATE * MIN_RATE_HZ or bits.bits < _LEAST_BITS or _NO_SAMPLES.search(bits.name) or counts_pulses(bits):
+    if (
+        rate_hz * _samples(message, bits) < _LEAST_OF_RATE * MIN_RATE_HZ
+        or bits.bits < _LEAST_BITS
+        or _NO_SAMPLES.search(bits.name)
+        or counts_pulses(bits)
+    ):
         return 0.0
     fits = bits.unit != "" and factor(IMPACT[quantity], bits.unit) is not None
     fits = fits or (

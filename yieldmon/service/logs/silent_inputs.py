@@ -9,12 +9,21 @@ import numpy as np
 from yieldmon.bus.candump import ERROR_FLAG, REMOTE_FLAG
 from yieldmon.bus.loading import iter_blocks
 from yieldmon.bus.log_notes import LogNotes
-from yieldmon.identifiers import ADDRESS_CLAIM, EXTENDED_FLAG, GROUP_MASK, LARGEST_EXTENDED_ID, LARGEST_STANDARD_ID, group_of
+from yieldmon.identifiers import (
+    ADDRESS_CLAIM,
+    EXTENDED_FLAG,
+    GROUP_MASK,
+    LARGEST_EXTENDED_ID,
+    LARGEST_STANDARD_ID,
+    SOURCE_MASK,
+    group_of,
+)
 from yieldmon.network.addresses import AddressTable
 from yieldmon.network.name import Name, NameMatch
 from yieldmon.signals.decoding import match_of
 from yieldmon.signals.mapping import Group
 
+_PRIORITY_AT = 26
 _CLAIM, _CLAIM_MASK = EXTENDED_FLAG | ADDRESS_CLAIM, EXTENDED_FLAG | GROUP_MASK
 
 
@@ -52,6 +61,11 @@ class Traffic:
                 return f"nodes {_listed(of_name)} all fit that NAME" if of_name else "no node with that NAME claims an address"
         wanted = {i & LARGEST_EXTENDED_ID for i in self._longest if i & EXTENDED_FLAG}
         senders = sorted({identifier & 0xFF for identifier in wanted if group_of(identifier) == message.group})
+        own = message.frame_id & SOURCE_MASK
+        if group.source is None and own in senders:
+            of_own = {i >> _PRIORITY_AT for i in wanted if group_of(i) == message.group and i & SOURCE_MASK == own}
+            given = f"it comes with priority {_listed(sorted(of_own))}, the DBC gives it {message.frame_id >> _PRIORITY_AT}"
+            return f"{given}; with `source: {own}` any will do"
         return f"it comes from {_listed(senders)} only" if senders else None
 
 
