@@ -16,14 +16,19 @@ HEAVY = {
     "asammdf", "can", "cantools", "matplotlib", "numpy", "pandas", "pyarrow", "pydantic", "rich", "scipy", "yaml",
     "yieldmon.engine.monitor", "yieldmon.engine.records", "yieldmon.estimation.fitting.calibration",
     "yieldmon.estimation.self_calibration.closed_loop", "yieldmon.estimation.weighing.loads", "yieldmon.service.storage.store",
+    *(PARTS_OF_SCIPY := {"scipy.interpolate", "scipy.linalg", "scipy.optimize", "scipy.signal", "scipy.special", "scipy.stats"}),
 }  # fmt: skip
 
 
 def imported(*arguments: str) -> set[str]:
     """Packages and modules among the heavy ones that a run of the command imports."""
+    return loaded("from yieldmon.cli.main import main\ntry:\n    main()\nexcept SystemExit:\n    pass\n", *arguments)
+
+
+def loaded(statements: str, *arguments: str) -> set[str]:
+    """The same of a program."""
     program = (
-        "import sys\nfrom yieldmon.cli.main import main\n"
-        "try:\n    main()\nexcept SystemExit:\n    pass\n"
+        f"import sys\n{statements}"
         "names = [name for name, module in sys.modules.items() if module]\n"
         "print(*{*names, *(name.partition('.')[0] for name in names)}, file=sys.stderr)"
     )
@@ -43,16 +48,30 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     [
         ("--help", set()),
         ("status --socket /nonexistent", {"rich"}),
+        ("load list --socket /nonexistent", {"rich"}),
+        ("ticket list --socket /nonexistent", {"rich"}),
+        ("calibrations list --socket /nonexistent", {"rich"}),
+        ("zero --socket /nonexistent", set()),
         ("check-config", {"numpy", "pydantic", "yaml"}),
         ("monitor LOG --once --speed 0", {"can", "cantools", "rich"}),
         ("calibrate --help", {"numpy"}),
-        ("calibrate TABLE --starts 1", {"numpy", "scipy", "yaml", "yieldmon.estimation.fitting.calibration"}),
+        (
+            "calibrate TABLE --starts 1",
+            {"numpy", "scipy", "scipy.linalg", "scipy.special", "yaml", "yieldmon.estimation.fitting.calibration"},
+        ),
         ("estimate --help", {"numpy", "yaml"}),
+        ("simulate --help", {"can", "cantools", "numpy", "pydantic", "scipy", "yaml"}),
+        ("diagnose --help", HEAVY - PARTS_OF_SCIPY - {"pandas", "pyarrow", "matplotlib", "asammdf"}),
+        ("demo --help", HEAVY - PARTS_OF_SCIPY - {"pandas", "pyarrow", "matplotlib", "asammdf"}),
     ],
-    ids=["help", "status", "check-config", "monitor", "calibrate-help", "calibrate", "estimate-help"],
+    ids=lambda value: value if isinstance(value, str) else "",
 )
 def test_no_more_than_it_needs(line: str, allowed: set[str], log: Path) -> None:
     assert imported(*line.replace("LOG", str(log)).replace("TABLE", str(TABLE)).split()) <= allowed
+
+
+def test_of_scipy_the_python_interface_has_what_is_called() -> None:
+    assert loaded("from yieldmon import api\n") & PARTS_OF_SCIPY == set()
 
 
 @MF4[0]

@@ -10,7 +10,6 @@ from yieldmon.cli._daemon import add_daemon_arguments, ask_daemon
 from yieldmon.cli._json import print_json
 from yieldmon.cli._records import corrected, load_numbers, show
 from yieldmon.cli._units import add_units
-from yieldmon.files.crops import crops
 from yieldmon.files.units import units_of
 from yieldmon.units import UNKNOWN, crop_yield_kg_m2
 
@@ -73,6 +72,8 @@ def run(args: argparse.Namespace) -> int:
         if answer["parameters"]["changed"]:
             print(f"measuring with the parameters of {answer['crop']}, version {answer['parameters']['version']}")
         elif not answer["crop_known"]:
+            from yieldmon.files.crops import crops  # parameters, and numpy with them, which nothing else here needs
+
             known = ", ".join(crops())
             print(f"yieldmon: {answer['crop']} is not a known crop; the parameters stay; known are {known}", file=sys.stderr)
     else:

@@ -7,7 +7,7 @@ from datetime import datetime
 from pathlib import Path
 
 import numpy as np
-from scipy.linalg import block_diag
+import scipy
 
 from yieldmon import utc
 from yieldmon.errors import InputError, reading
@@ -42,7 +42,7 @@ def adopted(diagnosis: Diagnosis, parent: ParameterSet, provenance: dict[str, st
     return ParameterSet(
         values=best.values,
         covariance_names=(*names, *kept),
-        covariance=block_diag(covariance, parent.covariance_of(kept)) if kept else covariance,
+        covariance=scipy.linalg.block_diag(covariance, parent.covariance_of(kept)) if kept else covariance,
         calibrated=CalibratedRange(
             mass_flow_kg_s=span(flow),
             plate_angle_rad=span(cells.plate_angle_rad),

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import stats
 
 from yieldmon.estimation.fitting.measurements import Measurements
 from yieldmon.estimation.gaussian import REACH_95
@@ -163,7 +163,7 @@ def of_all_rows(left: LackOfFit) -> str:
 
 def of_repetitions(choice: Choice, noise: Noise) -> list[str]:
     """Where conditions scatter more than repetitions do, without a pattern, so that no model could follow them; or less."""
-    if noise.how == "replicates" and stats.f.cdf(choice.best_gap.f, choice.best.dof, noise.dof) < _SURE:
+    if noise.how == "replicates" and scipy.stats.f.cdf(choice.best_gap.f, choice.best.dof, noise.dof) < _SURE:
         return [
             f"repetitions scatter more than conditions do (F = {choice.best_gap.f:.2f}): trials that differ as a whole (warm-up, "
             "zero) hide what is missing"

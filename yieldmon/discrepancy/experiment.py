@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import stats
+import scipy
 
 from yieldmon.physics.effects import family_of
 from yieldmon.physics.model import Conditions, ForwardModel
@@ -80,7 +80,7 @@ def plan(best: Fit, rivals: Sequence[Fit], noise: Noise, *, rows: int = 8) -> Pl
             j, d = state[3][i], state[4][i]
             state[0], state[1], state[2] = state[0] + np.outer(j, j), state[1] + j * d, state[2] + float(d * d)
     separation = [max(s[2] - float(s[1] @ np.linalg.solve(s[0], s[1])), 0.0) for s in states]
-    power = stats.ncx2.sf(stats.chi2.isf(0.05, 1), 1, np.maximum(separation, 1e-12))
+    power = scipy.stats.ncx2.sf(scipy.stats.chi2.isf(0.05, 1), 1, np.maximum(separation, 1e-12))
     picked = tuple(
         PlannedRow(float(grid.plate_angle_rad[i]), float(grid.mass_flow_kg_s[i]), float(grid.elevator_speed_rad_s[i]))
         for i in sorted(set(chosen))

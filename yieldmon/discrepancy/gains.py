@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy import stats
+import scipy
 
 from yieldmon.physics.numerics import Array
 
@@ -50,9 +50,9 @@ class LargestGains:
         joint = self.largest[int(0.95 * drawn)]
         if gain <= joint:
             return float((1 + drawn - np.searchsorted(self.largest, gain)) / (1 + drawn))
-        return float(0.05 * stats.chi2.sf(gain, 1) / stats.chi2.sf(joint, 1))
+        return float(0.05 * scipy.stats.chi2.sf(gain, 1) / scipy.stats.chi2.sf(joint, 1))
 
     def limit(self, p_value: float) -> float:
         """Gain with that p value, which is below 0.05."""
         joint = self.largest[int(0.95 * len(self.largest))]
-        return float(stats.chi2.isf(p_value / 0.05 * stats.chi2.sf(joint, 1), 1))
+        return float(scipy.stats.chi2.isf(p_value / 0.05 * scipy.stats.chi2.sf(joint, 1), 1))

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import stats
 
 from yieldmon.estimation import model_error
 from yieldmon.estimation.clusters import SAME_LOAD, cluster
@@ -100,7 +100,7 @@ def lack_without_pattern(fit: Fit, noise: Noise) -> LackOfFit:
     if dof < _LEAST_DOF:
         return LackOfFit(float("nan"), 1.0)
     f = float(np.sum(model_error.off(fit.residual, taken) ** 2)) / dof
-    return LackOfFit(f, float(stats.f.sf(f, dof, noise.dof)))
+    return LackOfFit(f, float(scipy.stats.f.sf(f, dof, noise.dof)))
 
 
 def change_with_load(fit: Fit, noise: Noise) -> tuple[LackOfFit, float]:
@@ -122,8 +122,8 @@ def change_with_load(fit: Fit, noise: Noise) -> tuple[LackOfFit, float]:
     average = mean(cells.mean)
     f = float(np.sum(weight * (cells.mean - average) ** 2)) / dof
     proportional = float(np.sum(weight * (average * (cells.load / mean(cells.load) - 1.0)) ** 2))
-    power = float(stats.ncf.sf(stats.f.isf(0.01, dof, noise.dof), dof, noise.dof, min(proportional, _MOST_EXPECTED)))
-    return LackOfFit(f, float(stats.f.sf(f, dof, noise.dof))), power
+    power = float(scipy.stats.ncf.sf(scipy.stats.f.isf(0.01, dof, noise.dof), dof, noise.dof, min(proportional, _MOST_EXPECTED)))
+    return LackOfFit(f, float(scipy.stats.f.sf(f, dof, noise.dof))), power
 
 
 def _tested(fit: Fit, noise: Noise, chi2: float, dof: int) -> LackOfFit:
@@ -133,7 +133,7 @@ def _tested(fit: Fit, noise: Noise, chi2: float, dof: int) -> LackOfFit:
     small = error.T @ error
     extra, square = float(np.trace(small)), float(np.sum(small**2))
     mean, variance = dof + extra, 2.0 * dof + 4.0 * extra + 2.0 * square
-    return LackOfFit(chi2 / dof, float(stats.f.sf(chi2 / mean, 2.0 * mean**2 / variance, noise.dof)))
+    return LackOfFit(chi2 / dof, float(scipy.stats.f.sf(chi2 / mean, 2.0 * mean**2 / variance, noise.dof)))
 
 
 def row_rms(fit: Fit, rows: Rows) -> float:

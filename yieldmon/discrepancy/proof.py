@@ -11,8 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import stats
 
 from yieldmon.estimation import model_error
 from yieldmon.physics.numerics import Array
@@ -97,5 +97,5 @@ def prove(base: Fit, best: Fit, sealed: Share | None, rng: np.random.Generator) 
 
 def mean_square_interval(mean_square: float, rows: int) -> tuple[float, float]:
     """95 % interval of a mean square of `rows` whitened residuals."""
-    low, high = float(stats.chi2.ppf(0.975, rows)), float(stats.chi2.ppf(0.025, rows))
+    low, high = float(scipy.stats.chi2.ppf(0.975, rows)), float(scipy.stats.chi2.ppf(0.025, rows))
     return mean_square * rows / low, mean_square * rows / high

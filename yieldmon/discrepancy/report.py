@@ -10,7 +10,7 @@ from math import degrees
 from pathlib import Path
 
 import numpy as np
-from scipy import stats
+import scipy
 
 from yieldmon.errors import InputError
 from yieldmon.files import whole_file
@@ -98,7 +98,7 @@ def _how_well(diagnosis: Diagnosis) -> str:
     """As well as they repeat, or only as well as models agree."""
     error = f"(error {diagnosis.before.rms_over_max_pct:.1f} % of the largest reading)"
     f, base = diagnosis.before.lack_of_fit_f, diagnosis.base
-    if f is None or base.dof <= 0 or stats.f.sf(f, base.dof, diagnosis.noise.dof) >= diagnosis.options.policy.gap_p:
+    if f is None or base.dof <= 0 or scipy.stats.f.sf(f, base.dof, diagnosis.noise.dof) >= diagnosis.options.policy.gap_p:
         return f"as well as they repeat {error}"
     own = 100.0 * base.frame.model_error
     return f"within the {own:.1g} % by which models of the same physics differ {error}, though they repeat better (F = {f:.2f})"

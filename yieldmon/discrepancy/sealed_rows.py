@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import stats
 
 from yieldmon.estimation import model_error
 from yieldmon.estimation.gaussian import REACH_95
@@ -64,7 +64,9 @@ def open_sealed(
     whitened = [(p[usable] - kept.value[usable]) / sd[usable] for p in (before, after)]
     square = [float(np.mean(r**2)) for r in whitened]
     count = int(usable.sum())
-    measures = [Measure(v, 100.0 * v / top, f, float(stats.chi2.sf(f * count, count))) for v, f in zip(rms, square, strict=True)]
+    measures = [
+        Measure(v, 100.0 * v / top, f, float(scipy.stats.chi2.sf(f * count, count))) for v, f in zip(rms, square, strict=True)
+    ]
     error = base.frame.model_error * model_error.basis(
         kept.plate_angle_rad[usable], kept.load[usable], kept.elevator_speed_rad_s[usable]
     )

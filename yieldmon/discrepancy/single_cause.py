@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import stats
+import scipy
 
 from yieldmon.physics.effects import family_of
 
@@ -113,7 +113,7 @@ def _beyond_errors(found: Fit, noise: Noise) -> LackOfFit:
     """What is left beyond the noise with the model's own error and what laws may be off integrated out, which leaves a chi-square
     with the fit's degrees of freedom."""
     f = found.integrated[0] / found.dof
-    return LackOfFit(f, float(stats.f.sf(f, found.dof, noise.dof)))
+    return LackOfFit(f, float(scipy.stats.f.sf(f, found.dof, noise.dof)))
 
 
 def _merit(found: Fit, policy: Policy) -> float:

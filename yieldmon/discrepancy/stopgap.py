@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_solve
+import scipy
 
 from yieldmon.physics.numerics import Array
 
@@ -57,7 +57,7 @@ def correction(fit: Fit) -> Correction:
     for length in _LENGTHS:
         for size in (0.3 * total, total, 3.0 * total):
             factor = np.linalg.cholesky(_kernel(points, points, length, size) + np.diag(noise**2))
-            solved = cho_solve((factor, True), target)
+            solved = scipy.linalg.cho_solve((factor, True), target)
             value = float(-0.5 * target @ solved - np.sum(np.log(np.diag(factor))))
             if best is None or value > best[0]:
                 best = (value, length, size)

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
+import scipy
 from pydantic import Field
-from scipy.signal import lfilter
 
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.numerics import Array
@@ -55,7 +55,7 @@ def run(settings: ElevatorSettings, machine: Machine, harvest: Harvest, slip_sha
     nominal = settings.speed_rpm * RPM
     target = nominal * (1.0 - settings.droop_pct_at_25_kg_s / 100.0 * harvest.flow_kg_s / 25.0) * harvest.driven
     keep = np.exp(-SAMPLE_INTERVAL_S / settings.lag_s)
-    speed = np.asarray(lfilter([1.0 - keep], [1.0, -keep], target, zi=[keep * target[0]])[0])
+    speed = np.asarray(scipy.signal.lfilter([1.0 - keep], [1.0, -keep], target, zi=[keep * target[0]])[0])
     noise = correlated_noise(len(speed), settings.noise_time_s / SAMPLE_INTERVAL_S, rng)
     speed = speed * (1.0 + settings.noise_pct / 100.0 * noise)
     speed = np.where(speed < 1.0 * RPM, 0.0, speed)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
+import scipy
 
 from yieldmon.physics.numerics import Array
 
@@ -83,4 +83,4 @@ def _angular_width(radius: Array, start: float, reach: float) -> Array:
     rising = np.flatnonzero(np.diff(surface, prepend=-np.inf) > 0.0)
     # A deep heap's surface dips below h0 before it rises; what lies below h0 there is carried at h0.
     rising = rising[surface[rising] >= start]
-    return PchipInterpolator(surface[rising], angle[rising])(radius)
+    return scipy.interpolate.PchipInterpolator(surface[rising], angle[rising])(radius)

@@ -14,7 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+import scipy
 
 from yieldmon.physics.numerics import Array
 
@@ -106,8 +106,8 @@ def _crossing(r0: Array, u0: Array, r1: Array, u1: Array, h: float) -> Array:
 class ReleaseCurve:
     """Release against the start depth sqrt(1 - radius), as splines through parcels integrated once per speed and grain."""
 
-    angle: CubicSpline
-    radial_speed: CubicSpline
+    angle: scipy.interpolate.CubicSpline
+    radial_speed: scipy.interpolate.CubicSpline
     deepest: float
 
     def __call__(self, radius: Array) -> Release:
@@ -125,4 +125,6 @@ def release_curve(
     release = slide(1.0 - depth**2, friction, gamma, radial_speed, start_angle_rad)
     out = np.isfinite(release.angle_rad)
     depth, angle, speed = depth[out], release.angle_rad[out], release.radial_speed[out]
-    return ReleaseCurve(CubicSpline(depth, angle), CubicSpline(depth, speed), float(depth[-1]))
+    return ReleaseCurve(
+        scipy.interpolate.CubicSpline(depth, angle), scipy.interpolate.CubicSpline(depth, speed), float(depth[-1])
+    )

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 from pydantic import Field
-from scipy.signal import lfilter
 
 from yieldmon.physics.numerics import Array
 from yieldmon.strict_model import StrictModel
@@ -129,7 +129,7 @@ def harvest(profile: FlowProfile, duration_s: float, rng: np.random.Generator) -
 def _smooth(flow: Array, time_constant_s: float) -> Array:
     keep = np.exp(-SAMPLE_INTERVAL_S / time_constant_s)
     start = [keep * flow[0]]
-    return np.asarray(lfilter([1.0 - keep], [1.0, -keep], flow, zi=start)[0])
+    return np.asarray(scipy.signal.lfilter([1.0 - keep], [1.0, -keep], flow, zi=start)[0])
 
 
 def _slow_factor(count: int, profile: FlowProfile, rng: np.random.Generator) -> Array:
@@ -142,7 +142,7 @@ def correlated_noise(count: int, correlation_samples: float, rng: np.random.Gene
     keep = np.exp(-1.0 / correlation_samples)
     white = rng.standard_normal(count)
     start = [keep * rng.standard_normal()]
-    return np.asarray(lfilter([np.sqrt(1.0 - keep**2)], [1.0, -keep], white, zi=start)[0])
+    return np.asarray(scipy.signal.lfilter([np.sqrt(1.0 - keep**2)], [1.0, -keep], white, zi=start)[0])
 
 
 def _count(duration_s: float) -> int:

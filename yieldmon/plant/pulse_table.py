@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import NdBSpline, make_interp_spline
+import scipy
 
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.numerics import Array
@@ -154,11 +154,11 @@ def _quantiles(arrival_s: Array, impulse: Array) -> Array:
     return np.asarray(np.interp(QUANTILES, share, time))
 
 
-def _spline(axes: list[Array], values: Array) -> NdBSpline:
+def _spline(axes: list[Array], values: Array) -> scipy.interpolate.NdBSpline:
     """Tensor-product cubic interpolant; values may carry trailing axes."""
     coefficients, knots = values, []
     for axis, nodes in enumerate(axes):
-        spline = make_interp_spline(nodes, np.moveaxis(coefficients, axis, 0), k=3)
+        spline = scipy.interpolate.make_interp_spline(nodes, np.moveaxis(coefficients, axis, 0), k=3)
         coefficients = np.moveaxis(spline.c, 0, axis)
         knots.append(spline.t)
-    return NdBSpline(tuple(knots), coefficients, 3)
+    return scipy.interpolate.NdBSpline(tuple(knots), coefficients, 3)

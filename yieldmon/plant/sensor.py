@@ -6,8 +6,8 @@ from enum import StrEnum
 from typing import Annotated
 
 import numpy as np
+import scipy
 from pydantic import Field
-from scipy.signal import lfilter
 
 from yieldmon.frames import SAMPLE_INTERVAL_S, SensorStatus
 from yieldmon.physics.machine import LONGEST_RESPONSE_S, ImpactSensor
@@ -60,7 +60,9 @@ class ImpactCell:
 
     def samples_mv(self, force_n: Array, background_mv: Array, fault: SensorFault | None) -> Array:
         """Voltages for the mean force in each step; background_mv: zero, noise and vibration in each sample."""
-        felt, self._state = lfilter([(1.0 - self._keep) ** 2], [1.0, -2.0 * self._keep, self._keep**2], force_n, zi=self._state)
+        felt, self._state = scipy.signal.lfilter(
+            [(1.0 - self._keep) ** 2], [1.0, -2.0 * self._keep, self._keep**2], force_n, zi=self._state
+        )
         if self._steps > 1:
             felt = felt.reshape(-1, self._steps).mean(axis=1)
         felt = felt * (1.0 - self._nonlinearity * felt / self._full_scale_n)

@@ -10,8 +10,6 @@ from yieldmon.bus.databases import MessageBits, SignalBits
 from yieldmon.bus.layout import MessageLayout, SignalLayout
 from yieldmon.frames import NOT_AVAILABLE, Frame, Value
 from yieldmon.identifiers import group_of
-from yieldmon.signals.extraction import Extraction, named_no_value
-from yieldmon.signals.long_messages import number
 
 _FINE = 1e-4
 """Resolution of a floating-point number, for its digits."""
@@ -61,6 +59,10 @@ def _layout(signal: SignalBits) -> SignalLayout:
 
 def _value(message: MessageBits, signal: SignalBits, data: bytes) -> Value:
     """NOT_AVAILABLE also for a signal that a frame with this value of the multiplexer does not hold."""
+    # They bring numpy along, which a monitor without other DBC files does without.
+    from yieldmon.signals.extraction import Extraction, named_no_value
+    from yieldmon.signals.long_messages import number
+
     for page, wanted in message.pages(signal):
         if Extraction(page, 1.0, 0.0).raw(*number(data, page.byte)) not in wanted:
             return NOT_AVAILABLE

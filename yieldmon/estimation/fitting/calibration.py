@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import fdtrc
+import scipy
 
 from yieldmon.estimation import model_error
 from yieldmon.estimation.gaussian import SD_PER_MAD
@@ -357,4 +357,4 @@ def _lack_of_fit_p(problem: CalibrationProblem, cell_slopes: Array, f_value: flo
         f_value /= mean
         # Within cells the mean variance is 1 by the spread's definition.
         above, below = above * share, below**2 / float((count - 1) @ variance**2)
-    return float(fdtrc(above, below, f_value))
+    return float(scipy.special.fdtrc(above, below, f_value))

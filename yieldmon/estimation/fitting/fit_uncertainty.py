@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import stdtrit
 
 from yieldmon.estimation import model_error
 from yieldmon.physics.numerics import Array
@@ -80,7 +80,7 @@ def _spread_out(inverse: Array, unlike: Array | None) -> Array:
 
 def wald_intervals(problem: CalibrationProblem, theta: Array, standard_errors: Array, dof: float) -> Array:
     """(n, 2): ends of the CONFIDENCE intervals by standard errors (n,) alone, within the bounds."""
-    reach = stdtrit(dof, 0.5 + 0.5 * CONFIDENCE) * np.where(np.isfinite(standard_errors), standard_errors, np.inf)
+    reach = scipy.special.stdtrit(dof, 0.5 + 0.5 * CONFIDENCE) * np.where(np.isfinite(standard_errors), standard_errors, np.inf)
     return np.stack((np.maximum(theta - reach, problem.lower), np.minimum(theta + reach, problem.upper)), axis=-1)
 
 

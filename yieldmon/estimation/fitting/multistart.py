@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import gamma
 
 from yieldmon.physics.numerics import Array
 
@@ -94,7 +94,7 @@ def _leaders(problem: CalibrationProblem, theta: Array) -> NDArray[np.intp]:
     prior = np.einsum("pn,bn->bp", problem.prior_white, theta - problem.prior_mean)
     cost = np.sum(error**2, axis=1) + np.sum(prior**2, axis=1)
     order = np.argsort(cost, kind="stable")
-    reach = (_LINKAGE * gamma(1.0 + 0.5 * width) * np.log(count) / count) ** (1.0 / width) / np.sqrt(np.pi)
+    reach = (_LINKAGE * scipy.special.gamma(1.0 + 0.5 * width) * np.log(count) / count) ** (1.0 / width) / np.sqrt(np.pi)
     for rank, i in enumerate(order):
         if rank < _ALWAYS_SEARCHED or i == 0:
             continue
@@ -152,8 +152,6 @@ def _polished(problem: CalibrationProblem, theta: Array) -> list[tuple[Array, fl
 
 
 def _polish_robust(problem: CalibrationProblem, theta: Array) -> tuple[Array, float]:
-    from scipy import optimize
-
     cache: dict[bytes, tuple[Array, Array]] = {}
 
     def both(t: Array) -> tuple[Array, Array]:
@@ -175,7 +173,7 @@ def _polish_robust(problem: CalibrationProblem, theta: Array) -> tuple[Array, fl
     def slopes(t: Array) -> Array:
         return np.nan_to_num(both(t)[1])
 
-    solution = optimize.least_squares(
+    solution = scipy.optimize.least_squares(
         residuals,
         inside,
         jac=slopes,

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import fdtri
 
 from yieldmon.physics.numerics import Array
 
@@ -68,7 +68,7 @@ def intervals(problem: CalibrationProblem, theta: Array, uncertainty: FitUncerta
 
 def _limit(dof: float) -> float:
     """Rise at the ends of the CONFIDENCE interval: the root of the F quantile."""
-    return float(np.sqrt(fdtri(1, dof, CONFIDENCE)))
+    return float(np.sqrt(scipy.special.fdtri(1, dof, CONFIDENCE)))
 
 
 class _Ends:

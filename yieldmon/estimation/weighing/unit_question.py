@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from math import isfinite
 
 import numpy as np
-from scipy import special
+import scipy
 
 from yieldmon.estimation.fitting.calibration import default_start
 from yieldmon.estimation.fitting.calibration_problem import CalibrationProblem
@@ -109,7 +109,7 @@ def _refuted(model: ForwardModel, data: Measurements, best: dict[float, float], 
     more = data.momentum.size - len(_NAMES)
     scale = max(free / more, 1.0)
     bounded = len(_FREE)
-    return bool(special.fdtrc(bounded, more, (inside - free) / bounded / scale) < _REFUTED)
+    return bool(scipy.special.fdtrc(bounded, more, (inside - free) / bounded / scale) < _REFUTED)
 
 
 def _misfit(
