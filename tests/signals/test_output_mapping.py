@@ -92,7 +92,8 @@ CASES = {
     "code unknown": (MODE.replace("}", ", values: {0: 1, 1: 2, 2: 3, 7: 4}}"), "plate_command_mode.values", "code 7", "0, 1, 2"),
     "codes of a number": (FLOW.replace("}", ", values: {0: 1}}"), "mass_flow.values", "{0: 1}", "no codes"),
     "scale of a code": (MODE.replace("}", ", scale: 2}"), "plate_command_mode.scale", "2", "whole number"),
-    "not available": (ANGLE.replace("}", ", not_available: 65536}"), "plate_target_angle.not_available", "65536", "0 to 65535"),
+    "not available": (ANGLE.replace("}", ", not_available: 65536}"), "plate_target_angle.not_available", "65536", "-32768 to"),
+    "not available, unsigned": (FLOW.replace("}", ", not_available: -1}"), "mass_flow.not_available", "-1", "0 to 65535"),
     "constant unknown": (ANGLE.replace("}", ", constants: {Contol: 1}}"), "plate_target_angle.constants", "Contol", "Control"),
     "constant out of range": (ANGLE.replace("}", ", constants: {Control: -1}}"), "constants.Control", "-1", "0 to 65535"),
     "constant that is bound": (f"{ANGLE}\n    {MODE.replace('}', ', constants: {Position: 1}}')}", "constants.Position",
@@ -178,8 +179,9 @@ def test_no_value_is_no_frame_where_the_signal_cannot_say_so(dbc: Path) -> None:
     assert [data[2:4] for data in sent(outputs(dbc, binding), 70.0, NOT_AVAILABLE, -327.69, 40.0)] == [
         (7000).to_bytes(2, "little"), (4000).to_bytes(2, "little")
     ]  # fmt: skip
-    said = OutputBinding("here", "plate_target_angle", "d.dbc", "Drive", "Position", not_available=0x8000)
-    assert [data[2:4].hex() for data in sent(outputs(dbc, said), 70.0, NOT_AVAILABLE, 400.0)] == ["581b", "0080", "0080"]
+    for raw in (0x8000, -0x8000):
+        said = OutputBinding("here", "plate_target_angle", "d.dbc", "Drive", "Position", not_available=raw)
+        assert [data[2:4].hex() for data in sent(outputs(dbc, said), 70.0, NOT_AVAILABLE, 400.0)] == ["581b", "0080", "0080"]
 
 
 @pytest.mark.parametrize(

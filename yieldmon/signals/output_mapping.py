@@ -199,9 +199,13 @@ def _packing(binding: OutputBinding, signal: SignalBits, machine: Machine) -> Pa
     not_available = binding.not_available
     if not_available is None and signal.raw_max is not None:
         not_available = (1 << signal.bits) - 1
-    if not_available is not None and not 0 <= not_available < 1 << signal.bits:
-        expected = f"a raw value of {signal.bits} bits, 0 to {(1 << signal.bits) - 1}"
-        raise binding.refuse("not_available", f"{not_available}", expected)
+    if not_available is not None:
+        # Of a signed signal it is named by its number or by its bits, as in `signals`.
+        lowest = -(1 << signal.bits - 1) if signal.kind == "int" else 0
+        if not lowest <= not_available < 1 << signal.bits:
+            expected = f"a raw value of {signal.bits} bits, {lowest} to {(1 << signal.bits) - 1}"
+            raise binding.refuse("not_available", f"{not_available}", expected)
+        not_available &= (1 << signal.bits) - 1
     if quantity.counts or quantity.codes:
         return _whole(binding, quantity, signal, not_available)
     if binding.values:

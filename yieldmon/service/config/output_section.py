@@ -33,7 +33,7 @@ class OutputEntry(StrictModel):
     source: Any = Field(None, description="own, or an address; null: own in J1939 messages, else the DBC's")
     mux: int | None = Field(None, ge=0, description="value of the message's multiplexer")
     range: list[float] | None = Field(None, min_length=2, max_length=2, description="two numbers in the quantity's unit")
-    not_available: int | None = Field(None, ge=0, description="the raw value that means it; null: J1939's, else nothing is sent")
+    not_available: int | None = Field(None, description="the raw value that means it; null: J1939's, else nothing is sent")
     values: dict[int, int] = Field(default_factory=dict, description="the quantity's code: raw value, both whole numbers")
     period_ms: float | None = Field(None, ge=MIN_PERIOD_MS, le=MAX_PERIOD_MS, description=_PERIOD)
     constants: dict[str, float] = Field(default_factory=dict, description="signals of the same message: physical value")
