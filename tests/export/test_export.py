@@ -112,6 +112,15 @@ def test_start_and_end_of_each_pass_are_left_out():
     assert [point.held for point in points] == [120 <= second < 130 for second in seconds]
 
 
+@pytest.mark.parametrize("words", [[], ["--start-delay", "0", "--end-delay", "0"]])
+def test_an_export_says_how_much_of_the_grain_its_points_hold(exported, capsys, words):
+    found = json.loads(exported("p.geojson", *WORDS, *words).read_text())["features"]
+    held = sum(one["properties"]["mass_kg"] for one in found)
+    whole = sum(row.mass_kg for row in ROWS)
+    assert held <= whole + 1e-6
+    assert capsys.readouterr().err.endswith(f"p.geojson: {len(found)} yield points with {held:.0f} of {whole:.0f} kg\n")
+
+
 def test_a_record_without_positions():
     with pytest.raises(InputError, match="no second with position"):
         yield_points([dataclasses.replace(row, latitude_deg=None) for row in ROWS], SETTINGS)

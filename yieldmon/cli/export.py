@@ -88,7 +88,8 @@ def run(args: argparse.Namespace) -> int:
         expected = "flow, and a position --flow-delay before it"
         raise InputError(args.record, "has no second of harvest that a place belongs to", expected)
     _write_points(kind, out, points, settings, _names(args, loads))
-    said = f"{out}: {_counted(len(points), 'yield point')}"
+    masses = f"{sum(point.mass_kg for point in points):.0f} of {sum(row.mass_kg for row in rows):.0f} kg"
+    said = f"{out}: {_counted(len(points), 'yield point')} with {masses}"
     if kind in ("agleader", "taskdata"):
         # Readers take such files for raw ones.
         said += f"; the flow delay of {args.flow_delay:g} s is taken out: read them with `yieldmon map --flow-delay 0`"
