@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from shapely.ops import unary_union
 
 from yieldmon.field.header_place import HeaderPlace, at_header
 from yieldmon.field.swath import swaths
-from yieldmon.field.table import HarvestTable, Source, build
+from yieldmon.field.table import HarvestTable, Label, Source, build
 from yieldmon.field.tracks import tracks
 
 EARTH_M_DEG = 111_195.0
@@ -143,6 +143,18 @@ def test_a_part_of_the_header_cuts_at_its_side(right_m: float, from_m: float, to
         west, _, east, _ = unary_union(found.polygons(last)).bounds
         first, _, _, _ = found.polygons(np.array([10]))[0].bounds
         assert (west - first, east - first) == pytest.approx((from_m + 3.0, to_m + 3.0), abs=0.02)
+
+
+def test_a_narrower_header_of_another_field_is_no_part_of_a_wider_one() -> None:
+    """Passes of 3 m that overlap by 0.6 m, and those of 6 m of another field."""
+    drives = [
+        *(Drive((2.4 * k, 0), (2.4 * k, 100), 3.0) for k in range(4)),
+        *(Drive((500 + 6 * k, 0), (500 + 6 * k, 100)) for k in range(4)),
+    ]
+    table, _ = table_of(drives, 40.0, -90.0)
+    fields = Label.of(["south"] * 200 + ["north"] * 200)
+    found = swaths(replace(table, labels={**table.labels, "field": fields}), tracks(table))
+    assert found.area_m2.sum() == pytest.approx(100 * (3.0 + 3 * 2.4 + 4 * 6.0), rel=1e-3)
 
 
 def test_a_strip_between_cut_ground_is_in_the_middle_of_the_header() -> None:

@@ -98,9 +98,13 @@ def _beside_cut_ground(table: HarvestTable, steps: Tracks, lanes: _Lanes, found:
     width = np.nan_to_num(table["width_m"])
     moved = np.zeros(len(table))
     stream = steps.stream[steps.step_of_row]
+    # Another crop or field may have another header.
+    labels = (table.labels[name].codes for name in ("crop", "field"))
+    _, header = np.unique(np.column_stack((stream, *labels)), axis=0, return_inverse=True)
+    header = header.reshape(-1)
     spare = np.zeros(len(table))
-    for one in np.unique(stream):
-        mine = (stream == one) & found.cut
+    for one in range(int(header.max(initial=-1)) + 1):
+        mine = (header == one) & found.cut
         if mine.any():
             spare[mine] = float(np.percentile(width[mine], _WHOLE_PERCENTILE)) - width[mine]
     narrow = found.cut & (spare > _LEAST_SPARE * width) & np.isnan(table["cut_right_m"]) & ~np.isfinite(table["section"])
