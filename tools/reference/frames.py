@@ -33,10 +33,10 @@ def markdown(dbc_path: Path | str | None = None) -> str:
 def _overview(messages: Sequence[DbcMessage]) -> str:
     rows = [
         f"|`{message.name}`|{'in' if message.name in INPUTS else 'out'}|`0x{message.frame_id:08X}`"
-        f"|{message.frame_id >> 26}|{_group(message)}|{', '.join(message.senders)}|{message.length}|{message.cycle_time} ms|"
+        f"|{message.frame_id >> 26}|{_group(message)}|{', '.join(message.senders)}|{message.length}|{message.cycle_time}|"
         for message in messages
     ]
-    head = "|message|yieldmon|identifier|priority|group|from|bytes|every|\n|---|---|---|---|---|---|---|---|"
+    head = "|message|yieldmon|identifier|priority|group|from|bytes|every, ms|\n|---|---|---|---|---|---|---|---|"
     return "\n".join([head, *rows, ""])
 
 
