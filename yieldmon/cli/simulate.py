@@ -45,7 +45,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     parser.add_argument("--machine", metavar="FILE", help="file or shipped name (default: the scenario's)")
     parser.add_argument("--log", metavar="FILE", help="write a log as fast as it goes (.log .asc .blf .trc .csv .db .mf4)")
-    parser.add_argument("--truth", metavar="FILE", help="write the truth, one row a second, as CSV")
+    parser.add_argument("--truth", metavar="FILE", help="write the truth, each second from 0, as CSV")
     parser.add_argument("--duration", type=float, metavar="S", help="stop after S seconds (default: the scenario's)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="random seed (default: 0)")
     parser.add_argument(
