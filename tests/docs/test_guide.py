@@ -215,3 +215,10 @@ def test_every_page_is_linked(page: str) -> None:
     text = (ROOT / page).read_text(encoding="utf-8")
     names = [f"{part}/{other.name}" for part in ("guide", "reference", "internals") for other in (DOCS / part).glob("*.md")]
     assert [name for name in sorted(names) if f"{name})" not in text] == []
+
+
+@pytest.mark.parametrize("folder", ["studies", "examples"])
+def test_a_list_names_every_study_and_example(folder: str) -> None:
+    text = (ROOT / folder / "README.md").read_text(encoding="utf-8")
+    there = [path for path in (ROOT / folder).iterdir() if path.suffix == ".py" or (path.is_dir() and any(path.glob("*.*")))]
+    assert [path.name for path in sorted(there) if path.name[0] not in "_." and path.name not in text] == []
