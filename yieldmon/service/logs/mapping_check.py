@@ -45,6 +45,8 @@ _LEAST_SHARE = 0.25
 """Of the full scale, below 0: a cell that pulls."""
 _SPEED_BAND = np.linspace(0.98, 1.02, 9)
 """A loaded elevator turns up to this share off its stated speed: enough to fold a harmonic onto 0."""
+_EVEN = 0.1
+"""Of a step, what the middle half of all differs by at most: a clock's are not all the same."""
 _TURNS = 4
 """So often a counter turns before its ends are known."""
 _ALIKE = 0.02
@@ -265,10 +267,9 @@ def _counter_flaw(counts: Array, source: SampleSource) -> str:
         return ""
     low, high = int(counts.min()), int(counts.max())
     modulus = source.counter_modulus if high < source.counter_modulus else source.counter_values
-    steps, often = np.unique(np.diff(counts) % modulus, return_counts=True)
-    step = int(steps[often.argmax()])
-    if step != 1 and often.max() > _MOSTLY * (counts.size - 1):
-        return f"goes on by {step} from one frame to the next: it counts no frames, so leave `counter` out"
+    least, step, most = np.percentile(np.diff(counts) % modulus, (25.0, 50.0, 75.0))
+    if step != 1 and most - least <= _EVEN * step:
+        return f"goes on by {step:.0f} from one frame to the next: it counts no frames, so leave `counter` out"
     if (low, high) == (0, modulus - 1) or counts.size < _TURNS * modulus:
         return ""
     mend = "leave `counter` out" if low else f"give it the range [0|{high}] in the DBC"
