@@ -297,12 +297,15 @@ def test_the_header_is_where_the_descriptions_say(
     assert (expected or "no offset") in f"{said} no offset"
 
 
-def test_sections_that_work_are_at_their_side() -> None:
-    """Of four sections of 1, 1, 2 and 2 m the left two, the right one, all."""
+@pytest.mark.parametrize("side", [1, -1], ids=["from the left", "from the right by their offsets"])
+def test_sections_that_work_are_at_their_side(side: int) -> None:
+    """Of four sections of 1, 1, 2 and 2 m the first two, the last one, all."""
     elements = [("DET-1", "1", 6000), *((f"DET-{n}", "4", width) for n, width in ((2, 1000), (3, 1000), (4, 2000), (5, 2000)))]
     states = np.array([0b0101, 0b01000000, 0b01010101])[np.arange(COUNT) % 3].tolist()
-    table = sources.read(task_data([device(1, elements)], [WHOLE[0], (161, "DET-1", states)]), ReadOptions())
-    assert table["cut_right_m"][:3] == pytest.approx([-2.0, 2.0, 0.0])
+    middles = zip(range(2, 6), (2700, 1700, 200, -1800), strict=True)
+    offsets = [(135, f"DET-{n}", [middle] * COUNT) for n, middle in middles] if side < 0 else []
+    table = sources.read(task_data([device(1, elements)], [WHOLE[0], (161, "DET-1", states), *offsets]), ReadOptions())
+    assert table["cut_right_m"][:3] == pytest.approx([-2.0 * side, 2.0 * side, 0.0])
     assert table["width_m"][:3] == pytest.approx([2.0, 2.0, 6.0])
 
 

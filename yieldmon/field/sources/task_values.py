@@ -22,6 +22,7 @@ from yieldmon.data_dictionary import (
     MASS_PER_TIME,
     MAX_WIDTH,
     MOISTURE,
+    OFFSET_Y,
     TOTAL_AREA,
     TOTAL_MASS,
     WIDTH,
@@ -251,11 +252,23 @@ class Values:
         said, which = self._on(count)
         if not widths.size or which.shape[1] < widths.size:
             return np.full(count, np.nan)
-        middles = np.cumsum(widths) - 0.5 * widths - 0.5 * widths.sum()
+        middles = self._middles(widths)
         working = which[:, : widths.size] * widths
         total = working.sum(axis=1)
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.where((said == 1) & (total > 0), 1e-3 * (working @ middles) / total, np.nan)
+
+    def _middles(self, widths: Array) -> Array:
+        """Of each section to the right of the middle of all, mm: by their offsets, else in their order from the left."""
+        placed = []
+        for section in self._own_sections:
+            sent = self.values.get((OFFSET_Y, section), np.zeros(0))
+            sent = sent[np.isfinite(sent)]
+            placed.append(sent[0] if sent.size else self.device.constants.get((OFFSET_Y, section), np.nan))
+        middles = np.array(placed)
+        if not np.isfinite(middles).all():
+            middles = np.cumsum(widths) - 0.5 * widths
+        return np.asarray(middles - 0.5 * ((middles - 0.5 * widths).min() + (middles + 0.5 * widths).max()))
 
     def header_down(self, count: int) -> Array:
         """Header down: 1, up: 0, NaN where it is not said."""
