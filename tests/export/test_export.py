@@ -204,7 +204,7 @@ def test_each_second_of_a_pass_has_its_own_point_wherever_in_the_second_the_rows
         assert seconds - 9 <= len(times_s) <= seconds - 7
 
 
-@pytest.mark.parametrize(("name", "reported"), [("p.txt", True), ("p.zip", True), ("p.geojson", False)])
+@pytest.mark.parametrize(("name", "reported"), [("p.txt", True), ("p.zip", False), ("p.geojson", False)])
 def test_formats_that_cannot_say_that_the_delay_is_taken_out_are_named(exported, capsys, name: str, reported: bool) -> None:
     exported(name, *WORDS)
     assert ("flow delay of 10 s is taken out" in capsys.readouterr().err) is reported
@@ -332,6 +332,12 @@ def test_task_data_is_read_by_map(exported, capsys):
     assert cli.main(["map", str(path), "--out", "unused", "--products", "none", "--json", "--flow-delay", "0"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["mass_kg"]["integrated"] == pytest.approx(sum(point.mass_kg for point in yield_points(ROWS, SETTINGS)), rel=0.01)
+
+
+def test_task_data_say_that_the_delay_is_taken_out(exported, capsys):
+    assert cli.main(["map", str(exported("p.zip", *WORDS)), "--out", "unused", "--products", "none", "--json"]) == 0
+    delay = json.loads(capsys.readouterr().out)["delay"]["flow_s"]
+    assert (delay["declared"], delay["value"]) == (0.0, 0.0)
 
 
 def test_task_data_as_a_folder(exported):

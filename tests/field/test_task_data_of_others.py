@@ -309,7 +309,9 @@ def test_sections_that_work_are_at_their_side(side: int) -> None:
     assert table["width_m"][:3] == pytest.approx([2.0, 2.0, 6.0])
 
 
-@pytest.mark.parametrize(("latency", "lag", "declared"), [(-14_999, 10_000, 14.999), (0, 10_000, 10.0), (500, 10_000, 10.0)])
+@pytest.mark.parametrize(
+    ("latency", "lag", "declared"), [(-14_999, 10_000, 14.999), (0, 10_000, 10.0), (500, 10_000, 10.0), (0, 0, None)]
+)
 def test_the_delay_is_the_age_of_the_values(latency: int, lag: int, declared: float) -> None:
     values = [*WHOLE, (143, "DET-1", [latency] * COUNT), (259, "DET-1", [lag] * COUNT)]
     table = sources.read(task_data([device(1, [("DET-1", "2", 0)])], values), ReadOptions())

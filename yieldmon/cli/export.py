@@ -90,8 +90,8 @@ def run(args: argparse.Namespace) -> int:
     _write_points(kind, out, points, settings, _names(args, loads))
     masses = f"{sum(point.mass_kg for point in points):.0f} of {sum(row.mass_kg for row in rows):.0f} kg"
     said = f"{out}: {_counted(len(points), 'yield point')} with {masses}"
-    if kind in ("agleader", "taskdata"):
-        # Readers take such files for raw ones.
+    if kind == "agleader":
+        # Readers take such a file for a raw one.
         said += f"; the flow delay of {args.flow_delay:g} s is taken out: read them with `yieldmon map --flow-delay 0`"
     print(said, file=sys.stderr)
     in_points = {point.load_number for point in points}

@@ -92,7 +92,8 @@ def files(points: Sequence[YieldPoint], field: str, reference_of: Callable[[int]
     first, last = (utc.moment(points[k].time_s) for k in (0, -1))
     log = task_data.Log(LOG_NAME, content, first, last, round((last - first).total_seconds()), totals)
     root = task_data.task_data()
-    task_data.add_combine(root, ENTRIES)
+    # The values are those of their places.
+    task_data.add_combine(root, ENTRIES, latency_ms=0)
     area_m2 = sum(point.distance_m * point.swath_m for point in points)
     ET.SubElement(root, "PFD", A="PFD1", C=field, D=str(round(area_m2)))
     task_data.add_task(root, "TSK1", f"Harvest {field}", "PFD1", log)

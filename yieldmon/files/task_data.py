@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 
 from yieldmon import __version__, utc
+from yieldmon.data_dictionary import LATENCY
 
 EPOCH = datetime(1980, 1, 1, tzinfo=UTC)
 """Day 0 of a time log."""
@@ -19,7 +20,9 @@ DAY_MS = 86_400_000
 MAIN_FILE = "TASKDATA.XML"
 DEVICE, COMBINE = "DVC-1", "DET-1"
 """Identifiers of the combine as a device and as that device's one element."""
-_CLIENT_NAME = "A000840000000000"
+SOFTWARE = "yieldmon"
+"""That wrote it."""
+_CLIENT_NAME, _LATENCY_OBJECT = "A000840000000000", "99"
 
 
 @dataclass(frozen=True)
@@ -72,7 +75,7 @@ def task_data() -> ET.Element:
         "ISO11783_TaskData",
         VersionMajor="4",
         VersionMinor="3",
-        ManagementSoftwareManufacturer="yieldmon",
+        ManagementSoftwareManufacturer=SOFTWARE,
         ManagementSoftwareVersion=__version__,
         TaskControllerManufacturer="yieldmon",
         TaskControllerVersion=__version__,
@@ -80,8 +83,8 @@ def task_data() -> ET.Element:
     )
 
 
-def add_combine(root: ET.Element, entries: Sequence[Entry]) -> None:
-    """The device that measures these entries, into the root."""
+def add_combine(root: ET.Element, entries: Sequence[Entry], latency_ms: int | None = None) -> None:
+    """The device that measures these entries, into the root. latency_ms: of its values, where it is the same in all."""
     device = ET.SubElement(
         root,
         "DVC",
@@ -96,10 +99,14 @@ def add_combine(root: ET.Element, entries: Sequence[Entry]) -> None:
     combine = ET.SubElement(device, "DET", A=COMBINE, B="1", C="1", D="combine", E="0", F="0")
     for index in range(len(entries)):
         ET.SubElement(combine, "DOR", A=str(10 + index))
+    if latency_ms is not None:
+        ET.SubElement(combine, "DOR", A=_LATENCY_OBJECT)
     for index, entry in enumerate(entries):
         method = "16" if entry.total else "1"
         attributes = {"A": str(10 + index), "B": f"{entry.ddi:04X}", "C": "0", "D": method, "E": entry.designator}
         ET.SubElement(device, "DPD", attributes | ({"F": str(50 + index)} if entry.unit else {}))
+    if latency_ms is not None:
+        ET.SubElement(device, "DPT", A=_LATENCY_OBJECT, B=f"{LATENCY:04X}", C=str(latency_ms), D="Actual value time latency")
     for index, entry in enumerate(entries):
         if entry.unit:
             ET.SubElement(device, "DVP", A=str(50 + index), B="0", C="1", D="0", E=entry.unit)

@@ -33,6 +33,7 @@ from yieldmon.field.copies import without_copies
 from yieldmon.field.leaps import bridged
 from yieldmon.field.plane import Sites, astray
 from yieldmon.field.table import DEFAULT_FLOW_S, FORAGE_FLOW_S, Array, HarvestTable, Label, Skipped, Source, build, joined
+from yieldmon.files.task_data import SOFTWARE
 
 from . import timelog
 from .crop_names import crop_names
@@ -378,8 +379,9 @@ def _log(folder: Folder, task: _Task, device: Devices, options: ReadOptions) -> 
 def _declared_s(of: Values) -> float | None:
     """From cutting to the sensor as the machine says: the age of its values, else for how long yield does not count at a turn."""
     latency = of.single(LATENCY)
-    if latency is not None and latency < 0:
-        return -1e-3 * latency
+    # Of other makers 0 may be a value that nobody set.
+    if latency is not None and (latency < 0 or (latency == 0 and of.device.software == SOFTWARE)):
+        return 1e-3 * abs(latency)
     lag = of.single(LAG) or of.single(LEAD)
     return None if lag is None else 1e-3 * lag
 

@@ -59,6 +59,8 @@ class Devices:
         Element -> its type.
     couplings : tuple of (str, str)
         Connectors of two devices that are coupled.
+    software : str
+        That wrote the task file.
     """
 
     constants: Mapping[tuple[int, str], float] = field(default_factory=dict)
@@ -67,6 +69,7 @@ class Devices:
     of_element: Mapping[str, str] = field(default_factory=dict)
     kinds: Mapping[str, str] = field(default_factory=dict)
     couplings: tuple[tuple[str, str], ...] = ()
+    software: str = ""
 
 
 def devices(root: ET.Element) -> Devices:
@@ -98,6 +101,7 @@ def devices(root: ET.Element) -> Devices:
         {element.get("A", ""): device.get("A", "") for device in root.iter("DVC") for element in device.iter("DET")},
         {element.get("A", ""): element.get("C", "") for element in root.iter("DET")},
         tuple((one.get("B", ""), one.get("D", "")) for one in root.iter("CNN")),
+        root.get("ManagementSoftwareManufacturer", ""),
     )
 
 
