@@ -34,10 +34,11 @@ def table(folder: Path, *, load: float = 1.0, force: float = 1.0, turned_deg: fl
     [
         ({}, ""),
         ({"load": 3.6}, "is mass_flow_kg_s in kg/s, not t/h or lb/s, and force_n in newtons?"),
+        ({"load": 1.0 / 0.45359237}, "is mass_flow_kg_s in kg/s, not t/h or lb/s, and force_n in newtons?"),
         ({"force": 1.0 / 4.448}, "is mass_flow_kg_s in kg/s, not t/h or lb/s, and force_n in newtons?"),
         ({"force": 2.5}, "is mass_flow_kg_s in kg/s, not t/h or lb/s, and force_n in newtons?"),
     ],
-    ids=["right", "t/h", "lbf", "too large"],
+    ids=["right", "t/h", "lb/s", "lbf", "too large"],
 )
 def test_units(factors: dict[str, float], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["calibrate", str(table(tmp_path, **factors)), "--starts", "2"]) == 0
@@ -98,6 +99,7 @@ def test_right_units_are_not_asked_about_where_the_rows_refute_every_other(
 ) -> None:
     """The published discrete elements read 0.35 times what grain gives, as those of the campaign do in pounds."""
     assert not asked_of(["calibrate", str(PUBLISHED), "--starts", "2"], capsys)
+    assert not asked_of(["calibrate", str(CAMPAIGN), "--starts", "2"], capsys), "0.66 times, as grain in pounds per second"
     assert asked_of(["calibrate", str(in_pounds(PUBLISHED, tmp_path)), "--starts", "2"], capsys)
 
 

@@ -33,6 +33,8 @@ RESPONSE = "response"
 _FORCE_FACTOR = 5.0
 _ASKED_FACTOR = 2.0
 """Times by which grains differ at most; t/h is 3.6 times, lb/s 2.2 times, a pound-force 4.4 times the unit of the table."""
+_LIKELY_RIGHT = 0.75
+"""Share of grain's readings from which units are not asked about: pounds for kilograms read 0.58 times the same grain."""
 _LEAST_MOMENTUM_KG_M_S = 0.05
 """Below it an offset of the reading outweighs the grain."""
 
@@ -237,7 +239,8 @@ def check_force(data: Table, machine: Machine) -> str:
 
     Held against the shipped parameters: grains differ by a factor of two or less, a newton and a kilogram-force by ten. Readings
     that are too small are asked about unless the rows refute each unit that would make them so (`unit_question.possible`): grain
-    may miss the plate, while none gives more than its momentum twice.
+    may miss the plate, while none gives more than its momentum twice. Pounds for kilograms read some 0.6 times grain, as some
+    grain does: asked about where the rows refute kilograms.
     """
     if data.reading == RESPONSE:
         return ""
@@ -251,13 +254,16 @@ def check_force(data: Table, machine: Machine) -> str:
         return ""
     ratio = float(np.median(values[at][usable] / predicted[usable]))
     if 1.0 / _FORCE_FACTOR <= ratio <= _FORCE_FACTOR:
-        if 1.0 / _ASKED_FACTOR <= ratio <= _ASKED_FACTOR:
+        if _LIKELY_RIGHT <= ratio <= _ASKED_FACTOR:
             return ""
         # A fit, and so scipy: most commands never ask.
         from yieldmon.estimation.weighing import unit_question
 
         rows = Measurements(_at(data, machine, at), values[at])
-        if ratio < 1.0 and not unit_question.possible(ForwardModel(machine), rows, (str(data.load), data.reading)):
+        model = ForwardModel(machine)
+        if 1.0 / _ASKED_FACTOR <= ratio < 1.0 and not unit_question.stated_is_refuted(model, rows):
+            return ""
+        if ratio < 1.0 and not unit_question.possible(model, rows, (str(data.load), data.reading)):
             return ""
         load_unit = "kg for each paddle" if data.load == "paddle_mass_kg" else "kg/s, not t/h or lb/s"
         return (

@@ -47,6 +47,8 @@ MISTAKEN: Mapping[str, tuple[Unit, ...]] = {
 
 _REFUTED = 0.001
 """p value below which rows refute a unit: a wrong unit that is not asked about costs more than a needless question."""
+_SURELY_REFUTED = 1e-6
+"""The same for the units stated, where the readings are as large as some grain's: most such tables are right."""
 _LEAST_ERROR = 0.01
 """Error of model and rows, as a share of the reading, that is always allowed for."""
 _OF_LARGEST = 0.15
@@ -91,25 +93,43 @@ def possible(model: ForwardModel, data: Measurements, columns: tuple[str, str]) 
     if means.momentum.size <= len(_NAMES):
         return tuple(unit.name for unit in units)
     best: dict[float, float] = {}
-    return tuple(unit.name for unit in units if not _refuted(model, _in_si(means, unit), best, unit.load))
+    return tuple(unit.name for unit in units if _p_value(model, _in_si(means, unit), best, unit.load) >= _REFUTED)
 
 
-def _refuted(model: ForwardModel, data: Measurements, best: dict[float, float], load: float) -> bool:
-    """Whether grain's own ranges of density and impact gain cost these rows, one a condition, more than chance would.
+def stated_is_refuted(model: ForwardModel, data: Measurements) -> bool:
+    """Whether rows are surely no grain's in the units stated, whose readings alone do not show it.
+
+    Parameters
+    ----------
+    model : ForwardModel
+    data : Measurements
+        In the units stated.
+
+    Returns
+    -------
+    bool
+        False for rows that are too few to say it.
+    """
+    means = _means(data)
+    return means.momentum.size > len(_NAMES) and _p_value(model, means, {}, 1.0) < _SURELY_REFUTED
+
+
+def _p_value(model: ForwardModel, data: Measurements, best: dict[float, float], load: float) -> float:
+    """Probability that grain's own ranges of density and impact gain cost these rows, one a condition, as much by chance.
 
     best: chi-square without these ranges by the unit of the loads, which grows here; a unit of the readings does not change it.
     """
     start = default_start(model, data, RESTITUTION_FORM)
     inside, at = _misfit(model, data, start, None, _STARTS)
     if not isfinite(inside):
-        return True
+        return 0.0
     if load not in best:
         best[load] = _misfit(model, data, start | at, _FREE, 1)[0]
     free = min(inside, best[load])
     more = data.momentum.size - len(_NAMES)
     scale = max(free / more, 1.0)
     bounded = len(_FREE)
-    return bool(scipy.special.fdtrc(bounded, more, (inside - free) / bounded / scale) < _REFUTED)
+    return float(scipy.special.fdtrc(bounded, more, (inside - free) / bounded / scale))
 
 
 def _misfit(
