@@ -118,7 +118,7 @@ def test_two_nodes_that_send_one_quantity_are_told(tmp_path: Path, second_rpm: f
             ["a counter of 256 values may turn twice, and is not used: 60 pulses per turn need one every 0.73 s"],
         ),
         (
-            lambda k: (40, 0, 41)[k % 3],
+            lambda k: (40, 41, 40)[k % 3],
             0.1,
             ["pulses that each frame counts anew are a frequency: unit Hz, `scale` the frames per"],
         ),

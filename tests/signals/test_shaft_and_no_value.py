@@ -76,6 +76,17 @@ def test_a_shaft_with_few_pulses_has_a_speed_that_does_not_leap(pulses_per_turn:
     assert found[-1] == 0.0
 
 
+@pytest.mark.parametrize("bits", [8, 16, 32])
+def test_a_counter_that_runs_down_or_to_and_fro(bits: int, tmp_path: Path) -> None:
+    """It was no speed, or 4 million rpm."""
+    dbc = DBC.format(bits=bits, scale=1, low=0, high=0, unit="")
+    falling = [-count % (1 << bits) for count in counts(12, 1 << 32)]
+    standing = [(falling[-1] - number % 2) % (1 << bits) for number in range(40)]
+    found = decoded(tmp_path, dbc, ", pulses_per_turn: 12", falling + standing)
+    assert found[10:200] == pytest.approx([RPM] * 190, rel=1e-9)
+    assert max(found[-20:]) <= 50.0
+
+
 @pytest.mark.parametrize(("pulses_per_turn", "usable"), [(400, True), (500, False)])
 def test_a_counter_that_may_turn_twice_between_frames_gives_no_speed(pulses_per_turn: int, usable: bool, tmp_path: Path) -> None:
     """With 500 pulses per turn, 256 values and frames 0.1 s apart 560 rpm were 253 rpm."""

@@ -9,6 +9,8 @@ _LEAST_PULSES = 12
 """Time over which pulses are counted for one speed, and how many: one pulse more or less is a small share."""
 _LONGEST_S = 2.0
 """Time over which they are counted where they are fewer."""
+_SOON = 0.25
+"""Share of the time after which a counter may have turned; within it no shaft makes more pulses than half of its values."""
 
 
 class _Span:
@@ -40,7 +42,7 @@ class PulseSpeed:
 
     def __init__(self, pulses_per_turn: float, modulus: int, values: int | None = None, longest_s: float = _LONGEST_S) -> None:
         self._pulses_per_turn = pulses_per_turn
-        self._longest_s = min(_LONGEST_S, longest_s)
+        self._longest_s, self._soon_s = min(_LONGEST_S, longest_s), _SOON * longest_s
         self._modulus = modulus
         self._values = values or modulus
         self._last: tuple[float, int] | None = None
@@ -64,6 +66,9 @@ class PulseSpeed:
             self._last = last
             return float("nan")
         more = self._between(before, count, self._pulses_per_s * (time_s - last_s))
+        if 2 * more > self._modulus and time_s - last_s < self._soon_s:
+            # Of an encoder that counts down, or to and fro on a shaft that stands.
+            more = self._modulus - more
         self._pulses_per_s = more / (time_s - last_s)
         self._pulses += more
         short, long = self._short.rate(time_s, self._pulses), self._long.rate(time_s, self._pulses)

@@ -298,12 +298,12 @@ def problems(configuration: Configuration, seen: dict[str, QuantitySeen], log: s
             )
             found.append((f"{log}: {name}", f"{what}: {instead}".rstrip() if instead else what, expected))
     found += _angle_problems(configuration.machine, seen, log)
-    counted = {pulses.signal for group in configuration.signals.groups for pulses in group.pulses}
+    counted = _speed_is_counted(configuration)
     found += [
         (
             f"{log}: {name}",
             f"leaps between {entry.low:.6g} and {entry.high:.6g} {entry.unit}, as where two nodes send it",
-            f"the values of one node: name it by `source`{_COUNTED_ANEW if name in counted else ''}",
+            f"the values of one node: name it by `source`{_COUNTED_ANEW if counted and name == 'elevator_speed' else ''}",
         )
         for name, entry in seen.items()
         if entry.leaping_share > _MOSTLY
@@ -319,6 +319,11 @@ def problems(configuration: Configuration, seen: dict[str, QuantitySeen], log: s
             where = f"{log}: {_impact_name(number)}"
             found.append((where, f"{rate_hz:.4g} samples per second", f"{source.rate_hz:g}, as mapped"))
     return found
+
+
+def _speed_is_counted(configuration: Configuration) -> bool:
+    """Whether the elevator's speed is made of a counter of pulses."""
+    return any(group.pulses for group in configuration.signals.groups)
 
 
 def _angle_problems(machine: Machine, seen: dict[str, QuantitySeen], log: str) -> list[tuple[str, str, str]]:
@@ -341,7 +346,7 @@ def remarks(configuration: Configuration, seen: dict[str, QuantitySeen]) -> list
     if speed is not None and speed.low is not None and speed.high is not None and (speed.high < least or speed.low > most):
         found.append(
             f"elevator_speed is never between {least:.0f} and {most:.0f} rpm, where flow is measured: if the machine harvested, "
-            "look at unit, scale and ratio"
+            f"look at unit, scale and ratio{_COUNTED_ANEW if _speed_is_counted(configuration) else ''}"
         )
     if moisture is not None and moisture.high is not None and moisture.high < _LEAST_MOISTURE_PCT:
         found.append(f'moisture is never above {moisture.high:.3g} %: if it comes as a share of 1, unit: "1" makes it per cent')
