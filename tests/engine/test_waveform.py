@@ -586,16 +586,13 @@ def by_kernels(**elevator: float) -> Monitor:
     return monitor
 
 
-def test_a_chain_that_jerks_widens_what_kernel_noise_states() -> None:
-    """Between the speeds that are reported; pulses out of place pass for kernels, by which the flow is a third too low."""
+def test_kernel_noise_of_a_chain_that_jerks_gives_no_flow() -> None:
+    """Between the speeds that are reported; pulses out of place pass for kernels, by which the flow would be a third too low."""
     even, jerking = (by_kernels(noise_pct=pct, noise_time_s=s).waveform for pct, s in ((0.3, 2.0), (1.5, 0.1)))
     assert even is not None
     assert jerking is not None
     assert even.kernels is KernelVerdict.USED
     assert even.kernels_kg_s == pytest.approx(FLOW_KG_S, rel=0.15)
     assert even.kernels_std_dev_kg_s < 0.14 * even.kernels_kg_s
-    if jerking.kernels is KernelVerdict.USED:
-        assert jerking.kernels_kg_s < 0.8 * FLOW_KG_S
-        assert abs(np.log(jerking.kernels_kg_s / FLOW_KG_S)) < 2.0 * jerking.kernels_std_dev_kg_s / jerking.kernels_kg_s
-    else:
-        assert "does the chain jerk" in jerking.kernels_reason
+    assert np.isnan(jerking.kernels_kg_s)
+    assert "does the chain jerk" in jerking.kernels_reason
