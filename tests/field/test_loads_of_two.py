@@ -100,6 +100,19 @@ def test_of_a_truck_that_a_machine_without_a_file_filled_as_well_the_rest_counts
     assert (found["weighed_kg"], found["factor_sd"] * found["measured_kg"]) == pytest.approx((5000.0, 50.0), rel=1e-3)
 
 
+@pytest.mark.parametrize("other", [False, True], ids=["weighed alone", "shared trucks"])
+def test_a_total_holds_the_error_of_one_monitor_in_all_trucks_that_it_shares(
+    other: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    two_files()
+    rows = ["1,9000,30,4000,400,a.txt", "1,9000,30,4000,300,b.txt"] if other else ["1,5000,30,,,a.txt", "1,5000,40,,,b.txt"]
+    text = "\n".join(["load,weighed_kg,sd_kg,other_kg,other_sd_kg,machine", *rows, ""])
+    _, document, said = mapped(capsys, "a.txt", "b.txt", *tickets(text))
+    mass, expected = document["mass_kg"], (700.0**2 + 30.0**2 + 30.0**2) ** 0.5 if other else 50.0
+    assert mass["corrected"] == pytest.approx(10_000.0, rel=1e-3), said
+    assert (mass["high"] - mass["low"]) / (2 * 1.96) == pytest.approx(expected, rel=1e-3)
+
+
 def test_a_ticket_of_no_such_machine_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     two_files()
     code, _, said = mapped(capsys, "a.txt", "b.txt", *tickets("load,weighed_kg,machine\n1,5000,c.txt\n"))

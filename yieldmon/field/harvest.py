@@ -365,10 +365,13 @@ def _totals(
 
 
 def _mass_sd(loads: Sequence[LoadResult]) -> float:
-    own = [one.measured_kg * (one.factor_sd or 0.0) for one in loads if one.weighed_kg is not None]
+    weighed = [one for one in loads if one.weighed_kg is not None]
+    own = [one.measured_kg * max((one.factor_sd or 0.0) ** 2 - one.common_sd**2, 0.0) ** 0.5 for one in weighed]
+    # So do those that another combine's monitor brings.
+    common = sum(one.measured_kg * one.common_sd for one in weighed)
     # The factor of loads that were not weighed is one and the same, so their errors go together.
     others = sum(one.measured_kg * (one.factor_sd or 0.0) for one in loads if one.weighed_kg is None)
-    return float(np.sqrt(sum(value**2 for value in own) + others**2))
+    return float(np.sqrt(sum(value**2 for value in own) + common**2 + others**2))
 
 
 def _yield_interval(passes: Array, mass: Array, area: Array, generator: np.random.Generator) -> tuple[float, float]:

@@ -23,13 +23,15 @@ ALL = "all"
 
 @dataclass(frozen=True)
 class LoadResult:
-    """measured_kg: integrated. factor, factor_sd: what its points are multiplied by."""
+    """measured_kg: integrated. factor, factor_sd: what its points are multiplied by. common_sd: the part of factor_sd by another
+    combine's monitor, the same error in all loads."""
 
     load: str
     measured_kg: float
     weighed_kg: float | None
     factor: float
     factor_sd: float | None
+    common_sd: float = 0.0
 
     def document(self) -> MapLoad:
         """As JSON takes it."""
@@ -75,10 +77,12 @@ def correct(table: HarvestTable, tickets: Sequence[WeighedTicket]) -> tuple[Arra
         shared = number not in together and sum(one == number for one, _ in loads) > 1
         name, mass = f"{label.names[number]}, {owners.names[owner]}" if shared else label.names[number], weighed.get(load)
         if mass is not None:
-            sd = mass.sd_kg / measured[load]
-            results.append(LoadResult(name, float(measured[load]), mass.kg, factors[load], float(sd)))
+            sd, common_sd = float(mass.sd_kg / measured[load]), float(mass.common_kg / measured[load])
+            results.append(LoadResult(name, float(measured[load]), mass.kg, factors[load], sd, common_sd))
         elif (known := corrected[load]) is not None:
-            results.append(LoadResult(name, float(measured[load]), known.weighed_kg, known.factor, known.factor_sd))
+            results.append(
+                LoadResult(name, float(measured[load]), known.weighed_kg, known.factor, known.factor_sd, known.common_sd)
+            )
         else:
             results.append(LoadResult(name, float(measured[load]), None, common, spread))
     return np.array([one.factor for one in results] or [1.0])[codes], tuple(results)
@@ -142,13 +146,16 @@ def _number_of(load_name: str, names: Sequence[str]) -> int:
 
 @dataclass(frozen=True)
 class _Weighed:
-    """A load's mass by its tickets."""
+    """A load's mass by its tickets. common_kg: the part of sd_kg that is the same error in all."""
 
     kg: float = 0.0
     sd_kg: float = 0.0
+    common_kg: float = 0.0
 
     def __add__(self, other: _Weighed) -> _Weighed:
-        return _Weighed(self.kg + other.kg, float(np.hypot(self.sd_kg, other.sd_kg)))
+        common = self.common_kg + other.common_kg
+        apart = self.sd_kg**2 - self.common_kg**2 + other.sd_kg**2 - other.common_kg**2
+        return _Weighed(self.kg + other.kg, float(np.sqrt(max(apart, 0.0) + common**2)), common)
 
 
 def _by_load(
@@ -169,7 +176,8 @@ def _by_load(
             share = float(measured[load]) / total
             if share > 0:
                 # How a mass divides among several loads is not weighed: their deviations add up to that of the whole.
-                out[load] = out.get(load, _Weighed()) + _Weighed(ticket.mass_kg * share, ticket.std_dev_kg * share**0.5)
+                part = _Weighed(ticket.mass_kg * share, ticket.std_dev_kg * share**0.5, ticket.other_std_dev_kg * share)
+                out[load] = out.get(load, _Weighed()) + part
     return out
 
 

@@ -92,6 +92,7 @@ class KnownLoad:
     factor: float
     factor_sd: float
     weighed_kg: float | None
+    common_sd: float = 0.0
 
 
 @dataclass(frozen=True)

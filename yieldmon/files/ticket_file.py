@@ -35,7 +35,8 @@ _UNIT_FACTOR = 5.0
 @dataclass(frozen=True, slots=True)
 class WeighedTicket:
     """A weighed mass for the loads `first` to `last` (numbers, or the name of one load or of a log that holds one). where: for
-    errors. machine: whose loads these are, where several have them."""
+    errors. machine: whose loads these are, where several have them. other_std_dev_kg: the part of std_dev_kg by another combine's
+    monitor, the same error in all trucks that it filled too; 0 for none."""
 
     first: str
     last: str
@@ -43,6 +44,7 @@ class WeighedTicket:
     std_dev_kg: float
     where: str
     machine: str = ""
+    other_std_dev_kg: float = 0.0
 
 
 def names_log(name: str, log: str) -> bool:
@@ -84,16 +86,18 @@ def load(path: str | Path) -> tuple[WeighedTicket, ...]:
             sd = _number(source, i, deviation[0]) * deviation[1]
             if not 0.0 < sd < kg:
                 raise InputError(source.where(i, deviation[0]), f"is {sd:g} kg", f"above 0 and below the load's {kg:g} kg")
+        other_sd = 0.0
         if other is not None and not delimited.is_unknown(source.column(other[0])[i]):
-            of_other = None
+            of_other, weighed_sd = None, sd
             if other_deviation is not None and not delimited.is_unknown(source.column(other_deviation[0])[i]):
                 of_other = _number(source, i, other_deviation[0]) * other_deviation[1]
             kg, sd = own_part(kg, sd, _number(source, i, other[0]) * other[1], of_other, source.where(i, other[0]))
+            other_sd = (sd**2 - weighed_sd**2) ** 0.5
         first, dash, last = cell.partition("-")
         spans = bool(dash) and first.strip().isdecimal() and last.strip().isdecimal()
         names = (first.strip(), last.strip()) if spans else (cell, cell)
         machine = machines[i] if machines and not delimited.is_unknown(machines[i]) else ""
-        tickets.append(WeighedTicket(*names, kg, sd, source.where(i, which), machine))
+        tickets.append(WeighedTicket(*names, kg, sd, source.where(i, which), machine, other_sd))
     return tuple(tickets)
 
 

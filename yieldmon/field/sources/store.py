@@ -52,12 +52,14 @@ def known_loads(store: Store) -> dict[str, KnownLoad]:
     for load in recorded.corrected_loads(store):
         if not load.mass_kg > 0.0 or (load.ticket_id is None and load.posted_mass_kg is None):
             continue
-        weighed_kg, sd_kg = None, UNKNOWN_SCALE_SD * load.corrected_mass_kg
+        weighed_kg, sd_kg, common_kg = None, UNKNOWN_SCALE_SD * load.corrected_mass_kg, 0.0
         if load.ticket_id is not None:
             weighed_kg, (whole_kg, whole_sd_kg) = load.corrected_mass_kg, log.taught(load.ticket_id)
             # How a ticket's mass divides among several loads is not weighed: their deviations add up to that of the whole.
-            sd_kg = whole_sd_kg * (weighed_kg / whole_kg) ** 0.5
-        known[str(load.number)] = KnownLoad(load.corrected_mass_kg / load.mass_kg, sd_kg / load.mass_kg, weighed_kg)
+            sd_kg, truck = whole_sd_kg * (weighed_kg / whole_kg) ** 0.5, log.truck(load.ticket_id)
+            common_kg = 0.0 if truck is None else truck.other_std_dev_kg * weighed_kg / whole_kg
+        factor, sd, common_sd = (kg / load.mass_kg for kg in (load.corrected_mass_kg, sd_kg, common_kg))
+        known[str(load.number)] = KnownLoad(factor, sd, weighed_kg, common_sd)
     return known
 
 

@@ -221,6 +221,10 @@ class ActionLog:
         mass_kg = self._tickets[number - 1].weighed_mass_kg if truck is None else truck.own_kg
         return mass_kg, RELATIVE_STD_DEV * mass_kg if std_dev_kg is None else float(std_dev_kg)
 
+    def truck(self, number: int) -> SharedTruck | None:
+        """What was entered of another combine with a ticket."""
+        return ledgers.truck_of(self._entry(number))
+
     def change_crop(self, before: str, now: str) -> None:
         """Another crop from now on: tickets that have not updated the parameters wait for the return of theirs."""
         learnt = self._learnt
