@@ -119,6 +119,28 @@ def test_another_line_from_which_no_grain_would_land(tmp_path: Path, capsys: pyt
     assert "with 180 deg less each plate angle the model would miss by" in capsys.readouterr().out
 
 
+def test_rows_that_have_taught_the_parameters_before_are_said_to_count_twice(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Deviations that are 0.7 times what they should be pass for knowledge."""
+    rows, out = str(table(tmp_path)), str(tmp_path / "p.yaml")
+    other = tmp_path / "other"
+    other.mkdir()
+    others = str(table(other, force=1.01))
+    fit = ["calibrate", rows, "--starts", "2", "--force", "--out", out]
+    assert main(fit) == 0
+    assert "count twice" not in capsys.readouterr().err
+    for again, twice in (
+        (["calibrate", rows, "--starts", "2", "--prior", out], True),
+        (["calibrate", others, "--starts", "2", "--prior", out], False),
+        (["self-calibrate", rows, "--group-by", "run", "--params", out], True),
+        (["self-calibrate", others, "--group-by", "run", "--params", out], False),
+    ):
+        assert main(again) == 0
+        said = f"the parameters of {again[-2]} were learnt from this table; its rows count twice"
+        assert (said in capsys.readouterr().err) is twice, again
+
+
 @pytest.mark.parametrize("given", [True, False])
 def test_a_column_that_groups_is_not_said_to_be_ignored(given: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     options = ["--group-by", "run"] if given else []

@@ -162,6 +162,8 @@ def _search(
 
 def _examined(args: argparse.Namespace, data: table.Table, asked: _table_model.Asked, searched: Searched) -> Calibration:
     """The fit with its errors and where it comes from."""
+    if asked.prior is not None:
+        _provenance.note_same_table(data, asked.prior, "--prior")
     try:
         result = examine(searched, response_unit=model_options.RESPONSE if asked.scaled else "N")
     except ValueError as error:

@@ -7,6 +7,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from yieldmon import utc
+from yieldmon.cli import _notes
+from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import digests
 from yieldmon.files.table import Table
 
@@ -19,6 +21,12 @@ def today() -> str:
 def of_table(data: Table) -> dict[str, str]:
     """Of a measurement table."""
     return {"data": Path(data.path).name, "data_sha256": data.sha256, "date": today()}
+
+
+def note_same_table(data: Table, known: ParameterSet, option: str) -> None:
+    """Point out that parameters known beforehand, those of an option, were learnt from the table they are to learn from."""
+    if known.provenance.get("data_sha256") == data.sha256:
+        _notes.note(f"{data.path}: the parameters of {option} were learnt from this table; its rows count twice")
 
 
 def of_loads(sources: Sequence[str], tickets: str | Path, until_s: float | None = None) -> dict[str, str]:

@@ -86,6 +86,7 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(
             where, "has no covariance, each parameter counts as exactly known", "one, as `calibrate --out` writes it"
         )
+    _provenance.note_same_table(data, prior, "--params")
     labels, names = _groups(data, args.group_by)
     sweeps, true = _sweeps(args, data, machine, labels, names)
     model = ForwardModel(machine, prior.effects)
