@@ -87,7 +87,7 @@ def test_loads_of_which_none_is_known_are_one_sweep(tmp_path: Path, capsys: pyte
 def test_a_noise_that_is_stated_for_some_rows_counts_for_these(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     cells = rows((400.0,), (6.0, 15.0), "mass_flow_kg_s")
     unstated = found(capsys, table(tmp_path, [row | {"sigma": "-"} for row in cells]))["groups"]
-    precise = [row | {"sigma": "0.001" if row["mass_flow_kg_s"] == "6.0" else "-"} for row in cells]
+    precise = [row | {"sigma": "0.05" if row["mass_flow_kg_s"] == "6.0" else "-"} for row in cells]
     partly = found(capsys, table(tmp_path, precise))["groups"]
     assert partly[0]["std_dev_kg_s"] < unstated[0]["std_dev_kg_s"]
     assert main([*table(tmp_path, [row | {"sigma": "0"} for row in cells]), "--sigma", "1"]) == 2

@@ -96,7 +96,8 @@ class Outcome:
     region : str
         Where the sweeps' misfit is largest.
     flows : tuple of FlowPosterior
-        Mean mass flow of each sweep, kg/s, with its deviation.
+        Mean mass flow of each sweep, kg/s, with its deviation; where it is not consistent, with as large an error of the model,
+        one draw an angle, as makes it so.
     parameters : tuple of Learning
         Prior and posterior of each parameter that was updated.
     scale : ScaleReport

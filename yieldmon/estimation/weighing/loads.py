@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
 from yieldmon.estimation.load_pattern import EFFECT
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.estimation.self_calibration.closed_loop import self_calibrate
+from yieldmon.estimation.self_calibration.closed_loop import learn
 from yieldmon.estimation.self_calibration.closed_loop_inputs import MassAnchor, Sweep
 from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array
@@ -288,7 +288,7 @@ def _together(
         if ok
     ]
     centre = moved(problem.start, *map(float, near.step))
-    outcome = self_calibrate(problem.model, centre, sweeps, anchors=anchors, settings=settings)
+    outcome = learn(problem.model, centre, sweeps, anchors=anchors, settings=settings)
     if not outcome.updated:
         return None
     return replace(outcome.parameter_set, version=problem.given.version + 1)
