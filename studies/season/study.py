@@ -26,7 +26,8 @@ from yieldmon.estimation.fitting.stop_gap import with_stop_gap
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.self_calibration.angle_pattern import with_pattern
-from yieldmon.estimation.self_calibration.closed_loop import self_calibrate, update_from_tickets
+from yieldmon.estimation.self_calibration.closed_loop import learn as learn_from_sweeps
+from yieldmon.estimation.self_calibration.closed_loop import update_from_tickets
 from yieldmon.estimation.self_calibration.closed_loop_inputs import MassAnchor, Sweep
 from yieldmon.estimation.self_calibration.closed_loop_outcome import Outcome as Lesson
 from yieldmon.estimation.self_calibration.drift_lessons import DriftLesson, by_weighed_masses, ending
@@ -398,11 +399,11 @@ class Keeper:
             None if moisture is None else np.full(used.size, float(np.mean(moisture))),
         )
         if not self.settings.refuse_corners:
-            self._take(self_calibrate(self.model, self.parameters, [sweep], settings=self.loop), came, hour, sweep_alone=True)
+            self._take(learn_from_sweeps(self.model, self.parameters, [sweep], settings=self.loop), came, hour, sweep_alone=True)
             return
         self._see(used, moisture)
         allowed = allowing_for(self.loop, self.parameters)
-        lesson = self_calibrate(self.model, self.parameters, [sweep], settings=allowed)
+        lesson = learn_from_sweeps(self.model, self.parameters, [sweep], settings=allowed)
         self._take(lesson, came, hour, sweep_alone=True, admitted=not refusal(lesson.parameter_set))
 
     def _see(self, used: Array, moisture: Array | None) -> None:

@@ -384,22 +384,22 @@ def test_windows_that_disagree_with_the_model_change_nothing_and_are_placed() ->
     assert "around 80 deg" in outcome.reason
 
 
-@pytest.mark.parametrize(("friction", "deviations"), [(0.1, 3.5), (0.2, 2.0), (0.3, 2.0), (0.5, 2.0)])
-def test_flows_of_a_model_that_windows_disagree_with_are_covered(friction: float, deviations: float) -> None:
-    """Plate friction by a law of its own, the scale right at home: the parameters would bend to it, and the flows with them.
-    What is left of a small error is smooth over the angle, where it is taken to be one draw an angle."""
+@pytest.mark.parametrize("friction", [0.1, 0.2, 0.3, 0.5])
+def test_flows_of_a_model_that_windows_disagree_with_are_covered(friction: float) -> None:
+    """Plate friction by a law of its own, the scale right at home: the parameters bend to it, and the flows with them."""
     known, true = prior(widths=(0.1, 0.01, 0.02)), np.array([8.0, 14.0])
     law = (1.0 + friction / np.tan(ANGLES)) / (1.0 + friction / np.tan(np.radians(70.0)))
     sweeps = [dataclasses.replace(one, force_n=one.force_n * law) for one in (sweep(flow, noise=0.005) for flow in true)]
     found, bent = self_calibrate(MODEL, known, sweeps), learn(MODEL, known, sweeps, settings=ClosedLoopSettings())
     assert not found.consistent
     assert (found.parameter_set, found.p_value, found.reason) == (known, bent.p_value, bent.reason)
+    assert [f.mass_flow_kg_s for f in found.flows] == [f.mass_flow_kg_s for f in bent.flows]
 
     def off(outcome: Outcome) -> Array:
         return np.array([np.log(f.mass_flow_kg_s / t) / f.log_sd for f, t in zip(outcome.flows, true, strict=True)])
 
-    assert np.all(np.abs(off(found)) < deviations)
-    assert np.all(np.abs(off(bent)) > 2.0 * deviations)
+    assert np.all(np.abs(off(found)) < 2.5)
+    assert np.all(np.abs(off(bent)) > 5.0)
 
 
 def test_a_model_error_makes_room_for_a_misfit() -> None:

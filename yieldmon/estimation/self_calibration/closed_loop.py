@@ -99,13 +99,18 @@ def self_calibrate(
         return found
     # Paule and Mandel, J. Res. NBS 87 (1982) 377: the error that makes chi-square its degrees of freedom.
     low, high = read.model_error, max(read.model_error, _LARGEST_MODEL_ERROR)
-    flows = found.flows
+    wrong = found
     for _ in range(_HALVINGS):
         error = 0.5 * (low + high)
         wrong = learn(model, prior, sweeps, anchors=anchors, density=density, settings=replace(read, model_error=error))
-        flows = wrong.flows
         low, high = (error, high) if wrong.chi2 > wrong.dof else (low, error)
-    return replace(found, flows=flows)
+    return replace(found, flows=tuple(map(_with_difference, found.flows, wrong.flows)))
+
+
+def _with_difference(flow: FlowPosterior, other: FlowPosterior) -> FlowPosterior:
+    """A flow with the deviation of another estimate of it and what they differ by: which of both is nearer is not known."""
+    difference = float(np.log(flow.mass_flow_kg_s / other.mass_flow_kg_s))
+    return replace(flow, log_sd=float(np.hypot(other.log_sd, difference)))
 
 
 def learn(

@@ -96,8 +96,8 @@ class Outcome:
     region : str
         Where the sweeps' misfit is largest.
     flows : tuple of FlowPosterior
-        Mean mass flow of each sweep, kg/s, with its deviation; where it is not consistent, with as large an error of the model,
-        one draw an angle, as makes it so.
+        Mean mass flow of each sweep, kg/s, with its deviation; where it is not consistent, that which as large an error of the
+        model as makes it so, one draw an angle, leaves and moves it by.
     parameters : tuple of Learning
         Prior and posterior of each parameter that was updated.
     scale : ScaleReport
