@@ -339,24 +339,41 @@ def test_a_mass_is_taken_in_its_unit(text, kg, monkeypatch, capsys):
 
 
 @pytest.mark.parametrize(
-    ("text", "thousands", "decimals"),
+    ("text", "measured_kg", "refused"),
     [
-        ("9.120kg", "9120kg", "9.1200kg"),
-        ("9.120 kg", "9120kg", "9.1200kg"),
-        ("812.500", "812500", "812.5000"),
-        ("20.106lb", "20106lb", "20.1060lb"),
-        ("1.020.106lb", "1020106lb", ""),
+        ("9.120kg", 9000.0, "9120kg, or 9.12kg"),
+        ("9.120 kg", 9000.0, "9120kg, or 9.12kg"),
+        ("20.106lb", 9000.0, "20106lb, or 9.11993kg"),
+        ("9.120kg", 9.0, ""),
+        ("812.500", 800.0, ""),
+        ("812.500", 60_000.0, "812500, or 812.5kg"),
+        ("9.120t", 9000.0, ""),
+        ("9.12kg", 9000.0, ""),
     ],
 )
-@pytest.mark.parametrize("option", ["", "--std-dev="])
-def test_a_point_that_may_part_thousands_is_asked_about(text, thousands, decimals, option, tmp_path, capsys):
-    """Nobody weighs a load to the gram: a German slip's 9.120 kg was 9.12 kg."""
-    decimals = f", or {decimals} for decimals" if decimals else ""
-    where, words = ("--std-dev", ["5t", f"--std-dev={text}"]) if option else ("mass", [text])
-    assert main(["ticket", "--socket", str(tmp_path / "none.sock"), "7", *words]) == 2
-    assert (
-        capsys.readouterr().err == f"yieldmon: {where}: {text!r} may be thousands or decimals; expected {thousands}{decimals}\n"
-    )
+@pytest.mark.parametrize("option", ["MASS", "--other"])
+def test_a_point_may_part_thousands_where_that_is_nearer_to_what_was_measured(
+    text, measured_kg, refused, option, monkeypatch, capsys
+):
+    """A German slip's 9.120 kg was 9.12 kg."""
+    masses_kg = {6: 4e5, 7: measured_kg / 3, 8: measured_kg * 2 / 3, 9: 1.0}
+    loads = [{"number": number, "mass_kg": kg} for number, kg in masses_kg.items()]
+    answer = {"factor": 1.0, "measured_mass_kg": 1.0, "weighed_mass_kg": 1.0, "anchor": True, "why_no_anchor": "", "loads": loads}
+    asked = []
+    monkeypatch.setattr(ticket, "ask_daemon", lambda args, request: asked.append(request["command"]) or answer)
+    words = [text] if option == "MASS" else ["5t", "--other", text]
+    assert main(["ticket", "7-8", *words]) == (2 if refused else 0)
+    assert ("ticket" in asked) is not bool(refused)
+    said = capsys.readouterr().err
+    if refused:
+        thousands = refused.split(",", maxsplit=1)[0]
+        problem = f"{text!r} may be {thousands} or a thousandth of that, where {measured_kg:,.0f} kg were measured"
+        assert said == f"yieldmon: {option}: {problem}; expected {refused}\n"
+
+
+def test_points_between_thousands_are_no_number(tmp_path, capsys):
+    assert main(["ticket", "--socket", str(tmp_path / "none.sock"), "7", "1.020.106lb"]) == 2
+    assert capsys.readouterr().err == "yieldmon: mass: '1.020.106lb' has points between thousands; expected 1020106lb\n"
 
 
 @pytest.mark.parametrize("words", [["3", "4t"], ["3", "4", "t"], ["12", "9120kg"], ["9", "12t"]])

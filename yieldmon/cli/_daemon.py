@@ -80,6 +80,14 @@ _SPACED = re.compile(r"\s*[1-9][0-9]{0,2}(\s[0-9]{3})+(\.[0-9]+)?\s*[a-z]*(\s[a-
 """A number with spaces between thousands, 9 120 kg."""
 
 
+def in_thousands(text: str) -> str:
+    """The mass that a text such as 9.120kg is where its point parts thousands, 9120kg; "" where it cannot."""
+    number = "".join(text.split()).lower()
+    unit = next((unit for unit in _MASS_UNITS if number.endswith(unit)), "")
+    number = number.removesuffix(unit)
+    return number.replace(".", "") + unit if unit in ("", *_SMALL_UNITS) and _POINTED.fullmatch(number) else ""
+
+
 def mass(text: str, where: str = "mass") -> float:
     """A mass in kg from the command line: a number above 0, with or without its unit, in letters of any size, of kilograms or
     pounds also with commas between thousands. Raises InputError."""
@@ -92,9 +100,8 @@ def mass(text: str, where: str = "mass") -> float:
     if unit in _SMALL_UNITS and _IN_THOUSANDS.fullmatch(number):
         # 9,120t may be 9.12 t; nobody weighs a load to the gram.
         number = re.sub("[,'’]", "", number)
-    if unit in ("", *_SMALL_UNITS) and _POINTED.fullmatch(number):
-        or_decimals = f", or {number}0{unit} for decimals" if number.count(".") == 1 else ""
-        raise InputError(where, f"{text!r} may be thousands or decimals", f"{number.replace('.', '')}{unit}{or_decimals}")
+    if number.count(".") > 1 and _POINTED.fullmatch(number):
+        raise InputError(where, f"{text!r} has points between thousands", f"{number.replace('.', '')}{unit}")
     try:
         mass_kg = float(number) * scale
     except ValueError:

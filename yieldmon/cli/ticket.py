@@ -12,7 +12,7 @@ import sys
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from yieldmon.cli._daemon import add_daemon_arguments, ask_daemon, mass
+from yieldmon.cli._daemon import add_daemon_arguments, ask_daemon, in_thousands, mass
 from yieldmon.cli._json import print_json
 from yieldmon.cli._records import load_numbers, show, taken_back, undone, when
 from yieldmon.cli._units import add_units
@@ -65,6 +65,7 @@ def run(args: argparse.Namespace) -> int:
         if text is not None:
             request[key] = mass(text, option)
     _require_units(args)
+    _require_decimals(args, first, last)
     answer = ask_daemon(args, request)
     which = f"load {first}" if first == last else f"loads {first} to {last}"
     change_pct = 100.0 * (answer["factor"] - 1.0)
@@ -128,6 +129,19 @@ def _require_units(args: argparse.Namespace) -> None:
     if bare and (args.units or ask_daemon(args, {"command": "loads"}).get("units")) == "us":
         where, text = next(iter(bare.items()))
         raise InputError(where, f"{text!r} is without its unit, where masses are shown in pounds", f"{text}lb or {text}kg")
+
+
+def _require_decimals(args: argparse.Namespace, first: int, last: int) -> None:
+    """Raises InputError for a mass such as 9.120kg where the loads' measured mass is nearer to that with a point between
+    thousands, as slips in some languages have it."""
+    texts = [(where, text) for where, text in (("MASS", args.mass), ("--other", args.other)) if text and in_thousands(text)]
+    loads = ask_daemon(args, {"command": "loads"})["loads"] if texts else ()
+    measured_kg = sum(load["mass_kg"] for load in loads if first <= load["number"] <= last)
+    for where, text in texts:
+        thousands = in_thousands(text)
+        if measured_kg > 0.0 and measured_kg**2 > mass(text) * mass(thousands):
+            problem = f"{text!r} may be {thousands} or a thousandth of that, where {measured_kg:,.0f} kg were measured"
+            raise InputError(where, problem, f"{thousands}, or {mass(text):g}kg")
 
 
 def _listed(args: argparse.Namespace) -> int:
