@@ -93,3 +93,22 @@ assert [bytes(message.data) for message in read_log(path)] == [bytes([1, 2, 3])]
 """
     done = subprocess.run([sys.executable, "-c", program, str(tmp_path / "x.mf4")], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+def test_what_a_daemon_calls_of_scipy_while_it_measures_is_imported_before() -> None:
+    """An import at the end of a sweep would keep the engine's thread; a curve's is done when its file is read."""
+    program = """
+import re, sys
+from pathlib import Path
+import yieldmon.service.daemon
+from yieldmon.service.preloading import preload
+
+own = [module for name, module in sys.modules.items() if name.startswith("yieldmon.") and module.__file__]
+texts = {module.__name__: Path(module.__file__).read_text(encoding="utf-8") for module in own}
+called = {"scipy." + part for name, text in texts.items() if name != "yieldmon.estimation.flow_curve"
+          for part in re.findall(r"\\bscipy\\.([a-z]+)|from scipy import ([a-z]+)", text) for part in part if part}
+preload()
+print(len(called), *sorted(called - sys.modules.keys()))
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["2"]

@@ -35,6 +35,7 @@ from yieldmon.service.operator.control import ControlServer
 from yieldmon.service.operator.control_protocol import Answer, ControlError
 from yieldmon.service.operator.snapshot import snapshot
 from yieldmon.service.patience import DEFAULT, Patience
+from yieldmon.service.preloading import preload
 from yieldmon.service.reloading import Reloading
 from yieldmon.service.reloads import Reloads
 from yieldmon.service.storage.writer import StoreWriter
@@ -144,6 +145,7 @@ class Daemon:
         # Frames are kept from here on, however long the disk takes.
         self._receiver.start()
         try:
+            preload()
             if not self._store.read(lambda: self._stop_wanted):
                 self._receiver.stop()
                 return 0
