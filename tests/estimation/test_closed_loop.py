@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
-from yieldmon.estimation.fitting.identifiability import relative_jacobian, report, scaled, sweep_directions
+from yieldmon.estimation.fitting.identifiability import directions, relative_jacobian, report, scaled, sweep_directions
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.self_calibration.closed_loop import learn, self_calibrate, update_from_tickets
@@ -69,6 +69,13 @@ def test_the_scale_is_found_numerically_and_named(flow: float) -> None:
     assert scale.relative_sd == np.inf
     # Of parts that are printed alike the names' order decides, not rounding.
     assert scale.words() == "mass flow +1.00, 1 + restitution -1.00, density +1.00"
+
+
+@pytest.mark.parametrize("rounding", [-1e-12, 0.0, 1e-12])
+def test_the_sign_of_a_direction_of_equal_parts_does_not_turn_with_rounding(rounding: float) -> None:
+    """Vector units of different processors round differently."""
+    free = directions(np.array([[1.0, 1.0 + rounding]]), ("density", "mass flow"))[0]
+    assert free.components == pytest.approx((-np.sqrt(0.5), np.sqrt(0.5)))
 
 
 @pytest.mark.parametrize("k1", [0.5, -0.5])

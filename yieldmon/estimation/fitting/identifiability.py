@@ -24,6 +24,8 @@ from .batch import MomentumBatch
 FLOW = "mass flow"
 UNOBSERVABLE = 1e-7
 """Singular value, as a share of the largest, below which no measurement moves along a direction."""
+_SAME_SIZE = 1e-6
+"""Relative difference within which two components are equally large."""
 _POORLY_KNOWN = 0.05
 """Relative standard deviation from which a direction is called poorly determined."""
 _WORTH_NAMING = 0.1
@@ -115,7 +117,10 @@ def directions(jacobian: Array, names: Sequence[str]) -> tuple[Direction, ...]:
     vectors[free] = _scale_first(vectors[free], names)[::-1]
     found = []
     for value, vector in zip(values[::-1], vectors[::-1], strict=True):
-        sign = np.sign(vector[np.argmax(np.abs(vector))])
+        # Of equally large ones the flow's: which is largest would otherwise turn with rounding, from one processor to another.
+        largest = np.flatnonzero(np.abs(vector) > (1.0 - _SAME_SIZE) * np.abs(vector).max()).tolist()
+        leading = next((place for place in largest if names[place] == FLOW), largest[0])
+        sign = np.sign(vector[leading])
         found.append(
             Direction(tuple(names), tuple(float(v) for v in sign * vector), 1.0 / float(value) if value > limit else float("inf"))
         )
