@@ -82,21 +82,25 @@ _SPACED = re.compile(r"\s*[1-9][0-9]{0,2}(\s[0-9]{3})+(\.[0-9]+)?\s*[a-z]*(\s[a-
 
 def in_thousands(text: str) -> str:
     """The mass that a text such as 9.120kg is where its point parts thousands, 9120kg; "" where it cannot."""
+    number, unit = _number_and_unit(text)
+    return number.replace(".", "") + unit if unit in ("", *_SMALL_UNITS) and _POINTED.fullmatch(number) else ""
+
+
+def _number_and_unit(text: str) -> tuple[str, str]:
+    """The unit is "" where there is none that is known."""
+    # Slips are copied with spaces that do not break.
     number = "".join(text.split()).lower()
     unit = next((unit for unit in _MASS_UNITS if number.endswith(unit)), "")
-    number = number.removesuffix(unit)
-    return number.replace(".", "") + unit if unit in ("", *_SMALL_UNITS) and _POINTED.fullmatch(number) else ""
+    return number.removesuffix(unit), unit
 
 
 def mass(text: str, where: str = "mass") -> float:
     """A mass in kg from the command line: a number above 0, with or without its unit, in letters of any size, of kilograms or
     pounds also with commas between thousands. Raises InputError."""
-    # Slips are copied with spaces that do not break.
-    number = "".join(text.split()).lower()
     if _APART.search(text) and not _SPACED.match(text):
         raise InputError(where, repr(text), "one number, such as 9120, 9 120 kg or 9.12t")
-    unit = next((unit for unit in _MASS_UNITS if number.endswith(unit)), "")
-    number, scale = number.removesuffix(unit), _MASS_UNITS.get(unit, 1.0)
+    number, unit = _number_and_unit(text)
+    scale = _MASS_UNITS.get(unit, 1.0)
     if unit in _SMALL_UNITS and _IN_THOUSANDS.fullmatch(number):
         # 9,120t may be 9.12 t; nobody weighs a load to the gram.
         number = re.sub("[,'’]", "", number)

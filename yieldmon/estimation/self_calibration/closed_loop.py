@@ -122,7 +122,22 @@ def learn(
     density: DensityAnchor | None = None,
     settings: ClosedLoopSettings,
 ) -> Outcome:
-    """`self_calibrate` for the parameters alone: where windows disagree with the model, the flows are those of that same fit."""
+    """`self_calibrate` for the parameters alone, in one fit: the deviations of the flows do not allow for windows that disagree.
+
+    Parameters
+    ----------
+    model, prior, sweeps, anchors, density, settings
+        As in `self_calibrate`.
+
+    Returns
+    -------
+    Outcome
+
+    Raises
+    ------
+    ValueError
+        As `self_calibrate`.
+    """
     for sweep in sweeps:
         refuse_impossible("sweep", sweep.plate_angle_rad, sweep.elevator_speed_rad_s)
     for anchor in (*anchors, *(() if density is None else (density,))):
