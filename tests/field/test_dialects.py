@@ -341,3 +341,19 @@ def test_a_german_log_by_flow_names_its_machine_and_load(tmp_path: Path) -> None
     table = sources.read(path, ReadOptions())
     assert table["flow_kg_s"] == pytest.approx([1.0, 1.0, 1.0])
     assert (table.labels["machine"].names, table.labels["load"].names) == (("4711",), ("Hof 3",))
+
+
+@pytest.mark.parametrize("place", ["Länge;Breite", "Laenge [°];Breite [°]"])
+def test_length_and_breadth_beside_each_other_are_a_place(place: str, tmp_path: Path) -> None:
+    path = tmp_path / "drusch.csv"
+    path.write_text(GERMAN.replace("Längengrad;Breitengrad", place), encoding="utf-8")
+    looks_right(sources.read(path, ReadOptions()))
+
+
+def test_breadth_beside_a_longitude_is_a_width(tmp_path: Path) -> None:
+    path = tmp_path / "drusch.csv"
+    path.write_text(GERMAN.replace("Arbeitsbreite [m]", "Breite [m]"), encoding="utf-8")
+    looks_right(sources.read(path, ReadOptions()))
+    path.write_text(GERMAN.replace("Längengrad;Breitengrad", "Länge;Nord"), encoding="utf-8")
+    with pytest.raises(InputError, match="has no longitude and latitude"):
+        sources.read(path, ReadOptions())

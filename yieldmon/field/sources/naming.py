@@ -248,6 +248,9 @@ def columns_of(
     notes = []
     lacking: dict[str, str] = {}
     found = [(name, *split_unit(name)) for name in names]
+    place = {} if {"longitude", "latitude"} & out.keys() else _place_in_german(found)
+    out |= place
+    found = [row for row in found if all(row[0] != column.name for column in place.values())]
     for quantity in QUANTITIES:
         if quantity not in out:
             column = _named_column(quantity, found, units, lacking)
@@ -277,6 +280,15 @@ def _given_columns(
         _require_unit_of(quantity, unit)
         out[quantity] = Column(name, quantity, unit or units.get(name, "") or split_unit(name)[1])
     return out
+
+
+def _place_in_german(found: Sequence[tuple[str, str, str]]) -> dict[str, Column]:
+    """Columns "Länge" and "Breite" where a table has both and no other place; "Breite" alone is a width."""
+    plain = {plain_name(bare): (name, unit) for name, bare, unit in found if not unit or is_unit_of(unit, "angle")}
+    names = (("longitude", ("lange", "laenge")), ("latitude", ("breite",)))
+    out = {q: Column(plain[n][0], q, plain[n][1]) for q, spellings in names for n in spellings if n in plain}
+    others = any(_is_called(wanted, name, bare) for q in out for wanted in QUANTITIES[q].names for name, bare, _ in found)
+    return out if len(out) == len(names) and not others else {}
 
 
 def _named_column(
