@@ -77,7 +77,7 @@ def task_data() -> ET.Element:
         VersionMinor="3",
         ManagementSoftwareManufacturer=SOFTWARE,
         ManagementSoftwareVersion=__version__,
-        TaskControllerManufacturer="yieldmon",
+        TaskControllerManufacturer=SOFTWARE,
         TaskControllerVersion=__version__,
         DataTransferOrigin="2",
     )
