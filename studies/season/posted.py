@@ -1,7 +1,7 @@
 """Strategy (c), one ticket a day, kept and posted by the daemon's own code.
 
 What differs from `study.Keeper`: sweeps and tickets go to `engine.self_calibration.closed_loop_calibrator` as window records and
-reference masses, the steps between lessons through their documents in the store, and the loads are measured again by
+reference masses, the steps between updates through their documents in the store, and the loads are measured again by
 `service.history.posting`. A night of 14 hours lies between two days of harvest.
 """
 
@@ -65,7 +65,7 @@ class DaemonKeeper(Keeper):
         self.estimator: FlowEstimator = OpenLoop(self.model, self.parameters)
         self.versions = {self.parameters.version: self.parameters}
         self.version_of = np.zeros(season.time_s.size, dtype=int)
-        self.lessons: list[Step] = []
+        self.steps: list[Step] = []
         self.anchors: list[ReferenceMass] = []
         self.reasons: list[str] = []
         self.seconds: list[SecondRow] = []
@@ -148,7 +148,7 @@ class DaemonKeeper(Keeper):
             self.parameters = outcome.estimator.parameters
             self.versions[self.parameters.version] = self.parameters
             if outcome.step is not None:
-                self.lessons.append(Step(self.parameters.version, outcome.step.end_s, step_document(outcome.step)))
+                self.steps.append(Step(self.parameters.version, outcome.step.end_s, step_document(outcome.step)))
             self.updates += 1
         self.reasons.append(outcome.reason)
         self._remember(float(self.season.time_s[stop - 1]) / 3600.0)
@@ -157,7 +157,7 @@ class DaemonKeeper(Keeper):
         """As the daemon does it with its store's rows."""
         begin, last = int(self.season.loads.start[self.ticketed]), int(self.season.loads.end[end - 1])
         new = [second_row(i, record) for i, record in enumerate(self._records(np.arange(begin, last)), begin + 1)]
-        known, now_s = posting.timeline(self.lessons, self.parameters), new[-1].time_s
+        known, now_s = posting.timeline(self.steps, self.parameters), new[-1].time_s
         self.seconds = posting.whole([*self.seconds, *new], now_s - posting.SPAN_S, None, 1)
         whole = posting.whole(self.seconds, posting.begins(known, now_s), None, 1)
         found = posting.factors(loads_of(whole, self.versions), known, self.machine)

@@ -29,9 +29,9 @@ from yieldmon.estimation.self_calibration.angle_pattern import with_pattern
 from yieldmon.estimation.self_calibration.closed_loop import learn as learn_from_sweeps
 from yieldmon.estimation.self_calibration.closed_loop import update_from_tickets
 from yieldmon.estimation.self_calibration.closed_loop_inputs import MassAnchor, Sweep
-from yieldmon.estimation.self_calibration.closed_loop_outcome import Outcome as Lesson
-from yieldmon.estimation.self_calibration.drift_lessons import DriftLesson, by_weighed_masses, ending
+from yieldmon.estimation.self_calibration.closed_loop_outcome import Outcome as Update
 from yieldmon.estimation.self_calibration.drift_rates import DriftRates
+from yieldmon.estimation.self_calibration.drift_updates import DriftUpdate, by_weighed_masses, ending
 from yieldmon.estimation.self_calibration.misfit import ReducedSweep, reduce_sweep
 from yieldmon.estimation.self_calibration.steady_drift import Advance, advance, begin, learn, smoothed
 from yieldmon.estimation.self_calibration.sweep_model_error import model_error
@@ -77,7 +77,7 @@ class StudySettings:
     no rates. steady_drift_memory_kt: harvested mass over which a rate falls to 1/e; inf: none. map_sd: of the moisture map's
     slopes, 1/%. learned_information, kept_ratio: as in ClosedLoopSettings; scraps may add up here. pattern_sd: of the model's
     error away from home that sweeps separate from the grain; 0: none. anchor_error: of a weighed load, relative, beside the
-    scale's. refuse_corners: as the daemon, no sweep where a parameter lies at an end of its physical range, and no lesson that
+    scale's. refuse_corners: as the daemon, no sweep where a parameter lies at an end of its physical range, and no update that
     would put it there.
     """
 
@@ -241,7 +241,7 @@ class Keeper:
             self.parameters = with_pattern(self.parameters, settings.pattern_sd)
         self.model = ForwardModel(self.machine, self.parameters.effects)
         self.drifting = begin(self.parameters, settings.steady_per_kilotonne)
-        self.taught: list[DriftLesson] = []
+        self.drift_updates: list[DriftUpdate] = []
         loop = ClosedLoopSettings(
             flow="process", flow_process_sd=settings.flow_process_sd, flow_process_time_s=settings.flow_process_time_s,
             model_error=settings.model_error,
@@ -270,7 +270,7 @@ class Keeper:
         self._remember(0.0)
 
     def harvest(self, number: int) -> None:
-        """One load: windows with the parameters as they stand, sweeps when due, then what the load's weight teaches."""
+        """One load: windows with the parameters as they stand, sweeps when due, then the update by the load's weight."""
         start, end = int(self.season.loads.start[number]), int(self.season.loads.end[number])
         place = start
         while place < end:
@@ -319,8 +319,8 @@ class Keeper:
 
     def _post(self, end: int) -> None:
         """The last days' loads are to be measured again, with the parameters as the weighed masses together have them."""
-        lessons = by_weighed_masses(self.taught)
-        known = smoothed([lesson.advance for lesson in lessons], ending(self.drifting, lessons[-1]))
+        updates = by_weighed_masses(self.drift_updates)
+        known = smoothed([update.advance for update in updates], ending(self.drifting, updates[-1]))
         hours = np.array([*self.step_h, float(self.season.time_s[self.season.loads.end[end - 1] - 1]) / 3600.0])
         names = self.parameters.covariance_names
         rows = np.array([[values[name] for name in names] for values in known])
@@ -386,7 +386,7 @@ class Keeper:
         return place + length
 
     def _swept(self, used: Array, place: int, length: int) -> None:
-        """What a sweep of `length` windows from `place` on teaches; used: the windows in which the plate stood still."""
+        """What a sweep of `length` windows from `place` on says; used: the windows in which the plate stood still."""
         hour = float(self.season.time_s[place + length - 1]) / 3600.0
         came = self._grow(place + length)
         moisture = self._moisture(slice(place, place + length))
@@ -403,8 +403,8 @@ class Keeper:
             return
         self._see(used, moisture)
         allowed = allowing_for(self.loop, self.parameters)
-        lesson = learn_from_sweeps(self.model, self.parameters, [sweep], settings=allowed)
-        self._take(lesson, came, hour, sweep_alone=True, admitted=not refusal(lesson.parameter_set))
+        update = learn_from_sweeps(self.model, self.parameters, [sweep], settings=allowed)
+        self._take(update, came, hour, sweep_alone=True, admitted=not refusal(update.parameter_set))
 
     def _see(self, used: Array, moisture: Array | None) -> None:
         """Keep a sweep's pattern, as the daemon does."""
@@ -441,24 +441,24 @@ class Keeper:
         came = self._grow(end)
         self._take(update_from_tickets(self.model, self.parameters, [anchor], settings=self.loop), came, hour)
 
-    def _take(self, lesson: Lesson, came: Advance, hour: float, *, sweep_alone: bool = False, admitted: bool = True) -> None:
-        """came: the time before the lesson."""
-        taken = lesson.updated and admitted
-        widening = lesson.prior_widening if taken else 1.0
+    def _take(self, update: Update, came: Advance, hour: float, *, sweep_alone: bool = False, admitted: bool = True) -> None:
+        """came: the time before the update."""
+        taken = update.updated and admitted
+        widening = update.prior_widening if taken else 1.0
         if taken:
-            self.drifting = learn(self.drifting, lesson.parameter_set, widening=widening)
+            self.drifting = learn(self.drifting, update.parameter_set, widening=widening)
             self.parameters = self.drifting.parameters
             self.updates += 1
         now = self.drifting
-        self.taught.append(DriftLesson(came, now.state, now.joint, widening, sweep_alone, len(now.names)))
+        self.drift_updates.append(DriftUpdate(came, now.state, now.joint, widening, sweep_alone, len(now.names)))
         self._remember(hour)
 
     def _follow(self, stop: int) -> None:
-        """A drift that has been learnt moves the parameters between lessons, as in the daemon."""
+        """A drift that has been learnt moves the parameters between updates, as in the daemon."""
         harvested_kg = float(np.nansum(self.flow[self.grown_to[1] : stop]))
         if harvested_kg >= FOLLOWED_KG and np.any(self.drifting.rates):
             came = self._grow(stop)
-            self.taught.append(DriftLesson(came, self.drifting.state, self.drifting.joint))
+            self.drift_updates.append(DriftUpdate(came, self.drifting.state, self.drifting.joint))
             self._remember(float(self.season.time_s[stop - 1]) / 3600.0)
 
     def _grow(self, stop: int) -> Advance:

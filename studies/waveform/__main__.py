@@ -13,7 +13,7 @@
     python -m studies.waveform cost                       # processor time, on and off
     python -m studies.waveform pictures --out DIR         # pulse.png, fill.png (of fill.json)
     python -m studies.waveform season --seeds 30          # load errors of a season by channel, estimators alone
-    python -m studies.waveform teaching --seeds 30        # the same where kernel noise teaches the parameters
+    python -m studies.waveform kernel-updates --seeds 30        # the same where kernel noise updates the parameters
     python -m studies.waveform daemon-season --seeds 30 --seed 17001 --out F.json   # through the monitor, with kernels; goes on
     python -m studies.waveform season-causes              # what the errors of those seasons come from, by regression
     python -m studies.waveform season-bound               # the best that mean force and shape can do in those seasons
@@ -107,10 +107,10 @@ def _season(args: argparse.Namespace) -> Any:
     return season.report(args.seeds, args.seed)
 
 
-def _teaching(args: argparse.Namespace) -> Any:
-    from studies.waveform import teaching
+def _kernel_updates(args: argparse.Namespace) -> Any:
+    from studies.waveform import kernel_updates
 
-    return teaching.report(args.seeds, args.seed)
+    return kernel_updates.report(args.seeds, args.seed)
 
 
 def _heaps(args: argparse.Namespace) -> Any:
@@ -204,8 +204,8 @@ def _pack(args: argparse.Namespace) -> Any:
 _PARTS = {
     "information": _information, "fill": _fill, "attempts": _attempts, "kernels": _kernels, "hidden": _hidden, "cost": _cost,
     "pictures": _pictures, "season": _season, "daemon-season": _daemon_season, "verdicts": _verdicts, "shape": _shape,
-    "pack": _pack, "edges": _edges, "teaching": _teaching, "heaps": _heaps, "scheduling": _scheduling, "between": _between,
-    "identifiability": _identifiability, "season-causes": _season_causes, "noise-by-force": _noise_by_force,
+    "pack": _pack, "edges": _edges, "kernel-updates": _kernel_updates, "heaps": _heaps, "scheduling": _scheduling,
+    "between": _between, "identifiability": _identifiability, "season-causes": _season_causes, "noise-by-force": _noise_by_force,
     "many-heaps": _many_heaps, "season-bound": _season_bound, "placed": _placed, "again": _again, "common-error": _common_error,
 }  # fmt: skip
 

@@ -107,8 +107,8 @@ def _calibrator(test_weight: bool) -> CalibratorSettings:
 def _monitor(known: ParameterSet, waveform: WaveformSettings, *, drives: bool, test_weight: bool, sweeps: bool = True) -> Monitor:
     engine = replace(EngineSettings(), waveform=waveform, sweep=replace(SWEEPS, enabled=sweeps))
     model = ForwardModel(MACHINE, known.effects)
-    teacher = ClosedLoopCalibrator(model, _calibrator(test_weight)) if sweeps else None
-    return Monitor(engine, MACHINE, OpenLoop(model, known), teacher, drives_plate=drives)
+    calibrator = ClosedLoopCalibrator(model, _calibrator(test_weight)) if sweeps else None
+    return Monitor(engine, MACHINE, OpenLoop(model, known), calibrator, drives_plate=drives)
 
 
 @dataclass

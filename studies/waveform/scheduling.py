@@ -1,7 +1,7 @@
 """Load errors of a season whose sweeps are made by interval, where their information suffices (`sweep.when`), or not at all.
 
-Seasons are those of `teaching`: forces of the virtual combine's parcels, grain that drifts as the daemon expects or by up to
-15 %, updates and rates of the daemon. In each load one sweep falls due, at a flow of its own. A sweep has 1 % of noise,
+Seasons are those of `kernel_updates`: forces of the virtual combine's parcels, grain that drifts as the daemon expects or by up
+to 15 %, updates and rates of the daemon. In each load one sweep falls due, at a flow of its own. A sweep has 1 % of noise,
 the model's error at each angle is drawn once a season (1 %), and the flow wanders by 5 % over 20 s.
 """
 
@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from studies.waveform.kernel_updates import LOADS, MODEL, SEASONS, DriftingSeason, forces
 from studies.waveform.season import HOME_RAD, SPEED_RAD_S
-from studies.waveform.teaching import LOADS, MODEL, SEASONS, DriftingSeason, forces
 from yieldmon.engine.settings import SweepSettings
 from yieldmon.engine.sweeps.sweep import sweep_sequence
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
@@ -32,10 +32,10 @@ STOPS_DEG = [
     a for a in sweep_sequence(_S.angles_deg, float(np.rad2deg(HOME_RAD)), _S.home_every) for _ in range(_S.windows_per_step)
 ]
 TIMES_S = window_times_s(STOPS_DEG)
-CASES = {"mean force": (False, ()), "one ticket": (False, (0,)), "kernels teach, one ticket": (True, (0,))}
+CASES = {"mean force": (False, ()), "one ticket": (False, (0,)), "kernels update, one ticket": (True, (0,))}
 WHEN = ("never", "interval", "information")
 GRAINS = ("drifts as the default rates say", "15 %, default rates")
-"""Of `teaching.SEASONS`."""
+"""Of `kernel_updates.SEASONS`."""
 
 
 def _worth_making(known: DriftingParameters, flow_kg_s: float, bias: CommonBias | None) -> bool:
@@ -59,14 +59,14 @@ def _swept(of: DriftingSeason, seed: int) -> None:
 
 
 def season(
-    seed: int, *, when: str, teaches: bool, tickets: tuple[int, ...], grain: str = GRAINS[1]
+    seed: int, *, when: str, kernels_update: bool, tickets: tuple[int, ...], grain: str = GRAINS[1]
 ) -> tuple[list[float], list[float], int]:
-    """Relative error and stated deviation of each load before its own sweep, lesson and ticket, and how many sweeps were made."""
+    """Relative error and stated deviation of each load before its own sweep, update and ticket, and how many sweeps were made."""
     rates, as_expected = SEASONS[grain]
     of = DriftingSeason(seed, STOPS_DEG, LOOP.model_error, rates=rates, as_expected=as_expected)
     errors, stated, made = [], [], 0
     for load in range(LOADS):
-        error, deviation = of.load(load, teaches=teaches, ticket=load in tickets)
+        error, deviation = of.load(load, kernels_update=kernels_update, ticket=load in tickets)
         errors.append(error)
         stated.append(deviation)
         if when == "interval" or (when == "information" and _worth_making(of.known, of.sweep_flow_kg_s, of.bias)):
@@ -79,9 +79,11 @@ def report(seeds: int, seed: int) -> dict[str, Any]:
     """Sweeps a season, mean absolute load error, that of the worst season, and rms error over the stated deviation."""
     rows: dict[str, dict[str, dict[str, dict[str, float]]]] = {}
     for grain in GRAINS:
-        for name, (teaches, tickets) in CASES.items():
+        for name, (kernels_update, tickets) in CASES.items():
             for when in WHEN:
-                found = [season(seed + i, when=when, teaches=teaches, tickets=tickets, grain=grain) for i in range(seeds)]
+                found = [
+                    season(seed + i, when=when, kernels_update=kernels_update, tickets=tickets, grain=grain) for i in range(seeds)
+                ]
                 errors, stated = (np.array([one[part] for one in found]) for part in (0, 1))
                 by_season = np.abs(errors).mean(axis=1)
                 rows.setdefault(grain, {}).setdefault(name, {})[when] = {

@@ -119,7 +119,7 @@ def test_another_line_from_which_no_grain_would_land(tmp_path: Path, capsys: pyt
     assert "with 180 deg less each plate angle the model would miss by" in capsys.readouterr().out
 
 
-def test_rows_that_have_taught_the_parameters_before_are_said_to_count_twice(
+def test_rows_that_have_updated_the_parameters_before_are_said_to_count_twice(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Deviations that are 0.7 times what they should be pass for knowledge."""

@@ -35,8 +35,8 @@ FULL_FLOW_KG_S = 30.0
 PARAMETERS = ParameterSet(values={"friction": 0.2, "density": 1100.0, "shape_ratio": 2.0, "restitution": 0.6})
 
 
-class NothingBetweenLessons:
-    """Of a `SelfCalibrator` for tests: between its lessons nothing drifts, and it keeps nothing over a restart."""
+class NothingBetweenUpdates:
+    """Of a `SelfCalibrator` for tests: between its updates nothing drifts, and it keeps nothing over a restart."""
 
     def drift_std_dev(self, record: WindowRecord, estimator: FlowEstimator) -> float:
         return 0.0

@@ -307,7 +307,7 @@ def rising(hour: float) -> dict[str, float]:
     return dict(TRUE, friction=TRUE["friction"] * (1.0 + 0.1 * 12.0 * 3600.0 * hour * 1e-6))
 
 
-def taught(calibrator: ClosedLoopCalibrator, hours: range, estimator: OpenLoop) -> OpenLoop:
+def after_updates(calibrator: ClosedLoopCalibrator, hours: range, estimator: OpenLoop) -> OpenLoop:
     for hour in hours:
         outcome = calibrator.update(records(12.0, start_s=3600.0 * hour, values=rising(hour)), estimator)
         assert outcome.estimator is not None
@@ -317,7 +317,7 @@ def taught(calibrator: ClosedLoopCalibrator, hours: range, estimator: OpenLoop) 
 
 def test_a_steady_drift_is_expected_once_it_has_been_seen() -> None:
     calibrator = ClosedLoopCalibrator(MODEL, STEADY)
-    estimator = taught(calibrator, range(20), OpenLoop(MODEL, EXACT_PRIOR))
+    estimator = after_updates(calibrator, range(20), OpenLoop(MODEL, EXACT_PRIOR))
     calibrator.update(records(12.0, start_s=3600.0 * 30, values=rising(30)), estimator)
     assert calibrator.last is not None
     prior = next(p for p in calibrator.last.parameters if p.name == "friction")
@@ -330,9 +330,9 @@ def _second(hour: float) -> WindowRecord:
     return records(12.0, start_s=3600.0 * hour)[0]
 
 
-def test_between_lessons_the_parameters_go_on_as_they_drift() -> None:
+def test_between_updates_the_parameters_go_on_as_they_drift() -> None:
     calibrator = ClosedLoopCalibrator(MODEL, STEADY)
-    estimator = taught(calibrator, range(20), OpenLoop(MODEL, EXACT_PRIOR))
+    estimator = after_updates(calibrator, range(20), OpenLoop(MODEL, EXACT_PRIOR))
     version, restitution = estimator.parameters.version, estimator.parameters.values["restitution"]
     steps = []
     for minute in range(19 * 60 + 10, 30 * 60, 10):
@@ -349,7 +349,7 @@ def test_between_lessons_the_parameters_go_on_as_they_drift() -> None:
     assert [step.from_version for step in steps] == list(range(version, version + len(steps)))
     assert [step.begin_s for step in steps[1:]] == [step.end_s for step in steps[:-1]]
     assert not any(step.sweep_alone for step in steps)
-    # A lesson after them goes on from there.
+    # An update after them goes on from there.
     outcome = calibrator.update(records(12.0, start_s=3600.0 * 30, values=rising(30)), estimator)
     assert outcome.step is not None
     assert outcome.step.begin_s == steps[-1].end_s
@@ -359,17 +359,17 @@ def test_no_drift_is_followed_before_one_is_known() -> None:
     far = _second(50.0)
     assert ClosedLoopCalibrator(MODEL, STEADY).follow(far, OpenLoop(MODEL, EXACT_PRIOR)) is None
     without = ClosedLoopCalibrator(MODEL, dataclasses.replace(STEADY, steady_per_kilotonne={}))
-    estimator = taught(without, range(2), OpenLoop(MODEL, EXACT_PRIOR))
+    estimator = after_updates(without, range(2), OpenLoop(MODEL, EXACT_PRIOR))
     assert without.follow(far, estimator) is None
     calibrator = ClosedLoopCalibrator(MODEL, STEADY)
-    taught(calibrator, range(2), OpenLoop(MODEL, EXACT_PRIOR))
+    after_updates(calibrator, range(2), OpenLoop(MODEL, EXACT_PRIOR))
     assert calibrator.follow(far, OpenLoop(MODEL, EXACT_PRIOR)) is None, "parameters from outside"
 
 
-def test_a_drift_that_no_lesson_confirms_ends() -> None:
+def test_a_drift_that_no_update_confirms_ends() -> None:
     """Followed in steps over 40 kt, friction has moved by what its rate of then makes of the memory."""
     calibrator = ClosedLoopCalibrator(MODEL, dataclasses.replace(STEADY, steady_drift_memory_kt=0.5))
-    estimator = taught(calibrator, range(20), OpenLoop(MODEL, EXACT_PRIOR))
+    estimator = after_updates(calibrator, range(20), OpenLoop(MODEL, EXACT_PRIOR))
     state, before = calibrator.snapshot(0.0, 0.0), estimator.parameters.values["friction"]
     assert state is not None
     for hour in range(20, 1000, 20):
@@ -387,7 +387,7 @@ def test_a_drift_that_no_lesson_confirms_ends() -> None:
 
 def test_no_drift_is_followed_to_an_end_of_the_physical_range() -> None:
     calibrator = ClosedLoopCalibrator(MODEL, dataclasses.replace(STEADY, steady_drift_memory_kt=1e6))
-    estimator = taught(calibrator, range(20), OpenLoop(MODEL, EXACT_PRIOR))
+    estimator = after_updates(calibrator, range(20), OpenLoop(MODEL, EXACT_PRIOR))
     state = calibrator.snapshot(0.0, 0.0)
     assert state is not None
     kilotonnes = (0.99 / estimator.parameters.values["friction"] - 1.0) / state.rates[0]
@@ -397,9 +397,9 @@ def test_no_drift_is_followed_to_an_end_of_the_physical_range() -> None:
 
 
 def test_a_drift_that_is_followed_is_no_calibration() -> None:
-    """The age since the last lesson goes on, and the event says what moved the parameters."""
+    """The age since the last update goes on, and the event says what moved the parameters."""
     calibrator = ClosedLoopCalibrator(MODEL, STEADY)
-    estimator = taught(calibrator, range(20), OpenLoop(MODEL, EXACT_PRIOR))
+    estimator = after_updates(calibrator, range(20), OpenLoop(MODEL, EXACT_PRIOR))
     learning = Learning(EngineSettings(), MACHINE, estimator, calibrator)
     learning.use(estimator, 100.0)
     sweep = SweepMachine(EngineSettings().sweep, EngineSettings().plate, float(np.degrees(MACHINE.home_plate_angle_rad)))
@@ -412,7 +412,7 @@ def test_a_drift_that_is_followed_is_no_calibration() -> None:
 
 def test_what_was_learnt_of_the_drift_outlives_a_restart() -> None:
     calibrator = ClosedLoopCalibrator(MODEL, STEADY)
-    estimator = taught(calibrator, range(20), OpenLoop(MODEL, EXACT_PRIOR))
+    estimator = after_updates(calibrator, range(20), OpenLoop(MODEL, EXACT_PRIOR))
     last_s, last_kg = 3600.0 * 19 + 30.0, 12.0 * (3600.0 * 19 + 30.0)
     kept = calibrator.snapshot(last_s + 100.0, last_kg + 1200.0)
     text = json.dumps(dataclasses.replace(EngineState(), calibrator=kept).as_dict())
@@ -432,7 +432,7 @@ def test_what_was_learnt_of_the_drift_outlives_a_restart() -> None:
 
 def test_rates_of_another_configuration_begin_anew() -> None:
     calibrator = ClosedLoopCalibrator(MODEL, STEADY)
-    estimator = taught(calibrator, range(3), OpenLoop(MODEL, EXACT_PRIOR))
+    estimator = after_updates(calibrator, range(3), OpenLoop(MODEL, EXACT_PRIOR))
     state = calibrator.snapshot(2e4, 2e5)
     assert state is not None
     other = ClosedLoopCalibrator(MODEL, dataclasses.replace(STEADY, steady_per_kilotonne={"friction": 0.3, "density": 0.1}))
@@ -447,7 +447,7 @@ def test_rates_of_another_configuration_begin_anew() -> None:
 @pytest.mark.parametrize("change", [{"rates": [0.1, 0.2]}, {"covariance": []}, {"covariance": [[1.0]], "unknown": 1}])
 def test_a_damaged_state_of_the_calibrator_is_refused(change: dict) -> None:
     calibrator = ClosedLoopCalibrator(MODEL, STEADY)
-    taught(calibrator, range(2), OpenLoop(MODEL, EXACT_PRIOR))
+    after_updates(calibrator, range(2), OpenLoop(MODEL, EXACT_PRIOR))
     data = dataclasses.replace(EngineState(), calibrator=calibrator.snapshot(1e4, 1e5)).as_dict()
     data = json.loads(json.dumps(data))
     data["calibrator"] |= change
@@ -728,7 +728,7 @@ def test_a_ticket_of_another_crop_taken_back_leaves_the_present_one() -> None:
     at_s = enter(learning, 3)
     assert learn_at(learning, sweep, at_s) == 1
     summaries = (LoadSummary(2, 2000.0, 2500.0, 6000.0, 0.0, 0.0, complete=True),)
-    learning.teach_again(frozenset({1}), [(2, 6000.0, 5.0)], frozenset(), summaries, at_s, "wheat")
+    learning.update_again(frozenset({1}), [(2, 6000.0, 5.0)], frozenset(), summaries, at_s, "wheat")
     assert not learning.masses_wait
     assert learn_at(learning, sweep, at_s + 1.0) == 0
     learning.change_grain("rapeseed", "wheat")
@@ -754,19 +754,19 @@ def tank_season(*, wrong: bool) -> OpenLoop:
         return found
 
     first = tank_mass(known, 0.0, 300.0)
-    taught = weigh(600.0, first, using=known)
+    updated = weigh(600.0, first, using=known)
     if not wrong:
-        second = tank_mass(taught, 2000.0, 30.0)
-        now = weigh(2600.0, first, second, using=taught)
+        second = tank_mass(updated, 2000.0, 30.0)
+        now = weigh(2600.0, first, second, using=updated)
     else:
-        slip = dataclasses.replace(ticket(taught, 12.0, 1000.0, 1500.0, 30.0), load_number=1)
+        slip = dataclasses.replace(ticket(updated, 12.0, 1000.0, 1500.0, 30.0), load_number=1)
         slip = dataclasses.replace(slip, reference_kg=0.9 * slip.reference_kg)
-        slipped = weigh(1600.0, first, slip, using=taught)
+        slipped = weigh(1600.0, first, slip, using=updated)
         second = tank_mass(slipped, 2000.0, 30.0)
         weigh(2600.0, first, slip, second, using=slipped)
-        back = OpenLoop(MODEL, dataclasses.replace(taught.parameters, version=9))
+        back = OpenLoop(MODEL, dataclasses.replace(updated.parameters, version=9))
         calibrator.use(back)
-        assert calibrator.forget(frozenset({1}), back, (), (first, second)), "the second is to teach again"
+        assert calibrator.forget(frozenset({1}), back, (), (first, second)), "the second is to update again"
         assert len(calibrator.counted) == 1, "the first is what others are held against"
         now = weigh(2600.0, first, second, using=back)
         assert calibrator.weigh(at, (first, second), now).estimator is None, "each has been used"
@@ -776,7 +776,7 @@ def tank_season(*, wrong: bool) -> OpenLoop:
 
 
 def test_what_the_tank_scale_weighed_counts_after_an_undo() -> None:
-    """It was forgotten: nothing held later tickets against it, and what it had taught after the wrong one was lost."""
+    """It was forgotten: nothing held later tickets against it, and what it had updated after the wrong one was lost."""
     without, undone = tank_season(wrong=False), tank_season(wrong=True)
     assert home_error_pct(without, 12.0) == pytest.approx(10.0, abs=1.0)
     assert undone.parameters.values == pytest.approx(dict(without.parameters.values), rel=2e-3)
@@ -816,7 +816,7 @@ def restarted(calibrator: ClosedLoopCalibrator, known: ParameterSet) -> ClosedLo
 
 @cache
 def after_four_tickets(*, away: bool, restart: str) -> ParameterSet:
-    """What four loads of wheat teach; away: with barley before the last of them."""
+    """What four loads of wheat lead to; away: with barley before the last of them."""
     calibrator = ClosedLoopCalibrator(MODEL, CalibratorSettings(closed_loop=ClosedLoopSettings()))
     known = OpenLoop(MODEL, PRIOR)
     anchors: tuple[ReferenceMass, ...] = ()

@@ -1,4 +1,4 @@
-"""What is stated of a flow grows with the grain harvested since the parameters were learnt, also before a first lesson."""
+"""What is stated of a flow grows with the grain harvested since the parameters were learnt, also before a first update."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def begun() -> tuple[ClosedLoopCalibrator, OpenLoop]:
     return calibrator, estimator
 
 
-def test_it_grows_with_the_grain_before_a_first_lesson(begun: tuple[ClosedLoopCalibrator, OpenLoop]) -> None:
+def test_it_grows_with_the_grain_before_a_first_update(begun: tuple[ClosedLoopCalibrator, OpenLoop]) -> None:
     calibrator, estimator = begun
     assert calibrator.drift_std_dev(second(19.0), estimator) == 0.0
     found = [calibrator.drift_std_dev(second(total_t), estimator) for total_t in (20.0, 400.0, 1600.0)]
@@ -56,7 +56,7 @@ def test_it_grows_with_the_grain_before_a_first_lesson(begun: tuple[ClosedLoopCa
     assert calibrator.drift_std_dev(second(1600.0), estimator) == found[-1]
 
 
-def test_a_lesson_ends_it(begun: tuple[ClosedLoopCalibrator, OpenLoop]) -> None:
+def test_a_update_ends_it(begun: tuple[ClosedLoopCalibrator, OpenLoop]) -> None:
     calibrator, estimator = begun
     assert calibrator.drift_std_dev(second(400.0), estimator) > 0.0
     weighed = calibrator.weigh(second(400.0), (ticket(estimator, FLOW_KG_S, 39_000.0, 39_900.0),), estimator).estimator
@@ -139,7 +139,7 @@ def test_a_sweep_does_not_end_what_it_does_not_see_and_a_restart_keeps_it() -> N
 
 
 def undone(*, restart: bool) -> tuple[float, float]:
-    """Deviation at 500 t after a lesson at 400 t was taken back to one at 100 t, and as if it had never come."""
+    """Deviation at 500 t after an update at 400 t was taken back to one at 100 t, and as if it had never come."""
     found = []
     for taken_back in (True, False):
         calibrator, estimator = ClosedLoopCalibrator(MODEL, SETTINGS), OpenLoop(MODEL, PRIOR)
@@ -166,7 +166,7 @@ def undone(*, restart: bool) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize("restart", [False, True], ids=["", "after a restart"])
-def test_after_an_undo_drift_counts_from_the_lesson_before(restart: bool) -> None:
+def test_after_an_undo_drift_counts_from_the_update_before(restart: bool) -> None:
     after_undo, never = undone(restart=restart)
     assert never == pytest.approx(scatter(0.4), rel=0.1)
     assert after_undo == pytest.approx(never, rel=1e-6)
@@ -175,8 +175,8 @@ def test_after_an_undo_drift_counts_from_the_lesson_before(restart: bool) -> Non
 def test_the_total_reset_meanwhile_changes_nothing() -> None:
     calibrator, estimator = ClosedLoopCalibrator(MODEL, SETTINGS), OpenLoop(MODEL, PRIOR)
     calibrator.drift_std_dev(second(0.0), estimator)
-    taught = calibrator.weigh(second(300.0), (ticket(estimator, FLOW_KG_S, 29_000.0, 29_900.0),), estimator).estimator
-    assert taught is not None
+    updated = calibrator.weigh(second(300.0), (ticket(estimator, FLOW_KG_S, 29_000.0, 29_900.0),), estimator).estimator
+    assert updated is not None
     calibrator.totals_reset(300_000.0)
     back = OpenLoop(MODEL, replace(PRIOR, version=3))
     calibrator.use(back)

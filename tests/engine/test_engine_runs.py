@@ -14,7 +14,7 @@ from engine_bench import (
     Bench,
     ForceProportional,
     Kept,
-    NothingBetweenLessons,
+    NothingBetweenUpdates,
     feed,
     monitor,
     run_with_actuator,
@@ -40,11 +40,11 @@ BENCH = Bench(flow=lambda t: 10.0 if t > 1004 else 0.0, scatter=0.05)
 SWEEP_S = 60.0
 
 
-class Teacher(NothingBetweenLessons):
-    """A calibrator that teaches an estimator of other uncertainty with each sweep."""
+class SweepCalibrator(NothingBetweenUpdates):
+    """A calibrator that gives an estimator of other uncertainty with each sweep."""
 
     def __init__(self) -> None:
-        self.lessons = 0
+        self.updates = 0
 
     def update(
         self,
@@ -53,8 +53,8 @@ class Teacher(NothingBetweenLessons):
         *,
         use_sweep: bool = True,
     ) -> CalibrationOutcome:
-        self.lessons += 1
-        return CalibrationOutcome(ForceProportional(relative_std_dev=0.03 * (self.lessons + 1)), "learnt")
+        self.updates += 1
+        return CalibrationOutcome(ForceProportional(relative_std_dev=0.03 * (self.updates + 1)), "learnt")
 
     def weigh(
         self, record: WindowRecord, anchors: Sequence[ReferenceMass], estimator: FlowEstimator, model_error: AngleError = NO_ERROR
@@ -105,13 +105,13 @@ ACTUATORS = [
 
 @pytest.mark.parametrize(("actuator", "state"), ACTUATORS, ids=[a.fault + str(int(a.fault_from_s)) for a, _ in ACTUATORS])
 def test_a_sweep_and_what_can_befall_it(actuator: Actuator, state: SweepState) -> None:
-    one_by_one = Recorded(monitor(SETTINGS, calibrator=Teacher()))
+    one_by_one = Recorded(monitor(SETTINGS, calibrator=SweepCalibrator()))
     expected = run_with_actuator(one_by_one, BENCH, actuator, SWEEP_S)  # type: ignore[arg-type]
     seen = {frame.signals["SweepState"] for frame in expected if frame.message == bus.SELF_CALIBRATION_STATUS}
     assert int(state) in seen
-    whole = monitor(SETTINGS, calibrator=Teacher())
+    whole = monitor(SETTINGS, calibrator=SweepCalibrator())
     assert_same(one_by_one.target, whole, iter([one_by_one.frames]))
-    assert_same(one_by_one.target, monitor(SETTINGS, calibrator=Teacher()), cut(one_by_one.frames, 5))
+    assert_same(one_by_one.target, monitor(SETTINGS, calibrator=SweepCalibrator()), cut(one_by_one.frames, 5))
 
 
 def everything(seed: int, seconds: float) -> list[Frame]:

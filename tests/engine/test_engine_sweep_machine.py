@@ -125,7 +125,7 @@ def aborted() -> Rig:
 
 
 def complete() -> Rig:
-    """All steps measured; the owner has not said yet what they taught."""
+    """All steps measured; the owner has not said yet what they led to."""
     rig = waiting()
     for _ in range(3):
         rig.window()

@@ -13,7 +13,7 @@ from engine_bench import (
     Actuator,
     Bench,
     ForceProportional,
-    NothingBetweenLessons,
+    NothingBetweenUpdates,
     monitor,
     only,
     qualities,
@@ -42,7 +42,7 @@ SWEEP_S = 55.0
 
 
 @dataclass
-class Teacher(NothingBetweenLessons):
+class SweepCalibrator(NothingBetweenUpdates):
     """A calibrator that keeps what it was given and answers with a set outcome."""
 
     outcome: CalibrationOutcome
@@ -72,12 +72,12 @@ def sweep_states(out: list[Frame]) -> list[SweepState]:
 
 def test_a_whole_sweep_updates_and_measuring_goes_on() -> None:
     better = ForceProportional(parameters=replace(ForceProportional().parameters, version=7))
-    teacher = Teacher(CalibrationOutcome(better, "learnt"))
-    target, actuator = monitor(SETTINGS, calibrator=teacher), Actuator()
+    calibrator = SweepCalibrator(CalibrationOutcome(better, "learnt"))
+    target, actuator = monitor(SETTINGS, calibrator=calibrator), Actuator()
     out = run_with_actuator(target, BENCH, actuator, SWEEP_S)
     records = target.records
 
-    (given,) = teacher.given
+    (given,) = calibrator.given
     angles = {}
     for record in given:
         assert record.usable_for_calibration
@@ -108,7 +108,7 @@ def test_a_whole_sweep_updates_and_measuring_goes_on() -> None:
 @pytest.mark.parametrize("sweeps", [True, False], ids=["a sweep is to come", "none is"])
 def test_a_second_is_as_unsure_as_its_load_before_the_first_sweep(sweeps: bool) -> None:
     settings = replace(SETTINGS, sweep=replace(SETTINGS.sweep, enabled=sweeps, first_after_s=600.0))
-    target = monitor(settings, calibrator=Teacher(CalibrationOutcome(None, "nothing")))
+    target = monitor(settings, calibrator=SweepCalibrator(CalibrationOutcome(None, "nothing")))
     run_with_actuator(target, BENCH, Actuator(), 40.0)
     record = target.records[-1]
     shared = sqrt(record.std_dev_kg_s**2 - record.noise_std_dev_kg_s**2) / record.mass_flow_kg_s
@@ -143,7 +143,7 @@ def test_commands_come_ten_times_a_second_with_a_counter_and_within_the_rate() -
     ],
 )
 def test_what_a_sweep_did_not_update(outcome: CalibrationOutcome, state: SweepState, faults: set[FaultCode]) -> None:
-    target = monitor(SETTINGS, calibrator=Teacher(outcome))
+    target = monitor(SETTINGS, calibrator=SweepCalibrator(outcome))
     out = run_with_actuator(target, BENCH, Actuator(), SWEEP_S)
     assert sweep_states(out)[-1] is state
     assert set(target.faults.active) == faults
@@ -179,12 +179,12 @@ def test_a_failing_actuator_ends_the_sweep_and_the_plate_goes_home(
 
 
 def test_implausible_plate_feedback_is_found_by_the_force() -> None:
-    teacher = Teacher(CalibrationOutcome(ForceProportional(), "must not be asked"))
-    target = monitor(SETTINGS, calibrator=teacher)
+    calibrator = SweepCalibrator(CalibrationOutcome(ForceProportional(), "must not be asked"))
+    target = monitor(SETTINGS, calibrator=calibrator)
     run_with_actuator(target, BENCH, Actuator(fault="lying"), SWEEP_S)
     assert target.sweep.abort_reason is SweepAbort.FORCE_DOES_NOT_FOLLOW
     assert {FaultCode.PLATE_NOT_FOLLOWING, FaultCode.SWEEP_ABORTED} <= set(target.faults.active)
-    assert teacher.given == []
+    assert calibrator.given == []
 
 
 @pytest.mark.parametrize(

@@ -160,7 +160,7 @@ def test_when_a_first_zero_is_taken(case: str) -> None:
     assert (machine.measurement.zero.state is not None) is taken
 
 
-def test_a_stuck_sensor_teaches_no_zero() -> None:
+def test_a_stuck_sensor_gives_no_zero() -> None:
     machine = Seconds(zero=False)
     for _ in range(SETTINGS.faults.stuck_windows):
         machine.second(0.0, span_mv=0.0, covered_s=0.5)

@@ -39,7 +39,7 @@ ONE = frozenset({mass(1)})
 TWO = frozenset({mass(1), mass(2)})
 
 
-def taught() -> ParameterLineage:
+def updated() -> ParameterLineage:
     """Two masses were weighed with what was given: one led to the first, the other to the second."""
     lineage = ParameterLineage()
     lineage.weighed(GIVEN)
@@ -49,16 +49,16 @@ def taught() -> ParameterLineage:
     return lineage
 
 
-def test_what_lessons_lead_to_comes_from_where_the_first_came() -> None:
-    lineage = taught()
+def test_what_updates_lead_to_comes_from_where_the_first_came() -> None:
+    lineage = updated()
     lineage.weighed(SECOND)
     assert lineage.origin is GIVEN
     lineage.weighed(other := known(4, 900.0))
     assert lineage.origin is other
 
 
-def test_parameters_are_from_outside_that_no_lesson_led_to_and_none_before_it_were_like() -> None:
-    lineage = taught()
+def test_parameters_are_from_outside_that_no_update_led_to_and_none_before_it_were_like() -> None:
+    lineage = updated()
     assert not lineage.from_outside(SECOND)
     assert not lineage.from_outside(replace(GIVEN, version=9)), "an undo brings them back under another version"
     assert lineage.from_outside(known(9, 1000.0))
@@ -84,16 +84,16 @@ def test_the_last_eight_sets_are_known_with_their_times() -> None:
     ids=["given", "the first", "the same values known better", "older than all"],
 )
 def test_what_had_been_handed_over_when_they_were_in_use(back: ParameterSet, handed: frozenset[ReferenceMass]) -> None:
-    assert taught().handed_before(back, TWO) == handed
+    assert updated().handed_before(back, TWO) == handed
 
 
-def test_nothing_is_known_before_a_lesson() -> None:
+def test_nothing_is_known_before_a_update() -> None:
     assert ParameterLineage().handed_before(GIVEN, ONE) == ONE
     assert ParameterLineage().snapshot() is None
     assert ParameterLineage().leave_crop() is None
 
 
-def test_sweeps_are_undone_as_long_as_nothing_else_taught() -> None:
+def test_sweeps_are_undone_as_long_as_nothing_else_updated() -> None:
     lineage = ParameterLineage()
     lineage.swept(GIVEN)
     assert lineage.undo_sweeps(GIVEN, 5.0, NONE) is None, "they are in use"
@@ -108,8 +108,8 @@ def test_sweeps_are_undone_as_long_as_nothing_else_taught() -> None:
 
 
 @pytest.mark.parametrize("restart", [False, True])
-def test_a_crop_comes_back_with_what_lessons_made_of_its_parameters(restart: bool) -> None:
-    lineage, in_use = taught(), SECOND
+def test_a_crop_comes_back_with_what_updates_made_of_its_parameters(restart: bool) -> None:
+    lineage, in_use = updated(), SECOND
     if restart:
         state, lineage, in_use = lineage.snapshot(), ParameterLineage(), replace(SECOND)
         lineage.restore(state, in_use)
@@ -125,15 +125,15 @@ def test_a_crop_comes_back_with_what_lessons_made_of_its_parameters(restart: boo
 
 
 def test_other_parameters_than_a_crop_left_are_its_new_origin() -> None:
-    lineage = taught()
+    lineage = updated()
     origin = lineage.leave_crop()
     lineage.return_to_crop(origin, other := known(8, 900.0))
     lineage.weighed(other)
     assert lineage.origin is other
 
 
-def test_an_undo_brings_parameters_back_that_come_from_where_the_lesson_came() -> None:
-    lineage, back = taught(), replace(FIRST, version=9)
+def test_an_undo_brings_parameters_back_that_come_from_where_the_update_came() -> None:
+    lineage, back = updated(), replace(FIRST, version=9)
     lineage.brought_back(back)
     lineage.weighed(back)
     assert lineage.origin is GIVEN
@@ -155,6 +155,6 @@ def test_the_last_that_were_seen_in_use() -> None:
 
 
 def test_an_origin_of_another_version_is_not_that_of_the_parameters_in_use() -> None:
-    lineage, state = ParameterLineage(), taught().snapshot()
+    lineage, state = ParameterLineage(), updated().snapshot()
     lineage.restore(state, replace(SECOND, version=8))
     assert lineage.origin is None

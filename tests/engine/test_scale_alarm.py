@@ -211,7 +211,7 @@ def test_nothing_is_raised_without_slip() -> None:
 def test_the_right_mass_for_the_load_that_contradicts_is_held_against_what_was_measured_before(
     right_kg: float, present: bool
 ) -> None:
-    """The wrong mass has taught: by now the load is measured with 30 % more."""
+    """The wrong mass has updated the parameters: by now the load is measured with 30 % more."""
     alarm = ScaleAlarm(FaultSettings())
     alarm.see([ScaleCheck("load 2", 1.7e9, 6500.0, 5000.0, 100.0)])
     assert alarm.detail is not None

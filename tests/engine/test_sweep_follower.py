@@ -9,7 +9,7 @@ from functools import cache
 import pytest
 from engine_bench import HOME_DEG, Actuator, Kept, feed, monitor, only, run_with_actuator
 from test_engine_runs import Recorded, assert_same, cut
-from test_engine_sweep_on_plate import BENCH, SETTINGS, SWEEP_S, Teacher
+from test_engine_sweep_on_plate import BENCH, SETTINGS, SWEEP_S, SweepCalibrator
 
 from yieldmon import frames as bus
 from yieldmon.engine.faults import FaultCode
@@ -26,12 +26,12 @@ ABOUT_COMMANDS = {FaultCode.PLATE_NOT_FOLLOWING, FaultCode.SWEEP_ABORTED}
 
 
 @cache
-def live(actuator: str = "", from_s: float = 0.0, to_s: float = float("inf")) -> tuple[list[Frame], Kept, Teacher]:
+def live(actuator: str = "", from_s: float = 0.0, to_s: float = float("inf")) -> tuple[list[Frame], Kept, SweepCalibrator]:
     """A live machine's frames, what its monitor made of them, and what its calibrator was given."""
-    teacher = Teacher(NOTHING_NEW)
-    recorded = Recorded(monitor(SETTINGS, calibrator=teacher))
+    calibrator = SweepCalibrator(NOTHING_NEW)
+    recorded = Recorded(monitor(SETTINGS, calibrator=calibrator))
     run_with_actuator(recorded, BENCH, Actuator(fault=actuator, fault_from_s=from_s, fault_to_s=to_s), SWEEP_S)  # type: ignore[arg-type]
-    return recorded.frames, recorded.target, teacher
+    return recorded.frames, recorded.target, calibrator
 
 
 @dataclass
@@ -61,13 +61,13 @@ class Log:
                 yield frame
 
 
-def followed(frames: list[Frame], settings: EngineSettings = SETTINGS) -> tuple[Kept, Teacher, list[SweepEnded]]:
+def followed(frames: list[Frame], settings: EngineSettings = SETTINGS) -> tuple[Kept, SweepCalibrator, list[SweepEnded]]:
     """A log's monitor, what its calibrator was given, and the sweeps that ended."""
-    teacher = Teacher(NOTHING_NEW)
-    target = monitor(settings, calibrator=teacher, drives_plate=False)
+    calibrator = SweepCalibrator(NOTHING_NEW)
+    target = monitor(settings, calibrator=calibrator, drives_plate=False)
     out = frames_in(target.feed_run(run_of(frames)))
     assert only(out, bus.PLATE_ACTUATOR_COMMAND) == []
-    return target, teacher, [event for event in events_in(target.results) if isinstance(event, SweepEnded)]
+    return target, calibrator, [event for event in events_in(target.results) if isinstance(event, SweepEnded)]
 
 
 def test_a_sweep_of_the_log_updates_from_the_same_windows_as_live() -> None:
@@ -85,7 +85,7 @@ def test_one_by_one_and_in_runs_are_the_same_for_a_log_too() -> None:
     frames, _, _ = live()
 
     def fresh() -> Kept:
-        return monitor(SETTINGS, calibrator=Teacher(NOTHING_NEW), drives_plate=False)
+        return monitor(SETTINGS, calibrator=SweepCalibrator(NOTHING_NEW), drives_plate=False)
 
     one_by_one = fresh()
     feed(one_by_one, frames)

@@ -1,4 +1,4 @@
-"""What a ticket teaches depends on the zero of its load, on grain of another moisture than before, and on the model's error."""
+"""The update by a ticket depends on the zero of its load, on grain of another moisture than before, and on the model's error."""
 
 from __future__ import annotations
 

@@ -496,8 +496,8 @@ def test_a_reload_keeps_the_noise_that_was_heard_where_machine_and_settings_stay
 
 
 def learner(parameters: ParameterSet, machine: Machine, **settings: object) -> Monitor:
-    """Kernel noise teaches every ten seconds of grain."""
-    given = {"thousand_kernel_weight_g": 350.0, "teach": True, "teach_windows": 10, "kernel_windows": 5, **settings}
+    """Kernel noise updates the parameters every ten seconds of grain."""
+    given = {"thousand_kernel_weight_g": 350.0, "update_parameters": True, "update_windows": 10, "kernel_windows": 5, **settings}
     waveform = replace(WaveformSettings(), shape=LAW, enabled=True, quiet_windows=2, **given)  # type: ignore[arg-type]
     engine = replace(EngineSettings(), sweep=replace(SweepSettings(), enabled=False), waveform=waveform)
     model = ForwardModel(machine, parameters.effects)
@@ -520,8 +520,8 @@ def least_stated(records: list[WindowRecord]) -> float:
     return min(r.std_dev_kg_s / r.mass_flow_kg_s for r in records)
 
 
-def test_a_scale_that_kernels_teach_is_off_by_no_more_than_is_stated() -> None:
-    """Lessons of five windows each err by some 4 % by the kernels' chance; the parameters measure more than 10 % too much."""
+def test_a_scale_that_kernels_update_is_off_by_no_more_than_is_stated() -> None:
+    """Updates of five windows each err by some 4 % by the kernels' chance; the parameters measure more than 10 % too much."""
     errors = []
     for seed in (1, 2, 3, 4):
         last = listened(learner(DOUBTED, FAST, kernel_bias_sd=0.03), stepping(seed))[0][-15:]

@@ -1,4 +1,4 @@
-"""When a sweep's lesson is admitted: not at the end of a physical range, and with the model error that a calibration found."""
+"""When a sweep's update is admitted: not at the end of a physical range, and with the model error that a calibration found."""
 
 from __future__ import annotations
 

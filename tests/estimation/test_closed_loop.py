@@ -1,4 +1,4 @@
-"""Closed loop: what a sweep teaches, what it cannot, and what is refused."""
+"""Closed loop: what a sweep determines, what it cannot, and what is refused."""
 
 from __future__ import annotations
 

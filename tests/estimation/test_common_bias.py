@@ -1,4 +1,4 @@
-"""Kernel noise as a teacher: whatever it says, and however often, it knows the scale no better than its one bias is known."""
+"""Kernel noise as an update: whatever it says, and however often, it knows the scale no better than its one bias is known."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from yieldmon.estimation.self_calibration.closed_loop import update_from_tickets
 from yieldmon.estimation.self_calibration.closed_loop_inputs import MassAnchor
 from yieldmon.estimation.self_calibration.steady_drift import DriftingParameters, begin, learn
 from yieldmon.estimation.waveform import common_bias
-from yieldmon.estimation.waveform.common_bias import CommonBias, KernelLesson, lesson_of
+from yieldmon.estimation.waveform.common_bias import CommonBias, KernelMeasurement, measurement_of
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 
@@ -29,8 +29,8 @@ def forces(values: dict[str, float]) -> np.ndarray:
     return np.real(MODEL.force(Conditions(ANGLE, SPEED, mass_flow_kg_s=FLOWS), values))
 
 
-def lesson(values: dict[str, float], log_bias: float) -> KernelLesson:
-    return KernelLesson(FLOWS * np.exp(log_bias), forces(values), ANGLE, SPEED, np.full(9, np.nan), 0.005, LASTING_SD)
+def measurement(values: dict[str, float], log_bias: float) -> KernelMeasurement:
+    return KernelMeasurement(FLOWS * np.exp(log_bias), forces(values), ANGLE, SPEED, np.full(9, np.nan), 0.005, LASTING_SD)
 
 
 def flow(known: ParameterSet, values: dict[str, float]) -> tuple[float, float]:
@@ -47,12 +47,12 @@ def repeatedly(
     drifting: DriftingParameters | None = None,
     bias: CommonBias | None = None,
 ) -> tuple[DriftingParameters, CommonBias]:
-    """So many lessons, after those that led to what is given."""
+    """So many updates, after those that led to what is given."""
     drifting = drifting or begin(KNOWN, {})
     bias = bias or common_bias.begin(LASTING_SD, len(drifting.joint))
     for _ in range(times):
-        taught = common_bias.teach(MODEL, drifting, bias, lesson(values, log_bias))
-        drifting, bias = taught.drifting, taught.bias
+        updated = common_bias.update(MODEL, drifting, bias, measurement(values, log_bias))
+        drifting, bias = updated.drifting, updated.bias
     return drifting, bias
 
 
@@ -92,8 +92,8 @@ def test_a_weighed_load_fixes_the_bias_and_then_kernels_follow_what_drifts(log_b
     widened = drifting.joint + np.diag([0.0, 100.0**2, 0.08**2])
     stale = DriftingParameters(replace(drifting.parameters, covariance=widened), drifting.names, drifting.rates, widened)
     before, _ = flow(stale.parameters, later)
-    taught = common_bias.teach(MODEL, stale, bias, lesson(later, log_bias))
-    after, sd = flow(taught.drifting.parameters, later)
+    updated = common_bias.update(MODEL, stale, bias, measurement(later, log_bias))
+    after, sd = flow(updated.drifting.parameters, later)
     assert abs(after) < 0.3 * abs(before)
     assert abs(after) < 3.0 * sd
 
@@ -136,29 +136,29 @@ def test_a_step_too_long_to_be_linear_and_a_flow_that_is_none_are_refused() -> N
     wide = begin(replace(KNOWN, covariance=np.diag([0.02**2, 300.0**2, 0.3**2])), {})
     bias = common_bias.begin(LASTING_SD, len(wide.joint))
     with pytest.raises(ValueError, match="would move the flow by"):
-        common_bias.teach(MODEL, wide, bias, lesson(TRUE, 1.0))
+        common_bias.update(MODEL, wide, bias, measurement(TRUE, 1.0))
     with pytest.raises(ValueError, match="gives no flow"):
-        common_bias.teach(MODEL, wide, bias, replace(lesson(TRUE, 0.0), force_n=np.full(9, np.nan)))
+        common_bias.update(MODEL, wide, bias, replace(measurement(TRUE, 0.0), force_n=np.full(9, np.nan)))
 
 
 def test_seconds_of_independent_noise_average_out_and_what_lasts_does_not() -> None:
-    found = lesson_of([(8.0, 70.0, 1.22, 41.9, 15.0)] * 4, [0.02] * 4, 0.13)
+    found = measurement_of([(8.0, 70.0, 1.22, 41.9, 15.0)] * 4, [0.02] * 4, 0.13)
     assert found.random_sd == pytest.approx(0.01)
     assert found.lasting_sd == 0.13
     assert found.kernels_kg_s.shape == (4,)
 
 
 @pytest.mark.parametrize("scatter", [0.35, 0.5])
-@pytest.mark.parametrize("lessons", [1, 2, 30])
-def test_kernels_whose_masses_scatter_leave_a_deviation_that_covers(scatter: float, lessons: int) -> None:
+@pytest.mark.parametrize("updates", [1, 2, 30])
+def test_kernels_whose_masses_scatter_leave_a_deviation_that_covers(scatter: float, updates: int) -> None:
     # Shot noise goes with the mean square of the masses, so that kernels' flow is low by 1 + scatter^2; the bias is thought to be
     # known to 5 %.
     drifting = begin(KNOWN, {})
     bias = common_bias.begin(0.05, len(drifting.joint))
-    for _ in range(lessons):
-        low = replace(lesson(TRUE, -np.log(1.0 + scatter**2)), lasting_sd=0.05)
-        taught = common_bias.teach(MODEL, drifting, bias, low)
-        drifting, bias = taught.drifting, taught.bias
+    for _ in range(updates):
+        low = replace(measurement(TRUE, -np.log(1.0 + scatter**2)), lasting_sd=0.05)
+        updated = common_bias.update(MODEL, drifting, bias, low)
+        drifting, bias = updated.drifting, updated.bias
         joined = np.block([[drifting.joint, bias.cross[:, None]], [bias.cross[None], np.array([[bias.variance]])]])
         assert np.linalg.eigvalsh(joined)[0] > -1e-12
     off, sd = flow(drifting.parameters, TRUE)
@@ -167,7 +167,7 @@ def test_kernels_whose_masses_scatter_leave_a_deviation_that_covers(scatter: flo
     assert sd < 0.1
 
 
-def test_lessons_that_agree_narrow_as_before() -> None:
+def test_updates_that_agree_narrow_as_before() -> None:
     drifting, bias = repeatedly(1, TRUE, 0.0)
     before = flow(KNOWN, TRUE)[1]
     assert flow(drifting.parameters, TRUE)[1] == pytest.approx(1.0 / np.hypot(1.0 / before, 1.0 / LASTING_SD), rel=0.02)

@@ -1,4 +1,4 @@
-"""Rates of drift that are learnt along with the parameters, and what later lessons say of earlier values."""
+"""Rates of drift that are learnt along with the parameters, and what later updates say of earlier values."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def test_later_updates_improve_the_past() -> None:
 
 
 def test_smoothing_is_the_least_squares_fit_of_all_updates() -> None:
-    """Three states of one parameter, two lessons: against the joint Gaussian, conditioned at once."""
+    """Three states of one parameter, two updates: against the joint Gaussian, conditioned at once."""
     sd, rate_sd, noise = 0.02, 0.3, 0.01
     known, steps = begin(replace(KNOWN, covariance=np.diag([sd**2, 1e-8, 1e-8])), {"friction": rate_sd}), []
     readings = (0.21, 0.19)
@@ -204,9 +204,9 @@ def test_a_memory_of_nothing_is_refused(memory_kt: float) -> None:
 
 @settings(max_examples=30)
 @given(st.lists(st.tuples(st.sampled_from(NAMES), st.floats(0.5, 1.5), st.floats(0.0, 3e6)), max_size=12))
-def test_covariance_stays_a_covariance(lessons: list[tuple[str, float, float]]) -> None:
+def test_covariance_stays_a_covariance(updates: list[tuple[str, float, float]]) -> None:
     known = begin(KNOWN, {"friction": 0.2, "restitution": 0.03, "density": 0.05})
-    for name, factor, grain_kg in lessons:
+    for name, factor, grain_kg in updates:
         likely = {"friction": 0.2, "restitution": 0.03, "density": 0.05}
         known, _ = advance(known, DriftRates(), 1.0, grain_kg, per_kilotonne=likely, memory_kt=2.0)
         prior = known.parameters

@@ -238,7 +238,7 @@ def not_held(found: Mapping[str, Any]) -> Iterator[str]:
         "troubles without their fault": not found["faults_missed"],
         "faults that never went": not found["faults_that_stayed"],
         "sweeps are missing": sweeps.get("updated", 0) + sweeps.get("not_learned", 0) >= cycles // 2,
-        "neither sweeps nor tickets taught anything": found["parameter_versions"] > 1,
+        "neither sweeps nor tickets updated anything": found["parameter_versions"] > 1,
         "the stuck plate ended no sweep": sweeps.get("aborted", 0) >= cycles // STUCK_EVERY,
         "loads are missing": found["loads"][0] == found["loads"][1] >= cycles - 1,
         "tickets are missing": min(found["tickets"][0], EVENT_ROWS) <= found["tickets"][1] <= EVENT_ROWS + cycles,

@@ -147,7 +147,7 @@ def test_a_status_that_is_not_renewed_is_stale() -> None:
     assert aged(status, 30.0) == {"age_s": 30.4, "stale": True}
 
 
-def test_a_ticket_that_comes_after_its_crop_says_when_it_teaches(tmp_path) -> None:
+def test_a_ticket_that_comes_after_its_crop_says_when_it_updates(tmp_path) -> None:
     with running(tmp_path) as bench, DaemonLink(tmp_path / "yieldmon.sock") as link:
         cab = Cab(bench, link)
         bench.play(14, 0.0)

@@ -84,14 +84,14 @@ def test_a_ticket_that_cannot_update_says_so(complete: dict[int, bool]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("mass_kg", "teaches"), [(3.0, False), (599.0, False), (601.0, True), (14_990.0, True), (15_010.0, False)]
+    ("mass_kg", "updates"), [(3.0, False), (599.0, False), (601.0, True), (14_990.0, True), (15_010.0, False)]
 )
-def test_a_ticket_in_another_unit_is_kept_and_updates_nothing(mass_kg: float, teaches: bool) -> None:
+def test_a_ticket_in_another_unit_is_kept_and_updates_nothing(mass_kg: float, updates: bool) -> None:
     monitor = Told({1: True})
     answer = ask(monitor, first_load=1, mass_kg=mass_kg)
     assert answer["factor"] == pytest.approx(mass_kg / 3000.0)
-    assert (answer["anchor"], len(monitor.tickets)) == (teaches, int(teaches))
-    assert teaches or answer["why_no_anchor"] == f"weighs {mass_kg:.5g} kg, where 3000 kg were measured"
+    assert (answer["anchor"], len(monitor.tickets)) == (updates, int(updates))
+    assert updates or answer["why_no_anchor"] == f"weighs {mass_kg:.5g} kg, where 3000 kg were measured"
 
 
 SECONDS = tuple(rows(1, 100.0))
@@ -132,7 +132,7 @@ def test_a_ticket_for_another_crop_than_the_one_in_use_waits_for_its_return() ->
     assert (known.actions.waiting, known.actions.unfinished_of_crop) == ([], {"corn": (1,)})
 
 
-def test_a_ticket_for_loads_of_two_crops_teaches_none_of_them() -> None:
+def test_a_ticket_for_loads_of_two_crops_updates_none_of_them() -> None:
     monitor = Told({1: True, 2: True})
     known = journal()
     known.loads.named(2, None, "wheat")

@@ -307,11 +307,12 @@ def test_defaults_are_within_their_own_ranges():
 
 @pytest.mark.parametrize(("section", "former", "present"), [(*key, present) for key, present in FORMER_KEYS.items()])
 def test_a_former_key_is_read_with_a_note(section, former, present, written):
-    value = 0.5 * getattr(getattr(Document(), section), present)
-    found = configuration.load(written(f"{section}: {{{former}: {value}}}\n"), ENVIRONMENT)
+    default = getattr(getattr(Document(), section), present)
+    value = not default if isinstance(default, bool) else type(default)(0.5 * default)
+    found = configuration.load(written(json.dumps({section: {former: value}})), ENVIRONMENT)
     assert getattr(getattr(found.document, section), present) == value
     assert f"{section}.{former} is now called {section}.{present}" in found.notes[0]
-    assert configuration.load(written(f"{section}: {{{present}: {value}}}\n"), ENVIRONMENT).notes == ()
+    assert configuration.load(written(json.dumps({section: {present: value}})), ENVIRONMENT).notes == ()
 
 
 def test_a_key_under_both_names_is_refused(written):

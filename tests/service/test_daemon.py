@@ -281,7 +281,7 @@ def test_the_age_of_the_calibration_goes_on_over_restarts_and_reloads(tmp_path, 
         assert age_s(bench) == pytest.approx(aged_s + DAY_S, abs=PATIENCE_S), "it was off for a day"
         bench.daemon.request_reload()
         wait_for(lambda: bench.status["configuration"]["reload"] == "taken", "the reload")
-        assert age_s(bench) == pytest.approx(aged_s + DAY_S, abs=PATIENCE_S), "the same file teaches nothing"
+        assert age_s(bench) == pytest.approx(aged_s + DAY_S, abs=PATIENCE_S), "the same file changes nothing"
     later_s[0] = 0.0
     with running(tmp_path, text) as bench:
         assert age_s(bench) == pytest.approx(aged_s + DAY_S, abs=PATIENCE_S), "a clock set back makes nothing younger"

@@ -53,7 +53,7 @@ def plain(tmp_path_factory) -> float:
 @pytest.mark.parametrize("restart", [False, True], ids=["", "after a restart"])
 @pytest.mark.parametrize("factor", [0.4, 1.6])
 def test_an_undo_reaches_the_open_load_once_it_is_closed(tmp_path, plain: float, factor: float, restart: bool) -> None:
-    """Its seconds with what the wrong ticket taught were 60 % off, and stayed so."""
+    """Its seconds with what the wrong ticket led to were 60 % off, and stayed so."""
     season = Season(tmp_path / "a")
     with running(season.folder, CONFIGURATION) as bench:
         season.harvest(bench)
@@ -83,7 +83,7 @@ def season_ticket(season: Season, number: int, factor: float) -> dict:
     return ask(season.folder, "ticket", str(number), f"{weighed_kg}kg", "--std-dev", f"{0.002 * weighed_kg}kg")
 
 
-def test_what_a_ticket_teaches_reaches_the_open_load_once_it_is_closed(tmp_path, plain: float) -> None:
+def test_what_a_ticket_changes_reaches_the_open_load_once_it_is_closed(tmp_path, plain: float) -> None:
     season = Season(tmp_path / "a")
     with running(season.folder, CONFIGURATION) as bench:
         season.harvest(bench)

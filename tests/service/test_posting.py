@@ -1,4 +1,4 @@
-"""Loads measured again after a ticket: what the lessons together say of the hours before, and what stays as it was."""
+"""Loads measured again after a ticket: what the updates together say of the hours before, and what stays as it was."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ def known(version: int = 1, density: float = 800.0) -> ParameterSet:
     return ParameterSet(values, ("density",), np.array([[30.0**2]]), version=version)
 
 
-def lesson(hours: float, wandering: float, learnt: ParameterSet) -> Step:
-    """A density that wandered by `wandering` (relative, per root hour) for some hours, then a lesson."""
+def update(hours: float, wandering: float, learnt: ParameterSet) -> Step:
+    """A density that wandered by `wandering` (relative, per root hour) for some hours, then an update."""
     _, step = advance(begin(known(), {}), DriftRates({"density": wandering}, {}, {}), hours, 0.0)
     kept = CalibrationStep(1, 0.0, hours * HOUR_S, step, (learnt.values["density"],))
     return Step(2, hours * HOUR_S, step_document(kept))
@@ -74,23 +74,23 @@ def rows(load: int, begin_s: float, version: int = 1, seconds: int = 5, flow: fl
 
 
 def test_a_step_is_the_same_after_the_store() -> None:
-    step = lesson(3.0, 0.02, known(2, 830.0))
+    step = update(3.0, 0.02, known(2, 830.0))
     found = step_from_document(json.loads(json.dumps(step.document)))
     assert found is not None
     assert step_document(found) == step.document
     assert step_from_document({**step.document, "state": [1.0, 2.0]}) is None
     assert step_from_document({}) is None
-    taught = replace(found, widening=4.0, sweep_alone=True)
-    assert step_document(step_from_document(json.loads(json.dumps(step_document(taught))))) == step_document(taught)
+    by_sweep = replace(found, widening=4.0, sweep_alone=True)
+    assert step_document(step_from_document(json.loads(json.dumps(step_document(by_sweep))))) == step_document(by_sweep)
 
 
 @pytest.mark.parametrize("widening", [0.5, float("inf"), float("nan"), None, "wide"])
 def test_a_step_with_a_widening_that_makes_no_sense_is_none(widening: float | str | None) -> None:
-    assert step_from_document({**lesson(3.0, 0.02, known(2, 830.0)).document, "widening": widening}) is None
+    assert step_from_document({**update(3.0, 0.02, known(2, 830.0)).document, "widening": widening}) is None
 
 
 def test_a_step_of_a_store_before_0_2_counts_whatever_its_source() -> None:
-    document = dict(lesson(3.0, 0.02, known(2, 830.0)).document)
+    document = dict(update(3.0, 0.02, known(2, 830.0)).document)
     del document["widening"], document["sweep_alone"]
     found = step_from_document(document)
     assert found is not None
@@ -124,7 +124,7 @@ def test_an_update_by_a_sweep_is_not_posted() -> None:
 def test_an_update_corrects_the_hours_before_it_by_as_much_as_they_have_in_common(wandering: float) -> None:
     early = 30.0**2 / (30.0**2 + (wandering * 800.0) ** 2 * 4.0)
     learnt = known(2, 840.0)
-    line = posting.timeline([lesson(4.0, wandering, learnt)], learnt)
+    line = posting.timeline([update(4.0, wandering, learnt)], learnt)
     moved = [line.at(t).values["density"] - 800.0 for t in (0.0, 2.0 * HOUR_S, 4.0 * HOUR_S)]
     assert moved[2] == pytest.approx(40.0)
     assert moved[0] == pytest.approx(40.0 * early, rel=1e-6)
@@ -133,14 +133,14 @@ def test_an_update_corrects_the_hours_before_it_by_as_much_as_they_have_in_commo
 
 @pytest.mark.parametrize(("density", "from_s"), [(860.0, -np.inf), (980.0, 30.0 * HOUR_S)])
 def test_an_update_that_contradicts_the_drift_says_nothing_of_the_days_before(density: float, from_s: float) -> None:
-    """The density is expected to 40 kg/m3 when the second lesson comes, 48 hours after the first."""
+    """The density is expected to 40 kg/m3 when the second update comes, 48 hours after the first."""
     _, step = advance(begin(known(2, 820.0), {}), DriftRates({"density": 0.005}, {}, {}), 48.0, 0.0)
     second = CalibrationStep(2, 30.0 * HOUR_S, 78.0 * HOUR_S, step, (density,))
-    lessons = [lesson(30.0, 0.005, known(2, 820.0)), Step(3, 78.0 * HOUR_S, step_document(second))]
-    line = posting.timeline(lessons, known(3, density))
+    updates = [update(30.0, 0.005, known(2, 820.0)), Step(3, 78.0 * HOUR_S, step_document(second))]
+    line = posting.timeline(updates, known(3, density))
     assert line.holds_from_s == from_s
     assert posting.begins(line, 78.0 * HOUR_S) == max(from_s, 6.0 * HOUR_S)
-    # The day itself is measured again whatever its lesson says.
+    # The day itself is measured again whatever its update says.
     assert posting.begins(line, 40.0 * HOUR_S) == min(max(from_s, -32.0 * HOUR_S), 16.0 * HOUR_S)
 
 
@@ -175,7 +175,7 @@ def test_the_time_before_a_gain_that_is_no_restitution_any_more_is_measured_agai
 
 def test_loads_of_other_parameters_stay_as_they_were_measured() -> None:
     learnt = known(2, 840.0)
-    line = posting.timeline([lesson(4.0, 0.0, learnt)], learnt)
+    line = posting.timeline([update(4.0, 0.0, learnt)], learnt)
     seconds = [*rows(1, 100.0), *rows(2, 9000.0), *rows(3, 9100.0, version=7)]
     found = posting.factors(loads_of(seconds, {1: known(), 2: learnt, 7: known(7)}), line, MACHINE)
     assert sorted(found) == [1, 2]
@@ -191,7 +191,7 @@ def test_parameters_that_a_change_of_crop_kept_as_another_version_count_as_one()
         1: known(), 3: replace(known(3), provenance=named), 4: known(4, 760.0), 5: replace(known(5), provenance=named), 6: learnt,
         7: replace(known(7), provenance={"crop": "barley"}),
     }  # fmt: skip
-    step = lesson(4.0, 0.0, learnt)
+    step = update(4.0, 0.0, learnt)
     line = posting.timeline([replace(step, version=6, document={**step.document, "from_version": 5})], learnt, sets)
     assert line.versions == {1, 3, 5, 6}
     assert line.at(0.0).values["density"] == pytest.approx(840.0)
@@ -199,7 +199,7 @@ def test_parameters_that_a_change_of_crop_kept_as_another_version_count_as_one()
 
 def test_an_update_that_does_not_follow_on_the_one_before_speaks_for_its_own_time_only() -> None:
     learnt = known(5, 840.0)
-    line = posting.timeline([lesson(4.0, 0.0, known(2, 820.0))], learnt)
+    line = posting.timeline([update(4.0, 0.0, known(2, 820.0))], learnt)
     assert line.versions == {5}
     assert line.at(0.0).values["density"] == 840.0
 
@@ -207,7 +207,7 @@ def test_an_update_that_does_not_follow_on_the_one_before_speaks_for_its_own_tim
 def test_updates_that_lead_to_themselves_come_to_an_end() -> None:
     """As a store that was tampered with may have them."""
     learnt = known(2, 840.0)
-    step = lesson(4.0, 0.0, learnt)
+    step = update(4.0, 0.0, learnt)
     line = posting.timeline([replace(step, document={**step.document, "from_version": 2})], learnt)
     assert line.versions == {2}
 
@@ -236,7 +236,7 @@ def test_a_ticket_measures_the_loads_of_three_days_again(tmp_path, lost: int, op
     sets = [ParameterVersion(p.version, 0.0, "file", parameter_file.to_document(p)) for p in (known(), learnt)]
     with Store(tmp_path / "s.sqlite") as store:
         batch = Batch(
-            1, 5.0 * DAY_S, {}, tuple(numbered[lost:]), parameter_versions=tuple(sets), steps=(lesson(120.0, 0.01, learnt),)
+            1, 5.0 * DAY_S, {}, tuple(numbered[lost:]), parameter_versions=tuple(sets), steps=(update(120.0, 0.01, learnt),)
         )
         store.commit([batch])
     found = posting.of_store(tmp_path / "s.sqlite", MACHINE, 2, open_load, 5.0 * DAY_S + 60.0 - (DAY_S / 24.0))
@@ -261,7 +261,7 @@ def test_grain_after_a_loads_end_is_not_posted_with_it(tmp_path) -> None:
                 tuple(replace(row, number=i) for i, row in enumerate(seconds, 1)),
                 loads=(Load(1, "", "", DAY_S, DAY_S + 5.0, 50.0, None),),
                 parameter_versions=tuple(sets),
-                steps=(lesson(120.0, 0.01, learnt),),
+                steps=(update(120.0, 0.01, learnt),),
             )
             store.commit([batch])
         found.append(posting.of_store(path, MACHINE, 2, None, DAY_S + 60.0))
@@ -378,7 +378,7 @@ def test_a_job_that_is_under_way_has_nothing_to_take_and_stays_under_way(tmp_pat
 def test_seconds_without_a_known_force_count_neither_in_mass_nor_in_time() -> None:
     """One second of twenty has none; with three of twenty the load is left as it was measured."""
     learnt = known(2, 840.0)
-    line = posting.timeline([lesson(4.0, 0.0, learnt)], learnt)
+    line = posting.timeline([update(4.0, 0.0, learnt)], learnt)
     for unknown, found in ((1, [1]), (2, []), (3, [])):
         plain = rows(1, 9000.0, version=2, seconds=20)
         seconds = [replace(row, force_n=None if i < unknown else row.force_n) for i, row in enumerate(plain)]

@@ -39,7 +39,7 @@ SETTLED_S = 10.0
 
 
 def settle(season: Season, bench) -> None:
-    """Until no ticket waits and loads are measured again: one ticket teaches with each window.
+    """Until no ticket waits and loads are measured again: one ticket updates with each window.
 
     For as long on the bus however busy the machine is: the zero follows empty seconds, and with it what is measured next.
     """
@@ -54,7 +54,7 @@ def settle(season: Season, bench) -> None:
         with Store(season.folder / "yieldmon.sqlite") as store:
             return not bench.daemon.monitor.masses_wait and not store.state()["unfinished_tickets"]
 
-    wait_for(settled, "tickets that teach and loads that are measured again")
+    wait_for(settled, "tickets that update and loads that are measured again")
     assert bench.now_s <= until_s
     bench.play(until_s - bench.now_s, 0.0)
     bench.played()
@@ -121,7 +121,7 @@ def test_an_undo_leaves_what_never_having_entered_the_ticket_does(tickets, undon
 
 
 def test_a_second_undo_takes_back_what_was_learnt_again(tmp_path) -> None:
-    """The parameters that a ticket led to when it taught again are its own: an undo of it reaches them."""
+    """The parameters that a ticket led to when it updated again are its own: an undo of it reaches them."""
     season = Season(tmp_path / "a")
     with running(season.folder) as bench:
         season.harvest(bench)
@@ -141,8 +141,8 @@ def test_a_second_undo_takes_back_what_was_learnt_again(tmp_path) -> None:
 
 
 @pytest.mark.parametrize("undo", [("calibrations", "undo", "3"), ("ticket", "undo", "2")], ids=["calibration", "ticket"])
-def test_an_undo_that_took_a_lesson_back_is_not_undone_behind_its_ticket(undo: tuple[str, ...], tmp_path, capsys) -> None:
-    """Its parameters would hold what a ticket has taught that stands for nothing; the mass entered again brings it back."""
+def test_an_undo_that_took_a_update_back_is_not_undone_behind_its_ticket(undo: tuple[str, ...], tmp_path, capsys) -> None:
+    """Its parameters would hold what a ticket led to that stands for nothing; the mass entered again brings it back."""
     season = Season(tmp_path / "a")
     with running(season.folder) as bench:
         season.harvest(bench)
@@ -211,8 +211,8 @@ def versions_of(season: Season, number: int) -> list[int]:
 
 @pytest.mark.parametrize("restart", [False, True], ids=["", "after a restart"])
 @pytest.mark.parametrize("place", [0, 1, 3], ids=["first", "in the middle", "last"])
-def test_a_calibration_undone_leaves_what_the_others_teach(place: int, restart: bool, never, tmp_path) -> None:
-    """A wrong ticket's lesson is taken back by its version: the parameters are those of the others alone, and the mass that
+def test_a_calibration_undone_leaves_what_the_others_led_to(place: int, restart: bool, never, tmp_path) -> None:
+    """A wrong ticket's update is taken back by its version: the parameters are those of the others alone, and the mass that
     it gives its own load stays until the ticket goes, too."""
     season = Season(tmp_path / "a")
     tickets = [*RIGHT[:place], (5, 1.01 * TRUE), *RIGHT[place:]]
@@ -287,7 +287,7 @@ def test_a_parameter_file_undone_gives_the_tickets_after_it_to_the_one_before(tm
         answer = ask(season.folder, "calibrations", "undo", str(version))
         assert (answer["silenced"], answer["learnt_again"], answer["not_learnt_again"]) == ([], [2], [])
         assert left(season, bench)["values"]["density"] != pytest.approx(900.0, rel=0.01)
-        # It teaches again from the file before, so it is among those that an undo of it reaches.
+        # It updates again from the file before, so it is among those that an undo of it reaches.
         assert ask(season.folder, "ticket", "undo", "2")["undone"] > version
 
 
@@ -309,7 +309,7 @@ def led_to(season: Season) -> list[list[int]]:
         return [a.document["tickets"] for a in store.actions() if a.kind == "parameters" and a.document["origin"] == "ticket"]
 
 
-def test_tickets_entered_together_all_teach_one_version_each(never, tmp_path) -> None:
+def test_tickets_entered_together_all_update_one_version_each(never, tmp_path) -> None:
     season = Season(tmp_path / "a")
     with running(season.folder) as bench:
         season.harvest(bench)
@@ -341,7 +341,7 @@ def test_a_kill_between_tickets_entered_together_loses_none_and_doubles_none(sec
         assert [max(numbers) for numbers in led_to(season)] == [1, 2, 3]
 
 
-def test_a_ticket_that_is_still_to_teach_says_so(tmp_path, capsys) -> None:
+def test_a_ticket_that_is_still_to_update_says_so(tmp_path, capsys) -> None:
     season = Season(tmp_path / "a")
     with running(season.folder) as bench:
         season.harvest(bench)
@@ -405,9 +405,9 @@ def _harvest_on(season: Season, bench) -> float:
 
 
 @pytest.fixture(scope="module")
-def untaught_kg(tmp_path_factory) -> float:
-    """Of such a load, where no ticket has taught."""
-    season = Season(tmp_path_factory.mktemp("untaught") / "a")
+def plain_kg(tmp_path_factory) -> float:
+    """Of such a load, where no ticket has updated."""
+    season = Season(tmp_path_factory.mktemp("not_updated") / "a")
     with running(season.folder) as bench:
         season.harvest(bench)
         return _harvest_on(season, bench)
@@ -415,7 +415,7 @@ def untaught_kg(tmp_path_factory) -> float:
 
 @pytest.mark.parametrize("undo", [("ticket", "undo", "1"), ("calibrations", "undo", "2")])
 @pytest.mark.parametrize("restart", [False, True])
-def test_loads_measured_by_what_was_taken_back_are_measured_again(undo, restart: bool, untaught_kg: float, tmp_path) -> None:
+def test_loads_measured_by_what_was_taken_back_are_measured_again(undo, restart: bool, plain_kg: float, tmp_path) -> None:
     season = Season(tmp_path / "a")
     with contextlib.ExitStack() as stack:
         bench = stack.enter_context(running(season.folder))
@@ -423,7 +423,7 @@ def test_loads_measured_by_what_was_taken_back_are_measured_again(undo, restart:
         enter(season, bench, [(2, 1.3)])
         settle(season, bench)
         measured_kg = _harvest_on(season, bench)
-        assert measured_kg > 1.05 * untaught_kg, "by the wrong ticket's parameters"
+        assert measured_kg > 1.05 * plain_kg, "by the wrong ticket's parameters"
         if restart:
             season.now_s = bench.now_s
             stack.close()
@@ -438,7 +438,7 @@ def test_loads_measured_by_what_was_taken_back_are_measured_again(undo, restart:
             return ask(season.folder, "load", "list")["loads"][-1]["corrected_mass_kg"]
 
         wait_for(lambda: corrected_kg() != measured_kg, "the load measured again")
-        assert corrected_kg() == pytest.approx(untaught_kg, rel=0.01)
+        assert corrected_kg() == pytest.approx(plain_kg, rel=0.01)
 
 
 def test_each_ticket_says_what_became_of_it(tmp_path, capsys) -> None:

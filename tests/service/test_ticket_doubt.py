@@ -140,7 +140,7 @@ def test_the_first_ticket_says_that_it_decides_alone_and_the_second_that_the_fir
         assert "by one ticket alone" not in bench.daemon.monitor.outcome.reason
 
 
-def test_where_a_tank_scale_has_taught_no_ticket_is_said_to_decide_alone(tmp_path, capsys) -> None:
+def test_where_a_tank_scale_has_updated_no_ticket_is_said_to_decide_alone(tmp_path, capsys) -> None:
     passes = {"kind": "stop-and-go", "flow_kg_s": 12, "pass_s": 30, "headland_s": 20, "unload_every": 2, "unload_s": 20}
     pieces = [{"kind": "steady", "duration_s": 20, "flow_kg_s": 0}, {**passes, "duration_s": 180}]
     scenario = {"duration_s": 200, "effects": {"gravity": "on"}, "flow": {"pieces": pieces}}

@@ -1,4 +1,4 @@
-"""A ticket that comes when another crop is harvested teaches its own, as one that came in time."""
+"""A ticket that comes when another crop is harvested updates its own, as one that came in time."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from yieldmon.service.storage.store import Store
 TRUE = 1.12
 """Weighed over measured mass."""
 FAR = 1.5
-"""Beyond what is known of the crop, so that a ticket teaches a curve."""
+"""Beyond what is known of the crop, so that a ticket updates a curve."""
 
 
 def said(folder: Path, *words: str) -> tuple[str, str]:
@@ -55,7 +55,7 @@ def settled(folder: Path, bench: Bench) -> dict[str, Any]:
         with Store(folder / "yieldmon.sqlite") as store:
             return not bench.daemon.monitor.masses_wait and not store.state()["unfinished_tickets"]
 
-    wait_for(done, "tickets that teach and loads that are measured again")
+    wait_for(done, "tickets that update and loads that are measured again")
     rows = ask(folder, "load", "list")["loads"]
     return {
         "values": dict(bench.daemon.monitor.estimator.parameters.values),
@@ -75,7 +75,7 @@ def in_time(folder: Path) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("restart", [False, True], ids=["", "after a restart"])
-def test_a_ticket_that_comes_after_its_crop_teaches_it_when_it_returns(restart: bool, tmp_path: Path) -> None:
+def test_a_ticket_that_comes_after_its_crop_updates_it_when_it_returns(restart: bool, tmp_path: Path) -> None:
     expected = in_time(tmp_path / "in time")
     folder = tmp_path / "late"
     folder.mkdir()

@@ -1,4 +1,4 @@
-"""A ticket teaches the same whether or not the daemon was started anew between its load and the ticket."""
+"""A ticket leads to the same whether or not the daemon was started anew between its load and the ticket."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class Season:
         bench.played()
         return answer
 
-    def lessons(self) -> list[tuple[str, dict[str, float], list[list[float]]]]:
+    def updates(self) -> list[tuple[str, dict[str, float], list[list[float]]]]:
         with Store(self.folder / "yieldmon.sqlite") as store:
             versions = store.parameter_versions()
         sets = [(v.origin, parameter_file.from_document(v.document, "")) for v in versions]
@@ -74,7 +74,7 @@ TICKETS = ((2, TRUE), (3, 1.003 * TRUE), (4, 0.998 * TRUE), (5, 1.12 * TRUE))
 
 
 def learnt(folder, runs: tuple[int, ...]) -> tuple[list, list[str]]:
-    """What the tickets teach, so many of them in each run of the daemon, and why each taught as it did."""
+    """What the tickets lead to, so many of them in each run of the daemon, and why each did as it did."""
     season, reported, left = Season(folder), [], list(TICKETS)
     for place, count in enumerate(runs):
         with running(folder, start_s=season.now_s) as bench:
@@ -86,7 +86,7 @@ def learnt(folder, runs: tuple[int, ...]) -> tuple[list, list[str]]:
                 assert season.ticket(bench, *left.pop(0))["why_no_anchor"] == ""
                 reported.append(bench.daemon.monitor.outcome.reason)
             season.now_s = bench.now_s
-    return season.lessons(), reported
+    return season.updates(), reported
 
 
 def test_tickets_update_the_same_after_restarts(tmp_path) -> None:
@@ -120,7 +120,7 @@ def test_tickets_that_wait_for_another_crop_update_it_after_restarts(tmp_path) -
         corn = ask(season.folder, "load", "start", "--crop", "corn")["parameters"]["version"]
         bench.play(3, 0.0)
         bench.played()
-        wait_for(lambda: bench.status["parameters"]["version"] == corn + 1, "what the ticket teaches of corn")
+        wait_for(lambda: bench.status["parameters"]["version"] == corn + 1, "what the ticket says of corn")
 
         def again() -> dict[int, float]:
             """Once a second the daemon looks what has been measured again."""
@@ -133,7 +133,7 @@ def test_tickets_that_wait_for_another_crop_update_it_after_restarts(tmp_path) -
         assert again()[3] == pytest.approx(1.1 * season.masses[3], rel=0.01)
         undone = ask(season.folder, "ticket", "undo", "1")
         assert undone["undone"] == corn + 1
-    assert "ticket" in [origin for origin, _, _ in season.lessons()]
+    assert "ticket" in [origin for origin, _, _ in season.updates()]
 
 
 def test_a_ticket_that_updates_after_a_restart_is_undone_with_its_update(tmp_path) -> None:
@@ -145,10 +145,10 @@ def test_a_ticket_that_updates_after_a_restart_is_undone_with_its_update(tmp_pat
     with running(season.folder, start_s=season.now_s + 60.0) as bench:
         bench.play(3, 0.0)
         bench.played()
-        wait_for(lambda: bench.status["parameters"]["version"] == 2, "what it teaches")
+        wait_for(lambda: bench.status["parameters"]["version"] == 2, "what it leads to")
         undone = ask(season.folder, "ticket", "undo", "1")
         assert (undone.get("undone"), undone.get("version")) == (2, 3)
-    assert season.lessons()[2][1] == season.lessons()[0][1] != season.lessons()[1][1]
+    assert season.updates()[2][1] == season.updates()[0][1] != season.updates()[1][1]
 
 
 def test_loads_are_measured_again_though_the_daemon_was_killed_meanwhile() -> None:
@@ -189,13 +189,13 @@ def test_tickets_of_a_crop_that_is_left_before_they_update_wait_for_its_return()
     assert log.unfinished_of_crop == {}
 
 
-def test_an_undo_names_the_standing_ticket_whose_teaching_goes_with_it() -> None:
+def test_an_undo_names_the_standing_ticket_whose_update_goes_with_it() -> None:
     """A ticket entered three times, one of them taken back."""
     log = ActionLog([], [], 0.0)
     for number, load in ((1, 4), (2, 4), (3, 7), (4, 4)):
         log.ticket(Ticket(1.0, load, load, 100.0, 90.0, ""), is_reference=True)
         log.add(PARAMETERS, "", {"version": 1 + number, "from_version": number, "origin": "ticket", "tickets": [number]})
-    assert log.first_lesson(1, counts=True) == 2
+    assert log.first_update(1, counts=True) == 2
     log.undo_ticket(1, "", 2.0)
     assert log.standing_of({2, 3, 4, 5}) == (3, 4)
     assert log.standing_of({2}) == ()

@@ -1,4 +1,4 @@
-"""Weighed loads that cannot teach: why, in one line."""
+"""Weighed loads that cannot update the parameters: why, in one line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the observables determine, and what seasons of a teacher say: the studies' own statements hold in small."""
+"""What the observables determine, and what seasons of kernel updates say: the studies' own statements hold in small."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from studies.waveform import identifiability, teaching
+from studies.waveform import identifiability, kernel_updates
 
 SCALE = np.array([1.0, 1.0, -1.0, 0.0])
 KEPT = json.loads((Path(identifiability.__file__).parent / "identifiability.json").read_text())
@@ -35,20 +35,23 @@ def test_the_kept_table_is_what_the_study_says_and_no_sweep_makes_anything_worse
 
 
 def test_a_season_s_first_load_is_measured_before_any_update() -> None:
-    alone, taught = (teaching.season(7, teaches=teaches, tickets=(), loads=3) for teaches in (False, True))
-    assert alone[0] == taught[0]
+    alone, updated = (
+        kernel_updates.season(7, kernels_update=kernels_update, tickets=(), loads=3) for kernels_update in (False, True)
+    )
+    assert alone[0] == updated[0]
     assert len(alone) == 3
-    assert np.mean([sd for _, sd in taught]) < np.mean([sd for _, sd in alone])
+    assert np.mean([sd for _, sd in updated]) < np.mean([sd for _, sd in alone])
 
 
-def test_where_grain_drifts_as_the_daemon_s_rates_say_kernel_lessons_and_a_ticket_leave_what_is_stated() -> None:
+def test_where_grain_drifts_as_the_daemon_s_rates_say_kernel_updates_and_a_ticket_leave_what_is_stated() -> None:
     """The rates are those of the daemon, steady ones among them; without these a quarter less is stated after a ticket."""
     seasons = [
-        teaching.season(60 + i, teaches=True, tickets=(0,), rates=teaching.RATES, as_expected=True, loads=16) for i in range(4)
+        kernel_updates.season(60 + i, kernels_update=True, tickets=(0,), rates=kernel_updates.RATES, as_expected=True, loads=16)
+        for i in range(4)
     ]
     errors, stated = np.array(seasons)[:, 1:, 0], np.array(seasons)[:, 1:, 1]
     assert 0.6 < float(np.sqrt(np.mean((errors / stated) ** 2))) < 1.4
-    still = replace(teaching.RATES, steady_per_kilotonne=dict.fromkeys(teaching.KNOWN_SD, 0.0))
-    fixed = teaching.season(60, teaches=False, tickets=(0,), rates=still, loads=16)
-    drifting = teaching.season(60, teaches=False, tickets=(0,), loads=16)
+    still = replace(kernel_updates.RATES, steady_per_kilotonne=dict.fromkeys(kernel_updates.KNOWN_SD, 0.0))
+    fixed = kernel_updates.season(60, kernels_update=False, tickets=(0,), rates=still, loads=16)
+    drifting = kernel_updates.season(60, kernels_update=False, tickets=(0,), loads=16)
     assert drifting[-1][1] > 1.15 * fixed[-1][1]

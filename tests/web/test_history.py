@@ -122,7 +122,7 @@ def test_a_store_begun_anew_is_read_anew(daemon: StandIn) -> None:
 def test_loads_tickets_sweeps_and_faults(daemon: StandIn) -> None:
     daemon.seconds(20)
     loads = (Load(1, "<i>north</i>", "corn", 1.0, 2.0, 1000.0, 900.0), Load(2, "south", "corn", 3.0, None, 50.0, None))
-    sweep = SweepRecord(5.0, "updated", "taught", {"sweep_id": 1, "angles_deg": [60.0, 70.0], "parameter_version": 2})
+    sweep = SweepRecord(5.0, "updated", "learnt", {"sweep_id": 1, "angles_deg": [60.0, 70.0], "parameter_version": 2})
     ticket, fault = Ticket(6.0, 1, 1, 1100.0, 1000.0, "scale"), FaultEvent(7.0, "FramesLost", True, "3 frames")
     daemon.commit(loads=loads, sweeps=(sweep,), tickets=(ticket,), faults=(fault,))
     found = History(DELAY_S).document(daemon.store_path)

@@ -117,7 +117,7 @@ class Conclusion:
         self._zero_mv = record.zero_mv
 
     def _learn(self, end_s: float, record: WindowRecord, estimator: FlowEstimator) -> tuple[Event, ...]:
-        """What the window teaches, and the loads that are known otherwise for it."""
+        """What is learnt from the window, and the loads that are known otherwise for it."""
         parts, learning, sweep = self._parts, self._parts.learning, self._parts.plate.sweep
         waveform, before = parts.waveform, (learning.load_error, learning.scale_alarm.state.contradiction)
         channels = None
@@ -127,8 +127,8 @@ class Conclusion:
         restated = self._restate(*before, learnt)
         self._hold_moisture(learnt)
         if waveform is not None and not (sweep.driving or learnt):
-            lesson = waveform.lessons.take()
-            learnt = learning.hear(lesson, record) if lesson is not None else ()
+            measurement = waveform.kernel_measurements.take()
+            learnt = learning.hear(measurement, record) if measurement is not None else ()
         return (*learnt, *restated)
 
     def _by_mean_force(self, reading: Reading, estimate: Estimate | None, estimator: FlowEstimator) -> Flow:

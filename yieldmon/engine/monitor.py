@@ -328,18 +328,18 @@ class Monitor(MonitorView):
         """
         return self._parts.learning.departure(load_number, mass_kg, std_dev_kg, self.loads, self._parts.bus_now, of_crop)
 
-    def teach_again(
+    def update_again(
         self, load_numbers: Sequence[int], again: Sequence[Weighing], learnt: Sequence[int] | None = None, crop: str = ""
     ) -> LoadEvents:
-        """Tickets were taken back; where they had taught, the parameters are those from before that, and others teach again.
+        """Tickets were taken back: others update the parameters from before them again.
 
         Parameters
         ----------
         load_numbers : sequence of int
             The loads that the tickets taken back covered.
         again : sequence of (int, float, float)
-            Load, weighed mass and its standard deviation, kg, of each that is to teach again, in the order of entry: a ticket
-            with each window or sweep that ends.
+            Load, weighed mass and its standard deviation, kg, of each that is to update them again, in the order of entry: a
+            ticket with each window or sweep that ends.
         learnt : sequence of int, optional
             Loads with tickets that the parameters in use rest on; None where these are the same as before.
         crop : str
@@ -355,9 +355,9 @@ class Monitor(MonitorView):
         ValueError
             As `ticket`.
         """
-        taught, known = frozenset(load_numbers), None if learnt is None else frozenset(learnt)
-        self._parts.learning.teach_again(taught, again, known, self.loads, self._parts.bus_now, crop)
-        return self._parts.loads.scale_was_right(taught) if known is not None else ()
+        gone, known = frozenset(load_numbers), None if learnt is None else frozenset(learnt)
+        self._parts.learning.update_again(gone, again, known, self.loads, self._parts.bus_now, crop)
+        return self._parts.loads.scale_was_right(gone) if known is not None else ()
 
     # Sweeps and faults
 

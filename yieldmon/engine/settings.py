@@ -262,10 +262,10 @@ class WaveformSettings:
     enabled: bool = False
     combine: bool = False
     """Publish and count mean force, shape and kernel noise together, by their covariance."""
-    teach: bool = False
-    """Let kernel noise update the parameters, with one bias that all its lessons share; then it corrects nothing published."""
-    teach_windows: int = 1800
-    """Seconds of grain with a flow by kernel noise from one lesson to the next."""
+    update_parameters: bool = False
+    """Let kernel noise update the parameters, with one bias common to all its updates; then it corrects nothing published."""
+    update_windows: int = 1800
+    """Seconds of grain with a flow by kernel noise from one update to the next."""
     harmonics: int = 20
     """Harmonics of the paddle pattern that are fitted."""
     model_error: float = 0.1

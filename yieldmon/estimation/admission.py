@@ -1,8 +1,8 @@
-"""Whether a sweep's lesson is admitted: not where the parameters are those of a model that does not describe the machine.
+"""Whether a sweep's update is admitted: not where the parameters are those of a model that does not describe the machine.
 
 What a sweep says of friction and fill is as good as the model's profile over the plate angle. Where a calibration at known
 loads has driven a parameter to an end of its physical range, or has missed held-out angles and loads, that profile is known to be
-wrong, and what a lesson does to the flow at home is then the model's error projected on it, of either sign. Weighed masses are
+wrong, and what an update does to the flow at home is then the model's error projected on it, of either sign. Weighed masses are
 not concerned: they speak of the flow itself.
 
 Source: Brynjarsdottir and O'Hagan, Inverse Problems 30 (2014), on parameters learnt through a model whose error is not known.
@@ -26,17 +26,17 @@ LARGEST_MODEL_ERROR = 0.02
 
 
 def refusal(parameters: ParameterSet) -> str:
-    """Why sweeps teach nothing to these parameters.
+    """Why sweeps do not update these parameters.
 
     Parameters
     ----------
     parameters : ParameterSet
-        Those in use, or those that a lesson would lead to. Parameters without a variance do not count.
+        Those in use, or those that an update would lead to. Parameters without a variance do not count.
 
     Returns
     -------
     str
-        One sentence, "" where sweeps may teach.
+        One sentence, "" where they may.
     """
     if parameters.model_error > LARGEST_MODEL_ERROR:
         return (

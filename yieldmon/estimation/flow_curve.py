@@ -1,6 +1,6 @@
 """Flow from force by a calibrated curve, without a picture of the machine: the alpha-beta model and the look-up table.
 
-Both know one grain and the conditions they were calibrated in; neither follows the plate, and no sweep teaches them anything.
+Both know one grain and the conditions they were calibrated in; neither follows the plate, and no sweep updates them.
 """
 
 from __future__ import annotations

@@ -178,7 +178,7 @@ def from_frames(traffic: Traffic) -> Status:
     """What frames report of a monitor on the bus, in the shape of a daemon's status."""
     flow, mass, state = (traffic.latest(name) for name in (MASS_FLOW, ACCUMULATED_MASS, YIELD_MONITOR_STATUS))
     plate, grain, moving = (traffic.latest(name) for name in (PLATE_ACTUATOR_FEEDBACK, GRAIN_CONDITION, VEHICLE_DIRECTION_SPEED))
-    lesson = traffic.latest(SELF_CALIBRATION_STATUS)
+    calibration = traffic.latest(SELF_CALIBRATION_STATUS)
 
     def signal(frame: Any, name: str) -> float | None:
         value: Value | None = frame.signals[name] if frame is not None else None
@@ -209,8 +209,8 @@ def from_frames(traffic: Traffic) -> Status:
         },
         "total": {"mass_kg": signal(mass, "TotalMass")},
         "sweep": {
-            "state": values.code_name("SweepState", lesson.signals["SweepState"]) if lesson is not None else UNKNOWN,
-            "progress_pct": signal(lesson, "SweepProgress") or 0.0,
+            "state": values.code_name("SweepState", calibration.signals["SweepState"]) if calibration is not None else UNKNOWN,
+            "progress_pct": signal(calibration, "SweepProgress") or 0.0,
             "due_in_s": None,
         },
         "faults": [

@@ -74,8 +74,8 @@ def build_monitor(
     0.0
     """
     estimator = estimator_of(machine, parameters)
-    teachable = calibrator is not None and parameters.curve is None
-    learner = ClosedLoopCalibrator(ForwardModel(machine, parameters.effects), calibrator) if teachable and calibrator else None
+    updatable = calibrator is not None and parameters.curve is None
+    learner = ClosedLoopCalibrator(ForwardModel(machine, parameters.effects), calibrator) if updatable and calibrator else None
     monitor = Monitor(
         settings, machine, estimator, learner, sources=sources, drives_plate=drives_plate, waveform_later=waveform_later
     )

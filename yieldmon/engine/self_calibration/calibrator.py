@@ -1,4 +1,4 @@
-"""What the monitor asks of whatever learns its parameters, and what comes of a lesson."""
+"""What the monitor asks of whatever learns its parameters, and what comes of an update."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.self_calibration.angle_error import NO_ERROR, AngleError
 from yieldmon.estimation.self_calibration.steady_drift import Advance
 from yieldmon.estimation.self_calibration.sweep_worth import OtherChannels, SweepWorth
-from yieldmon.estimation.waveform.common_bias import KernelLesson
+from yieldmon.estimation.waveform.common_bias import KernelMeasurement
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +24,7 @@ class CalibrationStep:
 
     from_version: parameters in use between them. begin_s, end_s: bus time. advance: states (parameters, then their rates) and
     covariances at both ends, before the second update; state: what that made of them. widening: what it multiplied the
-    parameters' covariance before it by. sweep_alone: whether a sweep has taught it, without a weighed mass or a known density.
+    parameters' covariance before it by. sweep_alone: whether a sweep alone led to it, without a weighed mass or a known density.
     names: of the parameters in the states; empty where they are not known.
     """
 
@@ -76,7 +76,7 @@ class SelfCalibrator(Protocol):
         """What reference masses change. record: the last window; anchors: all reference masses kept; model_error: that their
         loads are stated with."""
 
-    def hear(self, record: WindowRecord, lesson: KernelLesson, estimator: FlowEstimator) -> CalibrationOutcome:
+    def hear(self, record: WindowRecord, measurement: KernelMeasurement, estimator: FlowEstimator) -> CalibrationOutcome:
         """What kernel noise changes. record: the last window."""
 
     def follow(self, record: WindowRecord, estimator: FlowEstimator) -> CalibrationOutcome | None:
@@ -94,7 +94,7 @@ class SelfCalibrator(Protocol):
         the sweep; None: not known."""
 
     def use(self, estimator: FlowEstimator, harvested_kg: float = 0.0) -> None:
-        """Other parameters than what was learnt led to: those from before a lesson, since when they hold again; or from outside,
+        """Other parameters than what was learnt led to: those from before an update, since when they hold again; or from outside,
         learnt so much grain ago."""
 
     @property
@@ -114,7 +114,7 @@ class SelfCalibrator(Protocol):
     ) -> bool:
         """What was weighed of these loads counts no more and may be used anew. counted: tickets of the present crop that the
         parameters in use rest on, which came back; None: the parameters are as before. scale: masses of the tank scale; those
-        that taught what went are used anew. Returns whether there are such."""
+        that led to what went are used anew. Returns whether there are such."""
 
     def change_grain(self, before: str, now: str, used: Sequence[ReferenceMass], estimator: FlowEstimator | None = None) -> None:
         """Another crop from now on: what was weighed of the one before is kept for its return, and what its parameters were

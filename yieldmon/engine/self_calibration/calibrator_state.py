@@ -19,7 +19,7 @@ class PriorState:
 
 @dataclass(frozen=True, slots=True)
 class GrainState:
-    """What weighed loads have taught of a crop that is not harvested now, for its return.
+    """What weighed loads have said of a crop that is not harvested now, for its return.
 
     crop: its name. weighed, doubted: as in `CalibratorState`. origin: its parameters as they came from outside; left: those that
     weighed loads made of them; None for both where they have made none.
@@ -40,10 +40,10 @@ class CalibratorState:
     parameters that have a steady rate; rates: (r,), per kilotonne; covariance: (r, n + r) of the rates with the n parameters that
     have a variance, and with each other. at_s: bus time of the last update, None where it is not known. weighed: names of the
     loads that a new one is held against; doubted: of the one that contradicts them, "" for none. bias: of kernel noise (value,
-    variance, largest variance, then its covariance with parameters and rates), empty where it has taught nothing. origin: the
-    parameters before weighed loads taught a curve of their own, None where they have not. grains: the crops before. spread: what
-    rates of unknown size may have added (`estimation.self_calibration.drift_spread`), (n + r + 1, n + r + 1), empty where nothing
-    has taught. past: since when parameters that were in use before hold.
+    variance, largest variance, then its covariance with parameters and rates), empty where it has updated nothing. origin: the
+    parameters before weighed loads gave a curve of their own, None where they have not. grains: the crops before. spread: what
+    rates of unknown size may have added (`estimation.self_calibration.drift_spread`), (n + r + 1, n + r + 1), empty where no
+    update has said it. past: since when parameters that were in use before hold.
     """
 
     waited_s: float

@@ -36,13 +36,13 @@ from yieldmon.estimation.self_calibration.closed_loop_outcome import Outcome
 from yieldmon.estimation.self_calibration.steady_drift import unsure_of_gain
 from yieldmon.estimation.self_calibration.sweep_worth import OtherChannels, SweepPlan, SweepWorth, sweep_worth, window_times_s
 from yieldmon.estimation.waveform import common_bias
-from yieldmon.estimation.waveform.common_bias import KernelLesson
+from yieldmon.estimation.waveform.common_bias import KernelMeasurement
 from yieldmon.physics.model import ForwardModel
 
 _WORSE = 1.5
-"""Of the bias's prior variance, the lasting one of a lesson beyond which it is not of that bias any more."""
-_LESSON_SDS = 3.0
-"""Deviations of a difference beyond which a lesson contradicts and teaches nothing."""
+"""Of the bias's prior variance, the lasting one of an update beyond which it is not of that bias any more."""
+_CONTRADICTION_SDS = 3.0
+"""Deviations of a difference beyond which kernel noise contradicts the mean force and updates nothing."""
 
 
 class ClosedLoopCalibrator:
@@ -147,7 +147,7 @@ class ClosedLoopCalibrator:
         self._masses.handed_over(anchors)
         return replace(taken, reason=f"{taken.reason}; {doubt}" if doubt else taken.reason, weighed=True, checks=checks)
 
-    def hear(self, record: WindowRecord, lesson: KernelLesson, estimator: FlowEstimator) -> CalibrationOutcome:
+    def hear(self, record: WindowRecord, measurement: KernelMeasurement, estimator: FlowEstimator) -> CalibrationOutcome:
         """See calibrator.SelfCalibrator."""
         used = self._in_use(estimator)
         at = self._at(record)
@@ -157,25 +157,25 @@ class ClosedLoopCalibrator:
             if KERNEL_NOISE in used.provenance:
                 reason = "how kernel noise updated these parameters is not known any more; it does so again after a weighed load"
                 return CalibrationOutcome(None, reason)
-            bias = common_bias.begin(lesson.lasting_sd, len(carried.drifting.joint))
-        if lesson.lasting_sd**2 > _WORSE * bias.largest:
+            bias = common_bias.begin(measurement.lasting_sd, len(carried.drifting.joint))
+        if measurement.lasting_sd**2 > _WORSE * bias.largest:
             return CalibrationOutcome(None, "kernel noise is known worse than at its first update; the parameters stay")
         try:
-            taught = common_bias.teach(self._model, carried.drifting, bias, lesson)
-            refused = refusal(taught.drifting.parameters)
+            updated = common_bias.update(self._model, carried.drifting, bias, measurement)
+            refused = refusal(updated.drifting.parameters)
         except ValueError as error:
             return CalibrationOutcome(None, f"{error}; the parameters stay")
-        if refused or abs(taught.difference) > _LESSON_SDS * taught.sd:
-            off = f"kernel noise and mean force differ by {100.0 * taught.difference:+.0f} %"
+        if refused or abs(updated.difference) > _CONTRADICTION_SDS * updated.sd:
+            off = f"kernel noise and mean force differ by {100.0 * updated.difference:+.0f} %"
             return CalibrationOutcome(None, f"{off}; {refused or 'the parameters stay'}")
         facts = {**used.provenance, KERNEL_NOISE: "taught"}
-        known = replace(taught.drifting.parameters, version=used.version + 1, provenance=facts)
+        known = replace(updated.drifting.parameters, version=used.version + 1, provenance=facts)
         self._lineage.forget_given()
-        self._knowledge.take_kernel_lesson(taught, used, known, at, carried)
+        self._knowledge.take_kernel_update(updated, used, known, at, carried)
         self._replaced(used, at.time_s, known)
         reason = (
-            f"kernel noise moved the scale by {100.0 * taught.moved:+.1f} %; its bias is known to "
-            f"{100.0 * taught.bias.variance**0.5:.1f} %"
+            f"kernel noise moved the scale by {100.0 * updated.moved:+.1f} %; its bias is known to "
+            f"{100.0 * updated.bias.variance**0.5:.1f} %"
         )
         return CalibrationOutcome(OpenLoop(self._model, known), reason)
 
@@ -274,7 +274,7 @@ class ClosedLoopCalibrator:
     def _step(
         self, outcome: Outcome, used: ParameterSet, begun_s: float, end_s: float, prior: Carried, *, sweep_alone: bool
     ) -> CalibrationStep | None:
-        """How the lesson that was taken last led on from the parameters used before; None where states have changed."""
+        """How the update that was taken last led on from the parameters used before; None where states have changed."""
         now = self._knowledge.drifting
         names = now.parameters.covariance_names
         if now.state.shape != prior.step.after.shape or names != prior.drifting.parameters.covariance_names:

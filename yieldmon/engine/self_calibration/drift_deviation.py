@@ -43,16 +43,16 @@ class RateSpread:
         return drift_spread.advanced(start, step.transition, forgotten)
 
 
-def after_lesson(
+def after_update(
     spread: Array, prior: Array, now: DriftingParameters, biases: tuple[CommonBias | None, CommonBias | None]
 ) -> Array:
-    """Spread (n + 1, n + 1) after a lesson that took the states' covariance from `prior` to that of `now`; biases: of kernel
+    """Spread (n + 1, n + 1) after an update that took the states' covariance from `prior` to that of `now`; biases: of kernel
     noise before and after it."""
     if spread.shape != (len(now.joint) + 1,) * 2 or prior.shape != now.joint.shape:
         return drift_spread.begin(now.joint, len(now.names))
     before, after = biases if all(bias is not None for bias in biases) else (None, None)
-    errors = drift_spread.by_lesson(_joined(prior, before), _joined(now.joint, after))
-    return drift_spread.taught(spread, errors)
+    errors = drift_spread.by_update(_joined(prior, before), _joined(now.joint, after))
+    return drift_spread.updated(spread, errors)
 
 
 def _joined(joint: Array, bias: CommonBias | None) -> Array:

@@ -24,7 +24,7 @@ from yieldmon.engine.sweeps.sweep_windows import SweepWindows
 from yieldmon.estimation.admission import refusal
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.self_calibration.sweep_worth import OtherChannels
-from yieldmon.estimation.waveform.common_bias import KernelLesson
+from yieldmon.estimation.waveform.common_bias import KernelMeasurement
 from yieldmon.frames import SweepState
 from yieldmon.physics.machine import Machine
 
@@ -33,14 +33,14 @@ from yieldmon.physics.machine import Machine
 class ParametersChanged:
     """Other parameters from now on. origin: "sweep", "ticket" (a reference mass alone), "kernels" or "drift"; reason: one
     sentence; step: see `CalibrationOutcome`. moisture_pct: of the grain for which they hold, nan where it is not known;
-    None: as measured now. taught: number and weighed mass, kg, of the loads whose tickets were handed over for it."""
+    None: as measured now. references: number and weighed mass, kg, of the loads whose tickets were handed over for it."""
 
     parameters: ParameterSet
     origin: str
     reason: str
     step: CalibrationStep | None = None
     moisture_pct: float | None = None
-    taught: tuple[tuple[int, float], ...] = ()
+    references: tuple[tuple[int, float], ...] = ()
 
 
 class Learning:
@@ -91,7 +91,7 @@ class Learning:
         """See `Monitor.doubted_loads`."""
         return frozenset() if self.calibrator is None else self.masses.loads_named(self.calibrator.doubted)
 
-    def teach_again(
+    def update_again(
         self,
         load_numbers: frozenset[int],
         again: Sequence[Weighing],
@@ -100,9 +100,10 @@ class Learning:
         now_s: float,
         crop: str,
     ) -> None:
-        """Tickets for these loads were taken back, and with the parameters that they led to what others had taught: these teach
-        again. learnt: loads whose tickets the parameters rest on, None where these are as before. crop: of all, where another one
-        is harvested now, else "".
+        """Tickets for these loads were taken back; others (`again`) update the parameters from before them again.
+
+        learnt: loads whose tickets the parameters rest on, None where these are as before. crop: of all, where another one is
+        harvested now, else "".
 
         Raises ValueError as `ticket`.
         """
@@ -139,7 +140,7 @@ class Learning:
         self.drift_sd = 0.0
         """Relative, of the force, by drift since the parameters in use were learnt."""
         self.calibration_age_s = calibration_age_s
-        self._sweeps_teach = not refusal(estimator.parameters)
+        self._sweeps_update = not refusal(estimator.parameters)
         self.judge_model(weighed=weighed)
 
     def judge_model(self, *, weighed: bool | None = None) -> None:
@@ -154,12 +155,12 @@ class Learning:
         self.model_error = found.with_home(0.0 if unseen or self._weighed else beyond, self._home_rad)
         """By what sweeps show, away from home before the first one by what it may show; at home beyond the parameters' own
         model_error, and none once a weighed mass has set the scale."""
-        unswept = unseen and self._sweeps_come and self._sweeps_teach and not self._weighed
+        unswept = unseen and self._sweeps_come and self._sweeps_update and not self._weighed
         self.load_error = found.with_home(beyond, self._home_rad) if unswept else self.model_error
         """That loads and total are stated with: before the first sweep by schedule, what it may show at home too."""
 
     def change_grain(self, before: str, now: str, estimator: FlowEstimator | None = None) -> None:
-        """Another crop from now on: weighed masses of the one before teach its parameters alone, when it is back. estimator: in
+        """Another crop from now on: weighed masses of the one before update its parameters alone, when it is back. estimator: in
         use from now on."""
         used = self.masses.change_crop(before, now)
         self.outcome = None
@@ -222,7 +223,7 @@ class Learning:
         Where sweeps update nothing they are not begun by schedule: away from home such a model misses the most. channels: what
         gives the flow beside the mean force, for `sweep.when: information`.
         """
-        sweep.by_schedule = self.calibrator is None or (self._sweeps_teach and self._worth_making(at_s, record, sweep, channels))
+        sweep.by_schedule = self.calibrator is None or (self._sweeps_update and self._worth_making(at_s, record, sweep, channels))
         windows, parameters = self._sweep_windows, self.estimator.parameters
         if not sweep.visiting and not sweep.completed:
             if windows.between(record, sweep, parameters):
@@ -264,18 +265,18 @@ class Learning:
         sweep.decline(at_s, f"a sweep would leave {swept:.2g} % on the flow, as long at home {at_home:.2g} %")
         return False
 
-    def hear(self, lesson: KernelLesson, record: WindowRecord) -> tuple[ParametersChanged, ...]:
-        """A lesson of kernel noise, between sweeps."""
+    def hear(self, measurement: KernelMeasurement, record: WindowRecord) -> tuple[ParametersChanged, ...]:
+        """An update by kernel noise, between sweeps."""
         if self.calibrator is None:
             return ()
-        outcome = self.calibrator.hear(record, lesson, self.estimator)
+        outcome = self.calibrator.hear(record, measurement, self.estimator)
         # What the last sweep determined stays as it was.
         known = self.outcome is None or self.outcome.identifiable
         return self._take(replace(outcome, identifiable=known), "kernels")
 
     def _learn_from_masses(self, record: WindowRecord) -> tuple[ParametersChanged, ...]:
         """Hand reference masses that have come since the last update to the calibrator; of several tickets one with each window,
-        in the order of entry, so that they teach what they would have one by one."""
+        in the order of entry, so that they lead to what they would have one by one."""
         if not self.masses.wait:
             return ()
         if self.calibrator is None:
@@ -283,11 +284,11 @@ class Learning:
             return ()
         handed, anchors = self.masses.hand_over()
         changed = self._take(self.calibrator.weigh(record, anchors, self.estimator, self.load_error))
-        taught = tuple((ticket.load_number, ticket.reference_kg) for ticket in handed)
-        return tuple(replace(change, taught=taught) for change in changed)
+        references = tuple((ticket.load_number, ticket.reference_kg) for ticket in handed)
+        return tuple(replace(change, references=references) for change in changed)
 
     def _follow_drift(self, record: WindowRecord) -> tuple[ParametersChanged, ...]:
-        """Between lessons the parameters go on as the lessons together say that they drift."""
+        """Between updates the parameters go on as the updates together say that they drift."""
         if self.calibrator is None:
             return ()
         outcome = self.calibrator.follow(record, self.estimator)
@@ -304,7 +305,7 @@ class Learning:
             return ()
         self._put(outcome.estimator, 0.0, weighed=outcome.weighed or self._weighed)
         origin = by or ("ticket" if outcome.weighed else "sweep")
-        # What a sweep teaches leaves the scale as it was; a weighed mass's scale is that of its own grain.
+        # A sweep leaves the scale as it was; a weighed mass's scale is that of its own grain.
         moisture_pct = None if outcome.moved_by_moisture or by else self._weighed_moisture_pct() if outcome.weighed else nan
         return (ParametersChanged(outcome.estimator.parameters, origin, outcome.reason, outcome.step, moisture_pct),)
 

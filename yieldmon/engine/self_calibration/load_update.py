@@ -129,7 +129,7 @@ class LoadUpdate:
         return all(departure(self.model, prior, load, self.load_settings)[1] < _KNOWN_SCALE for load in self._of(names))
 
     def _without_curve(self, prior: ParameterSet) -> ParameterSet:
-        """What was known before weighed loads taught a curve of their own, to which all of them are to be fitted together."""
+        """What was known before weighed loads gave a curve of their own, to which all of them are to be fitted together."""
         origin = self.origin
         if LOAD_PATTERN not in prior.effects or origin is None or LOAD_PATTERN in origin.effects:
             return prior

@@ -1,7 +1,7 @@
-"""What is known of the parameters between lessons, and how time, grain and moisture carry it on.
+"""What is known of the parameters between updates, and how time, grain and moisture carry it on.
 
-Lessons are sweeps, weighed masses and kernel noise. Beside the parameters' own covariance it is the rates of their steady drift,
-what rates of unknown size may have added, and the bias of kernel noise; all of them hold from the last lesson on.
+Updates are sweeps, weighed masses and kernel noise. Beside the parameters' own covariance it is the rates of their steady drift,
+what rates of unknown size may have added, and the bias of kernel noise; all of them hold from the last update on.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from yieldmon.engine.calibrator_settings import CalibratorSettings
 from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.self_calibration.calibrator_state import CalibratorState
-from yieldmon.engine.self_calibration.drift_deviation import DriftDeviation, RateSpread, after_lesson, as_stated, force_deviation
+from yieldmon.engine.self_calibration.drift_deviation import DriftDeviation, RateSpread, after_update, as_stated, force_deviation
 from yieldmon.engine.self_calibration.learnt_before import Places, moved, place_of, remembered
 from yieldmon.engine.self_calibration.prior_states import as_tuples
 from yieldmon.estimation.parameters import ParameterSet
@@ -34,14 +34,14 @@ from yieldmon.estimation.self_calibration.steady_drift import (
     widened,
 )
 from yieldmon.estimation.waveform import common_bias
-from yieldmon.estimation.waveform.common_bias import CommonBias, Taught
+from yieldmon.estimation.waveform.common_bias import CommonBias, KernelUpdate
 from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array
 
 KERNEL_NOISE = "kernel_noise"
-"""Key of the provenance of parameters that kernel noise has taught."""
+"""Key of the provenance of parameters that kernel noise has updated."""
 FOLLOWED_KG = 20_000.0
-"""Of grain, after which a learnt steady drift moves the parameters without a lesson, and drift widens what is stated."""
+"""Of grain, after which a learnt steady drift moves the parameters without an update, and drift widens what is stated."""
 _LEAST_FOLLOWED = 1e-5
 """Relative change of a parameter by steady drift below which it waits."""
 
@@ -55,14 +55,14 @@ class Instant(NamedTuple):
 
 
 class Carried(NamedTuple):
-    """What is known of parameters and rates now, and the step that led to it from the last lesson."""
+    """What is known of parameters and rates now, and the step that led to it from the last update."""
 
     drifting: DriftingParameters
     step: Advance
 
 
 class ParameterKnowledge:
-    """What lessons have left, as it is now.
+    """What updates have left, as it is now.
 
     Parameters
     ----------
@@ -79,19 +79,19 @@ class ParameterKnowledge:
         self._at = Instant(nan, nan, nan)
         """From when on all of this holds."""
         self._waited_s = 0.0
-        """Time since the last lesson, before a restart."""
+        """Time since the last update, before a restart."""
         self._before_s: float | None = None
-        """Bus time of the last lesson, before a restart."""
+        """Bus time of the last update, before a restart."""
         self._drifting: DriftingParameters | None = None
         self._bias: tuple[CommonBias, ParameterSet] | None = None
-        """Of kernel noise, with the parameters that its covariance is with; None where it has taught none of these."""
+        """Of kernel noise, with the parameters that its covariance is with; None where it has updated none of these."""
         self._spread: RateSpread | None = None
         self._deviation: DriftDeviation | None = None
         self._past: Places = ()
         self._outside: tuple[ParameterSet, float] | None = None
         """Parameters from outside that no window has been measured with yet, and the grain, kg, since they were learnt."""
         self._placed: ParameterSet | None = None
-        """Parameters in use that no lesson led to, of which it is known since when they hold."""
+        """Parameters in use that no update led to, of which it is known since when they hold."""
 
     @property
     def since_s(self) -> float:
@@ -105,9 +105,9 @@ class ParameterKnowledge:
 
     @property
     def drifting(self) -> DriftingParameters:
-        """What the last lesson left. Raises LookupError before the first."""
+        """What the last update left. Raises LookupError before the first."""
         if self._drifting is None:
-            raise LookupError("no lesson has been taken")
+            raise LookupError("no update has been taken")
         return self._drifting
 
     def patterned(self, parameters: ParameterSet) -> ParameterSet:
@@ -153,7 +153,7 @@ class ParameterKnowledge:
         return bool(np.any(np.abs(known.rates) * (harvested_kg / KG_PER_KT) > _LEAST_FOLLOWED))
 
     def take(self, outcome: Outcome, used: ParameterSet, at: Instant, came: Carried, prior: Carried) -> ParameterSet:
-        """A lesson of sweeps, weighed masses or drift alone has changed the parameters.
+        """An update of sweeps, weighed masses or drift alone has changed the parameters.
 
         Parameters
         ----------
@@ -162,7 +162,7 @@ class ParameterKnowledge:
             Until now.
         at : Instant
         came : Carried
-            As `now` gave it and the lesson's doubts widened it.
+            As `now` gave it and the update's doubts widened it.
         prior : Carried
             The same in the names of the outcome's parameters.
 
@@ -191,22 +191,24 @@ class ParameterKnowledge:
             bias = None
         if spread is not None and outcome.updated:
             wide = widened(drifting.joint, len(before.covariance_names), outcome.prior_widening)
-            spread = after_lesson(spread, wide, now, (heard, bias))
+            spread = after_update(spread, wide, now, (heard, bias))
         if bias is None and outcome.scale.observable and KERNEL_NOISE in now.parameters.provenance:
-            # What kernel noise taught is not known any more, and no longer matters.
+            # What kernel noise said is not known any more, and no longer matters.
             facts = {key: text for key, text in now.parameters.provenance.items() if key != KERNEL_NOISE}
             now = replace(now, parameters=replace(now.parameters, provenance=facts))
         self._hold(now, bias, spread)
         return now.parameters
 
-    def take_kernel_lesson(self, taught: Taught, used: ParameterSet, known: ParameterSet, at: Instant, came: Carried) -> None:
-        """A lesson of kernel noise has led from the parameters used until now to those known; came: as `now` gave it."""
-        spread = drift_spread.taught(self._spread_at(used, came, at.total_kg), taught.errors)
+    def take_kernel_update(
+        self, update: KernelUpdate, used: ParameterSet, known: ParameterSet, at: Instant, came: Carried
+    ) -> None:
+        """An update of kernel noise has led from the parameters used until now to those known; came: as `now` gave it."""
+        spread = drift_spread.updated(self._spread_at(used, came, at.total_kg), update.errors)
         self._supersede(used, at)
-        self._hold(replace(taught.drifting, parameters=known), taught.bias, spread)
+        self._hold(replace(update.drifting, parameters=known), update.bias, spread)
 
     def use(self, before: ParameterSet | None, used: ParameterSet, harvested_kg: float) -> None:
-        """Other parameters than what was learnt led to: those from before a lesson, since when they hold again; or from outside.
+        """Other parameters than what was learnt led to: those from before an update, since when they hold again; or from outside.
 
         Parameters
         ----------
@@ -253,7 +255,7 @@ class ParameterKnowledge:
         self._at = self._at._replace(time_s=record.time_s, total_kg=record.total_kg)
 
     def deviation(self, model: ForwardModel, used: ParameterSet, record: WindowRecord) -> float:
-        """Relative standard deviation of the force by drift since the last lesson, beyond the parameters' covariance.
+        """Relative standard deviation of the force by drift since the last update, beyond the parameters' covariance.
 
         Worked out anew after each `FOLLOWED_KG` of grain.
         """
@@ -317,14 +319,14 @@ class ParameterKnowledge:
         self._drifting = replace(fresh, rates=np.array(state.rates), joint=joint)
 
     def _start(self, used: ParameterSet) -> DriftingParameters:
-        """At the last lesson: what it left of the parameters in use, or these with rates that nothing is known of."""
+        """At the last update: what it left of the parameters in use, or these with rates that nothing is known of."""
         known = self._drifting
         if known is None or known.parameters is not used:
             return begin(self.patterned(used), self._settings.steady_per_kilotonne)
         return known
 
     def _begin_time(self, at: Instant) -> None:
-        """Before the first lesson of a run it holds from the first question on, less what a run before has waited."""
+        """Before the first update of a run it holds from the first question on, less what a run before has waited."""
         if not isfinite(self._at.time_s):
             # A bus time that began anew says nothing of the time between.
             before_s = self._before_s

@@ -34,11 +34,11 @@ class ParameterLineage:
         self._last: ParameterSet | None = None
         self._origin: ParameterSet | None = None
         self._given: ParameterSet | None = None
-        """As they came from outside, for as long as no lesson but sweeps' has changed them since."""
+        """As they came from outside, for as long as no update but sweeps' has changed them since."""
         self._restored: ParameterSet | None = None
         """Those in use at a restart or at a crop's return, where it is known what weighed loads made of them."""
         self._updated: ParameterSet | None = None
-        """The last set that a lesson led to."""
+        """The last set that an update led to."""
         self._history: tuple[_Before, ...] = ()
 
     @property
@@ -56,18 +56,18 @@ class ParameterLineage:
         self._last = used
 
     def swept(self, used: ParameterSet) -> None:
-        """A sweep was made with these: unless a lesson led to them, they are what was given."""
+        """A sweep was made with these: unless an update led to them, they are what was given."""
         if used is not self._updated:
             self._given = used
         self.weighed(used)
 
     def weighed(self, used: ParameterSet) -> None:
-        """A mass was weighed with these: unless a lesson led to them, they are where others come from."""
+        """A mass was weighed with these: unless an update led to them, they are where others come from."""
         if used is not self._updated and used is not self._restored:
             self._origin, self._restored = used, None
 
     def forget_given(self) -> None:
-        """Another lesson than a sweep's has come: what it teaches is not undone with the sweeps'."""
+        """Another update than a sweep's has come: it is not undone with the sweeps'."""
         self._given = None
 
     def undo_sweeps(self, used: ParameterSet, until_s: float, handed: frozenset[ReferenceMass]) -> ParameterSet | None:
@@ -79,19 +79,19 @@ class ParameterLineage:
         return self._given
 
     def from_outside(self, used: ParameterSet) -> bool:
-        """Whether no lesson led to these parameters, and no undo brought them back."""
+        """Whether no update led to these parameters, and no undo brought them back."""
         before = any(dict(used.values) == dict(before.parameters.values) for before in self._history)
         return used is not self._updated and used is not self._restored and not before
 
     def replaced(self, used: ParameterSet, until_s: float, known: ParameterSet, handed: frozenset[ReferenceMass]) -> None:
-        """A lesson led to other parameters.
+        """An update led to other parameters.
 
         Parameters
         ----------
         used : ParameterSet
             In use until then.
         until_s : float
-            Bus time of the lesson, s.
+            Bus time of the update, s.
         known : ParameterSet
             What it led to.
         handed : frozenset of ReferenceMass
@@ -116,12 +116,12 @@ class ParameterLineage:
         return self._history[0].handed if self._history else handed
 
     def brought_back(self, used: ParameterSet) -> None:
-        """An undo brought these back: parameters from before a lesson come from where it came."""
+        """An undo brought these back: parameters from before an update come from where it came."""
         if self._origin is not None:
             self._updated, self._restored = None, used
 
     def leave_crop(self) -> Origin | None:
-        """Another crop from now on. Returns the origin of the crop before and what lessons made of it, None for no lesson."""
+        """Another crop from now on. Returns the origin of the crop before and what updates made of it, None for no update."""
         origin, known = self._origin, self._updated or self._restored
         self._given = self._origin = self._restored = self._updated = None
         return None if origin is None or known is None else (as_prior_state(origin), as_prior_state(known))
@@ -132,7 +132,7 @@ class ParameterLineage:
             self._origin, self._restored = as_set(origin[0], back), back
 
     def snapshot(self) -> PriorState | None:
-        """The origin, to outlive a restart; None where no lesson led on from it."""
+        """The origin, to outlive a restart; None where no update led on from it."""
         origin, known = self._origin, self._updated or self._restored
         if origin is None or known is None or origin is known or LOAD_PATTERN in origin.effects:
             return None

@@ -117,7 +117,7 @@ class ReferenceMasses:
     # What is handed over
 
     def enter(self, ticket: ReferenceMass, crop: str = "") -> None:
-        """A ticket that teaches. crop: once this one is harvested again; "": the one harvested now."""
+        """A ticket that updates the parameters. crop: once this one is harvested again; "": the one harvested now."""
         self.tickets.enter(ticket, crop)
         self._wait = self._wait or not crop
 

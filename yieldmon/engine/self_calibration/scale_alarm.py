@@ -98,12 +98,12 @@ class ScaleAlarm:
         self._state = state
 
     def see(self, checks: Sequence[ScaleCheck]) -> None:
-        """Masses weighed since the last call, each against the parameters that held before it taught anything."""
+        """Masses weighed since the last call, each against the parameters that held before it was learnt from."""
         for check in checks:
             state, p_value = self._state, check.p_value
             again = state.contradiction if state.contradiction is not None and state.contradiction.name == check.name else None
             if again is not None:
-                # Entered anew: what the wrong mass has taught says nothing against the right one.
+                # Entered anew: what the wrong mass led to says nothing against the right one.
                 before = replace(check, measured_kg=again.measured_kg, std_dev_kg=again.std_dev_kg)
                 p_value = max(p_value, before.p_value)
             if p_value >= self._settings.scale_agrees_p:

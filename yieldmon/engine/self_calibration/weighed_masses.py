@@ -52,7 +52,7 @@ class WeighedMasses:
         """Held against what was counted."""
 
     def handed_over(self, masses: Collection[ReferenceMass]) -> None:
-        """All masses kept, which a lesson has used or refused."""
+        """All masses kept, which an update has used or refused."""
         self.used = frozenset(masses)
 
     def remember(self, masses: Collection[ReferenceMass]) -> None:
@@ -60,7 +60,7 @@ class WeighedMasses:
         self.used = self._checked = frozenset(masses)
 
     def use_again(self, masses: Collection[ReferenceMass]) -> None:
-        """These teach and are held against what was counted as if they had not been handed over."""
+        """These are learnt from and held against what was counted as if they had not been handed over."""
         self.used, self._checked = self.used.difference(masses), self._checked.difference(masses)
 
     def forget(self, load_numbers: frozenset[int]) -> None:

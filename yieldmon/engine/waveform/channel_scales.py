@@ -78,8 +78,8 @@ class ChannelScales:
             flow, sd, corrected = both.mass_flow_kg_s, both.relative_sd, True
             apart, hit = max(apart, abs(both.z)), 1.0 - both.weight
         kernels = self._kernels(now_s, estimator)
-        # What teaches the parameters is in the mean force's flow already.
-        if kernels is not None and not self._settings.teach and not self._kernels_contradict(kernels, mean_flow):
+        # What updates the parameters is in the mean force's flow already.
+        if kernels is not None and not self._settings.update_parameters and not self._kernels_contradict(kernels, mean_flow):
             over, over_sd = kernels.log_over_mean_force, kernels.lasting_sd
             weight = sd**2 / (sd**2 + over_sd**2)
             further = over - log(flow / rate)
@@ -94,7 +94,7 @@ class ChannelScales:
         """What shape and kernels are worth to the published flow now."""
         shapes = [scale for scale in self._shapes if self._holds(scale, now_s, estimator)]
         kernels = self._kernels(now_s, estimator)
-        by_shape, by_kernels = self._settings.combine and shapes, self._settings.combine or self._settings.teach
+        by_shape, by_kernels = self._settings.combine and shapes, self._settings.combine or self._settings.update_parameters
         return OtherChannels(
             shape_sd=shapes[-1].lasting_sd if by_shape else inf,
             kernels_sd=kernels.lasting_sd if kernels is not None and by_kernels else inf,

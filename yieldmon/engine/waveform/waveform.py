@@ -15,7 +15,7 @@ from yieldmon.engine.flow import Flow
 from yieldmon.engine.flow_estimator import FlowEstimator
 from yieldmon.engine.measurement import Reading
 from yieldmon.engine.quick import changer_of
-from yieldmon.engine.self_calibration.kernel_lessons import KernelLessons
+from yieldmon.engine.self_calibration.kernel_measurements import KernelMeasurements
 from yieldmon.engine.settings import WaveformSettings
 from yieldmon.engine.waveform.channel_scales import ChannelScales, Scale, local_exponent
 from yieldmon.engine.waveform.heap_slopes import HeapSlopes
@@ -60,7 +60,7 @@ class Waveform:
         self._settings = settings
         self._machine = machine
         self._kernel_channel = KernelChannel(settings, machine)
-        self.lessons = KernelLessons(settings)
+        self.kernel_measurements = KernelMeasurements(settings)
         self._fits = PulseFits(settings, machine)
         self._heaps = HeapSlopes(settings)
         self._scales = ChannelScales(settings)
@@ -70,7 +70,7 @@ class Waveform:
     def go_on_with(self, before: Waveform) -> None:
         """Noise that was heard on the same machine by the same settings is heard no second time."""
         if (self._settings, self._machine) == (before._settings, before._machine):
-            self._kernel_channel, self.lessons = before._kernel_channel, before.lessons
+            self._kernel_channel, self.kernel_measurements = before._kernel_channel, before.kernel_measurements
 
     def prepare(self, readings: Sequence[Reading], rates_kg_s: Sequence[float], estimator: FlowEstimator) -> None:
         """Fit the pulses of these windows side by side; `see` then takes them up one by one. rates_kg_s: by the mean force."""
@@ -130,7 +130,7 @@ class Waveform:
             self._scales.by_kernels(Scale(log(over), sd, 0.0, estimator, reading.window.end_s))
             seen = _with(seen, bias=self._agreeing_bias(over))
             if reading.at_home and kernels is not None:
-                self.lessons.add(seen.kernels_kg_s, sd, kernels.random_sd, reading)
+                self.kernel_measurements.add(seen.kernels_kg_s, sd, kernels.random_sd, reading)
         elif seen.kernels is not KernelVerdict.TOO_EARLY:
             self._scales.by_kernels(None)
         return self._counted(seen, reading, mean_flow, estimator)

@@ -2,8 +2,8 @@
 
 `steady_drift` takes the likely sizes of rates as they are given. A weighed mass fixes the scale, and until the next one nothing
 shows how fast it drifts: sweeps do not see it, and kernel noise has a bias that wanders as well. So the part of the covariance
-that comes from the rates is carried beside it, through the same steps and lessons with the gains that they had, and counts in
-what is stated by the mean square of the sizes that the rates may have. Values and lessons are not changed.
+that comes from the rates is carried beside it, through the same steps and updates with the gains that they had, and counts in
+what is stated by the mean square of the sizes that the rates may have. Values and updates are not changed.
 
 Source: Gelb, "Applied optimal estimation" (1974), chapter 7, on the error covariance of an estimator made for other noise.
 """
@@ -40,16 +40,16 @@ def advanced(spread: Array, transition: Array, forgotten: Array) -> Array:
     return 0.5 * (later + later.T)
 
 
-def taught(spread: Array, errors: Array) -> Array:
-    """After a lesson that took errors e of states and bias to `errors @ e` (n + 1, n + 1), but for its own noise."""
+def updated(spread: Array, errors: Array) -> Array:
+    """After an update that took errors e of states and bias to `errors @ e` (n + 1, n + 1), but for its own noise."""
     later: Array = errors @ spread @ errors.T
     return 0.5 * (later + later.T)
 
 
-def by_lesson(before: Array, after: Array) -> Array:
-    """What a lesson did to the errors of all states, (n, n), from their covariance before and after it.
+def by_update(before: Array, after: Array) -> Array:
+    """What an update did to the errors of all states, (n, n), from their covariance before and after it.
 
-    For a lesson that weighs by the covariance before: what is left of an error is after / before.
+    For an update that weighs by the covariance before: what is left of an error is after / before.
     """
     scale = np.sqrt(np.maximum(np.diag(before), 1e-300))
     inverse = np.linalg.pinv(before / np.outer(scale, scale), rcond=_SINGULAR, hermitian=True)

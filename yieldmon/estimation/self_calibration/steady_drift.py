@@ -175,7 +175,7 @@ def unsure_of_gain(
     relative : float
         Standard deviation of the gain, 0 or more; parameters without a gain that is unsure stay as they are.
     all_along : bool
-        Whether it was so before the step as well, so that what a lesson says of it holds for the time before.
+        Whether it was so before the step as well, so that what an update says of it holds for the time before.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Scale from kernel noise as a teacher of the parameters: all that it says shares one bias, which is a state of its own.
+"""Scale from kernel noise for updates of the parameters: all that it says shares one bias, which is a state of its own.
 
 Kernel noise gives flow times exp(bias). The bias (of the kernels' weight, of crop, cell and background) is the same today as
 tomorrow: a hundred hours of noise know the scale no better than the bias is known. So the bias has a value, a variance and a
@@ -6,8 +6,8 @@ covariance with the parameters, which every update carries along, whatever it le
 fixes the bias with it, and from then on kernel noise follows what drifts.
 
 Kernels whose masses scatter otherwise than when the bias was found (broken kernels, another crop among them) raise the noise
-and look in it like fewer, heavier ones. Where a lesson and the mean force lie further apart than their deviations say, what the
-lesson leaves unknown is wider by that factor.
+and look in it like fewer, heavier ones. Where a measurement and the mean force lie further apart than their deviations say,
+what the update leaves unknown is wider by that factor.
 
 Sources: Schmidt, "Application of state-space methods to navigation problems" (1966), on biases as further states; Birge, Phys.
 Rev. 40 (1932) 207, on results that lie further apart than their deviations say.
@@ -30,15 +30,15 @@ from yieldmon.physics.numerics import Array
 
 WANDER = 0.03
 """Standard deviation that the bias gains per root kilotonne of grain: it goes with load and restitution."""
-_LESSON_SD = 0.01
-"""Relative standard deviation of one lesson beside its noise: of the load that it was heard at."""
+_LOAD_SD = 0.01
+"""Relative standard deviation of one measurement beside its noise: of the load that it was made at."""
 _STEP = 1e-3
 _LARGEST_STEP = 0.3
 _LEAST_VARIANCE = 1e-12
 
 
 @dataclass(frozen=True)
-class KernelLesson:
+class KernelMeasurement:
     """Seconds of grain, and the flow that kernel noise gave for each.
 
     kernels_kg_s, force_n, plate_angle_rad, elevator_speed_rad_s, moisture_pct: (n,) arrays. random_sd: relative standard
@@ -69,9 +69,10 @@ class CommonBias:
 
 
 @dataclass(frozen=True)
-class Taught:
-    """drifting, bias: after the lesson. difference, sd: of ln flow by kernels less bias and by mean force, and its deviation.
-    moved: ln flow of the mean force moved by so much. errors: what the lesson made of errors of states and bias (`drift_spread`).
+class KernelUpdate:
+    """drifting, bias: after the measurement. difference, sd: of ln flow by kernels less bias and by mean force, and its
+    deviation. moved: change of ln flow of the mean force. errors: what the update made of errors of states and bias
+    (`drift_spread`).
     """
 
     drifting: DriftingParameters
@@ -110,11 +111,11 @@ def followed(bias: CommonBias, before: DriftingParameters, after: DriftingParame
     return replace(bias, value=value, variance=variance, cross=gain @ after.joint)
 
 
-def teach(model: ForwardModel, drifting: DriftingParameters, bias: CommonBias, lesson: KernelLesson) -> Taught:
-    """One lesson, by a Kalman update of parameters, rates and bias together.
+def update(model: ForwardModel, drifting: DriftingParameters, bias: CommonBias, measurement: KernelMeasurement) -> KernelUpdate:
+    """A Kalman update of parameters, rates and bias together by one measurement.
 
-    Where the difference is beyond one deviation, what the lesson leaves unknown of the flow, and of the bias with it, is wider by
-    that factor, up to what was unknown of the flow before and what the lesson moved it by.
+    Where the difference is beyond one deviation, what the update leaves unknown of the flow, and of the bias with it, is wider by
+    that factor, up to what was unknown of the flow before and what the update moved it by.
 
     Raises ValueError where the mean force gives no flow, nothing is uncertain, or the step would be too long to be linear.
     """
@@ -124,10 +125,10 @@ def teach(model: ForwardModel, drifting: DriftingParameters, bias: CommonBias, l
     for i, name in enumerate(names):
         sd = known.standard_deviation(name)
         moved = replace(known, values={**known.values, name: known.values[name] + _STEP * sd})
-        slope[i] = (_log_flow(model, moved, lesson) - _log_flow(model, known, lesson)) / (_STEP * sd)
-    difference = float(np.mean(np.log(lesson.kernels_kg_s))) - bias.value - _log_flow(model, known, lesson)
+        slope[i] = (_log_flow(model, moved, measurement) - _log_flow(model, known, measurement)) / (_STEP * sd)
+    difference = float(np.mean(np.log(measurement.kernels_kg_s))) - bias.value - _log_flow(model, known, measurement)
     of_states, of_bias = drifting.joint @ slope + bias.cross, float(slope @ bias.cross) + bias.variance
-    variance = float(slope @ of_states) + of_bias + lesson.random_sd**2 + _LESSON_SD**2
+    variance = float(slope @ of_states) + of_bias + measurement.random_sd**2 + _LOAD_SD**2
     gain = of_states / variance
     step = gain * difference
     moved_by = float(slope @ step)
@@ -151,7 +152,7 @@ def teach(model: ForwardModel, drifting: DriftingParameters, bias: CommonBias, l
     )
     learnt = CommonBias(bias.value + share * difference, own, cross, max(bias.largest, own))
     errors = np.eye(slope.size + 1) - np.outer(np.append(gain, share), np.append(slope, 1.0))
-    return Taught(after, learnt, difference, sqrt(variance), moved_by, errors)
+    return KernelUpdate(after, learnt, difference, sqrt(variance), moved_by, errors)
 
 
 def _apart(
@@ -175,9 +176,9 @@ def _apart(
     )
 
 
-def _log_flow(model: ForwardModel, parameters: ParameterSet, lesson: KernelLesson) -> float:
+def _log_flow(model: ForwardModel, parameters: ParameterSet, measurement: KernelMeasurement) -> float:
     found = OpenLoop(model, parameters).estimate(
-        lesson.force_n, lesson.plate_angle_rad, lesson.elevator_speed_rad_s, moisture_pct=lesson.moisture_pct
+        measurement.force_n, measurement.plate_angle_rad, measurement.elevator_speed_rad_s, moisture_pct=measurement.moisture_pct
     )
     flow = np.asarray(found.mass_flow_kg_s)
     if not np.all(flow > 0.0):
@@ -185,12 +186,12 @@ def _log_flow(model: ForwardModel, parameters: ParameterSet, lesson: KernelLesso
     return float(np.mean(np.log(flow)))
 
 
-def lesson_of(
+def measurement_of(
     seconds: Sequence[tuple[float, float, float, float, float]], random_sds: Sequence[float], lasting_sd: float
-) -> KernelLesson:
+) -> KernelMeasurement:
     """From (kernels_kg_s, force_n, plate_angle_rad, elevator_speed_rad_s, moisture_pct) of seconds whose noise is independent."""
     kernels, force, angle, speed, moisture = np.array(seconds).T
-    return KernelLesson(kernels, force, angle, speed, moisture, hypot(*random_sds) / len(random_sds), lasting_sd)
+    return KernelMeasurement(kernels, force, angle, speed, moisture, hypot(*random_sds) / len(random_sds), lasting_sd)
 
 
-__all__ = ["CommonBias", "KernelLesson", "Taught", "begin", "carried", "followed", "lesson_of", "teach"]
+__all__ = ["CommonBias", "KernelMeasurement", "KernelUpdate", "begin", "carried", "followed", "measurement_of", "update"]

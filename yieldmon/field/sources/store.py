@@ -54,7 +54,7 @@ def known_loads(store: Store) -> dict[str, KnownLoad]:
             continue
         weighed_kg, sd_kg, common_kg = None, UNKNOWN_SCALE_SD * load.corrected_mass_kg, 0.0
         if load.ticket_id is not None:
-            weighed_kg, (whole_kg, whole_sd_kg) = load.corrected_mass_kg, log.taught(load.ticket_id)
+            weighed_kg, (whole_kg, whole_sd_kg) = load.corrected_mass_kg, log.reference_mass(load.ticket_id)
             # How a ticket's mass divides among several loads is not weighed: their deviations add up to that of the whole.
             sd_kg, truck = whole_sd_kg * (weighed_kg / whole_kg) ** 0.5, log.truck(load.ticket_id)
             common_kg = 0.0 if truck is None else truck.other_std_dev_kg * weighed_kg / whole_kg

@@ -11,6 +11,8 @@ from yieldmon.errors import InputError
 FORMER_KEYS: Mapping[tuple[str, str], str] = {
     ("sweep", "lying_spread"): "feedback_plausibility_flow_spread",
     ("sweep", "lying_ratio"): "feedback_plausibility_force_ratio",
+    ("waveform", "teach"): "update_parameters",
+    ("waveform", "teach_windows"): "update_windows",
 }
 
 

@@ -219,8 +219,8 @@ class Waveform(Section):
 
     enabled: bool = choice(_V.enabled, "evaluate the samples themselves")
     combine: bool = choice(_V.combine, "publish mean force, shape and kernels together")
-    teach: bool = choice(_V.teach, "kernels update the parameters")
-    teach_windows: int = quantity(_V.teach_windows, 60, 100_000, "s", "of grain between updates")
+    update_parameters: bool = choice(_V.update_parameters, "kernels update the parameters")
+    update_windows: int = quantity(_V.update_windows, 60, 100_000, "s", "of grain between updates")
     harmonics: int = quantity(_V.harmonics, 4, 21, "harmonics", "of the paddle pattern")
     model_error: float = quantity(_V.model_error, 0.001, 0.5, "1", "pulse model's relative error")
     friction_sd: float = quantity(_V.friction_sd, 0.001, 1.0, "1", "relative deviation of friction")

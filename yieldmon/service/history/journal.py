@@ -119,7 +119,9 @@ class Journal:
             elif isinstance(event, LoadRestated):
                 self.loads.restated(event.number, event.budget)
             elif isinstance(event, ParametersChanged):
-                self.parameters.use(event.parameters, event.origin, "", event.reason, self.actions.teaching(event), event.step)
+                self.parameters.use(
+                    event.parameters, event.origin, "", event.reason, self.actions.tickets_behind(event), event.step
+                )
             elif isinstance(event, SweepEnded):
                 self._new_sweeps.append(event)
 

@@ -1,7 +1,7 @@
 """Another field or crop for loads that were begun under a wrong one.
 
 What was measured stays on record. Of another crop follow dry mass, the mass by that crop's parameters (column `again`), and where
-the loads' tickets belong: what they taught the wrong crop is taken back, and they teach their own.
+the loads' tickets belong: their update of the wrong crop is taken back, and they update their own.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def correct(
         )
     tickets = _tickets_of(others, journal)
     before = [{"load": load.number, "field": load.field, "crop": load.crop} for load in wanted.loads]
-    back = relearning.without_lessons(list(tickets), monitor, journal, who, now_s, stored)
+    back = relearning.without_updates(list(tickets), monitor, journal, who, now_s, stored)
     document = {"first_load": first, "last_load": last, "field": wanted.field, "crop": wanted.crop, "before": before}
     journal.actions.add(ledger.LOAD_NAMES, who, document, now_s)
     for load in wanted.loads:
@@ -77,13 +77,13 @@ def correct(
     if factors:
         # By no version that an undo takes back: the loads are of this crop whatever becomes of it.
         journal.actions.posted_by_crop(factors, now_s)
-    taught: list[int] = []
-    untaught: Mapping[int, str] = dict.fromkeys(tickets, f"nothing is known of {wanted.crop}")
+    updated: list[int] = []
+    not_updated: Mapping[int, str] = dict.fromkeys(tickets, f"nothing is known of {wanted.crop}")
     if parameters is not None:
-        taught, untaught = relearning.teach_crop(list(tickets), wanted.crop or "", monitor, journal, stored)
+        updated, not_updated = relearning.update_crop(list(tickets), wanted.crop or "", monitor, journal, stored)
     return answer | {
         "measured_again": sorted(factors), "not_measured_again": _reasons("load", why_not),
-        "learnt_again": taught, "not_learnt_again": _reasons("ticket", untaught), "taken_back": back,
+        "learnt_again": updated, "not_learnt_again": _reasons("ticket", not_updated), "taken_back": back,
     }  # fmt: skip
 
 

@@ -41,7 +41,7 @@ class ParameterHistory:
 
     def change_crop(self, crop: str, in_use: ParameterSet, named: str, who: str = "") -> ParameterSet | None:
         """The parameters for another crop: what was last known of it, else what is shipped, else a copy of those in use, which
-        tickets then teach for this crop alone. None where those in use stay: they are its own, or nothing says whose they are.
+        tickets then update this crop alone. None where those in use stay: they are its own, or nothing says whose they are.
 
         What is known of the crop before is kept. named: the crop that an operator named last.
         """
@@ -90,7 +90,7 @@ class ParameterHistory:
         """The parameters before a version, as a new version in use; the crop, where that is another than is harvested now: then
         those in use stay, and its own are kept for it. Raises InputError.
 
-        named: the crop that an operator named last. silenced: tickets that are to teach no more.
+        named: the crop that an operator named last. silenced: tickets that no longer update the parameters.
         """
         changes = self._actions.updates
         if version not in changes:
@@ -100,7 +100,7 @@ class ParameterHistory:
             raise InputError(f"version {version}", "is undone already", "one that stands")
         if changes[version].document.get("origin") == ledgers.CROP:
             raise InputError(f"version {version}", "is a change of crop", "a calibration, or `yieldmon load start --crop NAME`")
-        gone = self._actions.lessons_gone_with(version)
+        gone = self._actions.updates_gone_with(version)
         if gone:
             raise InputError(
                 f"version {version}",

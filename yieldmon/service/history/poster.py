@@ -90,7 +90,7 @@ class Poster:
         machine, now_s, totals = monitor.machine, monitor.bus_time_s, monitor.totals
         open_load = totals.load_number if totals.load_open else None
         if actions.restored_waits or actions.waiting:
-            # First what an undo brought back: what tickets teach after it counts.
+            # First what an undo brought back: what tickets change after it counts.
             in_use = monitor.estimator.parameters.version
             taken = actions.take_restored() if actions.restored_waits else actions.take_waiting(in_use)
             self.start(machine, Posting(*taken, open_load, now_s))

@@ -2,7 +2,7 @@
 
 A ticket in the evening also says something of the hours and days before it: a day whose one ticket is of a load at low flow
 learns from the next evening's what its grain was at high flow. The updates' steps, kept in the store, are taken without those of
-sweeps (`estimation.self_calibration.drift_lessons`) and smoothed (`estimation.self_calibration.steady_drift.smoothed`), and each
+sweeps (`estimation.self_calibration.drift_updates`) and smoothed (`estimation.self_calibration.steady_drift.smoothed`), and each
 load's seconds are measured again with the parameters as the weighed masses together have them at its time. What was measured at
 first stays as it is: a posting is a factor for each load.
 """
@@ -19,7 +19,7 @@ from yieldmon.engine.self_calibration.calibrator import CalibrationStep
 from yieldmon.engine.self_calibration.curve_states import in_names
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.estimation.self_calibration.drift_lessons import DriftLesson, by_weighed_masses, ending
+from yieldmon.estimation.self_calibration.drift_updates import DriftUpdate, by_weighed_masses, ending
 from yieldmon.estimation.self_calibration.steady_drift import Advance, DriftingParameters, learn, smoothed
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.numerics import Array
@@ -36,14 +36,14 @@ from yieldmon.units import S_PER_DAY
 SPAN_S = 72.0 * 3600.0
 """Loads that began at most so long before an update are measured again after it."""
 _CONTRADICTION = 10.83
-"""Squared standard deviations that a lesson moves the parameters by, which chance reaches once in a thousand."""
+"""Squared standard deviations that an update moves the parameters by, which chance reaches once in a thousand."""
 _MOST_ROWS = 270_000
 
 
 @dataclass(frozen=True)
 class Timeline:
     """Parameters over time. times_s: (k,) bus time, rising; values: (k, n) of `names`; versions: those that were in use there.
-    holds_from_s: when the newest lesson that contradicts the drift began; days before it learn nothing from those after it."""
+    holds_from_s: when the newest update that contradicts the drift began; days before it learn nothing from those after it."""
 
     parameters: ParameterSet
     names: tuple[str, ...]
@@ -89,12 +89,12 @@ def timeline(steps: Sequence[Step], parameters: ParameterSet, sets: Mapping[int,
     chain.reverse()
     state = np.array(chain[-1].state)
     rates = tuple(names[: len(state) - len(names)])  # Only their number counts here.
-    lessons = by_weighed_masses(_lessons(chain, parameters, rates))
+    updates = by_weighed_masses(_updates(chain, parameters, rates))
     last = DriftingParameters(parameters, rates, state[len(names) :], np.zeros((state.size,) * 2))
-    known = smoothed([lesson.advance for lesson in lessons], ending(last, lessons[-1]))
+    known = smoothed([update.advance for update in updates], ending(last, updates[-1]))
     times = np.array([*(step.begin_s for step in chain), chain[-1].end_s])
     values = np.array([[point[name] for name in names] for point in known])
-    broken = [step.begin_s for step, lesson in zip(chain, lessons, strict=True) if _contradicts(lesson.advance, lesson.state)]
+    broken = [step.begin_s for step, update in zip(chain, updates, strict=True) if _contradicts(update.advance, update.state)]
     return Timeline(parameters, names, np.maximum.accumulate(times), values, frozenset(versions), max(broken, default=-np.inf))
 
 
@@ -110,8 +110,8 @@ def _is_copy(found: ParameterSet, known: ParameterSet) -> bool:
     return same and np.array_equal(found.covariance, known.covariance)
 
 
-def _lessons(chain: Sequence[CalibrationStep], parameters: ParameterSet, rates: tuple[str, ...]) -> list[DriftLesson]:
-    """What each lesson made of the state: where the next step begins, and after the last the parameters in use."""
+def _updates(chain: Sequence[CalibrationStep], parameters: ParameterSet, rates: tuple[str, ...]) -> list[DriftUpdate]:
+    """What each update made of the state: where the next step begins, and after the last the parameters in use."""
     end, names = chain[-1], parameters.covariance_names
     after = end.advance.after
     values = dict(zip(names, map(float, after), strict=False))
@@ -121,13 +121,13 @@ def _lessons(chain: Sequence[CalibrationStep], parameters: ParameterSet, rates: 
     states = [*(step.advance.before for step in chain[1:]), np.array(end.state)]
     covariances = [*(step.advance.covariance_before for step in chain[1:]), learn(known, parameters, widening=end.widening).joint]
     return [
-        DriftLesson(step.advance, state, covariance, step.widening, step.sweep_alone, len(rates))
+        DriftUpdate(step.advance, state, covariance, step.widening, step.sweep_alone, len(rates))
         for step, state, covariance in zip(chain, states, covariances, strict=True)
     ]
 
 
 def _contradicts(expected: Advance, state: Array) -> bool:
-    """Whether a lesson moved the state further than what was expected before it allows."""
+    """Whether an update moved the state further than what was expected before it allows."""
     scale = np.sqrt(np.maximum(np.diag(expected.covariance_after), 1e-300))
     moved = (state - expected.after) / scale
     inverse = np.linalg.pinv(expected.covariance_after / np.outer(scale, scale), rcond=1e-12, hermitian=True)
@@ -194,7 +194,7 @@ def _taken_back(undone: Collection[int], known: Timeline, sets: Mapping[int, Par
 
 
 def begins(known: Timeline, now_s: float) -> float:
-    """Bus time from which on loads are measured again: three days, but one where a lesson since then contradicts the drift."""
+    """Bus time from which on loads are measured again: three days, but one where an update since then contradicts the drift."""
     return max(now_s - SPAN_S, min(now_s - S_PER_DAY, known.holds_from_s))
 
 

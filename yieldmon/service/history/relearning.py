@@ -1,4 +1,4 @@
-"""A ticket or a calibration is taken back: the parameters from before it, and the tickets that stand taught again from there."""
+"""A ticket or a calibration is taken back: the parameters from before it, updated again from there by the tickets that stand."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from yieldmon.service.history.reference_loads import StoredLoad, reference
 from yieldmon.service.storage.batch import Load, Ticket
 
 _NOT_WEIGHED = frozenset({"sweep", "kernels"})
-"""Origins of parameters that nothing teaches again."""
+"""Origins of parameters that nothing updates again."""
 
 
 def without_ticket(
@@ -24,9 +24,10 @@ def without_ticket(
 ) -> dict[str, Any]:
     """Take a ticket back, as if it had never been entered, as near as what is kept allows; says what does not come back.
 
-    Where it has taught, the parameters are those from before it, and the standing tickets after it teach again. What sweeps and
-    kernel noise taught since then goes. Where a parameter file has replaced them since, it stays, and masses measured again with
-    what the ticket had taught go back. stored: loads of standing tickets, as the store has them. Raises InputError.
+    Where it has updated the parameters, these are those from before it, updated again by the standing tickets after it. What
+    sweeps and kernel noise changed since then goes. Where a parameter file has replaced them since, it stays, and masses
+    measured again with what the ticket led to go back. stored: loads of standing tickets, as the store has them. Raises
+    InputError.
     """
     return _without(number, monitor, journal, who, now_s, stored, stands=())
 
@@ -34,10 +35,10 @@ def without_ticket(
 def without_version(
     version: int, monitor: Monitor, journal: Journal, who: str, now_s: float, stored: Sequence[StoredLoad]
 ) -> dict[str, Any]:
-    """Take a calibration back, as if it had never come: the standing tickets that taught after it teach again.
+    """Take a calibration back, as if it had never come: the standing tickets that updated after it do so again.
 
-    Those whose own lesson it was (`silenced`) correct their loads and teach no more. What sweeps and kernel noise taught since
-    then goes. stored: loads of standing tickets, as the store has them. Raises InputError.
+    Those whose own update it was (`silenced`) correct their loads alone. What sweeps and kernel noise changed since then
+    goes. stored: loads of standing tickets, as the store has them. Raises InputError.
     """
     actions = journal.actions
     silenced = actions.led_first_to(version)
@@ -50,18 +51,18 @@ def without_version(
     of_crop = answer["crop"] or journal.crop_in_use(monitor.estimator.parameters)
     later = [n for n in actions.not_learnt_after(since) if not of_crop or _crop_of(journal, n) in (of_crop, "")]
     numbers = actions.newest_of({*actions.standing_of(undone), *later})
-    taught, why_not = _teach_again(numbers, loads, answer["crop"], monitor, journal, stored, goes_back=True)
+    updated, why_not = _update_again(numbers, loads, answer["crop"], monitor, journal, stored, goes_back=True)
     lost = [v for v in undone if v != version and actions.updates[v].document.get("origin") in _NOT_WEIGHED]
     return answer | {
-        "silenced": list(silenced), "learnt_again": taught, "standing_tickets": sorted(why_not),
+        "silenced": list(silenced), "learnt_again": updated, "standing_tickets": sorted(why_not),
         "not_learnt_again": [{"ticket": n, "why": why} for n, why in sorted(why_not.items())], "sweeps_undone": len(lost),
     }  # fmt: skip
 
 
-def without_lessons(
+def without_updates(
     numbers: Sequence[int], monitor: Monitor, journal: Journal, who: str, now_s: float, stored: Sequence[StoredLoad]
 ) -> list[dict[str, Any]]:
-    """The same of tickets that stand, for loads that are of another crop than they have taught."""
+    """The same of tickets that stand, for loads that are of another crop than they have updated."""
     return [_without(number, monitor, journal, who, now_s, stored, stands=numbers) for number in numbers]
 
 
@@ -75,13 +76,13 @@ def _without(
     *,
     stands: Sequence[int],
 ) -> dict[str, Any]:
-    """stands: tickets that are not taken back and teach no more."""
+    """stands: tickets that are not taken back but no longer update the parameters."""
     actions = journal.actions
     ticket = actions.standing_ticket(number)
     loads = range(ticket.first_load, ticket.last_load + 1)
-    first = actions.first_lesson(number, counts=any(load in monitor.counted_loads for load in loads))
+    first = actions.first_update(number, counts=any(load in monitor.counted_loads for load in loads))
     answer: dict[str, Any] = {"ticket": number, "first_load": ticket.first_load, "last_load": ticket.last_load}
-    replaced = actions.lesson_before_file(number)
+    replaced = actions.update_before_file(number)
     if replaced is not None:
         journal.parameters.withdraw(replaced, who, now_s)
     undone_before, stays = actions.undone_versions, ""
@@ -99,21 +100,21 @@ def _without(
     later = [n for n in actions.not_learnt_after(number) if _crop_of(journal, n) == crop]
     numbers = [n for n in actions.newest_of({*actions.standing_of(undone), *later}) if n not in stands]
     other = str(answer["crop"]) if "crop" in answer else _if_other(crop, monitor, journal)
-    taught, why_not = _teach_again(numbers, loads, other, monitor, journal, stored, goes_back=first is not None)
+    updated, why_not = _update_again(numbers, loads, other, monitor, journal, stored, goes_back=first is not None)
     if first is None:
-        return answer | ({"teaching_stays": stays} if stays else {}) | ({"learnt_again": taught} if taught else {})
+        return answer | ({"teaching_stays": stays} if stays else {}) | ({"learnt_again": updated} if updated else {})
     lost = [v for v in undone if actions.updates[v].document.get("origin") in _NOT_WEIGHED]
     return answer | {
-        "learnt_again": taught, "standing_tickets": sorted(why_not),
+        "learnt_again": updated, "standing_tickets": sorted(why_not),
         "not_learnt_again": [{"ticket": n, "why": why} for n, why in sorted(why_not.items())], "sweeps_undone": len(lost),
     }  # fmt: skip
 
 
-def teach_crop(
+def update_crop(
     numbers: Sequence[int], crop: str, monitor: Monitor, journal: Journal, stored: Sequence[StoredLoad]
 ) -> tuple[list[int], Mapping[int, str]]:
-    """Tickets teach a crop that their loads are of: numbers of those that do, and why the others do not."""
-    return _teach_again(numbers, (), _if_other(crop, monitor, journal), monitor, journal, stored, goes_back=False)
+    """Tickets update the crop that their loads are of: numbers of those that do, and why the others do not."""
+    return _update_again(numbers, (), _if_other(crop, monitor, journal), monitor, journal, stored, goes_back=False)
 
 
 def _if_other(crop: str, monitor: Monitor, journal: Journal) -> str:
@@ -133,7 +134,7 @@ def back_before(
 ) -> dict[str, Any]:
     """The parameters before a version again, as a new version; for another crop than the present one, once it is harvested.
 
-    silenced: tickets that are to teach no more. Raises InputError.
+    silenced: tickets that no longer update the parameters. Raises InputError.
     """
     in_use = monitor.estimator.parameters
     if in_use.curve is not None:
@@ -150,7 +151,7 @@ def back_before(
     }  # fmt: skip
 
 
-def _teach_again(
+def _update_again(
     numbers: Sequence[int],
     gone: Sequence[int],
     crop: str,
@@ -160,10 +161,10 @@ def _teach_again(
     *,
     goes_back: bool,
 ) -> tuple[list[int], Mapping[int, str]]:
-    """Numbers of the tickets that teach again, and why the others of these do not. gone: loads whose tickets go. crop: see
-    `Monitor.teach_again`. goes_back: the parameters are those from before a ticket."""
+    """Numbers of the tickets that update again, and why the others of these do not. gone: loads whose tickets go. crop: see
+    `Monitor.update_again`. goes_back: the parameters are those from before a ticket."""
     tickets = journal.actions.ledger.tickets
-    taught: list[int] = []
+    updated: list[int] = []
     again: list[Weighing] = []
     why_not: dict[int, str] = {}
     for number in numbers:
@@ -173,15 +174,15 @@ def _teach_again(
         if why:
             why_not[number] = why
             continue
-        taught.append(number)
-        again += weighings(covered, ticket, *journal.actions.taught(number))
+        updated.append(number)
+        again += weighings(covered, ticket, *journal.actions.reference_mass(number))
     learnt = [
-        load for n in journal.actions.learnt_from() if n not in taught
+        load for n in journal.actions.learnt_from() if n not in updated
         for load in range(tickets[n].first_load, tickets[n].last_load + 1)
     ]  # fmt: skip
-    journal.happened(monitor.teach_again(gone, again, learnt if goes_back else None, crop))
-    journal.actions.wait_again(taught, crop)
-    return taught, why_not
+    journal.happened(monitor.update_again(gone, again, learnt if goes_back else None, crop))
+    journal.actions.wait_again(updated, crop)
+    return updated, why_not
 
 
 def why_no_reference(
@@ -214,7 +215,7 @@ def why_no_reference(
 
 
 def weighings(covered: Sequence[Load], ticket: Ticket, mass_kg: float, std_dev_kg: float) -> list[Weighing]:
-    """The mass by which a ticket teaches, shared out over its loads."""
+    """The reference mass of a ticket, shared out over its loads."""
     found = []
     for load in covered:
         share = load.mass_kg / ticket.measured_mass_kg

@@ -28,7 +28,8 @@ def step_document(step: CalibrationStep) -> dict[str, Any]:
 
 
 def step_from_document(document: Mapping[str, Any]) -> CalibrationStep | None:
-    """Inverse of `step_document`; None where it makes no sense. Documents before 0.2.0 do not say what taught: it counts."""
+    """Inverse of `step_document`; None where it makes no sense. Documents before 0.2.0 do not say whether a sweep alone
+    led to it: as if not."""
     try:
         parts = {name: np.array(document["advance"][name], dtype=float) for name in _MATRICES}
         state = tuple(map(float, document["state"]))

@@ -33,17 +33,17 @@ class CommandLoads:
         self._reading = threading.BoundedSemaphore(_READ_AT_ONCE)
 
     def of(self, request: Mapping[str, Any], path: Path) -> Sequence[StoredLoad]:
-        """Loads of a store that a request names or teaches again; none where they cannot be read.
+        """Loads of a store that a request names or updates again; none where they cannot be read.
 
         Raises ControlError while the disk holds others up.
         """
-        numbers, teaches_again = commands.ticketed_loads(request), request["command"] in commands.TEACH_AGAIN
-        if not numbers and not teaches_again:
+        numbers, updates_again = commands.ticketed_loads(request), request["command"] in commands.UPDATE_AGAIN
+        if not numbers and not updates_again:
             return ()
         if not self._reading.acquire(timeout=self._patience_s):
             raise ControlError("the disk does not answer; nothing was done")
         try:
-            return of_standing_tickets(path, numbers) if teaches_again else of_path(path, numbers)
+            return of_standing_tickets(path, numbers) if updates_again else of_path(path, numbers)
         except InputError as error:
             _log.warning("loads of an earlier run cannot be read: %s", error)
             return ()

@@ -26,8 +26,8 @@ _MOST_LOADS = 63
 
 QUERIES = frozenset({"status", "loads", "tickets", "calibrations"})
 """Commands that change nothing."""
-TEACH_AGAIN = frozenset({"ticket-undo", "calibration-undo", "load-correct"})
-"""Commands after which standing tickets may teach again."""
+UPDATE_AGAIN = frozenset({"ticket-undo", "calibration-undo", "load-correct"})
+"""Commands after which standing tickets may update the parameters again."""
 
 
 def execute(

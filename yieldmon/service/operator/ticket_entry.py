@@ -1,4 +1,4 @@
-"""A scale ticket as it is entered: what it corrects, whose parameters it teaches, and what is asked about it."""
+"""A scale ticket as it is entered: what it corrects, which crop it updates, and what is asked about it."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _WEIGHED_SD = 0.03
 
 
 def enter_ticket(order: Order) -> Answer:
-    """Correct loads by a weighed mass, and let them teach where they can.
+    """Correct loads by a weighed mass, and let it update the parameters where it can.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def enter_ticket(order: Order) -> Answer:
         ticket = replace(
             ticket, weighed_mass_kg=_best_kg(own_kg, std_dev_kg, known_kg, None if why_not else _departure(alone, order, crop))
         )
-    waits = journal.actions.unfinished_of_crop.get(crop) if crop else journal.actions.to_teach
+    waits = journal.actions.unfinished_of_crop.get(crop) if crop else journal.actions.to_update
     first_moves = exp(departs.ln) - 1.0 if departs is not None and departs.first and not waits else None
     if not why_not:
         for load_number, mass_kg, share_std_dev_kg in shares:
@@ -184,7 +184,7 @@ def _ln_of_waiting(numbers: Sequence[int], order: Order, of_crop: FlowEstimator 
     for number in numbers:
         ticket = tickets[number]
         loads = [load for load in order.journal.loads if ticket.first_load <= load.number <= ticket.last_load]
-        for load, mass_kg, sd_kg in weighings(loads, ticket, *order.journal.actions.taught(number)):
+        for load, mass_kg, sd_kg in weighings(loads, ticket, *order.journal.actions.reference_mass(number)):
             # Of a load that an earlier run measured nothing may be known now.
             with suppress(ValueError):
                 part = order.monitor.ticket_departure(load, mass_kg, sd_kg, of_crop)

@@ -154,7 +154,7 @@ def recropped(actions: Iterable[Action]) -> set[int]:
 
 
 def silenced(actions: Iterable[Action]) -> frozenset[int]:
-    """Numbers of the tickets whose lesson was taken back by the version: they correct their loads and teach no more."""
+    """Numbers of the tickets whose update was taken back by the version: they only correct their loads."""
     undos = (action for action in actions if action.kind == PARAMETERS_UNDO)
     return frozenset(int(number) for action in undos for number in action.document.get("tickets", ()))
 

@@ -139,7 +139,7 @@ CREATE TABLE action (              -- what an operator told, what the monitor le
     document TEXT NOT NULL,        -- JSON
     checksum INTEGER NOT NULL
 ) STRICT;
-CREATE TABLE step (                -- from one lesson to the next, as a smoother needs it
+CREATE TABLE step (                -- from one update to the next, as a smoother needs it
     version INTEGER PRIMARY KEY,   -- of the parameters that came of it
     time_s REAL NOT NULL,
     document TEXT NOT NULL,        -- JSON: states and covariances

@@ -58,7 +58,7 @@ _GONE = frozenset({errno.ENOENT, errno.ENOTDIR, errno.ELOOP})
 _WAIT_S = 2.0
 #: Rows taken away at a time, so that making room never holds up a second's commit for long.
 _PRUNE_ROWS = 2000
-#: Lessons that a posting may reach back over.
+#: Updates that a posting may reach back over.
 _KEPT_STEPS = 5000
 #: To which SQLite shortens a journal that was longer, when it begins it anew.
 _JOURNAL_BYTES = 4 * 1024 * 1024

@@ -110,7 +110,7 @@ class ActionLog:
             raise InputError(f"ticket {number}", done, known)
         return standing[number]
 
-    def first_lesson(self, number: int, *, counts: bool) -> int | None:
+    def first_update(self, number: int, *, counts: bool) -> int | None:
         """The first version of the parameters that rests on a ticket; None where none that stands does, or a parameter file has
         replaced it since. counts: it is among the weighed loads that others are held against, though it led to no version."""
         undone = self.undone_versions
@@ -122,7 +122,7 @@ class ActionLog:
                 return version
         return None
 
-    def lesson_before_file(self, number: int) -> int | None:
+    def update_before_file(self, number: int) -> int | None:
         """The first version that rests on a ticket, of those that a parameter file has replaced since; None: none that stands."""
         undone = self.undone_versions
         led = (v for v, a in sorted(self.updates.items()) if number in a.document.get("tickets", ()) and v not in undone)
@@ -155,8 +155,8 @@ class ActionLog:
         led = () if update is None else update.document.get("tickets", ())
         return tuple(sorted({int(number) for number in led if int(number) in standing and int(number) not in known}))
 
-    def lessons_gone_with(self, version: int) -> tuple[int, ...]:
-        """Of a version that an undo made, numbers of the tickets that what it took back rests on and that teach no more: taken
+    def updates_gone_with(self, version: int) -> tuple[int, ...]:
+        """Of a version that an undo made, numbers of the tickets that what it took back rests on and that no longer update: taken
         back, or silenced. None for another version."""
         update = self.updates.get(version)
         if update is None or update.document.get("origin") != ledgers.UNDO:
@@ -214,8 +214,8 @@ class ActionLog:
         """What was kept beside a ticket; nothing of one of a store before 0.2."""
         return next((a.document for a in self._actions if a.kind == ledgers.TICKET and a.document["ticket"] == number), {})
 
-    def taught(self, number: int) -> tuple[float, float]:
-        """The mass by which a ticket teaches, with its standard deviation, kg; where that was not kept the usual one."""
+    def reference_mass(self, number: int) -> tuple[float, float]:
+        """The reference mass of a ticket with its standard deviation, kg; where that was not kept the usual one."""
         entry = self._entry(number)
         truck, std_dev_kg = ledgers.truck_of(entry), entry.get("std_dev_kg")
         mass_kg = self._tickets[number - 1].weighed_mass_kg if truck is None else truck.own_kg
@@ -258,15 +258,15 @@ class ActionLog:
             for number in action.document.get("tickets", ())
         }
 
-    def teaching(self, change: ParametersChanged) -> list[int]:
+    def tickets_behind(self, change: ParametersChanged) -> list[int]:
         """Numbers of the tickets that a change of the parameters rests on: those handed over for it, of several entered together
-        one with each change; after them those that have taught already and whose loads are still to be measured again."""
+        one with each change; after them those that have updated already and whose loads are still to be measured again."""
         learnt = self._learnt
-        return [number for number in self.waiting if number in learnt or self._is_of(number, change.taught)]
+        return [number for number in self.waiting if number in learnt or self._is_of(number, change.references)]
 
-    def _is_of(self, number: int, taught: Sequence[tuple[int, float]]) -> bool:
-        ticket, (mass_kg, _) = self._tickets[number - 1], self.taught(number)
-        return isclose(sum(kg for load, kg in taught if ticket.first_load <= load <= ticket.last_load), mass_kg, rel_tol=1e-6)
+    def _is_of(self, number: int, references: Sequence[tuple[int, float]]) -> bool:
+        ticket, (mass_kg, _) = self._tickets[number - 1], self.reference_mass(number)
+        return isclose(sum(kg for load, kg in references if ticket.first_load <= load <= ticket.last_load), mass_kg, rel_tol=1e-6)
 
     def bring_back(self, version: int) -> None:
         """An undo brought this version back: loads that were measured with what it took back are to be measured again."""
@@ -298,8 +298,8 @@ class ActionLog:
         return next(((number, by) for number, by in sorted(self._open_loads.items()) if number != open_load), None)
 
     @property
-    def to_teach(self) -> frozenset[int]:
-        """Numbers of the tickets in the queue to teach the parameters in use, one with each second."""
+    def to_update(self) -> frozenset[int]:
+        """Numbers of the tickets in the queue to update the parameters in use, one with each second."""
         return frozenset(self.waiting) - set(self._learnt)
 
     @property
@@ -388,7 +388,7 @@ class ActionLog:
         states = ticket_states(
             self.ledger,
             self._actions,
-            to_teach=dict.fromkeys(self.to_teach, "") | {n: crop for crop, kept in self._of_crop.items() for n in kept},
+            to_update=dict.fromkeys(self.to_update, "") | {n: crop for crop, kept in self._of_crop.items() for n in kept},
             doubted_loads=doubted_loads,
         )
         return [row | {"state": states.get(row["number"], "undone")} for row in rows]

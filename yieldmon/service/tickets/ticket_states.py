@@ -12,7 +12,7 @@ _CONTRADICTS = "contradicts those before it, counts when another agrees"
 
 
 def ticket_states(
-    ledger: ledgers.Ledger, actions: Sequence[Action], *, to_teach: Mapping[int, str], doubted_loads: Collection[int] = ()
+    ledger: ledgers.Ledger, actions: Sequence[Action], *, to_update: Mapping[int, str], doubted_loads: Collection[int] = ()
 ) -> dict[int, str]:
     """The state of each ticket that stands, by its number.
 
@@ -22,7 +22,7 @@ def ticket_states(
         Tickets that stand.
     actions : sequence of Action
         All that was entered, learnt and taken back, in order.
-    to_teach : mapping
+    to_update : mapping
         Tickets that are still to update the parameters, with the crop whose return they wait for, "" where it is harvested now.
     doubted_loads : collection of int
         Loads whose tickets contradict those that count.
@@ -36,8 +36,8 @@ def ticket_states(
     states = {}
     for number, ticket in ledger.tickets.items():
         counting = {newest[load] for load in _loads_of(ticket)}
-        if number in to_teach:
-            of_crop = f" of {to_teach[number]}" if to_teach[number] else ""
+        if number in to_update:
+            of_crop = f" of {to_update[number]}" if to_update[number] else ""
             state = f"to update the parameters{of_crop}"
         elif number in updated:
             state = f"updated the parameters to version {updated[number]}"

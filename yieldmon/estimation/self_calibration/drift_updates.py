@@ -1,9 +1,9 @@
-"""Lessons of a drifting state taken again without those of sweeps: what weighed masses alone say of the time before.
+"""Updates of a drifting state taken again without those of sweeps: what weighed masses alone say of the time before.
 
 A sweep is read through the model's profile over the plate angle. Its scatter, and a model error that comes back with each sweep,
 go into friction and with it into the flow at home; the drift of friction that the estimator expects lets them. While the machine
 harvests that is worth it, since nothing else speaks. Once a weighed mass has spoken, masses measured again by the weighed masses
-alone have neither. What a lesson said apart from what was known before it follows from the state and covariance before and after
+alone have neither. What an update said apart from what was known before it follows from the state and covariance before and after
 it, so that nothing is measured anew.
 
 Sources: Rauch, Tung and Striebel, AIAA Journal 3 (1965), on the smoother that this serves; Brynjarsdottir and O'Hagan, Inverse
@@ -28,21 +28,21 @@ _SINGULAR = 1e-12
 
 
 @dataclass(frozen=True, slots=True)
-class DriftLesson:
-    """A lesson and the time before it.
+class DriftUpdate:
+    """An update and the time before it.
 
     Parameters
     ----------
     advance : Advance
-        How the state came to the lesson.
+        How the state came to the update.
     state : ndarray (n,)
-        What the lesson made of it.
+        What the update made of it.
     covariance : ndarray (n, n)
         Its covariance then.
     widening : float
-        Factor on the parameters' covariance before the lesson (`Outcome.prior_widening`).
+        Factor on the parameters' covariance before the update (`Outcome.prior_widening`).
     sweep_alone : bool
-        Whether a sweep alone has taught, without a weighed mass or a known density.
+        Whether it is by a sweep alone, without a weighed mass or a known density.
     rates : int
         Of the n states, the last ones, which a widening leaves as they are.
     """
@@ -55,69 +55,69 @@ class DriftLesson:
     rates: int = 0
 
     def widened(self, covariance: Array) -> Array:
-        """A covariance before the lesson, (n, n), as the lesson took it."""
+        """A covariance before the update, (n, n), as the update took it."""
         return widened(covariance, len(covariance) - self.rates, self.widening)
 
 
 @dataclass(frozen=True, slots=True)
 class _Readings:
-    """Independent readings of rows @ state, with their variances: what a lesson says whatever was known before it."""
+    """Independent readings of rows @ state, with their variances: what an update says whatever was known before it."""
 
     rows: Array
     values: Array
     variances: Array
 
 
-def by_weighed_masses(lessons: Sequence[DriftLesson]) -> list[DriftLesson]:
-    """The same lessons at the same times, where sweeps have taught nothing.
+def by_weighed_masses(updates: Sequence[DriftUpdate]) -> list[DriftUpdate]:
+    """The same updates at the same times, as they would be without the sweeps.
 
     Parameters
     ----------
-    lessons : sequence of DriftLesson
+    updates : sequence of DriftUpdate
         In order, each beginning where the one before it ended.
 
     Returns
     -------
-    list of DriftLesson
-        Up to the first lesson of a sweep as given. A lesson that replaced what was known, where others update it, replaces it
+    list of DriftUpdate
+        Up to the first update of a sweep as given. An update that replaced what was known, where others update it, replaces it
         here too.
 
     Examples
     --------
-    Smoothed parameters without the sweeps: ``smoothed([l.advance for l in by_weighed_masses(lessons)], last)``, with
+    Smoothed parameters without the sweeps: ``smoothed([l.advance for l in by_weighed_masses(updates)], last)``, with
     `ending` for `last`.
     """
-    found: list[DriftLesson] = []
+    found: list[DriftUpdate] = []
     apart = False
-    for lesson in lessons:
-        if not apart and not lesson.sweep_alone:
-            found.append(lesson)
+    for update in updates:
+        if not apart and not update.sweep_alone:
+            found.append(update)
             continue
         if not found and not apart:
-            before, covariance_before = lesson.advance.before, lesson.advance.covariance_before
+            before, covariance_before = update.advance.before, update.advance.covariance_before
         else:
             before, covariance_before = found[-1].state, found[-1].covariance
         apart = True
-        advance = _continued(lesson.advance, before, covariance_before)
+        advance = _continued(update.advance, before, covariance_before)
         state, covariance = advance.after, advance.covariance_after
-        if not lesson.sweep_alone:
-            covariance = lesson.widened(covariance)
-            readings = _readings(lesson)
+        if not update.sweep_alone:
+            covariance = update.widened(covariance)
+            readings = _readings(update)
             if readings is None:
-                state, covariance = lesson.state, lesson.covariance
+                state, covariance = update.state, update.covariance
             else:
                 state, covariance = _read(state, covariance, readings)
-        found.append(replace(lesson, advance=advance, state=state, covariance=covariance))
+        found.append(replace(update, advance=advance, state=state, covariance=covariance))
     return found
 
 
-def ending(last: DriftingParameters, lesson: DriftLesson) -> DriftingParameters:
-    """`last` with the state and covariance that a lesson led to."""
+def ending(last: DriftingParameters, update: DriftUpdate) -> DriftingParameters:
+    """`last` with the state and covariance that an update led to."""
     names = last.parameters.covariance_names
     count = len(names)
-    values = {**last.parameters.values, **{n: float(v) for n, v in zip(names, lesson.state[:count], strict=True)}}
-    parameters = replace(last.parameters, values=values, covariance=lesson.covariance[:count, :count])
-    return DriftingParameters(parameters, last.names, lesson.state[count:], lesson.covariance)
+    values = {**last.parameters.values, **{n: float(v) for n, v in zip(names, update.state[:count], strict=True)}}
+    parameters = replace(last.parameters, values=values, covariance=update.covariance[:count, :count])
+    return DriftingParameters(parameters, last.names, update.state[count:], update.covariance)
 
 
 def _continued(advance: Advance, before: Array, covariance_before: Array) -> Advance:
@@ -129,21 +129,21 @@ def _continued(advance: Advance, before: Array, covariance_before: Array) -> Adv
     return Advance(before, covariance_before, move, after, 0.5 * (covariance + covariance.T))
 
 
-def _readings(lesson: DriftLesson) -> _Readings | None:
-    """None where the lesson left something less certain than it was, which no reading does."""
-    prior = lesson.widened(lesson.advance.covariance_after)
+def _readings(update: DriftUpdate) -> _Readings | None:
+    """None where the update left something less certain than it was, which no reading does."""
+    prior = update.widened(update.advance.covariance_after)
     scale = np.sqrt(np.maximum(np.diag(prior), 1e-300))
     sizes, axes = np.linalg.eigh(prior / np.outer(scale, scale))
     used = sizes > _SINGULAR * sizes[-1]
     white = (axes[:, used] / np.sqrt(sizes[used])).T / scale
-    left, turned = np.linalg.eigh(white @ lesson.covariance @ white.T)
+    left, turned = np.linalg.eigh(white @ update.covariance @ white.T)
     if left[-1] > 1.0 + _ROUNDING:
         return None
     informed = left < 1.0 - _ROUNDING
     left = np.maximum(left[informed], _SINGULAR)
     rows = turned[:, informed].T @ white
     # A reading z of a unit prior variance moves by (1 - left) (z - prior).
-    values = rows @ lesson.advance.after + rows @ (lesson.state - lesson.advance.after) / (1.0 - left)
+    values = rows @ update.advance.after + rows @ (update.state - update.advance.after) / (1.0 - left)
     return _Readings(rows, values, left / (1.0 - left))
 
 

@@ -1,4 +1,4 @@
-"""Load errors of a season in which kernel noise teaches the parameters, with the one bias that all its lessons share.
+"""Load errors of a season in which kernel noise updates the parameters, with the one bias that all its updates share.
 
 Forces are the virtual combine's parcels; friction, density and restitution begin at values drawn from the calibration's
 deviations and drift, either steadily by up to 15 % or as the daemon's rates say. Kernel noise is not simulated by kernels: its
@@ -27,7 +27,7 @@ from yieldmon.estimation.self_calibration.closed_loop_outcome import Outcome
 from yieldmon.estimation.self_calibration.steady_drift import advance, begin, forgotten, learn, widened
 from yieldmon.estimation.waveform import common_bias
 from yieldmon.estimation.waveform.common_bias import WANDER as BIAS_WANDER
-from yieldmon.estimation.waveform.common_bias import CommonBias, KernelLesson
+from yieldmon.estimation.waveform.common_bias import CommonBias, KernelMeasurement
 from yieldmon.physics.model import ForwardModel
 from yieldmon.plant.effects import Effects
 from yieldmon.plant.grain import Grain
@@ -41,11 +41,11 @@ LASTING_SD = 0.134
 CHANCE_SD, TICKET_SD = 0.01, 0.003
 WAYS = {
     "no ticket": (False, ()),
-    "kernels teach": (True, ()),
+    "kernels update": (True, ()),
     "one ticket": (False, (0,)),
-    "one ticket, kernels teach": (True, (0,)),
+    "one ticket, kernels update": (True, (0,)),
     "a ticket after each third": (False, (0, 8, 16)),
-    "a ticket after each third, kernels teach": (True, (0, 8, 16)),
+    "a ticket after each third, kernels update": (True, (0, 8, 16)),
 }
 MODEL = ForwardModel(MACHINE, ("gravity",))
 RATES = CalibratorSettings()
@@ -92,7 +92,7 @@ class DriftingSeason:
     ----------
     known : DriftingParameters
     bias : CommonBias or None
-        Of kernel noise, once it has taught.
+        Of kernel noise, once it has updated them.
     error_at : dict of float to float
         The model's relative error by stop, deg.
     grain : Grain
@@ -130,8 +130,8 @@ class DriftingSeason:
         self.bias: CommonBias | None = None
         self.sweep_flow_kg_s = float("nan")
 
-    def load(self, number: int, *, teaches: bool, ticket: bool) -> tuple[float, float]:
-        """The load's relative error and stated deviation, before its own lesson of kernel noise and its ticket are learnt."""
+    def load(self, number: int, *, kernels_update: bool, ticket: bool) -> tuple[float, float]:
+        """The load's relative error and stated deviation, before its own update of kernel noise and its ticket are learnt."""
         rng, size, values, start, rates = self._rng, np.ones(WINDOWS), self._values, Grain(), self._rates
         now = self._drifted(number)
         self.grain = Grain(now[0], now[2], now[1], start.shape_ratio)
@@ -153,12 +153,14 @@ class DriftingSeason:
         with_restitution = 0.0 if self._as_expected else self._slope * (now[2] - values["restitution"])
         heard = flows * np.exp(self._log_bias + with_restitution + chance)
         weighed_kg = LOAD_KG * (1.0 + rng.normal(0.0, TICKET_SD))
-        if teaches:
+        if kernels_update:
             bias = self.bias or common_bias.begin(LASTING_SD, len(self.known.joint))
-            lesson = KernelLesson(heard, force, HOME_RAD * size, SPEED_RAD_S * size, np.nan * size, CHANCE_SD, LASTING_SD)
-            taught = common_bias.teach(MODEL, self.known, bias, lesson)
-            self.known, self.bias = taught.drifting, taught.bias
-            self._spread = drift_spread.taught(self._spread, taught.errors)
+            measurement = KernelMeasurement(
+                heard, force, HOME_RAD * size, SPEED_RAD_S * size, np.nan * size, CHANCE_SD, LASTING_SD
+            )
+            learnt = common_bias.update(MODEL, self.known, bias, measurement)
+            self.known, self.bias = learnt.drifting, learnt.bias
+            self._spread = drift_spread.updated(self._spread, learnt.errors)
         if ticket:
             anchor = MassAnchor.from_windows(
                 weighed_kg, TICKET_SD * weighed_kg, LOAD_KG / flows.sum() * size, force, HOME_RAD * size, SPEED_RAD_S * size
@@ -196,7 +198,7 @@ class DriftingSeason:
         prior = _joined(widened(before.joint, len(before.parameters.covariance_names), widening), bias)
         if bias is not None:
             self.bias = common_bias.followed(bias, before, after, widening=widening)
-        self._spread = drift_spread.taught(self._spread, drift_spread.by_lesson(prior, _joined(after.joint, self.bias)))
+        self._spread = drift_spread.updated(self._spread, drift_spread.by_update(prior, _joined(after.joint, self.bias)))
         self.known = after
 
 
@@ -207,24 +209,27 @@ def _joined(joint: Array, bias: CommonBias | None) -> Array:
 def season(
     seed: int,
     *,
-    teaches: bool,
+    kernels_update: bool,
     tickets: tuple[int, ...],
     loads: int = LOADS,
     rates: CalibratorSettings = RATES,
     as_expected: bool = False,
 ) -> list[tuple[float, float]]:
-    """Relative error and stated deviation of each of the first loads, before its own lesson and ticket."""
+    """Relative error and stated deviation of each of the first loads, before its own update and ticket."""
     of = DriftingSeason(seed, rates=rates, as_expected=as_expected)
-    return [of.load(load, teaches=teaches, ticket=load in tickets) for load in range(loads)]
+    return [of.load(load, kernels_update=kernels_update, ticket=load in tickets) for load in range(loads)]
 
 
 def report(seeds: int, seed: int) -> dict[str, Any]:
     """Mean absolute load error of all seasons and of the worst, mean of the stated deviation, and rms error over it."""
     rows: dict[str, dict[str, dict[str, float]]] = {}
     for grain, (rates, as_expected) in SEASONS.items():
-        for name, (teaches, tickets) in WAYS.items():
+        for name, (kernels_update, tickets) in WAYS.items():
             found = np.array(
-                [season(seed + i, teaches=teaches, tickets=tickets, rates=rates, as_expected=as_expected) for i in range(seeds)]
+                [
+                    season(seed + i, kernels_update=kernels_update, tickets=tickets, rates=rates, as_expected=as_expected)
+                    for i in range(seeds)
+                ]
             )
             errors, stated = found[..., 0], found[..., 1]
             by_season = np.abs(errors).mean(axis=1)

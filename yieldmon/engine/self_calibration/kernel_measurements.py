@@ -1,4 +1,4 @@
-"""Seconds of kernel noise, gathered until they make a lesson for the parameters."""
+"""Seconds of kernel noise, gathered until they make a measurement that updates the parameters."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from math import sqrt
 
 from yieldmon.engine.measurement import Reading
 from yieldmon.engine.settings import WaveformSettings
-from yieldmon.estimation.waveform.common_bias import KernelLesson, lesson_of
+from yieldmon.estimation.waveform.common_bias import KernelMeasurement, measurement_of
 
 
-class KernelLessons:
+class KernelMeasurements:
     """Takes one second in so many as kernel noise is averaged over, so that what chance adds to them is independent."""
 
     def __init__(self, settings: WaveformSettings) -> None:
@@ -21,7 +21,7 @@ class KernelLessons:
 
     def add(self, kernels_kg_s: float, relative_sd: float, random_sd: float, reading: Reading) -> None:
         """A second at home with a flow by kernel noise."""
-        if not self._settings.teach:
+        if not self._settings.update_parameters:
             return
         self._heard += 1
         if self._heard % self._settings.kernel_windows:
@@ -33,11 +33,11 @@ class KernelLessons:
         self._random_sds.append(random_sd)
         self._lasting_sd = max(self._lasting_sd, sqrt(max(relative_sd**2 - random_sd**2, 0.0)))
 
-    def take(self) -> KernelLesson | None:
+    def take(self) -> KernelMeasurement | None:
         """What has been gathered, once that is enough; then it begins anew."""
-        if not self._seconds or self._heard < self._settings.teach_windows:
+        if not self._seconds or self._heard < self._settings.update_windows:
             return None
-        found = lesson_of(self._seconds, self._random_sds, self._lasting_sd)
+        found = measurement_of(self._seconds, self._random_sds, self._lasting_sd)
         self._heard, self._lasting_sd = 0, 0.0
         self._seconds, self._random_sds = [], []
         return found

@@ -1,4 +1,4 @@
-"""What weighed masses alone say: a history of lessons taken again as if its sweeps had taught nothing."""
+"""What weighed masses alone say: a history of updates taken again as if its sweeps had updated nothing."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.estimation.self_calibration.drift_lessons import DriftLesson, by_weighed_masses, ending
+from yieldmon.estimation.self_calibration.drift_updates import DriftUpdate, by_weighed_masses, ending
 from yieldmon.estimation.self_calibration.steady_drift import Advance, begin, smoothed
 from yieldmon.physics.numerics import Array
 
@@ -29,9 +29,9 @@ def wider(covariance: Array, widening: float, rates: int) -> Array:
     return found
 
 
-def history(kinds: Sequence[str], readings: Sequence[float], widening: float = 1.0, rates: int = 0) -> list[DriftLesson]:
+def history(kinds: Sequence[str], readings: Sequence[float], widening: float = 1.0, rates: int = 0) -> list[DriftUpdate]:
     """Textbook Kalman updates by readings of one direction each, with a deviation of 0.01; a ticket of a widened prior."""
-    lessons, state, covariance = [], START, COVARIANCE
+    updates, state, covariance = [], START, COVARIANCE
     for kind, reading in zip(kinds, readings, strict=True):
         after, wide = MOVE @ state, MOVE @ covariance @ MOVE.T + WALK
         advance = Advance(state, covariance, MOVE, after, wide)
@@ -43,15 +43,15 @@ def history(kinds: Sequence[str], readings: Sequence[float], widening: float = 1
         state = after + gain * (reading - row @ after)
         covariance = prior - np.outer(gain, tie)
         covariance = 0.5 * (covariance + covariance.T)
-        lessons.append(DriftLesson(advance, state, covariance, factor, kind == "sweep", rates))
-    return lessons
+        updates.append(DriftUpdate(advance, state, covariance, factor, kind == "sweep", rates))
+    return updates
 
 
-def through(lessons: Sequence[DriftLesson]) -> Array:
-    """Smoothed parameters at the beginning of each lesson's time and at the end."""
-    last = lessons[-1]
+def through(updates: Sequence[DriftUpdate]) -> Array:
+    """Smoothed parameters at the beginning of each update's time and at the end."""
+    last = updates[-1]
     known = begin(ParameterSet({**dict(zip(NAMES, last.state, strict=True)), "shape_ratio": 2.0}, NAMES, last.covariance), {})
-    found = smoothed([lesson.advance for lesson in lessons], ending(known, last))
+    found = smoothed([update.advance for update in updates], ending(known, last))
     return np.array([[values[name] for name in NAMES] for values in found])
 
 
@@ -77,9 +77,9 @@ def test_sweeps_leave_no_trace_whatever_they_said(sweeps_say: float, widening: f
             state = state + gain * (next(said) - TICKET @ state)
             covariance = covariance - np.outer(gain, TICKET @ covariance)
         expected.append((state, covariance))
-    for lesson, (alone, spread) in zip(found, expected, strict=True):
-        assert lesson.state == pytest.approx(alone, rel=1e-6)
-        assert lesson.covariance == pytest.approx(spread, rel=1e-5, abs=1e-12)
+    for update, (alone, spread) in zip(found, expected, strict=True):
+        assert update.state == pytest.approx(alone, rel=1e-6)
+        assert update.covariance == pytest.approx(spread, rel=1e-5, abs=1e-12)
 
 
 def test_smoothing_without_sweeps_is_that_of_the_tickets_alone() -> None:
@@ -94,21 +94,21 @@ def test_smoothing_without_sweeps_is_that_of_the_tickets_alone() -> None:
 
 
 def test_a_history_without_sweeps_is_as_given() -> None:
-    lessons = history(("ticket",) * 3, (0.8, 0.85, 0.9))
-    assert by_weighed_masses(lessons) == lessons
+    updates = history(("ticket",) * 3, (0.8, 0.85, 0.9))
+    assert by_weighed_masses(updates) == updates
 
 
 def test_what_came_before_the_first_sweep_stays_as_it_was() -> None:
-    lessons = history(("ticket", "sweep", "ticket"), (0.8, 0.9, 0.85))
-    assert by_weighed_masses(lessons)[0] is lessons[0]
+    updates = history(("ticket", "sweep", "ticket"), (0.8, 0.9, 0.85))
+    assert by_weighed_masses(updates)[0] is updates[0]
 
 
 @pytest.mark.parametrize("kinds", [("sweep",), ("sweep", "sweep", "ticket")])
 def test_an_update_that_replaces_what_was_known_replaces_it_here(kinds: tuple[str, ...]) -> None:
     """As weighed loads do that have to find the machine's scale anew: less is known of some directions after it."""
-    lessons = [*history(kinds, [0.9] * len(kinds)), *history(("ticket",), (0.8,))]
-    anew = replace(lessons[-1], state=1.3 * START, covariance=9.0 * COVARIANCE)
-    found = by_weighed_masses([*lessons[:-1], anew])
+    updates = [*history(kinds, [0.9] * len(kinds)), *history(("ticket",), (0.8,))]
+    anew = replace(updates[-1], state=1.3 * START, covariance=9.0 * COVARIANCE)
+    found = by_weighed_masses([*updates[:-1], anew])
     assert found[-1].state == pytest.approx(1.3 * START)
     assert found[-1].covariance == pytest.approx(9.0 * COVARIANCE)
 
@@ -117,10 +117,10 @@ def test_one_exact_reading_and_one_parameter_known_already() -> None:
     """A parameter without doubt beside one that the ticket determines all but exactly."""
     known, unsure, swept, narrow = np.diag([0.0, 1.0]), np.array([1.0, 2.0]), np.array([1.0, 7.0]), np.diag([0.0, 0.5])
     move = Advance(unsure, known, np.eye(2), unsure, known)
-    lessons = [
-        DriftLesson(move, swept, narrow, sweep_alone=True),
-        DriftLesson(Advance(swept, narrow, np.eye(2), swept, narrow), np.array([1.0, 3.0]), np.diag([0.0, 1e-12])),
+    updates = [
+        DriftUpdate(move, swept, narrow, sweep_alone=True),
+        DriftUpdate(Advance(swept, narrow, np.eye(2), swept, narrow), np.array([1.0, 3.0]), np.diag([0.0, 1e-12])),
     ]
-    found = by_weighed_masses(lessons)
+    found = by_weighed_masses(updates)
     assert found[0].state == pytest.approx(unsure)
     assert found[1].state == pytest.approx([1.0, 3.0])
