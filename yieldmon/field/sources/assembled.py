@@ -105,7 +105,7 @@ def assemble(raw: Raw, where: str, kind: str, options: ReadOptions) -> HarvestTa
             *ways,
             *notes,
             *strange,
-            *_backwards(time),
+            *(_backwards(time) if said.time_s is not None else ()),
             *derived,
             *limits,
         ),

@@ -15,7 +15,7 @@ from yieldmon.files import delimited as workbooks
 from . import heads, written_places
 from .assembled import assemble
 from .coordinates import MEND, mostly_degrees, to_degrees
-from .delimited import encoding_of, has_decimal_comma, pointed_columns, read_rows, rows_of
+from .delimited import encoding_of, has_decimal_comma, numbers_in, pointed_columns, read_rows, rows_of
 from .naming import QUANTITIES, Column, columns_of, plain_name, split_unit
 from .options import ReadOptions
 from .raw_table import Raw
@@ -103,8 +103,15 @@ def _read(found: _Table, where: str, options: ReadOptions) -> HarvestTable:
     record = _OF_A_RECORD.issubset(names)
     if record and _MASS_OF_A_RECORD.issubset(names):
         given.setdefault("mass", ("mass_kg", "kg"))
-    columns, notes = columns_of(names, given, found.head.units, where, width_known=options.width_m is not None)
     place = {name: number for number, name in enumerate(names)}
+    columns, notes = columns_of(
+        names,
+        given,
+        found.head.units,
+        where,
+        width_known=options.width_m is not None,
+        numbers_of=lambda name: numbers_in([row[place[name]] if place[name] < len(row) else "" for row in found.sample]),
+    )
     text_kinds = ("text", "date", "state")
     numbers = [place[c.name] for c in columns.values() if QUANTITIES[c.quantity].kind not in text_kinds]
     texts = [place[c.name] for c in columns.values() if QUANTITIES[c.quantity].kind in text_kinds]

@@ -30,6 +30,18 @@ _THOUSANDS = {mark: re.compile(rf"[+-]?\d{{1,3}}(?:[{mark}]\d{{3}})+(?:[{sign}]\
 _SPACES = re.compile(r"(?<=\d)[ \u00a0\u202f'\u2019](?=\d{3}(?!\d))")
 
 
+def numbers_in(texts: Sequence[str]) -> Array:
+    """Numbers, also with decimal commas, (n,); NaN for any other text."""
+    comma = has_decimal_comma(texts)
+    out = np.full(len(texts), np.nan)
+    for place, text in enumerate(texts):
+        try:
+            out[place] = number(text.replace(",", ".") if comma else text)
+        except ValueError:
+            continue
+    return out
+
+
 @dataclass(frozen=True)
 class Rows:
     """Columns by number, and what could not be read."""

@@ -8,12 +8,15 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
 from yieldmon.errors import InputError
+from yieldmon.field.table import Array
 from yieldmon.field.units import BUSHELS, FACTORS, factor, is_unit_of, plain_unit
+
+from . import agreeing_units
 
 
 @dataclass(frozen=True)
@@ -28,6 +31,7 @@ def _names(text: str) -> tuple[str, ...]:
     return tuple(text.split())
 
 
+#: Names without vowels, such as "dstnc", are what R makes of those of SMS in shapefiles.
 QUANTITIES: Mapping[str, Quantity] = {
     "longitude": Quantity(
         "angle",
@@ -57,7 +61,7 @@ QUANTITIES: Mapping[str, Quantity] = {
         "mass_flow",
         _names(
             "flowwet wetflow massflowwet wetmassflow flow massflow grainflow cropflow cropflowm cropflwm cropflw flowrate "
-            "massflowrate flowmass durchsatz durchfluss "
+            "flw crpflwm crpflw massflowrate flowmass durchsatz durchfluss "
             "massenstrom flujo fluxo debit"
         ),
     ),
@@ -66,27 +70,32 @@ QUANTITIES: Mapping[str, Quantity] = {
         "mass_per_area",
         _names(
             # As weighed, then what does not say, then dried; in each a mass before a volume, which needs the crop's bushel.
-            "yldmasswet yieldmasswet wetmass wetyield yieldwet wetyieldmass wetmassyield ertragfeucht ertragnass "
+            "yldmasswet yieldmasswet yldmssw wetmass wetyield yieldwet wetyieldmass wetmassyield ertragfeucht ertragnass "
             "rendimientohumedo rindehumedo hummasaderend masarendhum "
-            "rendementhumide produtividadeumida yldvolwet yieldvolwet wetyieldvol "
+            "rendementhumide produtividadeumida yldvolwet yldvlw yieldvolwet wetyieldvol "
             "yield yld massyield yieldmass yldmass grainyield cropyield yieldvol ertrag kornertrag rendimiento rinde rendement "
             "produtividade rendimento produttivita resa plon opbrengst udbytte skord avling "
-            "vryieldmas vryieldmass vryieldvol yldmassdry yieldmassdry dryyield yielddry dryyieldmass drymassyield ertragtrocken "
+            "vryieldmas vryieldmass vryieldvol yldmassdry yldmssd yieldmassdry dryyield yielddry dryyieldmass drymassyield "
+            "ertragtrocken "
             "rendimientoseco rindeseco secomasaderend masarendseco rendementsec produtividadeseca "
-            "yldvoldry yieldvoldry dryyieldvol drymatter"
+            "yldvoldry yldvld yieldvoldry dryyieldvol drymatter"
         ),
     ),
     "mass": Quantity("mass", ()),
     "moisture": Quantity(
         "percent",
         _names(
-            "moisture moist grainmoisture moisturepercent moisturewet wetmoisture humidity feuchte feuchtigkeit kornfeuchte "
+            "moisture moist mostr moistur grainmoisture moisturepercent moisturewet wetmoisture humidity feuchte feuchtigkeit "
+            "kornfeuchte "
             "humedad humidite umidade umidita wilgotnosc vocht vochtgehalte vandindhold fugt vattenhalt vanninnhold fuktighet"
         ),
     ),
-    "interval": Quantity("time", _names("interval interv duration loginterval cycles cycle logint dt")),
+    "interval": Quantity("time", _names("interval interv duration durtn loginterval cycles cycle logint dt")),
     "distance": Quantity(
-        "length", _names("distance dist distancetravelled distancetraveled distanz strecke distancia distanza afstand avstand")
+        "length",
+        _names(
+            "distance dist dstnc dstncf distancetravelled distancetraveled distanz strecke distancia distanza afstand avstand"
+        ),
     ),
     "speed": Quantity(
         "speed",
@@ -98,24 +107,24 @@ QUANTITIES: Mapping[str, Quantity] = {
     "width": Quantity(
         "length",
         _names(
-            "width swath swathwidth swthwdth swthwidth workingwidth headerwidth swthwdthm cuttingwidth arbeitsbreite "
+            "width swath swathwidth swthwdth swthw swthwidth workingwidth headerwidth swthwdthm cuttingwidth arbeitsbreite "
             "schnittbreite breite anchodetrabajo anchodecorte anchdefja anchfja ancho "
             "largeurdetravail largeurdecoupe largeur larguradetrabalho "
             "larguradecorte largura larghezza larghezzadilavoro larghezzaditaglio werkbreedte maaibreedte arbejdsbredde "
             "arbetsbredd arbeidsbredde szerokoscrobocza"
         ),
     ),
-    "heading": Quantity("angle", _names("heading head course track trackdeg bearing kurs rumbo")),
-    "elevation": Quantity("length", _names("elevation altitude elev height z hohe hoehe altitud")),
+    "heading": Quantity("angle", _names("heading head hdng course track trackdeg trckd bearing kurs rumbo")),
+    "elevation": Quantity("length", _names("elevation altitude elev elevtn height z hohe hoehe altitud")),
     "position_sd": Quantity("length", _names("positionsd")),
     "header": Quantity(
         "state",
         _names(
             "headerdown header headerstatus headerstate headerposition harvesting inwork workstate workingstate recordingstatus "
-            "areacount arbeitsstellung arbeitszustand"
+            "areacount arecnt arbeitsstellung arbeitszustand"
         ),
     ),
-    "pass": Quantity("none", _names("pass passnumber passnum")),
+    "pass": Quantity("none", _names("pass passnumber passnum passnm")),
     "section": Quantity("none", _names("section sectionid sectionnumber sectionno boomsection teilbreite seccion secao")),
     "field": Quantity("text", _names("field fieldname schlag lote parcelle")),
     "load": Quantity("text", _names("load loadname loadnumber ladung fuhre carga")),
@@ -127,6 +136,8 @@ QUANTITIES: Mapping[str, Quantity] = {
             "equipment maschine mahdrescher maquina cosechadora colheitadeira moissonneuse machineserie"
         ),
     ),
+    "number": Quantity("none", _names("objid objectid recordid pointid rowid recno seq sequence id gid fid")),
+    "dataset": Quantity("text", _names("dataset datasetname")),
     "product": Quantity("text", _names("product variety hybrid")),
 }
 _KNOWN_NAMES = frozenset(name for facts in QUANTITIES.values() for name in facts.names)
@@ -166,15 +177,18 @@ def split_unit(name: str) -> tuple[str, str]:
 
     >>> split_unit("Flow(lb/s)"), split_unit("mass_flow_kg_s"), split_unit("Yld Mass(Wet)(lb/ac)"), split_unit("Yield t ha-1")
     (('Flow', 'lb/s'), ('mass_flow', 'kg/s'), ('Yld Mass(Wet)', 'lb/ac'), ('Yield', 't/ha'))
+    >>> split_unit("Speed_mph_")
+    ('Speed', 'mph')
     """
     found = _BRACKETS.search(name)
     if found and _is_unit(plain_unit(found[1])):
         return name[: found.start()].strip(), plain_unit(found[1])
-    lower = name.lower()
+    closed = name.rstrip("_")  # a bracket, in shapefiles and R
+    lower = closed.lower()
     for word, unit in _UNIT_WORDS:
         if lower.endswith("_" + word):
-            megagram = name[-len(word) :].startswith("Mg")
-            return name[: -len(word) - 1], f"t{unit.removeprefix('mg')}" if megagram else unit
+            megagram = closed[-len(word) :].startswith("Mg")
+            return closed[: -len(word) - 1], f"t{unit.removeprefix('mg')}" if megagram else unit
     for pattern in _BEHIND_A_BLANK:
         behind = pattern.search(name)
         if behind and _is_unit(plain_unit(behind[1])):
@@ -222,7 +236,13 @@ def plain_name(name: str) -> str:
 
 
 def columns_of(
-    names: Sequence[str], given: Mapping[str, tuple[str, str]], units: Mapping[str, str], where: str, *, width_known: bool = False
+    names: Sequence[str],
+    given: Mapping[str, tuple[str, str]],
+    units: Mapping[str, str],
+    where: str,
+    *,
+    width_known: bool = False,
+    numbers_of: Callable[[str], Array] | None = None,
 ) -> tuple[dict[str, Column], tuple[str, ...]]:
     """Quantity -> column, and notes.
 
@@ -238,6 +258,8 @@ def columns_of(
         Place for errors.
     width_known : bool
         Whether the file's own width is not needed.
+    numbers_of : callable, optional
+        A column's numbers in some of its rows, by its name: units that no name says are looked for in them.
 
     Raises
     ------
@@ -259,6 +281,12 @@ def columns_of(
                 notes.append(f"{column.name} is taken as %")
             if column is not None:
                 out[quantity] = column
+    if numbers_of is not None and lacking:
+        told = _told_by_numbers(out, lacking, numbers_of)
+        out |= told
+        if told:
+            said = ", ".join(f"{column.name} {column.unit}" for column in told.values())
+            notes.append(f"units that no name says: {said}, with which flow and yield are of one mass")
     if "flow" not in out and "yield" in out and _DRIED.search(plain_name(out["yield"].name)):
         may_be = "may be" if plain_name(out["yield"].name).startswith("vr") else "is"
         notes.append(f"{out['yield'].name} {may_be} of dried grain: so are the masses")
@@ -310,6 +338,20 @@ def _named_column(
             return Column(named[0], quantity, unit)
         lacking.setdefault(named[0], quantity)
     return None
+
+
+def _told_by_numbers(
+    out: Mapping[str, Column], lacking: Mapping[str, str], numbers_of: Callable[[str], Array]
+) -> dict[str, Column]:
+    """Columns of those that lack a unit whose numbers tell it; none where they do not."""
+    first = {quantity: name for name, quantity in reversed(lacking.items())}
+    names = first | {quantity: column.name for quantity, column in out.items()}
+    if not set(agreeing_units.QUANTITIES) <= names.keys() or any(q in out and not out[q].unit for q in agreeing_units.QUANTITIES):
+        return {}
+    known = {quantity: out[quantity].unit for quantity in agreeing_units.QUANTITIES if quantity in out}
+    numbers = {quantity: numbers_of(names[quantity]) for quantity in agreeing_units.QUANTITIES}
+    units = agreeing_units.agreeing_units(numbers, known)
+    return {quantity: Column(names[quantity], quantity, unit) for quantity, unit in units.items()}
 
 
 def _check_useful(

@@ -47,7 +47,8 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
         raise InputError(where, "has no rows", "at least one")
     geometry = geo.get("primary_column")
     if geometry is None:
-        found, notes = columns_of(tuple(fields), options.columns, {}, where, width_known=options.width_m is not None)
+        width_known, numbers_of = options.width_m is not None, vector.first_numbers(fields)
+        found, notes = columns_of(tuple(fields), options.columns, {}, where, width_known=width_known, numbers_of=numbers_of)
         columns, numbers, texts, unreadable = vector.values_of(found, fields)
         notes += unreadable + places_in_degrees(numbers, columns, options, where)
         count = len(next(iter(fields.values())))

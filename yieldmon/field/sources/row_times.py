@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +23,8 @@ from .side_by_side import steps_of_sections
 
 _LOOKED_AT = 100
 _MOST_REPEAT = 0.6
+_MOST_LAST = 0.9
+"""Share of rows with an interval from which the others are taken to have the usual one."""
 _OUT_OF_ORDER = 1.5
 """Rows lie this many times further apart than was driven between them where they are in another order."""
 
@@ -151,22 +153,50 @@ def _driven_m(values: Mapping[str, Array], rows: NDArray[np.intp], time_s: Array
 
 def _in_order(raw: Raw, values: Mapping[str, Array], where: str, why: str) -> tuple[Array, bool, tuple[str, ...]]:
     """A clock for each machine's rows that have none: as far apart as their intervals are long, else a second."""
-    of_machines = _of_machines(raw)
-    if "distance" in values:
-        ways_m = np.concatenate([_apart_m(values, rows) for rows in of_machines]), values["distance"]
-        apart_m, driven_m = (float(np.nanmedian(np.append(way_m, 0.0))) for way_m in ways_m)
-        if apart_m > _OUT_OF_ORDER * driven_m > 0:
+    orders, of = _of_machines(raw), "in the order of the file"
+    if not _are_as_driven(values, orders):
+        numbered = _by_number(raw, values, orders)
+        if not numbered or not _are_as_driven(values, numbered):
+            apart_m, driven_m = _usual_ways_m(values, orders)
             problem = f"{why}, and its rows are not in the order driven ({apart_m:.1f} m apart, {driven_m:.1f} m driven)"
             raise InputError(where, problem, "--column time=NAME:UNIT, or the rows as they were logged")
-    interval_s = values.get("interval")
-    if interval_s is not None and np.isfinite(interval_s).all() and (interval_s > 0).all():
-        step, apart = interval_s, "one after another at their intervals"
-    else:
-        step, apart = np.ones(raw.count), "one second apart"
+        orders, of = numbered, f"in the order of {raw.columns['number'].name}"
+    step, apart = np.ones(raw.count), "one second apart"
+    if "interval" in values:
+        with np.errstate(invalid="ignore"):
+            lasting = values["interval"] > 0
+        if lasting.mean() >= _MOST_LAST:
+            usual_s = float(np.median(values["interval"][lasting]))
+            step, apart = np.where(lasting, values["interval"], usual_s), "one after another at their intervals"
     time_s = np.zeros(raw.count)
-    for rows in of_machines:
+    for rows in orders:
         time_s[rows] = np.cumsum(step[rows]) - step[rows]
-    return time_s, False, (f"{why}: rows are taken as {apart}, in the order of the file",)
+    return time_s, False, (f"{why}: rows are taken as {apart}, {of}",)
+
+
+def _usual_ways_m(values: Mapping[str, Array], orders: Sequence[NDArray[np.intp]]) -> tuple[float, float]:
+    """Between rows that follow one another, by their places and by their distances."""
+    apart_m = np.concatenate([_apart_m(values, rows) for rows in orders])
+    return float(np.nanmedian(np.append(apart_m, 0.0))), float(np.nanmedian(np.append(values["distance"], 0.0)))
+
+
+def _are_as_driven(values: Mapping[str, Array], orders: Sequence[NDArray[np.intp]]) -> bool:
+    """Whether rows lie as far apart as their distances are long, as far as the file tells."""
+    if "distance" not in values:
+        return True
+    apart_m, driven_m = _usual_ways_m(values, orders)
+    return not apart_m > _OUT_OF_ORDER * driven_m > 0
+
+
+def _by_number(raw: Raw, values: Mapping[str, Array], orders: Sequence[NDArray[np.intp]]) -> list[NDArray[np.intp]]:
+    """The rows of each machine, one dataset after another, by a column of running numbers; none where it tells no order."""
+    column = raw.columns.get("dataset")
+    label = None if column is None else raw.texts.get(column.name)
+    dataset = np.zeros(raw.count, np.int32) if label is None else label.codes
+    number = values.get("number", np.full(raw.count, np.nan))
+    if not np.isfinite(number).all() or len(np.unique(np.stack([raw.machine_of_row, dataset, number]), axis=1).T) < raw.count:
+        return []
+    return [rows[np.lexsort((number[rows], dataset[rows]))] for rows in orders]
 
 
 def _of_column(column: Column, raw: Raw, options: ReadOptions, where: str) -> tuple[Array, bool, list[str]]:

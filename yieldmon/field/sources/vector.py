@@ -6,7 +6,7 @@ from __future__ import annotations
 import json
 import warnings
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
@@ -22,7 +22,7 @@ from . import isoxml
 from .assembled import assemble, labels_from
 from .coordinates import to_degrees
 from .damage import ZIP_DAMAGE, may_be_harvest
-from .delimited import UNKNOWN, has_decimal_comma, number
+from .delimited import UNKNOWN, numbers_in
 from .naming import QUANTITIES, Column, columns_of
 from .options import ReadOptions
 from .raw_table import Raw
@@ -32,6 +32,8 @@ ORDER = 30
 _SUFFIXES = (".gpkg", ".geojson", ".json", ".shp", ".gml", ".fgb", ".kml", ".geojsonl", ".geojsons")
 _LARGEST_METADATA_BYTES = 16_000_000
 _POSITION = ("longitude", "latitude")
+_LOOKED_AT = 5_000
+"""Rows, for units that no name says."""
 _AT_ONCE = 0.2
 """Share of a layer's seconds that another has too, from which several machines made them."""
 
@@ -271,8 +273,10 @@ def table_of(layer: Layer, sidecar: Metadata, where: str, kind: str, options: Re
     x, y, notes = to_degrees(layer.x, layer.y, layer.crs, options, where)
     usable = [one for one in layer.names if one not in _POSITION]
     wanted = {quantity: column for quantity, column in options.columns.items() if quantity not in _POSITION}
-    found, more = columns_of(usable, wanted, sidecar.units, where, width_known=options.width_m is not None)
-    columns, numbers, texts, unreadable = values_of(found, dict(zip(layer.names, layer.fields, strict=True)))
+    fields = dict(zip(layer.names, layer.fields, strict=True))
+    width_known = options.width_m is not None
+    found, more = columns_of(usable, wanted, sidecar.units, where, width_known=width_known, numbers_of=first_numbers(fields))
+    columns, numbers, texts, unreadable = values_of(found, fields)
     columns |= {"longitude": Column(" x", "longitude", "deg"), "latitude": Column(" y", "latitude", "deg")}
     numbers |= {" x": x, " y": y}
     for quantity, said in (("crop", sidecar.crop), ("field", sidecar.field)):
@@ -280,6 +284,18 @@ def table_of(layer: Layer, sidecar: Metadata, where: str, kind: str, options: Re
             texts[f" {quantity}"] = Label.constant(said, len(x))
             columns[quantity] = Column(f" {quantity}", quantity, "")
     return assemble(Raw(columns, numbers, texts, len(x), notes=(*notes, *layer.said, *more, *unreadable)), where, kind, options)
+
+
+def first_numbers(fields: Mapping[str, np.ndarray]) -> Callable[[str], Array]:
+    """What gives the numbers in the first rows of a column, by its name. fields: as for values_of."""
+
+    def numbers(name: str) -> Array:
+        values = fields[name][:_LOOKED_AT]
+        if values.dtype == object:
+            return numbers_in(["" if one is None else str(one) for one in values])
+        return values.astype(float) if np.issubdtype(values.dtype, np.number) else np.full(len(values), np.nan)
+
+    return numbers
 
 
 def values_of(
@@ -308,7 +324,8 @@ def values_of(
         elif kind in ("text", "date", "state"):
             texts[column.name] = labels_from(list(values))
         else:
-            numbers[column.name] = _numbers(labels_from(list(values)))
+            label = labels_from(list(values))
+            numbers[column.name] = numbers_in(label.names)[label.codes]
     moment = next((found[q][0] for q in found if q in ("time", "day") and _is_moment(found[q][1])), None)
     if moment is not None:
         numbers["unix time"] = numbers.pop(moment.name)
@@ -333,18 +350,6 @@ def _is_moment(values: np.ndarray) -> bool:
 def _unix(values: np.ndarray) -> Array:
     out = values.astype("datetime64[ms]").astype(np.int64) * 1e-3
     return np.where(np.isnat(values), np.nan, out)
-
-
-def _numbers(label: Label) -> Array:
-    """Numbers that a file has as texts, also with decimal commas; NaN for any other text."""
-    comma = has_decimal_comma(label.names)
-    out = np.full(len(label.names), np.nan)
-    for place, name in enumerate(label.names):
-        try:
-            out[place] = number(name.replace(",", ".") if comma else name)
-        except ValueError:
-            continue
-    return out[label.codes]
 
 
 def _unreadable(numbers: Mapping[str, Array], fields: Mapping[str, np.ndarray]) -> tuple[str, ...]:
