@@ -344,7 +344,7 @@ def _told_by_numbers(
     out: Mapping[str, Column], lacking: Mapping[str, str], numbers_of: Callable[[str], Array]
 ) -> dict[str, Column]:
     """Columns of those that lack a unit whose numbers tell it; none where they do not."""
-    first = {quantity: name for name, quantity in reversed(lacking.items())}
+    first = {quantity: name for name, quantity in reversed(list(lacking.items()))}
     names = first | {quantity: column.name for quantity, column in out.items()}
     if not set(agreeing_units.QUANTITIES) <= names.keys() or any(q in out and not out[q].unit for q in agreeing_units.QUANTITIES):
         return {}
