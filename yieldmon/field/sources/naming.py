@@ -50,10 +50,10 @@ QUANTITIES: Mapping[str, Quantity] = {
     "time": Quantity(
         "date",
         _names(
-            "isotime timeutc utctime time timestamp datetime datetimeutc dateandtime gpstime unixtime datumuhrzeit datumzeit "
-            "dateheure dateetheure fechahora fechayhora datahora dataehora uhrzeit zeit zeitstempel zeitpunkt hora heure "
-            "dataora dataeora datumtijd datoogtid dataiczas ora tijd tijdstip tid tidspunkt czas "
-            "utc gpsutc utctimestamp timestamputc localtime timelocal"
+            "isotime timeutc utctime time timestamp datetime datetimeutc dateandtime gpstime gpstim unixtime datumuhrzeit "
+            "datumzeit dateheure dateetheure fechahora fechayhora datahora dataehora uhrzeit zeit zeitstempel zeitpunkt hora "
+            "heure dataora dataeora datumtijd datoogtid dataiczas ora tijd tijdstip tid tidspunkt czas utc gpsutc "
+            "utctimestamp timestamputc localtime timelocal"
         ),
     ),
     "day": Quantity("text", _names("date gpsdate utcdate dateutc datum fecha data dato")),
