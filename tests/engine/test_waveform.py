@@ -273,7 +273,7 @@ def heard(parameters: ParameterSet = PARAMETERS, **settings: object) -> tuple[li
     machine = replace(MACHINE, sensor=replace(MACHINE.sensor, response_s=2e-4))
     monitor = Monitor(engine, machine, OpenLoop(ForwardModel(machine, parameters.effects), parameters))
     records = records_in(monitor.feed_run(as_run(stepping(), kernels=False)))
-    return [r for r in records if r.kernel_verdict is KernelVerdict.USED], monitor
+    return [r for r in records if np.isfinite(r.kernel_flow_kg_s)], monitor
 
 
 def test_kernel_noise_gives_the_flow_where_the_flow_changes() -> None:
@@ -336,6 +336,9 @@ def test_a_scale_by_kernels_that_the_mean_force_cannot_have_is_a_contradiction()
     records, monitor = heard(sure, kernel_bias_sd=0.03, contradiction_windows=5)
     assert FaultCode.WAVEFORM_CONTRADICTS in records[-1].faults
     assert "kernel noise and mean force differ by" in monitor.faults.detail(FaultCode.WAVEFORM_CONTRADICTS)
+    assert "sensor.response_s" in monitor.faults.detail(FaultCode.WAVEFORM_CONTRADICTS)
+    # Not "used": neither the published flow nor the parameters are moved by it.
+    assert records[-1].kernel_verdict is KernelVerdict.CONTRADICTS
 
 
 @pytest.mark.parametrize("weight_g", [0.35, 770.0])

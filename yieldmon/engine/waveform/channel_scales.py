@@ -115,7 +115,8 @@ class ChannelScales:
         z = found.log_over_mean_force / hypot(_lasting(mean_flow), found.lasting_sd)
         if not abs(z) > self._settings.contradiction_z:
             return ""
-        return f"kernel noise and mean force differ by {abs(z):.1f} standard deviations"
+        ask = "is sensor.response_s, the kernels' weight or the calibration wrong?"
+        return f"kernel noise and mean force differ by {abs(z):.1f} standard deviations; {ask}"
 
     @staticmethod
     def _holds(scale: Scale, now_s: float, estimator: FlowEstimator) -> bool:

@@ -140,6 +140,8 @@ class Waveform:
         now_s = reading.window.end_s
         if against := self._scales.kernels_contradict(mean_flow, now_s, estimator):
             seen = _with(seen, contradiction=seen.contradiction or against)
+            if seen.kernels is KernelVerdict.USED:
+                seen = _with(seen, kernels=KernelVerdict.CONTRADICTS, kernels_reason=against)
         found = self.corrected(mean_flow, now_s, estimator)
         if found is None:
             return seen

@@ -27,7 +27,8 @@ _TINY = 1e-9
 
 
 class KernelVerdict(IntEnum):
-    """Whether kernel noise gives a flow, else what stands in the way."""
+    """Whether kernel noise gives a flow, else what stands in the way. CONTRADICTS: a flow that nothing uses, since it and that of
+    the mean force exclude each other."""
 
     NOT_LOOKED_AT = 0
     USED = 1
@@ -39,6 +40,7 @@ class KernelVerdict(IntEnum):
     BACKGROUND = 7
     SLOW_CELL = 8
     UNEVEN = 9
+    CONTRADICTS = 10
 
 
 @dataclass(frozen=True, slots=True)
