@@ -416,6 +416,34 @@ def test_a_model_error_makes_room_for_a_misfit() -> None:
     assert self_calibrate(MODEL, prior(), [bent], settings=ClosedLoopSettings(model_error=0.02)).consistent
 
 
+def test_the_parameters_own_model_error_counts() -> None:
+    """As `calibrate` writes it; without it the windows would contradict, and the flow be surer than the calibration was."""
+    rows = sweep(12.0, noise=0.005)
+    bent = dataclasses.replace(rows, force_n=rows.force_n * (1.0 + 0.02 * (-1.0) ** np.arange(11)))
+    known = dataclasses.replace(prior(), model_error=0.02)
+    by_parameters, by_settings = (
+        self_calibrate(MODEL, parameters, [bent], settings=ClosedLoopSettings(model_error=error))
+        for parameters, error in ((known, 0.0), (prior(), 0.02))
+    )
+    assert by_parameters.consistent
+    assert by_parameters.flows == by_settings.flows
+
+
+def test_a_sweep_that_leads_to_an_end_of_the_range_of_grain_determines_nothing() -> None:
+    """Grain of 600 kg/m3, which no calibration looks for; what weighs it does."""
+    known, light = prior(widths=(0.02, 0.02, 0.9)), {**CENTRE, "density": 600.0}
+    found = self_calibrate(MODEL, known, [sweep(12.0, light)])
+    assert not found.updated
+    assert found.parameter_set is known
+    assert "density to 750 kg/m3 (750 to 2000), to an end of its range" in found.reason
+    assert [(p.value, p.sd, p.learned) for p in found.parameters] == [(p.prior, p.prior_sd, False) for p in found.parameters]
+    weighed = self_calibrate(MODEL, known, [sweep(12.0, light)], density=DensityAnchor(600.0, 30.0))
+    assert weighed.parameter_set.values["density"] == pytest.approx(600.0, abs=60.0)
+    put_there = dataclasses.replace(known, values={**CENTRE, "density": 650.0})
+    below = self_calibrate(MODEL, put_there, [sweep(12.0, light)]).parameter_set
+    assert below.values["density"] == pytest.approx(600.0, abs=2.0 * below.standard_deviation("density"))
+
+
 def test_the_covariance_after_a_refusal_in_part_is_one() -> None:
     rng = np.random.default_rng(8)
     for seed in range(12):
@@ -456,6 +484,8 @@ def weighed(anchor: MassAnchor) -> object:
             "std_dev_kg_m3 0: expected a number above 0",
         ),
         (lambda: ClosedLoopSettings(flow="cubic"), "expected constant, linear or process"),
+        (lambda: ClosedLoopSettings(model_error=float("nan")), "model_error is nan; expected a number, 0 or more"),
+        (lambda: ClosedLoopSettings(flow_process_time_s=0.0), "flow_process_time_s is 0.0; expected a number above 0"),
     ],
 )
 def test_bad_input_is_refused(call, message: str) -> None:  # type: ignore[no-untyped-def]

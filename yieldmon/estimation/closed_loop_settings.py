@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import inf
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +34,7 @@ class ClosedLoopSettings:
     Raises
     ------
     ValueError
-        For another flow model.
+        For another flow model, and for numbers out of their range.
 
     Examples
     --------
@@ -53,3 +54,9 @@ class ClosedLoopSettings:
     def __post_init__(self) -> None:
         if self.flow not in ("constant", "linear", "process"):
             raise ValueError(f"flow model {self.flow!r}; expected constant, linear or process")
+        for name in ("flow_slope_sd_per_s", "flow_process_sd", "flow_process_time_s"):
+            if not 0.0 < getattr(self, name) < inf:
+                raise ValueError(f"{name} is {getattr(self, name)}; expected a number above 0")
+        for name in ("model_error", "learned_information", "kept_ratio", "consistent_p"):
+            if not 0.0 <= getattr(self, name) < inf:
+                raise ValueError(f"{name} is {getattr(self, name)}; expected a number, 0 or more")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from functools import cached_property
+from math import isfinite
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yieldmon.physics.effects import get_effect
-from yieldmon.physics.grain import EXCHANGE_FORM, REQUIRED
+from yieldmon.physics.grain import EXCHANGE_FORM, GRAIN, REQUIRED
 from yieldmon.physics.machine import SAME_ANGLE_RAD
 from yieldmon.physics.numerics import Array
 
@@ -21,6 +22,12 @@ if TYPE_CHECKING:
 
 SCALE, WEIGHED = "scale", "weighed"
 """Key and value of the provenance of parameters whose scale weighed masses have set."""
+
+_LARGEST_CORRELATION = 1.0 + 1e-6
+_ROUNDING = 1e-9
+"""Of a covariance, over the largest variance."""
+_LEAST_EIGENVALUE = -1e-3
+"""Of a matrix of correlations: those written with three digits may be as far from one that is possible."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +99,7 @@ class ParameterSet:
     Raises
     ------
     ValueError
-        When the pieces do not fit together.
+        When the pieces do not fit together, and for values and covariances that nothing can have.
 
     Examples
     --------
@@ -126,11 +133,7 @@ class ParameterSet:
             raise ValueError(f"covariance names {missing} have no value; expected some of {list(self.values)}")
         if twice := sorted({name for name in self.covariance_names if self.covariance_names.count(name) > 1}):
             raise ValueError(f"covariance names {twice} more than once; expected each parameter once")
-        exactly = np.array_equal(covariance, covariance.T)
-        if not exactly and not np.allclose(covariance, covariance.T, rtol=1e-9, atol=0.0):
-            raise ValueError("covariance is not symmetric")
-        if count and np.any(np.diag(covariance) < 0.0):
-            raise ValueError("covariance has a negative variance")
+        _refuse_impossible(self.covariance_names, covariance)
         for name in REQUIRED:
             if name not in self.values:
                 raise ValueError(f"parameter {name} is missing; given are {list(self.values)}")
@@ -139,6 +142,11 @@ class ParameterSet:
             raise ValueError("parameters need either restitution, or k1 and k2")
         for name in self.effects:
             get_effect(name)
+        for name, value in self.values.items():
+            # A search may pass through a restitution below 0; nothing has a density of 0 or less.
+            above_0 = name in GRAIN and not GRAIN[name].follows_response and GRAIN[name].limits[0] > 0.0
+            if not isfinite(value) or (above_0 and not value > 0.0):
+                raise ValueError(f"{name} is {value:g}; expected a number{' above 0' if above_0 else ''}")
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, ParameterSet):
@@ -203,3 +211,28 @@ class ParameterSet:
                 if a in self.covariance_names and b in self.covariance_names:
                     out[i, j] = self.covariance[self.covariance_names.index(a), self.covariance_names.index(b)]
         return out
+
+
+def _refuse_impossible(names: tuple[str, ...], covariance: Array) -> None:
+    """Raises ValueError for a matrix that is no covariance of any quantities."""
+    if not np.all(np.isfinite(covariance)):
+        raise ValueError("covariance holds numbers that are not finite")
+    exactly = np.array_equal(covariance, covariance.T)
+    if not exactly and not np.allclose(covariance, covariance.T, rtol=1e-9, atol=0.0):
+        raise ValueError("covariance is not symmetric")
+    variance = np.diag(covariance)
+    if np.any(variance < 0.0):
+        raise ValueError("covariance has a negative variance")
+    std_dev = np.sqrt(variance)
+    largest = _LARGEST_CORRELATION * np.outer(std_dev, std_dev) + _ROUNDING * variance.max(initial=0.0)
+    for i, j in np.argwhere(np.abs(covariance) > largest):
+        first, second = (names[k] for k in sorted((i, j)))
+        problem = f"{first} and {second}: {covariance[i, j]:g} with variances {std_dev[i] ** 2:g} and {std_dev[j] ** 2:g}"
+        raise ValueError(f"covariance.matrix: {problem}; expected a correlation from -1 to 1")
+    known_to_vary = np.flatnonzero(std_dev > 0.0)
+    if known_to_vary.size:
+        part = np.ix_(known_to_vary, known_to_vary)
+        lowest = float(np.linalg.eigvalsh(covariance[part] / np.outer(std_dev, std_dev)[part])[0])
+        if lowest < _LEAST_EIGENVALUE:
+            problem = f"has correlations that cannot all be: their lowest eigenvalue is {lowest:.2g}"
+            raise ValueError(f"covariance.matrix: {problem}; expected 0 or more")

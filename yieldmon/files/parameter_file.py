@@ -36,11 +36,6 @@ _LEAST_DENSITY_KG_M3 = 20.0
 """No grain is lighter; a number below it is in another unit."""
 _BEYOND_BOUNDS = 0.05
 """Share of an effect's range by which a value that was learnt may lie beyond it."""
-_LARGEST_CORRELATION = 1.0 + 1e-6
-_ROUNDING = 1e-9
-"""Of a covariance, over the largest variance."""
-_LEAST_EIGENVALUE = -1e-3
-"""Of a matrix of correlations: those written with three digits may be as far from one that is possible."""
 _KEYS = ("format", "version", "effects", "covariance", "calibrated_range", "response_unit", "model_error", "curve", "provenance")
 #: All keys of a parameter file.
 KEYS = frozenset((*GRAIN_LIMITS, *_KEYS))
@@ -73,7 +68,6 @@ def load(path: str | Path | None = None) -> ParameterSet:
     if known.values["density"] < _LEAST_DENSITY_KG_M3:
         raise InputError(f"{path}: density", f"is {known.values['density']:g}", "kg/m3; this looks like g/cm3 or t/m3")
     _check_effects(known, str(path))
-    _check_correlations(known, str(path))
     return known
 
 
@@ -183,25 +177,6 @@ def _check_effects(known: ParameterSet, where: str) -> None:
         if not in_other_unit and not parameter.lower - beyond <= value <= parameter.upper + beyond:
             expected = f"a number from {parameter.lower:g} to {parameter.upper:g} {parameter.unit}".rstrip()
             raise InputError(f"{where}: effects.{name}", f"is {value:g}", expected)
-
-
-def _check_correlations(known: ParameterSet, where: str) -> None:
-    """Raises InputError for a covariance that no quantities can have."""
-    variance = np.diag(known.covariance)
-    std_dev = np.sqrt(variance)
-    rounding = _ROUNDING * variance.max(initial=0.0)
-    excess = np.abs(known.covariance) > _LARGEST_CORRELATION * np.outer(std_dev, std_dev) + rounding
-    for i, j in np.argwhere(excess):
-        first, second = (known.covariance_names[k] for k in sorted((i, j)))
-        problem = f"{first} and {second}: {known.covariance[i, j]:g} with variances {std_dev[i] ** 2:g} and {std_dev[j] ** 2:g}"
-        raise InputError(f"{where}: covariance.matrix", problem, "a correlation from -1 to 1")
-    known_to_vary = np.flatnonzero(std_dev > 0.0)
-    if known_to_vary.size:
-        part = np.ix_(known_to_vary, known_to_vary)
-        lowest = float(np.linalg.eigvalsh(known.covariance[part] / np.outer(std_dev, std_dev)[part])[0])
-        if lowest < _LEAST_EIGENVALUE:
-            problem = f"has correlations that cannot all be: their lowest eigenvalue is {lowest:.2g}"
-            raise InputError(f"{where}: covariance.matrix", problem, "0 or more")
 
 
 def _effect_values(effects: Mapping[str, Any], where: str) -> dict[str, float]:

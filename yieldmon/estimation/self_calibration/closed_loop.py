@@ -15,6 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from yieldmon.estimation.admission import allowing_for
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
 from yieldmon.estimation.fitting.identifiability import (
     Direction,
@@ -25,7 +26,7 @@ from yieldmon.estimation.fitting.identifiability import (
     share_flow,
 )
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.physics.grain import GRAIN
+from yieldmon.physics.grain import GRAIN, at_search_end
 from yieldmon.physics.model import ForwardModel, refuse_impossible
 from yieldmon.physics.numerics import Array
 
@@ -69,8 +70,9 @@ def self_calibrate(
     -------
     Outcome
         `parameter_set` is the one to use from now on; `flows`, `parameters`, `scale` and `reason` give the result. The whole
-        update is refused when the misfit is too large, and directions that the data hardly determine are not updated: see
-        `ClosedLoopSettings.learned_information` and `kept_ratio`.
+        update is refused when the misfit is too large, or when sweeps alone would put a parameter at an end of the range in which
+        grain lies; directions that the data hardly determine are not updated: see `ClosedLoopSettings.learned_information` and
+        `kept_ratio`. The model's error is at least that of the prior.
 
     Raises
     ------
@@ -93,8 +95,10 @@ def self_calibrate(
     >>> round(found.flows[0].mass_flow_kg_s, 1)
     12.0
     """
-    read = ClosedLoopSettings() if settings is None else settings
+    read = allowing_for(ClosedLoopSettings() if settings is None else settings, prior)
     found = learn(model, prior, sweeps, anchors=anchors, density=density, settings=read)
+    if not anchors and density is None and (ends := at_search_end(found.parameter_set.values, found.learned())):
+        found = _not_determined(found, prior, ends)
     if found.consistent or not sweeps:
         return found
     # Paule and Mandel, J. Res. NBS 87 (1982) 377: the error that makes chi-square its degrees of freedom.
@@ -105,6 +109,25 @@ def self_calibrate(
         wrong = learn(model, prior, sweeps, anchors=anchors, density=density, settings=replace(read, model_error=error))
         low, high = (error, high) if wrong.chi2 > wrong.dof else (low, error)
     return replace(found, flows=tuple(map(_with_difference, found.flows, wrong.flows)))
+
+
+def _not_determined(found: Outcome, prior: ParameterSet, ends: Sequence[str]) -> Outcome:
+    """Nothing of an update that ends where the search does: such a value is the range's, and the others' lean on it."""
+    values = found.parameter_set.values
+    at = " and ".join(f"{name} to {values[name]:.4g} {GRAIN[name].unit}".rstrip() + _range(name) for name in ends)
+    return replace(
+        found,
+        parameter_set=prior,
+        updated=False,
+        reason=f"the windows would move {at}, to an end of its range, and so do not determine it; the parameters stay",
+        parameters=tuple(replace(p, value=p.prior, sd=p.prior_sd, learned=False) for p in found.parameters),
+        scale=replace(found.scale, posterior_sd=found.scale.prior_sd, shift=0.0),
+    )
+
+
+def _range(name: str) -> str:
+    low, high = GRAIN[name].search
+    return f" ({low:g} to {high:g})"
 
 
 def _with_difference(flow: FlowPosterior, other: FlowPosterior) -> FlowPosterior:

@@ -18,7 +18,7 @@ from yieldmon.estimation.fitting.batch import MomentumBatch
 from yieldmon.estimation.fitting.least_squares import levenberg_marquardt
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.estimation.priors import Prior, physical_bounds
+from yieldmon.estimation.priors import Prior, physical_bounds, search_bounds
 from yieldmon.physics.machine import SAME_ANGLE_RAD
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.numerics import Array
@@ -115,10 +115,9 @@ class ClosedLoopProblem:
         self.density = density
         self.white, _ = self.prior.whitening(self.names)
         self.fixed = {k: v for k, v in prior.values.items() if k not in self.names}
-        scale = _impact_scale(prior.values)
-        limits = [physical_bounds(n, scale) for n in self.names]
-        self.lower = np.array([min(lo, m) for (lo, _), m in zip(limits, self.prior.mean, strict=True)])
-        self.upper = np.array([max(hi, m) for (_, hi), m in zip(limits, self.prior.mean, strict=True)])
+        weighed = bool(anchors) or density is not None
+        bounds = [self._bounds(n, float(m), weighed=weighed) for n, m in zip(self.names, self.prior.mean, strict=True)]
+        self.lower, self.upper = (np.array(ends) for ends in zip(*bounds, strict=True))
         self.rows = MomentumBatch(model, self._conditions(), self.names, self.fixed)
         forces = [s.force_n for s in self.sweeps] + [a.force_n for a in self.anchors]
         self.force: Array = np.concatenate(forces) if forces else np.zeros(0)
@@ -131,6 +130,15 @@ class ClosedLoopProblem:
         self._near = _AnchorFlows(np.zeros(0), np.zeros((0, len(self.names))), self.prior.mean)
         """Where the weighed loads were evaluated last."""
         self._last: tuple[bytes, _Forces] | None = None
+
+    def _bounds(self, name: str, mean: float, *, weighed: bool) -> tuple[float, float]:
+        """Where a parameter is looked for: by sweeps alone where calibrations look; with something weighed, or from a value that
+        a person put outside, in all that is possible."""
+        scale = _impact_scale(self.prior_set.values)
+        low, high = search_bounds(name, scale)
+        if weighed or not low <= mean <= high:
+            low, high = physical_bounds(name, scale)
+        return min(low, mean), max(high, mean)
 
     def _conditions(self) -> Conditions:
         parts: tuple[Sweep | MassAnchor, ...] = (*self.sweeps, *self.anchors)
