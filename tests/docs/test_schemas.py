@@ -13,7 +13,7 @@ from tools.reference.documents import DOCUMENTS
 
 KEPT = {
     "calibrate-dem": "calibrate", "calibrate-bench": "calibrate", "calibrate-corn": "calibrate", "diagnose-dem": "diagnose",
-    "diagnose-bench": "diagnose",
+    "diagnose-bench": "diagnose", "demo": "demo", "self-calibrate": "self-calibrate",
 }  # fmt: skip
 
 

@@ -12,6 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from tests.plant_sweeps import MACHINE, NONE, STRONG, Effects, shown_force, sweep_windows
+from tests.schema_check import problems
 from yieldmon.cli.main import main
 from yieldmon.discrepancy.policy import Policy
 from yieldmon.errors import InputError
@@ -92,6 +93,7 @@ def test_what_is_said_of_all_machines(
     assert said in capsys.readouterr().out
     assert main(["fleet", "diagnose", "season", "--workers", "1", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
+    assert problems(document, "fleet-diagnose") == []
     assert (document["shared"], len(document["model"]), len(document["candidates"])) == (shared, len(model), len(candidates))
 
 

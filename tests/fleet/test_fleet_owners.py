@@ -17,6 +17,7 @@ from typing import Any
 import pytest
 
 from tests.fleet import logs
+from tests.schema_check import problems
 from yieldmon.cli.main import main
 from yieldmon.fleet.copies import with_copies
 from yieldmon.fleet.dataset import MARK, Dataset
@@ -40,6 +41,7 @@ def fleet_run(source: Path, out: Path, capsys: pytest.CaptureFixture[str], *word
     """Exit code, document and what was said."""
     code = main(["fleet", "run", str(source), "--out", str(out), "--workers", "0", "--json", *words])
     printed = capsys.readouterr()
+    assert not printed.out or problems(json.loads(printed.out), "fleet-run") == []
     return code, json.loads(printed.out or "{}"), printed.err
 
 

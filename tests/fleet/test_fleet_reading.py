@@ -16,6 +16,7 @@ import pytest
 
 from tests.fleet import logs
 from tests.fleet.sealing import seal
+from tests.schema_check import problems
 from yieldmon.cli.main import main
 from yieldmon.files.parameter_file import load as load_parameters
 from yieldmon.fleet.comparison import compare
@@ -63,6 +64,7 @@ def test_names_that_differ_at_their_end_only(season: Path, tmp_path: Path, capsy
 def test_report(season: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["fleet", "report", str(season / "first"), "--json", "--html", str(tmp_path / "r.html")]) == 0
     found = json.loads(capsys.readouterr().out)
+    assert problems(found, "fleet-report") == []
     assert [(m["machine"], m["days"]) for m in found["machines"]] == [("m0", 2), ("m1", 2)]
     assert found["totals"]["machine_days"] == 4
     assert found["totals"]["mass_kg"] == pytest.approx(sum(day["mass_kg"] for day in found["days"]))
@@ -263,6 +265,9 @@ def test_comparison(season: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["fleet", "compare", first, first]) == 0
     assert main(["fleet", "compare", first, second]) == 1
     capsys.readouterr()
+    assert main(["fleet", "compare", first, second, "--json"]) == 1
+    assert problems(json.loads(capsys.readouterr().out), "fleet-compare") == []
+    capsys.readouterr()
     found = compare(first, second)
     assert found["equal"] == 0
     assert found["because"] == {"parameters_sha256": 4}
@@ -417,6 +422,7 @@ def test_prior_from_the_tickets_of_a_dataset(tmp_path: Path, capsys: pytest.Capt
     assert measure(tmp_path / "tree", dataset, "--crop", "corn") == 0
     assert main(["fleet", "prior", dataset, "--crop", "corn", "--out", str(out), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
+    assert problems(found, "fleet-prior") == []
     assert {name: entry["loads"] for name, entry in found["machines"].items()} == {"m0": 1, "m1": 1, "m2": 1}
     # A machine that weighs heavier for the same force has denser grain or a smaller gain.
     shifts = [entry["density_pct"] - entry["gain_pct"] for entry in found["machines"].values()]

@@ -19,6 +19,7 @@ from typing import Any
 import can
 import pytest
 
+from tests.schema_check import problems
 from yieldmon import frames
 from yieldmon.bus.codec import Codec
 from yieldmon.cli import main as cli
@@ -231,7 +232,16 @@ def ask(folder: Path, capsys: pytest.CaptureFixture[str], *words: str) -> dict[s
     """The answer to a command as `yieldmon WORDS --json` prints it."""
     assert cli.main([*words, "--socket", str(folder / "yieldmon.sock"), "--json"]) == 0
     answer: dict[str, Any] = json.loads(capsys.readouterr().out)
+    if (schema := _schema_of(*words)) is not None:
+        assert problems(answer, schema) == []
     return answer
+
+
+def _schema_of(verb: str, action: str = "", *_: str) -> str | None:
+    """The published schema of what such a command prints, None for one without."""
+    if verb == "ticket":
+        return f"ticket-{action}" if action in ("list", "undo") else "ticket"
+    return {"status": "status", "load": f"load-{action}"}.get(verb)
 
 
 @contextlib.contextmanager

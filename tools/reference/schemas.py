@@ -21,8 +21,11 @@ def files(folder: Path) -> dict[Path, str]:
 
 
 def markdown() -> str:
-    """A row for each schema."""
-    rows = [f"|[{name}](schemas/{name}.json)|{_description(document)}|" for name, document in DOCUMENTS.items()]
+    """A row for each schema, with the first sentence of what it says of itself."""
+    rows = [
+        f"|[{name}](schemas/{name}.json)|{_description(document).partition('. ')[0].removesuffix('.')}|"
+        for name, document in DOCUMENTS.items()
+    ]
     return "\n".join(["|schema|of|", "|---|---|", *rows])
 
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import argparse
 from dataclasses import replace
 from math import isfinite
-from typing import Any
 
 import numpy as np
 
 from yieldmon.cli import _notes, _outputs, _provenance, model_options
 from yieldmon.cli._json import print_document
 from yieldmon.cli._limits import above_0
+from yieldmon.documents.self_calibrate import SelfCalibrationDocument, SweepFlow, UpdateDocument
 from yieldmon.errors import InputError
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
 from yieldmon.estimation.self_calibration.closed_loop import self_calibrate
@@ -215,12 +215,12 @@ def _density(text: str | None) -> DensityAnchor | None:
 
 def _document(
     data: table.Table, machine: Machine, outcomes: list[Outcome], names: list[str], true: list[float], sweeps: list[Sweep]
-) -> dict[str, Any]:
+) -> SelfCalibrationDocument:
     flows = [flow for outcome in outcomes for flow in outcome.flows]
-    groups = []
+    groups = list[SweepFlow]()
     for name, flow, known, sweep in zip(names, flows, true, sweeps, strict=True):
         passes = machine.passes_per_s(float(sweep.elevator_speed_rad_s.mean()))
-        row: dict[str, Any] = {
+        row: SweepFlow = {
             "group": name,
             "mass_flow_kg_s": flow.mass_flow_kg_s,
             "std_dev_kg_s": flow.std_dev_kg_s,
@@ -228,7 +228,8 @@ def _document(
             "paddle_mass_kg": flow.mass_flow_kg_s / passes,
         }
         if isfinite(known):
-            row |= {"true_mass_flow_kg_s": known, "error_pct": 100.0 * (flow.mass_flow_kg_s / known - 1.0)}
+            row["true_mass_flow_kg_s"] = known
+            row["error_pct"] = 100.0 * (flow.mass_flow_kg_s / known - 1.0)
         groups.append(row)
     errors = [abs(row["error_pct"]) for row in groups if "error_pct" in row]
     return {
@@ -240,7 +241,7 @@ def _document(
     }
 
 
-def _update(outcome: Outcome) -> dict[str, Any]:
+def _update(outcome: Outcome) -> UpdateDocument:
     scale = outcome.scale
     return {
         "updated": outcome.updated,
@@ -260,7 +261,7 @@ def _update(outcome: Outcome) -> dict[str, Any]:
         "scale": {
             "direction": "(mass flow, density, impact gain) -> (a, a, 1/a)",
             "observable": scale.observable,
-            "ratio": scale.ratio,
+            "ratio": scale.ratio if isfinite(scale.ratio) else None,
             "shift": scale.shift,
             "prior_sd": scale.prior_sd,
         },
@@ -271,7 +272,7 @@ def _update(outcome: Outcome) -> dict[str, Any]:
     }
 
 
-def _text(document: dict[str, Any]) -> str:
+def _text(document: SelfCalibrationDocument) -> str:
     lines = [f"{'group':<14}{'flow kg/s':>11}{'sd':>9}   {100 * LEVEL:.0f} % interval{'true':>12}{'error %':>9}"]
     for row in document["groups"]:
         low, high = row["interval_kg_s"]
@@ -288,8 +289,8 @@ def _text(document: dict[str, Any]) -> str:
             before, after = f"{p['prior']:>11.5g}{p['prior_sd']:>10.3g}", f"{p['value']:>12.5g}{p['sd']:>10.3g}"
             lines.append(f"{name:<32}{before}{after}{100 * p['ratio']:>6.0f} %{kept}")
         scale = update["scale"]
-        moved = f"width {100 * scale['ratio']:.0f} % of the prior's, moved by {100 * scale['shift']:+.2f} %"
-        lines.append(f"scale {scale['direction']}: {moved}")
+        width = "not uncertain" if scale["ratio"] is None else f"width {100 * scale['ratio']:.0f} % of the prior's"
+        lines.append(f"scale {scale['direction']}: {width}, moved by {100 * scale['shift']:+.2f} %")
         lines += [f"unobservable: {text}" for text in update["unobservable"]]
         lines.append(f"{update['reason']}. chi2 {update['chi2']:.4g} for {update['dof']}, p = {update['p_value']:.2g}")
     if "written" in document:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TypedDict
+from typing import Literal, TypedDict
 
 Number = float | None
 
@@ -14,3 +14,9 @@ class Harvested(TypedDict):
     mass_of_unknown_area_kg: float
     yield_kg_m2: Number
     dry_yield_kg_m2: Number
+
+
+class Answered(TypedDict):
+    """An answer of the daemon. units: in which people are shown masses; documents are in SI."""
+
+    units: Literal["metric", "us"]

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any, TypedDict
+from typing import TypedDict
 
 from .common import Harvested, Number
+from .loads import ListedLoad
 
 
 class StatusCrop(TypedDict):
@@ -226,7 +227,7 @@ class StatusFigures(TypedDict):
     now: StatusNow
     configuration: StatusConfiguration
     load: StatusLoad
-    loads: list[dict[str, Any]]
+    loads: list[ListedLoad]
     total: StatusTotal
     windows: list[dict[str, float | str | None]]
     zero_mv: Number

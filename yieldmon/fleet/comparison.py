@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections import Counter
-from typing import Any
+from typing import Any, get_args
 
+from yieldmon.documents.fleet import Cause, ColumnDifference, DayDifference, FleetCompareDocument
 from yieldmon.fleet import tables
 from yieldmon.fleet.dataset import Commit
 from yieldmon.fleet.querying import Query, opened
 
 _SUMS = "SELECT count(*) AS seconds, coalesce(sum(mass_kg), 0.0) AS mass_kg FROM {}"
-_SIDES = ("first", "second")
+_CAUSES: tuple[Cause, ...] = get_args(Cause)
 _ROWS = "SELECT * FROM {} ORDER BY number"
 
 
-def compare(first: str, second: str) -> dict[str, Any]:
+def compare(first: str, second: str) -> FleetCompareDocument:
     """Compare two datasets.
 
     Parameters
@@ -38,9 +39,9 @@ def compare(first: str, second: str) -> dict[str, Any]:
         ours, theirs = ({commit.name: commit for commit in query.commits} for query in (before, after))
         both = [name for name in ours if name in theirs]
         unequal = [name for name in both if _files(ours[name]) != _files(theirs[name])]
-        different = [_difference(ours[name], theirs[name], before, after) for name in unequal]
-        changes = Counter(reason for item in different for reason in item["because"])
-        lacking = [Counter(name for item in different for name in item.pop(f"columns_only_in_{which}")) for which in _SIDES]
+        found = [_difference(ours[name], theirs[name], before, after) for name in unequal]
+        changes = Counter(reason for item, _ in found for reason in item["because"])
+        only = [Counter(name for _, lacking in found for name in lacking[side]) for side in (0, 1)]
     return {
         "first": first,
         "second": second,
@@ -49,8 +50,9 @@ def compare(first: str, second: str) -> dict[str, Any]:
         "only_in_second": [name for name in theirs if name not in ours],
         "equal": len(both) - len(unequal),
         "because": dict(changes),
-        **{f"columns_only_in_{which}": dict(found) for which, found in zip(_SIDES, lacking, strict=True)},
-        "different": different,
+        "columns_only_in_first": dict(only[0]),
+        "columns_only_in_second": dict(only[1]),
+        "different": [item for item, _ in found],
     }
 
 
@@ -59,29 +61,28 @@ def _files(commit: Commit) -> dict[str, str]:
     return {name: entry["sha256"] for name, entry in commit.content["files"].items() if name != f"{tables.PROVENANCE}.parquet"}
 
 
-def _difference(ours: Commit, theirs: Commit, before: Query, after: Query) -> dict[str, Any]:
+def _difference(ours: Commit, theirs: Commit, before: Query, after: Query) -> tuple[DayDifference, tuple[list[str], list[str]]]:
+    """And the columns of the records that the first or the second alone has."""
     records = [query.of_partition(tables.RECORDS, ours.machine, ours.day) for query in (before, after)]
     sums = [query.rows(_SUMS.format(each))[0] for query, each in zip((before, after), records, strict=True)]
     a, b = (query.table(_ROWS.format(each)) for query, each in zip((before, after), records, strict=True))
     names = sorted({*_files(ours), *_files(theirs)})
     mass = [entry["mass_kg"] for entry in sums]
-    return {
+    difference: DayDifference = {
         "machine": ours.machine,
         "day": ours.day,
-        "because": [
-            key for key in ("inputs_sha256", "parameters_sha256", "software") if ours.content[key] != theirs.content[key]
-        ],
+        "because": [key for key in _CAUSES if ours.content[key] != theirs.content[key]],
         "tables": [name.partition(".")[0] for name in names if _files(ours).get(name) != _files(theirs).get(name)],
         "seconds": [entry["seconds"] for entry in sums],
         "mass_kg": mass,
         "mass_change_pct": 100.0 * (mass[1] / mass[0] - 1.0) if mass[0] else None,
         "columns": _columns(a, b),
-        "columns_only_in_first": [name for name in a.column_names if name not in b.column_names],
-        "columns_only_in_second": [name for name in b.column_names if name not in a.column_names],
     }
+    ours_alone = [name for name in a.column_names if name not in b.column_names]
+    return difference, (ours_alone, [name for name in b.column_names if name not in a.column_names])
 
 
-def _columns(first: Any, second: Any) -> dict[str, dict[str, Any]]:
+def _columns(first: Any, second: Any) -> dict[str, ColumnDifference]:
     """Of each column that differs: in how many seconds, the first of them, and the largest difference of numbers."""
     import pyarrow as pa
     import pyarrow.compute as pc
@@ -102,7 +103,7 @@ def _columns(first: Any, second: Any) -> dict[str, dict[str, Any]]:
         seconds = pc.sum(differs).as_py() or 0
         if not seconds:
             continue
-        entry: dict[str, Any] = {"seconds": seconds, "first_number": pc.filter(ours["number"], differs)[0].as_py()}
+        entry: ColumnDifference = {"seconds": seconds, "first_number": pc.filter(ours["number"], differs)[0].as_py()}
         if numbers:
             entry["largest"] = pc.max(pc.abs(pc.subtract(b, a))).as_py()
         found[name] = entry

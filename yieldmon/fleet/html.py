@@ -6,6 +6,8 @@ from collections.abc import Iterable, Sequence
 from html import escape
 from typing import Any
 
+from yieldmon.documents.fleet import DayProblem, DaySummary, FleetReportDocument, MachineSummary, ParameterDrift, TicketRow
+
 _STYLE = """
 body{font:15px/1.45 system-ui,sans-serif;margin:2rem auto;max-width:75rem;padding:0 1rem;color:#1c2420;background:#fff}
 h1{font-size:1.5rem}h2{font-size:1.15rem;margin-top:2rem}
@@ -19,7 +21,7 @@ svg{vertical-align:middle}
 _WIDTH, _HEIGHT = 120, 24
 
 
-def page(summary: dict[str, Any]) -> str:
+def page(summary: FleetReportDocument) -> str:
     """The page's text."""
     totals = summary["totals"]
     head = (
@@ -42,17 +44,17 @@ def page(summary: dict[str, Any]) -> str:
     )
 
 
-def _problems(summary: dict[str, Any]) -> str:
+def _problems(summary: FleetReportDocument) -> str:
     parts = ("Not measured", (*summary["failed"], *summary["poisoned"])), ("Doubtful", summary["doubtful"])
     return "".join(_listed(title, items) for title, items in parts if items)
 
 
-def _listed(title: str, items: Sequence[dict[str, Any]]) -> str:
+def _listed(title: str, items: Sequence[DayProblem]) -> str:
     lines = [f"{item['machine']} {item['day']}: {item['problem']}" for item in items]
     return f'<h2>{title}</h2><ul class="bad">' + "".join(f"<li>{escape(line)}</li>" for line in lines) + "</ul>"
 
 
-def _machines(machines: Sequence[dict[str, Any]]) -> str:
+def _machines(machines: Sequence[MachineSummary]) -> str:
     header = (
         "machine",
         "crop",
@@ -78,7 +80,7 @@ def _machines(machines: Sequence[dict[str, Any]]) -> str:
     return _table(header, rows)
 
 
-def _faults(machines: Sequence[dict[str, Any]]) -> str:
+def _faults(machines: Sequence[MachineSummary]) -> str:
     codes = sorted({code for machine in machines for code in machine["faults"]})
     if not codes:
         return "<p>None.</p>"
@@ -90,7 +92,7 @@ def _faults(machines: Sequence[dict[str, Any]]) -> str:
     return _table(("machine", *codes), rows)
 
 
-def _drift(machines: Sequence[dict[str, Any]]) -> str:
+def _drift(machines: Sequence[MachineSummary]) -> str:
     names = list(dict.fromkeys(name for machine in machines for name in machine["parameters"]))
     moved = [name for name in names if any(_moves(m["parameters"].get(name)) for m in machines)]
     if not moved:
@@ -105,11 +107,11 @@ def _drift(machines: Sequence[dict[str, Any]]) -> str:
     return _raw_table(("machine", *moved), cells)
 
 
-def _moves(entry: dict[str, Any] | None) -> bool:
+def _moves(entry: ParameterDrift | None) -> bool:
     return entry is not None and len(set(entry["by_day"].values())) > 1
 
 
-def _tickets(tickets: Sequence[dict[str, Any]]) -> str:
+def _tickets(tickets: Sequence[TicketRow]) -> str:
     if not tickets:
         return "<p>No tickets.</p>"
     rows = [
@@ -119,7 +121,7 @@ def _tickets(tickets: Sequence[dict[str, Any]]) -> str:
     return _table(("machine", "day", "load", "measured kg", "weighed kg", "error %"), rows)
 
 
-def _days(days: Sequence[dict[str, Any]]) -> str:
+def _days(days: Sequence[DaySummary]) -> str:
     rows = [
         (d["machine"], d["day"], d["crop"] or "", f"{d['hours']:.2f}", f"{d['mass_kg'] / 1000.0:.2f}",
          "" if d["zero_known"] else "no zero", " ".join(f"{code} {count}x" for code, count in d["faults"].items()))

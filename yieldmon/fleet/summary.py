@@ -11,6 +11,14 @@ from typing import Any
 
 import numpy as np
 
+from yieldmon.documents.fleet import (
+    DayProblem,
+    FleetReportDocument,
+    MachineFault,
+    MachineSummary,
+    ParameterDrift,
+    TicketErrors,
+)
 from yieldmon.engine.faults import FaultCode
 from yieldmon.errors import InputError
 from yieldmon.estimation.weighing.unlike_others import unlike_the_others
@@ -54,7 +62,7 @@ WHERE kind = 'ticket' AND weighed_kg > 0 ORDER BY machine, day, name
 """
 
 
-def summarise(address: str) -> dict[str, Any]:
+def summarise(address: str) -> FleetReportDocument:
     """The summary as plain data.
 
     Parameters
@@ -83,7 +91,7 @@ def summarise(address: str) -> dict[str, Any]:
             sorted(query.rows(text), key=lambda row: places[row["machine"], row["day"]])
             for text in (_FAULTS, _PARAMETERS, _TICKETS)
         )
-        failed = query.dataset.failures()
+        failed = [_problem(note, note["problem"]) for note in query.dataset.failures()]
         poisoned = _poisoned(query)
         overlapping = overlaps(query, places)
         measured_kg = {(row["machine"], row["day"], row["name"]): row["measured_kg"] for row in query.rows(_LOG_MASSES)}
@@ -113,7 +121,13 @@ def summarise(address: str) -> dict[str, Any]:
             }
             for row in days
         ],
-        "tickets": tickets,
+        "tickets": [
+            {
+                "machine": row["machine"], "day": row["day"], "name": row["name"], "measured_kg": row["measured_kg"],
+                "weighed_kg": row["weighed_kg"], "error_pct": row["error_pct"],
+            }
+            for row in tickets
+        ],
         "failed": failed,
         "poisoned": poisoned,
         "doubtful": doubtful,
@@ -139,10 +153,12 @@ def _leave_out(days: Rows, again_kg: Mapping[Log, float]) -> None:
         row["mass_kg"] = max(row["total_mass_kg"] - row["counted_again_kg"], 0.0)
 
 
-def _doubtful(days: Rows, overlapping: Sequence[Overlap], samples: Mapping[Log, str], address: str) -> tuple[Rows, list[Log]]:
+def _doubtful(
+    days: Rows, overlapping: Sequence[Overlap], samples: Mapping[Log, str], address: str
+) -> tuple[list[DayProblem], list[Log]]:
     """Days whose mass may be too small, for damage or want of a zero, or that hold a log or time that is there twice; and the
     logs that are there twice as a whole."""
-    found: Rows = []
+    found: list[DayProblem] = []
     repeated: list[Log] = []
     pairs = {((e.machine, e.day, e.log), (e.machine, e.other_day, e.other_log)) for e in overlapping}
     repeats = Repeats(samples, pairs)
@@ -151,7 +167,7 @@ def _doubtful(days: Rows, overlapping: Sequence[Overlap], samples: Mapping[Log, 
         of_day = list(repeats.of_day(row["machine"], row["day"], logs))
         repeated += [log for log, _ in of_day]
         problems = [*_of_one_day(row, damages), *(problem for _, problem in of_day)]
-        found += [{"machine": row["machine"], "day": row["day"], "problem": problem} for problem in problems]
+        found += [_problem(row, problem) for problem in problems]
     for each in overlapping:
         own = repeats.digests.get((each.machine, each.day, each.log))
         other = repeats.digests.get((each.machine, each.other_day, each.other_log))
@@ -191,8 +207,8 @@ def _by_machine(rows: Iterable[dict[str, Any]]) -> dict[str, Rows]:
     return found
 
 
-def _machine(name: str, days: Rows, faults: Rows, sweeps: Rows, parameters: Rows, tickets: Rows) -> dict[str, Any]:
-    codes: dict[str, dict[str, float]] = {}
+def _machine(name: str, days: Rows, faults: Rows, sweeps: Rows, parameters: Rows, tickets: Rows) -> MachineSummary:
+    codes: dict[str, MachineFault] = {}
     for row in faults:
         sums = codes.setdefault(row["code"], {"count": 0, "days": 0, "seconds": 0.0})
         sums["count"] += row["count"]
@@ -217,19 +233,24 @@ def _machine(name: str, days: Rows, faults: Rows, sweeps: Rows, parameters: Rows
     }
 
 
-def _drift(rows: Rows) -> dict[str, dict[str, Any]]:
+def _drift(rows: Rows) -> dict[str, ParameterDrift]:
     """First and last value of each parameter at the end of a day, its change, and its value by day."""
-    found: dict[str, dict[str, Any]] = {}
+    found: dict[str, Rows] = {}
     for row in rows:
-        entry = found.setdefault(row["name"], {"first": row["value"], "by_day": {}})
-        entry |= {"last": row["value"], "std_dev": row["std_dev"]}
-        entry["by_day"][row["day"]] = row["value"]
-    for entry in found.values():
-        entry["change_pct"] = 100.0 * (entry["last"] / entry["first"] - 1.0) if entry["first"] else None
-    return found
+        found.setdefault(row["name"], []).append(row)
+    return {
+        name: {
+            "first": values[0]["value"],
+            "by_day": {row["day"]: row["value"] for row in values},
+            "last": values[-1]["value"],
+            "std_dev": values[-1]["std_dev"],
+            "change_pct": 100.0 * (values[-1]["value"] / values[0]["value"] - 1.0) if values[0]["value"] else None,
+        }
+        for name, values in found.items()
+    }
 
 
-def _errors(rows: Rows) -> dict[str, Any]:
+def _errors(rows: Rows) -> TicketErrors:
     """Errors of measured against weighed loads, %; None without tickets."""
     errors = [row["error_pct"] for row in rows]
     if not errors:
@@ -242,9 +263,9 @@ def _errors(rows: Rows) -> dict[str, Any]:
     }
 
 
-def _unlike_tickets(tickets: Rows) -> Rows:
+def _unlike_tickets(tickets: Rows) -> list[DayProblem]:
     """Tickets that none of the machine's others bears out."""
-    found: Rows = []
+    found: list[DayProblem] = []
     for rows in _by_machine(tickets).values():
         ratios = np.array([row["measured_kg"] / row["weighed_kg"] for row in rows])
         with np.errstate(divide="ignore"):
@@ -254,11 +275,18 @@ def _unlike_tickets(tickets: Rows) -> Rows:
             weighed_kg = row["weighed_kg"]
             nothing = f"weighs {weighed_kg:.0f} kg, and nothing was measured"
             said = in_words(weighed_kg, usual / ratio) if ratio > 0 else nothing
-            found.append({"machine": row["machine"], "day": row["day"], "problem": f"the ticket of {row['name']} {said}"})
+            found.append(_problem(row, f"the ticket of {row['name']} {said}"))
     return found
 
 
-def _poisoned(query: Query) -> Rows:
+def _poisoned(query: Query) -> list[DayProblem]:
     return [
-        {"machine": commit.machine, "day": commit.day, **item} for commit in query.commits for item in commit.content["poisoned"]
+        {"machine": commit.machine, "day": commit.day, "where": item["where"], "problem": item["problem"]}
+        for commit in query.commits
+        for item in commit.content["poisoned"]
     ]
+
+
+def _problem(of: Mapping[str, Any], problem: str) -> DayProblem:
+    """of: a row of the machine's day."""
+    return {"machine": of["machine"], "day": of["day"], "problem": problem}

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from yieldmon.documents.demo import DemoDocument
 from yieldmon.frames import ACCUMULATED_MASS, MASS_FLOW, SELF_CALIBRATION_STATUS, EstimateQuality, Frame, SweepState, Value
 from yieldmon.physics.numerics import Array
 
@@ -52,7 +53,7 @@ class Accuracy:
         """Accumulated mass against the truth, signed."""
         return 100.0 * (self.measured_mass_kg - self.true_mass_kg) / self.true_mass_kg if self.true_mass_kg else float("nan")
 
-    def to_json(self) -> dict[str, object]:
+    def to_json(self) -> DemoDocument:
         """The document of `demo --json`."""
         return {
             "flow_error_pct": {"mean_abs": _rounded(self.mean_abs_pct), "p95_abs": _rounded(self.p95_abs_pct)},

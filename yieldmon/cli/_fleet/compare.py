@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import argparse
-from typing import Any
 
 from yieldmon.cli._json import print_document
+from yieldmon.documents.fleet import FleetCompareDocument
 from yieldmon.fleet.comparison import compare
 
 _SHOWN = 20
@@ -19,16 +19,20 @@ def run(args: argparse.Namespace) -> int:
     return 1 if found["different"] or found["only_in_first"] or found["only_in_second"] else 0
 
 
-def _text(found: dict[str, Any]) -> str:
+def _text(found: FleetCompareDocument) -> str:
     lines = [f"{found['equal']} of {found['partitions']} partitions are equal"]
     if found["because"]:
         lines.append("what differs: " + ", ".join(f"{_CAUSES[name]} ({days} days)" for name, days in found["because"].items()))
     lines += [
-        f"columns of records only in {found[which]}: {', '.join(names)}"
-        for which in ("first", "second")
-        if (names := found[f"columns_only_in_{which}"])
+        f"columns of records only in {dataset}: {', '.join(names)}"
+        for dataset, names in (
+            (found["first"], found["columns_only_in_first"]),
+            (found["second"], found["columns_only_in_second"]),
+        )
+        if names
     ]
-    lines += [f"only in {found[which]}: {name}" for which in ("first", "second") for name in found[f"only_in_{which}"]]
+    lines += [f"only in {found['first']}: {name}" for name in found["only_in_first"]]
+    lines += [f"only in {found['second']}: {name}" for name in found["only_in_second"]]
     worst = sorted(found["different"], key=lambda item: -abs(item["mass_change_pct"] or 0.0))
     for item in worst[:_SHOWN]:
         change = f"{item['mass_change_pct']:+.3f} %" if item["mass_change_pct"] is not None else "no mass in A"

@@ -5,9 +5,9 @@ from __future__ import annotations
 import argparse
 from concurrent.futures import ProcessPoolExecutor
 from math import isfinite
-from typing import Any
 
 from yieldmon.cli._json import print_document
+from yieldmon.documents.fleet import FleetDiagnosisDocument, FleetEffect, MachineEffects, VisibleEffect
 from yieldmon.errors import InputError
 from yieldmon.fleet.diagnosis import POLICY, FleetDiagnosis, MachineVerdict, Named, diagnose, sweeps_of
 
@@ -23,7 +23,7 @@ def run(args: argparse.Namespace) -> int:
     return 0 if all(verdict.judged for verdict in found.machines) else 1
 
 
-def _document(found: FleetDiagnosis) -> dict[str, Any]:
+def _document(found: FleetDiagnosis) -> FleetDiagnosisDocument:
     return {
         "shared": found.shared,
         "model": [_named(item) for item in found.model],
@@ -36,11 +36,11 @@ def _document(found: FleetDiagnosis) -> dict[str, Any]:
     }
 
 
-def _verdict(item: MachineVerdict) -> dict[str, Any]:
+def _verdict(item: MachineVerdict) -> MachineEffects:
     return {"machine": item.name, "verdict": item.verdict, "effects": [_named(named) for named in item.named]}
 
 
-def _named(item: Named) -> dict[str, Any]:
+def _named(item: Named) -> FleetEffect:
     return {
         "name": item.effect,
         "confidence": item.confidence,
@@ -49,7 +49,7 @@ def _named(item: Named) -> dict[str, Any]:
     }
 
 
-def _text(document: dict[str, Any]) -> str:
+def _text(document: FleetDiagnosisDocument) -> str:
     lines = _shared_lines(document)
     for item in document["machines"]:
         if item["verdict"] == "none":
@@ -61,7 +61,7 @@ def _text(document: dict[str, Any]) -> str:
     return "\n".join([*lines, *_visible_lines(document["visible_from"])])
 
 
-def _shared_lines(document: dict[str, Any]) -> list[str]:
+def _shared_lines(document: FleetDiagnosisDocument) -> list[str]:
     """What the model lacks for all machines."""
     if document["shared"] == "effect":
         return [f"the model lacks {_words(item)}" for item in document["model"]]
@@ -73,7 +73,7 @@ def _shared_lines(document: dict[str, Any]) -> list[str]:
     return [none.get(document["shared"], "what machines share is not known: too few of one geometry could be compared")]
 
 
-def _visible_lines(visible_from: list[dict[str, Any]]) -> list[str]:
+def _visible_lines(visible_from: list[VisibleEffect]) -> list[str]:
     """What sweeps like these would show of one machine, and what they cannot."""
     seen = [v for v in visible_from if v["size"] is not None]
     lines = ["an effect of one machine's own shows in 80 of 100 such fleets from"] if seen else []
@@ -82,7 +82,7 @@ def _visible_lines(visible_from: list[dict[str, Any]]) -> list[str]:
     return [*lines, f"not visible in these sweeps at any physical size: {', '.join(unseen)}"] if unseen else lines
 
 
-def _words(named: dict[str, Any]) -> str:
+def _words(named: FleetEffect) -> str:
     count = 1 + len(named["equivalent"])
     if count > POLICY.largest_class:
         return f"something that {count} effects explain alike, {named['name']} among them"

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import argparse
-from typing import Any
 
 import numpy as np
 
 from yieldmon.cli._json import print_document
+from yieldmon.documents.fleet import DensityAndGain, FleetPriorDocument
 from yieldmon.files import parameter_file
 from yieldmon.fleet.prior import CropPrior, crop_prior
+from yieldmon.physics.numerics import Array
 
 
 def run(args: argparse.Namespace) -> int:
@@ -22,17 +23,15 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _document(found: CropPrior) -> dict[str, Any]:
+def _document(found: CropPrior) -> FleetPriorDocument:
     prior = found.prior
     known = prior.parameter_set
     return {
         "parameters": {
             name: {"value": value, "standard_deviation": known.standard_deviation(name)} for name, value in known.values.items()
         },
-        "crop_shift_pct": dict(zip(("density", "gain"), (100.0 * prior.crop_shift).tolist(), strict=True)),
-        "between_machines_sd_pct": dict(
-            zip(("density", "gain"), (100.0 * np.sqrt(np.diag(prior.between))).tolist(), strict=True)
-        ),
+        "crop_shift_pct": _scale(100.0 * prior.crop_shift),
+        "between_machines_sd_pct": _scale(100.0 * np.sqrt(np.diag(prior.between))),
         "machines": {
             machine.name: {"loads": len(machine.loads), "density_pct": 100.0 * own[0], "gain_pct": 100.0 * own[1]}
             for machine, own in zip(found.machines, prior.machines.tolist(), strict=True)
@@ -41,11 +40,20 @@ def _document(found: CropPrior) -> dict[str, Any]:
     }
 
 
-def _text(document: dict[str, Any]) -> str:
+def _scale(pair: Array) -> DensityAndGain:
+    density, gain = pair.tolist()
+    return {"density": density, "gain": gain}
+
+
+def _text(document: FleetPriorDocument) -> str:
     lines = [f"{name:<34}{p['value']:>13.6g}{p['standard_deviation']:>13.3g}" for name, p in document["parameters"].items()]
     shift, between = document["crop_shift_pct"], document["between_machines_sd_pct"]
     lines += [
-        f"{name}: {shift[name]:+.1f} % from the shipped crop; machines differ by {between[name]:.1f} % (1 sd)" for name in shift
+        f"{name}: {moved:+.1f} % from the shipped crop; machines differ by {apart:.1f} % (1 sd)"
+        for name, moved, apart in (
+            ("density", shift["density"], between["density"]),
+            ("gain", shift["gain"], between["gain"]),
+        )
     ]
     lines += [f"{name}: {m['loads']} loads" for name, m in document["machines"].items()]
     lines += [f"left out: {reason}" for reason in document["left_out"]]

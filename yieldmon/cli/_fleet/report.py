@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import argparse
 import sys
-from typing import Any
 
 from yieldmon.cli._json import print_document
+from yieldmon.documents.fleet import FleetReportDocument
 from yieldmon.files import whole_file
 from yieldmon.files.plain_text import plain
 from yieldmon.fleet.html import page
@@ -26,7 +26,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _text(summary: dict[str, Any]) -> str:
+def _text(summary: FleetReportDocument) -> str:
     names = [plain(m["machine"]) for m in summary["machines"]]
     wide = max([15, *map(len, names)]) + 1
     lines = [f"{'machine':<{wide}} days    hours         t  faults disagrees tickets  error %  drift %"]

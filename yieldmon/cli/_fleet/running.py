@@ -10,13 +10,13 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from yieldmon.cli import _named_files
 from yieldmon.cli._channels import with_channels
 from yieldmon.cli._json import print_json
+from yieldmon.documents.fleet import FleetRunDocument, PartitionProblem, PoisonedDocument
 from yieldmon.errors import InputError
 from yieldmon.files.crops import misspelt
 from yieldmon.files.plain_text import plain
@@ -180,20 +180,23 @@ def _configurations(partitions: Sequence[Partition], args: argparse.Namespace) -
     return found
 
 
-def _document(out: str, outcomes: Sequence[Outcome], partitions: Sequence[Partition], found: Manifest) -> dict[str, Any]:
-    counts = {status: sum(outcome.status == status for outcome in outcomes) for status in (DONE, SKIPPED, FAILED, LEFT)}
+def _document(out: str, outcomes: Sequence[Outcome], partitions: Sequence[Partition], found: Manifest) -> FleetRunDocument:
+    counts = Counter(outcome.status for outcome in outcomes)
     return {
         "dataset": out,
         "partitions": len(outcomes),
-        **counts,
+        "done": counts[DONE],
+        "skipped": counts[SKIPPED],
+        "failed": counts[FAILED],
+        "left": counts[LEFT],
         "frames": sum(outcome.frames for outcome in outcomes),
         "seconds": sum(outcome.seconds for outcome in outcomes),
         "left_out": list(found.left_out),
         "copies": [{"log": log, "same_as": same} for partition in partitions for log, same in partition.copies],
         "poisoned": [
-            *({"partition": "", "where": error.where, "problem": str(error)} for error in found.refused),
+            *(PoisonedDocument(partition="", where=error.where, problem=str(error)) for error in found.refused),
             *(
-                {"partition": outcome.name, **asdict(item)}
+                PoisonedDocument(partition=outcome.name, where=item.where, problem=item.problem)
                 for outcome in sorted(outcomes, key=lambda outcome: outcome.name)
                 for item in outcome.poisoned
             ),
@@ -211,7 +214,7 @@ def _document(out: str, outcomes: Sequence[Outcome], partitions: Sequence[Partit
     }
 
 
-def _lines_of(document: dict[str, Any]) -> list[str]:
+def _lines_of(document: FleetRunDocument) -> list[str]:
     lines = [*_by_machine("poisoned", document["poisoned"]), *_by_machine("left to the next run", document["why_left"])]
     lines += [f"doubtful: {item['partition']}: {item['problem']}" for item in document["doubtful"]]
     lines.append(
@@ -222,7 +225,7 @@ def _lines_of(document: dict[str, Any]) -> list[str]:
     return lines
 
 
-def _by_machine(what: str, items: Sequence[dict[str, Any]]) -> list[str]:
+def _by_machine(what: str, items: Sequence[PartitionProblem]) -> list[str]:
     """A line for each problem of a machine."""
     found: dict[tuple[str, str], list[str]] = {}
     for item in items:

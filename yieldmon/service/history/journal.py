@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from typing import Any
 
+from yieldmon.documents.loads import ListedLoad
 from yieldmon.engine.health import FaultEvent
 from yieldmon.engine.mass.load_summary import LoadClosed, LoadOpened, LoadRestated
 from yieldmon.engine.mass.missed_mass import MissedMass
@@ -81,7 +82,7 @@ class Journal:
         for number in set(restored) - set(reported):
             self.loads.corrected(number, restored[number])
 
-    def load_table(self) -> list[dict[str, Any]]:
+    def load_table(self) -> list[ListedLoad]:
         """All loads as measured, as measured again, as weighed, and the best of these."""
         standing = self.actions.ledger
         return [standing.row(load) for load in self.loads]

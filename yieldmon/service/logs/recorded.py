@@ -16,6 +16,7 @@ from typing import Any
 from yieldmon import bounded
 from yieldmon.bus.sqlite_log import SUFFIX as LOG_SUFFIX
 from yieldmon.bus.sqlite_log import is_log
+from yieldmon.documents.tickets import ListedTicket
 from yieldmon.errors import InputError, brief
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import parameter_file
@@ -161,7 +162,7 @@ def opened(path: Path) -> Iterator[Store]:
         raise InputError(str(path), str(error).removeprefix(f"{path}: "), expected) from error
 
 
-def ticket_table(store: Store) -> list[dict[str, Any]]:
+def ticket_table(store: Store) -> list[ListedTicket]:
     """All tickets of a store, as the daemon that wrote it last would list them."""
     state = store.state() or {}
     waiting, of_crop = state.get("unfinished_tickets", ()), state.get("unfinished_tickets_of_crop", {})

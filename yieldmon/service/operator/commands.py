@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from yieldmon.documents.loads import Loads, LoadStarted, LoadStopped
+from yieldmon.documents.tickets import Tickets
 from yieldmon.engine.mass.load_summary import LoadClosed, LoadOpened
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.sources import THOUSAND_KERNELS_G
@@ -63,7 +65,7 @@ def summary(status: Mapping[str, Any]) -> str:
     )
 
 
-def _load_start(order: Order) -> Answer:
+def _load_start(order: Order) -> LoadStarted:
     monitor, journal = order.monitor, order.journal
     request = order.request
     weight_g = request.mass_or_none("thousand_kernel_weight_g", *THOUSAND_KERNELS_G, "g")
@@ -129,7 +131,7 @@ def _totals_reset(order: Order) -> Answer:
     return {"total_kg": before_kg, "load": monitor.totals.load_number}
 
 
-def _load_stop(order: Order) -> Answer:
+def _load_stop(order: Order) -> LoadStopped:
     monitor, journal = order.monitor, order.journal
     if not monitor.totals.load_open:
         raise InputError("load stop", "no load is open", "one that `yieldmon load start` began")
@@ -155,11 +157,11 @@ def _load_correct(order: Order) -> Answer:
     return answer | {"goes_on": goes_on if newest and crop and goes_on and goes_on.lower() != crop.lower() else ""}
 
 
-def _loads(order: Order) -> Answer:
+def _loads(order: Order) -> Loads:
     return {"loads": order.journal.load_table()}
 
 
-def _tickets(order: Order) -> Answer:
+def _tickets(order: Order) -> Tickets:
     return {"tickets": order.journal.actions.ticket_table(order.monitor.doubted_loads)}
 
 

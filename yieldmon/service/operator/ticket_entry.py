@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import asdict, replace
+from dataclasses import replace
 from math import exp, hypot, log
 from statistics import fmean
 
+from yieldmon.documents.tickets import TicketEntered
 from yieldmon.engine.flow_estimator import FlowEstimator
 from yieldmon.engine.self_calibration.anchors import Weighing
 from yieldmon.errors import InputError
@@ -16,7 +17,7 @@ from yieldmon.files import ticket_file
 from yieldmon.files.crops import shipped_name
 from yieldmon.service.history.relearning import weighings, why_no_reference
 from yieldmon.service.operator.control_protocol import TICKET_KG
-from yieldmon.service.operator.order import Answer, Order, covered_loads
+from yieldmon.service.operator.order import Order, covered_loads
 from yieldmon.service.operator.requests import Request
 from yieldmon.service.storage.batch import Load, Ticket
 from yieldmon.service.storage.ledger import SharedTruck
@@ -28,7 +29,7 @@ _WEIGHED_SD = 0.03
 """Of ln of a load, by parameters that have learnt from a ticket or two."""
 
 
-def enter_ticket(order: Order) -> Answer:
+def enter_ticket(order: Order) -> TicketEntered:
     """Correct loads by a weighed mass, and let it update the parameters where it can.
 
     Parameters
@@ -39,10 +40,7 @@ def enter_ticket(order: Order) -> Answer:
 
     Returns
     -------
-    Answer
-        Its number, the masses, what is asked about it, and `anchor`: whether it is a reference for the calibration;
-        waits_for_crop: for whose return it waits then, "" for none. truck: what was entered where another combine filled it too;
-        weighed_mass_kg is then the best of what that leaves and of what was measured.
+    TicketEntered
 
     Raises
     ------
@@ -89,7 +87,7 @@ def enter_ticket(order: Order) -> Answer:
         "first_load": first,
         "last_load": last,
         "weighed_mass_kg": ticket.weighed_mass_kg,
-        "truck": None if truck is None else asdict(truck),
+        "truck": None if truck is None else truck.document,
         "own_mass_kg": own_kg,
         "own_std_dev_kg": std_dev_kg,
         "measured_mass_kg": measured_kg,

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
+
+from yieldmon.documents.loads import ListedLoad
+from yieldmon.documents.tickets import TicketRow, TruckDocument
 
 if TYPE_CHECKING:
     from yieldmon.service.storage.batch import Action, Load, Ticket
@@ -26,6 +29,11 @@ class SharedTruck:
     other_std_dev_kg: float
 
     @property
+    def document(self) -> TruckDocument:
+        """As it is kept with a ticket."""
+        return {"truck_kg": self.truck_kg, "other_kg": self.other_kg, "other_std_dev_kg": self.other_std_dev_kg}
+
+    @property
     def own_kg(self) -> float:
         """What the other combine leaves of it."""
         return self.truck_kg - self.other_kg
@@ -44,20 +52,25 @@ class Ledger:
         covering = [(n, t) for n, t in self.tickets.items() if t.first_load <= load_number <= t.last_load]
         return max(covering, key=lambda item: item[0]) if covering else None
 
-    def row(self, load: Load) -> dict[str, Any]:
+    def row(self, load: Load) -> ListedLoad:
         """A load as measured, as measured again, as weighed, and the best of these."""
         found, posted = self.ticket_of(load.number), self.factors.get(load.number)
         factor = found[1].factor if found is not None else 1.0 if posted is None else posted
-        measured = asdict(load)
-        std_dev_kg = measured.pop("std_dev_kg")
-        del measured["budget"]
-        return measured | {
+        return {
+            "number": load.number,
+            "field": load.field,
+            "crop": load.crop,
+            "started_s": load.started_s,
+            "ended_s": load.ended_s,
+            "mass_kg": load.mass_kg,
+            "dry_mass_kg": load.dry_mass_kg,
+            "area_m2": load.area_m2,
             "posted_mass_kg": None if posted is None else load.mass_kg * posted,
             "ticket_mass_kg": None if found is None else found[1].weighed_mass_kg,
             "corrected_mass_kg": load.mass_kg * factor,
             "corrected_dry_mass_kg": None if load.dry_mass_kg is None else load.dry_mass_kg * factor,
             "ticket_id": None if found is None else found[0],
-            "std_dev_kg": std_dev_kg,
+            "std_dev_kg": load.std_dev_kg,
         }
 
 
@@ -121,13 +134,19 @@ def ledger(tickets: Sequence[Ticket], actions: Iterable[Action]) -> Ledger:
     return Ledger({n: t for n, t in enumerate(tickets, 1) if n not in gone}, factors)
 
 
-def ticket_rows(tickets: Sequence[Ticket], actions: Iterable[Action]) -> list[dict[str, Any]]:
+def ticket_rows(tickets: Sequence[Ticket], actions: Iterable[Action]) -> list[TicketRow]:
     """Each ticket with who entered it, who took it back when, and the `SharedTruck` that it is of, None where there is none."""
     known = list(actions)
     entered = {int(a.document["ticket"]): a for a in known if a.kind == TICKET}
     undone = {int(a.document["ticket"]): a for a in known if a.kind == TICKET_UNDO}
     return [
-        asdict(ticket) | {
+        {
+            "time_s": ticket.time_s,
+            "first_load": ticket.first_load,
+            "last_load": ticket.last_load,
+            "weighed_mass_kg": ticket.weighed_mass_kg,
+            "measured_mass_kg": ticket.measured_mass_kg,
+            "note": ticket.note,
             "number": number,
             "who": entered[number].who if number in entered else "",
             "truck": entered[number].document.get("truck") if number in entered else None,
@@ -135,7 +154,7 @@ def ticket_rows(tickets: Sequence[Ticket], actions: Iterable[Action]) -> list[di
             "undone_by": undone[number].who if number in undone else None,
         }
         for number, ticket in enumerate(tickets, 1)
-    ]  # fmt: skip
+    ]
 
 
 def truck_of(document: Mapping[str, Any]) -> SharedTruck | None:

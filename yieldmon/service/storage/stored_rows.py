@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, Self
 
+from yieldmon.documents.loads import ListedLoad
 from yieldmon.engine.mass.budget import MassBudget
 from yieldmon.service.storage import schema
 from yieldmon.service.storage.batch import Action, FaultEvent, Load, ParameterVersion, Step, SweepRecord, Ticket
@@ -166,7 +167,7 @@ class StoredRows:
             Load, ((*row, *(known.get(row[0]) for known in (areas, deviations, budgets))) for row in self._checked("load"))
         )
 
-    def corrected_loads(self) -> list[dict[str, Any]]:
+    def corrected_loads(self) -> list[ListedLoad]:
         """All loads as measured, as measured again, as weighed, and the best of these."""
         standing = ledger(self.tickets(), self.actions())
         return [standing.row(load) for load in self.loads()]

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from math import isclose
 from typing import Any
 
+from yieldmon.documents.tickets import ListedTicket
 from yieldmon.engine.self_calibration.learning import ParametersChanged
 from yieldmon.errors import InputError
 from yieldmon.files.ticket_file import RELATIVE_STD_DEV
@@ -91,7 +92,7 @@ class ActionLog:
         self._new_tickets.append(ticket)
         number = len(self._tickets)
         document: dict[str, Any] = {"ticket": number, "std_dev_kg": std_dev_kg, "reference": is_reference}
-        document |= {} if truck is None else {"truck": asdict(truck)}
+        document |= {} if truck is None else {"truck": truck.document}
         self.add(ledgers.TICKET, who, document, ticket.time_s)
         if is_reference:
             (self._of_crop.setdefault(crop, []) if crop else self.waiting).append(number)
@@ -381,7 +382,7 @@ class ActionLog:
         """Tickets and postings that stand."""
         return ledgers.ledger(self._tickets, self._actions)
 
-    def ticket_table(self, doubted_loads: Collection[int] = ()) -> list[dict[str, Any]]:
+    def ticket_table(self, doubted_loads: Collection[int] = ()) -> list[ListedTicket]:
         """All tickets, with who entered them and who took them back, and what became of each. doubted_loads: those whose tickets
         contradict the ones that count."""
         rows = ledgers.ticket_rows(self._tickets, self._actions)
@@ -391,7 +392,7 @@ class ActionLog:
             to_update=dict.fromkeys(self.to_update, "") | {n: crop for crop, kept in self._of_crop.items() for n in kept},
             doubted_loads=doubted_loads,
         )
-        return [row | {"state": states.get(row["number"], "undone")} for row in rows]
+        return [{**row, "state": states.get(row["number"], "undone")} for row in rows]
 
     def take(self) -> tuple[tuple[Ticket, ...], tuple[Action, ...]]:
         """Those that no batch has brought yet; they count as brought."""

@@ -1,0 +1,33 @@
+"""What was taken back, of a ticket or a calibration."""
+
+from __future__ import annotations
+
+from typing import NotRequired, TypedDict
+
+
+class NotLearnt(TypedDict):
+    """A ticket that updates the parameters no more, and why."""
+
+    ticket: int
+    why: str
+
+
+class TicketUndone(TypedDict):
+    """A ticket that was taken back. undone to until: versions of the parameters that went with it; version, effects, crop: of
+    those from before them; crop "" for the one harvested now. learnt_again: tickets that update these again; standing_tickets:
+    those that do not. sweeps_undone: sweeps, and kernel noise, whose updates went. teaching_stays: why its update could not be
+    taken back."""
+
+    ticket: int
+    first_load: int
+    last_load: int
+    undone: NotRequired[int]
+    until: NotRequired[int]
+    version: NotRequired[int]
+    effects: NotRequired[list[str]]
+    crop: NotRequired[str]
+    standing_tickets: NotRequired[list[int]]
+    teaching_stays: NotRequired[str]
+    learnt_again: NotRequired[list[int]]
+    not_learnt_again: NotRequired[list[NotLearnt]]
+    sweeps_undone: NotRequired[int]
