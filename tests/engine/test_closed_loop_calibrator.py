@@ -929,3 +929,34 @@ def curve_weighed(calibrator: ClosedLoopCalibrator, known: OpenLoop) -> tuple[Wi
     """A ticket of another crop, later than those before."""
     record, load = curve_ticket(known, 20, 9.0)
     return dataclasses.replace(record, time_s=3500.0), (dataclasses.replace(load, start_s=2900.0, end_s=3400.0),), known
+
+
+@pytest.mark.parametrize("restart", [None, 3])
+def test_shared_trucks_know_the_scale_no_better_than_the_other_monitor_until_an_own_one_comes(restart: int | None) -> None:
+    """Of ten trucks 3 % of the load is the other monitor's error; after a restart too."""
+    settings = CalibratorSettings(closed_loop=ClosedLoopSettings())
+    calibrator, known = ClosedLoopCalibrator(MODEL, settings), OpenLoop(MODEL, PRIOR)
+    sds, masses = [], ()
+    for k in range(11):
+        start = 1000.0 * k
+        one = ticket(known, 12.0, start, start + 500.0, sd_kg=30.0)
+        if k < 10:
+            one = dataclasses.replace(one, reference_kg=0.97 * one.reference_kg, std_dev_kg=190.0, common_kg=180.0)
+        masses = (*masses, dataclasses.replace(one, load_number=k + 1))
+        record = dataclasses.replace(records(12.0)[0], time_s=start + 600.0)
+        outcome = calibrator.weigh(record, masses, known)
+        assert isinstance(outcome.estimator, OpenLoop), outcome.reason
+        known = outcome.estimator
+        at_home = MACHINE.home_plate_angle_rad, SPEED
+        force = MODEL.force(Conditions(*at_home, mass_flow_kg_s=12.0), TRUE)
+        flow = known.estimate(np.real(force), *at_home)
+        sds.append(float(flow.std_dev_kg_s / flow.mass_flow_kg_s))
+        if k == restart:
+            state = calibrator.snapshot(start + 600.0, record.total_kg)
+            calibrator = ClosedLoopCalibrator(MODEL, settings)
+            assert state is not None
+            calibrator.restore(state, known.parameters, record.total_kg)
+            calibrator.remember(masses, known)
+    assert sds[0] > sds[2] > sds[9] > 0.027
+    assert sds[10] < 0.01
+    assert abs(home_error_pct(known, 12.0)) < 1.0

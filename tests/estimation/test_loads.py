@@ -293,3 +293,16 @@ def test_loads_that_one_factor_explains_still_bound_how_the_error_changes_with_f
     found = calibrate_loads(MODEL, SHIPPED, [load(str(k), f, 1.1, truth, 0.006, seed) for k, f in enumerate(flows)])
     assert not found.load_dependence
     assert found.next_load_sd < 0.012
+
+
+@pytest.mark.parametrize(("shared", "own"), [(1, 0), (3, 0), (10, 0), (10, 1)])
+def test_trucks_that_another_combine_filled_too_know_the_scale_no_better_than_its_monitor(shared, own):
+    """Its monitor shows 3 % too much of as much grain as is this one's."""
+    of_shared = [load(str(k), 9.0 + 1.5 * (k % 3), 0.97, seed=k) for k in range(shared)]
+    trucks = [replace(one, std_dev_kg=0.032 * one.weighed_kg, common_kg=0.03 * one.weighed_kg) for one in of_shared]
+    known = calibrate_loads(MODEL, SHIPPED, [*trucks, *(load(f"own {k}", 12.0) for k in range(own))]).parameter_set
+    _, stated = departure(MODEL, known, load("next", 11.0, sd=1e-4))
+    error = abs(error_pct(known, 11.0)) / 100.0
+    assert stated > (0.027 if not own else 0.0)
+    assert error < 2.0 * stated
+    assert error < (0.04 if not own else 0.01)

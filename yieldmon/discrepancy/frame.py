@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from yieldmon.estimation import model_error
 from yieldmon.estimation.priors import Prior
-from yieldmon.physics.effects import get_effect
+from yieldmon.physics.effects import changes_force, get_effect
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.numerics import AnyArray, Array, real
 
@@ -82,7 +82,8 @@ class Frame:
     @property
     def known(self) -> tuple[str, ...]:
         """Effects that belong to the model from the start, their parameters among the fixed ones."""
-        return tuple(sorted({name.partition(".")[0] for name in self.fixed if "." in name}))
+        named = {name.partition(".")[0] for name in self.fixed if "." in name}
+        return tuple(sorted(name for name in named if changes_force(name)))
 
     def with_cells(self, cells: Cells, sd: Array) -> Frame:
         """The same questions about other cells, worked out as they are reported."""

@@ -280,7 +280,9 @@ class Monitor(MonitorView):
 
     # Tickets
 
-    def ticket(self, load_number: int, mass_kg: float, std_dev_kg: float, crop: str = "") -> ReferenceMass:
+    def ticket(
+        self, load_number: int, mass_kg: float, std_dev_kg: float, crop: str = "", common_kg: float = 0.0
+    ) -> ReferenceMass:
         """A scale ticket for a load.
 
         Parameters
@@ -290,6 +292,8 @@ class Monitor(MonitorView):
             Weighed mass and its standard deviation, kg.
         crop : str
             Of the load, where another crop is harvested now.
+        common_kg : float
+            The part of std_dev_kg by another combine's monitor, the same error in all tickets that have one.
 
         Returns
         -------
@@ -301,7 +305,7 @@ class Monitor(MonitorView):
         ValueError
             When the load is not known or a number makes no sense.
         """
-        return self._parts.learning.ticket(load_number, mass_kg, std_dev_kg, self.loads, self._parts.bus_now, crop)
+        return self._parts.learning.ticket(load_number, mass_kg, std_dev_kg, self.loads, self._parts.bus_now, crop, common_kg)
 
     def ticket_departure(
         self, load_number: int, mass_kg: float, std_dev_kg: float, of_crop: FlowEstimator | None = None
@@ -337,9 +341,8 @@ class Monitor(MonitorView):
         ----------
         load_numbers : sequence of int
             The loads that the tickets taken back covered.
-        again : sequence of (int, float, float)
-            Load, weighed mass and its standard deviation, kg, of each that is to update them again, in the order of entry: a
-            ticket with each window or sweep that ends.
+        again : sequence of Weighing
+            Each that is to update them again, in the order of entry: a ticket with each window or sweep that ends.
         learnt : sequence of int, optional
             Loads with tickets that the parameters in use rest on; None where these are the same as before.
         crop : str

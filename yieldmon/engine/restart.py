@@ -60,7 +60,8 @@ def remember_tickets(parts: Parts, tickets: Sequence[TicketState]) -> None:
     learning = parts.learning
     of_crop: dict[str | None, list[tuple[ReferenceMass, bool]]] = {None: []}
     for ticket in tickets:
-        known = learning.masses.tickets.of_earlier_load(ticket.load_number, ticket.weighed_kg, ticket.std_dev_kg)
+        weighing = ticket.load_number, ticket.weighed_kg, ticket.std_dev_kg, ticket.common_kg
+        known = learning.masses.tickets.of_earlier_load(*weighing)
         if known is not None:
             of_crop.setdefault(ticket.crop, []).append((known, ticket.waits))
     for crop, pairs in of_crop.items():

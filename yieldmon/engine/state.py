@@ -30,13 +30,14 @@ class ZeroUndo:
 @dataclass(frozen=True, slots=True)
 class TicketState:
     """A ticket for a load, kg. waits: it has not been handed to the calibrator. crop: that it waits for or has updated; None: the
-    one in use."""
+    one in use. common_kg: the part of std_dev_kg by another combine's monitor."""
 
     load_number: int
     weighed_kg: float
     std_dev_kg: float
     waits: bool
     crop: str | None = None
+    common_kg: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

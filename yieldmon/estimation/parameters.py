@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from yieldmon.physics.effects import get_effect
+from yieldmon.physics.effects import changes_force, get_effect
 from yieldmon.physics.grain import EXCHANGE_FORM, GRAIN, REQUIRED
 from yieldmon.physics.machine import SAME_ANGLE_RAD
 from yieldmon.physics.numerics import Array
@@ -165,8 +165,9 @@ class ParameterSet:
 
     @cached_property
     def effects(self) -> tuple[str, ...]:
-        """Names of the effects that the values speak of, in alphabetical order."""
-        return tuple(sorted({name.partition(".")[0] for name in self.values if "." in name}))
+        """Names of the effects that the values speak of, in alphabetical order; those alone that change a force."""
+        named = {name.partition(".")[0] for name in self.values if "." in name}
+        return tuple(sorted(name for name in named if changes_force(name)))
 
     @property
     def is_weighed(self) -> bool:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .effects import get_effect
+from .effects import changes_force, get_effect
 from .grain import EXCHANGE_FORM, RESTITUTION_FORM
 from .machine import Machine
 from .numerics import COMPLEX_STEP, AnyArray, Array, real
@@ -338,7 +338,7 @@ class ForwardModel:
         own = self.effects
         for name in parameters:
             effect, dot, _ = name.partition(".")
-            if dot and effect not in own:
+            if dot and effect not in own and changes_force(effect):
                 raise ValueError(f"parameters: {name}: the model does not have this effect; expected effects {own}")
 
     def _refuse_overfull(self, throw: Throw, conditions: Conditions) -> None:

@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from typing import NamedTuple
 
 from yieldmon.engine.mass.budget import EMPTY, MassBudget
 from yieldmon.engine.rivals import tank_leaps
@@ -18,8 +19,13 @@ _LACKING_SHARE = 0.5
 """Of the mass measured between two readings, what no calibration is wrong by: the rest was unloaded."""
 
 
-Weighing = tuple[int, float, float]
-"""Of a load: its number, its mass and the standard deviation of that, kg."""
+class Weighing(NamedTuple):
+    """Of a load: its number, mass and standard deviation, and the part of the latter by another combine's monitor, kg."""
+
+    load_number: int
+    mass_kg: float
+    std_dev_kg: float
+    common_kg: float = 0.0
 
 
 class AnchorSource(StrEnum):
@@ -34,7 +40,8 @@ class ReferenceMass:
     """A weighed mass and the mass measured over the same time, kg; times are bus time, s.
 
     complete: every second in between was measured. load_number is 0 where the weighing belongs to no load. budget: standard
-    deviations of measured_kg. forces: measured over the load, None where they were not kept.
+    deviations of measured_kg. forces: measured over the load, None where they were not kept. common_kg: the part of std_dev_kg by
+    another combine's monitor, the same error in all masses that have one.
     """
 
     source: AnchorSource
@@ -49,6 +56,7 @@ class ReferenceMass:
     zero_doubted: bool = False
     """Whether part of measured_kg rests on a zero that is doubted."""
     forces: LoadForces | None = field(default=None, compare=False, repr=False)
+    common_kg: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,5 +1,5 @@
-"""States of the parameters in which the weights of `load_pattern` or the form of the impact gain change, so that updates before
-and after follow."""
+"""States of the parameters in which what weighed loads add (the weights of `load_pattern`, the bias of another combine's monitor)
+or the form of the impact gain changes, so that updates before and after follow."""
 
 from __future__ import annotations
 
@@ -14,7 +14,11 @@ from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.self_calibration.steady_drift import Advance, DriftingParameters
 from yieldmon.estimation.weighing.density_and_gain import in_form_of
 from yieldmon.physics.effects import effect_parameter
+from yieldmon.physics.effects.other_monitor import BIAS
 from yieldmon.physics.numerics import Array
+
+_ADDED = (*NAMES, BIAS)
+"""What weighed loads add to a set's parameters."""
 
 
 @dataclass(frozen=True)
@@ -43,8 +47,8 @@ class _Change:
 
 
 def _change(have: Sequence[str], names: Sequence[str], rates: int) -> _Change | None:
-    """None where they differ by more than the pattern's weights and the form of the gain."""
-    gone, come = ([name for name in these if name not in (*those, *NAMES)] for these, those in ((have, names), (names, have)))
+    """None where they differ by more than what weighed loads add and the form of the gain."""
+    gone, come = ([name for name in these if name not in (*those, *_ADDED)] for these, those in ((have, names), (names, have)))
     if (gone, come) not in (([], []), (["restitution"], ["k2"]), (["k2"], ["restitution"])):
         return None
     of = dict(zip(come, gone, strict=True))
@@ -69,7 +73,7 @@ def aligned(drifting: DriftingParameters, step: Advance, to: ParameterSet) -> tu
     step : Advance
         That led to it.
     to : ParameterSet
-        With the pattern's weights in its covariance or without them, its gain as restitution or as k2.
+        With or without what weighed loads add in its covariance, its gain as restitution or as k2.
 
     Returns
     -------
@@ -82,12 +86,14 @@ def aligned(drifting: DriftingParameters, step: Advance, to: ParameterSet) -> tu
         return drifting, step
     known = in_form_of(known, to)
     change = _change(have, names, len(drifting.names))
-    if change is None or not known.values.keys() >= {name for name in names if name not in NAMES}:
+    if change is None or not known.values.keys() >= {name for name in names if name not in _ADDED}:
         return drifting, step
     if any(name in NAMES for name in names):
         values = dict(with_weights(known).values)
     else:
         values = {name: value for name, value in known.values.items() if name not in NAMES}
+    if BIAS in names:
+        values = {BIAS: 0.0, **values}
     joint, count = change.covariance(drifting.joint), len(names)
     rates = tuple("k2" if name == "restitution" and "k2" in names else name for name in drifting.names)
     parameters = replace(known, values=values, covariance_names=names, covariance=joint[:count, :count])

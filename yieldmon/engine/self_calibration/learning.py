@@ -108,7 +108,7 @@ class Learning:
         Raises ValueError as `ticket`.
         """
         tickets = self.masses.tickets
-        anchors = [tickets.ticket(*weighing, loads, now_s) for weighing in again]
+        anchors = [tickets.ticket(*weighing, loads=loads, now_s=now_s) for weighing in again]
         gone = load_numbers | {anchor.load_number for anchor in anchors}
         left = tickets.take_back(gone, anchors, crop)
         counted = None
@@ -189,10 +189,17 @@ class Learning:
             self.calibration_age_s += seconds
 
     def ticket(
-        self, load_number: int, mass_kg: float, std_dev_kg: float, loads: tuple[LoadSummary, ...], now_s: float, crop: str = ""
+        self,
+        load_number: int,
+        mass_kg: float,
+        std_dev_kg: float,
+        loads: tuple[LoadSummary, ...],
+        now_s: float,
+        crop: str = "",
+        common_kg: float = 0.0,
     ) -> ReferenceMass:
         """A scale ticket for a load; see `Monitor.ticket`."""
-        anchor = self.masses.tickets.ticket(load_number, mass_kg, std_dev_kg, loads, now_s)
+        anchor = self.masses.tickets.ticket(load_number, mass_kg, std_dev_kg, common_kg, loads=loads, now_s=now_s)
         self.masses.enter(anchor, crop)
         return anchor
 
@@ -206,7 +213,7 @@ class Learning:
         of_crop: FlowEstimator | None = None,
     ) -> tuple[float, float] | None:
         """See `Monitor.ticket_departure`."""
-        anchor = self.masses.tickets.ticket(load_number, mass_kg, std_dev_kg, loads, now_s)
+        anchor = self.masses.tickets.ticket(load_number, mass_kg, std_dev_kg, loads=loads, now_s=now_s)
         return departure_of(anchor, of_crop or self.estimator, self.drift_sd, self.model_error)
 
     def remember_tickets(self, tickets: Sequence[ReferenceMass], waiting: Sequence[ReferenceMass]) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
 from yieldmon.estimation.load_pattern import EFFECT as LOAD_PATTERN
+from yieldmon.estimation.other_monitor import with_bias, with_new_bias
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.self_calibration.closed_loop import update_from_tickets
 from yieldmon.estimation.self_calibration.closed_loop_inputs import MassAnchor
@@ -23,6 +24,7 @@ from yieldmon.estimation.weighing.load_departures import departure, departures, 
 from yieldmon.estimation.weighing.load_inputs import LoadSettings, WeighedLoad
 from yieldmon.estimation.weighing.load_outcome import LIKELY_ANOTHER, LoadCalibration, curve_sentence, wrong_ticket_sentence
 from yieldmon.estimation.weighing.loads import calibrate_loads
+from yieldmon.physics.effects.other_monitor import BIAS
 from yieldmon.physics.model import ForwardModel
 
 _DRIFT_WIDENING = 16.0
@@ -64,6 +66,8 @@ class LoadUpdate:
         Raises ValueError where no parameters explain them.
         """
         prior, counted = drifting.parameters, self.counted
+        if any(mass.common_kg > 0.0 for mass in masses):
+            prior = with_bias(prior)
         outcome = update_from_tickets(self.model, prior, masses, settings=self.closed_loop)
         doubtful = 1.0 if len(counted) <= len(masses) else _DRIFT_WIDENING
         near = outcome.consistent and outcome.prior_widening <= doubtful and self._is_drift(outcome.prior_widening, prior, names)
@@ -94,6 +98,8 @@ class LoadUpdate:
         these names."""
         prior = drifting.parameters
         wide = widened(prior, self.load_settings)
+        if BIAS in names and any(load.common_kg > 0.0 for load in self.counted):
+            wide = with_new_bias(wide)
         if names != prior.covariance_names or set(names) != set(wide.covariance_names):
             return drifting
         joint = drifting.joint.copy()

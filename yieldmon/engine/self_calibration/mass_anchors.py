@@ -50,6 +50,7 @@ def mass_anchor(
             forces.plate_angle_rad,
             forces.elevator_speed_rad_s,
             moisture,
+            anchor.common_kg,
         )
     pieces: list[MassAnchor] = []
     begin = anchor.start_s
@@ -72,14 +73,11 @@ def mass_anchor(
             )
         )
         begin = end
-    return MassAnchor(
-        anchor.reference_kg,
-        sd,
-        *(
-            np.concatenate([getattr(p, name) for p in pieces])
-            for name in ("duration_s", "force_n", "plate_angle_rad", "elevator_speed_rad_s")
-        ),
+    duration_s, force_n, angle_rad, speed_rad_s = (
+        np.concatenate([getattr(p, name) for p in pieces])
+        for name in ("duration_s", "force_n", "plate_angle_rad", "elevator_speed_rad_s")
     )
+    return MassAnchor(anchor.reference_kg, sd, duration_s, force_n, angle_rad, speed_rad_s, common_kg=anchor.common_kg)
 
 
 def _noise_kg(anchor: ReferenceMass) -> float:
@@ -131,6 +129,7 @@ def weighed(anchor: ReferenceMass, mass: MassAnchor) -> WeighedLoad:
         mass.elevator_speed_rad_s,
         mass.moisture_pct,
         _noise_kg(anchor) / anchor.measured_kg,
+        anchor.common_kg,
     )
 
 

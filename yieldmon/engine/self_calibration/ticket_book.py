@@ -61,7 +61,7 @@ class TicketBook:
         """What of the tickets is to outlive a restart."""
         in_use: tuple[None, list[ReferenceMass], list[ReferenceMass]] = None, list(self._tickets), self._waiting
         return tuple(
-            TicketState(a.load_number, a.reference_kg, a.std_dev_kg, a in waiting, crop)
+            TicketState(a.load_number, a.reference_kg, a.std_dev_kg, a in waiting, crop, a.common_kg)
             for crop, tickets, waiting in (*((name, *of_one) for name, of_one in self._of_crop.items()), in_use)
             for place, a in enumerate(tickets)
             if place >= len(tickets) - _KEPT_TICKETS or a in waiting
@@ -82,15 +82,22 @@ class TicketBook:
             )
 
     def ticket(
-        self, load_number: int, mass_kg: float, std_dev_kg: float, loads: Sequence[LoadSummary], now_s: float
+        self,
+        load_number: int,
+        mass_kg: float,
+        std_dev_kg: float,
+        common_kg: float = 0.0,
+        *,
+        loads: Sequence[LoadSummary],
+        now_s: float,
     ) -> ReferenceMass:
         """A ticket for a load, that is not entered yet.
 
         Parameters
         ----------
         load_number : int
-        mass_kg, std_dev_kg : float
-            Weighed mass and its standard deviation, kg.
+        mass_kg, std_dev_kg, common_kg : float
+            As of a `Weighing`.
         loads : sequence of LoadSummary
             Of this run.
         now_s : float
@@ -116,7 +123,7 @@ class TicketBook:
         if load is None:
             known = sorted(load.number for load in loads)
             raise ValueError(f"ticket for load {load_number}: no such load; expected one of {known}")
-        return _ticket(load, forces, mass_kg, std_dev_kg, now_s)
+        return _ticket(load, forces, mass_kg, std_dev_kg, common_kg, now_s)
 
     def enter(self, ticket: ReferenceMass, crop: str = "") -> None:
         """A ticket that is to update the parameters. crop: for whose return it waits; "": it is of the one harvested now."""
@@ -186,11 +193,11 @@ class TicketBook:
             )
         self._earlier[load.number] = load, sums.of(load.number)
 
-    def of_earlier_load(self, load_number: int, mass_kg: float, std_dev_kg: float) -> ReferenceMass | None:
+    def of_earlier_load(self, load_number: int, mass_kg: float, std_dev_kg: float, common_kg: float) -> ReferenceMass | None:
         """A ticket that an earlier run took for a load of its own; None for a load that is not known."""
         if load_number not in self._earlier:
             return None
-        return _ticket(*self._earlier[load_number], mass_kg, std_dev_kg, nan)
+        return _ticket(*self._earlier[load_number], mass_kg, std_dev_kg, common_kg, nan)
 
     def remember(self, tickets: Sequence[ReferenceMass], waiting: Sequence[ReferenceMass], crop: str | None = None) -> None:
         """After a restart: tickets entered before it, and those among them that wait; crop: None for the one harvested now."""
@@ -219,7 +226,9 @@ def _without(anchors: Iterable[ReferenceMass], load_numbers: frozenset[int]) -> 
     return [anchor for anchor in anchors if anchor.load_number not in load_numbers]
 
 
-def _ticket(load: LoadSummary, forces: LoadForces | None, mass_kg: float, std_dev_kg: float, now_s: float) -> ReferenceMass:
+def _ticket(
+    load: LoadSummary, forces: LoadForces | None, mass_kg: float, std_dev_kg: float, common_kg: float, now_s: float
+) -> ReferenceMass:
     end_s = load.end_s if isfinite(load.end_s) else now_s
     return ReferenceMass(
         AnchorSource.TICKET,
@@ -232,4 +241,5 @@ def _ticket(load: LoadSummary, forces: LoadForces | None, mass_kg: float, std_de
         load.number,
         load.budget,
         forces=forces,
+        common_kg=common_kg,
     )

@@ -88,6 +88,8 @@ class MassAnchor:
         (n,) N, rad, rad/s.
     moisture_pct : array_like, optional
         (n,) %, where an effect needs it.
+    common_kg : float
+        The part of std_dev_kg by another combine's monitor, the same error in all masses that have one, kg.
 
     Examples
     --------
@@ -104,6 +106,7 @@ class MassAnchor:
     plate_angle_rad: Array
     elevator_speed_rad_s: Array
     moisture_pct: Array | None = None
+    common_kg: float = 0.0
 
     def __post_init__(self) -> None:
         _as_arrays(self, _ANCHOR)
@@ -119,9 +122,9 @@ class MassAnchor:
         """
         _refuse_uneven(self, "mass anchor", _ANCHOR)
         refuse_impossible("mass anchor", self.plate_angle_rad, self.elevator_speed_rad_s)
-        if not (np.isfinite(self.reference_kg) and 0.0 < self.std_dev_kg < np.inf):
+        if not (np.isfinite(self.reference_kg) and 0.0 <= self.common_kg < self.std_dev_kg < np.inf):
             known = f"{self.reference_kg:g} kg within {self.std_dev_kg:g} kg"
-            raise ValueError(f"mass anchor: {known}: expected a mass, and a standard deviation above 0")
+            raise ValueError(f"mass anchor: {known}: expected a mass, and a standard deviation above 0 and common_kg")
 
     @classmethod
     def from_windows(

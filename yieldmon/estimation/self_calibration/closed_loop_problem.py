@@ -19,6 +19,7 @@ from yieldmon.estimation.fitting.least_squares import levenberg_marquardt
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.priors import Prior, physical_bounds, search_bounds
+from yieldmon.physics.effects.other_monitor import BIAS
 from yieldmon.physics.machine import SAME_ANGLE_RAD
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.numerics import Array
@@ -300,10 +301,16 @@ class ClosedLoopProblem:
         for anchor, rows in zip(self.anchors, self.anchor_rows, strict=True):
             # The last of the Newton steps to the flows that explain the forces.
             flow = loads[rows] + (self.force[rows] - force[rows]) / by_load[rows]
+            error_kg, sd_kg = float(anchor.duration_s @ flow - anchor.reference_kg), anchor.std_dev_kg
             by = np.zeros((1, unknown.size))
-            by[0, :width] = -(anchor.duration_s / by_load[rows]) @ by_theta[rows] / anchor.std_dev_kg
-            residuals.append(np.array([(anchor.duration_s @ flow - anchor.reference_kg) / anchor.std_dev_kg]))
-            jacobians.append(by)
+            by[0, :width] = -(anchor.duration_s / by_load[rows]) @ by_theta[rows]
+            if anchor.common_kg > 0.0 and BIAS in self.names:
+                place = self.names.index(BIAS)
+                error_kg -= anchor.common_kg * unknown[place]
+                by[0, place] -= anchor.common_kg
+                sd_kg = (sd_kg**2 - anchor.common_kg**2) ** 0.5
+            residuals.append(np.array([error_kg / sd_kg]))
+            jacobians.append(by / sd_kg)
         if self.density is not None:
             index = self.names.index("density")
             by = np.zeros((1, unknown.size))

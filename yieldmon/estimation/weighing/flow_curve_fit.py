@@ -157,7 +157,8 @@ def fit_loads(loads: Sequence[WeighedLoad], plate_angle_rad: float) -> CurveFit:
     moisture = None if any(m is None for m in moist) else span(np.concatenate([m for m in moist if m is not None]))
     speeds = _speeds(np.concatenate([part[1] for part in seconds]))
     own = matrix @ np.array([alpha, beta]) / weighed - 1.0
-    relative = _relative(errors, own, np.ones(weighed.size, dtype=bool))
+    common = np.mean([load.common_kg / load.weighed_kg for load in loads])
+    relative = float(np.hypot(_relative(errors, own, np.ones(weighed.size, dtype=bool)), common))
     curve = FlowCurve(law, relative, CalibratedRange(span(flow), (plate_angle_rad, plate_angle_rad), speeds, moisture))
     return CurveFit(curve, len(loads), tuple(weighed.tolist()), tuple(errors.tolist()), tuple(own.tolist()))
 

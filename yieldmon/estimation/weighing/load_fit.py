@@ -14,8 +14,10 @@ from numpy.typing import NDArray
 
 from yieldmon.estimation.load_pattern import following
 from yieldmon.estimation.open_loop import invert_force
+from yieldmon.estimation.other_monitor import with_bias, with_new_bias
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.recent import Recent
+from yieldmon.physics.effects.other_monitor import BIAS
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.numerics import Array
 from yieldmon.physics.throw import Throw
@@ -67,10 +69,16 @@ class LoadProblem:
         """beside: parameters that are neither moved here nor held."""
         self.beside = beside
         self.model = following(model, start)
-        self.given, self.start, self.loads, self.settings = given, start, tuple(loads), settings
+        self.loads, self.settings = tuple(loads), settings
+        shared = any(load.common_kg > 0.0 for load in loads)
+        self.given, self.start = (with_bias(given), with_new_bias(start)) if shared else (given, start)
         self.own = np.array([load.measured_sd(settings.load_error) for load in loads])
         """(n,) relative standard deviation of each load's measured mass, where the parameters are right."""
         self.sd = np.hypot([load.relative_sd for load in loads], self.own)
+        self.common = np.array([load.common_kg / load.weighed_kg for load in loads])
+        """(n,) the part of sd by another combine's monitor, the same error in all."""
+        self.apart = np.where(self.common > 0.0, np.sqrt(np.maximum(self.sd**2 - self.common**2, 0.0)), self.sd)
+        """(n,) the other part."""
         self.force, self.angle, self.speed, self.duration = (
             np.concatenate([getattr(load, name) for load in loads])
             for name in ("force_n", "plate_angle_rad", "elevator_speed_rad_s", "duration_s")
@@ -80,7 +88,7 @@ class LoadProblem:
         self.of_load = np.repeat(np.arange(len(loads)), [load.force_n.size for load in loads])
         self.weighed = np.array([load.weighed_kg for load in loads])
         self.law = self._law()
-        """(n, n) covariance of the loads' ln errors by what the model's force leaves of the machine's."""
+        """(n, n) covariance of the loads' ln errors by what the model's force leaves of the machine's and by another monitor."""
         self.held, self.prior = self._coordinates()
         self._throw: Throw | None = None
         """The last one."""
@@ -102,7 +110,7 @@ class LoadProblem:
     def _law(self) -> Array:
         at = np.log(self.weighed / [load.duration_s.sum() for load in self.loads])
         apart = (at[:, None] - at) / self.settings.law_reach
-        return np.asarray(self.settings.law_error**2 * np.exp(-0.5 * apart**2))
+        return np.asarray(self.settings.law_error**2 * np.exp(-0.5 * apart**2) + np.outer(self.common, self.common))
 
     def flow(self, known: ParameterSet) -> tuple[Array, Array]:
         """Mass flow of every window with these parameters, nan above a full paddle, and d(force)/d(flow) there."""
@@ -142,6 +150,14 @@ class LoadProblem:
         each = [shifted(centre, name, step) for name, step in zip(self.held, steps, strict=True)]
         return np.asarray(np.nan_to_num(self.slopes(each, flow, by_flow, steps)))
 
+    def ticket_slopes(self) -> Array:
+        """(n, held): change of ln mass over the weighed one with each held parameter by what that makes of the weighed mass."""
+        return np.outer(-self.common, [float(name == BIAS) for name in self.held])
+
+    def informed(self, columns: Array, weight: Array) -> Array:
+        """Columns (n, k) times the inverse covariance of the loads' own errors, each load counted by a weight (n,)."""
+        return by_inverse(weight / self.apart**2, self.common, columns)
+
     def fit(self, active: NDArray[np.bool_], directions: int, near: LoadFit | None = None) -> LoadFit:
         """Most likely step from the active loads, along the best determined `directions` (0, 1 or 2). near: where to begin."""
         if near is not None:
@@ -159,10 +175,11 @@ class LoadProblem:
             weight = active / np.maximum(np.abs(error) / (self.settings.huber_sds * self.sd), 1.0) if np.any(active) else weight
             basis = self.basis(slope, weight)[:, :directions]
             h = slope @ basis
-            information = h.T @ (h * (weight / self.sd**2)[:, None]) + np.eye(directions)
+            information = h.T @ self.informed(h, weight) + np.eye(directions)
             # The residual that would be left at the start, in the linear model about this step.
             target = error - slope @ step
-            wanted = -basis @ np.linalg.solve(information, h.T @ (weight / self.sd**2 * target)) if directions else np.zeros(2)
+            against = h.T @ self.informed(target[:, None], weight)[:, 0]
+            wanted = -basis @ np.linalg.solve(information, against) if directions else np.zeros(2)
             change = wanted - step
             for _ in range(8):
                 after, after_slope = self._slopes(step + change)
@@ -191,14 +208,14 @@ class LoadProblem:
     def basis(self, slope: Array, weight: Array) -> Array:
         """(2, 2): directions of unit prior standard deviation, the one that the loads determine best first."""
         root = np.linalg.cholesky(self.prior[-2:, -2:])
-        _, vectors = np.linalg.eigh(root.T @ slope.T @ (slope * (weight / self.sd**2)[:, None]) @ root)
+        _, vectors = np.linalg.eigh(root.T @ slope.T @ self.informed(slope, weight) @ root)
         return np.asarray(root @ vectors[:, ::-1])
 
     def information(self, fit: LoadFit, active: NDArray[np.bool_]) -> Array:
         """(2,) of the loads over what was known, along the directions of `basis`."""
         basis = self.basis(fit.by_step, active.astype(float))
-        h = fit.by_step[active] @ basis / self.sd[active, None]
-        return np.asarray(np.sum(h * h, axis=0))
+        h = fit.by_step @ basis
+        return np.asarray(np.sum(h * self.informed(h, active.astype(float)), axis=0))
 
     def cost(self, fit: LoadFit, active: NDArray[np.bool_]) -> float:
         """Half the squares of what the active loads (by Huber's loss) and the prior say against a fit."""
@@ -235,17 +252,17 @@ class LoadProblem:
         error = fit.error - fit.by_step @ fit.step
         h = fit.by_step @ np.linalg.cholesky(self.prior[-2:, -2:])
         limit = self.settings.huber_sds * np.hypot(self.sd, self.settings.law_error)
-        noise = self.sd**2 * np.maximum(np.abs(fit.error) / limit, 1.0)
+        noise = self.apart**2 * np.maximum(np.abs(fit.error) / limit, 1.0)
         covariance = h @ h.T + self.law + np.diag(noise)
         between = np.linalg.solve(covariance[np.ix_(others, others)], covariance[others, k])
-        variance = h[k] @ h[k] + self.law[k, k] + self.sd[k] ** 2 - between @ covariance[others, k]
+        variance = h[k] @ h[k] + self.law[k, k] + self.apart[k] ** 2 - between @ covariance[others, k]
         return float(abs(error[k] - between @ error[others]) / np.sqrt(variance))
 
     def contradicts(self, fit: LoadFit, active: NDArray[np.bool_], directions: int) -> bool:
         """Whether the active loads speak against a fit along so many directions."""
         from scipy.special import chdtrc  # a quarter of a second that commands without loads do without
 
-        misfit = float(np.sum((fit.error[active] / self.sd[active]) ** 2))
+        misfit = float(fit.error @ self.informed(fit.error[:, None], active.astype(float))[:, 0])
         return bool(chdtrc(max(float(active.sum()) - directions, 1.0), misfit) < _SIGNIFICANT)
 
     def spread(self, known: ParameterSet, active: NDArray[np.bool_]) -> tuple[float, float]:
@@ -266,6 +283,15 @@ class LoadProblem:
         steps = [1e-2 * known.standard_deviation(name) for name in known.covariance_names]
         each = [shifted(known, name, step) for name, step in zip(known.covariance_names, steps, strict=True)]
         return np.asarray(np.nan_to_num(self.slopes(each, flow, by_flow, steps)))
+
+
+def by_inverse(information: Array, common: Array, columns: Array) -> Array:
+    """Columns (n, k) times the inverse of diag(1 / information) + common common.T; rows without information are 0."""
+    weighted = columns * information[:, None]
+    if not np.any(common):
+        return weighted
+    along = common * information
+    return np.asarray(weighted - np.outer(along, along @ columns) / (1.0 + common @ along))
 
 
 def _in_rows(known: Sequence[ParameterSet]) -> dict[str, Array]:

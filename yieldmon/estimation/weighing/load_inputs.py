@@ -42,8 +42,8 @@ class WeighedLoad:
     """A weighed mass and the windows in which it was harvested, all arrays (n,).
 
     duration_s: time that each window stands for. noise_sd: relative standard deviation of the measured mass by the windows'
-    scatter, which averages out over a long load; 0 where it is not known. Raises ValueError for shapes that differ or values that
-    are not finite.
+    scatter, which averages out over a long load; 0 where it is not known. common_kg: the part of std_dev_kg by another combine's
+    monitor, the same error in all loads that have one. Raises ValueError for shapes that differ or values that are not finite.
     """
 
     name: str
@@ -55,10 +55,13 @@ class WeighedLoad:
     elevator_speed_rad_s: Array
     moisture_pct: Array | None = None
     noise_sd: float = 0.0
+    common_kg: float = 0.0
 
     def __post_init__(self) -> None:
         if not (0.0 < self.weighed_kg < np.inf and 0.0 < self.std_dev_kg < np.inf):
             raise ValueError(f"load {self.name}: weighed {self.weighed_kg} kg, sd {self.std_dev_kg} kg; expected above 0")
+        if not 0.0 <= self.common_kg <= self.std_dev_kg:
+            raise ValueError(f"load {self.name}: common_kg {self.common_kg}; expected 0 to its sd, {self.std_dev_kg} kg")
         if not 0.0 <= self.noise_sd < np.inf:
             raise ValueError(f"load {self.name}: noise_sd {self.noise_sd}; expected 0 or above")
         for name in ("duration_s", "force_n", "plate_angle_rad", "elevator_speed_rad_s"):

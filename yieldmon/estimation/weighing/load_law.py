@@ -27,7 +27,7 @@ from yieldmon.physics.numerics import Array
 
 from .density_and_gain import DENSITY, moved
 from .force_curves import ForceCurve, curves
-from .load_fit import LoadProblem
+from .load_fit import LoadProblem, by_inverse
 from .ticket_slips import Slip, slips
 
 _SCATTERS = ((0.0, 0.9), (0.01, 0.08), (0.03, 0.02))
@@ -215,7 +215,8 @@ def _mixture(
     """Mean and covariance of the step over all combinations in the model that is linear about `step`."""
     h, target = slope[active], slope[active] @ step - error[active]
     shifted = target - tickets.shifts
-    parts = [_under(curve, h, shifted, problem.sd[active], tickets) for curve in problem.curves]
+    noise = np.diag(problem.apart[active] ** 2) + np.outer(problem.common[active], problem.common[active])
+    parts = [_under(curve, h, shifted, noise, tickets) for curve in problem.curves]
     logs, steps, after, along = (np.concatenate(part) for part in zip(*parts, strict=True))
     of_covariance = tickets.of_covariance
     combinations = [(curve, scatter) for curve in problem.curves for scatter, _ in _SCATTERS]
@@ -243,15 +244,16 @@ def _whole_scatter(curve: ForceCurve, scatter: float) -> float:
     return float(np.hypot(scatter, _REST if curve.another else 0.0))
 
 
-def _under(curve: ForceCurve, h: Array, shifted: Array, sd: Array, tickets: _Tickets) -> tuple[Array, Array, Array, Array]:
+def _under(curve: ForceCurve, h: Array, shifted: Array, own: Array, tickets: _Tickets) -> tuple[Array, Array, Array, Array]:
     """With one curve, for each of c scatters and s slips: (c, s) ln of prior times likelihood, (c, s, 5) mean of the step, its
     covariance (c, g, 5, 5) by the tickets' covariances, and (c, s) expected place on a slip's common direction.
 
-    h (n, 5), shifted (s, n): ln of weighed over measured mass is `shifted` = h @ step beside the loads' deviations sd (n,).
+    h (n, 5), shifted (s, n): ln of weighed over measured mass is `shifted` = h @ step beside the loads' own errors, of covariance
+    own (n, n).
     """
     scatters = [_whole_scatter(curve, scatter) for scatter, _ in _SCATTERS]
     priors = np.array([np.log(curve.likely * probable) for _, probable in _SCATTERS])
-    noise = np.stack([np.diag(sd**2 + scatter**2) for scatter in scatters])
+    noise = np.stack([own + scatter**2 * np.eye(len(own)) for scatter in scatters])
     by_prior = curve.covariance @ h.T
     spread = (h @ by_prior + noise)[:, None] + tickets.covariances
     inverse, (_, log_det) = np.linalg.inv(spread), np.linalg.slogdet(spread)
@@ -272,15 +274,18 @@ def _under(curve: ForceCurve, h: Array, shifted: Array, sd: Array, tickets: _Tic
 def _with_held(
     problem: LoadProblem, active: NDArray[np.bool_], slope: Array, held: Array, covariance: Array, scatter: float
 ) -> Array:
-    """Covariance of (held..., step): the held ones shift the step by what the loads make of them (Schmidt)."""
+    """Covariance of (held..., step): the held ones shift the step by what the loads make of them (Schmidt).
+
+    covariance: of the step, which holds what another combine's monitor makes of it.
+    """
     count = held.shape[1]
-    h, noise = slope[active], problem.sd[active] ** 2 + scatter**2
-    gain = covariance @ h.T / noise
+    h, information = slope[active], 1.0 / (problem.apart[active] ** 2 + scatter**2)
+    gain = covariance @ by_inverse(information, problem.common[active], h).T
     out = np.zeros((count + slope.shape[1],) * 2)
     known = problem.prior[:count, :count]
     follows = -gain @ held[active]
     out[:count, :count] = known
-    out[count:, :count] = follows @ known
+    out[count:, :count] = (follows - gain @ problem.ticket_slopes()[active]) @ known
     out[:count, count:] = out[count:, :count].T
     out[count:, count:] = covariance + follows @ known @ follows.T
     return out
@@ -318,8 +323,8 @@ def against_others(law: LawProblem, others: NDArray[np.bool_], k: int, near: Arr
     found = average(law, others, near)
     if found is None:
         return Against(float("nan"), 1.0, 0.0)
-    row = np.concatenate((found.by_held[k], found.by_step[k]))
-    std_dev = float(np.sqrt(row @ found.covariance @ row + law.sd[k] ** 2 + found.scatter**2))
+    row = np.concatenate((found.by_held[k] + law.ticket_slopes()[k], found.by_step[k]))
+    std_dev = float(np.sqrt(row @ found.covariance @ row + law.apart[k] ** 2 + found.scatter**2))
     return Against(float(found.error[k]), std_dev, float(abs(found.error[k])) / std_dev)
 
 

@@ -132,7 +132,7 @@ def _calibration(
     before = problem.mass(problem.given)
     judges, rms_before, rms_after = _judged(problem, before, errors, active, learnt)
     expected = _expected_rms(np.log(after / problem.weighed)[judges], errors[judges])
-    refused = bool(active.sum() > 1 and expected > rms_before)
+    refused = bool(active.sum() > 1 and expected > rms_before and not _by_other_monitor(problem, active, directions))
     chosen, after = (problem.given, before) if refused else (posterior, after)
     results = _results(problem, before, after, errors, active)
     moving = _moved_names(problem.given, chosen)
@@ -151,6 +151,11 @@ def _calibration(
         sweeps_used=0 if together is None else len(sweeps),
         contradiction=_contradiction(problem, errors) if (against or not active.all()) and together is None else None,
     )
+
+
+def _by_other_monitor(problem: LoadProblem, active: NDArray[np.bool_], directions: int) -> bool:
+    """Whether the error of another combine's monitor explains those of loads left out, so that they say nothing against a fit."""
+    return bool(np.any(problem.common) and _rms(problem.left_out(active, directions).away[active]) <= _CONTRADICTED)
 
 
 def _judged(
@@ -283,6 +288,7 @@ def _together(
             load.plate_angle_rad,
             load.elevator_speed_rad_s,
             load.moisture_pct,
+            load.common_kg,
         )
         for load, sd, ok in zip(problem.loads, problem.sd, active, strict=True)
         if ok
@@ -321,11 +327,14 @@ def _posterior(
     determined = directions if full is None else 2
     basis = np.zeros((h.shape[1], determined))
     basis[-2:] = problem.basis(fit.by_step, active.astype(float))[:, :determined]
-    noise = problem.sd[active] ** 2
-    moving = rows @ basis
-    gain = basis @ moving.T @ np.linalg.inv(moving @ moving.T + np.diag(noise))
-    left = np.eye(h.shape[1]) - gain @ rows
-    chi2, dof = float(np.sum(fit.error[active] ** 2 / noise)), max(int(active.sum()) - directions, 0)
+    noise, common = problem.apart[active] ** 2, problem.common[active]
+    moving, counted = rows @ basis, active.astype(float)
+    gain = basis @ moving.T @ np.linalg.inv(moving @ moving.T + np.diag(noise) + np.outer(common, common))
+    tickets = rows.copy()
+    tickets[:, : len(problem.held)] += problem.ticket_slopes()[active]
+    left = np.eye(h.shape[1]) - gain @ tickets
+    chi2 = float(fit.error @ problem.informed(fit.error[:, None], counted)[:, 0])
+    dof = max(int(active.sum()) - directions, 0)
     inflation = (_PRIOR_LOADS + chi2) / (_PRIOR_LOADS + dof)
     held, by_noise = left @ problem.prior @ left.T, gain @ np.diag(noise) @ gain.T
     own = np.mean(problem.own[active] ** 2)

@@ -16,8 +16,9 @@ from types import MappingProxyType
 from yieldmon.errors import InputError
 
 from .effect import Effect, EffectParameter
+from .other_monitor import OTHER_MONITOR
 
-__all__ = ["Effect", "EffectParameter", "effect_parameter", "family_of", "get_effect", "laws", "registry"]
+__all__ = ["Effect", "EffectParameter", "changes_force", "effect_parameter", "family_of", "get_effect", "laws", "registry"]
 
 
 GROUP = "yieldmon.effects"
@@ -111,10 +112,17 @@ def get_effect(name: str) -> Effect:
         return _own()[name]
     if name in _other_laws():
         return _other_laws()[name]
+    if not changes_force(name):
+        return OTHER_MONITOR
     try:
         return registry()[name]
     except KeyError:
         raise ValueError(f"effect {name!r}: unknown; expected one of {', '.join(registry())}") from None
+
+
+def changes_force(name: str) -> bool:
+    """Whether what parameter sets name like an effect is one of the forward model: none is a state of weighed loads alone."""
+    return name != OTHER_MONITOR.name
 
 
 def effect_parameter(qualified_name: str) -> EffectParameter:

@@ -214,11 +214,13 @@ def why_no_reference(
     return ""
 
 
-def weighings(covered: Sequence[Load], ticket: Ticket, mass_kg: float, std_dev_kg: float) -> list[Weighing]:
-    """The reference mass of a ticket, shared out over its loads."""
+def weighings(
+    covered: Sequence[Load], ticket: Ticket, mass_kg: float, std_dev_kg: float, common_kg: float = 0.0
+) -> list[Weighing]:
+    """The reference mass of a ticket, shared out over its loads. common_kg: as of a `Weighing`."""
     found = []
     for load in covered:
         share = load.mass_kg / ticket.measured_mass_kg
         if share > 0.0:
-            found.append((load.number, share * mass_kg, math.sqrt(share) * std_dev_kg))
+            found.append(Weighing(load.number, share * mass_kg, math.sqrt(share) * std_dev_kg, share * common_kg))
     return found

@@ -241,6 +241,7 @@ def _weighed(name: str, ticket: WeighedTicket, covered: Sequence[MeasuredLoad], 
         speed,
         moisture if np.all(np.isfinite(moisture)) else None,
         _noise_sd(covered, total_kg),
+        ticket.other_std_dev_kg,
     )
 
 

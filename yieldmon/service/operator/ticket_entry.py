@@ -65,7 +65,7 @@ def enter_ticket(order: Order) -> TicketEntered:
     ticket = Ticket(order.now_s, first, last, own_kg, measured_kg, request.name("note") or "")
     crop = _other_crop(order, covered)
     why_not = ticket_file.unit_slip(own_kg, measured_kg) or why_no_reference(monitor, journal, covered, order.stored, crop)
-    shares = weighings(covered, ticket, own_kg, std_dev_kg)
+    shares = weighings(covered, ticket, own_kg, std_dev_kg, 0.0 if truck is None else truck.other_std_dev_kg)
     departs = None if why_not else _departure(shares, order, crop)
     question = _question(ticket, departs, order, covered, crop)
     if truck is not None:
@@ -76,8 +76,8 @@ def enter_ticket(order: Order) -> TicketEntered:
     waits = journal.actions.unfinished_of_crop.get(crop) if crop else journal.actions.to_update
     first_moves = exp(departs.ln) - 1.0 if departs is not None and departs.first and not waits else None
     if not why_not:
-        for load_number, mass_kg, share_std_dev_kg in shares:
-            monitor.ticket(load_number, mass_kg, share_std_dev_kg, crop)
+        for load_number, mass_kg, share_std_dev_kg, common_kg in shares:
+            monitor.ticket(load_number, mass_kg, share_std_dev_kg, crop, common_kg)
     counting = (journal.actions.ledger.ticket_of(load.number) for load in covered)
     replaces = sorted({found[0] for found in counting if found is not None})
     number = journal.actions.ticket(ticket, request.who, std_dev_kg, is_reference=not why_not, crop=crop, truck=truck)
@@ -150,22 +150,22 @@ def _departure(shares: Sequence[Weighing], order: Order, crop: str) -> ticket_do
     if crop and known is None:
         return None
     of_crop = None if known is None else estimator_of(monitor.machine, known)
-    found = [(mass_kg, monitor.ticket_departure(number, mass_kg, sd_kg, of_crop)) for number, mass_kg, sd_kg in shares]
+    found = [(mass_kg, monitor.ticket_departure(number, mass_kg, sd_kg, of_crop)) for number, mass_kg, sd_kg, _ in shares]
     parts = [(mass_kg, part) for mass_kg, part in found if part is not None]
     if not parts or len(parts) != len(shares):
         return None
     if known is not None:
-        waiting = _waiting_tickets(order, crop, [number for number, _, _ in shares])
+        waiting = _waiting_tickets(order, crop, [share.load_number for share in shares])
         scale = _ln_of_waiting(waiting, order, of_crop)
         if known.is_weighed or scale is None:
             return ticket_doubt.combined(parts, weighed_before=known.is_weighed)
-        sds = [hypot(_WEIGHED_SD, sd_kg / mass_kg) for _, mass_kg, sd_kg in shares]
+        sds = [hypot(_WEIGHED_SD, share.std_dev_kg / share.mass_kg) for share in shares]
         apart = [(mass_kg, (ln - scale, min(sd, most))) for (mass_kg, (ln, sd)), most in zip(parts, sds, strict=True)]
         return ticket_doubt.combined(apart, weighed_before=True, only_one=len(waiting) == 1)
     return ticket_doubt.combined(
         parts,
         weighed_before=bool(order.monitor.counted_loads) or order.monitor.scale_counted,
-        only_one=bool(_only_tickets(order, [number for number, _, _ in shares])),
+        only_one=bool(_only_tickets(order, [share.load_number for share in shares])),
     )
 
 
@@ -182,7 +182,7 @@ def _ln_of_waiting(numbers: Sequence[int], order: Order, of_crop: FlowEstimator 
     for number in numbers:
         ticket = tickets[number]
         loads = [load for load in order.journal.loads if ticket.first_load <= load.number <= ticket.last_load]
-        for load, mass_kg, sd_kg in weighings(loads, ticket, *order.journal.actions.reference_mass(number)):
+        for load, mass_kg, sd_kg, _ in weighings(loads, ticket, *order.journal.actions.reference_mass(number)):
             # Of a load that an earlier run measured nothing may be known now.
             with suppress(ValueError):
                 part = order.monitor.ticket_departure(load, mass_kg, sd_kg, of_crop)
