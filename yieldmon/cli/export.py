@@ -81,6 +81,12 @@ def run(args: argparse.Namespace) -> int:
         _table(kind)(out, SecondRow, rows)
         print(f"{out}: {_counted(len(rows), 'second')}", file=sys.stderr)
         return 0
+    _export_points(args, kind, out, rows)
+    return 0
+
+
+def _export_points(args: argparse.Namespace, kind: str, out: Path, rows: Sequence[SecondRow]) -> None:
+    """Write yield points of seconds, and say what they are without."""
     loads = recorded.read_loads(args.record) if recorded.is_store(args.record) else []
     settings = _settings(args, loads)
     points = yield_points(rows, settings, args.record)
@@ -100,7 +106,6 @@ def run(args: argparse.Namespace) -> int:
         better = f"{sum(load.corrected_mass_kg for load in corrected):.0f} for {sum(load.mass_kg for load in corrected):.0f} kg"
         note = f"points are as measured; {_counted(len(corrected), 'load')} weighed or measured again ({better})"
         print(f"yieldmon: {note}: `yieldmon map` corrects its points", file=sys.stderr)
-    return 0
 
 
 def _counted(count: int, noun: str) -> str:

@@ -7,14 +7,14 @@ import math
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from yieldmon.bus.bulk import FrameBlock, block_of
 from yieldmon.bus.candump import ERROR_FLAG, REMOTE_FLAG
-from yieldmon.bus.databases import load_messages
+from yieldmon.bus.databases import MessageBits, load_messages
 from yieldmon.bus.loading import iter_blocks
 from yieldmon.bus.log_notes import LogNotes
 from yieldmon.bus.logs import require_log
@@ -57,16 +57,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def run(args: argparse.Namespace) -> int:
     """Exit code 0 when there was a frame to look at."""
     above_0("--seconds", args.seconds)
-    # Of two files with one name each is called by its path.
-    names = Counter(Path(name).name for name in dict.fromkeys(args.dbc))
-    paths = {Path(name).name if names[Path(name).name] == 1 else name: str(Path(name).absolute()) for name in args.dbc}
-    paths |= {Path(name).name: str(shipped(name)) for name in _SHIPPED if Path(name).name not in paths}
-    databases = {name: load_messages(path) for name, path in paths.items()}
-    for name, messages in databases.items():
-        if problems := [message.contradiction for message in messages.values() if message.contradiction]:
-            more = f", and {len(problems) - 1} more like it" if len(problems) > 1 else ""
-            print(f"yieldmon: {name}: a message is not used: {problems[0]}{more}", file=sys.stderr)
-    survey, shared, channel = Survey(databases), SharedIdentifiers(), getattr(args, "channel", None)
+    paths = _dbc_paths(args.dbc)
+    survey, shared, channel = Survey(_databases(paths)), SharedIdentifiers(), getattr(args, "channel", None)
     for block in _log_blocks(args.log, channel, shared) if args.log else _bus_blocks(args):
         rows = np.flatnonzero((block.can_id & np.uint32(REMOTE_FLAG | ERROR_FLAG)) == 0)
         columns = (block.time_s[rows], block.can_id[rows], block.length[rows], block.payload[rows])
@@ -88,6 +80,23 @@ def run(args: argparse.Namespace) -> int:
     else:
         _show(survey)
     return 0
+
+
+def _dbc_paths(given: Sequence[str]) -> dict[str, str]:
+    """The DBC files that were given and the shipped ones, by name; of two with one name each by its path."""
+    names = Counter(Path(name).name for name in dict.fromkeys(given))
+    paths = {Path(name).name if names[Path(name).name] == 1 else name: str(Path(name).absolute()) for name in given}
+    return paths | {Path(name).name: str(shipped(name)) for name in _SHIPPED if Path(name).name not in paths}
+
+
+def _databases(paths: Mapping[str, str]) -> dict[str, dict[str, MessageBits]]:
+    """Their messages; those that contradict themselves are named and not used."""
+    databases = {name: load_messages(path) for name, path in paths.items()}
+    for name, messages in databases.items():
+        if problems := [message.contradiction for message in messages.values() if message.contradiction]:
+            more = f", and {len(problems) - 1} more like it" if len(problems) > 1 else ""
+            print(f"yieldmon: {name}: a message is not used: {problems[0]}{more}", file=sys.stderr)
+    return databases
 
 
 def _as_written(paths: dict[str, str], mapping: Path) -> dict[str, str]:

@@ -128,7 +128,7 @@ class Conclusion:
         self._hold_moisture(learnt)
         if waveform is not None and not (sweep.driving or learnt):
             measurement = waveform.kernel_measurements.take()
-            learnt = learning.hear(measurement, record) if measurement is not None else ()
+            learnt = learning.update_from_kernels(measurement, record) if measurement is not None else ()
         return (*learnt, *restated)
 
     def _by_mean_force(self, reading: Reading, estimate: Estimate | None, estimator: FlowEstimator) -> Flow:

@@ -76,7 +76,9 @@ class SelfCalibrator(Protocol):
         """What reference masses change. record: the last window; anchors: all reference masses kept; model_error: that their
         loads are stated with."""
 
-    def hear(self, record: WindowRecord, measurement: KernelMeasurement, estimator: FlowEstimator) -> CalibrationOutcome:
+    def update_from_kernels(
+        self, record: WindowRecord, measurement: KernelMeasurement, estimator: FlowEstimator
+    ) -> CalibrationOutcome:
         """What kernel noise changes. record: the last window."""
 
     def follow(self, record: WindowRecord, estimator: FlowEstimator) -> CalibrationOutcome | None:

@@ -147,7 +147,9 @@ class ClosedLoopCalibrator:
         self._masses.handed_over(anchors)
         return replace(taken, reason=f"{taken.reason}; {doubt}" if doubt else taken.reason, weighed=True, checks=checks)
 
-    def hear(self, record: WindowRecord, measurement: KernelMeasurement, estimator: FlowEstimator) -> CalibrationOutcome:
+    def update_from_kernels(
+        self, record: WindowRecord, measurement: KernelMeasurement, estimator: FlowEstimator
+    ) -> CalibrationOutcome:
         """See calibrator.SelfCalibrator."""
         used = self._in_use(estimator)
         at = self._at(record)

@@ -14,7 +14,7 @@ class KernelMeasurements:
 
     def __init__(self, settings: WaveformSettings) -> None:
         self._settings = settings
-        self._heard = 0
+        self._windows = 0
         self._seconds: list[tuple[float, float, float, float, float]] = []
         self._random_sds: list[float] = []
         self._lasting_sd = 0.0
@@ -23,8 +23,8 @@ class KernelMeasurements:
         """A second at home with a flow by kernel noise."""
         if not self._settings.update_parameters:
             return
-        self._heard += 1
-        if self._heard % self._settings.kernel_windows:
+        self._windows += 1
+        if self._windows % self._settings.kernel_windows:
             return
         window = reading.window
         self._seconds.append(
@@ -35,9 +35,9 @@ class KernelMeasurements:
 
     def take(self) -> KernelMeasurement | None:
         """What has been gathered, once that is enough; then it begins anew."""
-        if not self._seconds or self._heard < self._settings.update_windows:
+        if not self._seconds or self._windows < self._settings.update_windows:
             return None
         found = measurement_of(self._seconds, self._random_sds, self._lasting_sd)
-        self._heard, self._lasting_sd = 0, 0.0
+        self._windows, self._lasting_sd = 0, 0.0
         self._seconds, self._random_sds = [], []
         return found

@@ -272,11 +272,11 @@ class Learning:
         sweep.decline(at_s, f"a sweep would leave {swept:.2g} % on the flow, as long at home {at_home:.2g} %")
         return False
 
-    def hear(self, measurement: KernelMeasurement, record: WindowRecord) -> tuple[ParametersChanged, ...]:
+    def update_from_kernels(self, measurement: KernelMeasurement, record: WindowRecord) -> tuple[ParametersChanged, ...]:
         """An update by kernel noise, between sweeps."""
         if self.calibrator is None:
             return ()
-        outcome = self.calibrator.hear(record, measurement, self.estimator)
+        outcome = self.calibrator.update_from_kernels(record, measurement, self.estimator)
         # What the last sweep determined stays as it was.
         known = self.outcome is None or self.outcome.identifiable
         return self._take(replace(outcome, identifiable=known), "kernels")

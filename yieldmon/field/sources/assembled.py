@@ -58,21 +58,21 @@ def assemble(raw: Raw, where: str, kind: str, options: ReadOptions) -> HarvestTa
     if "longitude" not in values or "latitude" not in values:
         raise InputError(where, "has no longitude and latitude", "--column longitude=NAME --column latitude=NAME")
     values["longitude"], values["latitude"], turned = on_the_globe(values["longitude"], values["latitude"])
-    said = column_times(raw, options, where)
-    raw, values, said = without_repeats(raw, values, said)
-    raw = _machines_apart(raw, values, said)
+    clock = column_times(raw, options, where)
+    raw, values, clock = without_repeats(raw, values, clock)
+    raw = _machines_apart(raw, values, clock)
     if options.width_m is not None:
         values["width"] = np.full(raw.count, options.width_m)
     if "width" not in values:
         raise InputError(where, "has no working width", "--width M")
     unknown = _limited(values, raw.columns)
-    if said.time_s is not None and "section" not in values:
+    if clock.time_s is not None and "section" not in values:
         places = values["longitude"], values["latitude"]
-        section = numbered(*places, values["width"], said.time_s, raw.machine_of_row)
+        section = numbered(*places, values["width"], clock.time_s, raw.machine_of_row)
         if section is not None:
             values["section"] = section
             unknown += (f"rows of one time stand side by side: they are taken as {int(section.max())} sections of the header",)
-    time, unix_time, notes = row_times(raw, values, said, where)
+    time, unix_time, notes = row_times(raw, values, clock, where)
     held: tuple[str, ...] = ()
     if "section" not in values:
         places = values["longitude"], values["latitude"]
@@ -105,7 +105,7 @@ def assemble(raw: Raw, where: str, kind: str, options: ReadOptions) -> HarvestTa
             *ways,
             *notes,
             *strange,
-            *(_backwards(time) if said.time_s is not None else ()),
+            *(_backwards(time) if clock.time_s is not None else ()),
             *derived,
             *limits,
         ),
@@ -139,16 +139,16 @@ def _limited(values: dict[str, Array], columns: Mapping[str, Column]) -> tuple[s
     return notes
 
 
-def _machines_apart(raw: Raw, values: Mapping[str, Array], said: ColumnTimes) -> Raw:
+def _machines_apart(raw: Raw, values: Mapping[str, Array], clock: ColumnTimes) -> Raw:
     """With a name of its own for each of several machines whose rows are mixed: intervals and ways are those of one."""
-    if said.time_s is None or "section" in values:
+    if clock.time_s is None or "section" in values:
         return raw
     column = raw.columns.get("machine")
     label = None if column is None else raw.texts.get(column.name)
     places, _ = plausible({"longitude_deg": values["longitude"], "latitude_deg": values["latitude"]})
     plane = Sites.about(places["longitude_deg"], places["latitude_deg"])
     x_m, y_m = plane.to_m(places["longitude_deg"], places["latitude_deg"])
-    named, note = machine_names(said.time_s, x_m, y_m, label or Label.constant("", raw.count))
+    named, note = machine_names(clock.time_s, x_m, y_m, label or Label.constant("", raw.count))
     if not note:
         return raw
     name = " machine"
@@ -189,8 +189,8 @@ def _bushels(raw: Raw, column: Column, kind: str, place: str, crop: str) -> tupl
         scale[code] = factor(column.unit, kind, place, name)
     other = sorted({name for name in own.values() if crop and known_crop(name) != known_crop(crop)})
     several = len(set(own.values())) > 1
-    said = (f"{column.name}: bushels are those of each row's own crop ({', '.join(sorted(set(own.values())))})",)
-    return scale[label.codes], said if several or other else ()
+    note = (f"{column.name}: bushels are those of each row's own crop ({', '.join(sorted(set(own.values())))})",)
+    return scale[label.codes], note if several or other else ()
 
 
 def _labels(raw: Raw, options: ReadOptions) -> tuple[dict[str, Label], tuple[str, ...]]:

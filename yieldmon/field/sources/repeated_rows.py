@@ -17,7 +17,7 @@ _WHOLE = 0.7
 """Of the step to the next other row, that a row's own interval or distance is where it is no part of a faster log."""
 
 
-def without_repeats(raw: Raw, values: dict[str, Array], said: ColumnTimes) -> tuple[Raw, dict[str, Array], ColumnTimes]:
+def without_repeats(raw: Raw, values: dict[str, Array], clock: ColumnTimes) -> tuple[Raw, dict[str, Array], ColumnTimes]:
     """The same without rows of which the time, the place and all else that is read are those of a row before, which is said.
 
     Rows of a log that is faster than its clock and its receiver may look the same; their intervals or distances are parts of the
@@ -28,23 +28,23 @@ def without_repeats(raw: Raw, values: dict[str, Array], said: ColumnTimes) -> tu
     raw : Raw
     values : dict of str to array, shape (n,)
         Quantity -> values in SI.
-    said : ColumnTimes
+    clock : ColumnTimes
         What the file's columns say of times; without times rows that look the same may be a machine that stands.
     """
-    if said.time_s is None or not {"longitude", "latitude"} <= values.keys():
-        return raw, values, said
+    if clock.time_s is None or not {"longitude", "latitude"} <= values.keys():
+        return raw, values, clock
     columns = [np.nan_to_num(column, nan=-1e300) for column in values.values()]
     columns += [label.codes for label in raw.texts.values()]
-    order = np.lexsort([*columns, np.nan_to_num(said.time_s, nan=-1e300)])
-    same = np.isfinite(said.time_s[order[1:]])
-    for column in (*columns, np.nan_to_num(said.time_s, nan=-1e300)):
+    order = np.lexsort([*columns, np.nan_to_num(clock.time_s, nan=-1e300)])
+    same = np.isfinite(clock.time_s[order[1:]])
+    for column in (*columns, np.nan_to_num(clock.time_s, nan=-1e300)):
         same &= column[order[1:]] == column[order[:-1]]
     again = np.zeros(raw.count, bool)
     again[order[1:]] = same
     number = int(again.sum())
     # lexsort is stable: the first of the same rows in the file stays.
-    if not number or _are_parts(values, said.time_s, ~again):
-        return raw, values, said
+    if not number or _are_parts(values, clock.time_s, ~again):
+        return raw, values, clock
     kept = ~again
     left = Skipped(f"{number} rows", "are the same as rows before them: each counts once")
     return (
@@ -56,7 +56,7 @@ def without_repeats(raw: Raw, values: dict[str, Array], said: ColumnTimes) -> tu
             skipped=(*raw.skipped, left),
         ),
         {quantity: column[kept] for quantity, column in values.items()},
-        replace(said, time_s=said.time_s[kept]),
+        replace(clock, time_s=clock.time_s[kept]),
     )
 
 

@@ -67,7 +67,7 @@ def column_times(raw: Raw, options: ReadOptions, where: str) -> ColumnTimes:
     return ColumnTimes(np.where(np.isfinite(time_s), time_s, np.nan), unix, tuple(notes), column.name)
 
 
-def row_times(raw: Raw, values: Mapping[str, Array], said: ColumnTimes, where: str) -> tuple[Array, bool, tuple[str, ...]]:
+def row_times(raw: Raw, values: Mapping[str, Array], clock: ColumnTimes, where: str) -> tuple[Array, bool, tuple[str, ...]]:
     """Time of each row, s, whether it is Unix time, and what was taken for granted.
 
     Parameters
@@ -76,7 +76,7 @@ def row_times(raw: Raw, values: Mapping[str, Array], said: ColumnTimes, where: s
         As read, each machine's rows under its own name.
     values : mapping of str to array, shape (n,)
         Quantity -> values in SI: longitude and latitude, interval and distance where the file has them.
-    said : ColumnTimes
+    clock : ColumnTimes
         What the file's columns say.
     where : str
         Place for errors.
@@ -86,22 +86,22 @@ def row_times(raw: Raw, values: Mapping[str, Array], said: ColumnTimes, where: s
     InputError
         For rows without times that are not in the order in which they were driven.
     """
-    if said.time_s is None:
-        return _in_order(raw, values, where, said.notes[0])
-    notes = list(said.notes)
-    if "section" not in values and "interval" in values and not _repeats(said.time_s, raw):
-        return said.time_s, said.unix, tuple(notes)
-    even_s, step_s = said.time_s.copy(), 0.0
+    if clock.time_s is None:
+        return _in_order(raw, values, where, clock.notes[0])
+    notes = list(clock.notes)
+    if "section" not in values and "interval" in values and not _repeats(clock.time_s, raw):
+        return clock.time_s, clock.unix, tuple(notes)
+    even_s, step_s = clock.time_s.copy(), 0.0
     for rows in _of_machines(raw):
         if "section" in values:
-            even_s[rows], own_step_s = _of_steps(values, rows, said.time_s[rows])
+            even_s[rows], own_step_s = _of_steps(values, rows, clock.time_s[rows])
             step_s = max(step_s, own_step_s)
             continue
-        even_s[rows], own_step_s = clocks.evened(said.time_s[rows], _driven_m(values, rows, said.time_s[rows]))
+        even_s[rows], own_step_s = clocks.evened(clock.time_s[rows], _driven_m(values, rows, clock.time_s[rows]))
         step_s = max(step_s, own_step_s)
     if step_s:
-        notes.append(f"{said.name} counts in steps of {step_s:.2g} s, more coarsely than the rows follow: times are evened out")
-    return even_s, said.unix, tuple(notes)
+        notes.append(f"{clock.name} counts in steps of {step_s:.2g} s, more coarsely than the rows follow: times are evened out")
+    return even_s, clock.unix, tuple(notes)
 
 
 def _repeats(time_s: Array, raw: Raw) -> bool:
@@ -237,10 +237,10 @@ def _of_numbers(
     if (step := clocks.too_fine_s(numbers)) > 0:
         raise InputError(place, f"has steps of {step:.2g} s", f"--column time={column.name}:UNIT, one of s, ms, min, h, d")
     unix = bool(time_unit) or "unix" in column.name.lower()
-    said = [] if column.unit else [f"{column.name} is taken as {time_unit or 'seconds'}"]
+    taken_as = [] if column.unit else [f"{column.name} is taken as {time_unit or 'seconds'}"]
     if unix:
-        return numbers, True, said
-    return _of_day(numbers, midnight_s, raw, options, [*notes, *said])
+        return numbers, True, taken_as
+    return _of_day(numbers, midnight_s, raw, options, [*notes, *taken_as])
 
 
 def _of_day(

@@ -15,6 +15,7 @@ from yieldmon.engine.mass.totals import dry_mass
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.settings import TotalsSettings
 from yieldmon.errors import InputError
+from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files.crops import find_crop
 from yieldmon.service.history import relearning
 from yieldmon.service.history.journal import Journal
@@ -66,12 +67,9 @@ def correct(
         kept = by_number.get(load.number)
         dry_kg = None if kept is None else _dry_kg(kept, wanted.crop or "", monitor.settings.totals)
         journal.loads.dried(load.number, dry_kg)
-        if kept is None:
-            why_not[load.number] = "its seconds are not on record"
-        elif parameters is None:
-            why_not[load.number] = f"nothing is known of {wanted.crop}"
-        elif (found := load_factor(_measured(kept), parameters, monitor.machine)) is None:
-            why_not[load.number] = "too little of it rests on a known force"
+        found = _factor(kept, parameters, wanted.crop or "", monitor)
+        if isinstance(found, str):
+            why_not[load.number] = found
         else:
             factors[load.number] = found
     if factors:
@@ -85,6 +83,16 @@ def correct(
         "measured_again": sorted(factors), "not_measured_again": _reasons("load", why_not),
         "learnt_again": updated, "not_learnt_again": _reasons("ticket", not_updated), "taken_back": back,
     }  # fmt: skip
+
+
+def _factor(kept: StoredLoad | None, parameters: ParameterSet | None, crop: str, monitor: Monitor) -> float | str:
+    """Mass by the crop's parameters over the mass as measured, or why there is none."""
+    if kept is None:
+        return "its seconds are not on record"
+    if parameters is None:
+        return f"nothing is known of {crop}"
+    found = load_factor(_measured(kept), parameters, monitor.machine)
+    return "too little of it rests on a known force" if found is None else found
 
 
 def _reasons(what: str, why: Mapping[int, str]) -> list[dict[str, Any]]:

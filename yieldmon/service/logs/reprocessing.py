@@ -26,7 +26,7 @@ _PLACED = ("latitude_deg", "longitude_deg", "ground_speed_m_s", "course_deg")
 
 
 @dataclass(frozen=True)
-class Again:
+class Reprocessed:
     """rows: the seconds measured again. unusable: seconds with mass whose force, angle or speed is not known; they stay as they
     were."""
 
@@ -45,32 +45,20 @@ def measured_again(
     zero_mv: float | None = None,
     delay_s: int = 0,
     load_ends_s: Mapping[int, float] | None = None,
-) -> Again:
+) -> Reprocessed:
     """The rows with flow, mass and totals of these parameters.
 
     zero_mv: for all seconds; None: each its own. delay_s: place and speed of so many seconds earlier belong to a second's grain.
     load_ends_s: of the loads that have ended; what comes later counts in the total alone.
     """
-    model = ForwardModel(machine, parameters.effects)
-    force, noise, angle, speed, moisture, zero = (
-        column(rows, name)
-        for name in ("force_n", "force_std_dev_n", "plate_angle_deg", "elevator_speed_rpm", "moisture_pct", "zero_mv")
-    )
+    force, zero = column(rows, "force_n"), column(rows, "zero_mv")
     counted = np.array([row.mass_kg > 0.0 for row in rows], dtype=bool)
     if zero_mv is not None:
         force = force + (zero - zero_mv) * machine.sensor.gain_n_per_mv
         # Contested seconds are in no total, whatever the zero.
         covered = np.array([row.coverage > 0.0 and row.load_number > 0 and not row.surplus_frames for row in rows], dtype=bool)
         counted = covered & (force > settings.gate.grain_on_n)
-    usable = counted & np.isfinite(force) & np.isfinite(angle) & np.isfinite(speed)
-    if model.needs_moisture:
-        usable &= np.isfinite(moisture)
-    flow, std_dev = np.full(len(rows), np.nan), np.full(len(rows), np.nan)
-    if np.any(usable):
-        found = estimator_of(machine, parameters, model).estimate(
-            force[usable], np.radians(angle[usable]), speed[usable] * RPM, np.nan_to_num(noise[usable]), moisture[usable]
-        )
-        flow[usable], std_dev[usable] = found.mass_flow_kg_s, found.std_dev_kg_s
+    flow, std_dev = _flows(rows, machine, parameters, force, counted)
     out: list[SecondRow] = []
     total_kg, load_kg, load, unusable = 0.0, 0.0, -1, 0
     for i, row in enumerate(rows):
@@ -91,7 +79,27 @@ def measured_again(
             changed |= {"zero_mv": zero_mv, "force_n": finite(float(force[i]))}
         out.append(replace(row, **changed))
     before_kg = float(sum(row.mass_kg for row in rows))
-    return Again(tuple(out), before_kg, total_kg, unusable)
+    return Reprocessed(tuple(out), before_kg, total_kg, unusable)
+
+
+def _flows(
+    rows: Sequence[SecondRow], machine: Machine, parameters: ParameterSet, force_n: Array, counted: Array
+) -> tuple[Array, Array]:
+    """Flow and its standard deviation, kg/s, of each row that counts, by its force, N; nan where an input is not known."""
+    model = ForwardModel(machine, parameters.effects)
+    noise, angle, speed, moisture = (
+        column(rows, name) for name in ("force_std_dev_n", "plate_angle_deg", "elevator_speed_rpm", "moisture_pct")
+    )
+    usable = counted & np.isfinite(force_n) & np.isfinite(angle) & np.isfinite(speed)
+    if model.needs_moisture:
+        usable &= np.isfinite(moisture)
+    flow, std_dev = np.full(len(rows), np.nan), np.full(len(rows), np.nan)
+    if np.any(usable):
+        found = estimator_of(machine, parameters, model).estimate(
+            force_n[usable], np.radians(angle[usable]), speed[usable] * RPM, np.nan_to_num(noise[usable]), moisture[usable]
+        )
+        flow[usable], std_dev[usable] = found.mass_flow_kg_s, found.std_dev_kg_s
+    return flow, std_dev
 
 
 def _of_load(row: SecondRow, load_ends_s: Mapping[int, float] | None) -> bool:

@@ -50,18 +50,11 @@ def enter_ticket(order: Order) -> TicketEntered:
     request, monitor, journal = order.request, order.monitor, order.journal
     first = request.number_of("first_load", "load")
     last = request.number_of("last_load", "load") if request.given("last_load") else first
-    weighed_kg = request.mass("mass_kg", *TICKET_KG, "kg")
-    std_dev_kg = request.mass_or_none("std_dev_kg", *TICKET_KG, "kg")
-    if std_dev_kg is None:
-        std_dev_kg = ticket_file.RELATIVE_STD_DEV * weighed_kg
+    truck, own_kg, std_dev_kg = _weighed(request)
     covered = _closed_loads(order, first, last)
     measured_kg = sum(load.mass_kg for load in covered)
     again = journal.actions.ledger.factors
     known_kg = sum(load.mass_kg * again.get(load.number, 1.0) for load in covered)
-    truck, own_kg = _shared_truck(request, weighed_kg), weighed_kg
-    if truck is not None:
-        others = truck.other_kg, truck.other_std_dev_kg
-        own_kg, std_dev_kg = ticket_file.own_part(weighed_kg, std_dev_kg, *others, "mass from the other combine")
     ticket = Ticket(order.now_s, first, last, own_kg, measured_kg, request.name("note") or "")
     crop = _other_crop(order, covered)
     why_not = ticket_file.unit_slip(own_kg, measured_kg) or why_no_reference(monitor, journal, covered, order.stored, crop)
@@ -112,6 +105,19 @@ def _closed_loads(order: Order, first: int, last: int) -> Sequence[Load]:
     if not sum(load.mass_kg for load in covered) > 0.0:
         raise InputError(f"ticket for load {first}", "nothing was measured for it", "a load with a measured mass")
     return covered
+
+
+def _weighed(request: Request) -> tuple[SharedTruck | None, float, float]:
+    """The truck, where another combine filled it as well, and the mass of these loads with its standard deviation, kg."""
+    weighed_kg = request.mass("mass_kg", *TICKET_KG, "kg")
+    std_dev_kg = request.mass_or_none("std_dev_kg", *TICKET_KG, "kg")
+    if std_dev_kg is None:
+        std_dev_kg = ticket_file.RELATIVE_STD_DEV * weighed_kg
+    truck = _shared_truck(request, weighed_kg)
+    if truck is None:
+        return None, weighed_kg, std_dev_kg
+    others = truck.other_kg, truck.other_std_dev_kg
+    return truck, *ticket_file.own_part(weighed_kg, std_dev_kg, *others, "mass from the other combine")
 
 
 def _shared_truck(request: Request, weighed_kg: float) -> SharedTruck | None:
