@@ -56,7 +56,7 @@ def test_it_grows_with_the_grain_before_a_first_update(begun: tuple[ClosedLoopCa
     assert calibrator.drift_std_dev(second(1600.0), estimator) == found[-1]
 
 
-def test_a_update_ends_it(begun: tuple[ClosedLoopCalibrator, OpenLoop]) -> None:
+def test_an_update_ends_it(begun: tuple[ClosedLoopCalibrator, OpenLoop]) -> None:
     calibrator, estimator = begun
     assert calibrator.drift_std_dev(second(400.0), estimator) > 0.0
     weighed = calibrator.weigh(second(400.0), (ticket(estimator, FLOW_KG_S, 39_000.0, 39_900.0),), estimator).estimator

@@ -87,7 +87,7 @@ def test_what_had_been_handed_over_when_they_were_in_use(back: ParameterSet, han
     assert updated().handed_before(back, TWO) == handed
 
 
-def test_nothing_is_known_before_a_update() -> None:
+def test_nothing_is_known_before_an_update() -> None:
     assert ParameterLineage().handed_before(GIVEN, ONE) == ONE
     assert ParameterLineage().snapshot() is None
     assert ParameterLineage().leave_crop() is None

@@ -16,6 +16,7 @@ from tests.service.test_tickets_after_restart import TRUE, Season, ask
 from yieldmon.cli import main as cli
 from yieldmon.cli._records import back, taken_back
 from yieldmon.files import parameter_file
+from yieldmon.service.history import poster
 from yieldmon.service.logs import recorded
 from yieldmon.service.storage.store import Store
 
@@ -141,7 +142,7 @@ def test_a_second_undo_takes_back_what_was_learnt_again(tmp_path) -> None:
 
 
 @pytest.mark.parametrize("undo", [("calibrations", "undo", "3"), ("ticket", "undo", "2")], ids=["calibration", "ticket"])
-def test_an_undo_that_took_a_update_back_is_not_undone_behind_its_ticket(undo: tuple[str, ...], tmp_path, capsys) -> None:
+def test_an_undo_that_took_an_update_back_is_not_undone_behind_its_ticket(undo: tuple[str, ...], tmp_path, capsys) -> None:
     """Its parameters would hold what a ticket led to that stands for nothing; the mass entered again brings it back."""
     season = Season(tmp_path / "a")
     with running(season.folder) as bench:
@@ -241,6 +242,25 @@ def test_a_calibration_undone_leaves_what_the_others_led_to(place: int, restart:
         in told
     )
     assert ("is made again without it" in told) is bool(others)
+
+
+@pytest.mark.parametrize("undo", ["calibrations", "ticket"])
+def test_a_ticket_whose_loads_are_being_measured_again_counts_once_after_an_undo_of_the_next(
+    undo: str, never, tmp_path, monkeypatch
+) -> None:
+    """The next one's version names it as well, though its own stands: it updated the parameters a second time."""
+    season, held, of_store = Season(tmp_path / "a"), threading.Event(), poster.of_store
+    monkeypatch.setattr(poster, "of_store", lambda *args, **more: of_store(*args, **more) if held.wait(60.0) else {})
+    with running(season.folder) as bench:
+        season.harvest(bench)
+        enter(season, bench, [*RIGHT, (5, 1.01 * TRUE)])
+        wait_for(lambda: versions_of(season, 4), "what the last ticket leads to")
+        number = versions_of(season, 4)[0] if undo == "calibrations" else 4
+        answer = ask(season.folder, undo, "undo", str(number))
+        held.set()
+        values = left(season, bench)["values"]
+    assert (answer["learnt_again"], answer["not_learnt_again"]) == ([], [])
+    same({"values": values}, {"values": never["values"]})
 
 
 def test_a_silenced_ticket_stays_silent_when_another_is_taken_back(tmp_path) -> None:

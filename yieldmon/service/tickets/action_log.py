@@ -363,10 +363,18 @@ class ActionLog:
         return ledgers.undone_versions(self._actions)
 
     def standing_of(self, versions: Collection[int]) -> tuple[int, ...]:
-        """Numbers of the tickets that led to these versions and stand, not silenced; of several for the same loads the newest."""
-        updates = [update for version, update in self.updates.items() if version in versions]
-        led = {int(number) for update in updates for number in update.document.get("tickets", ())}
-        return self.newest_of(led - self.silenced)
+        """Numbers of the tickets that led to these versions and stand, not silenced; of several for the same loads the newest.
+
+        Without those that led to another version that stands: the later one names them for loads that are to be measured again.
+        """
+        gone, led, kept = self.undone_versions, set[int](), set[int]()
+        for version, update in self.updates.items():
+            numbers = {int(number) for number in update.document.get("tickets", ())}
+            if version in versions:
+                led |= numbers
+            elif version not in gone:
+                kept |= numbers
+        return self.newest_of(led - kept - self.silenced)
 
     def learnt_from(self) -> tuple[int, ...]:
         """Numbers of the standing tickets that led to versions which stand."""
