@@ -88,6 +88,33 @@ def test_the_day_comes_first_where_the_harvest_then_is_shorter(capsys: pytest.Ca
     assert any("dates are read as month/day/year" in note for note in notes)
 
 
+@pytest.mark.parametrize(
+    ("files", "options", "day", "said"),
+    [
+        ({"h.csv": ("%d/%m/%Y", 3, ",")}, (), "2026-03-04", "no date tells: --date 2026-04-03 if that is the first"),
+        ({"h.csv": ("%m/%d/%Y", 3, ",")}, (), "2026-04-03", "no date tells: --date 2026-03-04 if that is the first"),
+        ({"h.csv": ("%d/%m/%Y", 3, ",")}, ("--date", "2026-04-03"), "2026-04-03", "day/month/year"),
+        ({"h.csv": ("%d/%m/%Y", 3, ";")}, (), "2026-04-03", "day/month/year"),
+        ({"h.csv": ("%d/%m/%Y", 3, ","), "i.csv": ("%d/%m/%Y", 13, ",")}, (), "2026-04-03", "day/month/year"),
+        ({"h.csv": ("%d/%m/%Y", 4, ",")}, (), "2026-04-04", "month/day/year"),
+    ],
+)
+def test_dates_of_one_day_are_told_by_decimal_commas_another_file_or_a_person_and_else_asked_about(
+    files: dict[str, tuple[str, int, str]], options: tuple[str, ...], day: str, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, (pattern, first, mark) in files.items():
+        rows = [mark.join(("time", "longitude", "latitude", "flow (kg/s)", "width (m)"))]
+        for second in range(200):
+            at = datetime(2026, 4, first, 10, tzinfo=UTC) + timedelta(seconds=second)
+            cells = (at.strftime(f"{pattern} %H:%M:%S"), f"{8 + 2e-5 * second:.8f}", f"{51 + 0.01 * first:.8f}", "10.0", "6.0")
+            rows.append(mark.join(cell.replace(".", ",") if mark == ";" else cell for cell in cells))
+        Path(name).write_text("\n".join([*rows, ""]))
+    assert cli.main(["map", *files, "--out", "out", "--products", "csv", *options]) == 0
+    (note,) = [line for line in capsys.readouterr().err.splitlines() if "h.csv: dates are read as" in line]
+    assert said in note
+    assert f",{day}T10:00:00" in next(Path("out").glob("*.csv")).read_text()
+
+
 @pytest.mark.parametrize("more", [("", ""), (",interval (s)", ",1")])
 def test_a_clock_of_minutes_keeps_ground_and_mass(more: tuple[str, str], capsys: pytest.CaptureFixture[str]) -> None:
     document, notes = mapped(capsys, as_pattern("%d/%m/%Y %H:%M"), more=more[0], cells=more[1])

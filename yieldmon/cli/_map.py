@@ -67,8 +67,9 @@ def _read(paths: list[Path], options: ReadOptions, progress: sources.Progress) -
     for path in paths:
         if sys.stderr.isatty():
             progress(f"reading {path}")
-        table = sources.read(path, options)
-        tables.append(table)
+        tables.append(sources.read(path, options))
+    tables = _of_one_date_order(paths, tables, options)
+    for table in tables:
         for source in table.sources:
             for why, parts in _by_reason(source.skipped).items():
                 print(f"yieldmon: {source.path}: {', '.join(parts)}: {why}; left out", file=sys.stderr)
@@ -80,6 +81,19 @@ def _read(paths: list[Path], options: ReadOptions, progress: sources.Progress) -
         for copy in source.skipped[len(said[source.path]) :]:
             print(f"yieldmon: {source.path}: {copy.part} {copy.why}; left out", file=sys.stderr)
     return table
+
+
+def _of_one_date_order(paths: Sequence[Path], tables: Sequence[HarvestTable], options: ReadOptions) -> list[HarvestTable]:
+    """The tables, those read anew whose dates do not tell day from month where those of others tell another order."""
+    orders = [[source.date_order for source in table.sources if source.date_order is not None] for table in tables]
+    known = {order.day_first for of_table in orders for order in of_table if order.known}
+    if len(known) != 1:
+        return list(tables)
+    day_first = known.pop()
+    return [
+        sources.read(path, replace(options, day_first=day_first)) if any(not order.known for order in of_table) else table
+        for path, table, of_table in zip(paths, tables, orders, strict=True)
+    ]
 
 
 def _by_reason(skipped: Iterable[Skipped]) -> dict[str, list[str]]:

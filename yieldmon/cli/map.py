@@ -44,7 +44,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     what.add_argument("--width", type=float, metavar="M", help="working width, for sources that have none (or instead of theirs)")
     what.add_argument("--crop", default="", metavar="NAME", help="crop of rows that have none")
     what.add_argument("--field", default="", metavar="NAME", help="name of the field")
-    what.add_argument("--date", metavar="YYYY-MM-DD", help="date of the first point, for clocks without one")
+    what.add_argument("--date", metavar="YYYY-MM-DD", help="date of the first point, for clocks without one and 03/04/2026")
     what.add_argument("--crs", default="", metavar="EPSG:CODE", help="coordinate system, for files that name none")
     what.add_argument(
         "--header-ahead", type=float, metavar="M", help="from the antenna forward to the header (default: the file's)"

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yieldmon.errors import InputError
+from yieldmon.field.date_order import DateOrder
 
 Array = NDArray[Any]
 """Numbers, float64 where nothing else is said."""
@@ -121,6 +122,8 @@ class Source:
         Whether the source says that its delays have been taken out of its rows.
     known_loads : mapping of str to KnownLoad
         Loads by name that the source itself has corrected; its rows are as measured.
+    date_order : DateOrder or None
+        Of dates in which day and month could be exchanged; None for none.
     """
 
     path: str
@@ -134,6 +137,7 @@ class Source:
     default_flow_s: float = 0.0
     taken_out: bool = False
     known_loads: Mapping[str, KnownLoad] = field(default_factory=dict)
+    date_order: DateOrder | None = None
 
 
 @dataclass(frozen=True)

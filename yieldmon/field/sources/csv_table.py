@@ -137,6 +137,7 @@ def _read(found: _Table, where: str, options: ReadOptions) -> HarvestTable:
         table.skipped,
         (*notes, *of_places),
         default_flow_s=DEFAULT_FLOW_S if record else 0.0,
+        decimal_comma=comma,
     )
     return assemble(raw, where, KIND, options)
 

@@ -22,9 +22,11 @@ class ReadOptions:
     field : str
         Name of the field, where the file has none.
     first_date : date or None
-        Date of the first point, where the file's clock has none.
+        Date of the first point, where the file's clock has none or its dates do not tell day from month.
     crs : str
         Coordinate reference system where the file has none.
+    day_first : bool or None
+        Whether the day comes before the month in dates that do not tell; None: not known.
     """
 
     columns: Mapping[str, tuple[str, str]] = field(default_factory=dict)
@@ -33,3 +35,4 @@ class ReadOptions:
     field: str = ""
     first_date: date | None = None
     crs: str = ""
+    day_first: bool | None = None

@@ -29,6 +29,8 @@ class Raw:
         As in Source.
     default_flow_s : float
         See HarvestTable.
+    decimal_comma : bool
+        Whether decimals have commas.
     """
 
     columns: Mapping[str, Column]
@@ -38,6 +40,7 @@ class Raw:
     skipped: tuple[Skipped, ...] = ()
     notes: tuple[str, ...] = ()
     default_flow_s: float = 0.0
+    decimal_comma: bool = False
 
     @property
     def machine_of_row(self) -> NDArray[np.int32]:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from yieldmon.errors import InputError
+from yieldmon.field.date_order import DateOrder
 from yieldmon.field.plane import Sites
 from yieldmon.field.table import Array, Label
 from yieldmon.field.units import FACTORS, factor, plain_unit
@@ -43,20 +44,26 @@ class ColumnTimes:
         What was taken for granted; without times, why there are none.
     name : str
         Of the column.
+    date_order : DateOrder or None
+        See `Source`.
     """
 
     time_s: Array | None
     unix: bool
     notes: tuple[str, ...]
     name: str = ""
+    date_order: DateOrder | None = None
 
 
 def column_times(raw: Raw, options: ReadOptions, where: str) -> ColumnTimes:
     """The times in a file's columns of times and days. Raises InputError for times of which none can be read."""
-    column = raw.columns.get("time") or _dated_column(raw)
+    order = _date_order(raw, options)
+    options = options if order is None else replace(options, day_first=order.day_first)
+    column = raw.columns.get("time") or _dated_column(raw, options)
     if column is None:
         return ColumnTimes(None, unix=False, notes=("has no time",))
     time_s, unix, notes = _of_column(column, raw, options, where)
+    order = order if unix else None
     if unix and clocks.days_only(time_s):
         return ColumnTimes(None, unix=False, notes=(f"{column.name} holds days and no times",))
     if np.isfinite(time_s).sum() > 1 and np.unique(time_s[np.isfinite(time_s)]).size == 1:
@@ -64,7 +71,17 @@ def column_times(raw: Raw, options: ReadOptions, where: str) -> ColumnTimes:
     lost = int(np.isnan(time_s).sum())
     if lost:
         notes.append(f"{column.name} holds no time that can be read in {lost} of {raw.count} rows")
-    return ColumnTimes(np.where(np.isfinite(time_s), time_s, np.nan), unix, tuple(notes), column.name)
+    notes += [order.note] if order is not None and order.note else []
+    return ColumnTimes(np.where(np.isfinite(time_s), time_s, np.nan), unix, tuple(notes), column.name, order)
+
+
+def _date_order(raw: Raw, options: ReadOptions) -> DateOrder | None:
+    """Of the column of times, or else of that of days; tables with decimal commas are of countries where the day comes first."""
+    told = True if options.day_first is None and raw.decimal_comma else options.day_first
+    columns = (raw.columns.get(quantity) for quantity in ("time", "day"))
+    texts = (raw.texts[column.name].names for column in columns if column is not None and column.name in raw.texts)
+    orders = (written_times.order_of(names, told=told, first=options.first_date) for names in texts)
+    return next((order for order in orders if order is not None), None)
 
 
 def row_times(raw: Raw, values: Mapping[str, Array], clock: ColumnTimes, where: str) -> tuple[Array, bool, tuple[str, ...]]:
@@ -201,10 +218,10 @@ def _by_number(raw: Raw, values: Mapping[str, Array], orders: Sequence[NDArray[n
 
 def _of_column(column: Column, raw: Raw, options: ReadOptions, where: str) -> tuple[Array, bool, list[str]]:
     place = f"{where}: {column.name}"
-    midnight_s, day_note = _midnights(column, raw)
+    midnight_s, day_note = _midnights(column, raw, options)
     if column.name in raw.texts:
         label = raw.texts[column.name]
-        dated, note = _dated(label, raw)
+        dated, note = _dated(label, raw, options)
         numbers = _as_numbers(label)
         # Of counts of seconds some read as dates.
         counted = plain_unit(column.unit) in FACTORS["time"] or (np.isfinite(numbers).all() and not np.isfinite(dated).all())
@@ -259,14 +276,14 @@ def _of_day(
     return out, options.first_date is not None, [note for note in notes if note]
 
 
-def _midnights(column: Column, raw: Raw) -> tuple[Array | None, str]:
+def _midnights(column: Column, raw: Raw, options: ReadOptions) -> tuple[Array | None, str]:
     """Where each row's day begins, Unix time, and what was taken for granted; None without a column of days beside the times."""
     day = raw.columns.get("day")
     if day is None or day.name == column.name:
         return None, ""
     if day.name in raw.texts:
         label = raw.texts[day.name]
-        found, note = written_times.parsed([written_times.without_midnight(name) for name in label.names])
+        found, note = written_times.parsed([written_times.without_midnight(name) for name in label.names], options.day_first)
         days_s = found[label.codes]
     else:
         days_s, note = (raw.numbers[day.name] if day.unit == "s" else np.array([np.nan])), ""
@@ -275,9 +292,9 @@ def _midnights(column: Column, raw: Raw) -> tuple[Array | None, str]:
     return days_s, note
 
 
-def _dated(label: Label, raw: Raw) -> tuple[Array, str]:
+def _dated(label: Label, raw: Raw, options: ReadOptions) -> tuple[Array, str]:
     """Times with their date, or with the day that stands in a column of its own; NaN where they have none."""
-    times, note = written_times.parsed(label.names)
+    times, note = written_times.parsed(label.names, options.day_first)
     if np.isfinite(times).any():
         return times[label.codes], note
     day = raw.columns.get("day")
@@ -285,16 +302,16 @@ def _dated(label: Label, raw: Raw) -> tuple[Array, str]:
         return times[label.codes], note
     dates = raw.texts[day.name].text().tolist()
     both = Label.of([f"{written_times.without_midnight(a)} {b}" for a, b in zip(dates, label.text().tolist(), strict=True)])
-    times, note = written_times.parsed(both.names)
+    times, note = written_times.parsed(both.names, options.day_first)
     return times[both.codes], note
 
 
-def _dated_column(raw: Raw) -> Column | None:
+def _dated_column(raw: Raw, options: ReadOptions) -> Column | None:
     """The column of days, where it holds the time as well."""
     day = raw.columns.get("day")
     if day is None or day.name not in raw.texts:
         return None
-    times, _ = written_times.parsed(raw.texts[day.name].names[:_LOOKED_AT])
+    times, _ = written_times.parsed(raw.texts[day.name].names[:_LOOKED_AT], options.day_first)
     return day if (times[np.isfinite(times)] % S_PER_DAY != 0).any() else None
 
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from datetime import UTC, datetime
+from datetime import UTC, date, datetime
 from math import isfinite, nan
 
 import numpy as np
 
 from yieldmon import utc
+from yieldmon.field.date_order import DateOrder
 from yieldmon.field.table import Array
 
 _CLOCK = r"(\d{1,2})[:.h](\d{2})(?:[:.m](\d{2}(?:[.,]\d+)?)s?)?\s*([ap]\.?\s?m\.?)?"
@@ -68,17 +69,18 @@ def without_midnight(text: str) -> str:
     return _MIDNIGHT.sub("", text.strip())
 
 
-def parsed(texts: Sequence[str]) -> tuple[Array, str]:
+def parsed(texts: Sequence[str], day_first: bool | None = None) -> tuple[Array, str]:
     """Unix times of ISO 8601 or other dated texts, NaN where one cannot be read; and a note on what was taken for granted.
 
-    Whether the day or the month comes first is the same in all of them: a number over 12 tells, or one order in which the texts
-    lie closer together; where neither does, the month.
+    day_first: of dates of three numbers; None: as `order_of` has it.
 
     >>> parsed(["12/08/2024 23:59:59", "13/08/2024 00:00:00"])[0].tolist()
     [1723507199.0, 1723507200.0]
     """
     numbers = [_DATE.fullmatch(text.strip()) for text in texts]
-    day_first, order_note = _order([found for found in numbers if found is not None])
+    if day_first is None:
+        order = order_of(texts)
+        day_first = order is None or order.day_first
     out, without_zone = np.full(len(texts), np.nan), False
     for row, (text, found) in enumerate(zip(texts, numbers, strict=True)):
         if found is not None:
@@ -90,27 +92,45 @@ def parsed(texts: Sequence[str]) -> tuple[Array, str]:
             moment, zone_missing = _other(text.strip())
             without_zone |= zone_missing
         out[row] = moment
-    return out, "; ".join((["times without a zone are taken as UTC"] if without_zone else []) + order_note)
+    return out, "times without a zone are taken as UTC" if without_zone else ""
 
 
-def _order(found: Sequence[re.Match[str]]) -> tuple[bool, list[str]]:
-    """Whether the day comes first, and a note."""
-    if not found:
-        return True, []
+def order_of(texts: Sequence[str], *, told: bool | None = None, first: date | None = None) -> DateOrder | None:
+    """Whether the day or the month comes first in dates of three numbers, the same in all of them; None without such dates.
+
+    A number over 12 tells, points between the numbers, the date of the first one where it is known, and what else is told; the
+    order in which they lie closer together is likely; where nothing is, it is the month.
+
+    >>> order_of(["12/08/2024", "13/08/2024"]).day_first, order_of(["03/04/2026"]).known
+    (True, False)
+    """
+    found = [one for one in (_DATE.fullmatch(text.strip()) for text in texts) if one is not None]
     pairs = {(int(one[1]), int(one[3]), one[4]) for one in found}
+    if not pairs:
+        return None
     dotted = all(one[2] == "." for one in found)
-    first, second = sum(one > 12 for one, _, _ in pairs), sum(one > 12 for _, one, _ in pairs)
-    if first != second:
-        day_first = first > second
+    over, over_second = sum(one > 12 for one, _, _ in pairs), sum(one > 12 for _, one, _ in pairs)
+    times = {days: np.array([_unix(y, b if days else a, str(a if days else b)) for a, b, y in pairs]) for days in (True, False)}
+    if over != over_second:
+        told = over > over_second
     elif dotted:
-        day_first = True
-    else:
-        spans = [
-            float(np.ptp([_unix(year, b if days else a, str(a if days else b)) for a, b, year in pairs]))
-            for days in (True, False)
-        ]
-        day_first = spans[0] < spans[1]
-    return day_first, [] if dotted and day_first else [f"dates are read as {'day/month' if day_first else 'month/day'}/year"]
+        told = True
+    elif first is not None:
+        said_s = datetime(first.year, first.month, first.day, tzinfo=UTC).timestamp()
+        told = next((days for days in (True, False) if np.min(times[days]) == said_s), told)
+    if told is not None:
+        return DateOrder(told, known=True, note="" if dotted and told else _read_as(told))
+    day_first = float(np.ptp(times[True])) < float(np.ptp(times[False]))
+    if all(one == other for one, other, _ in pairs) or not np.isfinite([*times[True], *times[False]]).all():
+        return DateOrder(day_first, known=False, note=_read_as(day_first))
+    day, month = (datetime.fromtimestamp(float(np.min(times[days])), UTC).date() for days in (True, False))
+    read, other = (day, month) if day_first else (month, day)
+    doubt = f", the first as {read}, and no date tells: --date {other} if that is the first"
+    return DateOrder(day_first, known=False, note=_read_as(day_first) + doubt)
+
+
+def _read_as(day_first: bool) -> str:
+    return f"dates are read as {'day/month' if day_first else 'month/day'}/year"
 
 
 def _other(text: str) -> tuple[float, bool]:
