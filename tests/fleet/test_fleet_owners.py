@@ -291,6 +291,7 @@ def test_days_that_the_source_has_no_longer_are_named(tree: Path, tmp_path: Path
     assert "machine=m1" not in said
     assert main(["fleet", "report", str(tmp_path / "out"), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
+    assert problems(found, "fleet-report") == []
     [doubt] = found["doubtful"]
     assert doubt["problem"] == f"a.log holds the same as m0 {DAY} a.log; the sums leave it out"
     assert [(day["machine"], day["mass_kg"] > 0.0) for day in found["days"]] == [("m0", True), ("m1", True), ("new name", False)]

@@ -114,6 +114,7 @@ def test_report_names_logs_of_a_machine_that_overlap(tmp_path: Path, capsys: pyt
     capsys.readouterr()
     assert main(["fleet", "report", out, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
+    assert problems(found, "fleet-report") == []
     masses = {(day["machine"], day["day"]): day["mass_kg"] for day in found["days"]}
     packed, later = found["doubtful"]
     assert packed["problem"].endswith("at times that a.log has too; the sums leave them out")
@@ -148,6 +149,7 @@ def test_report_names_logs_with_the_samples_of_another_at_other_times(tmp_path: 
     capsys.readouterr()
     assert main(["fleet", "report", out, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
+    assert problems(found, "fleet-report") == []
     assert [(item["day"], item["problem"]) for item in found["doubtful"]] == [
         ("d1", "ahead.log holds the samples of d1 a.log at other times; the sums leave it out"),
         ("d2", "from_begin.log holds the samples of d1 a.log at other times; the sums leave it out"),
@@ -299,6 +301,7 @@ def test_days_of_an_earlier_release_are_read_beside_others(
     old = of_an_earlier_release(shutil.copytree(season / "first", tmp_path / "old"), day)
     assert main(["fleet", "report", str(old)]) == 0
     found = compare(str(old), str(season / "first"))
+    assert problems(found, "fleet-compare") == []
     assert (found["equal"], len(found["different"])) == (3, 1)
     assert found["columns_only_in_first"] == {"rows_before": 1}
     assert found["columns_only_in_second"] == {"shape_verdict": 1}
