@@ -109,7 +109,7 @@ def assemble(raw: Raw, where: str, kind: str, options: ReadOptions) -> HarvestTa
             *derived,
             *limits,
         ),
-        date_order=said.date_order,
+        date_order=clock.date_order,
     )
     return build(columns, labels, source, unix_time=unix_time, default_flow_s=raw.default_flow_s)
 
