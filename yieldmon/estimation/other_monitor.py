@@ -2,7 +2,7 @@
 
 Each such load weighs the truck less what that monitor shows, so its error is in all of them alike: however many there are, they
 know the scale no better than that monitor does. The error is a parameter of its own, whose covariance with the others goes on
-from lesson to lesson; trucks of this combine alone then fix it with the scale, and from one shared truck to the next drift shows.
+from update to update; trucks of this combine alone then fix it with the scale, and from one shared truck to the next drift shows.
 
 Source: Schmidt, "Application of state-space methods to navigation problems" (1966), on biases as further states.
 """
