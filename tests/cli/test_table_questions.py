@@ -103,6 +103,21 @@ def test_right_units_are_not_asked_about_where_the_rows_refute_every_other(
     assert asked_of(["calibrate", str(in_pounds(PUBLISHED, tmp_path)), "--starts", "2"], capsys)
 
 
+@pytest.mark.parametrize(("unit", "asked"), [(1.0, False), (3.6, True)], ids=["kg/s", "t/h"])
+def test_loads_that_no_paddle_holds_are_asked_about(
+    unit: float, asked: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A machine whose force is 1.2 times that of shipped grain, by a law of its own: in t/h it reads 0.55 times grain."""
+    lines = ["plate_angle_deg,mass_flow_kg_s,force_n"]
+    for angle in np.radians([40.0, 55.0, 70.0, 85.0]):
+        for flow in (4.0, 8.0, 12.0, 16.0, 20.0):
+            force = 15.1 * flow * np.sin(angle) * np.sin(angle - np.radians(15.0)) / (1.0 + 0.02 * flow)
+            lines += [f"{np.degrees(angle):g},{unit * flow:g},{force + trial:.3f}" for trial in (0.0, 0.3)]
+    path = tmp_path / "facility.csv"
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    assert bool(asked_of(["calibrate", str(path), "--starts", "2"], capsys)) is asked
+
+
 def test_units_of_a_table_by_moisture_are_asked_about(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = table(tmp_path, load=3.6)
     header, *rows = path.read_text(encoding="utf-8").splitlines()

@@ -389,6 +389,51 @@ def test_bounds_leave_the_flow_as_well_known_as_its_rows_make_it() -> None:
     assert max(stated) < 0.012
 
 
+SINGLE_ROWS = {
+    "angles and loads": ([40.0, 50.0, 60.0, 70.0, 80.0, 90.0], [4.0, 8.0, 12.0, 16.0, 20.0]),
+    "few angles and loads": ([50.0, 65.0, 80.0], [5.0, 10.0, 15.0]),
+    "one angle": ([70.0], [4.0, 8.0, 12.0, 16.0, 20.0]),
+    "three rows": ([70.0], [5.0, 10.0, 15.0]),
+}
+
+
+@pytest.mark.parametrize("rows", SINGLE_ROWS)
+def test_flows_between_rows_without_replicates_are_covered_where_the_model_is_wrong(rows: str) -> None:
+    """A jet whose force falls with its thickness, read once in each place: nothing parts the model's error from noise."""
+    angles, loads = SINGLE_ROWS[rows]
+    rng = np.random.default_rng(12)
+    off = []
+    for gain, thins, below_deg in zip(
+        rng.uniform(1.0, 1.5, 6), rng.uniform(0.005, 0.03, 6), rng.uniform(0.0, 20.0, 6), strict=True
+    ):
+
+        def per_paddle(angle_rad: Array, flow: Array) -> Array:
+            turned = np.sin(angle_rad) * np.sin(angle_rad - np.radians(below_deg))  # noqa: B023
+            return gain * 0.64 * flow * turned / (1.0 + thins * flow)  # noqa: B023
+
+        angle, flow = (v.ravel() for v in np.meshgrid(np.radians(angles), loads))
+        reading = per_paddle(angle, flow) * (1.0 + 0.01 * rng.standard_normal(flow.size))
+        data = Measurements(Conditions(angle, 400.0 * RPM, mass_flow_kg_s=flow), reading)
+        known = calibrate(MODEL, data, dict(START), FREE, starts=3, intervals=False).parameter_set
+        at, true = np.radians(rng.uniform(min(angles), max(angles), 30)), rng.uniform(min(loads), max(loads), 30)
+        force = per_paddle(at, true) * MACHINE.passes_per_s(400.0 * RPM)
+        found = OpenLoop(MODEL, known).estimate(force, at, 400.0 * RPM)
+        off.append((found.mass_flow_kg_s - true) / found.std_dev_kg_s)
+    assert np.sqrt(np.nanmean(np.square(off))) < 1.5
+    assert np.nanmean(np.abs(off) < 2.0) > 0.85
+
+
+def test_rows_as_many_as_parameters_do_not_show_their_noise_and_it_is_said() -> None:
+    rows = Conditions(np.radians(70.0), 400.0 * RPM, mass_flow_kg_s=np.array([5.0, 10.0, 15.0]))
+    found = calibrate(MODEL, generated(rows), dict(START), FREE, starts=2, intervals=False)
+    assert any("taken for 1 % of the largest reading" in text for text in found.sentences)
+    force = MODEL.force(HOME, TRUE)
+    stated = OpenLoop(MODEL, found.parameter_set).estimate(force[2], np.radians(70.0), 400.0 * RPM)
+    assert 0.005 < stated.std_dev_kg_s / stated.mass_flow_kg_s < 0.03
+    more = Conditions(np.radians(70.0), 400.0 * RPM, mass_flow_kg_s=np.array([5.0, 8.0, 10.0, 15.0]))
+    assert not any("noise" in text for text in calibrate(MODEL, generated(more), dict(START), FREE, starts=2).sentences)
+
+
 def test_an_outlier_of_a_robust_fit_is_no_error_of_the_model() -> None:
     """A twentieth of the readings is 30 % off, the others by noise of 1 %."""
     angle, flow = (v.ravel() for v in np.meshgrid(np.radians([40.0, 55.0, 70.0, 85.0]), np.linspace(2.0, 18.0, 6)))

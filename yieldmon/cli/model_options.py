@@ -240,7 +240,7 @@ def check_force(data: Table, machine: Machine) -> str:
     Held against the shipped parameters: grains differ by a factor of two or less, a newton and a kilogram-force by ten. Readings
     that are too small are asked about unless the rows refute each unit that would make them so (`unit_question.possible`): grain
     may miss the plate, while none gives more than its momentum twice. Pounds for kilograms read some 0.6 times grain, as some
-    grain does: asked about where the rows refute kilograms.
+    grain does: asked about where the rows refute kilograms, or where paddles hold less than a row's load.
     """
     if data.reading == RESPONSE:
         return ""
@@ -261,7 +261,9 @@ def check_force(data: Table, machine: Machine) -> str:
 
         rows = Measurements(_at(data, machine, at), values[at])
         model = ForwardModel(machine)
-        if 1.0 / _ASKED_FACTOR <= ratio < 1.0 and not unit_question.stated_is_refuted(model, rows):
+        # More than a paddle holds is no machine's load, and as good a reason to ask as rows that refute their unit.
+        likely = 1.0 / _ASKED_FACTOR <= ratio < 1.0 and np.all(np.isfinite(predicted))
+        if likely and not unit_question.stated_is_refuted(model, rows):
             return ""
         if ratio < 1.0 and not unit_question.possible(model, rows, (str(data.load), data.reading)):
             return ""

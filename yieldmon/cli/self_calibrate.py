@@ -49,7 +49,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         type=float,
         default=0.0,
         metavar="SHARE",
-        help="the model's own relative error at each angle (default, and at least: that of the parameters)",
+        help="the model's own relative error at each angle (at least the parameters')",
     )
     parser.add_argument(
         "--flow",

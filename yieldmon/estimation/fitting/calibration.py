@@ -37,6 +37,10 @@ from .calibration_result import (
 from .fit_uncertainty import FitUncertainty, fit_uncertainty, wald_intervals
 from .measurements import Measurements
 
+_NO_NOISE = (
+    "there are no more rows than parameters, so that they do not show their noise: it is taken for 1 % of the largest reading; "
+    "state it (column sigma), or measure more rows."
+)
 _OTHER_STARTS = 3
 """Searches with plate angles from another line."""
 
@@ -269,6 +273,7 @@ def _examined(searched: Searched, response_unit: str, intervals: bool) -> Calibr
         (
             *sentences(fitted, uncertainty.correlation, searched.basins, searched.starts, quality, problem.model.effects),
             *of_model_error(fitted, known),
+            *(() if problem.shows_noise or problem.given_sigma else (_NO_NOISE,)),
         ),
     )
 

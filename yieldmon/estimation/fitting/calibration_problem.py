@@ -163,6 +163,11 @@ class CalibrationProblem:
         freedom = np.bincount(self.cell) - 1.0
         return np.asarray((law * freedom.sum() / float(freedom @ law))[self.cell])
 
+    @property
+    def shows_noise(self) -> bool:
+        """Whether a fit leaves residuals: there is more than one value for each parameter."""
+        return self.data.momentum.size + len(self.prior_white) > len(self.names)
+
     def scatter(self) -> float:
         """Standard deviation of a row about the mean of its cell, in the momentum's unit; nan without replicates."""
         y, counts = self.data.momentum, np.bincount(self.cell)
@@ -206,8 +211,10 @@ class CalibrationProblem:
         if self.spread is not None:
             mean, share = residual_moments(slopes * weight[:, None] * self.unit, self.spread)
             return Noise(weight, inflation / mean, max(share * dof, 1.0), self.spread)
-        # A given sigma counts unless the residuals say it is too small (Birge's ratio).
-        return Noise(weight, max(inflation, 1.0) if self.given_sigma else inflation, dof, None)
+        # A given sigma counts unless the residuals say it is too small (Birge's ratio); so does what was begun with where a fit
+        # through every row leaves none.
+        begun_with = self.given_sigma or not self.shows_noise
+        return Noise(weight, max(inflation, 1.0) if begun_with else inflation, dof, None)
 
 
 def residual_moments(slopes: Array, variance: Array) -> tuple[float, float]:

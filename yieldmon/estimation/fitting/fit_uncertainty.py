@@ -103,14 +103,15 @@ def _with_model_error(
 
 
 def _learnt_error(problem: CalibrationProblem, error: Array, slopes: Array, fitted: Noise) -> float:
-    """Relative size of the model's own error, from angles and loads left out, where replicates or a stated sigma part it from
-    noise; else 0.
+    """Relative size of the model's own error, from angles and loads left out; 0 where it is not known.
 
     error: of each row. slopes: of each cell. fitted: the rows' noise as the fit took it; outliers of a robust fit say as
-    little of the model as they did there.
+    little of the model as they did there. Where neither replicates nor a stated sigma part it from noise, all that the fit leaves
+    is taken for noise where angles and loads are left out, and the error is no larger than that.
     """
-    if (problem.pure_dof < LEAST_PURE_DOF and not problem.given_sigma) or not slopes.shape[1]:
+    if not slopes.shape[1]:
         return 0.0
+    parted = problem.pure_dof >= LEAST_PURE_DOF or problem.given_sigma
     share = (fitted.weight * problem.row_sd) ** 2 if problem.robust else np.ones(error.size)
     count = np.bincount(problem.cell, share)
     first = np.unique(problem.cell, return_index=True)[1]
@@ -119,10 +120,14 @@ def _learnt_error(problem: CalibrationProblem, error: Array, slopes: Array, fitt
     predicted = np.bincount(problem.cell, share * (error + problem.data.momentum)) / count
     if not np.any(predicted):
         return 0.0  # No grain reaches the plate: there is nothing that an error could be relative to.
+    least = 1e-9 * float(np.max(np.abs(predicted)))
+    row_sd = np.maximum(fitted.row_sd, least)
     if problem.given_sigma:
         noise = np.bincount(problem.cell, share * problem.row_sd**-2.0) ** -0.5
+    elif parted:
+        noise = np.maximum(problem.pure_sd, least) / np.sqrt(count)
     else:
-        noise = np.maximum(problem.pure_sd, 1e-9 * float(np.max(np.abs(predicted)))) / np.sqrt(count)
+        noise = np.bincount(problem.cell, row_sd**-2.0) ** -0.5
     if problem.spread is not None:
         noise = noise * np.sqrt(problem.spread[first])
     basis = model_error.orthonormal(slopes / noise[:, None] * problem.unit)
@@ -131,7 +136,9 @@ def _learnt_error(problem: CalibrationProblem, error: Array, slopes: Array, fitt
     if problem.spread is not None:
         # As a fit leaves it that weighs the cells by their noise.
         residual = residual - basis @ (basis.T @ residual)
-    return model_error.learnt(residual, basis, relative, model_error.groups_of(angle, load))
+    size = model_error.learnt(residual, basis, relative, model_error.groups_of(angle, load))
+    most = float(np.mean((model_error.level(predicted)[problem.cell] / row_sd) ** 2)) ** -0.5
+    return size if parted else min(size, most) if size > model_error.FLOOR else 0.0
 
 
 def _inverse(information: Array, unit: Array) -> tuple[Array, NDArray[np.bool_]]:
