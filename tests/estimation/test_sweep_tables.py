@@ -100,3 +100,36 @@ def test_parameters_without_a_covariance_are_named(tmp_path: Path, capsys: pytes
     known.write_text(known.read_text().replace(COVARIANCE, ""))
     assert main(words) == 2
     assert capsys.readouterr().err.startswith(f"yieldmon: {known}: has no covariance")
+
+
+HEADER = "plate_angle_deg,group,force_n,sigma"
+REFUSED = {
+    "an empty machine": (
+        [(40, 0.1, 0.5), (60, -0.2, 0.5), (80, 0.05, 0.5)],
+        "sweep 1 of 1: its forces are those of an empty machine",
+    ),
+    "noise of next to nothing": (
+        [(40, 50, 1e-9), (60, 75, 1), (80, 80, 1)],
+        "group a: sweep: force_std_dev_n must be at least 1e-09",
+    ),
+    "copies, whose scatter is rounding": (
+        [(angle, force, "") for angle, force in ((40, 24.3), (60, 67.2), (80, 109.8)) for _ in range(9)],
+        "holds repeated rows without any scatter; expected --sigma SD",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_sweeps_that_hold_no_flow_or_no_noise_are_refused(case: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    readings, message = REFUSED[case]
+    path = tmp_path / "sweep.csv"
+    path.write_text("\n".join([HEADER, *(f"{angle},a,{force},{sigma}" for angle, force, sigma in readings)]) + "\n")
+    assert main(["self-calibrate", str(path)]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_rows_that_are_copies_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    cells = rows((400.0,), (12.0,), "mass_flow_kg_s")
+    for copies, named in ((1, False), (3, True)):
+        assert main([*table(tmp_path, cells * copies), "--sigma", "0.1"]) == 0
+        assert ("24 of 24 rows repeat another reading of the same condition" in capsys.readouterr().err) is named

@@ -21,7 +21,7 @@ from yieldmon.errors import InputError
 from yieldmon.estimation.fitting import empirical, identifiability
 from yieldmon.estimation.fitting.calibration import Searched, calibrate, examine, profile_curves, search
 from yieldmon.estimation.fitting.calibration_result import Calibration
-from yieldmon.estimation.fitting.measurements import Measurements, copied_rows
+from yieldmon.estimation.fitting.measurements import Measurements, as_copies_do, copied_rows
 from yieldmon.estimation.fitting.stop_gap import sentence, with_stop_gap
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.priors import EXCHANGED, Prior
@@ -130,10 +130,8 @@ def _with_copies_named(result: Calibration, data: table.Table, rows: Measurement
     copied = copied_rows(reading if rows.places is None else reading[rows.places], rows.cells()[1])
     if not copied:
         return result
-    word = (
-        f"{copied} of {rows.momentum.size} rows repeat another reading of the same condition in every digit, as copies do: "
-        "standard errors and lack of fit take each for a measurement; give each measurement once."
-    )
+    each = "standard errors and lack of fit take each for a measurement; give each measurement once."
+    word = f"{as_copies_do(copied, rows.momentum.size)}: {each}"
     return replace(result, sentences=(word, *result.sentences))
 
 

@@ -14,6 +14,7 @@ from yieldmon.cli._limits import above_0
 from yieldmon.documents.self_calibrate import SelfCalibrationDocument, SweepFlow, UpdateDocument
 from yieldmon.errors import InputError
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
+from yieldmon.estimation.fitting.measurements import as_copies_do, copied_rows
 from yieldmon.estimation.self_calibration.closed_loop import self_calibrate
 from yieldmon.estimation.self_calibration.closed_loop_inputs import DensityAnchor, Sweep
 from yieldmon.estimation.self_calibration.closed_loop_outcome import Outcome
@@ -23,6 +24,8 @@ from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array
 
 LEVEL = 0.9
+_ROUNDING = 1e-9
+"""Of the largest reading: what repeated rows of one number differ by from their mean."""
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -157,16 +160,11 @@ def _sweeps(
         rows = np.flatnonzero((labels == i) & np.isfinite(force))
         if np.unique(np.round(angle[rows], 4)).size < 2:
             raise InputError(f"{data.path}: group {name}", "holds fewer than two plate angles", "a sweep")
-        sweeps.append(
-            Sweep(
-                np.arange(rows.size, dtype=float),
-                angle[rows],
-                speed[rows],
-                force[rows],
-                sigma[rows],
-                None if moisture is None else moisture[rows],
-            )
-        )
+        moist = None if moisture is None else moisture[rows]
+        try:
+            sweeps.append(Sweep(np.arange(rows.size, dtype=float), angle[rows], speed[rows], force[rows], sigma[rows], moist))
+        except ValueError as error:
+            raise InputError(f"{data.path}: group {name}", str(error)) from error
         if data.load is None:
             true.append(float("nan"))
         else:
@@ -182,21 +180,23 @@ def _sigma(args: argparse.Namespace, data: table.Table, labels: np.ndarray) -> A
     known = np.isfinite(values) & (labels >= 0)
     if np.any(column[known] == 0.0):
         raise InputError(data.path, "column sigma has zeros", "a number above 0, or nothing where it is not known")
+    speed = data.columns.get("elevator_speed_rpm", np.full(len(data), np.nan))
+    keys = np.stack((data.columns["plate_angle_deg"], np.nan_to_num(speed, nan=-1.0), labels))
+    cells = np.unique(keys, axis=1, return_inverse=True)[1].ravel()
+    if copied := copied_rows(values[known], cells[known]):
+        _notes.note(f"{data.path}: {as_copies_do(copied, int(known.sum()))}: each counts as a measurement; give each once")
     if args.sigma is not None:
         above_0("--sigma", args.sigma)
         return np.where(np.isfinite(column), column, args.sigma)
     if np.all(np.isfinite(column[known])):
         return column
-    speed = data.columns.get("elevator_speed_rpm", np.full(len(data), np.nan))
-    keys = np.stack((data.columns["plate_angle_deg"], np.nan_to_num(speed, nan=-1.0), labels))
-    cells = np.unique(keys, axis=1, return_inverse=True)[1].ravel()
     counts = np.bincount(cells[known], minlength=cells.max() + 1)
     means = np.bincount(cells[known], values[known], minlength=cells.max() + 1) / np.maximum(counts, 1)
     dof = int(np.sum(np.maximum(counts - 1, 0)))
     if dof < 3:
         raise InputError(data.path, "does not state its noise", "--sigma SD, a column sigma, or repeated rows")
     spread = float(np.sqrt(np.sum((values[known] - means[cells[known]]) ** 2) / dof))
-    if spread == 0.0:
+    if spread <= _ROUNDING * float(np.max(np.abs(values[known]))):
         raise InputError(data.path, "holds repeated rows without any scatter", "--sigma SD")
     return np.where(np.isfinite(column), column, spread)
 

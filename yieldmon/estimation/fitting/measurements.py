@@ -128,6 +128,11 @@ class Measurements:
         return Conditions(angle, speed, load if by_flow else None, None if by_flow else load, known, place)
 
 
+def as_copies_do(copied: int, rows: int) -> str:
+    """What is said of copies among rows."""
+    return f"{copied} of {rows} rows repeat another reading of the same condition in every digit, as copies do"
+
+
 def copied_rows(reading: Array, cell: NDArray[np.integer[Any]]) -> int:
     """Rows that are copies of others of their condition: 0, or more than half of those that repeat a condition.
 

@@ -10,6 +10,8 @@ from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.model import Conditions, ForwardModel, refuse_impossible
 from yieldmon.physics.numerics import Array
 
+_LEAST_NOISE = 1e-9
+"""Of the largest force; what is surer drowns all else in rounding."""
 _SWEEP = ("time_s", "plate_angle_rad", "elevator_speed_rad_s", "force_n", "force_std_dev_n")
 _ANCHOR = ("duration_s", "force_n", "plate_angle_rad", "elevator_speed_rad_s")
 
@@ -50,7 +52,7 @@ class Sweep:
     Raises
     ------
     ValueError
-        For shapes that differ, values that are not finite, or standard deviations that are not above 0.
+        For shapes that differ, values that are not finite, or standard deviations that are 0, or next to it beside the forces.
 
     Examples
     --------
@@ -72,6 +74,8 @@ class Sweep:
         _refuse_uneven(self, "sweep", _SWEEP)
         if np.any(self.force_std_dev_n <= 0.0):
             raise ValueError("sweep: force_std_dev_n must be above 0")
+        if np.any(self.force_std_dev_n < _LEAST_NOISE * np.max(np.abs(self.force_n))):
+            raise ValueError(f"sweep: force_std_dev_n must be at least {_LEAST_NOISE:g} of the largest force")
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,9 @@ from yieldmon.physics.numerics import Array
 from .closed_loop_inputs import DensityAnchor, MassAnchor, Sweep
 from .flow_process import correlation, process_sd
 
+_LEAST_FLOW_KG_S, _LARGEST_FLOW_KG_S = 1e-3, 1e3
+_AT_END = 1e-6
+"""Of ln(flow), within which a search has ended at the least flow."""
 _FOLLOWED = 1e-4
 """A Newton step of the flows this small leaves an error at rounding, their curvature being of their own size."""
 _NEWTON_STEPS = 4
@@ -161,8 +164,8 @@ class ClosedLoopProblem:
         flows, anchor_flows = self._first_flows()
         self._near = _AnchorFlows(anchor_flows, np.zeros((anchor_flows.size, width)), self.prior.mean)
         unknown = np.concatenate((self.prior.mean, np.log(flows), np.zeros(self.slopes)))
-        low = np.concatenate((self.lower, np.full(count, np.log(1e-3)), np.full(self.slopes, -1.0)))
-        high = np.concatenate((self.upper, np.full(count, np.log(1e3)), np.full(self.slopes, 1.0)))
+        low = np.concatenate((self.lower, np.full(count, np.log(_LEAST_FLOW_KG_S)), np.full(self.slopes, -1.0)))
+        high = np.concatenate((self.upper, np.full(count, np.log(_LARGEST_FLOW_KG_S)), np.full(self.slopes, 1.0)))
         unit = np.concatenate((self.prior.standard_deviation, np.full(count, 0.1), np.full(self.slopes, 0.01)))
         # Noise from flow and model error scales with the force's slope: settle both in turn.
         passes = 3 if self.sweeps and (self.settings.flow == "process" or self.settings.model_error > 0.0) else 1
@@ -185,6 +188,9 @@ class ClosedLoopProblem:
             unknown = found.theta[0]
             if moved < 0.05:
                 break
+        empty = np.flatnonzero(unknown[width : width + count] <= np.log(_LEAST_FLOW_KG_S) + _AT_END)
+        if empty.size:
+            raise ValueError(f"sweep {empty[0] + 1} of {count}: its forces are those of an empty machine, without a flow to find")
         jacobian = found.jacobian[0]
         return Solution(unknown, found.residual[0], jacobian, _inverse(jacobian.T @ jacobian, unit), tuple(whiteners))
 
