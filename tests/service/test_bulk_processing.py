@@ -151,6 +151,21 @@ def test_several_logs_are_one_record(log, tmp_path):
     assert rows_of(process_in_bulk, parts, reads_ahead=True)[0] == rows_of(process_in_bulk, [log])[0]
 
 
+@pytest.mark.parametrize("process", [process_logs, process_in_bulk])
+def test_what_two_loggers_recorded_of_one_bus_counts_once(process, log, tmp_path):
+    """The second one from the middle on, by a clock that is 3 ms late."""
+    early, late = messages(), messages()
+    for message in late:
+        message.timestamp = round(message.timestamp + 0.003, 6)
+    parts = [write(tmp_path / "1.log", early[:6000]), write(tmp_path / "2.log", late[3500:])]
+    rows, summary = rows_of(process, parts)
+    whole, _ = rows_of(process, [log])
+    assert rows[-1].total_kg == pytest.approx(whole[-1].total_kg, rel=5e-3)
+    assert len(rows) == len(whole)
+    (said,) = summary.damages
+    assert f"it holds the frames of {parts[0]} again (+3 ms); left out" in said
+
+
 @pytest.mark.parametrize("reads_ahead", [False, True])
 def test_a_log_that_cannot_be_read(tmp_path, reads_ahead):
     with pytest.raises(InputError, match=r"gone\.log"):

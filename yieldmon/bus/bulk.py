@@ -67,6 +67,11 @@ class FrameBlock:
         rows = np.flatnonzero(np.isin(self.channel, [number for number, name in enumerate(self.channels) if name in names]))
         return self if len(rows) == len(self) else self.take(rows)
 
+    def after(self, time_s: float) -> FrameBlock:
+        """The rows after a time."""
+        later = self.time_s > time_s
+        return self if later.all() else self.take(np.flatnonzero(later))
+
     def channels_in_use(self) -> frozenset[str]:
         """Names of the channels that have a row; "" where a log names none."""
         counts = np.bincount(self.channel, minlength=len(self.channels)).tolist()

@@ -34,6 +34,7 @@ from yieldmon.errors import InputError
 from yieldmon.identifiers import EXTENDED_FLAG
 from yieldmon.service.logs.channels import OneChannel
 from yieldmon.service.logs.processing import Summary, hand_over, refuse_nothing
+from yieldmon.service.logs.recorded_before import RecordedBefore
 from yieldmon.service.storage.rows import SecondRow
 from yieldmon.service.traffic.side_inputs import SideInputs
 from yieldmon.signals.decoding import MapDecoder
@@ -128,20 +129,25 @@ def stretches_of(paths: Iterable[str], taking: Taking) -> Iterator[Stretch | End
     decoder, side = MapDecoder(taking.signals), SideInputs()
     wanted = _wanted(taking, decoder, side)
     one_channel = None if taking.channels else OneChannel(taking.signals.sources)
+    recorded, sensors = RecordedBefore(taking.channels), {source.message for source in taking.signals.sources.impact}
     for path in paths:
         notes, frames, channels = LogNotes(), 0, frozenset[str]()
+        again_until_s, again = recorded.begin(path)
         for whole in _joined(iter_blocks(path, notes, wanted=wanted)):
             channels |= whole.channels_in_use()
             block = whole.of_channels(taking.channels) if taking.channels else whole
+            block = block.after(again_until_s)
             before = decoder.incomplete
             columns, refused = _decoded(taking, decoder, side, block)
+            for name in sensors & columns.keys():
+                recorded.take(block, columns[name].rows)
             if one_channel is not None:
                 one_channel.take(path, block, {name: (each.rows, each.time_s) for name, each in columns.items()})
             found = _stretch(columns, refused, block, notes.frames - frames, taking.signals.sources)
             yield replace(found, incomplete=decoder.incomplete - before)
             frames = notes.frames
         shared = one_channel.end_of_log(path) if one_channel is not None else []
-        yield EndOfLog(path, notes.lacks(path) + shared, channels)
+        yield EndOfLog(path, [*notes.lacks(path), *shared, *([again] if again else [])], channels)
     if decoder.under_way:
         yield Stretch(0, 0, 0, incomplete=decoder.under_way)
 

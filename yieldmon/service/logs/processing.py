@@ -14,6 +14,7 @@ from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.results import Result, records_in
 from yieldmon.errors import InputError
 from yieldmon.service.logs.channels import OneChannel
+from yieldmon.service.logs.recorded_before import RecordedBefore
 from yieldmon.service.storage.rows import SecondRow, second_row
 from yieldmon.service.traffic.input_frames import InputFrames
 from yieldmon.signals.mapping import SignalMap, default_map
@@ -109,12 +110,14 @@ def process_logs(
     bus = InputFrames(codec, mapping)
     sensors = {source.message for source in mapping.sources.impact}
     one_channel = None if channels else OneChannel(mapping.sources)
+    recorded = RecordedBefore(tuple(channels))
     for path in paths:
         notes = LogNotes()
+        again_until_s, again = recorded.begin(str(path))
         for message in read_log(path, notes):
             channel = channel_name(message)
             summary.channels.add(channel)
-            if channels and channel not in channels:
+            if (channels and channel not in channels) or message.timestamp <= again_until_s:
                 continue
             try:
                 frames = bus.frames(message)
@@ -122,14 +125,16 @@ def process_logs(
                 summary.malformed += 1
                 continue
             summary.ours += bool(frames)
-            summary.samples += any(frame.message in sensors for frame in frames)
+            if any(frame.message in sensors for frame in frames):
+                summary.samples += 1
+                recorded.take_message(message)
             for frame in frames:
                 if one_channel is not None:
                     one_channel.take_frame(str(path), frame.message, channel, frame.time_s)
                 hand_over(monitor.feed(frame), take_row, summary)
         shared = one_channel.end_of_log(str(path)) if one_channel is not None else []
         summary.frames += notes.frames
-        summary.damages += notes.lacks(path) + shared
+        summary.damages += [*notes.lacks(path), *shared, *([again] if again else [])]
     summary.incomplete = bus.incomplete + bus.under_way
     refuse_nothing(paths, summary, channels)
     return summary

@@ -1,0 +1,128 @@
+"""Frames of a log that one before it holds: two loggers recorded one bus under one channel name, and its grain counts once.
+
+The samples of an impact sensor hold noise: the same bytes come again at the same times only in a recording of the same bus.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from itertools import islice
+from pathlib import Path
+
+import can
+import numpy as np
+from numpy.typing import NDArray
+
+from yieldmon import utc
+from yieldmon.bounded import is_pipe
+from yieldmon.bus.bulk import FrameBlock, block_of
+from yieldmon.bus.loading import iter_blocks
+from yieldmon.bus.log_notes import LogNotes
+from yieldmon.errors import InputError
+
+_MULTIPLIER, _ALL_BUT_BITS = np.uint64(0x9E3779B97F4A7C15), np.uint64(58)
+"""Of a payload, so that one in 64 of them is compared, whatever its counter."""
+_LEAST_ALIKE = 8
+"""Of the frames compared, at as constant a distance in time."""
+_CLOCKS_S, _JITTER_S = 60.0, 0.05
+"""How far the clocks of two loggers may be apart, and how unsteadily they may stamp a frame."""
+_LOOK_BYTES, _LOOKS, _ENOUGH = 1 << 19, 40, 64
+"""What is read of a log's beginning at a time, how often at most, and frames compared after which it is another record."""
+
+_Key = tuple[str, int, int]
+"""Channel, identifier with flags, payload."""
+
+
+@dataclass
+class _Log:
+    """Times of the frames that are compared by what they hold; None where the same came twice."""
+
+    path: str
+    times_s: dict[_Key, float | None] = field(default_factory=dict)
+    last_s: float = float("-inf")
+
+    def take(self, keys: list[_Key], times_s: list[float]) -> None:
+        """More of its frames."""
+        for key, time_s in zip(keys, times_s, strict=True):
+            self.times_s[key] = None if key in self.times_s else time_s
+
+
+class RecordedBefore:
+    """The impact sensor's frames of logs that are read one after the other."""
+
+    def __init__(self, channels: tuple[str, ...] = ()) -> None:
+        """channels: whose frames are taken; empty: all."""
+        self._channels = channels
+        self._logs: list[_Log] = []
+        self._identifiers: set[int] = set()
+
+    def begin(self, path: str) -> tuple[float, str]:
+        """The next log: until when its frames are those of one before, -inf where none is, and a line that says so."""
+        until_s, line = float("-inf"), ""
+        beginning = self._beginning(path) if self._logs else _Log(path)
+        for other in self._logs:
+            apart_s = _apart_s(beginning, other)
+            if apart_s is not None and other.last_s + apart_s > until_s:
+                until_s = other.last_s + apart_s
+                held = (
+                    f"up to {utc.text(utc.moment(until_s))} it holds the frames of {other.path} again ({1e3 * apart_s:+.0f} ms)"
+                )
+                line = f"{path}: {held}; left out, as the grain counts once"
+        self._logs.append(_Log(path))
+        return until_s, line
+
+    def take(self, block: FrameBlock, rows: NDArray[np.intp]) -> None:
+        """Rows of the sensor's frames in a block of the log."""
+        self._identifiers.update(np.unique(block.can_id[rows]).tolist())
+        dated = rows[block.time_s[rows] >= utc.EARLIEST_BUS_TIME_S]
+        if not dated.size:
+            return
+        log, times_s = self._logs[-1], block.time_s[dated]
+        log.last_s = max(log.last_s, float(times_s.max()))
+        log.take(*_compared(block, dated))
+
+    def take_message(self, message: can.Message) -> None:
+        """One of the sensor's frames, as take()."""
+        self.take(block_of([message]), np.zeros(1, np.intp))
+
+    def _beginning(self, path: str) -> _Log:
+        """Of frames that another log may hold: until enough of them can be compared, or past the end of all logs before."""
+        found, last_s = _Log(path), max(log.last_s for log in self._logs)
+        for block in self._looks(path):
+            rows = np.flatnonzero(np.isin(block.can_id, list(self._identifiers)) & (block.time_s >= utc.EARLIEST_BUS_TIME_S))
+            found.take(*_compared(block, rows))
+            beyond = rows.size and float(block.time_s[rows].min()) > last_s + _CLOCKS_S
+            if beyond or sum(time_s is not None for time_s in found.times_s.values()) >= _ENOUGH:
+                break
+        return found
+
+    def _looks(self, path: str) -> Iterator[FrameBlock]:
+        unsaid = LogNotes(on_damage=lambda damage: None)
+        try:
+            if is_pipe(Path(path)) or not any(log.times_s for log in self._logs):
+                return
+            for block in islice(iter_blocks(path, unsaid, chunk_bytes=_LOOK_BYTES), _LOOKS):
+                yield block.of_channels(self._channels) if self._channels else block
+        except (InputError, OSError):
+            # What is wrong is said when it is measured.
+            return
+
+
+def _compared(block: FrameBlock, rows: NDArray[np.intp]) -> tuple[list[_Key], list[float]]:
+    """What some of these frames hold, and their times."""
+    chosen = rows[(block.payload[rows] * _MULTIPLIER) >> _ALL_BUT_BITS == 0]
+    parts = (column[chosen].tolist() for column in (block.channel, block.can_id, block.payload))
+    keys = [(block.channels[channel], identifier, payload) for channel, identifier, payload in zip(*parts, strict=True)]
+    return keys, block.time_s[chosen].tolist()
+
+
+def _apart_s(log: _Log, other: _Log) -> float | None:
+    """How much later a log has the frames of another, s; None where it holds others."""
+    pairs = ((time_s, other.times_s.get(key)) for key, time_s in log.times_s.items())
+    apart = np.array([time_s - before_s for time_s, before_s in pairs if time_s is not None and before_s is not None])
+    if apart.size < _LEAST_ALIKE:
+        return None
+    middle = float(np.median(apart))
+    alike = np.count_nonzero(np.abs(apart - middle) <= _JITTER_S)
+    return middle if abs(middle) <= _CLOCKS_S and alike >= max(_LEAST_ALIKE, 0.9 * apart.size) else None
