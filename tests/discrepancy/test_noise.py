@@ -117,6 +117,19 @@ def test_stated_sigma_is_taken_at_its_word(make_rows) -> None:
     assert (found.how, found.sd(50.0)) == ("stated", pytest.approx(0.7))
 
 
+@pytest.mark.parametrize(("share", "outlier", "times"), [(1.0, 0.0, 1.0), (0.3, 0.0, 3.3), (0.3, 40.0, 3.3), (1.0, 40.0, 1.0)])
+def test_stated_sigma_that_repeated_rows_refute_is_widened_to_what_they_scatter_by(
+    share: float, outlier: float, times: float, make_rows
+) -> None:
+    rows = make_rows(noise=0.0)
+    value = rows.value + 0.7 * np.random.default_rng(6).standard_normal(len(rows))
+    value[7] += outlier
+    found, _ = noise.estimate(replace(rows, value=value, sigma=np.full(len(rows), share * 0.7)))
+    assert found.times == pytest.approx(times, rel=0.12)
+    assert found.of_rows(replace(rows, sigma=np.full(len(rows), share * 0.7)), value) == pytest.approx(0.7, rel=0.12)
+    assert ("times the stated sigma, since repeated rows" in diagnosis_notes.of_noise(found)) is (times > 1.0)
+
+
 def test_each_row_weighs_by_its_own_sigma(make_rows) -> None:
     rows = make_rows(repeats=3)
     sigma = np.random.default_rng(2).choice([0.2, 1.0, 5.0], len(rows))

@@ -132,7 +132,9 @@ def of_noise(noise: Noise) -> str:
     how = {
         "replicates": f"noise from replicates ({noise.dof:.0f} degrees of freedom)",
         "smooth": "no replicates: noise from the scatter about a smooth surface through the rows",
-        "stated": "noise as stated, not measured in this table",
+        "stated": "noise as stated, not measured in this table"
+        if noise.times == 1.0
+        else f"noise of {noise.times:.3g} times the stated sigma, since repeated rows scatter that much more",
         "assumed": "noise assumed: too few rows to see it (state sigma, or repeat rows)",
     }[noise.how]
     form = f"sd = {noise.constant:.4g}" + (

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from yieldmon.estimation.fitting.scatter_law import fit_variances, rounding_sd, scatter_law, usual_deviation
@@ -22,6 +23,10 @@ _OUTLIER_SD = 5.0
 _MIN_REPLICATE_DOF = 8
 _LEAST_REPLICATE_DOF = 3
 """Enough where the rows are too few for a smooth surface."""
+_STATED_DOF = 1e6
+"""Of noise that is taken at its word."""
+_REFUTED = 0.001
+"""p value below which repetitions refute the standard deviations that rows state."""
 _ASSUMED = (0.002, 0.01)
 """Standard deviation, as shares of the largest reading and of each, where rows say nothing of it."""
 
@@ -31,6 +36,7 @@ class Noise:
     """sd of one row: sqrt(constant^2 + (proportional y)^2), with dof behind it.
 
     how: "replicates", "smooth", "stated" or "assumed". shared: the part of the constant one that repetitions have in common.
+    times: what the rows' own standard deviations are multiplied by, where repetitions scatter more than these say.
     """
 
     constant: float
@@ -38,6 +44,7 @@ class Noise:
     dof: float
     how: str
     shared: float = 0.0
+    times: float = 1.0
 
     def sd(self, level: Array) -> Array:
         """Standard deviation of one row at reading `level`."""
@@ -45,12 +52,12 @@ class Noise:
 
     def of_rows(self, rows: Rows, level: Array) -> Array:
         """Standard deviation of each row, shape (rows,): its own where the rows state it, else that of its `level`."""
-        return rows.sigma if rows.stated else self.sd(level)
+        return self.times * rows.sigma if rows.stated else self.sd(level)
 
     def of_cells(self, grouped: Cells) -> Array:
         """Standard deviation of each cell's mean, shape (cells,)."""
         if grouped.rows.stated:
-            return np.asarray(np.bincount(grouped.rows.cell, grouped.rows.sigma**-2.0) ** -0.5)
+            return np.asarray(self.times * np.bincount(grouped.rows.cell, grouped.rows.sigma**-2.0) ** -0.5)
         own = self.sd(grouped.mean) / np.sqrt(grouped.count)
         return own if self.shared == 0.0 else np.hypot(own, self.shared * np.sqrt(1.0 - 1.0 / grouped.count))
 
@@ -58,11 +65,31 @@ class Noise:
 def estimate(rows: Rows) -> tuple[Noise, NDArray[np.bool_]]:
     """Noise, and which rows are outliers: beyond 5 sd of their cell's median (or of the smooth surface), never to be fitted."""
     if rows.stated:
-        return Noise(*scatter_law(rows.value, rows.sigma), 1e6, "stated"), np.zeros(len(rows), dtype=bool)
+        times, dof = _beyond_stated(rows)
+        return Noise(*scatter_law(rows.value, times * rows.sigma), dof, "stated", times=times), np.zeros(len(rows), dtype=bool)
     count = np.bincount(rows.cell)
     if len(rows) - len(count) >= _MIN_REPLICATE_DOF:
         return _from_replicates(rows)
     return _from_smooth_surface(rows)
+
+
+def _beyond_stated(rows: Rows) -> tuple[float, float]:
+    """What repetitions scatter by over the standard deviations that rows state, and the degrees of freedom behind it; 1 where
+    chance explains it, and where few repeat. Those that lie far off have no say."""
+    count = np.bincount(rows.cell)
+    dof = len(rows) - len(count)
+    if dof < _MIN_REPLICATE_DOF:
+        return 1.0, _STATED_DOF
+    weight = rows.sigma**-2.0
+    mean = (np.bincount(rows.cell, weight * rows.value) / np.bincount(rows.cell, weight))[rows.cell]
+    repeated = (count > 1)[rows.cell]
+    off = (np.abs(rows.value - mean) / rows.sigma)[repeated]
+    alike = off / np.sqrt(1.0 - 1.0 / count[rows.cell][repeated])
+    kept = alike <= _OUTLIER_SD * max(usual_deviation(alike), 1.0)
+    dof = dof * float(np.mean(kept))
+    square = float(np.sum(off[kept] ** 2))
+    refuted = dof > 0.0 and scipy.special.chdtrc(dof, square) < _REFUTED
+    return (float(np.sqrt(square / dof)), dof) if refuted else (1.0, _STATED_DOF)
 
 
 def _from_replicates(rows: Rows) -> tuple[Noise, NDArray[np.bool_]]:
