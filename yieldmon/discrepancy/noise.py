@@ -86,10 +86,9 @@ def _beyond_stated(rows: Rows) -> tuple[float, float]:
     off = (np.abs(rows.value - mean) / rows.sigma)[repeated]
     alike = off / np.sqrt(1.0 - 1.0 / count[rows.cell][repeated])
     kept = alike <= _OUTLIER_SD * max(usual_deviation(alike), 1.0)
-    dof = dof * float(np.mean(kept))
-    square = float(np.sum(off[kept] ** 2))
-    refuted = dof > 0.0 and scipy.special.chdtrc(dof, square) < _REFUTED
-    return (float(np.sqrt(square / dof)), dof) if refuted else (1.0, _STATED_DOF)
+    left, square = dof * float(np.mean(kept)), float(np.sum(off[kept] ** 2))
+    refuted = left > 0.0 and scipy.special.chdtrc(left, square) < _REFUTED
+    return (float(np.sqrt(square / left)), left) if refuted else (1.0, _STATED_DOF)
 
 
 def _from_replicates(rows: Rows) -> tuple[Noise, NDArray[np.bool_]]:
