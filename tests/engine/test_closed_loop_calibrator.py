@@ -960,3 +960,17 @@ def test_shared_trucks_know_the_scale_no_better_than_the_other_monitor_until_an_
     assert sds[0] > sds[2] > sds[9] > 0.027
     assert sds[10] < 0.01
     assert abs(home_error_pct(known, 12.0)) < 1.0
+
+
+def test_a_shared_truck_far_off_is_a_wrong_ticket_and_no_error_of_the_other_monitor() -> None:
+    """14 % after two trucks that agree, where 3 % is the other monitor's."""
+    calibrator, known = ClosedLoopCalibrator(MODEL, CalibratorSettings(closed_loop=ClosedLoopSettings())), OpenLoop(MODEL, NARROW)
+    masses, reason = (), ""
+    for k, (factor, sd_kg, common_kg) in enumerate([(1.0, 60.0, 0.0), (1.0, 60.0, 0.0), (0.86, 190.0, 180.0)]):
+        start = 1000.0 * k
+        one = ticket(known, 12.0 + 0.5 * k, start, start + 500.0, sd_kg=sd_kg)
+        one = dataclasses.replace(one, reference_kg=factor * one.reference_kg, load_number=k + 1, common_kg=common_kg)
+        masses = (*masses, one)
+        outcome = calibrator.weigh(dataclasses.replace(records(12.0)[0], time_s=start + 600.0), masses, known)
+        known, reason = outcome.estimator or known, outcome.reason  # type: ignore[assignment]
+    assert reason.startswith("refused: a ticket is wrong"), reason

@@ -190,7 +190,7 @@ class ParameterKnowledge:
         if not same:
             bias = None
         if spread is not None and outcome.updated:
-            wide = widened(drifting.joint, len(before.covariance_names), outcome.prior_widening)
+            wide = widened(drifting.joint, before.covariance_names, outcome.prior_widening)
             spread = after_update(spread, wide, now, (heard, bias))
         if bias is None and outcome.scale.observable and KERNEL_NOISE in now.parameters.provenance:
             # What kernel noise said is not known any more, and no longer matters.

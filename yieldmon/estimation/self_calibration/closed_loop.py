@@ -34,6 +34,7 @@ from .closed_loop_inputs import DensityAnchor, MassAnchor, Sweep
 from .closed_loop_outcome import NO_SCALE, FlowPosterior, Learning, Outcome, ScaleReport
 from .closed_loop_problem import ClosedLoopProblem, Solution
 from .partial_update import determined_part
+from .steady_drift import widened
 
 _WIDENINGS = 4
 _ALL = 1e-9
@@ -185,7 +186,7 @@ def update_from_tickets(
     settings = replace(ClosedLoopSettings() if settings is None else settings, learned_information=_ALL, kept_ratio=1.0 - _ALL)
     outcome = learn(model, prior, (), anchors=anchors, density=density, settings=settings)
     for _ in range(_WIDENINGS):
-        wide = replace(prior, covariance=4.0 * widening * prior.covariance)
+        wide = replace(prior, covariance=widened(prior.covariance, prior.covariance_names, 4.0 * widening))
         if outcome.consistent or _beyond_physics(wide):
             break
         widening *= 4.0

@@ -45,6 +45,8 @@ class DriftUpdate:
         Whether it is by a sweep alone, without a weighed mass or a known density.
     rates : int
         Of the n states, the last ones, which a widening leaves as they are.
+    names : tuple of str
+        Of the other states; empty where they are not known.
     """
 
     advance: Advance
@@ -53,10 +55,11 @@ class DriftUpdate:
     widening: float = 1.0
     sweep_alone: bool = False
     rates: int = 0
+    names: tuple[str, ...] = ()
 
     def widened(self, covariance: Array) -> Array:
         """A covariance before the update, (n, n), as the update took it."""
-        return widened(covariance, len(covariance) - self.rates, self.widening)
+        return widened(covariance, self.names or ("",) * (len(covariance) - self.rates), self.widening)
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,6 +21,7 @@ import numpy as np
 
 from yieldmon.estimation.fitting.identifiability import natural_scale
 from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.physics.effects.other_monitor import BIAS
 from yieldmon.physics.grain import drift_key
 from yieldmon.physics.numerics import Array
 
@@ -211,12 +212,13 @@ def _forgetting(grain_kt: float, memory_kt: float) -> tuple[float, float, float,
     return left, memory_kt * gone, memory_kt**2 * moved, memory_kt * gone**2, gone * (1.0 + left)
 
 
-def widened(joint: Array, count: int, widening: float) -> Array:
-    """A joint covariance whose first `count` states, the parameters, turn out less certain by a factor on their variances.
-    Rates and their covariances stay: a jump is no drift that goes on.
+def widened(joint: Array, names: Sequence[str], widening: float) -> Array:
+    """A joint covariance whose first states, the parameters of these names, turn out less certain by a factor on their variances.
+    Rates and their covariances stay: a jump is no drift that goes on. So does another combine's monitor, which has not changed.
     """
-    found = joint.copy()
-    found[:count, :count] *= widening
+    found, count = joint.copy(), len(names)
+    factor = np.array([1.0 if name == BIAS else widening**0.5 for name in names])
+    found[:count, :count] *= np.outer(factor, factor)
     return found
 
 
@@ -247,7 +249,7 @@ def learn(known: DriftingParameters, posterior: ParameterSet, *, widening: float
     if posterior.covariance_names != names:
         raise ValueError(f"posterior of {list(posterior.covariance_names)}; expected {list(names)}")
     count = len(names)
-    joint = widened(known.joint, count, widening)
+    joint = widened(known.joint, names, widening)
     prior = joint[:count, :count]
     scale = np.sqrt(np.diag(prior))
     gain = np.linalg.lstsq(prior / np.outer(scale, scale), joint[:count] / scale[:, None], rcond=1e-12)[0].T / scale

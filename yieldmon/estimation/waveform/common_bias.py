@@ -102,7 +102,7 @@ def followed(bias: CommonBias, before: DriftingParameters, after: DriftingParame
     """
     if before.joint.shape != after.joint.shape or before.parameters.covariance_names != after.parameters.covariance_names:
         raise ValueError("the bias of kernel noise cannot follow an update with other states")
-    prior = widened(before.joint, len(before.parameters.covariance_names), widening)
+    prior = widened(before.joint, before.parameters.covariance_names, widening)
     size = np.sqrt(np.maximum(np.diag(prior), 1e-300))
     gain = np.linalg.lstsq(prior / np.outer(size, size), bias.cross / size, rcond=1e-12)[0] / size
     lost = float(gain @ (prior - after.joint) @ gain)

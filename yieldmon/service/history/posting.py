@@ -121,7 +121,7 @@ def _updates(chain: Sequence[CalibrationStep], parameters: ParameterSet, rates: 
     states = [*(step.advance.before for step in chain[1:]), np.array(end.state)]
     covariances = [*(step.advance.covariance_before for step in chain[1:]), learn(known, parameters, widening=end.widening).joint]
     return [
-        DriftUpdate(step.advance, state, covariance, step.widening, step.sweep_alone, len(rates))
+        DriftUpdate(step.advance, state, covariance, step.widening, step.sweep_alone, len(rates), names)
         for step, state, covariance in zip(chain, states, covariances, strict=True)
     ]
 
