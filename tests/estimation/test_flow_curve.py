@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -169,6 +170,14 @@ def test_weighed_loads_of_one_flow_give_one_coefficient() -> None:
     assert isinstance(found.law, AlphaBeta)
     assert found.law.beta == 0.0
     assert 0.008 < found.relative_std_dev < 0.025
+
+
+def test_a_curve_by_shared_trucks_is_no_better_than_the_other_monitor() -> None:
+    shared = [
+        replace(load, std_dev_kg=0.04 * load.weighed_kg, common_kg=0.03 * load.weighed_kg)
+        for load in loads([4.0, 8.0, 12.0, 18.0])
+    ]
+    assert 0.03 < fit_loads(shared, HOME).curve.relative_std_dev < 0.035
 
 
 def test_what_cannot_be_fitted_is_reported() -> None:
