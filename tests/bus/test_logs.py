@@ -492,7 +492,7 @@ def test_a_database_whose_data_are_no_bytes_is_read_as_far_as_they_are(tmp_path:
     [
         ("drive.log.xz", "`unxz drive.log.xz` first"),
         ("drive.zip", "`unzip drive.zip` first"),
-        ("drive.txt", "give it the ending of its format, .log for candump's lines"),
+        ("drive.dump", "give it the ending of its format, .log for candump's lines"),
         ("drive.mdf", "give it the ending .mf4 if it is MDF 4"),
         ("drive.log.2", "give drive.log.2 the ending of its format last, as in drive.1.log"),
     ],

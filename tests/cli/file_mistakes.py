@@ -180,7 +180,7 @@ MISTAKES = LOST | {
     "process plain.log.gz --out n.csv": "plain.log.gz:1: compressed data damaged:",
     "monitor plain.log.gz --once": "plain.log.gz:1: compressed data damaged:",
     "process torn.log.gz --out n.csv": "torn.log.gz: none of 330 frames is one that yieldmon takes in; expected a log with sensor,",
-    "process logs.zip --out n.csv": "logs.zip: unknown log format; expected one of .log .asc .csv .trc .blf .db .mf4",
+    "process logs.zip --out n.csv": "logs.zip: unknown log format; expected one of .log .asc .csv .trc .txt .blf .db .mf4",
     # tickets
     "calibrate --loads log.log --tickets latin.csv": "latin.csv: byte 31 is not UTF-8; expected a UTF-8 CSV file",
     "calibrate --loads log.log --tickets thousand.csv": "thousand.csv: line 2, weighed_kg: is '9,120'; expected a number",

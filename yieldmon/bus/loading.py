@@ -18,6 +18,7 @@ from yieldmon.bus.log_notes import LogNotes, refuse_unreadable
 from yieldmon.bus.logs import PACKED_SUFFIX, log_format, read_log, reading_log, require_log
 from yieldmon.bus.packed_reading import Wanted, dropped_by_recorder, read_blocks
 from yieldmon.bus.text_logs import (
+    CANDUMP_SUFFIXES,
     LONGEST_LINE_BYTES,
     candump_frame,
     endless,
@@ -78,7 +79,7 @@ def iter_blocks(
         yield from read_blocks(path, wanted, count)
         notes.dropped_by_recorder += dropped_by_recorder(path)
         return
-    if suffix == ".log":
+    if suffix in CANDUMP_SUFFIXES:
         for block in _candump_blocks(path, notes, chunk_bytes, compiled):
             yield block if wanted is None else block.take(np.flatnonzero(wanted(block.can_id)))
         return
@@ -95,7 +96,7 @@ def _candump_blocks(path: Path, notes: LogNotes, chunk_bytes: int, compiled: boo
     line = 1
     with reading_log(path), open_bytes(path, log_format(path)[1]) as stream:
         if not is_candump(stream):
-            yield from _blocks_of(_counted(read_stream(stream, path, ".log", notes), notes))
+            yield from _blocks_of(_counted(read_stream(stream, path, CANDUMP_SUFFIXES[0], notes), notes))
             refuse_unreadable(notes)
             return
         try:

@@ -14,9 +14,11 @@ from yieldmon.errors import InputError
 _log = logging.getLogger(__name__)
 
 
+_LINES = "lines of candump, BUSMASTER, CanKing, or a CL1000, CL2000 or CL3000; export others as .asc or .trc"
 _KINDS = {
-    ".log": ": lines of candump or BUSMASTER; export others as .asc or .trc",
-    ".csv": ": of python-can, SavvyCAN, Kvaser or CANedge; export others as .asc or .trc",
+    ".log": f": {_LINES}",
+    ".txt": f": {_LINES}",
+    ".csv": ": of python-can, SavvyCAN, Kvaser, CANedge or Vehicle Spy; export others as .asc or .trc",
     ".trc": ": PEAK's; export others as .asc",
     ".asc": ": Vector's",
 }
@@ -38,7 +40,7 @@ class Damage:
 class LogNotes:
     """What reading a log met beside its frames; filled while the iterator runs.
 
-    dropped_by_recorder: frames that candump says it lost itself. damages: the first of them; damaged_places counts all.
+    dropped_by_recorder: frames that the recorder says it lost itself. damages: the first of them; damaged_places counts all.
     """
 
     frames: int = 0
@@ -77,6 +79,10 @@ class LogNotes:
         if self.dropped_by_recorder:
             lines.append(f"{log}: the recorder lost {self.dropped_by_recorder} frames")
         return lines
+
+    def lost(self, frames: int) -> None:
+        """Counts frames that the recorder says it lost."""
+        self.dropped_by_recorder += frames
 
     def frame(self, message: can.Message) -> None:
         """Counts a frame."""

@@ -13,6 +13,7 @@ from yieldmon.bounded import is_pipe
 from yieldmon.bus.loading import iter_blocks
 from yieldmon.bus.log_notes import LogNotes
 from yieldmon.bus.logs import PACKED_SUFFIX, log_format, read_log
+from yieldmon.bus.text_logs import CANDUMP_SUFFIXES
 from yieldmon.errors import InputError
 from yieldmon.utc import EARLIEST_BUS_TIME_S
 
@@ -78,7 +79,7 @@ def _start_s(log: str) -> float | None:
 
 def _looks(log: str) -> Iterator[_Times]:
     unsaid = LogNotes(on_damage=lambda damage: None)
-    if log_format(Path(log))[0] not in (".log", PACKED_SUFFIX):
+    if log_format(Path(log))[0] not in (*CANDUMP_SUFFIXES, PACKED_SUFFIX):
         yield np.array([message.timestamp for message in islice(read_log(log, unsaid), _LOOK_FRAMES)])
         return
     for block in islice(iter_blocks(log, unsaid, chunk_bytes=_LOOK_BYTES), _LOOKS):

@@ -1,6 +1,6 @@
 """Reading CAN logs: every format of python-can, each also gzipped, and what to do with the damaged ones.
 
-Text formats (.log, .asc, .csv, .trc): a damaged line is reported with its number and skipped, the rest is read.
+Text formats (.log, .txt, .asc, .csv, .trc): a damaged line is reported with its number and skipped, the rest is read.
 Binary formats (.blf, .db, .mf4) and gzip streams: what stands before the damage is read, the damage is reported with
 its place, and reading stops there. A file in which nothing at all can be read raises InputError.
 """
@@ -34,7 +34,6 @@ _MENDS = {
     ".lz4": "`unlz4 {}` first",
     ".zip": "`unzip {}` first",
     ".7z": "`7z x {}` first",
-    ".txt": "give it the ending of its format, .log for candump's lines",
     ".dump": "give it the ending of its format, .log for candump's lines",
     ".dat": "log the bus as MF4, BLF or ASC; MDF 3 holds no frames",
     ".mdf": "give it the ending .mf4 if it is MDF 4; MDF 3 holds no frames",
@@ -51,7 +50,8 @@ def read_log(path: Path | str, notes: LogNotes | None = None) -> Iterator[can.Me
     Parameters
     ----------
     path : path
-        By its suffix candump (.log), .asc, .csv, .trc, .blf, .db, .mf4, each also with .gz behind, or a file of `yieldmon pack`.
+        By its suffix candump (.log, .txt), .asc, .csv, .trc, .blf, .db, .mf4, each also with .gz behind, or a file of
+        `yieldmon pack`.
     notes : LogNotes, optional
         Filled on the way: frames, error frames, damaged places.
 

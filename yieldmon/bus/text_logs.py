@@ -15,15 +15,16 @@ from yieldmon.bus.candump import dropped_frames, is_explanation, lacks_time, par
 from yieldmon.bus.frame_check import impossible
 from yieldmon.bus.gunzip import early_end_of, open_bytes
 from yieldmon.bus.log_notes import LogNotes
-from yieldmon.bus.loggers import canedge, kvaser, savvycan
-from yieldmon.bus.loggers.busmaster import Busmaster, begins
+from yieldmon.bus.loggers import busmaster, canedge, canking, clx000, kvaser, savvycan, vehicle_spy
 from yieldmon.bus.loggers.fields import Parser
 from yieldmon.bus.loggers.peak import Trace
 from yieldmon.bus.loggers.vector import Vector
 from yieldmon.errors import InputError
 
-#: By their ending; candump's is the first.
-TEXT_SUFFIXES = (".log", ".asc", ".csv", ".trc")
+#: Of candump's logs, and of loggers' that are told apart by their first line.
+CANDUMP_SUFFIXES = (".log", ".txt")
+#: By their ending.
+TEXT_SUFFIXES = (".log", ".asc", ".csv", ".trc", ".txt")
 
 #: Longest line that is looked at. The longest line of any text format, a CAN FD frame in .asc, has under 400
 #: characters.
@@ -53,8 +54,9 @@ def read_stream(stream: io.BufferedReader, path: Path, suffix: str, notes: LogNo
     """As read_text(), of a stream that stands at its beginning. path: for what is said of it."""
     lines = _Lines(stream, path, notes)
     match suffix:
-        case ".log":
-            return _read_candump(lines, notes) if is_candump(stream) else _read_lines(lines, Busmaster())
+        case ".log" | ".txt":
+            parse = _parser_of(stream, notes)
+            return _read_candump(lines, notes) if parse is None else _read_lines(lines, parse)
         case ".trc":
             return _read_trace(lines)
         case ".csv":
@@ -64,8 +66,17 @@ def read_stream(stream: io.BufferedReader, path: Path, suffix: str, notes: LogNo
 
 
 def is_candump(stream: io.BufferedReader) -> bool:
-    """Whether a .log that stands at its beginning is to be read as candump's, not as BUSMASTER's."""
-    return not begins(stream.peek(_LONGEST_START_BYTES).removeprefix(_UTF8_MARK))
+    """Whether a log of `CANDUMP_SUFFIXES` that stands at its beginning is to be read as candump's, not as a logger's."""
+    return _parser_of(stream, LogNotes()) is None
+
+
+def _parser_of(stream: io.BufferedReader, notes: LogNotes) -> Parser | None:
+    start = stream.peek(_LONGEST_START_BYTES).removeprefix(_UTF8_MARK)
+    if busmaster.begins(start):
+        return busmaster.Busmaster()
+    if clx000.begins(start):
+        return clx000.Clx000(notes.lost)
+    return canking.parse if canking.begins(start) else None
 
 
 class _Lines:
@@ -187,15 +198,12 @@ def _read_candump(lines: _Lines, notes: LogNotes) -> Iterator[can.Message]:
 
 def _read_csv(lines: _Lines, notes: LogNotes) -> Iterator[can.Message]:
     """By the first line; a file whose first line no logger writes is python-can's."""
-
-    def lost() -> None:
-        notes.dropped_by_recorder += 1
-
     heading = next(lines, None)
     if heading is None:
         return
     try:
-        parse = savvycan.parser(heading) or canedge.parser(heading) or kvaser.parser(heading, lost)
+        of_kvaser = kvaser.parser(heading, notes.lost)
+        parse = savvycan.parser(heading) or canedge.parser(heading) or of_kvaser or vehicle_spy.parser(heading)
     except ValueError as error:
         lines.damage(str(error))
         return

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from yieldmon.bus.logs import SUFFIXES
+from yieldmon.bus.logs import SUFFIXES as LOG_SUFFIXES
 from yieldmon.errors import InputError, reason
 from yieldmon.files import delimited
 from yieldmon.files.crops import misspelt
@@ -26,6 +26,8 @@ from yieldmon.fleet.filesystem import filesystem_of, is_remote
 from yieldmon.fleet.names import folder_of, in_order, is_name
 
 CONFIG, TICKETS = "config.yaml", "tickets.csv"
+SUFFIXES = tuple(suffix for suffix in LOG_SUFFIXES if suffix != ".txt")
+"""Of logs in a fleet's folders, where a text file may be anybody's notes."""
 _UNREAD_COMPRESSIONS = (".zst", ".bz2", ".xz", ".lz4", ".7z", ".zip")
 _ARCHIVES = (".zip", ".7z", ".rar", ".tar", ".tgz", ".tar.gz", ".tar.xz", ".tar.bz2", ".tar.zst")
 _BEING_COPIED = (".part", ".partial", ".filepart", ".crdownload", ".download", ".tmp", ".temp")

@@ -39,16 +39,16 @@ _REMOTE, _EXTENDED, _ERROR, _SENT, _REQUESTED = 0x01, 0x04, 0x20, 0x40, 0x80
 _OVERRUN, _FD, _BIT_RATE_SWITCH, _ERROR_STATE = 0x600, 0x10000, 0x20000, 0x40000
 
 
-def parser(first_line: str, lost: Callable[[], None]) -> Kvaser | None:
-    """What reads the lines behind this one; None where no CSV of Kvaser's begins so. lost: called for each frame before which the
-    logger says that it lost some."""
+def parser(first_line: str, lost: Callable[[int], None]) -> Kvaser | None:
+    """What reads the lines behind this one; None where no CSV of Kvaser's begins so. lost: called with 1 for each frame before
+    which the logger says that it lost some."""
     return Kvaser(lost) if first_line.strip() == _FIRST_LINE else None
 
 
 class Kvaser:
     """Reads line by line; the header tells how."""
 
-    def __init__(self, lost: Callable[[], None]) -> None:
+    def __init__(self, lost: Callable[[int], None]) -> None:
         self._lost = lost
         self._bases: dict[str, int] = {}
         self._separator = ","
@@ -94,7 +94,7 @@ class Kvaser:
         flags, channel = whole(text["flags"], "flags"), whole(text["channel"], "channel")
         time_s = self._start_s + seconds(text["time"])
         if flags & _OVERRUN:
-            self._lost()
+            self._lost(1)
         if flags & _ERROR:
             return error_frame(time_s, channel)
         if flags & _REQUESTED and not flags & _SENT:
