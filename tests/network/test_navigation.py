@@ -67,6 +67,12 @@ def test_pysobus_gnss_position() -> None:
         (65096, struct.pack("<HIBB", 2500, 0, 0, 1), {"ground_speed_m_s": 2.5}),
         (65097, struct.pack("<HIBB", 0xFE00, 0, 0, 1), {}),
         (65097, struct.pack("<HIBB", 1234, 0, 0, 0), {"ground_speed_m_s": 1.234}),
+        # Machine selected speed: from wheels, blended, simulated, of no known source.
+        (61474, struct.pack("<HIBB", 2500, 0, 0, 0b111_000_01), {"ground_speed_m_s": 2.5}),
+        (61474, struct.pack("<HIBB", 2500, 0, 0, 0b000_011_01), {"ground_speed_m_s": 2.5}),
+        (61474, struct.pack("<HIBB", 2500, 0, 0, 0b000_100_01), {}),
+        (61474, struct.pack("<HIBB", 2500, 0, 0, 0b000_111_01), {}),
+        (61474, struct.pack("<HIBB", 0xFB00, 0, 0, 0b000_000_01), {}),
         (129025, struct.pack("<ii", 475000000, -85000000), {"latitude_deg": 47.5, "longitude_deg": -8.5}),
         (129025, struct.pack("<ii", 0x7FFFFFFF, 5), {}),
         (129025, struct.pack("<ii", 910000000, 5), {}),
@@ -136,7 +142,7 @@ def test_the_last_value_and_the_one_behind_it(group: int, last: bytes, expected:
 
 
 @pytest.mark.parametrize("length", range(8))
-@pytest.mark.parametrize("group", [65267, 65256, 65265, 65254, 65096, 65097, 129025, 129026, 129029, 126992])
+@pytest.mark.parametrize("group", [65267, 65256, 65265, 65254, 61474, 65096, 65097, 129025, 129026, 129029, 126992])
 def test_data_that_are_cut_say_nothing(group: int, length: int) -> None:
     assert values(group, bytes(length)) == {}
 
@@ -159,7 +165,10 @@ def test_best_source_and_the_next_one() -> None:
     wheel = struct.pack("<HIBB", 2500, 0, 0, 1)
     gnss = struct.pack("<BBHHH", 0, 0xFC, 0, 240, 0xFFFF)
     for time_s, group, data, expected in (
-        (0.0, 65096, wheel, 65096),
+        (-0.3, 65265, b"\xff" + struct.pack("<H", 256 * 9) + b"\xff" * 5, 65265),
+        (-0.2, 65096, wheel, 65096),
+        (-0.1, 61474, struct.pack("<HIBB", 2500, 0, 0, 1), 61474),
+        (0.0, 65097, wheel, 65097),
         (0.5, 129026, gnss, 129026),
         (1.5, 65096, wheel, 129026),
         (2.6, 65096, wheel, 65096),

@@ -1,6 +1,6 @@
 """Position, speed, course and time from the standard messages of three families, and which of several sources is used.
 
-SAE J1939-71 (65267, 65256, 65265, 65254), ISO 11783-7 (65096, 65097) and NMEA 2000 (129025, 129026, 129029, 126992).
+SAE J1939-71 (65267, 65256, 65265, 65254), ISO 11783-7 (61474, 65096, 65097) and NMEA 2000 (129025, 129026, 129029, 126992).
 """
 
 from __future__ import annotations
@@ -43,15 +43,22 @@ class Reading(NamedTuple):
 
 
 VEHICLE_POSITION, DIRECTION_SPEED, CRUISE_VEHICLE_SPEED, TIME_DATE = 65267, 65256, 65265, 65254
-WHEEL_SPEED, GROUND_SPEED = 65096, 65097
+WHEEL_SPEED, GROUND_SPEED, SELECTED_SPEED = 65096, 65097, 61474
 POSITION_RAPID, COURSE_SPEED_RAPID, GNSS_POSITION, SYSTEM_TIME = 129025, 129026, 129029, 126992
 
-#: The best source first: satellites with full resolution, satellites through J1939, radar, wheels.
+#: The best source first: satellites with full resolution, satellites through J1939, radar, what the machine itself uses, wheels.
 ORDER: Mapping[Quantity, tuple[int, ...]] = {
     Quantity.LATITUDE: (GNSS_POSITION, POSITION_RAPID, VEHICLE_POSITION),
     Quantity.LONGITUDE: (GNSS_POSITION, POSITION_RAPID, VEHICLE_POSITION),
     Quantity.ALTITUDE: (GNSS_POSITION,),
-    Quantity.SPEED: (COURSE_SPEED_RAPID, DIRECTION_SPEED, GROUND_SPEED, WHEEL_SPEED, CRUISE_VEHICLE_SPEED),
+    Quantity.SPEED: (
+        COURSE_SPEED_RAPID,
+        DIRECTION_SPEED,
+        GROUND_SPEED,
+        SELECTED_SPEED,
+        WHEEL_SPEED,
+        CRUISE_VEHICLE_SPEED,
+    ),
     Quantity.COURSE: (COURSE_SPEED_RAPID, DIRECTION_SPEED),
     Quantity.TIME: (GNSS_POSITION, SYSTEM_TIME, TIME_DATE),
 }
@@ -103,6 +110,8 @@ FIELDS: Mapping[int, tuple[Field, ...]] = {
     CRUISE_VEHICLE_SPEED: (_j1939(Quantity.SPEED, 8, 16, M_S_PER_KMH / 256),),
     WHEEL_SPEED: (_j1939(Quantity.SPEED, 0, 16, 1e-3),),
     GROUND_SPEED: (_j1939(Quantity.SPEED, 0, 16, 1e-3),),
+    # From wheels, ground, satellites or several of these (0 to 3), and not simulated.
+    SELECTED_SPEED: (_j1939(Quantity.SPEED, 0, 16, 1e-3)._replace(where=(60, 1, 0)),),
     POSITION_RAPID: (_degrees(Quantity.LATITUDE, 0), _degrees(Quantity.LONGITUDE, 32)),
     COURSE_SPEED_RAPID: (
         # Of magnetic north there is nothing to be had.
