@@ -22,9 +22,14 @@ BO_ 2566849278 Group: 2 N
 BO_ 2365522449 Own: 2 N
  SG_ V : 0|16@1+ (0.1,0) [0|0] "rpm" N
 """
+# Proprietary A of node 17 to another address than those of the recording, and to one of them.
+DBC += """BO_ 2565865233 Everyone: 2 N
+ SG_ V : 0|16@1+ (0.1,0) [0|0] "rpm" N
+"""
 DATA = (4000).to_bytes(2, "little")
 FRAMES = [
-    (417, True, DATA), (418, False, DATA), (0x18FF0211, True, DATA), (0x18FF0212, True, DATA),
+    (417, True, DATA), (0x18EF0511, True, DATA), (0x18EF0711, True, bytes(2)),
+    (418, False, DATA), (0x18FF0211, True, DATA), (0x18FF0212, True, DATA),
     *((0x18EEFF00 | address, True, (0x2000800000000000 | number).to_bytes(8, "little")) for address, number in ((1, 7), (2, 8))),
 ]  # fmt: skip
 
@@ -36,6 +41,7 @@ FRAMES = [
         ("message: Wide", "it comes with an 11-bit identifier, the DBC gives it 29 bits"),
         ("message: Group, source: 5", "it comes from 17, 18 only"),
         ("message: Own", "it comes with priority 6, the DBC gives it 3; with `source: 17` any will do"),
+        ("message: Everyone", "it is sent to address 5, 7, by the DBC to 255; with `source: 17` any will do"),
         ("message: Group, source: {identity_number: 9}", "no node with that NAME claims an address"),
         ("message: Group, source: {function: 128}", "nodes 1, 2 all fit that NAME"),
         ("message: Group, source: {identity_number: 7}", "it comes from 17, 18 only"),
@@ -54,6 +60,26 @@ def test_what_comes_instead_is_reported(mapped: str, said: str, tmp_path: Path, 
     assert main(["check-config", str(config), "--log", str(log)]) == 2
     (line,) = [line for line in capsys.readouterr().err.splitlines() if "elevator_speed" in line]
     assert f"bus.log: elevator_speed: no frame of it: {said}; expected" in line
+
+
+def test_a_node_that_sends_to_two_addresses_is_not_taken_for_two(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log, numbers = tmp_path / "bus.log", range(60)
+    with can.Logger(str(log)) as logger:
+        for number in numbers:
+            identifier, data = ((0x18EF0511, DATA), (0x18EF0711, (2000).to_bytes(2, "little")))[number % 2]
+            logger.on_message_received(can.Message(timestamp=0.1 * number, arbitration_id=identifier, data=data, channel="can0"))
+    config = tmp_path / "c.yaml"
+    config.write_text("signals:\n  elevator_speed: {dbc: a.dbc, message: Everyone, source: 17, signal: V}\n")
+    (tmp_path / "a.dbc").write_text(DBC)
+    assert main(["check-config", str(config), "--log", str(log)]) == 2
+    said = (
+        "expected the values for one address: 0x18EF0511 or 0x18EF0711 as the message's identifier in the DBC, without `source`"
+    )
+    assert said in capsys.readouterr().err
+    config.write_text("signals:\n  elevator_speed: {dbc: a.dbc, message: Everyone, signal: V}\n")
+    (tmp_path / "a.dbc").write_text(DBC.replace("2565865233", str(0x98EF0511)))
+    assert main(["check-config", str(config), "--log", str(log)]) == 2
+    assert "elevator_speed" not in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

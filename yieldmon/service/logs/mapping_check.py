@@ -18,6 +18,7 @@ from yieldmon.engine.sources import QUANTITIES, SampleSource
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.numerics import Array
 from yieldmon.service.config.configuration import Configuration
+from yieldmon.signals.mapping import Group
 from yieldmon.signals.packing import Packing, span
 from yieldmon.signals.published import PUBLISHED
 from yieldmon.signals.state_names import codes_by_name
@@ -54,6 +55,7 @@ _ALIKE = 0.02
 _OFTEN = 3
 """Once or twice a recording may begin anew."""
 _MOSTLY = 0.5
+_DESTINATIONS_NAMED = 3
 """Of the seconds of a recording."""
 _SHORTEST_BITS = 8
 _IMPACT_SIGNAL = re.compile(r"impact(\d+)\.\d+")
@@ -303,7 +305,7 @@ def problems(configuration: Configuration, seen: dict[str, QuantitySeen], log: s
         (
             f"{log}: {name}",
             f"leaps between {entry.low:.6g} and {entry.high:.6g} {entry.unit}, as where two nodes send it",
-            f"the values of one node: name it by `source`{_COUNTED_ANEW if counted and name == 'elevator_speed' else ''}",
+            _one_sender(configuration, name, log) + (_COUNTED_ANEW if counted and name == "elevator_speed" else ""),
         )
         for name, entry in seen.items()
         if entry.leaping_share > _MOSTLY
@@ -451,10 +453,25 @@ def _instead(configuration: Configuration, name: str, log: str) -> str | None:
     """What a recording has in place of a mapped quantity's frames."""
     from yieldmon.service.logs.silent_inputs import Traffic
 
+    group = _group(configuration, name)
+    return Traffic(log).instead_of(group) if group is not None else None
+
+
+def _one_sender(configuration: Configuration, name: str, log: str) -> str:
+    """What to do about a quantity that several senders seem to send."""
+    from yieldmon.service.logs.silent_inputs import Traffic
+
+    group = _group(configuration, name)
+    if group is not None and (taken := Traffic(log).several_destinations(group)):
+        identifiers = " or ".join(f"0x{identifier:08X}" for identifier in taken[:_DESTINATIONS_NAMED])
+        return f"the values for one address: {identifiers} as the message's identifier in the DBC, without `source`"
+    return "the values of one node: name it by `source`"
+
+
+def _group(configuration: Configuration, name: str) -> Group | None:
     sources = configuration.signals.sources
     message = sources.impact[0].message if name == "impact" else {s.quantity: s.message for s in sources.inputs}.get(name)
-    group = next((group for group in configuration.signals.groups if group.name == message), None)
-    return Traffic(log).instead_of(group) if group is not None else None
+    return next((group for group in configuration.signals.groups if group.name == message), None)
 
 
 def as_json(seen: dict[str, QuantitySeen]) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from yieldmon.identifiers import (
     LARGEST_STANDARD_ID,
     SOURCE_MASK,
     group_of,
+    is_broadcast,
 )
 from yieldmon.network.addresses import AddressTable
 from yieldmon.network.name import Name, NameMatch
@@ -63,10 +64,26 @@ class Traffic:
         senders = sorted({identifier & 0xFF for identifier in wanted if group_of(identifier) == message.group})
         own = message.frame_id & SOURCE_MASK
         if group.source is None and own in senders:
-            of_own = {i >> _PRIORITY_AT for i in wanted if group_of(i) == message.group and i & SOURCE_MASK == own}
-            given = f"it comes with priority {_listed(sorted(of_own))}, the DBC gives it {message.frame_id >> _PRIORITY_AT}"
+            of_own = {i for i in wanted if group_of(i) == message.group and i & SOURCE_MASK == own}
+            priorities, priority = sorted({i >> _PRIORITY_AT for i in of_own}), message.frame_id >> _PRIORITY_AT
+            if message.j1939 or priority in priorities:
+                to = _listed(sorted({_destination(i) for i in of_own}))
+                given = f"it is sent to address {to}, by the DBC to {_destination(message.frame_id)}"
+            else:
+                given = f"it comes with priority {_listed(priorities)}, the DBC gives it {priority}"
             return f"{given}; with `source: {own}` any will do"
         return f"it comes from {_listed(senders)} only" if senders else None
+
+    def several_destinations(self, group: Group) -> list[int]:
+        """Identifiers by which one node sends a group's frames to several addresses; none where it does not."""
+        match = match_of(group)
+        taken = sorted(i & LARGEST_EXTENDED_ID for i in self._longest if i & match.mask == match.identity and i & EXTENDED_FLAG)
+        destinations, senders = {_destination(i) for i in taken}, {i & SOURCE_MASK for i in taken}
+        return taken if not is_broadcast(group.message.group) and len(destinations) > 1 and len(senders) == 1 else []
+
+
+def _destination(identifier: int) -> int:
+    return identifier >> 8 & 0xFF
 
 
 def _listed(addresses: list[int]) -> str:
