@@ -323,6 +323,12 @@ def written(folder: Path, dbc: str, frames: list[tuple[int, bytes]], capsys: pyt
             )
             for unit, message, name, proposed in (
                 ("kg", "LoadCell", "Weight", ["  impact_force: {", "signal: Weight, rate_hz: 100, unit: kgf}"]),
+                (
+                    "Hz",
+                    "Pulse",
+                    "Frequency",
+                    ["# pulses_per_turn is a guess", "  elevator_speed: {", "signal: Frequency, pulses_per_turn: 1}"],
+                ),
                 ("lbs", "Plate", "Reading", ["  impact_force: {", "signal: Reading, rate_hz: 100, unit: lbf}"]),
                 ("kg", "GrainTank", "Weight", ["nothing on this bus looks like an impact", "  tank_mass: {", "signal: Weight}"]),
             )
@@ -441,7 +447,7 @@ ERRORS_ONLY = (
     [
         ("errors.asc", ERRORS_ONLY, "no data frame; expected a bus or log with traffic"),
         ("empty.log", "***BUSMASTER Ver 2.4.0***\n***PROTOCOL CAN***\n", "no data frame; expected a bus or log with traffic"),
-        ("other.log", "time level\n12.5 notice\n", "expected a CAN log as its name says: lines of candump or BUSMASTER"),
+        ("other.log", "time level\n12.5 notice\n", "expected a CAN log as its name says: lines of candump, BUSMASTER, CanKing"),
         ("other.csv", "time,voltage\n12.5,3.1\n", "export others as .asc or .trc"),
     ],
 )

@@ -7,7 +7,17 @@ from collections.abc import Mapping, Sequence
 
 from yieldmon.engine.sources import QUANTITIES
 from yieldmon.signals.binding import IMPACT
-from yieldmon.signals.survey import BARE, CHANNELS, FAST_HZ, SHAFTS_ELSEWHERE, Candidate, Survey, force_unit, is_makers_own
+from yieldmon.signals.survey import (
+    BARE,
+    CHANNELS,
+    FAST_HZ,
+    SHAFTS_ELSEWHERE,
+    Candidate,
+    Survey,
+    force_unit,
+    is_makers_own,
+    is_of_pulses,
+)
 
 _RATIO, _PULSES, _COUNTS, _EXCITATION = "ratio: 0.2", "pulses_per_turn: 1", "scale: 0.1", "scale: 5"
 _GUESSES = {
@@ -101,7 +111,7 @@ def _entries(found: Candidate, paths: Mapping[str, str], candidates: Mapping[str
         keys.append(_EXCITATION)
     if found.quantity == "impact_force" and (weighs := force_unit(found.unit)) is not None:
         keys.append(f"unit: {weighs}")
-    if found.quantity == "elevator_speed" and not found.unit:
+    if found.quantity == "elevator_speed" and (not found.unit or is_of_pulses(found.unit, found.span[1])):
         keys.append(_PULSES)
     if found.not_available:
         keys.append(f"not_available: {list(found.not_available)}")

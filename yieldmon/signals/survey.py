@@ -57,6 +57,10 @@ _WEAK = 0.25
 """Score of such a guess; every other one is higher."""
 _PULSES = re.compile(r"pulse|hall|tooth|teeth|encoder", re.IGNORECASE)
 """Names of counters of a shaft's pulses."""
+_FREQUENCY = re.compile(rf"{_PULSES.pattern}|hertz|freq", re.IGNORECASE)
+"""Names of their frequency."""
+_MOST_TURNS_HZ = 15.0
+"""More than an elevator's shaft makes."""
 _BETWEEN_NAMED_AND_ELSEWHERE = 1.75
 """Score of such a counter: an engine's speed is less likely the elevator's, one that is named so is more."""
 _LEAST_BITS = 8
@@ -379,6 +383,11 @@ def counts_pulses(bits: SignalBits) -> bool:
     return bits.unit == "" and bits.kind != "float" and bits.bits >= _LEAST_BITS and _PULSES.search(bits.name) is not None
 
 
+def is_of_pulses(unit: str, high: float) -> bool:
+    """Whether a speed with this unit and highest value is a frequency of pulses."""
+    return bool(unit) and factor("rpm", unit) == factor("rpm", "Hz") and high > _MOST_TURNS_HZ
+
+
 def force_unit(unit: str) -> str | None:
     """That of a force where a gauge says how much it weighs; None for a unit that is none of a mass in kg or lb."""
     of_mass = factor("kg", unit)
@@ -428,6 +437,8 @@ def _impact_score(quantity: str, message: MessageSeen, signal: SignalSeen, named
 def _slow_score(quantity: str, rate_hz: float, signal: SignalSeen, named: bool, message_named: bool) -> float:
     if quantity == "elevator_speed" and counts_pulses(signal.bits):
         return _BETWEEN_NAMED_AND_ELSEWHERE if signal.high > signal.low else 0.0
+    if quantity == "elevator_speed" and is_of_pulses(signal.bits.unit, signal.high):
+        return _BETWEEN_NAMED_AND_ELSEWHERE if _FREQUENCY.search(signal.bits.name) else _WEAK
     found = factor(QUANTITIES[quantity].unit, signal.bits.unit) if signal.bits.unit else None
     if found is None or not QUANTITIES[quantity].usable(signal.last * found + zero(QUANTITIES[quantity].unit, signal.bits.unit)):
         return 0.0
