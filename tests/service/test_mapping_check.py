@@ -315,6 +315,23 @@ def test_notes_say_where_a_quantity_goes_and_what_it_can_carry(
     ]
 
 
+@pytest.mark.parametrize(
+    ("quantity", "keys", "said"),
+    [
+        ("moisture", "signal: Load, unit: '%'", "moisture is Load in kg, taken as % number for number"),
+        ("moisture", "signal: Load, unit: '%', scale: 0.01", None),
+        ("moisture", "signal: Grain, unit: '%'", None),
+        ("tank_mass", "signal: Load, unit: lb", None),
+        ("tank_mass", "signal: Number, unit: kg", None),
+    ],
+)
+def test_another_unit_than_the_dbcs_is_said(quantity: str, keys: str, said: str | None, tmp_path: Path) -> None:
+    told = [
+        note for note in notes(load(tmp_path, f"  {quantity}: {{dbc: own.dbc, message: Long, {keys}}}\n")) if quantity in note
+    ]
+    assert told == ([] if said is None else [f"{said}: if the DBC's unit is right, give `scale` and `offset`"])
+
+
 BITS = {
     "identity_number": 21, "manufacturer_code": 11, "ecu_instance": 3, "function_instance": 5, "function": 8, "vehicle_system": 7,
     "vehicle_system_instance": 4, "industry_group": 3,

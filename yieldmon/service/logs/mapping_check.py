@@ -18,10 +18,12 @@ from yieldmon.engine.sources import QUANTITIES, SampleSource
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.numerics import Array
 from yieldmon.service.config.configuration import Configuration
+from yieldmon.signals.binding import Binding
 from yieldmon.signals.mapping import Group
 from yieldmon.signals.packing import Packing, span
 from yieldmon.signals.published import PUBLISHED
 from yieldmon.signals.state_names import codes_by_name
+from yieldmon.signals.units import factor
 from yieldmon.units import S_PER_DAY
 
 if TYPE_CHECKING:
@@ -137,8 +139,12 @@ def notes(configuration: Configuration) -> list[str]:
     for name, value in configuration.signals.sources.fixed.items():
         if name != "plate_angle":
             found.append(f"{name} is taken to be {value:g} {QUANTITIES[name].unit} always")
+    stated = {binding.quantity: binding for binding in configuration.signals.bindings}
     for taken in configuration.signals.groups:
         for name, extraction in taken.signals.items():
+            if (binding := stated.get(name)) is not None and _takes_another_unit(binding, extraction.bits.unit):
+                said = f"{name} is {extraction.bits.name} in {extraction.bits.unit}, taken as {binding.unit} number for number"
+                found.append(f"{said}: if the DBC's unit is right, give `scale` and `offset`")
             codes = codes_by_name(name, extraction.bits) if extraction.codes is None else {}
             if codes:
                 given = ", ".join(f"{raw}: {code}" for raw, code in sorted(codes.items()))
@@ -154,6 +160,14 @@ def notes(configuration: Configuration) -> list[str]:
             carried = _carried(packing, PUBLISHED[name].unit)
             found.append(f"{name} goes to {group.name}.{packing.bits.name} ({identifier}), {when}{carried}")
     return found
+
+
+def _takes_another_unit(binding: Binding, unit: str) -> bool:
+    """Whether a binding states a unit that the DBC's does not convert to, and nothing that would convert it."""
+    if binding.is_impact or binding.unit is None or binding.pulses_per_turn is not None or not unit:
+        return False
+    unscaled = (binding.scale, binding.offset, binding.ratio) == (1.0, 0.0, 1.0)
+    return unscaled and factor(QUANTITIES[binding.quantity].unit, unit) is None
 
 
 def _carried(packing: Packing, unit: str) -> str:
