@@ -126,6 +126,21 @@ def test_of_several_interfaces_those_of_can_are_read(tmp_path: Path) -> None:
     assert [message.arbitration_id for message in read_log(path.rename(tmp_path / "any.pcap"))] == [0x8FF1081]
 
 
+def test_what_stands_behind_the_length_of_a_classic_frame_is_nothing(tmp_path: Path) -> None:
+    """As a plotter records what it sends itself (canboat/canboat at 01d0dc3, Apache-2.0, samples/can0-1.pcap)."""
+    packets = [
+        "99f0142b080000000f37373138312020", "8dff182b082e92040011419fff080126", "8dff182b082d92044011419fff02017f",
+        "8dff1d1208aa2103200e419fffffffff", "98ea2e2b03aa210314f001",
+    ]  # fmt: skip
+    path = tmp_path / "can0.pcap"
+    path.write_bytes(pcap([bytes.fromhex(one) for one in packets]))
+    found = list(read_log(path))
+    assert [f"{m.arbitration_id:08x} {m.data.hex()} {kinds(m)}" for m in found] == [
+        "19f0142b 0f37373138312020 ", "0dff182b 0011419fff080126 ", "0dff182b 4011419fff02017f ", "0dff1d12 200e419fffffffff ",
+        "18ea2e2b 14f001 ",
+    ]  # fmt: skip
+
+
 @pytest.mark.parametrize("suffix", [".pcap", ".pcapng"])
 def test_a_capture_that_is_cut_off_is_read_up_to_there(tmp_path: Path, suffix: str) -> None:
     whole = pcap([packet(FRAMES[0])] * 9) if suffix == ".pcap" else pcapng([(0, packet(FRAMES[0]))] * 9, [SOCKETCAN])

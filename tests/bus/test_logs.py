@@ -20,7 +20,7 @@ from tests.bus.log_files import read, write
 from tests.extras import MF4
 from tests.file_limit import files_end_at
 from yieldmon.bus.candump import parse_line
-from yieldmon.bus.loading import iter_blocks
+from yieldmon.bus.loading import iter_blocks, load_frames
 from yieldmon.bus.log_notes import LogNotes
 from yieldmon.bus.log_writing import writing
 from yieldmon.bus.logs import read_log
@@ -236,6 +236,18 @@ def test_what_candump_says_of_error_frames_is_no_damage(tmp_path: Path) -> None:
     found, notes = read(path)
     assert [message.is_error_frame for message in found] == [True, True]
     assert [str(damage) for damage in notes.damages] == [f"{path}:9: 'bus-on' is not a candump line"]
+
+
+def test_comments_in_candumps_logs_are_no_damage(tmp_path: Path) -> None:
+    """As people keep a recording's notes with it; what is left of a cut line is none."""
+    path = tmp_path / "a.txt"
+    path.write_text("# NMEA 2000 bus, tractor 3\n#\n(1.000000) can0 123#01\n# stop\n#0102\n(2.000000) can0 123#01\n")
+    found, notes = read(path)
+    assert len(found) == len(load_frames(path).time_s) == 2
+    assert [str(damage) for damage in notes.damages] == [f"{path}:5: '#0102' is not a candump line"]
+    path.write_text("# screen\n  can0  09F8027F   [2]  00 FC\n")
+    with pytest.raises(InputError, match=r"a.txt:2: 'can0 09F8027F .2. 00 FC' has no time; record with `candump -L`"):
+        read(path)
 
 
 @pytest.mark.parametrize("line", ["  can0  18FF1380   [3]  01 02 03", "  can0  TX - -  123   [0]  remote request"])

@@ -30,8 +30,10 @@ _SOCKETCAN, _SLL, _SLL2 = 227, 113, 276
 _HEADS = {_SOCKETCAN: (0, None), _SLL: (16, 14), _SLL2: (20, 0)}
 """Link type -> bytes before the frame, and where its protocol is among them."""
 _CAN_PROTOCOLS = (0x000C, 0x000D)
-_FRAME = struct.Struct(">IBBxx")
-_BIT_RATE_SWITCH, _ERROR_STATE, _FD, _XL = 0x01, 0x02, 0x04, 0x80
+_FRAME = struct.Struct(">IBBH")
+_BIT_RATE_SWITCH, _ERROR_STATE, _FD = 0x01, 0x02, 0x04
+_XL = 0x80
+"""In the place of a length."""
 
 
 class _Interface(NamedTuple):
@@ -175,14 +177,16 @@ def _message(interface: _Interface, time_s: float, packet: bytes) -> can.Message
             channel = str(struct.unpack_from(">I", packet, 4)[0])
     if len(packet) < before + _FRAME.size:
         raise ValueError("a packet that is no frame")
-    identifier, length, flags = _FRAME.unpack_from(packet, before)
-    if flags & _XL:
+    identifier, length, flags, reserved = _FRAME.unpack_from(packet, before)
+    if length & _XL:
         raise ValueError("a CAN XL frame, which is not read")
     data = packet[before + _FRAME.size : before + _FRAME.size + length]
     is_remote, is_error = bool(identifier & REMOTE_FLAG), bool(identifier & ERROR_FLAG)
     if len(data) < length and not is_remote:
         raise ValueError("a frame that is cut off; capture whole packets")
-    is_fd = bool(flags & _FD) or length > CLASSIC_BYTES
+    # Behind the length of a classic frame there may be anything: programs that send leave it as it was.
+    are_flags = not reserved and not flags & ~(_BIT_RATE_SWITCH | _ERROR_STATE | _FD)
+    is_fd = length > CLASSIC_BYTES or (are_flags and bool(flags & _FD))
     is_extended = bool(identifier & EXTENDED_FLAG) and not is_error
     return can.Message(
         timestamp=time_s,

@@ -32,6 +32,8 @@ LONGEST_LINE_BYTES = 4096
 #: Of a longer line the rest is passed over, up to so much, behind which nothing more is looked for.
 LONGEST_SKIPPED_BYTES = 256 * 1024 * 1024
 _LONGEST_START_BYTES = 64
+_COMMENT = re.compile(r"#(?:\s|$)")
+"""That people put into candump's logs."""
 _UTF8_MARK = b"\xef\xbb\xbf"
 #: Control characters that stand in no text log: all but tab, line feed and carriage return.
 _CONTROL_BYTE = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]")
@@ -174,8 +176,8 @@ def line_problem(raw: bytes) -> str | None:
 
 
 def candump_frame(line: str, notes: LogNotes, damage: Callable[[str], None]) -> can.Message | None:
-    """The frame of a candump line; None for a blank line, what `candump -e` says of an error frame, a drop count (noted) and a
-    damaged line (reported to `damage`)."""
+    """The frame of a candump line; None for a blank line, a comment, what `candump -e` says of an error frame, a drop count
+    (noted) and a damaged line (reported to `damage`)."""
     text = line.strip()
     message = parse_line(text)
     if message is None:
@@ -184,7 +186,7 @@ def candump_frame(line: str, notes: LogNotes, damage: Callable[[str], None]) -> 
             notes.dropped_by_recorder += dropped
         elif lacks_time(text):
             damage(f"{text[:60]!r} has no time; record with `candump -L`")
-        elif text and not is_explanation(text):
+        elif text and not is_explanation(text) and not _COMMENT.match(text):
             damage(f"{text[:60]!r} is not a candump line")
     return message
 
