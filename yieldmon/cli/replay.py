@@ -38,7 +38,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "not sent, CAN FD frames only with --fd. Damaged records are reported and skipped.",
         epilog="example: yieldmon replay drive.log -i socketcan -c vcan0 --inputs-only --skip-gaps 10",
     )
-    parser.add_argument("logs", nargs="+", metavar="LOG", help=".log .asc .blf .csv .db .mf4 .trc, each also with .gz")
+    parser.add_argument("logs", nargs="+", metavar="LOG", help=".log .asc .blf .csv .db .mf4 .trc .txt, each also with .gz")
     parser.add_argument("--speed", type=float, default=1.0, metavar="X", help="times as fast; 0: as fast as it goes (default: 1)")
     parser.add_argument("--loop", action="store_true", help="begin again at the end, until interrupted")
     parser.add_argument("--skip-gaps", type=float, metavar="S", help="shorten silences to S seconds of the log's time")
