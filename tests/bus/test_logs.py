@@ -250,6 +250,32 @@ def test_comments_in_candumps_logs_are_no_damage(tmp_path: Path) -> None:
         read(path)
 
 
+DELTAS = (0.0, 0.004, 0.0001, 0.004, 0.0, 0.0032, 0.004, 0.1)
+
+
+@pytest.mark.parametrize(
+    ("times", "refused"),
+    [
+        (DELTAS * 20, True),
+        (DELTAS, False),
+        ([166.0] * 100 + [167.0] * 100, False),
+        # Two channels, a batch of each in turn.
+        ([0.01 * (place // 20) + 0.001 * (place % 10) for place in range(200)], False),
+        ([1.79e9 + time_s for time_s in DELTAS * 20], False),
+    ],
+)
+@pytest.mark.parametrize("line", ["({:010.6f}) can0 123#01\n", " ({:010.6f})  can0  123   [1]  01\n"])
+def test_times_since_the_frame_before_are_refused(times: list[float], refused: bool, line: str, tmp_path: Path) -> None:
+    """Of `candump -t d`; its log gave no second and no mass, and no word of it."""
+    path = tmp_path / "a.log"
+    path.write_text("".join(line.format(time_s) for time_s in times))
+    for reader in (read, load_frames):
+        with (
+            pytest.raises(InputError, match="its times are each since the frame before") if refused else contextlib.nullcontext()
+        ):
+            reader(path)
+
+
 @pytest.mark.parametrize("line", ["  can0  18FF1380   [3]  01 02 03", "  can0  TX - -  123   [0]  remote request"])
 def test_candump_without_times_is_refused_with_how_to_record(line: str, tmp_path: Path) -> None:
     path = tmp_path / "a.log"

@@ -20,11 +20,13 @@ from yieldmon.bus.packed_reading import Wanted, dropped_by_recorder, read_blocks
 from yieldmon.bus.text_logs import (
     CANDUMP_SUFFIXES,
     LONGEST_LINE_BYTES,
+    TIMES_LOOKED_AT,
     candump_frame,
     endless,
     is_candump,
     line_problem,
     read_stream,
+    refuse_times_between_frames,
     without_byte_order_mark,
 )
 
@@ -102,6 +104,8 @@ def _candump_blocks(path: Path, notes: LogNotes, chunk_bytes: int, compiled: boo
         try:
             for chunk in _whole_lines(stream, path, chunk_bytes):
                 parsed = _parse(chunk, path, notes, channels, line, compiled)
+                if line == 1:
+                    refuse_times_between_frames(path, parsed.time_s[:TIMES_LOOKED_AT].tolist())
                 line += parsed.lines
                 columns = (parsed.time_s, parsed.can_id, parsed.length, parsed.payload, parsed.channel)
                 yield FrameBlock(*columns, tuple(channels), parsed.long)

@@ -5,13 +5,13 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, cast
 
 import can
 
-from yieldmon.bus.candump import dropped_frames, is_explanation, lacks_time, parse_line
+from yieldmon.bus.candump import are_between_frames, dropped_frames, is_explanation, lacks_time, parse_line
 from yieldmon.bus.frame_check import impossible
 from yieldmon.bus.gunzip import early_end_of, open_bytes
 from yieldmon.bus.log_notes import LogNotes
@@ -29,6 +29,8 @@ TEXT_SUFFIXES = (".log", ".asc", ".csv", ".trc", ".txt")
 #: Longest line that is looked at. The longest line of any text format, a CAN FD frame in .asc, has under 400
 #: characters.
 LONGEST_LINE_BYTES = 4096
+#: So many times at the beginning of a candump log are looked at for what they count from.
+TIMES_LOOKED_AT = 1000
 #: Of a longer line the rest is passed over, up to so much, behind which nothing more is looked for.
 LONGEST_SKIPPED_BYTES = 256 * 1024 * 1024
 _LONGEST_START_BYTES = 64
@@ -91,8 +93,8 @@ class _Lines:
         self.number = 0
         self.damaged = False
         self.resume_with: str | None = None
+        self.path = path
         self._stream = stream
-        self._path = path
         self._notes = notes
 
     def __iter__(self) -> _Lines:
@@ -106,7 +108,7 @@ class _Lines:
             raw = self._read_line()
             self.number += 1
             if self.number == 1:
-                raw = without_byte_order_mark(raw, self._path)
+                raw = without_byte_order_mark(raw, self.path)
             problem = line_problem(raw)
             given_up = self._skip_rest_of_long_line(raw)
             if given_up is not None:
@@ -122,7 +124,7 @@ class _Lines:
     def damage(self, problem: str) -> None:
         """Reports the line handed out last."""
         self.damaged = True
-        self._notes.damage(f"{self._path}:{self.number}", problem)
+        self._notes.damage(f"{self.path}:{self.number}", problem)
 
     def _read_line(self) -> bytes:
         raw = self._stream.readline(LONGEST_LINE_BYTES + 2)
@@ -191,11 +193,24 @@ def candump_frame(line: str, notes: LogNotes, damage: Callable[[str], None]) -> 
     return message
 
 
+def refuse_times_between_frames(path: Path, times_s: Sequence[float]) -> None:
+    """times_s: of a candump log's first frames. Raises InputError where each is since the frame before."""
+    if are_between_frames(times_s):
+        raise InputError(str(path), "its times are each since the frame before", "times of one clock, as `candump -L` records")
+
+
 def _read_candump(lines: _Lines, notes: LogNotes) -> Iterator[can.Message]:
+    first_s: list[float] = []
     for line in lines:
         message = candump_frame(line, notes, lines.damage)
         if message is not None:
+            if len(first_s) < TIMES_LOOKED_AT:
+                first_s.append(message.timestamp)
+                if len(first_s) == TIMES_LOOKED_AT:
+                    refuse_times_between_frames(lines.path, first_s)
             yield message
+    if len(first_s) < TIMES_LOOKED_AT:
+        refuse_times_between_frames(lines.path, first_s)
 
 
 def _read_csv(lines: _Lines, notes: LogNotes) -> Iterator[can.Message]:
