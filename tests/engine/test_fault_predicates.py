@@ -43,7 +43,7 @@ def seen(reading: Reading | None = None, *, status: FlowStatus = FlowStatus.OK, 
     """The conditions that hold; beside: what the observation has otherwise than on a good second."""
     reading = harvest() if reading is None else reading
     estimate = Estimate(15.0, 0.8, status, 0.3)
-    flow = FlowMeter(SETTINGS, MACHINE.sensor.gain_n_per_mv).flow(
+    flow = FlowMeter(SETTINGS, MACHINE).flow(
         reading, estimate, ForceProportional(), Circumstances(sweeping=False, calibration_old=False)
     )
     good = {

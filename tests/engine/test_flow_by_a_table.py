@@ -17,11 +17,14 @@ from yieldmon.engine.flow_filter import FlowFilter
 from yieldmon.engine.measurement import Reading
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.estimation.open_loop import FlowEstimate, FlowStatus
+from yieldmon.estimation.parameters import CalibratedRange, ParameterSet
 from yieldmon.estimation.self_calibration.angle_error import NO_ERROR, NODES_RAD, AngleError
 from yieldmon.frames import EstimateQuality
+from yieldmon.physics.machine import SAME_ANGLE_RAD
 
 SETTINGS = replace(EngineSettings(), sweep=replace(EngineSettings().sweep, max_std_dev_factor=3.0))
 GAIN_N_PER_MV = MACHINE.sensor.gain_n_per_mv
+MACHINE_GRAIN = {"friction": 0.3, "restitution": 0.5, "density": 1100.0, "shape_ratio": 2.0}
 Q, OK = EstimateQuality, FlowStatus.OK
 OF_THE_MODEL = AngleError.of(np.diag(np.linspace(0.02, 0.01, NODES_RAD.size)) ** 2, HOME_RAD)
 CALM = Circumstances(sweeping=False, calibration_old=False)
@@ -37,7 +40,7 @@ def reading(**of: float) -> Reading:
 
 def flow(of: Reading, estimate: Estimate | None = None, circumstances: Circumstances = CALM, estimator: object = None) -> Flow:
     given = Estimate(15.0, 0.8, OK, 0.3) if estimate is None else estimate
-    return FlowMeter(SETTINGS, GAIN_N_PER_MV).flow(of, given, estimator or ForceProportional(), circumstances)  # type: ignore[arg-type]
+    return FlowMeter(SETTINGS, MACHINE).flow(of, given, estimator or ForceProportional(), circumstances)  # type: ignore[arg-type]
 
 
 QUALITY: dict[str, tuple[dict[str, float], FlowStatus, dict[str, bool], EstimateQuality]] = {
@@ -87,7 +90,7 @@ def test_what_is_no_flow_is_not_available(rate: float, std_dev: float, measured:
 
 def test_without_an_estimate_the_reading_says_why() -> None:
     of = replace(reading(), quality=Q.NOT_HARVESTING)
-    found = FlowMeter(SETTINGS, GAIN_N_PER_MV).flow(of, None, ForceProportional(), CALM)
+    found = FlowMeter(SETTINGS, MACHINE).flow(of, None, ForceProportional(), CALM)
     assert (found.quality, found.measured, found.force_n) == (Q.NOT_HARVESTING, False, of.force_n)
 
 
@@ -118,6 +121,21 @@ def test_the_standard_deviation_is_the_sum_of_its_causes(
     assert found.std_dev_kg_s == pytest.approx(sqrt((factor * noise) ** 2 + covariance**2 + model**2 + zero**2 + moisture**2))
 
 
+@pytest.mark.parametrize("error", [NO_ERROR, OF_THE_MODEL], ids=["nothing known of sweeps", "what sweeps show"])
+@pytest.mark.parametrize("away", [False, True])
+def test_beyond_the_calibrated_angles_what_sweeps_show_counts_once(away: bool, error: AngleError) -> None:
+    """Parameters of one plate angle, 10 deg from home: their error over the angle is in the estimate."""
+    known = ParameterSet(MACHINE_GRAIN, calibrated=CalibratedRange(plate_angle_rad=(HOME_RAD + radians(10.0),) * 2))
+    of = replace(reading(**({"plate_angle_rad": HOME_RAD - radians(20.0)} if away else {})), force_std_dev_n=1.5)
+    by_rad = 0.4 * (radians(30.0 if away else 10.0) - SAME_ANGLE_RAD)
+    of_force = of.force_n * 0.3 / 1.5
+    sd = hypot(0.3, by_rad * of_force)
+    found = flow(of, Estimate(15.0, sd, OK, 0.3), Circumstances(False, False, error), ForceProportional(known)).budget
+    # At home, and between home and here where nothing else stands for it.
+    left = 0.4 * (radians(10.0) - SAME_ANGLE_RAD) if away and error.moments else by_rad
+    assert found.covariance_kg_s == pytest.approx((3.0 if away else 1.0) * left * of_force, rel=1e-6)
+
+
 def test_a_plate_that_moves_adds_the_delay_of_its_feedback_to_the_noise() -> None:
     moved_rad = radians(4.0)
     of = replace(reading(plate_min_rad=HOME_RAD - moved_rad), force_std_dev_n=1.5)
@@ -130,7 +148,7 @@ def test_a_plate_that_moves_adds_the_delay_of_its_feedback_to_the_noise() -> Non
 
 
 def test_the_delay_of_its_feedback_is_of_the_other_sign_on_the_way_back() -> None:
-    meter, motion = FlowMeter(SETTINGS, GAIN_N_PER_MV), []
+    meter, motion = FlowMeter(SETTINGS, MACHINE), []
     for degrees in (70.0, 66.0, 62.0, 66.0, 70.0):
         at = radians(degrees)
         of = replace(reading(plate_angle_rad=at, plate_min_rad=at - radians(2.0), plate_max_rad=at + radians(2.0)), still=False)
@@ -206,7 +224,7 @@ PUBLISHED: dict[str, tuple[Callable[[Flow], Flow], bool, bool]] = {
 @pytest.mark.parametrize("case", PUBLISHED)
 def test_flows_at_rest_at_home_are_weighed_together(case: str) -> None:
     change, at_rest, together = PUBLISHED[case]
-    meter, alone = FlowMeter(SETTINGS, GAIN_N_PER_MV), FlowFilter(SETTINGS.flow_filter)
+    meter, alone = FlowMeter(SETTINGS, MACHINE), FlowFilter(SETTINGS.flow_filter)
     measured = flow(reading())
     noise = measured.budget.noise_kg_s
     for rate in (15.0, 14.0, 16.0, 15.5):

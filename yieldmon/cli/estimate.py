@@ -13,6 +13,7 @@ from yieldmon.cli import _flow_curve, _notes, model_options
 from yieldmon.cli._json import print_json
 from yieldmon.cli._limits import within
 from yieldmon.errors import InputError
+from yieldmon.estimation.beyond_range import moisture_error_beyond
 from yieldmon.estimation.estimators import estimator_of
 from yieldmon.estimation.open_loop import FlowStatus
 from yieldmon.files import table
@@ -61,15 +62,18 @@ def run(args: argparse.Namespace) -> int:
         found = loop.estimate(force, angle, speed, noise, data.columns.get("moisture_pct"))
     except ValueError as error:
         raise InputError(data.path, str(error)) from error
+    std_dev = found.std_dev_kg_s
+    if "moisture_pct" in data.columns:
+        std_dev = np.hypot(std_dev, moisture_error_beyond(known, data.columns["moisture_pct"]) * found.mass_flow_kg_s)
     true = None if data.load is None else data.columns[data.load] * (passes if data.load == "paddle_mass_kg" else 1.0)
-    if true is not None and (note := _contradiction(found.mass_flow_kg_s, found.std_dev_kg_s, true)):
+    if true is not None and (note := _contradiction(found.mass_flow_kg_s, std_dev, true)):
         _notes.note(f"{data.path}: {note}")
     rows = []
     for i in range(len(data)):
         row: dict[str, Any] = {
             "row": i + 1,
             "mass_flow_kg_s": float(found.mass_flow_kg_s[i]),
-            "std_dev_kg_s": float(found.std_dev_kg_s[i]),
+            "std_dev_kg_s": float(std_dev[i]),
             "paddle_mass_kg": float(found.mass_flow_kg_s[i] / passes[i]),
             "status": FlowStatus(int(found.status[i])).name.lower(),
         }

@@ -11,6 +11,7 @@ import numpy as np
 from yieldmon.cli import _notes, model_options
 from yieldmon.cli._json import print_json
 from yieldmon.errors import InputError
+from yieldmon.estimation.force_deviation import force_std_dev
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files.calibrated_range import calibrated_document
 from yieldmon.physics.machine import RPM
@@ -75,6 +76,8 @@ def run(args: argparse.Namespace) -> int:
         columns, values = (*COLUMNS, "moisture_pct"), [*values, np.full(flow.shape, args.moisture)]
     if moved is not None:
         columns, values = (*columns, "plate_position_m"), [*values, moved]
+    if known.covariance_names or known.model_error:
+        columns, values = (*columns, "force_std_dev_n"), [*values, force_std_dev(model, known, conditions)]
     if known.response_unit != "N":
         _notes.note(f"momentum and force are in the unit {known.response_unit!r} of the parameters, not in kg m/s and N")
     _say_outside(known, flow, angle, speed, args.moisture)

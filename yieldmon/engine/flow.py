@@ -16,9 +16,11 @@ from yieldmon.engine.measurement import Reading
 from yieldmon.engine.quick import maker_of
 from yieldmon.engine.sampling.windows import Window
 from yieldmon.engine.settings import EngineSettings
+from yieldmon.estimation.beyond_range import angle_error_beyond
 from yieldmon.estimation.open_loop import FlowStatus
 from yieldmon.estimation.self_calibration.angle_error import NO_ERROR, AngleError
 from yieldmon.frames import EstimateQuality
+from yieldmon.physics.machine import Machine
 
 _NAN = float("nan")
 _STATUSES = tuple(FlowStatus)
@@ -93,9 +95,10 @@ def estimates(estimator: FlowEstimator, readings: Sequence[Reading]) -> list[Est
 class FlowMeter:
     """Judges estimates, and weighs each published flow with those before it."""
 
-    def __init__(self, settings: EngineSettings, gain_n_per_mv: float) -> None:
+    def __init__(self, settings: EngineSettings, machine: Machine) -> None:
         self._settings = settings
-        self._gain_n_per_mv = gain_n_per_mv
+        self._gain_n_per_mv = machine.sensor.gain_n_per_mv
+        self._home_rad = machine.home_plate_angle_rad
         self._filter = FlowFilter(settings.flow_filter)
         self._angle_rad = _NAN
         """Of the window before."""
@@ -172,8 +175,12 @@ class FlowMeter:
             followed="moisture_dependence" in parameters.effects,
         )
         per_error = reading.force_n * per_n if reading.force_n > 0.0 and isfinite(per_n) else 0.0
-        parameters_kg_s = hypot(common, circumstances.drift_sd * per_error)
         model_error = circumstances.model_error
+        if model_error.moments and not reading.at_home and parameters.curve is None:
+            # What the model misses between home and here is what sweeps show, or may show.
+            away, at_home = angle_error_beyond(parameters, np.array([angle_rad, self._home_rad]))
+            common = max(0.0, common**2 - max(0.0, away**2 - at_home**2) * per_error**2) ** 0.5
+        parameters_kg_s = hypot(common, circumstances.drift_sd * per_error)
         if not reading.at_home:
             # Each part by itself: what averages out goes on doing so.
             factor = self._settings.sweep.max_std_dev_factor

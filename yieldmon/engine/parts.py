@@ -76,7 +76,7 @@ class Parts:
             inputs=Inputs(settings.inputs, sources),
             sensors=ImpactSensors(windows, machine, sources, traces=settings.waveform.enabled),
             measurement=Measurement(settings, machine, sources),
-            flow_meter=FlowMeter(settings, machine.sensor.gain_n_per_mv),
+            flow_meter=FlowMeter(settings, machine),
             waveform=Waveform(settings.waveform, machine) if settings.waveform.enabled else None,
             area=AreaCounter(machine.implement, settings.gate),
             loads=Loads(settings),

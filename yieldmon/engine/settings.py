@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from yieldmon.engine.flow_filter import FlowFilterSettings
+from yieldmon.estimation.beyond_range import FLOW_PER_MOISTURE_PCT
 
 if TYPE_CHECKING:
     from yieldmon.estimation.waveform.arrival_law import ArrivalLaw
@@ -141,7 +142,7 @@ class BudgetSettings:
     """Standard deviation of a zero when it is taken or followed, mV."""
     zero_drift_mv_per_root_h: float = 1.0
     """Its growth while the elevator never runs empty, mV per square root of an hour."""
-    moisture_per_pct: float = 0.02
+    moisture_per_pct: float = FLOW_PER_MOISTURE_PCT
     """Relative standard deviation of flow per percentage point of moisture that the calibration does not follow: published slopes
     of friction, density and restitution (config/crops.yaml) through the model at 10 kg/s give 1.6 (rice) to 3.0 (wheat), corn
     2.0 %."""

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from yieldmon.physics.machine import SAME_ANGLE_RAD
 from yieldmon.physics.numerics import Array
 
+from .beyond_range import speed_error_beyond
 from .open_loop import FlowEstimate, broadcast_inputs, with_status
 from .parameters import CalibratedRange, ParameterSet
 
@@ -216,7 +217,10 @@ class CurveEstimator:
         away = np.min(np.abs(angle[..., None] - np.array(self._curve.law.angles_rad)), axis=-1)
         between = (angle > self._curve.law.angles_rad[0]) & (angle < self._curve.law.angles_rad[-1])
         away = np.where(between | (away <= SAME_ANGLE_RAD), 0.0, away)
-        sd = np.hypot(noise_sd, np.hypot(self._own_std_dev(flow), ANGLE_STD_DEV_PER_RAD * away * flow))
+        beyond = np.hypot(
+            ANGLE_STD_DEV_PER_RAD * away, speed_error_beyond(self._curve.calibrated, self._curve.relative_std_dev, speed)
+        )
+        sd = np.hypot(noise_sd, np.hypot(self._own_std_dev(flow), beyond * flow))
         outside = (away > 0.0) | self._curve.calibrated.outside(flow, None, speed, moist)
         return with_status(flow, sd, noise_sd, outside=outside, empty=force <= 0.0, usable=usable)
 

@@ -22,7 +22,7 @@ from .clusters import SAME_LOAD, cluster
 FLOOR = 0.002
 """Relative standard deviation of the model's error where it is right: two codes of the same physics differ by this much."""
 _DEGREES = (3, 3, 2)
-_LEAST_LEVEL = 0.05
+LEAST_LEVEL = 0.05
 """Readings below this share of the largest have the error of that share."""
 _UNSEEN = 1e-3
 """Share of a residual below which what a group leaves says nothing of it."""
@@ -31,7 +31,7 @@ _UNSEEN = 1e-3
 def level(predicted: Array) -> Array:
     """The reading that a relative error is relative to, (n,)."""
     top = float(np.max(np.abs(predicted), initial=0.0))
-    return np.maximum(np.abs(predicted), _LEAST_LEVEL * top)
+    return np.maximum(np.abs(predicted), LEAST_LEVEL * top)
 
 
 def basis(plate_angle_rad: Array, load: Array, elevator_speed_rad_s: Array, *, most: int = 4) -> Array:

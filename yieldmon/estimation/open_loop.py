@@ -14,6 +14,7 @@ from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import AnyArray, Array, chebyshev_points
 from yieldmon.physics.throw import Throw
 
+from .beyond_range import error_beyond
 from .load_curves import LoadCurves
 from .load_pattern import following
 from .parameters import ParameterSet
@@ -302,7 +303,8 @@ class OpenLoop:
         varied = self.model.throw(angle[..., None], speed[..., None], self._rows, moist[..., None]) if len(self._steps) else None
         flow, gain = self._inverted(force, angle, speed, moist, varied)
         spread = np.hypot(noise, self._parameter_force_sd(flow, varied))
-        spread = np.hypot(spread, self.parameters.model_error * np.abs(force))
+        own = np.hypot(self.parameters.model_error, error_beyond(self.parameters, flow, angle, speed))
+        spread = np.hypot(spread, own * np.abs(force))
         with np.errstate(divide="ignore", invalid="ignore"):
             sd, noise_sd = spread / np.abs(gain), noise / np.abs(gain)
         outside = self.parameters.calibrated.outside(flow, angle, speed, moist)

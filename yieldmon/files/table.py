@@ -20,6 +20,8 @@ LOADS = ("mass_flow_kg_s", "paddle_mass_kg")
 READINGS = ("force_n", "momentum_kg_m_s", "response")
 _ALSO = {"paddle_momentum_kg_m_s": "momentum_kg_m_s"}
 """Columns under the names that `predict` gives them."""
+_OF_PREDICT = ("force_std_dev_n",)
+"""What `predict` writes beside and nothing reads: an error that all rows share, and no noise of theirs."""
 _AGREE = 0.01
 """Relative difference of two columns that say the same."""
 _TEXTS = ("trial", "group")
@@ -264,7 +266,7 @@ def load(path: str | Path, *, need_load: bool = True, used: str | None = None) -
     columns = {role: _numbers(source, name) for name, role in numeric.items()}
     texts = {name: source.column(name) for name in names if name not in numeric}
     _check_columns(columns, source)
-    ignored = _ignored([name for name in texts if name not in (*_TEXTS, used)], where)
+    ignored = _ignored([name for name in texts if name not in (*_TEXTS, *_OF_PREDICT, used)], where)
     return Table(
         where,
         source.sha256,

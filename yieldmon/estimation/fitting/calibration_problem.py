@@ -168,6 +168,15 @@ class CalibrationProblem:
         """Whether a fit leaves residuals: there is more than one value for each parameter."""
         return self.data.momentum.size + len(self.prior_white) > len(self.names)
 
+    def unsure_of(self, noise: Noise) -> float:
+        """By what the rows' variance is larger, 1 or more, once what is usual counts for the degrees of freedom that few rows
+        lack: residuals of one or two may be next to nothing by chance."""
+        lacking = LEAST_PURE_DOF - (self.data.momentum.size + len(self.prior_white) - len(self.names))
+        if self.given_sigma or lacking <= 0:
+            return 1.0
+        begun_with = float(np.mean((self._usual_noise() / noise.row_sd) ** 2))
+        return max(1.0, 1.0 + (min(lacking, LEAST_PURE_DOF) / LEAST_PURE_DOF) * (begun_with - 1.0))
+
     def scatter(self) -> float:
         """Standard deviation of a row about the mean of its cell, in the momentum's unit; nan without replicates."""
         y, counts = self.data.momentum, np.bincount(self.cell)
@@ -176,10 +185,13 @@ class CalibrationProblem:
         return float(np.sqrt(np.sum((y - means[self.cell]) ** 2) / dof)) if dof > 0 else float("nan")
 
     def _first_noise(self) -> float:
-        largest = float(np.max(np.abs(self.data.momentum)))
-        if np.isfinite(self.pure_sd) and self.pure_sd > 1e-9 * largest:
+        if np.isfinite(self.pure_sd) and self.pure_sd > 1e-7 * self._usual_noise():
             return self.pure_sd
-        return 0.01 * largest if largest > 0.0 else 1.0
+        return self._usual_noise()
+
+    def _usual_noise(self) -> float:
+        """Of readings of which nothing else is known."""
+        return 0.01 * float(np.max(np.abs(self.data.momentum)))
 
     def residuals(self, theta: Array, row_sd: Array) -> tuple[Array, Array]:
         """Weighted residuals (B, rows + prior) and derivatives."""

@@ -16,6 +16,9 @@ from .calibration_result import CONFIDENCE
 
 _CLOSE = 0.05
 """Share of the width between bounds within which a value counts as at one of them."""
+_LEFT_OUT = 2.0
+"""Of what the fit leaves: more than that of an angle or load left out, which shows half of something or less, is the spread of
+parameters that the others hardly determine, and none of the model's error."""
 _HALVINGS = 40
 """Of the interval in which the bounds' share is looked for."""
 
@@ -46,9 +49,12 @@ def fit_uncertainty(
     unlike = None if noise.spread is None else weighted.T @ (weighted * (noise.spread - 1.0)[:, None]) / factor
     alike, singular = _inverse(information, problem.unit)
     free = _spread_out(alike, unlike)
-    # In the file a parameter is never less certain than anywhere between its bounds.
+    # In the file a parameter is never less certain than anywhere between its bounds, and few rows show their noise less well.
     most = distance_within(problem.lower, problem.upper, theta)
-    inverse = _bounded_inverse(information, most) if np.any(singular) else alike
+    unsure = problem.unsure_of(noise)
+    if unsure > 1.0:
+        information = weighted.T @ weighted / (unsure * factor) + problem.prior_white.T @ problem.prior_white
+    inverse = _bounded_inverse(information, most) if np.any(singular) else _inverse(information, problem.unit)[0]
     covariance = _spread_out(inverse, unlike)
     size = _learnt_error(problem, predicted - problem.data.momentum, cell_slopes, noise)
     if size > 0.0:
@@ -106,39 +112,58 @@ def _learnt_error(problem: CalibrationProblem, error: Array, slopes: Array, fitt
     """Relative size of the model's own error, from angles and loads left out; 0 where it is not known.
 
     error: of each row. slopes: of each cell. fitted: the rows' noise as the fit took it; outliers of a robust fit say as
-    little of the model as they did there. Where neither replicates nor a stated sigma part it from noise, all that the fit leaves
-    is taken for noise where angles and loads are left out, and the error is no larger than that.
+    little of the model as they did there. Where neither replicates nor a stated sigma part it from noise, what no smooth error
+    makes of the residuals is noise; the error is at most _LEFT_OUT times what the fit leaves. With too few rows for that all that
+    it leaves is taken for noise where angles and loads are left out, and the error is no larger than that.
     """
     if not slopes.shape[1]:
         return 0.0
-    parted = problem.pure_dof >= LEAST_PURE_DOF or problem.given_sigma
     share = (fitted.weight * problem.row_sd) ** 2 if problem.robust else np.ones(error.size)
     count = np.bincount(problem.cell, share)
     first = np.unique(problem.cell, return_index=True)[1]
-    angle, _, load, _ = problem.data.columns()[:, first]
+    angle, speed, load, _ = problem.data.columns()[:, first]
     mean = np.bincount(problem.cell, share * error) / count
     predicted = np.bincount(problem.cell, share * (error + problem.data.momentum)) / count
     if not np.any(predicted):
         return 0.0  # No grain reaches the plate: there is nothing that an error could be relative to.
+    level = model_error.level(predicted)
+    parted = problem.pure_dof >= LEAST_PURE_DOF or problem.given_sigma
+    smooth = model_error.basis(angle, load, speed) * level[:, None]
+    unexplained = 0.0 if parted else _unexplained_sd(problem, mean, np.column_stack((slopes * problem.unit, smooth)), count)
     least = 1e-9 * float(np.max(np.abs(predicted)))
     row_sd = np.maximum(fitted.row_sd, least)
     if problem.given_sigma:
         noise = np.bincount(problem.cell, share * problem.row_sd**-2.0) ** -0.5
-    elif parted:
-        noise = np.maximum(problem.pure_sd, least) / np.sqrt(count)
+    elif parted or unexplained > 0.0:
+        noise = np.maximum(problem.pure_sd if parted else unexplained, least) / np.sqrt(count)
     else:
         noise = np.bincount(problem.cell, row_sd**-2.0) ** -0.5
     if problem.spread is not None:
         noise = noise * np.sqrt(problem.spread[first])
     basis = model_error.orthonormal(slopes / noise[:, None] * problem.unit)
-    relative = noise / model_error.level(predicted)
     residual = mean / noise
-    if problem.spread is not None:
-        # As a fit leaves it that weighs the cells by their noise.
+    if problem.spread is not None or unexplained > 0.0:
+        # As a fit leaves it that weighs the cells by their noise and holds no parameter at a bound.
         residual = residual - basis @ (basis.T @ residual)
-    size = model_error.learnt(residual, basis, relative, model_error.groups_of(angle, load))
-    most = float(np.mean((model_error.level(predicted)[problem.cell] / row_sd) ** 2)) ** -0.5
-    return size if parted else min(size, most) if size > model_error.FLOOR else 0.0
+    size = model_error.learnt(residual, basis, noise / level, model_error.groups_of(angle, load))
+    if parted or unexplained > 0.0:
+        dof = max(count.size - basis.shape[1], 1)
+        most = _LEFT_OUT * float(np.sqrt(np.sum(residual**2) / dof / np.mean((level / noise) ** 2)))
+        return max(min(size, most), model_error.FLOOR)
+    most = float(np.mean((level[problem.cell] / row_sd) ** 2)) ** -0.5
+    return min(size, most) if size > model_error.FLOOR else 0.0
+
+
+def _unexplained_sd(problem: CalibrationProblem, mean: Array, columns: Array, count: Array | NDArray[np.int64]) -> float:
+    """Standard deviation of a row by what is left of the cells' mean errors beside these columns, and by replicates; 0 where
+    fewer than LEAST_PURE_DOF degrees of freedom are left. The mean of its inverse square is right."""
+    root = np.sqrt(count)
+    explained = model_error.orthonormal(columns * root[:, None])
+    dof = count.size - explained.shape[1] + problem.pure_dof
+    if dof < LEAST_PURE_DOF:
+        return 0.0
+    within = problem.pure_dof * problem.pure_sd**2 if problem.pure_dof else 0.0
+    return float(np.sqrt((np.sum(model_error.off(mean * root, explained) ** 2) + within) / (dof - 2)))
 
 
 def _inverse(information: Array, unit: Array) -> tuple[Array, NDArray[np.bool_]]:

@@ -1,0 +1,119 @@
+"""Flows and forces outside the calibrated range: standard deviations that cover laws which are not the model's."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from yieldmon import api
+from yieldmon.cli.main import main
+from yieldmon.estimation.parameters import CalibratedRange
+
+MODEL = api.ForwardModel(api.Machine(), ())
+GRAIN = {"friction": 0.3, "restitution": 0.5, "density": 1100.0, "shape_ratio": 2.0}
+FREE = ("friction", "density", "restitution")
+
+
+def _law(rng: np.random.Generator):
+    """A force that is not the model's, over flow (kg/s), angle and speed (rad, rad/s): a coherent jet on a rough plate,
+    shielding itself, with powers of flow and speed of its own."""
+    gain, droop, rough, shield = rng.uniform(1.0, 1.7), np.radians(rng.uniform(0, 20)), rng.uniform(0, 0.2), rng.uniform(0, 0.02)
+    by_flow, by_speed = rng.uniform(-0.15, 0.05), rng.uniform(-0.2, 0.2)
+
+    def force(flow, angle, speed):
+        jet = np.sin(angle) * np.sin(angle - droop) * (1.0 + rough / np.tan(angle)) / (1.0 + shield * flow)
+        return gain * flow * 0.18 * speed * jet * (flow / 10.0) ** by_flow * (speed / 42.0) ** by_speed
+
+    return force
+
+
+def _calibrated(law, flows, angles_deg, speeds_rpm, rng: np.random.Generator) -> api.ParameterSet:
+    grid = np.meshgrid(flows, np.radians(angles_deg), np.array(speeds_rpm) * api.RPM, indexing="ij")
+    flow, angle, speed = (np.repeat(v.ravel(), 3) for v in grid)
+    at = api.Conditions(angle, speed, mass_flow_kg_s=flow)
+    per_pass = MODEL.paddle_momentum(at, GRAIN) / MODEL.force(at, GRAIN)
+    reading = law(flow, angle, speed) * (1.0 + 0.01 * rng.standard_normal(flow.size)) * per_pass
+    rows = api.Measurements(at, reading)
+    start = api.default_start(MODEL, rows, ("restitution",))
+    return api.calibrate(MODEL, rows, start, FREE, starts=2, intervals=False).parameter_set
+
+
+FAR = {
+    # calibrated over flows, angles and speeds; used at
+    "another angle": (([5, 10, 15], [70], [400]), (10.0, [45.0, 50.0, 85.0, 90.0], 400.0)),
+    "another speed": (([5, 10, 15], [70], [400]), (10.0, [70.0], [330.0, 480.0])),
+    "another flow": (([9, 10, 11], [55, 70, 85], [400]), ([2.0, 20.0], [70.0], 400.0)),
+}
+
+
+@pytest.mark.parametrize("case", FAR)
+def test_the_deviation_covers_laws_of_other_authors_outside_the_range(case: str) -> None:
+    calibrated, used = FAR[case]
+    flow, angle, speed = (v.ravel() for v in np.meshgrid(*used))
+    angle, speed, z = np.radians(angle), speed * api.RPM, []
+    for seed in range(10):
+        rng = np.random.default_rng([seed, 31])
+        law = _law(rng)
+        known = _calibrated(law, *calibrated, rng)
+        found = api.OpenLoop(MODEL, known).estimate(law(flow, angle, speed), angle, speed)
+        assert set(found.status) == {int(api.FlowStatus.OUTSIDE_CALIBRATION)}
+        z.append((found.mass_flow_kg_s - flow) / found.std_dev_kg_s)
+    rms = float(np.sqrt(np.mean(np.square(z))))
+    assert 0.3 < rms < 1.3
+    assert np.mean(np.abs(z) < 2.0) > 0.9
+
+
+def _shares(known: api.ParameterSet, flow, angle_deg, speed_rpm) -> np.ndarray:
+    angle, speed = np.radians(angle_deg), np.asarray(speed_rpm) * api.RPM
+    force = MODEL.force(api.Conditions(angle, speed, mass_flow_kg_s=np.asarray(flow, dtype=float)), known.values)
+    found = api.OpenLoop(MODEL, known).estimate(force, angle, speed)
+    return np.asarray(found.std_dev_kg_s / found.mass_flow_kg_s)
+
+
+def _known(model_error: float = 0.01, **limits: tuple[float, float]) -> api.ParameterSet:
+    return api.ParameterSet(GRAIN, calibrated=CalibratedRange(**limits), model_error=model_error)
+
+
+def test_the_deviation_grows_with_the_distance_and_with_the_error_found_within() -> None:
+    angles = {"plate_angle_rad": (np.radians(50.0), np.radians(80.0))}
+    within, edge, near, far = _shares(_known(**angles), 10.0, [65.0, 50.4, 45.0, 40.0], 400.0)
+    assert within == pytest.approx(_shares(_known(), 10.0, [65.0], 400.0)[0])
+    assert edge == pytest.approx(_shares(_known(), 10.0, [50.4], 400.0)[0])
+    beyond = [np.sqrt(s**2 - _shares(_known(), 10.0, [a], 400.0)[0] ** 2) for s, a in ((near, 45.0), (far, 40.0))]
+    assert 0.0 < beyond[0] < 0.6 * beyond[1]
+    # A range of one angle says nothing of others; one over which the model held says much.
+    held, one = _known(0.002, **angles), _known(0.002, plate_angle_rad=(np.radians(70.0),) * 2)
+    assert 5.0 * _shares(held, 10.0, [45.0], 400.0)[0] < _shares(one, 10.0, [45.0], 400.0)[0]
+    # What is not known to be limited is not widened.
+    assert _shares(_known(0.0), 30.0, [20.0], 700.0)[0] == 0.0
+
+
+def _file(folder: Path) -> str:
+    path = folder / "p.yaml"
+    ranges = {"plate_angle_deg": [70, 70], "mass_flow_kg_s": [5, 15], "elevator_speed_rpm": [400, 400], "moisture_pct": [14, 16]}
+    sd = {"names": ["restitution"], "matrix": [[1e-4]]}
+    path.write_text(yaml.safe_dump({"format": 1, "version": 1, **GRAIN, "covariance": sd, "calibrated_range": ranges}))
+    return str(path)
+
+
+def test_predict_states_what_estimate_makes_of_it(tmp_path, capsys) -> None:
+    params = _file(tmp_path)
+    assert main(["predict", "--mass-flow", "10", "--plate-angle", "60", "70", "--params", params, "--json"]) == 0
+    away, home = json.loads(capsys.readouterr().out)["rows"]
+    assert home["force_std_dev_n"] == pytest.approx(0.01 / 1.5 * home["force_n"], rel=1e-3)
+    assert away["force_std_dev_n"] > 0.05 * away["force_n"]
+    table = tmp_path / "t.csv"
+    table.write_text(
+        "plate_angle_deg,force_n,sigma,moisture_pct\n"
+        f"60,{away['force_n']},0,15\n60,{away['force_n']},{away['force_std_dev_n']},15\n"
+        f"70,{home['force_n']},0,15\n70,{home['force_n']},0,25\n"
+    )
+    assert main(["estimate", str(table), "--params", params, "--json"]) == 0
+    alone, twice, right, wet = (row["std_dev_kg_s"] for row in json.loads(capsys.readouterr().out)["rows"])
+    assert twice == pytest.approx(np.sqrt(2.0) * alone, rel=1e-3)
+    # Nine points wetter than any calibrated grain, at 2 % a point.
+    assert np.sqrt(wet**2 - right**2) == pytest.approx(1.8, rel=0.01)
