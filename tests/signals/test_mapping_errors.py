@@ -340,7 +340,7 @@ def test_a_constant_speed_is_one_at_which_flow_is_measured(
         assert f"signals.elevator_speed.value: {speed_rpm}; expected 250 to 599 rpm" in said(capsys, path)
 
 
-@pytest.mark.parametrize("unit", ["RPM", "U/min", "Rpm"])
+@pytest.mark.parametrize("unit", ["RPM", "U/min", "Rpm", "min^-1"])
 def test_a_unit_is_known_however_a_maker_spells_it(unit: str, tmp_path: Path) -> None:
     (tmp_path / "own.dbc").write_text(
         f'VERSION ""\nNS_ :\nBS_:\nBU_: N\nBO_ 300 Shaft: 2 N\n SG_ Turns : 0|16@1+ (0.5,0) [0|0] "{unit}" N\n'

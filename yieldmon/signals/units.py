@@ -60,7 +60,7 @@ _PERIODS_S = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "usec"
 _IN_ANY_CASE = ("rpm", "deg", "degree", "degrees", "percent", "kph", "mph", "km/h", "degC", "degF", "deg/s", "ft/s")
 """Those of which no other case means anything else, as mg and Mg do."""
 _SPELT = {
-    "rpm": "r/min u/min umin upm rev/min revs/min turns/min unit_minutinver unit_revpermin",
+    "rpm": "r/min min^-1 u/min umin upm rev/min revs/min turns/min unit_minutinver unit_revpermin",
     "deg": "degs unit_degreofarc unit_degreeofarc",
     "rad": "radian radians unit_radian",
     "deg/s": "deg/sec degree/s degrees/s degrees/sec degrees/second",
