@@ -162,6 +162,9 @@ def test_kvaser_says_its_bases_itself(tmp_path: Path, ids: str, data: str, separ
             "columns 'timestamps,CAN_DataFrame.BusChannel",
         ),
         ("Time,Id,Data\n0.1,123,AA BB\n", "of python-can, SavvyCAN, Kvaser, CANedge or Vehicle Spy"),
+        ('"No.","Time","Source"\n"1","0.0","CAN"\n', 'columns \'"No.","Time","Source"\' of another program'),
+        ("time,addr,bus,data\n0.1,0x119,0,0011\n", "columns 'time,addr,bus,data' of another program"),
+        ("timestamp,iface,can_id,dlc,data\n0.1,can0,21,1,AA\n", "columns 'timestamp,iface,can_id,dlc,data' of another program"),
     ],
 )
 def test_csv_that_cannot_be_read_is_refused_in_one_line(tmp_path: Path, text: str, problem: str, capsys) -> None:

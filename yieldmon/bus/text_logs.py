@@ -42,8 +42,9 @@ _CONTROL_BYTE = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]")
 
 #: What stands for a header when python-can's reader goes on behind a damaged line: the line it may skip without loss.
 _RESUME_LINE = "header"
-_PYTHON_CAN_COLUMNS = frozenset({"timestamp", "arbitration_id", "extended", "remote", "error", "dlc", "data"})
-_COLUMN, _LEAST_COLUMNS, _LEAST_KNOWN = re.compile(r"[A-Za-z_]"), 5, 3
+_IDENTIFIER_COLUMN = "arbitration_id"
+_PYTHON_CAN_COLUMNS = frozenset({"timestamp", _IDENTIFIER_COLUMN, "extended", "remote", "error", "dlc", "data"})
+_COLUMN, _LEAST_COLUMNS, _LEAST_KNOWN = re.compile(r"[A-Za-z_]"), 2, 3
 _UNPACKED = re.compile(r"values to unpack \(expected (\d+)")
 """How Python says that a line has more or fewer fields than its reader takes."""
 
@@ -237,9 +238,11 @@ def _read_csv(lines: _Lines, notes: LogNotes) -> Iterator[can.Message]:
 def _is_heading_of_others(line: str) -> bool:
     """Whether a CSV's first line names columns that are not python-can's: what stands below may pass for its frames. A line that
     names none may be its damaged heading, or a frame of a log whose beginning is cut off."""
-    names = [field.strip() for field in line.split(",")]
+    names = [field.strip().strip('"') for field in line.split(",")]
+    known = _PYTHON_CAN_COLUMNS.intersection(names)
     named = len(names) >= _LEAST_COLUMNS and all(_COLUMN.match(name) for name in names if name)
-    return named and len(_PYTHON_CAN_COLUMNS.intersection(names)) < _LEAST_KNOWN
+    others = len(names) != len(_PYTHON_CAN_COLUMNS) and _IDENTIFIER_COLUMN not in known
+    return named and (len(known) < _LEAST_KNOWN or others)
 
 
 def _read_trace(lines: _Lines) -> Iterator[can.Message]:
