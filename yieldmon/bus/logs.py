@@ -37,6 +37,9 @@ _MENDS = {
     ".dump": "give it the ending of its format, .log for candump's lines",
     ".dat": "log the bus as MF4, BLF or ASC; MDF 3 holds no frames",
     ".mdf": "give it the ending .mf4 if it is MDF 4; MDF 3 holds no frames",
+    **dict.fromkeys((".mfc", ".mfe", ".mfm"), "convert {} to .mf4 with CSS Electronics' MDF4 converters first"),
+    **dict.fromkeys((".kmf", ".kme40", ".kme50", ".kme60"), "export {} as .mf4, .asc or .csv with Kvaser's converter first"),
+    ".vsb": "export {} as .csv or .asc with Vehicle Spy first",
     ".sqlite": "give it the ending .db if it is python-can's",
     ".sqlite3": "give it the ending .db if it is python-can's",
 }
