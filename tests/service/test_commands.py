@@ -52,7 +52,7 @@ class Told:
     def ticket_departure(self, load: int, mass_kg: float, std_dev_kg: float, of_crop: object = None) -> None:
         """Not known."""
 
-    def ticket(self, load: int, mass_kg: float, std_dev_kg: float, crop: str = "") -> None:
+    def ticket(self, load: int, mass_kg: float, std_dev_kg: float, crop: str = "", common_kg: float = 0.0) -> None:
         self.tickets.append((load, mass_kg, std_dev_kg))
         self.for_crops.append(crop)
 

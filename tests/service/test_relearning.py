@@ -258,9 +258,9 @@ def test_a_ticket_whose_loads_are_being_measured_again_counts_once_after_an_undo
         number = versions_of(season, 4)[0] if undo == "calibrations" else 4
         answer = ask(season.folder, undo, "undo", str(number))
         held.set()
-        values = left(season, bench)["values"]
+        found = left(season, bench)
     assert (answer["learnt_again"], answer["not_learnt_again"]) == ([], [])
-    same({"values": values}, {"values": never["values"]})
+    same({key: found[key] for key in ("values", "again")}, {key: never[key] for key in ("values", "again")})
 
 
 def test_a_silenced_ticket_stays_silent_when_another_is_taken_back(tmp_path) -> None:

@@ -14,6 +14,7 @@ import pytest
 from tests.service.bench import START_S, running, wait_for
 from yieldmon.cli import main as cli
 from yieldmon.cli._records import back
+from yieldmon.engine.self_calibration.learning import ParametersChanged
 from yieldmon.files import parameter_file
 from yieldmon.service.storage.batch import Ticket
 from yieldmon.service.storage.ledger import PARAMETERS
@@ -156,13 +157,23 @@ def test_loads_are_measured_again_though_the_daemon_was_killed_meanwhile() -> No
     log = ActionLog([], [], 0.0)
     log.ticket(tickets[0], is_reference=True)
     assert log.unfinished == (1,)
-    assert log.take_waiting(2) == ((1,), 2)
+    before = ActionLog(tickets, tuple(log), 0.0, log.unfinished)
+    assert (before.waiting, before.measuring_waits) == ([1], False)
+    led_to(log, 2)
+    assert log.take_to_measure(2) == ((1,), 2)
     assert log.unfinished == (1,), "while they are measured"
     after = ActionLog(tickets, tuple(log), 0.0, log.unfinished)
-    assert after.waiting == [1]
+    assert (after.waiting, after.take_to_measure(2)) == ([], ((1,), 2))
     log.posted((1,), 2, {})
     assert log.unfinished == ()
     assert ActionLog([], [], 0.0, (1,)).waiting == [], "a ticket that the store lost"
+
+
+def led_to(log: ActionLog, version: int) -> None:
+    """All tickets that wait led to one version."""
+    change = ParametersChanged(parameter_file.load(), "ticket", "", references=tuple((n, 100.0) for n in log.waiting))
+    numbers = log.take_behind(change)
+    log.add(PARAMETERS, "", {"version": version, "from_version": version - 1, "origin": "ticket", "tickets": numbers})
 
 
 def log_of(count: int) -> ActionLog:
@@ -178,7 +189,8 @@ def test_tickets_of_a_crop_that_is_left_before_they_update_wait_for_its_return()
     log.change_crop("wheat", "corn")
     assert (log.waiting, log.unfinished, log.unfinished_of_crop) == ([], (), {"wheat": (1,)})
     log.ticket(Ticket(2.0, 2, 2, 100.0, 90.0, ""), is_reference=True)
-    assert log.take_waiting(5) == ((2,), 5)
+    led_to(log, 5)
+    assert log.take_to_measure(5) == ((2,), 5)
     log.posted((2,), 5, {})
     tickets = [Ticket(1.0, number, number, 100.0, 90.0, "") for number in (1, 2)]
     after = ActionLog(tickets, tuple(log), 0.0, log.unfinished, log.unfinished_of_crop)
@@ -209,16 +221,16 @@ def test_an_undo_names_the_standing_ticket_whose_update_goes_with_it() -> None:
 def test_loads_are_measured_again_with_the_crop_that_their_ticket_updated_though_another_is_in_use() -> None:
     """Two tickets of wheat; the crop changes while its loads are still to be measured again, and corn has a ticket at once."""
     log = log_of(2)
-    log.add(PARAMETERS, "", {"version": 2, "from_version": 1, "origin": "ticket", "tickets": [1, 2]})
+    led_to(log, 2)
     for version in (3, 4):
         log.add(PARAMETERS, "", {"version": version, "from_version": version - 1, "origin": "crop", "tickets": []})
     log.change_crop("wheat", "corn")
     log.ticket(Ticket(2.0, 3, 3, 100.0, 90.0, ""), is_reference=True)
-    log.add(PARAMETERS, "", {"version": 5, "from_version": 4, "origin": "ticket", "tickets": [3]})
-    assert log.take_waiting(5) == ((1, 2), 2)
+    led_to(log, 5)
+    assert log.take_to_measure(5) == ((1, 2), 2)
     log.posted((1, 2), 2, {})
-    assert log.take_waiting(5) == ((3,), 5)
-    assert log.waiting == []
+    assert log.take_to_measure(5) == ((3,), 5)
+    assert not log.measuring_waits
 
 
 def test_a_store_made_anew_by_the_last_write_has_the_tickets_too(tmp_path, monkeypatch) -> None:

@@ -333,7 +333,12 @@ class Monitor(MonitorView):
         return self._parts.learning.departure(load_number, mass_kg, std_dev_kg, self.loads, self._parts.bus_now, of_crop)
 
     def update_again(
-        self, load_numbers: Sequence[int], again: Sequence[Weighing], learnt: Sequence[int] | None = None, crop: str = ""
+        self,
+        load_numbers: Sequence[int],
+        again: Sequence[Weighing],
+        learnt: Sequence[int] | None = None,
+        crop: str = "",
+        stay: Sequence[Weighing] = (),
     ) -> LoadEvents:
         """Tickets were taken back: others update the parameters from before them again.
 
@@ -347,6 +352,8 @@ class Monitor(MonitorView):
             Loads with tickets that the parameters in use rest on; None where these are the same as before.
         crop : str
             Of all these, where another crop is harvested now: then they wait for its return.
+        stay : sequence of Weighing
+            Of other tickets for the loads of those taken back or updating again: the parameters in use rest on them.
 
         Returns
         -------
@@ -359,7 +366,7 @@ class Monitor(MonitorView):
             As `ticket`.
         """
         gone, known = frozenset(load_numbers), None if learnt is None else frozenset(learnt)
-        self._parts.learning.update_again(gone, again, known, self.loads, self._parts.bus_now, crop)
+        self._parts.learning.update_again(gone, again, known, self.loads, self._parts.bus_now, crop, stay)
         return self._parts.loads.scale_was_right(gone) if known is not None else ()
 
     # Sweeps and faults

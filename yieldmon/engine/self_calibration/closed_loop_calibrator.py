@@ -332,6 +332,7 @@ class ClosedLoopCalibrator:
         again = {mass for mass in scale if mass not in handed}
         self._masses.use_again(again)
         left = (*counted, *(mass for mass in scale if mass in handed))
+        self._masses.rests_on(left)
         self._masses.go_on_with(left, self._model, self._spans(used), self._model_error)
         return bool(again)
 

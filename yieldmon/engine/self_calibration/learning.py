@@ -99,18 +99,19 @@ class Learning:
         loads: tuple[LoadSummary, ...],
         now_s: float,
         crop: str,
+        stay: Sequence[Weighing] = (),
     ) -> None:
         """Tickets for these loads were taken back; others (`again`) update the parameters from before them again.
 
         learnt: loads whose tickets the parameters rest on, None where these are as before. crop: of all, where another one is
-        harvested now, else "".
+        harvested now, else "". stay: as `Monitor.update_again` has it.
 
         Raises ValueError as `ticket`.
         """
         tickets = self.masses.tickets
-        anchors = [tickets.ticket(*weighing, loads=loads, now_s=now_s) for weighing in again]
-        gone = load_numbers | {anchor.load_number for anchor in anchors}
-        left = tickets.take_back(gone, anchors, crop)
+        anchors, kept = ([tickets.ticket(*one, loads=loads, now_s=now_s) for one in weighings] for weighings in (again, stay))
+        gone = load_numbers | {anchor.load_number for anchor in (*anchors, *kept)}
+        left = tickets.take_back(gone, anchors, crop, kept)
         counted = None
         if learnt is not None and not crop:
             self.outcome = None

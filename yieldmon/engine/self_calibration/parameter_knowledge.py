@@ -281,13 +281,15 @@ class ParameterKnowledge:
         self._past = moved(self._past, -before_kg)
 
     def snapshot(self, now_s: float, total_kg: float) -> CalibratorState | None:
-        """What is to outlive a restart, without weighed loads and crops; None: nothing."""
+        """What is to outlive a restart, without weighed loads and crops; None: nothing. now_s: bus time, nan before the first
+        frame."""
         if not isfinite(self._at.total_kg):
             return None
         known, timed = self._drifting, isfinite(self._at.time_s)
         count = 0 if known is None else len(known.parameters.covariance_names)
         return CalibratorState(
-            waited_s=max(now_s - self._at.time_s, 0.0) if timed else self._waited_s,
+            # Before the first frame of a run an undo brings back what held since a run before.
+            waited_s=max(now_s - self._at.time_s, 0.0) if timed and isfinite(now_s) else self._waited_s,
             harvested_kg=self._harvested_kg(total_kg),
             moisture_pct=self._at.moisture_pct if isfinite(self._at.moisture_pct) else None,
             drifting=() if known is None else known.names,

@@ -143,16 +143,20 @@ class TicketBook:
         """Nothing learns: no ticket waits."""
         self._waiting = []
 
-    def take_back(self, load_numbers: frozenset[int], again: Sequence[ReferenceMass], crop: str) -> tuple[ReferenceMass, ...]:
+    def take_back(
+        self, load_numbers: frozenset[int], again: Sequence[ReferenceMass], crop: str, stay: Sequence[ReferenceMass] = ()
+    ) -> tuple[ReferenceMass, ...]:
         """Tickets for these loads are gone, and others are entered anew; those that are left.
 
         Parameters
         ----------
         load_numbers : frozenset of int
-            Those of `again` among them.
+            Those of `again` and `stay` among them.
         again : sequence of ReferenceMass
         crop : str
             Of all of these; "": the one that is harvested now.
+        stay : sequence of ReferenceMass
+            Others for these loads, which were handed over before.
 
         Returns
         -------
@@ -160,7 +164,7 @@ class TicketBook:
             Left of that crop, `again` not among them.
         """
         tickets, waiting = self._of_crop.get(crop, ([], [])) if crop else (list(self._tickets), self._waiting)
-        tickets, waiting = _without(tickets, load_numbers), [*_without(waiting, load_numbers), *again]
+        tickets, waiting = [*_without(tickets, load_numbers), *stay], [*_without(waiting, load_numbers), *again]
         if crop:
             self._of_crop[crop] = [*tickets, *again], waiting
         else:

@@ -59,6 +59,10 @@ class WeighedMasses:
         """All masses that were handed over, and held against what was counted, before now."""
         self.used = self._checked = frozenset(masses)
 
+    def rests_on(self, masses: Collection[ReferenceMass]) -> None:
+        """The parameters in use rest on these: handed over, and held against what was counted, before now."""
+        self.used, self._checked = self.used.union(masses), self._checked.union(masses)
+
     def use_again(self, masses: Collection[ReferenceMass]) -> None:
         """These are learnt from and held against what was counted as if they had not been handed over."""
         self.used, self._checked = self.used.difference(masses), self._checked.difference(masses)

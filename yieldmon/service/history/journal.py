@@ -120,9 +120,7 @@ class Journal:
             elif isinstance(event, LoadRestated):
                 self.loads.restated(event.number, event.budget)
             elif isinstance(event, ParametersChanged):
-                self.parameters.use(
-                    event.parameters, event.origin, "", event.reason, self.actions.tickets_behind(event), event.step
-                )
+                self.parameters.use(event.parameters, event.origin, "", event.reason, self.actions.take_behind(event), event.step)
             elif isinstance(event, SweepEnded):
                 self._new_sweeps.append(event)
 
@@ -130,6 +128,8 @@ class Journal:
         """All that came since the last one. time_s: Unix time."""
         self._batch += 1
         self.actions.now_s = time_s
+        if not monitor.masses_wait:
+            self.actions.handed_over()
         if monitor.open_load is not None:
             self.loads.measured(monitor.open_load, self.field, self.crop)
         seconds, self._new_seconds = self._new_seconds, []

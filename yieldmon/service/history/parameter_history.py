@@ -14,7 +14,7 @@ from yieldmon.files.crops import SHIPPED_CROP, crops
 from yieldmon.service.history.memory import KEPT_VERSIONS, Memory
 from yieldmon.service.history.update_steps import step_document
 from yieldmon.service.storage import ledger as ledgers
-from yieldmon.service.storage.batch import ParameterVersion, Step
+from yieldmon.service.storage.batch import Load, ParameterVersion, Step
 from yieldmon.service.tickets.action_log import ActionLog
 
 
@@ -39,11 +39,11 @@ class ParameterHistory:
         """Whose crop parameters are, "" where none was named. named: the crop that an operator named last."""
         return parameters.provenance.get("crop", named) or (SHIPPED_CROP if self.digest == self._shipped_digest else "")
 
-    def change_crop(self, crop: str, in_use: ParameterSet, named: str, who: str = "") -> ParameterSet | None:
+    def change_crop(self, crop: str, in_use: ParameterSet, named: str, who: str = "", last_load: int = 0) -> ParameterSet | None:
         """The parameters for another crop: what was last known of it, else what is shipped, else a copy of those in use, which
         tickets then update this crop alone. None where those in use stay: they are its own, or nothing says whose they are.
 
-        What is known of the crop before is kept. named: the crop that an operator named last.
+        What is known of the crop before is kept. named: the crop that an operator named last. last_load: number of the newest.
         """
         before = self.crop_of(in_use, named)
         if crop == before or not before:
@@ -51,7 +51,7 @@ class ParameterHistory:
         known = self.of(crop, in_use, named)
         kept = replace(in_use, version=self.version + 1, provenance={**in_use.provenance, "crop": before})
         self._of_crop[before] = kept
-        self.use(kept, ledgers.CROP, who, f"what is known of {before} is kept")
+        self.use(kept, ledgers.CROP, who, f"what is known of {before} is kept", last_load=last_load)
         if known is None:
             # What was weighed was grain of the crop before.
             facts = {key: text for key, text in in_use.provenance.items() if key != SCALE}
@@ -61,6 +61,11 @@ class ParameterHistory:
         chosen = replace(known, version=self.version + 1)
         self.use(chosen, ledgers.CROP, who, f"what is known of {crop}")
         return chosen
+
+    def crop_of_load(self, load: Load) -> str:
+        """As it was named, else that whose parameters were in use until another's were; "" where none were yet."""
+        changes = (a.document for a in self._actions.updates.values() if a.document.get("last_load", 0) >= load.number)
+        return load.crop or next((str(document["crop"]) for document in changes), "")
 
     def keeps(self, crop: str) -> bool:
         """Whether parameters of this crop were in use before another's."""
@@ -157,13 +162,14 @@ class ParameterHistory:
         reason: str = "",
         tickets: Sequence[int] = (),
         step: CalibrationStep | None = None,
+        last_load: int | None = None,
     ) -> None:
         """These are in use from now on. origin: where they come from. tickets: from which they were learnt. step: how they came
-        of those before them."""
+        of those before them. last_load: until which loads that were given no crop are of theirs."""
         document = {
             "version": parameters.version, "from_version": self.version, "origin": origin, "reason": reason,
             "effects": list(parameters.effects), "tickets": list(tickets),
-        }  # fmt: skip
+        } | ({} if last_load is None else {"crop": parameters.provenance["crop"], "last_load": last_load})  # fmt: skip
         self._actions.add(ledgers.PARAMETERS, who, document)
         self._versions[parameters.version] = parameters
         while len(self._versions) > KEPT_VERSIONS:

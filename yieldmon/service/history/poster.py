@@ -89,10 +89,10 @@ class Poster:
             return
         machine, now_s, totals = monitor.machine, monitor.bus_time_s, monitor.totals
         open_load = totals.load_number if totals.load_open else None
-        if actions.restored_waits or actions.waiting:
+        if actions.restored_waits or actions.measuring_waits:
             # First what an undo brought back: what tickets change after it counts.
             in_use = monitor.estimator.parameters.version
-            taken = actions.take_restored() if actions.restored_waits else actions.take_waiting(in_use)
+            taken = actions.take_restored() if actions.restored_waits else actions.take_to_measure(in_use)
             self.start(machine, Posting(*taken, open_load, now_s))
         elif (closed := actions.closed_load(open_load)) is not None:
             number, by = closed

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 from yieldmon.engine.monitor import Monitor
@@ -14,6 +14,7 @@ from yieldmon.service.assembly import calibration_age_s
 from yieldmon.service.history.journal import Journal
 from yieldmon.service.history.reference_loads import StoredLoad, reference
 from yieldmon.service.storage.batch import Load, Ticket
+from yieldmon.service.tickets.action_log import ActionLog
 
 _NOT_WEIGHED = frozenset({"sweep", "kernels"})
 """Origins of parameters that nothing updates again."""
@@ -49,9 +50,13 @@ def without_version(
     actions.wait_no_more(silenced)
     undone = actions.undone_versions - undone_before
     of_crop = answer["crop"] or journal.crop_in_use(monitor.estimator.parameters)
-    later = [n for n in actions.not_learnt_after(since) if not of_crop or _crop_of(journal, n) in (of_crop, "")]
-    numbers = actions.newest_of({*actions.standing_of(undone), *later})
-    updated, why_not = _update_again(numbers, loads, answer["crop"], monitor, journal, stored, goes_back=True)
+
+    def counts(ticket: int) -> bool:
+        return not of_crop or _crop_of(journal, ticket) in (of_crop, "")
+
+    later = filter(counts, actions.not_learnt_after(since))
+    numbers, stay = _updating({*actions.standing_of(undone), *later}, loads, counts, actions)
+    updated, why_not = _update_again(numbers, loads, answer["crop"], monitor, journal, stored, goes_back=True, stay=stay)
     lost = [v for v in undone if v != version and actions.updates[v].document.get("origin") in _NOT_WEIGHED]
     return answer | {
         "silenced": list(silenced), "learnt_again": updated, "standing_tickets": sorted(why_not),
@@ -97,10 +102,15 @@ def _without(
     else:
         actions.undo_ticket(number, who, now_s)
     undone, crop = actions.undone_versions - undone_before, _crop_of(journal, number)
-    later = [n for n in actions.not_learnt_after(number) if _crop_of(journal, n) == crop]
-    numbers = [n for n in actions.newest_of({*actions.standing_of(undone), *later}) if n not in stands]
+
+    def counts(ticket: int) -> bool:
+        return _crop_of(journal, ticket) == crop and ticket not in stands
+
+    later = filter(counts, actions.not_learnt_after(number))
+    led = {*actions.standing_of(undone)}.difference(stands)
+    numbers, stay = _updating({*led, *later}, loads, counts, actions)
     other = str(answer["crop"]) if "crop" in answer else _if_other(crop, monitor, journal)
-    updated, why_not = _update_again(numbers, loads, other, monitor, journal, stored, goes_back=first is not None)
+    updated, why_not = _update_again(numbers, loads, other, monitor, journal, stored, goes_back=first is not None, stay=stay)
     if first is None:
         return answer | ({"teaching_stays": stays} if stays else {}) | ({"learnt_again": updated} if updated else {})
     lost = [v for v in undone if actions.updates[v].document.get("origin") in _NOT_WEIGHED]
@@ -108,6 +118,18 @@ def _without(
         "learnt_again": updated, "standing_tickets": sorted(why_not),
         "not_learnt_again": [{"ticket": n, "why": why} for n, why in sorted(why_not.items())], "sweeps_undone": len(lost),
     }  # fmt: skip
+
+
+def _updating(
+    judged: Collection[int], gone: Iterable[int], counts: Callable[[int], bool], actions: ActionLog
+) -> tuple[list[int], list[int]]:
+    """Numbers of the tickets that are to update again, those to be judged anew and those for the same loads or for `gone` that
+    count; and those of the latter on which the parameters rest."""
+    ticketed = (actions.entered(number) for number in judged)
+    loads = {*gone, *(load for ticket in ticketed for load in range(ticket.first_load, ticket.last_load + 1))}
+    same, learnt = [number for number in actions.handed_for(loads) if counts(number)], actions.learnt_from()
+    again = [number for number in actions.newest_of({*judged, *same}) if number not in learnt]
+    return again, [number for number in same if number in learnt]
 
 
 def update_crop(
@@ -126,7 +148,7 @@ def _if_other(crop: str, monitor: Monitor, journal: Journal) -> str:
 def _crop_of(journal: Journal, number: int) -> str:
     """Of a ticket's first load."""
     first = journal.actions.entered(number).first_load
-    return next((load.crop for load in journal.loads if load.number == first), "")
+    return next((journal.parameters.crop_of_load(load) for load in journal.loads if load.number == first), "")
 
 
 def back_before(
@@ -160,28 +182,35 @@ def _update_again(
     stored: Sequence[StoredLoad],
     *,
     goes_back: bool,
+    stay: Sequence[int] = (),
 ) -> tuple[list[int], Mapping[int, str]]:
     """Numbers of the tickets that update again, and why the others of these do not. gone: loads whose tickets go. crop: see
-    `Monitor.update_again`. goes_back: the parameters are those from before a ticket."""
+    `Monitor.update_again`. goes_back: the parameters are those from before a ticket. stay: tickets for the same loads on which
+    these rest."""
     tickets = journal.actions.ledger.tickets
     updated: list[int] = []
     again: list[Weighing] = []
+    stays: list[Weighing] = []
     why_not: dict[int, str] = {}
-    for number in numbers:
+    for number in sorted((*numbers, *stay)):
         ticket = tickets[number]
         covered = [load for load in journal.loads if ticket.first_load <= load.number <= ticket.last_load]
         why = why_no_reference(monitor, journal, covered, stored, crop)
-        if why:
+        shares = () if why else weighings(covered, ticket, *journal.actions.reference_mass(number))
+        if number in stay:
+            stays += shares
+        elif why:
             why_not[number] = why
-            continue
-        updated.append(number)
-        again += weighings(covered, ticket, *journal.actions.reference_mass(number))
+        else:
+            updated.append(number)
+            again += shares
     learnt = [
         load for n in journal.actions.learnt_from() if n not in updated
         for load in range(tickets[n].first_load, tickets[n].last_load + 1)
     ]  # fmt: skip
-    journal.happened(monitor.update_again(gone, again, learnt if goes_back else None, crop))
+    journal.happened(monitor.update_again(gone, again, learnt if goes_back or stays else None, crop, stays))
     journal.actions.wait_again(updated, crop)
+    journal.actions.measure_lost_again()
     return updated, why_not
 
 
@@ -191,11 +220,11 @@ def why_no_reference(
     """Why no part of a ticket is a reference mass for the calibration; "" where it is. The monitor gets to know those of its
     loads that an earlier run measured. crop: whose parameters are to learn; "": those in use."""
     in_use = crop or journal.crop_in_use(monitor.estimator.parameters)
-    named = sorted({load.crop for load in covered if load.crop})
+    named = sorted({journal.parameters.crop_of_load(load) for load in covered} - {""})
     if len({name.lower() for name in named}) > 1:
         both = " and ".join(named)
         return f"loads of {both} on one ticket update the parameters of none; `yieldmon load correct` if one has the wrong crop"
-    other = next((load.crop for load in covered if load.crop and in_use and load.crop.lower() != in_use.lower()), None)
+    other = next((found for found in named if in_use and found.lower() != in_use.lower()), None)
     if other is not None:
         return f"a load of {other}; the parameters in use are those of {in_use}; `yieldmon calibrate --loads` learns from it"
     whole = {load.number: load.complete for load in monitor.loads}

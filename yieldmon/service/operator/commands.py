@@ -80,7 +80,9 @@ def _load_start(order: Order) -> LoadStarted:
     before = journal.parameters.crop_of(in_use, journal.crop)
     shipped = crop in crops() and in_use.curve is None
     known = not crop or shipped or crop == in_use.provenance.get("crop") or journal.parameters.keeps(crop)
-    chosen = journal.parameters.change_crop(crop, in_use, journal.crop, request.who) if crop and in_use.curve is None else None
+    last, chosen = monitor.totals.load_number, None
+    if crop and in_use.curve is None:
+        chosen = journal.parameters.change_crop(crop, in_use, journal.crop, request.who, last)
     if chosen is not None:
         monitor.change_crop(estimator_of(monitor.machine, chosen), calibration_age_s(chosen, order.now_s), before, crop or "")
         journal.actions.change_crop(before, crop or "")

@@ -75,7 +75,7 @@ def enter_ticket(order: Order) -> TicketEntered:
     replaces = sorted({found[0] for found in counting if found is not None})
     number = journal.actions.ticket(ticket, request.who, std_dev_kg, is_reference=not why_not, crop=crop, truck=truck)
     return {
-        "crop": covered[-1].crop,
+        "crop": journal.parameters.crop_of_load(covered[-1]),
         "ticket": number,
         "first_load": first,
         "last_load": last,
@@ -141,7 +141,8 @@ def _best_kg(own_kg: float, std_dev_kg: float, known_kg: float, measured: ticket
 def _other_crop(order: Order, covered: Sequence[Load]) -> str:
     """The crop of loads that are all of one, where its parameters are others than those in use; else ""."""
     monitor, journal = order.monitor, order.journal
-    in_use, crops_of = journal.crop_in_use(monitor.estimator.parameters), {load.crop for load in covered}
+    in_use = journal.crop_in_use(monitor.estimator.parameters)
+    crops_of = {journal.parameters.crop_of_load(load) for load in covered}
     crop = crops_of.pop() if len(crops_of) == 1 else ""
     # A curve is one grain's: another crop does not change it.
     one_curve = monitor.estimator.parameters.curve is not None

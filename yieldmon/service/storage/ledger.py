@@ -188,6 +188,24 @@ def undone_versions(actions: Iterable[Action]) -> set[int]:
     }
 
 
+def updated_by(actions: Iterable[Action]) -> dict[int, tuple[int, ...]]:
+    """Numbers of the tickets that led to each version of the parameters.
+
+    In earlier stores a version also names those that had led to one before it and whose loads were still to be measured again.
+    """
+    found, standing = dict[int, tuple[int, ...]](), dict[int, int]()
+    for action in actions:
+        if action.kind == PARAMETERS_UNDO:
+            gone = undone_versions([action])
+            standing = {number: version for number, version in standing.items() if version not in gone}
+        elif action.kind == PARAMETERS:
+            version = int(action.document["version"])
+            named = tuple(map(int, action.document.get("tickets", ())))
+            found[version] = tuple(number for number in named if number not in standing)
+            standing |= dict.fromkeys(found[version], version)
+    return found
+
+
 def calibration_rows(actions: Iterable[Action], in_use: int) -> list[dict[str, Any]]:
     """Each change of parameters and each operator's zero, with who and when, and whether it stands."""
     known = list(actions)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from bisect import bisect
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isclose
 from typing import Any
 
@@ -44,8 +45,13 @@ class ActionLog:
         self.now_s = now_s
         """Unix time of an action of which nothing else is said."""
         known = range(1, len(tickets) + 1)
-        self.waiting: list[int] = [number for number in unfinished if number in known]
-        """Numbers of the tickets that are to update the parameters, or did and whose loads are not measured again yet."""
+        self._tickets = list(tickets)
+        self._actions = list(actions)
+        left, learnt = [number for number in unfinished if number in known], self._learnt
+        self.waiting: list[int] = [number for number in left if number not in learnt]
+        """Numbers of the tickets that are to update the parameters."""
+        self._to_measure: list[int] = [number for number in left if number in learnt]
+        """Numbers of those that did and whose loads are not measured again yet; without those taken."""
         self._of_crop = {crop: [number for number in kept if number in known] for crop, kept in (of_crop or {}).items()}
         """Numbers of those that are to update the parameters of another crop than the present one, by its name."""
         self._restored: list[int] = list(restored)
@@ -56,8 +62,6 @@ class ActionLog:
         self._taken: tuple[int, ...] = ()
         self._taken_before = 0
         """Number of the first action after the tickets were taken."""
-        self._tickets = list(tickets)
-        self._actions = list(actions)
         self._new_tickets: list[Ticket] = []
         self._new_actions: list[Action] = []
 
@@ -115,18 +119,17 @@ class ActionLog:
         """The first version of the parameters that rests on a ticket; None where none that stands does, or a parameter file has
         replaced it since. counts: it is among the weighed loads that others are held against, though it led to no version."""
         undone = self.undone_versions
-        for version, action in sorted(self.updates.items()):
-            led = action.document.get("tickets", ())
+        for version, led in sorted(self._led.items()):
             if version in undone or version <= self.calibrated_version:
                 continue
-            if number in led or (counts and any(int(other) > number for other in led)):
+            if number in led or (counts and any(other > number for other in led)):
                 return version
         return None
 
     def update_before_file(self, number: int) -> int | None:
         """The first version that rests on a ticket, of those that a parameter file has replaced since; None: none that stands."""
         undone = self.undone_versions
-        led = (v for v, a in sorted(self.updates.items()) if number in a.document.get("tickets", ()) and v not in undone)
+        led = (v for v, numbers in sorted(self._led.items()) if number in numbers and v not in undone)
         return next((version for version in led if version < self.calibrated_version), None)
 
     def undo_ticket(self, number: int, who: str, now_s: float) -> Ticket:
@@ -144,17 +147,14 @@ class ActionLog:
     def wait_no_more(self, numbers: Sequence[int]) -> None:
         """These tickets are not to update the parameters, nor to be gone on with after a restart."""
         self._taken = tuple(number for number in self._taken if number not in numbers)
-        for kept in (self.waiting, *self._of_crop.values()):
+        for kept in (self.waiting, self._to_measure, *self._of_crop.values()):
             kept[:] = [number for number in kept if number not in numbers]
 
     def led_first_to(self, version: int) -> tuple[int, ...]:
         """Numbers of the standing tickets that led to a version and to none before it that stands."""
-        standing, gone = self.ledger.tickets, self.undone_versions
-        before = [action for earlier, action in self.updates.items() if earlier < version and earlier not in gone]
-        known = {int(led) for action in before for led in action.document.get("tickets", ())}
-        update = self.updates.get(version)
-        led = () if update is None else update.document.get("tickets", ())
-        return tuple(sorted({int(number) for number in led if int(number) in standing and int(number) not in known}))
+        standing, gone, led = self.ledger.tickets, self.undone_versions, self._led
+        known = {number for earlier, numbers in led.items() if earlier < version and earlier not in gone for number in numbers}
+        return tuple(sorted(number for number in led.get(version, ()) if number in standing and number not in known))
 
     def updates_gone_with(self, version: int) -> tuple[int, ...]:
         """Of a version that an undo made, numbers of the tickets that what it took back rests on and that no longer update: taken
@@ -164,7 +164,7 @@ class ActionLog:
             return ()
         before = [a for a in self._actions if a.kind == ledgers.PARAMETERS_UNDO and a.number < update.number]
         taken_back = {int(v) for a in before[-1:] for v in a.document.get("versions", ())}
-        led = {int(n) for v, a in self.updates.items() if v in taken_back for n in a.document.get("tickets", ())}
+        led = {number for v, numbers in self._led.items() if v in taken_back for number in numbers}
         standing, silenced = self.ledger.tickets, self.silenced
         return tuple(sorted(number for number in led if number not in standing or number in silenced))
 
@@ -190,10 +190,21 @@ class ActionLog:
         file = self.updates.get(self.calibrated_version)
         since = 0 if file is None else file.number
         later = (int(a.document["ticket"]) for a in handed if a.number > since)
-        gone, standing = self.undone_versions, self.ledger.tickets
-        standing_updates = [action for version, action in self.updates.items() if version not in gone]
-        learnt = {int(led) for action in standing_updates for led in action.document.get("tickets", ())}
-        return tuple(n for n in later if n > number and n in standing and n not in {*learnt, *self.silenced})
+        standing, others = self.ledger.tickets, {*self._learnt, *self.silenced}
+        return tuple(n for n in later if n > number and n in standing and n not in others)
+
+    def handed_for(self, loads: Collection[int]) -> tuple[int, ...]:
+        """Numbers of the standing tickets of the parameter file in use that were handed to the calibration for one of these
+        loads, or for one that is on such a ticket too; without those that are silenced."""
+        file, standing, silenced = self.updates.get(self.calibrated_version), self.ledger.tickets, self.silenced
+        handed = (a for a in self._actions if a.kind == ledgers.TICKET and a.document.get("reference", False))
+        since = (int(a.document["ticket"]) for a in handed if file is None or a.number > file.number)
+        left = {n: range(standing[n].first_load, standing[n].last_load + 1) for n in since if n in standing and n not in silenced}
+        covered, found = set(loads), list[int]()
+        while more := [number for number, of_ticket in left.items() if not covered.isdisjoint(of_ticket)]:
+            found += more
+            covered.update(load for number in more for load in left.pop(number))
+        return tuple(sorted(found))
 
     def newest_of(self, numbers: Collection[int]) -> tuple[int, ...]:
         """Of standing tickets with these numbers, the newest for the same loads."""
@@ -230,42 +241,58 @@ class ActionLog:
 
     def change_crop(self, before: str, now: str) -> None:
         """Another crop from now on: tickets that have not updated the parameters wait for the return of theirs."""
-        learnt = self._learnt
-        self._of_crop[before] = [number for number in self.waiting if number not in learnt]
-        self.waiting = [number for number in self.waiting if number in learnt] + self._of_crop.pop(now, [])
+        self._of_crop[before], self.waiting = self.waiting, self._of_crop.pop(now, [])
 
-    def take_waiting(self, in_use: int) -> tuple[tuple[int, ...], int]:
-        """Tickets that wait, each once, and the version of the parameters with which loads are measured again after them.
+    def handed_over(self) -> None:
+        """No ticket waits in the monitor any more: those that have not updated the parameters were refused."""
+        self.waiting = []
+
+    @property
+    def measuring_waits(self) -> bool:
+        """Whether there are tickets for `take_to_measure`."""
+        return bool(self._to_measure) and not self._learnt.keys().isdisjoint(self._to_measure)
+
+    def take_to_measure(self, in_use: int) -> tuple[tuple[int, ...], int]:
+        """Tickets whose loads are to be measured again, each once, and the version of the parameters to do it with.
 
         in_use: the present version. Where a change of crop came since the tickets updated the parameters, it is the last version
-        that they led to; tickets of another version are left for the next time. Those taken before of which nothing
-        came wait again.
+        that they led to; tickets from before or after another change are left for the next time. Those taken before of which
+        nothing came are taken again.
         """
-        self.waiting = [*self._taken, *self.waiting]
+        learnt = self._learnt
+        left = [number for number in (*self._taken, *self._to_measure) if number in learnt]
         self._taken_before = self._next_number
-        changed = max((version for version, a in self.updates.items() if a.document.get("origin") == ledgers.CROP), default=0)
-        learnt = {number: version for number, version in self._learnt.items() if version < changed}
-        version = learnt.get(self.waiting[0], in_use)
-        self._taken = tuple(number for number in self.waiting if learnt.get(number, in_use) == version)
-        self.waiting = [number for number in self.waiting if number not in self._taken]
-        return self._taken, version
+        changes = sorted(version for version, a in self.updates.items() if a.document.get("origin") == ledgers.CROP)
+        harvests = {number: bisect(changes, learnt[number]) for number in left}
+        self._taken = tuple(number for number in left if harvests[number] == harvests[left[0]])
+        self._to_measure = [number for number in left if number not in self._taken]
+        changed = harvests[left[0]] < len(changes)
+        return self._taken, max(learnt[number] for number in self._taken) if changed else in_use
+
+    @property
+    def _led(self) -> Mapping[int, tuple[int, ...]]:
+        """As `ledger.updated_by`."""
+        return ledgers.updated_by(self._actions)
 
     @property
     def _learnt(self) -> Mapping[int, int]:
         """The newest version that each ticket has led to, by the ticket's number."""
         undone = self.undone_versions
-        return {
-            int(number): version
-            for version, action in sorted(self.updates.items())
-            if version not in undone
-            for number in action.document.get("tickets", ())
-        }
+        return {number: v for v, numbers in sorted(self._led.items()) if v not in undone for number in numbers}
 
-    def tickets_behind(self, change: ParametersChanged) -> list[int]:
-        """Numbers of the tickets that a change of the parameters rests on: those handed over for it, of several entered together
-        one with each change; after them those that have updated already and whose loads are still to be measured again."""
-        learnt = self._learnt
-        return [number for number in self.waiting if number in learnt or self._is_of(number, change.references)]
+    def take_behind(self, change: ParametersChanged) -> list[int]:
+        """Numbers of the tickets that were handed over for a change of the parameters; they wait no more to update them."""
+        behind, ticketed = list[int](), set[tuple[int, int]]()
+        for number in self.waiting:
+            ticket = self._tickets[number - 1]
+            loads = ticket.first_load, ticket.last_load
+            # Of two for the same loads one is handed over at a time.
+            if loads not in ticketed and self._is_of(number, change.references):
+                behind.append(number)
+                ticketed.add(loads)
+        self.waiting = [number for number in self.waiting if number not in behind]
+        self._to_measure += behind
+        return behind
 
     def _is_of(self, number: int, references: Sequence[tuple[int, float]]) -> bool:
         ticket, (mass_kg, *_) = self._tickets[number - 1], self.reference_mass(number)
@@ -296,19 +323,21 @@ class ActionLog:
         return dict(self._open_loads)
 
     def closed_load(self, open_load: int | None) -> tuple[int, Remeasuring] | None:
-        """The first of `open_loads` that is closed now, with what it is measured again by; None where there is none. open_load:
-        number of the load that is open, None for none."""
-        return next(((number, by) for number, by in sorted(self._open_loads.items()) if number != open_load), None)
+        """The first of `open_loads` that is closed now, with what it is measured again by, of its tickets those that stand; None
+        where there is none. open_load: number of the load that is open, None for none."""
+        standing = self.ledger.tickets
+        closed = ((number, by) for number, by in sorted(self._open_loads.items()) if number != open_load)
+        return next(((n, replace(by, tickets=tuple(t for t in by.tickets if t in standing))) for n, by in closed), None)
 
     @property
     def to_update(self) -> frozenset[int]:
         """Numbers of the tickets in the queue to update the parameters in use, one with each second."""
-        return frozenset(self.waiting) - set(self._learnt)
+        return frozenset(self.waiting)
 
     @property
     def unfinished(self) -> tuple[int, ...]:
         """Numbers of the tickets that wait or whose loads are being measured again, which a restart has to go on with."""
-        return (*self._taken, *self.waiting)
+        return (*self._taken, *self._to_measure, *self.waiting)
 
     @property
     def unfinished_of_crop(self) -> Mapping[str, Sequence[int]]:
@@ -327,15 +356,21 @@ class ActionLog:
         """Loads were measured again with the parameters of this version, after these tickets.
 
         factors: by load number; none where nothing came of it. Loads that were given another crop meanwhile keep what that crop's
-        parameters measured. open_load: that was left out since it was open; closed_load: the one of `open_loads` that this was
-        about, None for all other loads.
+        parameters measured. Where one of the tickets or the version was taken back meanwhile it stands for nothing, and the other
+        tickets' loads are to be measured again. open_load: that was left out since it was open; closed_load: the one of
+        `open_loads` that this was about, None for all other loads.
         """
+        if closed_load is not None and not set(tickets) <= set(self.ledger.tickets):
+            return
         if closed_load is not None:
             self._open_loads.pop(closed_load, None)
         else:
-            self._taken = ()
+            left, self._taken = self._taken, ()
             if not tickets:
                 self._restored, self._restoring = [waiting for waiting in self._restored if waiting != version], 0
+            elif set(left) != set(tickets) or version in self.undone_versions:
+                self._to_measure = [*left, *self._to_measure]
+                return
             if open_load is not None:
                 self._open_loads[open_load] = Remeasuring(tuple(tickets), version)
         recropped = ledgers.recropped(action for action in self._actions if action.number >= self._taken_before)
@@ -363,18 +398,19 @@ class ActionLog:
         return ledgers.undone_versions(self._actions)
 
     def standing_of(self, versions: Collection[int]) -> tuple[int, ...]:
-        """Numbers of the tickets that led to these versions and stand, not silenced; of several for the same loads the newest.
+        """Numbers of the tickets that led to these versions and stand, not silenced; of several for the same loads the newest."""
+        led = {number for version, numbers in self._led.items() if version in versions for number in numbers}
+        return self.newest_of(led - self.silenced)
 
-        Without those that led to another version that stands: the later one names them for loads that are to be measured again.
-        """
-        gone, led, kept = self.undone_versions, set[int](), set[int]()
-        for version, update in self.updates.items():
-            numbers = {int(number) for number in update.document.get("tickets", ())}
-            if version in versions:
-                led |= numbers
-            elif version not in gone:
-                kept |= numbers
-        return self.newest_of(led - kept - self.silenced)
+    def measure_lost_again(self) -> None:
+        """Loads that were measured again after tickets whose update stands, while that measurement stands no more, are to be
+        measured again."""
+        undone, standing = self.undone_versions, self.ledger.tickets
+        posted = (a.document for a in self._actions if a.kind == ledgers.POSTING and a.document["version"] not in undone)
+        measured = {number for document in posted if set(document["tickets"]) <= set(standing) for number in document["tickets"]}
+        known = measured.union(self.unfinished, *self._of_crop.values())
+        lost = (n for n, v in self._learnt.items() if n in standing and n not in known and v > self.calibrated_version)
+        self._to_measure += sorted(lost)
 
     def learnt_from(self) -> tuple[int, ...]:
         """Numbers of the standing tickets that led to versions which stand."""

@@ -56,14 +56,9 @@ def ticket_states(
 
 def _versions(actions: Sequence[Action]) -> dict[int, int]:
     """The first version that stands of those that each ticket has led to, by the ticket's number."""
-    gone = ledgers.undone_versions(actions)
-    led = (
-        (int(number), int(action.document["version"]))
-        for action in actions
-        if action.kind == ledgers.PARAMETERS and int(action.document["version"]) not in gone
-        for number in action.document.get("tickets", ())
-    )
-    return dict(sorted(led, reverse=True))
+    gone, led = ledgers.undone_versions(actions), ledgers.updated_by(actions)
+    pairs = ((number, version) for version, numbers in led.items() if version not in gone for number in numbers)
+    return dict(sorted(pairs, reverse=True))
 
 
 def _loads_of(ticket: Ticket) -> range:
