@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from shipped_grain import MACHINE, MODEL, SHIPPED
 
 from yieldmon.estimation.load_pattern import EFFECT, another_curve
+from yieldmon.estimation.open_loop import OpenLoop
+from yieldmon.estimation.parameters import CalibratedRange
 from yieldmon.estimation.weighing.load_departures import departure
 from yieldmon.estimation.weighing.load_inputs import WeighedLoad
 from yieldmon.estimation.weighing.loads import calibrate_loads
+from yieldmon.files.crops import crops
+from yieldmon.physics.model import ForwardModel
 
 SHARE: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "power 0.75": lambda flow: flow**0.75,
@@ -83,3 +88,38 @@ def test_loads_that_scatter_by_more_than_their_tickets_say_so():
     found = calibrate_loads(MODEL, SHIPPED, loads)
     assert len(found.outliers) < 2
     assert found.next_load_sd > 0.015
+
+
+@pytest.mark.parametrize("law", SHARE)
+def test_what_friction_leaves_open_counts_as_each_curve_has_it(law):
+    """From published properties, whose friction is known to 0.06: five weighed loads said 20 to 640 % of the next one."""
+    crop = crops()["corn"].parameters()
+    model = ForwardModel(MACHINE, crop.effects)
+    found = calibrate_loads(model, crop, [load(law, flow, 31) for flow in (8.3, 8.5, 10.0, 10.5, 11.0)])
+    assert not found.refused
+    assert 0.003 < found.next_load_sd < 0.1
+    near = departure(model, found.parameter_set, load(law, 9.5, 32))
+    assert abs(near[0]) < 3.0 * near[1] < 0.3
+
+
+@pytest.mark.parametrize("law", SHARE)
+def test_other_speeds_and_angles_than_the_weighed_ones_are_outside_the_range(law):
+    loads = [load(law, flow, 33) for flow in (4.5, 10.0, 17.0)]
+    crop = crops()["corn"].parameters()
+    model = ForwardModel(MACHINE, crop.effects)
+    found = calibrate_loads(model, crop, loads)
+    home, nominal = MACHINE.home_plate_angle_rad, MACHINE.nominal_elevator_speed_rad_s
+    known = found.parameter_set.calibrated
+    assert known.plate_angle_rad == pytest.approx((home, home))
+    assert 0.97 * nominal < known.elevator_speed_rad_s[0] < known.elevator_speed_rad_s[1] < 1.03 * nominal
+    assert known.mass_flow_kg_s[0] < 5.0
+    assert known.mass_flow_kg_s[1] > 16.0
+    force, ratio = 90.0, np.array([0.85, 1.15])
+    at = OpenLoop(model, found.parameter_set)
+    away = at.estimate(force * ratio**0.8, home, nominal * ratio)
+    assert np.all(np.abs(away.mass_flow_kg_s / 10.0 - 1.0) < 2.5 * away.std_dev_kg_s / 10.0)
+    steep = at.estimate(force, home - np.radians(20.0), nominal)
+    assert steep.std_dev_kg_s > 0.09 * steep.mass_flow_kg_s
+    # What was calibrated before stays so.
+    wide = replace(SHIPPED, calibrated=CalibratedRange((1.0, 25.0), (home - 0.5, home + 0.3), (0.8 * nominal, 1.2 * nominal)))
+    assert calibrate_loads(MODEL, wide, loads).parameter_set.calibrated == wide.calibrated

@@ -27,7 +27,7 @@ from yieldmon.physics.numerics import Array
 
 from .density_and_gain import DENSITY, moved
 from .force_curves import ForceCurve, curves
-from .load_fit import LoadProblem, by_inverse
+from .load_fit import LoadProblem
 from .ticket_slips import Slip, slips
 
 _SCATTERS = ((0.0, 0.9), (0.01, 0.08), (0.03, 0.02))
@@ -101,11 +101,13 @@ class _Tickets:
 
 @dataclass(frozen=True)
 class _Mixture:
-    """Over all combinations, in the model that is linear about a step; of_slip: (h,) probabilities, no wrong ticket first; along:
-    (h,) expected place on a slip's common direction, in its standard deviations."""
+    """Over all combinations, in the model that is linear about a step; gain: (5, n) change of the mean step by ln weighed over
+    measured mass of each load; of_slip: (h,) probabilities, no wrong ticket first; along: (h,) expected place on a slip's common
+    direction, in its standard deviations."""
 
     step: Array
     covariance: Array
+    gain: Array
     law: float
     scatter: float
     scatters: float
@@ -158,7 +160,7 @@ def average(problem: LawProblem, active: NDArray[np.bool_], near: Array | None =
             break
     found = _mixture(problem, active, step, error, slope, tickets)
     held = problem.held_slopes(placed(problem.start, step))
-    whole = _with_held(problem, active, slope, held, found.covariance, found.scatter)
+    whole = _with_held(problem, active, held, found)
     strain = float(np.sqrt(step @ np.linalg.solve(problem.curves[-1].covariance, step)))
     each = tuple(zip(wrong, found.of_slip[1:].tolist(), strict=True))
     right = float(found.of_slip[0])
@@ -217,7 +219,7 @@ def _mixture(
     shifted = target - tickets.shifts
     noise = np.diag(problem.apart[active] ** 2) + np.outer(problem.common[active], problem.common[active])
     parts = [_under(curve, h, shifted, noise, tickets) for curve in problem.curves]
-    logs, steps, after, along = (np.concatenate(part) for part in zip(*parts, strict=True))
+    logs, steps, after, gains, along = (np.concatenate(part) for part in zip(*parts, strict=True))
     of_covariance = tickets.of_covariance
     combinations = [(curve, scatter) for curve in problem.curves for scatter, _ in _SCATTERS]
     scatters = np.array([_whole_scatter(curve, scatter) for curve, scatter in combinations])
@@ -231,6 +233,7 @@ def _mixture(
     return _Mixture(
         step=mean,
         covariance=covariance,
+        gain=np.einsum("cg,cgij->ij", of_group, gains),
         law=float(sum(w for w, (curve, _) in zip(of_combination, combinations, strict=True) if curve.another)),
         scatter=float(np.sqrt(of_combination @ scatters**2)),
         scatters=float(sum(w for w, (_, scatter) in zip(of_combination, combinations, strict=True) if scatter > 0.0)),
@@ -244,9 +247,12 @@ def _whole_scatter(curve: ForceCurve, scatter: float) -> float:
     return float(np.hypot(scatter, _REST if curve.another else 0.0))
 
 
-def _under(curve: ForceCurve, h: Array, shifted: Array, own: Array, tickets: _Tickets) -> tuple[Array, Array, Array, Array]:
+def _under(
+    curve: ForceCurve, h: Array, shifted: Array, own: Array, tickets: _Tickets
+) -> tuple[Array, Array, Array, Array, Array]:
     """With one curve, for each of c scatters and s slips: (c, s) ln of prior times likelihood, (c, s, 5) mean of the step, its
-    covariance (c, g, 5, 5) by the tickets' covariances, and (c, s) expected place on a slip's common direction.
+    covariance (c, g, 5, 5) and its gain (c, g, 5, n) by the tickets' covariances, and (c, s) expected place on a slip's common
+    direction.
 
     h (n, 5), shifted (s, n): ln of weighed over measured mass is `shifted` = h @ step beside the loads' own errors, of covariance
     own (n, n).
@@ -268,26 +274,20 @@ def _under(curve: ForceCurve, h: Array, shifted: Array, own: Array, tickets: _Ti
     for place, slip in enumerate(tickets.slips):
         if slip.along.size:
             along[:, place] = [float(slip.along @ row) for row in weighted[:, place]]
-    return logs, steps, curve.covariance - gain @ by_prior.T, along
+    return logs, steps, curve.covariance - gain @ by_prior.T, gain, along
 
 
-def _with_held(
-    problem: LoadProblem, active: NDArray[np.bool_], slope: Array, held: Array, covariance: Array, scatter: float
-) -> Array:
-    """Covariance of (held..., step): the held ones shift the step by what the loads make of them (Schmidt).
-
-    covariance: of the step, which holds what another combine's monitor makes of it.
-    """
+def _with_held(problem: LoadProblem, active: NDArray[np.bool_], held: Array, found: _Mixture) -> Array:
+    """Covariance of (held..., step): the held ones shift the step by what the loads make of them (Schmidt), in each combination
+    by its own gain. The step's holds what another combine's monitor makes of it."""
     count = held.shape[1]
-    h, information = slope[active], 1.0 / (problem.apart[active] ** 2 + scatter**2)
-    gain = covariance @ by_inverse(information, problem.common[active], h).T
-    out = np.zeros((count + slope.shape[1],) * 2)
+    out = np.zeros((count + found.step.size,) * 2)
     known = problem.prior[:count, :count]
-    follows = -gain @ held[active]
+    follows = -found.gain @ held[active]
     out[:count, :count] = known
-    out[count:, :count] = (follows - gain @ problem.ticket_slopes()[active]) @ known
+    out[count:, :count] = (follows - found.gain @ problem.ticket_slopes()[active]) @ known
     out[:count, count:] = out[count:, :count].T
-    out[count:, count:] = covariance + follows @ known @ follows.T
+    out[count:, count:] = found.covariance + follows @ known @ follows.T
     return out
 
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
 from yieldmon.estimation.load_pattern import EFFECT
-from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.parameters import CalibratedRange, ParameterSet
 from yieldmon.estimation.self_calibration.closed_loop import learn
 from yieldmon.estimation.self_calibration.closed_loop_inputs import MassAnchor, Sweep
 from yieldmon.physics.model import ForwardModel
@@ -41,6 +41,8 @@ _MOST_STRAIN, _MOST_LEFT = 5.0, 0.3
 """Standard deviations of density, gain and curve, all together, and ln error of a load, beyond which no machine explains them."""
 _CONTRADICTED = 2.0
 """Standard deviations, rms, by which loads left out are further off than another curve or scatter explains."""
+_TAIL = 0.025
+"""Share of the weighed grain beyond either end of the range that it calibrates."""
 _LEFT_OUT_WEIGHT = 0.632
 _PRIOR_LOADS = 4.0
 """What the stated deviations count for, in loads, beside the scatter that the loads themselves show."""
@@ -107,9 +109,35 @@ def calibrate_loads(
         calibration = _calibration(problem, active, sweeps, sweep_settings, learnt)
     else:
         calibration = _by_another_law(problem, law, active, found, learnt)
+    if not calibration.refused:
+        calibration = replace(calibration, parameter_set=_with_range(problem, calibration.parameter_set, active))
     wrong = wrong_ticket(law, active, found) if found is not None and (no_plate or found.wrong > perhaps) else None
     calibration = replace(calibration, wrong_ticket=wrong, slips=known_slips(law, active))
     return replace(calibration, sentences=tuple(sentences(calibration, len(sweeps))))
+
+
+def _with_range(problem: LoadProblem, known: ParameterSet, active: NDArray[np.bool_]) -> ParameterSet:
+    """The set with the middle of the weighed grain in its calibrated range. What lies further out is sweeps of the plate and the
+    ends of passes, of which a load's mass says little."""
+    flow = LoadProblem(problem.model, known, known, problem.loads, problem.settings).flow(known)[0]
+    mass = np.where(active[problem.of_load], problem.duration * flow, 0.0)
+    before = known.calibrated
+
+    def middle(value: Array, limits: tuple[float, float] | None) -> tuple[float, float]:
+        order = np.argsort(value)
+        share = np.cumsum(mass[order]) / mass.sum()
+        low, high = (float(value[order][min(int(np.searchsorted(share, at)), value.size - 1)]) for at in (_TAIL, 1.0 - _TAIL))
+        return (low, high) if limits is None else (min(low, limits[0]), max(high, limits[1]))
+
+    return replace(
+        known,
+        calibrated=CalibratedRange(
+            middle(flow, before.mass_flow_kg_s),
+            middle(problem.angle, before.plate_angle_rad),
+            middle(problem.speed, before.elevator_speed_rad_s),
+            before.moisture_pct,
+        ),
+    )
 
 
 def _calibration(
