@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from yieldmon.bus.databases import load_messages
+from yieldmon.bus.databases import MessageBits, load_messages
 from yieldmon.errors import InputError
+from yieldmon.service.config import configuration
 
 PLAIN = """VERSION ""
 
@@ -101,8 +102,20 @@ def test_a_message_or_signal_that_cannot_be_read_is_told_with_its_line(tmp_path:
         messages(tmp_path, PLAIN.replace(sound, odd))
 
 
-def test_of_two_messages_with_one_name_only_these_cannot_be_bound(tmp_path: Path) -> None:
+def test_messages_of_one_name_are_told_apart_by_their_identifiers(tmp_path: Path) -> None:
+    """As in a logger maker's DBC of its receivers; one that is there twice cannot be bound."""
     other = 'BO_ 7 Other: 8 A\n SG_ X : 0|8@1+ (1,0) [0|0] "" A\n\n'
-    found = messages(tmp_path, PLAIN.replace("BA_DEF_ BO_", other + other.replace("7 Other", "8 Shaft") + "BA_DEF_ BO_"))
-    assert found["Shaft"].contradiction == "Shaft is the name of several messages"  # type: ignore[index]
-    assert list(found["Other"].signals) == ["X"]  # type: ignore[index]
+    more = other + other.replace("7 Other", "8 Shaft") + 2 * other.replace("7 Other", "9 Twice")
+    found = messages(tmp_path, PLAIN.replace("BA_DEF_ BO_", more + "BA_DEF_ BO_"))
+    bits: dict[str, MessageBits] = found  # type: ignore[assignment]
+    assert {name: (message.name, len(message.signals)) for name, message in bits.items()} == {
+        "Shaft 0x18FEF1FE": ("Shaft 0x18FEF1FE", 3), "Other": ("Other", 1), "Shaft 0x8": ("Shaft 0x8", 1),
+        "Twice 0x9": ("Twice 0x9", 0),
+    }  # fmt: skip
+    assert bits["Twice 0x9"].contradiction == "Twice 0x9 is there twice"
+    path = tmp_path / "c.yaml"
+    path.write_text("signals:\n  moisture: {dbc: m.dbc, message: Shaft 0x8, signal: X, unit: '%'}\n")
+    assert [group.message.frame_id for group in configuration.load(path).signals.groups] == [8]
+    path.write_text("signals:\n  moisture: {dbc: m.dbc, message: Shaft, signal: X, unit: '%'}\n")
+    with pytest.raises(InputError, match=r"Shaft is not in m\.dbc; expected .* such as Shaft 0x18FEF1FE, Shaft 0x8"):
+        configuration.load(path)

@@ -104,17 +104,27 @@ class MessageBits:
 
 
 def load_messages(path: Path | str) -> dict[str, MessageBits]:
-    """Message name -> its bits, from the DBC at `path`.
+    """Message name -> its bits, from the DBC at `path`. Of several messages of one name each has its identifier behind it, as in
+    `gnss_pos 0x13`.
 
-    Makers' files often have a message whose signals overlap, do not fit or have a factor of 0, or several of one name: it has no
-    signals then, and `contradiction` says why.
+    Makers' files often have a message whose signals overlap, do not fit or have a factor of 0, or one twice: it has no signals
+    then, and `contradiction` says why.
     Raises InputError, one line, for a file that cannot be read, is no DBC, or is in an encoding other than UTF-8 or Windows-1252.
     """
     where, database = str(path), dbc_file.read(path, strict=False)
     if not database.messages:
         raise InputError(where, "names no message", "a DBC file")
-    twice = set(repeated(message.name for message in database.messages))
-    return {message.name: _message(message, named_twice=message.name in twice) for message in database.messages}
+    alike = set(repeated(message.name for message in database.messages))
+    names = [
+        told_apart(message.name, message.frame_id) if message.name in alike else message.name for message in database.messages
+    ]
+    twice = set(repeated(names))
+    return {name: _message(message, name, twice=name in twice) for name, message in zip(names, database.messages, strict=True)}
+
+
+def told_apart(name: str, frame_id: int) -> str:
+    """A message's name where others have the same."""
+    return f"{name} 0x{frame_id:X}"
 
 
 def _contradiction(message: DbcMessage) -> str:
@@ -134,14 +144,14 @@ def _odd_numbers(signal: DbcSignal) -> str:
     return "" if sound else f"{given[:200]}, which are not finite numbers with a factor other than 0"
 
 
-def _message(message: DbcMessage, *, named_twice: bool) -> MessageBits:
+def _message(message: DbcMessage, name: str, *, twice: bool) -> MessageBits:
     j1939 = message.protocol == "j1939" or _is_j1939(message)
-    if problem := f"{message.name} is the name of several messages" if named_twice else _contradiction(message):
+    if problem := f"{name} is there twice" if twice else _contradiction(message):
         extended = message.is_extended_frame
-        return MessageBits(message.name, message.frame_id, extended, message.length, None, {}, j1939, contradiction=problem)
+        return MessageBits(name, message.frame_id, extended, message.length, None, {}, j1939, contradiction=problem)
     multiplexer = next((signal.name for signal in message.signals if signal.is_multiplexer and not signal.multiplexer_ids), None)
     signals = {signal.name: _signal(signal, j1939, message.length) for signal in message.signals}
-    return MessageBits(message.name, message.frame_id, message.is_extended_frame, message.length, multiplexer, signals, j1939)
+    return MessageBits(name, message.frame_id, message.is_extended_frame, message.length, multiplexer, signals, j1939)
 
 
 def _is_j1939(message: DbcMessage) -> bool:
