@@ -54,6 +54,18 @@ CASES = {
     "half a quantity": ("speed: {value: 70}", "speed", "unknown quantity", "elevator_speed or ground_speed"),
     "unknown quantity": ("plate_angel: {value: 70}", "plate_angel", "unknown quantity", "plate_angle"),
     "unknown key": (IMPACT.replace("rate_hz", "rate"), "impact_voltage.rate", "unknown key", "rate_hz"),
+    "valid by no signal": (
+        "plate_angle: {dbc: counts.dbc, message: Linear, signal: Tilt, valid: {Tild: 1}}",
+        "plate_angle.valid", "Tild is not in", "Tilt",
+    ),
+    "valid by no raw value": (
+        "plate_angle: {dbc: counts.dbc, message: Linear, signal: Tilt, valid: {Tilt: [1, 99999]}}",
+        "plate_angle.valid", "99999", "to 65535",
+    ),
+    "valid by a word": (
+        "plate_angle: {dbc: counts.dbc, message: Linear, signal: Tilt, valid: Tilt}",
+        "plate_angle.valid", "'Tilt'", "{SpeedValid: 1}",
+    ),
     "no rate": (IMPACT.replace(", rate_hz: 100", ""), "impact_voltage.rate_hz", "missing", "10 to 5000"),
     "too slow": (IMPACT.replace("100}", "5}"), "impact_voltage.rate_hz", "5", "10 to 5000"),
     "too fast": (IMPACT.replace("100}", "6000}"), "impact_voltage.rate_hz", "6000", "10 to 5000"),
@@ -101,7 +113,8 @@ CASES = {
         "plate_angle.message", "Bridge and Twin have one identifier", "0x321",
     ),
     "one name twice": (
-        "plate_angle: {dbc: names.dbc, message: Linear, signal: X}", "plate_angle.message", "name of several", "message",
+        "plate_angle: {dbc: names.dbc, message: Linear, signal: X}", "plate_angle.message", "Linear is not in",
+        "Linear 0x322, Linear 0x385",
     ),
     "a signal beyond the message": ("plate_angle: {dbc: beyond.dbc, message: Linear, signal: Tilt}", "beyond.dbc", "Tilt", "fit"),
     "more than 29 bits": (

@@ -112,3 +112,44 @@ def test_each_sender_is_written_by_itself_and_no_line_twice(tmp_path: Path) -> N
     lines = [line.strip() for line in written(tmp_path, frames).splitlines() if "Weigh" in line]
     entry = "impact_force: {dbc: pages.dbc, message: Weigh, signals: [Force1, Force2], rate_hz: "
     assert lines == [f"{entry}200, source: 68}}", f"# or {entry}20, source: 69}}"]
+
+
+VALID = """VERSION ""
+NS_ :
+BS_:
+BU_: N
+BO_ 23 gnss_speed: 5 N
+ SG_ Speed : 1|20@1+ (0.001,0) [0|1048.575] "m/s" N
+ SG_ SpeedAccuracy : 21|19@1+ (0.001,0) [0|524.287] "m/s" N
+ SG_ SpeedValid : 0|1@1+ (1,0) [0|1] "" N
+"""
+
+
+@pytest.mark.parametrize(("valid", "expected"), [({}, [7.2, 0.0, 9.0]), ({"SpeedValid": (1,)}, [7.2, 9.0])])
+def test_what_another_signal_calls_invalid_is_no_value(
+    valid: dict[str, tuple[int, ...]], expected: list[float], tmp_path: Path
+) -> None:
+    """A receiver without a fix sends 0 m/s (CSS Electronics' public DBC of its loggers)."""
+    (tmp_path / "gnss.dbc").write_text(VALID)
+    messages = load_messages(tmp_path / "gnss.dbc")
+    sent = [(raw << 1 | flag).to_bytes(5, "little") for raw, flag in ((2000, 1), (0, 0), (2500, 1))]
+    decoder = MapDecoder(
+        build([Binding("test", "ground_speed", "gnss.dbc", "gnss_speed", ("Speed",), valid=valid)], lambda _: messages, Machine())
+    )
+    singly = [frame.signals["ground_speed"] for data in sent for frame in decoder.decode(0.0, 23, False, data)]
+    block = block_of([can.Message(arbitration_id=23, is_extended_id=False, data=data) for data in sent])
+    columns, _ = decoder.decode_block(block.time_s, block.can_id, block.length, block.payload)
+    assert singly == pytest.approx(expected)
+    assert np.concatenate([column.signals["ground_speed"] for column in columns]) == pytest.approx(expected)
+
+
+def test_a_signal_that_says_what_is_valid_is_proposed(tmp_path: Path) -> None:
+    (tmp_path / "gnss.dbc").write_text(VALID)
+    (tmp_path / "a.log").write_text("".join(f"({place}.0) can0 017#A10F000000\n" for place in range(1, 20)))
+    words = ["signals", str(tmp_path / "a.log"), "--dbc", str(tmp_path / "gnss.dbc"), "--write", str(tmp_path / "c.yaml")]
+    assert main(words) == 0
+    assert (
+        "ground_speed: {dbc: gnss.dbc, message: gnss_speed, signal: Speed, valid: {SpeedValid: 1}}"
+        in (tmp_path / "c.yaml").read_text()
+    )
+    assert main(["check-config", str(tmp_path / "c.yaml")]) == 0

@@ -29,10 +29,11 @@ class Binding:
 
     where: place in the configuration, for messages. value: a constant, and nothing is bound. signals: one, or for impact samples
     several of one frame, oldest first. scale, offset: value = physical value of the DBC * scale + offset, in `unit` (None: the
-    DBC's). ratio: a further factor, of speeds. source: see `Source`. mux: value of the message's multiplexer. low, high: range in
-    the quantity's unit in which a value can be true. not_available: raw values that mean it. values: raw value -> the quantity's
-    code. rate_hz: impact samples per second. counter, status: signals of the same message. pulses_per_turn: the signal counts
-    pulses of a turning shaft, or is their frequency or the time between two. time_constant_s: of a filter in the sensor.
+    DBC's). ratio: a further factor, of speeds. source: see `Source`. mux: value of the message's multiplexer. valid: other
+    signals of the message -> their raw values, without which there is no value. low, high: range in the quantity's unit in which
+    a value can be true. not_available: raw values that mean it. values: raw value -> the quantity's code. rate_hz: impact
+    samples per second. counter, status: signals of the same message. pulses_per_turn: the signal counts pulses of a turning
+    shaft, or is their frequency or the time between two. time_constant_s: of a filter in the sensor.
     """
 
     where: str
@@ -46,6 +47,7 @@ class Binding:
     unit: str | None = None
     source: Source = None
     mux: int | None = None
+    valid: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
     low: float | None = None
     high: float | None = None
     not_available: tuple[int, ...] = ()

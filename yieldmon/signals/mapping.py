@@ -47,8 +47,8 @@ class Pulses:
 
 @dataclass(frozen=True)
 class Group:
-    """The bound signals of one message. name: of the frames that reach the engine. pages: multiplexers, and the values that they
-    have in frames that are taken."""
+    """The bound signals of one message. name: of the frames that reach the engine. pages: multiplexers, and signals that say
+    whether others are valid, and the values that they have in frames that are taken."""
 
     name: str
     message: MessageBits
@@ -199,7 +199,7 @@ def _message(binding: Binding, messages: Mapping[str, MessageBits]) -> MessageBi
     return message
 
 
-def _signal(binding: Binding, message: MessageBits, name: str, key: str = "signal") -> SignalBits:
+def _named(binding: Binding, message: MessageBits, name: str, key: str) -> SignalBits:
     signal = message.signals.get(name)
     if signal is None:
         near = difflib.get_close_matches(name, message.signals, n=3) or list(message.signals)[:5]
@@ -207,6 +207,14 @@ def _signal(binding: Binding, message: MessageBits, name: str, key: str = "signa
     if not signal.readable:
         problem = f"{name} has {signal.bits} bits from bit {signal.shift} of its first byte on"
         raise binding.refuse(key, problem, "a number that lies within eight bytes")
+    return signal
+
+
+def _signal(binding: Binding, message: MessageBits, name: str, key: str = "signal") -> SignalBits:
+    signal = _named(binding, message, name, key)
+    for flag, values in binding.valid.items():
+        for raw in values:
+            _raw(binding, message.signals[flag], "valid", raw)
     taken = {page.bits.name: values for page, values in _pages(binding, message)}
     for above, values in message.pages(signal):
         if not set(taken.get(above.name, ())) & set(values):
@@ -222,7 +230,14 @@ def any_of(values: Sequence[int]) -> str:
 
 
 def _pages(binding: Binding, message: MessageBits) -> Pages:
-    """The multiplexer above the binding's signal with the value that is given, and those above it as the DBC has them."""
+    """The multiplexer above the binding's signal with the value that is given, those above it as the DBC has them, and the
+    signals that say whether it is valid."""
+    return _multiplexers(binding, message) + tuple(
+        (Extraction(_named(binding, message, name, "valid"), 1.0, 0.0), tuple(values)) for name, values in binding.valid.items()
+    )
+
+
+def _multiplexers(binding: Binding, message: MessageBits) -> Pages:
     if binding.mux is None:
         return ()
     signal = message.signals.get(binding.signals[0])

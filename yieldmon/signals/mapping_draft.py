@@ -95,6 +95,12 @@ def _overlap(one: tuple[float, float], other: tuple[float, float]) -> bool:
     return both >= 0.5 * (max(one[1], other[1]) - min(one[0], other[0]))
 
 
+def _frames(found: Candidate) -> list[str]:
+    """Keys that say which of the message's frames hold a candidate."""
+    page = [] if found.mux is None else [f"mux: {found.mux}"]
+    return page if found.valid is None else [*page, f"valid: {{{found.valid}: 1}}"]
+
+
 def _entries(found: Candidate, paths: Mapping[str, str], candidates: Mapping[str, Sequence[Candidate]]) -> list[str]:
     """What a mapping says of a candidate: its sender by address, by NAME, or both, the better one first."""
     keys = [f"dbc: {paths[found.dbc]}", f"message: {found.message}"]
@@ -117,8 +123,7 @@ def _entries(found: Candidate, paths: Mapping[str, str], candidates: Mapping[str
         keys.append(f"not_available: {list(found.not_available)}")
     if found.values:
         keys.append(f"values: {{{', '.join(f'{raw}: {code}' for raw, code in found.values)}}}")
-    if found.mux is not None:
-        keys.append(f"mux: {found.mux}")
+    keys += _frames(found)
     if found.quantity == "elevator_speed" and SHAFTS_ELSEWHERE.search(found.signal):
         keys.append(_RATIO)
     sources = [] if found.source is None or found.moved else [f"source: {found.source}"]

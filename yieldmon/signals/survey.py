@@ -57,6 +57,8 @@ _WEAK = 0.25
 """Score of such a guess; every other one is higher."""
 _PULSES = re.compile(r"pulse|hall|tooth|teeth|encoder", re.IGNORECASE)
 """Names of counters of a shaft's pulses."""
+_VALID, _MOST_OF_A_FLAG = re.compile(r"(?<!in)valid", re.IGNORECASE), 2
+"""Names and bits of signals that say by 1 whether others of the message are valid."""
 _FREQUENCY = re.compile(rf"{_PULSES.pattern}|hertz|freq", re.IGNORECASE)
 """Names of their frequency."""
 _MOST_TURNS_HZ = 15.0
@@ -140,7 +142,8 @@ class Candidate:
     unit: as the DBC says; mux: value of the multiplexer with which it is sent most; source: of the sender where the DBC does
     not distinguish it from others; node: the sender's NAME then, where one was heard; moved: that node was heard at several
     addresses; span: lowest and highest value; not_available: raw values that the DBC's value table calls so; values: raw value
-    and code of a switch whose names say that they differ; score: how well it fits, above 0.
+    and code of a switch whose names say that they differ; valid: the one signal of the message that says by 1 that it is; score:
+    how well it fits, above 0.
     """
 
     quantity: str
@@ -156,6 +159,7 @@ class Candidate:
     span: tuple[float, float] = (0.0, 0.0)
     not_available: tuple[int, ...] = ()
     values: tuple[tuple[int, int], ...] = ()
+    valid: str | None = None
     score: float = 1.0
 
     @property
@@ -306,6 +310,7 @@ class Survey:
                             span=(signal.low, signal.high),
                             not_available=_not_available(quantity, signal.bits),
                             values=tuple(sorted(codes_by_name(quantity, signal.bits).items())),
+                            valid=_valid(message),
                             score=score,
                         )
                         found.setdefault(quantity, []).append(candidate)
@@ -376,6 +381,13 @@ def _score(quantity: str, message: MessageSeen, signal: SignalSeen) -> float:
     if QUANTITIES[quantity].unit == "":
         return 2.0 if named and signal.bits.unit == "" and signal.bits.bits <= 8 else 0.0
     return _slow_score(quantity, message.rate_hz or 0.0, signal, named, message_named)
+
+
+def _valid(message: MessageSeen) -> str | None:
+    """The signal that says whether the others of a message are valid, where there is one."""
+    of_all = [signal.bits for signal in message.signals.values() if signal.bits.mux_by is None]
+    flags = [bits.name for bits in of_all if bits.bits <= _MOST_OF_A_FLAG and _VALID.search(bits.name)]
+    return flags[0] if len(flags) == 1 else None
 
 
 def counts_pulses(bits: SignalBits) -> bool:

@@ -57,6 +57,11 @@ class SignalEntry(StrictModel):
     unit: str | None = Field(None, description="unit of the value then; null: the DBC's")
     source: Any = Field(None, description="any, an address, a NAME or fields of one; null: as the DBC's identifier says")
     mux: int | None = Field(None, ge=0, description="value of the message's multiplexer")
+    valid: dict[str, int | list[int]] = Field(
+        default_factory=dict,
+        max_length=4,
+        description="signal of the message: raw value, or values, with which this one is valid",
+    )
     range: list[float] | None = Field(None, min_length=2, max_length=2, description="in the quantity's unit; outside: no value")
     not_available: list[int] = Field(default_factory=list, max_length=64, description="raw values that mean it")
     values: dict[int, int] = Field(default_factory=dict, description="raw value to the quantity's code")
@@ -82,6 +87,7 @@ _EXPECTED = {
     "offset": "a number",
     "unit": "a unit such as rpm, deg or mV",
     "mux": "a whole number from 0 on",
+    "valid": "a signal of the message and its raw value or values, such as {SpeedValid: 1}",
     "not_available": "raw values as a list, such as [255]",
     "pulses_per_turn": "a number above 0",
     "time_constant_s": "a number from 0 to 10 s",
@@ -198,6 +204,7 @@ def _binding(quantity: str, entry: Any, where: str) -> Binding:
         unit=found.unit,
         source=_source(found.source, f"{where}.source"),
         mux=found.mux,
+        valid={name: tuple(raw) if isinstance(raw, list) else (raw,) for name, raw in found.valid.items()},
         low=low,
         high=high,
         not_available=tuple(found.not_available),
