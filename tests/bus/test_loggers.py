@@ -279,6 +279,7 @@ def test_frames_of_other_kinds_of_canking_and_vehicle_spy(tmp_path: Path) -> Non
         ("a.txt", CLX000.replace(";ID", "") + "01T000000000;0;00\n", "lacks the column ID"),
         ("a.txt", CLX000 + "2000;0;7df;00\n", "time '2000' is not hours, minutes"),
         ("a.txt", CLX000 + "45T000000000;0;7df;00\n", "time 45000000 is none of a calendar"),
+        ("a.txt", CLX000.replace("202308", "999912") + "45T000000000;0;7df;00\n", "time 45000000 is none of a calendar"),
         ("a.txt", CLX000 + "01T000000000;2;7df;00\n", "type '2' is not 0, 1, 8 or 9"),
         ("a.txt", CANKING + " 0        331         2   1  255       101.5 R\n", "no frame of CanKing's with hexadecimal numbers"),
         ("a.txt", CANKING + " 0    00000065 Q       1  01           101.5 R\n", "flags 'Q' are not known"),

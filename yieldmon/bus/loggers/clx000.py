@@ -118,8 +118,8 @@ class Clx000:
         for shift in (-step, timedelta(0), step):
             try:
                 found.append(_moment((middle + shift).strftime("%Y%m%d")[: whole_digits - len(digits)] + digits))
-            except ValueError:
-                # A month without this day.
+            except (ValueError, OverflowError):
+                # A month without this day, or beyond the last year.
                 continue
         if not found:
             raise ValueError(f"time {digits} is none of a calendar")
