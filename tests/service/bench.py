@@ -35,7 +35,13 @@ PATIENCE_S = 120.0
 EMPTY_MV, GRAIN_MV = 0.0, 60.0
 """Above the zero: an empty elevator, and grain."""
 UNHURRIED = Patience(
-    silence_s=math.inf, listen_s=0.01, store_s=PATIENCE_S, reload_s=PATIENCE_S, command_s=PATIENCE_S, stop_s=60.0
+    silence_s=math.inf,
+    listen_s=0.01,
+    store_s=PATIENCE_S,
+    reload_s=PATIENCE_S,
+    command_s=PATIENCE_S,
+    answer_s=math.inf,
+    stop_s=60.0,
 )
 """For machines that other tests keep busy, and traffic that is not sent in real time."""
 _channels = itertools.count()

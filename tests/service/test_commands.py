@@ -38,6 +38,7 @@ class Told:
     def loads(self) -> list[SimpleNamespace]:
         return [SimpleNamespace(number=number, complete=whole) for number, whole in self.complete.items()]
 
+    earlier_loads = ()
     totals = Totals(load_open=False)
     estimator = SimpleNamespace(parameters=parameter_file.load())
 

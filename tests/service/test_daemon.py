@@ -193,6 +193,15 @@ def test_a_command_that_was_not_answered_is_not_carried_out_later():
     assert list(queued.take()) == []
 
 
+def test_a_command_is_not_carried_out_once_who_asked_has_gone(tmp_path: Path) -> None:
+    """The disk has held the reading of the store up for as long as a client waits, who gives the command again."""
+    with running(tmp_path, answer_s=Patience().written_s) as bench:
+        before = bench.daemon.monitor.totals.load_number
+        with pytest.raises(ControlError, match="reading the store took too long; nothing was done"):
+            bench.daemon.command({"command": "load-start"})
+        assert bench.daemon.monitor.totals.load_number == before
+
+
 def test_a_command_ends_the_wait_for_frames(tmp_path: Path, capsys, monkeypatch: pytest.MonkeyPatch) -> None:
     """On a quiet bus, whose silence the daemon otherwise listens to for 50 ms more."""
     asked: list[str] = []

@@ -87,6 +87,11 @@ class MonitorView:
         return self._parts.learning.doubted_loads
 
     @property
+    def earlier_loads(self) -> tuple[LoadSummary, ...]:
+        """Closed loads of runs before that are known, whose tickets can update the parameters."""
+        return self._parts.learning.masses.tickets.earlier_loads
+
+    @property
     def masses_wait(self) -> bool:
         """Whether a reference mass is still to update the parameters."""
         return self._parts.learning.masses_wait

@@ -341,7 +341,11 @@ class Daemon:
             return self._status()
         if not self._store.known:
             raise ControlError("the disk has not answered since the start, so the store is not known yet; nothing was done")
-        answer = self._commands.ask(request, self._command_loads.of(request, self.configuration.store_path))
+        begun_s = monotonic()
+        stored = self._command_loads.of(request, self.configuration.store_path)
+        # Who has gone would find it done after all, and ask a second time.
+        left_s = begun_s + self._patience.answer_s - self._patience.written_s - monotonic()
+        answer = self._commands.ask(request, stored, left_s)
         if request["command"] not in commands.QUERIES and not self._writer.wait_until_written(self._patience.written_s):
             _log.warning("%s: done, and not in the store yet", request["command"])
         return answer
@@ -357,10 +361,10 @@ class Daemon:
 
     def _post(self) -> None:
         """Measure loads again where tickets or an undo ask for it; what comes of it goes to the store."""
-        actions = self._measuring.journal.actions
-        if self._poster.take_into(actions):
+        journal = self._measuring.journal
+        if self._poster.take_into(journal.actions):
             self._commit()
-        self._poster.start_next(actions, self.monitor)
+        self._poster.start_next(journal, self.monitor)
 
     def _do_reload(self) -> None:
         self._reloads.take(self._use)

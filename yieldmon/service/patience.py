@@ -27,6 +27,8 @@ class Patience:
         Reading the configuration and the files that it names anew may take so long; a pipe alone takes up to 5 s.
     command_s : float
         A command waits so long for the engine.
+    answer_s : float
+        A command is answered, or given up, within so long: clients wait 10 s.
     retry_s : float
         A write that failed is tried again after so long.
     written_s : float
@@ -41,6 +43,7 @@ class Patience:
     kept_frames: int = 50_000
     reload_s: float = 20.0
     command_s: float = 5.0
+    answer_s: float = 9.5
     retry_s: float = RETRY_S
     written_s: float = 2.0
     stop_s: float = 1.5

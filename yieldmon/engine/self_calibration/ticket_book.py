@@ -57,6 +57,11 @@ class TicketBook:
         return tuple(self._waiting)
 
     @property
+    def earlier_loads(self) -> tuple[LoadSummary, ...]:
+        """Loads of an earlier run that are known."""
+        return tuple(load for load, _ in self._earlier.values())
+
+    @property
     def states(self) -> tuple[TicketState, ...]:
         """What of the tickets is to outlive a restart."""
         in_use: tuple[None, list[ReferenceMass], list[ReferenceMass]] = None, list(self._tickets), self._waiting

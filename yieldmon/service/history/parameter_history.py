@@ -62,6 +62,10 @@ class ParameterHistory:
         self.use(chosen, ledgers.CROP, who, f"what is known of {crop}")
         return chosen
 
+    def crop_of_version(self, version: int, in_use: ParameterSet, named: str) -> str:
+        """Whose crop a version's parameters are, "" where nothing says so. named: the crop that an operator named last."""
+        return self._crop_at(version) or self.crop_of(in_use, named)
+
     def crop_of_load(self, load: Load) -> str:
         """As it was named, else that whose parameters were in use until another's were; "" where none were yet."""
         changes = (a.document for a in self._actions.updates.values() if a.document.get("last_load", 0) >= load.number)

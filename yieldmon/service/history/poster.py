@@ -5,11 +5,12 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from yieldmon.engine.monitor_view import MonitorView
 from yieldmon.physics.machine import Machine
+from yieldmon.service.history.journal import Journal
 from yieldmon.service.history.posting import at_its_end, of_store
 from yieldmon.service.tickets.action_log import ActionLog
 
@@ -35,6 +36,8 @@ class Posting:
         Bus time.
     closed_load : int or None
         The only load that this is about; None for all of the last days.
+    crop : str
+        Of the parameters, where they do not say so.
     """
 
     tickets: tuple[int, ...]
@@ -42,6 +45,7 @@ class Posting:
     open_load: int | None
     now_s: float
     closed_load: int | None = None
+    crop: str = ""
 
 
 @dataclass(frozen=True)
@@ -79,7 +83,7 @@ class Poster:
             return
         self._thread = thread
 
-    def start_next(self, actions: ActionLog, monitor: MonitorView) -> None:
+    def start_next(self, journal: Journal, monitor: MonitorView) -> None:
         """Begin what is to be measured again, where there is something and no job is under way.
 
         Those are the last days' loads, after a ticket updated the parameters or an undo brought others back, and the load that
@@ -87,16 +91,19 @@ class Poster:
         """
         if monitor.masses_wait or self.busy:
             return
+        actions, in_use = journal.actions, monitor.estimator.parameters
         machine, now_s, totals = monitor.machine, monitor.bus_time_s, monitor.totals
         open_load = totals.load_number if totals.load_open else None
         if actions.restored_waits or actions.measuring_waits:
             # First what an undo brought back: what tickets change after it counts.
-            in_use = monitor.estimator.parameters.version
-            taken = actions.take_restored() if actions.restored_waits else actions.take_to_measure(in_use)
-            self.start(machine, Posting(*taken, open_load, now_s))
+            taken = actions.take_restored() if actions.restored_waits else actions.take_to_measure(in_use.version)
+            asked = Posting(*taken, open_load, now_s)
         elif (closed := actions.closed_load(open_load)) is not None:
             number, by = closed
-            self.start(machine, Posting(by.tickets, by.version, open_load, now_s, number))
+            asked = Posting(by.tickets, by.version, open_load, now_s, number)
+        else:
+            return
+        self.start(machine, replace(asked, crop=journal.parameters.crop_of_version(asked.version, in_use, journal.crop)))
 
     def take_into(self, actions: ActionLog) -> bool:
         """Enter what came of the job, once; whether it brought factors, which are to be written before another job reads them."""
@@ -121,7 +128,16 @@ class Poster:
             if posting.closed_load is not None:
                 version = at_its_end(self._path, posting.closed_load, version)
             undone, only = not posting.tickets, posting.closed_load
-            found = of_store(self._path, machine, version, posting.open_load, posting.now_s, undone_only=undone, only=only)
+            found = of_store(
+                self._path,
+                machine,
+                version,
+                posting.open_load,
+                posting.now_s,
+                undone_only=undone,
+                only=only,
+                crop=posting.crop,
+            )
         except Exception as error:  # noqa: BLE001 - what was measured stays, and measuring goes on
             _log.error("the loads could not be measured again: %s", error)
         self._done = Posted(posting, version, found)

@@ -164,10 +164,11 @@ def of_store(
     *,
     undone_only: bool = False,
     only: int | None = None,
+    crop: str = "",
 ) -> dict[int, float]:
     """The factors of a store's loads of the last days, by the parameters of `version`; what a version that was taken back has
-    measured since they came is measured again with them. now_s: bus time. undone_only: nothing else is. only: this load alone.
-    Raises InputError."""
+    measured since they came is measured again with them. now_s: bus time. undone_only: nothing else is but loads that were given
+    this crop. only: this load alone. crop: of the parameters, where they do not say so. Raises InputError."""
     out: dict[int, float] = {}
     with opened(path) as store:
         sets = parameter_sets(store)
@@ -176,12 +177,16 @@ def of_store(
         known, loads, actions = timeline(store.steps(), sets[version], sets), store.loads(), store.actions()
         gone = _taken_back(undone_versions(actions), known, sets)
         known = replace(known, versions=known.versions | gone)
-        renamed, crop = recropped(actions), sets[version].provenance.get("crop")
-        of_crop = {load.number: load.crop == crop for load in loads if load.number in renamed}
+        renamed, of_version = recropped(actions), sets[version].provenance.get("crop", crop)
+        of_crop = {load.number: load.crop == of_version for load in loads if load.number in renamed}
         for rows in _newest_loads(store, begins(known, now_s), open_load, only):
             measured = loads_of(of_loads(rows, loads), sets)
             if undone_only:
-                measured = tuple(load for load in measured if any(row.parameter_version in gone for row in load.seconds))
+                measured = tuple(
+                    load
+                    for load in measured
+                    if of_crop.get(int(load.name)) or any(row.parameter_version in gone for row in load.seconds)
+                )
             out |= factors(measured, known, machine, of_crop)
     return out
 

@@ -238,6 +238,8 @@ def why_no_reference(
             return f"load {number} was measured before the parameter file in use"
         monitor.know_load(found.summary, found.seconds)
         whole[number] = found.summary.complete
+    # What the store could not be asked for, as while it is written slowly, is as it was known before.
+    whole = {load.number: load.complete for load in monitor.earlier_loads if load.number not in earlier} | whole
     if not all(whole.get(load.number, False) for load in covered):
         return "not every second of it was measured"
     return ""

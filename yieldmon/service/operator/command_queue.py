@@ -6,6 +6,7 @@ import queue
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field
+from math import inf
 from typing import Any
 
 from yieldmon.errors import InputError
@@ -31,14 +32,16 @@ class CommandQueue:
         self._jobs: queue.SimpleQueue[Job] = queue.SimpleQueue()
         self._patience_s = patience_s
 
-    def ask(self, request: Mapping[str, Any], stored: Sequence[StoredLoad] = ()) -> Answer:
-        """Waits for the answer. Raises InputError for a request that is refused, ControlError where the engine does not answer in
-        time."""
+    def ask(self, request: Mapping[str, Any], stored: Sequence[StoredLoad] = (), left_s: float = inf) -> Answer:
+        """Waits for the answer, no longer than left_s. Raises InputError for a request that is refused, ControlError where the
+        engine does not answer in time."""
+        if left_s <= 0.0:
+            raise ControlError("reading the store took too long; nothing was done, ask again")
         job = Job(request, stored)
         self._jobs.put(job)
         self._wake()
         try:
-            return job.answer.result(self._patience_s)
+            return job.answer.result(min(self._patience_s, left_s))
         except TimeoutError:
             # What was said to have failed must not be done later.
             if not job.answer.cancel():

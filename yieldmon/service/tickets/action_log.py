@@ -61,7 +61,7 @@ class ActionLog:
         self._open_loads = dict(open_loads or {})
         self._taken: tuple[int, ...] = ()
         self._taken_before = 0
-        """Number of the first action after the tickets were taken."""
+        """Number of the first action after what is being measured again was taken."""
         self._new_tickets: list[Ticket] = []
         self._new_actions: list[Action] = []
 
@@ -314,7 +314,7 @@ class ActionLog:
 
     def take_restored(self) -> tuple[tuple[int, ...], int]:
         """No ticket, and the first of `restored`. Where nothing comes of it, it is taken again after the next undo."""
-        self._restoring = len(self._restored)
+        self._restoring, self._taken_before = len(self._restored), self._next_number
         return (), self._restored[0]
 
     @property
