@@ -82,6 +82,24 @@ def test_a_node_that_sends_to_two_addresses_is_not_taken_for_two(tmp_path: Path,
     assert "elevator_speed" not in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(("state", "told"), [(0x7F, True), (0x05, False)])
+def test_a_canopen_node_that_waits_to_be_started_is_named(
+    state: int, told: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = tmp_path / "bus.log"
+    log.write_text("".join(f"({second}.0) can0 {0x700 + 0x21:03X}#{state if second else 0:02X}\n" for second in range(4)))
+    (tmp_path / "a.dbc").write_text(DBC)
+    config = tmp_path / "c.yaml"
+    config.write_text("signals:\n  elevator_speed: {dbc: a.dbc, message: Narrow, signal: V}\n")
+    assert main(["check-config", str(config), "--log", str(log)]) == 2
+    (line,) = [line for line in capsys.readouterr().err.splitlines() if "elevator_speed" in line]
+    said = "no frame of it: CANopen node 33 waits to be started (`cansend can0 000#0121`, or its maker's setting to start itself)"
+    assert (said in line) == told
+    assert main(["signals", str(log)]) == 0
+    named = "CANopen node 33 waits to be started (`cansend can0 000#0121`" if told else "CANopen node 33 is operational\n"
+    assert named in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("scale", "said"),
     [

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from yieldmon.bus.databases import MessageBits, SignalBits
 from yieldmon.engine.sources import QUANTITIES
 from yieldmon.identifiers import ADDRESS_CLAIM, EXTENDED_FLAG, GROUP_MASK, LARGEST_EXTENDED_ID, NULL_ADDRESS, group_of
+from yieldmon.network import canopen
 from yieldmon.network.addresses import AddressTable
 from yieldmon.network.name import Name
 from yieldmon.physics.numerics import Array
@@ -111,6 +112,7 @@ class _Identifier:
     first_s: float = 0.0
     last_s: float = 0.0
     message: tuple[str, MessageBits] | None = None
+    canopen: str | None = None
     signals: dict[str, SignalSeen] = field(default_factory=dict)
 
     @property
@@ -220,6 +222,8 @@ class Survey:
 
     def _add(self, identifier: int, times: Array, lengths: NDArray[np.uint8], payloads: NDArray[np.uint64]) -> None:
         seen = self._counted(identifier, times)
+        if seen is not None and (node := canopen.node_of_heartbeat(identifier, int(lengths.max()))) is not None:
+            seen.canopen = _canopen(node, int(payloads[-1]) & 0xFF)
         if seen is None or seen.message is None or seen.message[1].is_long:
             return
         whole = payloads[lengths >= seen.message[1].length]
@@ -263,8 +267,8 @@ class Survey:
             extended, identifier = bool(key & EXTENDED_FLAG), key & LARGEST_EXTENDED_ID
             group = group_of(identifier) if extended else None
             dbc, name = (None, None) if seen.message is None else (seen.message[0], seen.message[1].name)
-            if name is None and group is not None:
-                name = group_name(group)
+            if name is None:
+                name = group_name(group) if group is not None else seen.canopen
             found.append(
                 MessageSeen(
                     identifier, extended, seen.frames, seen.rate_hz, dbc, name, group,
@@ -325,6 +329,13 @@ class Survey:
         if seen is None or seen[1].frame_id & 0xFF == NULL_ADDRESS:
             return False
         return seen[1].frame_id != message.identifier
+
+
+def _canopen(node: int, state: int) -> str | None:
+    if state not in canopen.STATES:
+        return None
+    start = "" if canopen.sends_values(state) else f" ({canopen.how_to_start(node)})"
+    return f"CANopen node {node} {canopen.STATES[state]}{start}"
 
 
 def _take(seen: _Identifier, numbers: Numbers, count: int, end: int) -> None:

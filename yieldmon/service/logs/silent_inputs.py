@@ -19,6 +19,7 @@ from yieldmon.identifiers import (
     group_of,
     is_broadcast,
 )
+from yieldmon.network import canopen
 from yieldmon.network.addresses import AddressTable
 from yieldmon.network.name import Name, NameMatch
 from yieldmon.signals.decoding import match_of
@@ -33,12 +34,16 @@ class Traffic:
 
     def __init__(self, log: Path | str) -> None:
         self._longest: dict[int, int] = {}
+        self._canopen_state: dict[int, int] = {}
         table = AddressTable()
         for block in iter_blocks(log, LogNotes()):
             data = (block.can_id & np.uint32(ERROR_FLAG | REMOTE_FLAG)) == 0
             for identifier in np.unique(block.can_id[data]).tolist():
-                length = int(block.length[data & (block.can_id == np.uint32(identifier))].max())
+                rows = np.flatnonzero(data & (block.can_id == np.uint32(identifier)))
+                length = int(block.length[rows].max())
                 self._longest[identifier] = max(length, self._longest.get(identifier, 0))
+                if (node := canopen.node_of_heartbeat(identifier, length)) is not None:
+                    self._canopen_state[node] = int(block.payload[rows[-1]]) & 0xFF
             claims = data & ((block.can_id & np.uint32(_CLAIM_MASK)) == np.uint32(_CLAIM))
             for row in np.flatnonzero(claims & (block.length == 8)).tolist():
                 name = Name.of_bytes(int(block.payload[row]).to_bytes(8, "little"))
@@ -53,7 +58,7 @@ class Traffic:
             return f"its frames have {max(lengths)} bytes, the DBC gives it {message.length}"
         if not message.extended:
             wide = message.frame_id | EXTENDED_FLAG in self._longest
-            return "it comes with a 29-bit identifier, the DBC gives it 11 bits" if wide else None
+            return "it comes with a 29-bit identifier, the DBC gives it 11 bits" if wide else self._not_started(message.frame_id)
         if message.frame_id <= LARGEST_STANDARD_ID and message.frame_id in self._longest:
             return "it comes with an 11-bit identifier, the DBC gives it 29 bits"
         if isinstance(group.source, NameMatch):
@@ -73,6 +78,12 @@ class Traffic:
                 given = f"it comes with priority {_listed(priorities)}, the DBC gives it {priority}"
             return f"{given}; with `source: {own}` any will do"
         return f"it comes from {_listed(senders)} only" if senders else None
+
+    def _not_started(self, identifier: int) -> str | None:
+        node = canopen.node_of_values(identifier)
+        if node is None or canopen.sends_values(state := self._canopen_state.get(node, 0)):
+            return None
+        return f"CANopen node {node} {canopen.STATES[state]} ({canopen.how_to_start(node)})"
 
     def several_destinations(self, group: Group) -> list[int]:
         """Identifiers by which one node sends a group's frames to several addresses; none where it does not."""
