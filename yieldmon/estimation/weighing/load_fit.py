@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from yieldmon.estimation.beyond_range import FLOW_PER_MOISTURE_PCT
 from yieldmon.estimation.load_pattern import following
 from yieldmon.estimation.open_loop import invert_force
 from yieldmon.estimation.other_monitor import with_bias, with_new_bias
@@ -83,12 +84,17 @@ class LoadProblem:
             np.concatenate([getattr(load, name) for load in loads])
             for name in ("force_n", "plate_angle_rad", "elevator_speed_rad_s", "duration_s")
         )
+        self.moist = np.zeros(len(loads)) if self.model.needs_moisture else _by_moisture(loads)
+        """(n,) ln error of each load's mass by grain wetter than the loads' mean, one standard deviation of an error of which the
+        model knows nothing: the same slope in all."""
+        self.shared = np.column_stack((self.common, self.moist))
         known = all(load.moisture_pct is not None for load in loads)
         self.moisture = np.concatenate([np.asarray(load.moisture_pct) for load in loads]) if known else None
         self.of_load = np.repeat(np.arange(len(loads)), [load.force_n.size for load in loads])
         self.weighed = np.array([load.weighed_kg for load in loads])
         self.law = self._law()
-        """(n, n) covariance of the loads' ln errors by what the model's force leaves of the machine's and by another monitor."""
+        """(n, n) covariance of the loads' ln errors by what the model's force leaves of the machine's, by another monitor and by
+        moisture."""
         self.held, self.prior = self._coordinates()
         self._throw: Throw | None = None
         """The last one."""
@@ -110,7 +116,7 @@ class LoadProblem:
     def _law(self) -> Array:
         at = np.log(self.weighed / [load.duration_s.sum() for load in self.loads])
         apart = (at[:, None] - at) / self.settings.law_reach
-        return np.asarray(self.settings.law_error**2 * np.exp(-0.5 * apart**2) + np.outer(self.common, self.common))
+        return np.asarray(self.settings.law_error**2 * np.exp(-0.5 * apart**2) + self.shared @ self.shared.T)
 
     def flow(self, known: ParameterSet) -> tuple[Array, Array]:
         """Mass flow of every window with these parameters, nan above a full paddle, and d(force)/d(flow) there."""
@@ -156,7 +162,7 @@ class LoadProblem:
 
     def informed(self, columns: Array, weight: Array) -> Array:
         """Columns (n, k) times the inverse covariance of the loads' own errors, each load counted by a weight (n,)."""
-        return by_inverse(weight / self.apart**2, self.common, columns)
+        return by_inverse(weight / self.apart**2, self.shared, columns)
 
     def fit(self, active: NDArray[np.bool_], directions: int, near: LoadFit | None = None) -> LoadFit:
         """Most likely step from the active loads, along the best determined `directions` (0, 1 or 2). near: where to begin."""
@@ -172,7 +178,7 @@ class LoadProblem:
         error, slope = self._slopes(step) if near is None else (near.error, near.by_step)
         weight = active.astype(float)
         for _ in range(_ITERATIONS):
-            weight = active / np.maximum(np.abs(error) / (self.settings.huber_sds * self.sd), 1.0) if np.any(active) else weight
+            weight = active / np.maximum(np.abs(error) / self._far, 1.0) if np.any(active) else weight
             basis = self.basis(slope, weight)[:, :directions]
             h = slope @ basis
             information = h.T @ self.informed(h, weight) + np.eye(directions)
@@ -195,6 +201,11 @@ class LoadProblem:
             if float(np.max(np.abs(change))) < _SETTLED:
                 break
         return LoadFit(step, error, slope)
+
+    @property
+    def _far(self) -> Array:
+        """(n,) ln error beyond which a load loses weight."""
+        return np.asarray(self.settings.huber_sds * np.hypot(self.sd, self.moist))
 
     def _slopes(self, step: Array) -> tuple[Array, Array]:
         """(n,) ln of measured over weighed mass, nan where a paddle would be more than full, and (n, 2) by the step."""
@@ -219,8 +230,8 @@ class LoadProblem:
 
     def cost(self, fit: LoadFit, active: NDArray[np.bool_]) -> float:
         """Half the squares of what the active loads (by Huber's loss) and the prior say against a fit."""
-        far = np.abs(fit.error[active]) / self.sd[active]
         limit = self.settings.huber_sds
+        far = np.abs(fit.error[active]) / self._far[active] * limit
         loss = np.where(far > limit, 2.0 * limit * far - limit**2, far**2)
         away = np.linalg.solve(np.linalg.cholesky(self.prior[-2:, -2:]), fit.step)
         return 0.5 * float(loss.sum() + away @ away)
@@ -285,13 +296,23 @@ class LoadProblem:
         return np.asarray(np.nan_to_num(self.slopes(each, flow, by_flow, steps)))
 
 
-def by_inverse(information: Array, common: Array, columns: Array) -> Array:
-    """Columns (n, k) times the inverse of diag(1 / information) + common common.T; rows without information are 0."""
+def by_inverse(information: Array, shared: Array, columns: Array) -> Array:
+    """Columns (n, k) times the inverse of diag(1 / information) + shared shared.T, shared (n, m); no information: 0."""
     weighted = columns * information[:, None]
-    if not np.any(common):
+    shared = shared[:, np.any(shared, axis=0)]
+    if not shared.shape[1]:
         return weighted
-    along = common * information
-    return np.asarray(weighted - np.outer(along, along @ columns) / (1.0 + common @ along))
+    along = shared * information[:, None]
+    inner = np.linalg.solve(np.eye(shared.shape[1]) + shared.T @ along, along.T @ columns)
+    return np.asarray(weighted - along @ inner)
+
+
+def _by_moisture(loads: Sequence[WeighedLoad]) -> Array:
+    """See `LoadProblem.moist`; 0 for all where the moisture of one is not known."""
+    found = [load.mean_moisture_pct for load in loads]
+    if not np.all(np.isfinite(found)):
+        return np.zeros(len(loads))
+    return np.asarray(FLOW_PER_MOISTURE_PCT * (np.array(found) - np.mean(found)))
 
 
 def _in_rows(known: Sequence[ParameterSet]) -> dict[str, Array]:

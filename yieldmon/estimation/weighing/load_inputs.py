@@ -74,6 +74,17 @@ class WeighedLoad:
         """Of the weighed mass."""
         return self.std_dev_kg / self.weighed_kg
 
+    @property
+    def mean_moisture_pct(self) -> float:
+        """Of its grain, weighed by the force; nan where it is not known."""
+        if self.moisture_pct is None:
+            return float("nan")
+        known = np.isfinite(self.moisture_pct)
+        weight = np.where(known, self.duration_s * np.maximum(self.force_n, 0.0), 0.0)
+        if not weight.sum() > 0.0:
+            return float("nan")
+        return float(np.average(np.where(known, self.moisture_pct, 0.0), weights=weight))
+
     def measured_sd(self, load_error: float) -> float:
         """Relative standard deviation of the measured mass, where the parameters are right."""
         return float(np.hypot(load_error, self.noise_sd))

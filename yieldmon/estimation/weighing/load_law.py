@@ -217,7 +217,7 @@ def _mixture(
     """Mean and covariance of the step over all combinations in the model that is linear about `step`."""
     h, target = slope[active], slope[active] @ step - error[active]
     shifted = target - tickets.shifts
-    noise = np.diag(problem.apart[active] ** 2) + np.outer(problem.common[active], problem.common[active])
+    noise = np.diag(problem.apart[active] ** 2) + problem.shared[active] @ problem.shared[active].T
     parts = [_under(curve, h, shifted, noise, tickets) for curve in problem.curves]
     logs, steps, after, gains, along = (np.concatenate(part) for part in zip(*parts, strict=True))
     of_covariance = tickets.of_covariance
@@ -324,7 +324,7 @@ def against_others(law: LawProblem, others: NDArray[np.bool_], k: int, near: Arr
     if found is None:
         return Against(float("nan"), 1.0, 0.0)
     row = np.concatenate((found.by_held[k] + law.ticket_slopes()[k], found.by_step[k]))
-    std_dev = float(np.sqrt(row @ found.covariance @ row + law.apart[k] ** 2 + found.scatter**2))
+    std_dev = float(np.sqrt(row @ found.covariance @ row + law.apart[k] ** 2 + law.moist[k] ** 2 + found.scatter**2))
     return Against(float(found.error[k]), std_dev, float(abs(found.error[k])) / std_dev)
 
 

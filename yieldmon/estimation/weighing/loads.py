@@ -25,7 +25,7 @@ from yieldmon.estimation.parameters import CalibratedRange, ParameterSet
 from yieldmon.estimation.self_calibration.closed_loop import learn
 from yieldmon.estimation.self_calibration.closed_loop_inputs import MassAnchor, Sweep
 from yieldmon.physics.model import ForwardModel
-from yieldmon.physics.numerics import Array
+from yieldmon.physics.numerics import Array, span
 
 from .density_and_gain import DENSITY, gain_names, moved, widened
 from .flow_curve_fit import fit_loads
@@ -122,6 +122,7 @@ def _with_range(problem: LoadProblem, known: ParameterSet, active: NDArray[np.bo
     flow = LoadProblem(problem.model, known, known, problem.loads, problem.settings).flow(known)[0]
     mass = np.where(active[problem.of_load], problem.duration * flow, 0.0)
     before = known.calibrated
+    moisture = np.array([load.mean_moisture_pct for load, ok in zip(problem.loads, active, strict=True) if ok])
 
     def middle(value: Array, limits: tuple[float, float] | None) -> tuple[float, float]:
         order = np.argsort(value)
@@ -135,7 +136,7 @@ def _with_range(problem: LoadProblem, known: ParameterSet, active: NDArray[np.bo
             middle(flow, before.mass_flow_kg_s),
             middle(problem.angle, before.plate_angle_rad),
             middle(problem.speed, before.elevator_speed_rad_s),
-            before.moisture_pct,
+            before.moisture_pct if problem.model.needs_moisture or not np.all(np.isfinite(moisture)) else span(moisture),
         ),
     )
 
@@ -226,7 +227,7 @@ def _by_another_law(
     expected = _expected_rms(found.error[judges], errors[judges])
     # A load that another curve may well put there says nothing against the calibration, however far it is.
     refused = bool(active.sum() > 1 and expected > rms_before and _rms(away[judges]) > _CONTRADICTED)
-    chosen = problem.given if refused else _as_law_set(law, found)
+    chosen = problem.given if refused else _as_law_set(law, active, found)
     after = before if refused else after
     information = problem.information(LoadFit(found.step[:2], found.error, found.by_step[:, :2]), active)
     mean = np.column_stack((found.by_held, found.by_step))[active].mean(axis=0)
@@ -253,7 +254,7 @@ def _next_sd(problem: LoadProblem, active: NDArray[np.bool_], found: LawAverage)
     """Relative standard deviation of a further load like the active ones."""
     rows = np.column_stack((found.by_held, found.by_step))[active]
     spread = np.einsum("ki,ij,kj->k", rows, found.covariance, rows)
-    return float(np.sqrt(np.mean(spread) + np.mean(problem.own[active] ** 2) + found.scatter**2))
+    return float(np.sqrt(np.mean(spread) + np.mean(problem.own[active] ** 2 + problem.moist[active] ** 2) + found.scatter**2))
 
 
 def _with_wrong_ticket(
@@ -282,11 +283,12 @@ def _with_wrong_ticket(
     return replace(calibration, sentences=tuple(sentences(calibration, sweeps)))
 
 
-def _as_law_set(law: LawProblem, found: LawAverage) -> ParameterSet:
-    """With the pattern's weights, and what loads scatter by in the gain: it is common to a load's seconds."""
+def _as_law_set(law: LawProblem, active: NDArray[np.bool_], found: LawAverage) -> ParameterSet:
+    """With the pattern's weights, and what loads scatter by, by moisture too, in the gain: it is common to a load's seconds."""
     count = len(law.held)
     covariance = found.covariance.copy()
-    covariance[count + 1, count + 1] += (found.scatter / float(np.mean(found.by_step[:, 1]))) ** 2
+    by_moisture = float(np.mean(law.moist[active] ** 2))
+    covariance[count + 1, count + 1] += (found.scatter**2 + by_moisture) / float(np.mean(found.by_step[:, 1])) ** 2
     return carrying(_as_set(law, placed(law.start, found.step), covariance[: count + 2, : count + 2]), law, covariance)
 
 
@@ -355,9 +357,9 @@ def _posterior(
     determined = directions if full is None else 2
     basis = np.zeros((h.shape[1], determined))
     basis[-2:] = problem.basis(fit.by_step, active.astype(float))[:, :determined]
-    noise, common = problem.apart[active] ** 2, problem.common[active]
+    noise, shared, moist = problem.apart[active] ** 2, problem.shared[active], problem.moist[active]
     moving, counted = rows @ basis, active.astype(float)
-    gain = basis @ moving.T @ np.linalg.inv(moving @ moving.T + np.diag(noise) + np.outer(common, common))
+    gain = basis @ moving.T @ np.linalg.inv(moving @ moving.T + np.diag(noise) + shared @ shared.T)
     tickets = rows.copy()
     tickets[:, : len(problem.held)] += problem.ticket_slopes()[active]
     left = np.eye(h.shape[1]) - gain @ tickets
@@ -365,16 +367,19 @@ def _posterior(
     dof = max(int(active.sum()) - directions, 0)
     inflation = (_PRIOR_LOADS + chi2) / (_PRIOR_LOADS + dof)
     held, by_noise = left @ problem.prior @ left.T, gain @ np.diag(noise) @ gain.T
-    own = np.mean(problem.own[active] ** 2)
+    own = np.mean(problem.own[active] ** 2 + moist**2)
     each = [np.einsum("ki,ij,kj->k", rows, part, rows).mean() for part in (held, by_noise)]
     inflation = max(inflation, float((shown**2 - each[0]) / (each[1] + own)))
-    covariance = held + inflation * by_noise
+    covariance = held + inflation * by_noise + np.outer(gain @ moist, gain @ moist)
     if full is not None:
         covariance[-2:, -2:] += np.outer(full.step - fit.step, full.step - fit.step)
     spread = np.einsum("ki,ij,kj->k", rows, covariance, rows)
     next_sd = float(np.sqrt(np.mean(spread) + inflation * own))
     mean = rows.mean(axis=0)
-    return _as_set(problem, centre, covariance), next_sd, float(np.sqrt(mean @ covariance @ mean))
+    level_sd = float(np.sqrt(mean @ covariance @ mean))
+    # Of grain as wet or dry as the loads', not of their mean alone.
+    covariance[-1, -1] += np.mean(moist**2) / np.mean(fit.by_step[active, 1]) ** 2
+    return _as_set(problem, centre, covariance), next_sd, level_sd
 
 
 def _as_set(problem: LoadProblem, centre: ParameterSet, covariance: Array) -> ParameterSet:
