@@ -120,8 +120,8 @@ FIELDS: Mapping[int, tuple[Field, ...]] = {
     ),
 }
 """What messages of one frame hold, without a time of day."""
-_GNSS_METHOD_AT, _NO_FIX = 31, 0
-"""Byte of 129029 with the method in its upper half, and the method without which there is no position."""
+_GNSS_METHOD_AT, _NOT_MEASURED = 31, frozenset({0, 7, 8})
+"""Byte of 129029 with the method in its upper half, and methods that measure no position: none, entered by hand, simulated."""
 LARGEST_LATITUDE_DEG, LARGEST_LONGITUDE_DEG = 90.0, 180.0
 
 
@@ -175,7 +175,7 @@ def _time_date(data: bytes) -> Values:
 
 def _gnss_position(data: bytes) -> Values:
     _sequence, days, time, latitude, longitude, altitude = struct.unpack("<BHIqqq", data[:31])
-    if len(data) > _GNSS_METHOD_AT and data[_GNSS_METHOD_AT] >> 4 == _NO_FIX:
+    if len(data) > _GNSS_METHOD_AT and data[_GNSS_METHOD_AT] >> 4 in _NOT_MEASURED:
         return _date_time(days, time)
     place = {
         Quantity.LATITUDE: _nmea(latitude, 64, 1e-16, signed=True),
