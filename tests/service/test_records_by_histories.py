@@ -432,6 +432,24 @@ def test_what_the_store_does_not_say_in_time_is_known_from_the_ticket_before(tmp
     desk.end()
 
 
+def test_loads_are_measured_again_once_a_slow_disk_has_what_was_handed_to_it(tmp_path: Path) -> None:
+    desk = Desk(tmp_path / "a")
+    desk.play(14, 0.0)
+    written: list[bool] = []
+    desk.poster = Poster(desk.path, lambda _: bool(written))
+    for step in (*HARVESTED, weighing(1, 3, 1.02, wrong=True), seconds(3), weighing(2, 5), seconds(4)):
+        desk.do(step)
+    assert desk.actions.unfinished == (1, 2)
+    desk.do(undo(1))
+    desk.play(4, 0.0)
+    assert desk.actions.restored
+    written.append(True)
+    desk.settle()
+    again = {row["number"] for row in desk.ask("loads")["loads"] if row["posted_mass_kg"] is not None}
+    assert again == {2, 3, 4, 5}
+    desk.end()
+
+
 def test_a_load_that_is_named_after_the_crop_in_use_is_measured_again_with_the_others(tmp_path: Path) -> None:
     desk = Desk(tmp_path / "a")
     desk.play(14, 0.0)

@@ -12,6 +12,24 @@ class NotLearnt(TypedDict):
     why: str
 
 
+class CalibrationUndone(TypedDict):
+    """A calibration that was taken back. undone to until: versions of the parameters that went with it; version, effects, crop:
+    of those from before them; crop "" for the one harvested now. silenced: tickets that only correct their loads from now on.
+    learnt_again: tickets that update the parameters from before again; standing_tickets: those that do not. sweeps_undone:
+    sweeps, and kernel noise, whose updates went."""
+
+    undone: int
+    until: int
+    version: int
+    effects: list[str]
+    crop: str
+    silenced: list[int]
+    learnt_again: list[int]
+    standing_tickets: list[int]
+    not_learnt_again: list[NotLearnt]
+    sweeps_undone: int
+
+
 class TicketUndone(TypedDict):
     """A ticket that was taken back. undone to until: versions of the parameters that went with it; version, effects, crop: of
     those from before them; crop "" for the one harvested now. learnt_again: tickets that update these again; standing_tickets:

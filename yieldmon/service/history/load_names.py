@@ -75,13 +75,12 @@ def correct(
     if factors:
         # By no version that an undo takes back: the loads are of this crop whatever becomes of it.
         journal.actions.posted_by_crop(factors, now_s)
-    updated: list[int] = []
-    not_updated: Mapping[int, str] = dict.fromkeys(tickets, f"nothing is known of {wanted.crop}")
+    updating = relearning.Updating((), dict.fromkeys(tickets, f"nothing is known of {wanted.crop}"))
     if parameters is not None:
-        updated, not_updated = relearning.update_crop(list(tickets), wanted.crop or "", monitor, journal, stored)
+        updating = relearning.update_crop(list(tickets), wanted.crop or "", monitor, journal, stored)
     return answer | {
         "measured_again": sorted(factors), "not_measured_again": _reasons("load", why_not),
-        "learnt_again": updated, "not_learnt_again": _reasons("ticket", not_updated), "taken_back": back,
+        "learnt_again": list(updating.again), "not_learnt_again": updating.not_again, "taken_back": back,
     }  # fmt: skip
 
 

@@ -51,11 +51,11 @@ class Posting:
 @dataclass(frozen=True)
 class Posted:
     """What came of a posting. version: of the parameters that its loads were measured with; factors: by load, none where they
-    could not be measured again."""
+    could not be measured again, None where the store did not hold yet what was handed to it."""
 
     asked: Posting
     version: int
-    factors: Mapping[int, float]
+    factors: Mapping[int, float] | None
 
 
 class Poster:
@@ -110,6 +110,9 @@ class Poster:
         posted = self.take()
         if posted is None:
             return False
+        if posted.factors is None:
+            actions.not_measured()
+            return False
         asked = posted.asked
         actions.posted(asked.tickets, posted.version, posted.factors, open_load=asked.open_load, closed_load=asked.closed_load)
         return bool(posted.factors)
@@ -124,7 +127,9 @@ class Poster:
     def _work(self, machine: Machine, posting: Posting) -> None:
         found, version = dict[int, float](), posting.version
         try:
-            self._written(_WRITING_S)
+            if not self._written(_WRITING_S):
+                self._done = Posted(posting, version, None)
+                return
             if posting.closed_load is not None:
                 version = at_its_end(self._path, posting.closed_load, version)
             undone, only = not posting.tickets, posting.closed_load

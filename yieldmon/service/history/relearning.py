@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from typing import Any
+from dataclasses import dataclass
 
+from yieldmon.documents.undo import CalibrationUndone, NotLearnt, TicketUndone
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.self_calibration.anchors import Weighing
 from yieldmon.errors import InputError
@@ -20,9 +21,34 @@ _NOT_WEIGHED = frozenset({"sweep", "kernels"})
 """Origins of parameters that nothing updates again."""
 
 
+@dataclass(frozen=True, slots=True)
+class Restored:
+    """Versions of the parameters that an undo took back, the first and the last; version, effects: of those from before them;
+    crop: whose these are, "" for the one harvested now."""
+
+    undone: int
+    until: int
+    version: int
+    effects: tuple[str, ...]
+    crop: str
+
+
+@dataclass(frozen=True, slots=True)
+class Updating:
+    """Numbers of the tickets that update the parameters again, and why others do not."""
+
+    again: tuple[int, ...]
+    why_not: Mapping[int, str]
+
+    @property
+    def not_again(self) -> list[NotLearnt]:
+        """The others, by number."""
+        return [{"ticket": number, "why": why} for number, why in sorted(self.why_not.items())]
+
+
 def without_ticket(
     number: int, monitor: Monitor, journal: Journal, who: str, now_s: float, stored: Sequence[StoredLoad]
-) -> dict[str, Any]:
+) -> TicketUndone:
     """Take a ticket back, as if it had never been entered, as near as what is kept allows; says what does not come back.
 
     Where it has updated the parameters, these are those from before it, updated again by the standing tickets after it. What
@@ -35,7 +61,7 @@ def without_ticket(
 
 def without_version(
     version: int, monitor: Monitor, journal: Journal, who: str, now_s: float, stored: Sequence[StoredLoad]
-) -> dict[str, Any]:
+) -> CalibrationUndone:
     """Take a calibration back, as if it had never come: the standing tickets that updated after it do so again.
 
     Those whose own update it was (`silenced`) correct their loads alone. What sweeps and kernel noise changed since then
@@ -46,27 +72,34 @@ def without_version(
     since = min(silenced, default=actions.last_ticket_before(version))
     loads = [load for n in silenced for load in range(actions.entered(n).first_load, actions.entered(n).last_load + 1)]
     undone_before = actions.undone_versions
-    answer = back_before(version, monitor, journal, who, now_s, silenced)
+    back = _back_before(version, monitor, journal, who, now_s, silenced)
     actions.wait_no_more(silenced)
     undone = actions.undone_versions - undone_before
-    of_crop = answer["crop"] or journal.crop_in_use(monitor.estimator.parameters)
+    of_crop = back.crop or journal.crop_in_use(monitor.estimator.parameters)
 
     def counts(ticket: int) -> bool:
         return not of_crop or _crop_of(journal, ticket) in (of_crop, "")
 
     later = filter(counts, actions.not_learnt_after(since))
     numbers, stay = _updating({*actions.standing_of(undone), *later}, loads, counts, actions)
-    updated, why_not = _update_again(numbers, loads, answer["crop"], monitor, journal, stored, goes_back=True, stay=stay)
-    lost = [v for v in undone if v != version and actions.updates[v].document.get("origin") in _NOT_WEIGHED]
-    return answer | {
-        "silenced": list(silenced), "learnt_again": updated, "standing_tickets": sorted(why_not),
-        "not_learnt_again": [{"ticket": n, "why": why} for n, why in sorted(why_not.items())], "sweeps_undone": len(lost),
-    }  # fmt: skip
+    updating = _update_again(numbers, loads, back.crop, monitor, journal, stored, goes_back=True, stay=stay)
+    return {
+        "undone": back.undone,
+        "until": back.until,
+        "version": back.version,
+        "effects": list(back.effects),
+        "crop": back.crop,
+        "silenced": list(silenced),
+        "learnt_again": list(updating.again),
+        "standing_tickets": sorted(updating.why_not),
+        "not_learnt_again": updating.not_again,
+        "sweeps_undone": _not_weighed(undone - {version}, actions),
+    }
 
 
 def without_updates(
     numbers: Sequence[int], monitor: Monitor, journal: Journal, who: str, now_s: float, stored: Sequence[StoredLoad]
-) -> list[dict[str, Any]]:
+) -> list[TicketUndone]:
     """The same of tickets that stand, for loads that are of another crop than they have updated."""
     return [_without(number, monitor, journal, who, now_s, stored, stands=numbers) for number in numbers]
 
@@ -80,23 +113,23 @@ def _without(
     stored: Sequence[StoredLoad],
     *,
     stands: Sequence[int],
-) -> dict[str, Any]:
+) -> TicketUndone:
     """stands: tickets that are not taken back but no longer update the parameters."""
     actions = journal.actions
     ticket = actions.standing_ticket(number)
     loads = range(ticket.first_load, ticket.last_load + 1)
     first = actions.first_update(number, counts=any(load in monitor.counted_loads for load in loads))
-    answer: dict[str, Any] = {"ticket": number, "first_load": ticket.first_load, "last_load": ticket.last_load}
+    answer: TicketUndone = {"ticket": number, "first_load": ticket.first_load, "last_load": ticket.last_load}
     replaced = actions.update_before_file(number)
     if replaced is not None:
         journal.parameters.withdraw(replaced, who, now_s)
-    undone_before, stays = actions.undone_versions, ""
+    undone_before, back = actions.undone_versions, None
     if first is not None:
         try:
-            answer |= back_before(first, monitor, journal, who, now_s)
+            back = _back_before(first, monitor, journal, who, now_s)
         except InputError as error:
             # The mass that it corrected comes back all the same.
-            stays, first = str(error), None
+            answer["teaching_stays"] = str(error)
     if number in stands:
         actions.wait_no_more([number])
     else:
@@ -109,15 +142,28 @@ def _without(
     later = filter(counts, actions.not_learnt_after(number))
     led = {*actions.standing_of(undone)}.difference(stands)
     numbers, stay = _updating({*led, *later}, loads, counts, actions)
-    other = str(answer["crop"]) if "crop" in answer else _if_other(crop, monitor, journal)
-    updated, why_not = _update_again(numbers, loads, other, monitor, journal, stored, goes_back=first is not None, stay=stay)
-    if first is None:
-        return answer | ({"teaching_stays": stays} if stays else {}) | ({"learnt_again": updated} if updated else {})
-    lost = [v for v in undone if actions.updates[v].document.get("origin") in _NOT_WEIGHED]
-    return answer | {
-        "learnt_again": updated, "standing_tickets": sorted(why_not),
-        "not_learnt_again": [{"ticket": n, "why": why} for n, why in sorted(why_not.items())], "sweeps_undone": len(lost),
-    }  # fmt: skip
+    other = _if_other(crop, monitor, journal) if back is None else back.crop
+    updating = _update_again(numbers, loads, other, monitor, journal, stored, goes_back=back is not None, stay=stay)
+    if back is not None or updating.again:
+        answer["learnt_again"] = list(updating.again)
+    if back is not None or updating.why_not:
+        answer["not_learnt_again"] = updating.not_again
+    if back is not None:
+        answer |= {
+            "undone": back.undone,
+            "until": back.until,
+            "version": back.version,
+            "effects": list(back.effects),
+            "crop": back.crop,
+            "standing_tickets": sorted(updating.why_not),
+            "sweeps_undone": _not_weighed(undone, actions),
+        }
+    return answer
+
+
+def _not_weighed(versions: Iterable[int], actions: ActionLog) -> int:
+    """How many of these versions nothing updates again."""
+    return sum(actions.updates[version].document.get("origin") in _NOT_WEIGHED for version in versions)
 
 
 def _updating(
@@ -132,10 +178,8 @@ def _updating(
     return again, [number for number in same if number in learnt]
 
 
-def update_crop(
-    numbers: Sequence[int], crop: str, monitor: Monitor, journal: Journal, stored: Sequence[StoredLoad]
-) -> tuple[list[int], Mapping[int, str]]:
-    """Tickets update the crop that their loads are of: numbers of those that do, and why the others do not."""
+def update_crop(numbers: Sequence[int], crop: str, monitor: Monitor, journal: Journal, stored: Sequence[StoredLoad]) -> Updating:
+    """Tickets update the crop that their loads are of."""
     return _update_again(numbers, (), _if_other(crop, monitor, journal), monitor, journal, stored, goes_back=False)
 
 
@@ -151,9 +195,9 @@ def _crop_of(journal: Journal, number: int) -> str:
     return next((journal.parameters.crop_of_load(load) for load in journal.loads if load.number == first), "")
 
 
-def back_before(
+def _back_before(
     version: int, monitor: Monitor, journal: Journal, who: str, now_s: float, silenced: Sequence[int] = ()
-) -> dict[str, Any]:
+) -> Restored:
     """The parameters before a version again, as a new version; for another crop than the present one, once it is harvested.
 
     silenced: tickets that no longer update the parameters. Raises InputError.
@@ -163,14 +207,9 @@ def back_before(
         raise InputError(
             f"version {version}", "the flow comes from estimator_file, which learns nothing", "another estimator_file"
         )
-    before = journal.actions.undone_versions
     chosen, crop = journal.parameters.undo(version, in_use, journal.crop, who, now_s, silenced)
-    left = journal.actions.standing_of(journal.actions.undone_versions - before)
     monitor.set_estimator(estimator_of(monitor.machine, chosen), calibration_age_s(chosen, now_s))
-    return {
-        "undone": version, "until": in_use.version, "version": chosen.version, "effects": list(chosen.effects), "crop": crop,
-        "standing_tickets": left,
-    }  # fmt: skip
+    return Restored(version, in_use.version, chosen.version, chosen.effects, crop)
 
 
 def _update_again(
@@ -183,10 +222,9 @@ def _update_again(
     *,
     goes_back: bool,
     stay: Sequence[int] = (),
-) -> tuple[list[int], Mapping[int, str]]:
-    """Numbers of the tickets that update again, and why the others of these do not. gone: loads whose tickets go. crop: see
-    `Monitor.update_again`. goes_back: the parameters are those from before a ticket. stay: tickets for the same loads on which
-    these rest."""
+) -> Updating:
+    """These tickets update again, as far as they can. gone: loads whose tickets go. crop: see `Monitor.update_again`. goes_back:
+    the parameters are those from before a ticket. stay: tickets for the same loads on which these rest."""
     tickets = journal.actions.ledger.tickets
     updated: list[int] = []
     again: list[Weighing] = []
@@ -211,7 +249,7 @@ def _update_again(
     journal.happened(monitor.update_again(gone, again, learnt if goes_back or stays else None, crop, stays))
     journal.actions.wait_again(updated, crop)
     journal.actions.measure_lost_again()
-    return updated, why_not
+    return Updating(tuple(updated), why_not)
 
 
 def why_no_reference(

@@ -382,6 +382,10 @@ class ActionLog:
         }  # fmt: skip
         self.add(ledgers.POSTING, "", document)
 
+    def not_measured(self) -> None:
+        """What was taken could not be measured again yet: it waits as before."""
+        self._to_measure, self._taken, self._restoring = [*self._taken, *self._to_measure], (), 0
+
     def posted_by_crop(self, factors: Mapping[int, float], now_s: float) -> None:
         """Loads that are of another crop than they were measured with were measured again with its parameters."""
         document = {"tickets": [], "version": 0, "factors": {str(n): factor for n, factor in sorted(factors.items())}}
