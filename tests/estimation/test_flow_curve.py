@@ -172,6 +172,28 @@ def test_weighed_loads_of_one_flow_give_one_coefficient() -> None:
     assert 0.008 < found.relative_std_dev < 0.025
 
 
+@pytest.mark.parametrize("power", [0.8, 0.9, 1.1])
+def test_far_from_the_weighed_flows_a_curve_is_worth_less(power: float, tmp_path: Path) -> None:
+    """A force that goes with a power of the flow, weighed at 9 to 12 kg/s and used at 3 and 22."""
+    rng, speed, z = np.random.default_rng([int(100 * power)]), np.full(1, 400.0 * RPM), []
+    for _ in range(8):
+        weighings = []
+        for flow in rng.uniform(9.0, 12.0, 4):
+            kg = 1000.0 * flow
+            weighed = kg * (1.0 + 0.005 * rng.standard_normal())
+            force = np.full(1, 80.0 * (flow / 10.0) ** power)
+            weighings.append(WeighedLoad("1", weighed, 0.005 * kg, np.full(1, 1000.0), force, np.full(1, HOME), speed))
+        curve = fit_loads(weighings, HOME).curve
+        far = np.array([3.0, 22.0])
+        found = known(curve).estimate(80.0 * (far / 10.0) ** power, HOME, 400.0 * RPM)
+        z.append((found.mass_flow_kg_s - far) / found.std_dev_kg_s)
+    assert np.sqrt(np.mean(np.square(z))) < 2.0
+    flow_curve_file.save(curve, tmp_path / "c.yaml")
+    kept = flow_curve_file.load(tmp_path / "c.yaml")
+    assert (kept.exponent_std_dev, kept.about_kg_s) == (curve.exponent_std_dev, curve.about_kg_s)
+    assert curve.exponent_std_dev > 0.0
+
+
 def test_a_curve_by_shared_trucks_is_no_better_than_the_other_monitor() -> None:
     shared = [
         replace(load, std_dev_kg=0.04 * load.weighed_kg, common_kg=0.03 * load.weighed_kg)

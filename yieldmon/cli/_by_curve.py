@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 
 import numpy as np
 
 from yieldmon.cli import _by_loads, _notes, _provenance, model_options
 from yieldmon.documents.calibrate import CurveCalibrationDocument
 from yieldmon.errors import InputError
-from yieldmon.estimation.flow_curve import OFFSET_SHARE, AlphaBeta, FlowCurve
+from yieldmon.estimation.flow_curve import OFFSET_SHARE, AlphaBeta
 from yieldmon.estimation.weighing.flow_curve_fit import CurveFit, fit_loads, fit_table
 from yieldmon.files import flow_curve_file, table, whole_file
 
@@ -26,7 +27,7 @@ def run(args: argparse.Namespace) -> CurveCalibrationDocument:
     if args.out is not None:
         whole_file.check_place(args.out)
     found, facts = _of_loads(args) if args.loads is not None else _of_table(args)
-    curve = FlowCurve(found.curve.law, found.curve.relative_std_dev, found.curve.calibrated, facts)
+    curve = replace(found.curve, provenance=facts)
     document = report(found, ", ".join(args.loads) if args.loads is not None else args.data)
     if args.out is not None:
         flow_curve_file.save(curve, args.out)

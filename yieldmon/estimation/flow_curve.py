@@ -18,6 +18,7 @@ from yieldmon.physics.machine import SAME_ANGLE_RAD
 from yieldmon.physics.numerics import Array
 
 from .beyond_range import speed_error_beyond
+from .model_error import LEAST_LEVEL
 from .open_loop import FlowEstimate, broadcast_inputs, with_status
 from .parameters import CalibratedRange, ParameterSet
 
@@ -157,19 +158,25 @@ def _read_off(column: TableColumn, force_n: Array) -> Array:
 @dataclass(frozen=True)
 class FlowCurve:
     """A calibrated curve. relative_std_dev: of the error at a load that is not in the calibration, relative to the flow and
-    OFFSET_SHARE of the highest calibrated one; provenance: plain text."""
+    OFFSET_SHARE of the highest calibrated one; provenance: plain text. exponent_std_dev: of the power of the flow by which the
+    true curve may differ, about the flow about_kg_s."""
 
     law: AlphaBeta | LookUpTable
     relative_std_dev: float
     calibrated: CalibratedRange = field(default_factory=CalibratedRange)
     provenance: Mapping[str, str] = field(default_factory=dict)
+    exponent_std_dev: float = 0.0
+    about_kg_s: float = 10.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "provenance", MappingProxyType(dict(self.provenance)))
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Read-only views of mappings cannot be pickled as they are.
-        return FlowCurve, (self.law, self.relative_std_dev, self.calibrated, dict(self.provenance))
+        provenance = dict(self.provenance)
+        return FlowCurve, (
+            self.law, self.relative_std_dev, self.calibrated, provenance, self.exponent_std_dev, self.about_kg_s,
+        )  # fmt: skip
 
 
 class CurveEstimator:
@@ -220,6 +227,10 @@ class CurveEstimator:
         beyond = np.hypot(
             ANGLE_STD_DEV_PER_RAD * away, speed_error_beyond(self._curve.calibrated, self._curve.relative_std_dev, speed)
         )
+        share = flow / self._curve.about_kg_s
+        # Upwards as far as the parabola of another slope goes.
+        apart = np.where(share > 1.0, share - 1.0, 0.5 * np.log(np.square(share) + LEAST_LEVEL**2))
+        beyond = np.hypot(beyond, self._curve.exponent_std_dev * apart)
         sd = np.hypot(noise_sd, np.hypot(self._own_std_dev(flow), beyond * flow))
         outside = (away > 0.0) | self._curve.calibrated.outside(flow, None, speed, moist)
         return with_status(flow, sd, noise_sd, outside=outside, empty=force <= 0.0, usable=usable)

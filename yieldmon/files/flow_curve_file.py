@@ -20,7 +20,9 @@ _LAWS = {
     AlphaBeta.kind: ("plate_angle_deg", "alpha", "beta"),
     LookUpTable.kind: ("elevator_speed_rpm", "columns"),
 }
-_KEYS = ("format", "estimator", "relative_std_dev", "calibrated_range", "provenance")
+_KEYS = (
+    "format", "estimator", "relative_std_dev", "exponent_std_dev", "about_kg_s", "calibrated_range", "provenance",
+)  # fmt: skip
 _HEAD = {
     AlphaBeta.kind: "# Mass flow (kg/s) = alpha x + beta x^2, x = mean force (N) / elevator speed (rad/s).\n",
     LookUpTable.kind: "# Mass flow by mean force at elevator_speed_rpm, a column for each plate angle.\n",
@@ -51,6 +53,8 @@ def from_document(document: Any, where: str) -> FlowCurve:
         number(document.get("relative_std_dev"), f"{where}: relative_std_dev", "", 0.0, 10.0),
         calibrated_range(mapping(document, "calibrated_range", where), where),
         provenance,
+        number(document.get("exponent_std_dev", 0.0), f"{where}: exponent_std_dev", "", 0.0, 10.0),
+        number(document.get("about_kg_s", 10.0), f"{where}: about_kg_s", "kg/s", 1e-6, 1e6),
     )
 
 
@@ -71,6 +75,8 @@ def to_document(curve: FlowCurve) -> dict[str, Any]:
             for column in law.columns
         ]
     document["relative_std_dev"] = curve.relative_std_dev
+    if curve.exponent_std_dev:
+        document |= {"exponent_std_dev": curve.exponent_std_dev, "about_kg_s": curve.about_kg_s}
     document["calibrated_range"] = calibrated_document(curve.calibrated)
     document["provenance"] = dict(curve.provenance)
     return document

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from yieldmon.estimation.beyond_range import PER_LN_FLOW
 from yieldmon.estimation.fitting.measurements import Measurements
 from yieldmon.estimation.flow_curve import LEAST_RELATIVE_STD_DEV, OFFSET_SHARE, AlphaBeta, FlowCurve, LookUpTable, TableColumn
 from yieldmon.estimation.parameters import CalibratedRange
@@ -158,8 +159,15 @@ def fit_loads(loads: Sequence[WeighedLoad], plate_angle_rad: float) -> CurveFit:
     speeds = _speeds(np.concatenate([part[1] for part in seconds]))
     own = matrix @ np.array([alpha, beta]) / weighed - 1.0
     common = np.mean([load.common_kg / load.weighed_kg for load in loads])
-    relative = float(np.hypot(_relative(errors, own, np.ones(weighed.size, dtype=bool)), common))
-    curve = FlowCurve(law, relative, CalibratedRange(span(flow), (plate_angle_rad, plate_angle_rad), speeds, moisture))
+    apart = _relative(errors, own, np.ones(weighed.size, dtype=bool))
+    relative = float(np.hypot(apart, common))
+    calibrated = CalibratedRange(span(flow), (plate_angle_rad, plate_angle_rad), speeds, moisture)
+    level = np.log(weighed / [load.duration_s.sum() for load in loads])
+    # Few loads may agree by chance, by no more than their tickets do.
+    tickets = np.mean([load.relative_sd**2 - (load.common_kg / load.weighed_kg) ** 2 for load in loads])
+    own_sd = max(apart, float(np.sqrt(tickets)))
+    exponent = 1.0 / float(np.hypot(1.0 / PER_LN_FLOW, np.std(level) * np.sqrt(level.size) / own_sd))
+    curve = FlowCurve(law, relative, calibrated, {}, exponent, float(np.exp(level.mean())))
     return CurveFit(curve, len(loads), tuple(weighed.tolist()), tuple(errors.tolist()), tuple(own.tolist()))
 
 
