@@ -195,7 +195,7 @@ class DriftingSeason:
             return
         before, widening, bias = self.known, outcome.prior_widening, self.bias
         after = learn(before, outcome.parameter_set, widening=widening)
-        prior = _joined(widened(before.joint, len(before.parameters.covariance_names), widening), bias)
+        prior = _joined(widened(before.joint, before.parameters.covariance_names, widening), bias)
         if bias is not None:
             self.bias = common_bias.followed(bias, before, after, widening=widening)
         self._spread = drift_spread.updated(self._spread, drift_spread.by_update(prior, _joined(after.joint, self.bias)))

@@ -376,17 +376,21 @@ def test_a_name_keeps_its_capital_in_the_summary(offset_found) -> None:
 SHARED = "repetitions share an error"
 
 
-@pytest.mark.parametrize("wrong", ["shared error", "sigma too small"])
-def test_conditions_that_scatter_more_than_repetitions_are_reported(make_rows, start, wrong: str) -> None:
+def test_conditions_that_scatter_more_than_repetitions_are_reported(make_rows, start) -> None:
     rows = make_rows()
-    if wrong == "shared error":
-        shared = np.random.default_rng(11).standard_normal(72)
-        rows = replace(rows, value=rows.value * (1.0 + 0.03 * shared[rows.cell]))
-    else:
-        rows = replace(rows, sigma=0.003 * np.hypot(rows.value, 0.1 * rows.value.max()))
+    shared = np.random.default_rng(11).standard_normal(72)
+    rows = replace(rows, value=rows.value * (1.0 + 0.03 * shared[rows.cell]))
     seen = diagnosis.examine(rows, start, QUICK)
     assert seen.choice.verdict == "unknown"
     assert any(SHARED in note for note in seen.notes)
+
+
+def test_a_sigma_that_repetitions_refute_is_widened_and_reported(make_rows, start) -> None:
+    rows = make_rows()
+    rows = replace(rows, sigma=0.003 * np.hypot(rows.value, 0.1 * rows.value.max()))
+    seen = diagnosis.examine(rows, start, QUICK)
+    assert seen.choice.verdict == "none"
+    assert any("times the stated sigma, since repeated rows scatter that much more" in note for note in seen.notes)
 
 
 @pytest.mark.parametrize("kind", OUTSIDE)

@@ -196,8 +196,9 @@ def test_logs_that_add_nothing_to_their_day_are_named_at_each_run(
         code, document, _ = fleet_run(tree, out, capsys)
         assert (code, document[status], document["poisoned"]) == (0, 2, [])
         assert {item["partition"] for item in document["doubtful"]} == {f"machine=m0/day={DAY}"}
-        cut, other, empty = (item["problem"] for item in document["doubtful"])
+        cut, again, other, empty = (item["problem"] for item in document["doubtful"])
         assert "the compressed data end early" in cut
+        assert "it holds the frames of a.log again (+0 ms); left out" in again
         assert (empty, other) == (
             "b.log: no frame at all", "c.log: none of its 3 frames is one that yieldmon takes in",
         )  # fmt: skip

@@ -54,9 +54,9 @@ class ClosedLoopSettings:
     def __post_init__(self) -> None:
         if self.flow not in ("constant", "linear", "process"):
             raise ValueError(f"flow model {self.flow!r}; expected constant, linear or process")
-        for name in ("flow_slope_sd_per_s", "flow_process_sd", "flow_process_time_s"):
+        for name in ("flow_slope_sd_per_s", "flow_process_time_s"):
             if not 0.0 < getattr(self, name) < inf:
                 raise ValueError(f"{name} is {getattr(self, name)}; expected a number above 0")
-        for name in ("model_error", "learned_information", "kept_ratio", "consistent_p"):
+        for name in ("flow_process_sd", "model_error", "learned_information", "kept_ratio", "consistent_p"):
             if not 0.0 <= getattr(self, name) < inf:
                 raise ValueError(f"{name} is {getattr(self, name)}; expected a number, 0 or more")

@@ -62,8 +62,8 @@ class Measured:
 
 @dataclass(slots=True)
 class _Span:
-    """A log's frames, in time and number, how many the engine took, the first of the rows that came while it was read, and a hash
-    of each impact sensor's samples."""
+    """A log's frames, in time and number, how many the engine took, the first of the rows that came while it was read, a hash of
+    each impact sensor's samples, and whether it begins with frames of a log before it."""
 
     log: str
     first_row: int
@@ -72,6 +72,7 @@ class _Span:
     start_s: float = float("nan")
     end_s: float = float("nan")
     sensors: dict[int, Any] = field(default_factory=dict)
+    repeats: bool = False
 
     def take(self, run: FrameRun) -> None:
         if not isfinite(self.start_s):
@@ -104,7 +105,7 @@ class _Taken:
 
     def progress(self, stretch: Stretch | EndOfLog) -> None:
         if isinstance(stretch, EndOfLog):
-            self.spans[-1].log = stretch.path
+            self.spans[-1].log, self.spans[-1].repeats = stretch.path, stretch.repeats
             self.spans.append(_Span("", len(self.rows)))
             return
         span = self.spans[-1]
@@ -238,7 +239,7 @@ def _record(logs: Sequence[str], configured: Configuration, path: Path) -> tuple
 
 def _without_ours(taken: _Taken) -> list[str]:
     """The logs that add nothing to the day, a line each."""
-    nothing = [span for span in taken.spans if span.log and not span.ours]
+    nothing = [span for span in taken.spans if span.log and not span.ours and not span.repeats]
     whys = (f"none of its {s.frames} frames is one that yieldmon takes in" if s.frames else "no frame at all" for s in nothing)
     return [f"{span.log}: {why}" for span, why in zip(nothing, whys, strict=True)]
 

@@ -190,9 +190,12 @@ def _damages(row: Mapping[str, Any], address: str) -> list[str]:
 
 def _of_one_day(row: Mapping[str, Any], damages: Sequence[str]) -> Iterator[str]:
     """What is wrong with a day by itself."""
-    if damages:
-        more = f" (and {len(damages) - 1} more)" if len(damages) > 1 else ""
-        yield f"damaged: {damages[0]}{more}"
+    from yieldmon.service.logs.recorded_before import LEFT_OUT
+
+    yield from (text for text in damages if text.endswith(LEFT_OUT))
+    if damaged := [text for text in damages if not text.endswith(LEFT_OUT)]:
+        more = f" (and {len(damaged) - 1} more)" if len(damaged) > 1 else ""
+        yield f"damaged: {damaged[0]}{more}"
     if off_by_days(row["day"], row["start_s"]):
         begin = datetime.fromtimestamp(min(row["start_s"], LATEST_DATE_S), UTC).date().isoformat()
         yield f"{row['first_log']} begins on {begin} by its clock"

@@ -119,7 +119,7 @@ class Learning(Section):
 
     enabled: bool = choice(True, "let sweeps and weighed loads move the parameters")
     flow_model: Literal["constant", "linear", "process"] = choice(_K.flow, "how the flow may change during a sweep")
-    flow_slope_sd_per_s: float = quantity(_K.flow_slope_sd_per_s, 0.0, 1.0, "1/s", "linear: relative deviation of the slope")
+    flow_slope_sd_per_s: float = quantity(_K.flow_slope_sd_per_s, 1e-6, 1.0, "1/s", "linear: relative deviation of the slope")
     flow_process_sd: float = quantity(_K.flow_process_sd, 0.0, 1.0, "1", "process: relative standard deviation of the flow")
     flow_process_time_s: float = quantity(_K.flow_process_time_s, 1.0, 3600.0, "s", "process: correlation time of the flow")
     model_error: float = quantity(_K.model_error, 0.0, 0.5, "1", "relative error of the model at an angle of a sweep")

@@ -64,11 +64,13 @@ class Stretch:
 
 @dataclass(frozen=True)
 class EndOfLog:
-    """A log is read to its end. channels: those with a frame that was looked at, chosen or not."""
+    """A log is read to its end. channels: those with a frame that was looked at, chosen or not. repeats: whether it begins with
+    frames of a log before it, which are left out."""
 
     path: str
     damages: list[str]
     channels: frozenset[str] = field(default=frozenset(), compare=False)
+    repeats: bool = False
 
 
 def process_in_bulk(
@@ -147,7 +149,7 @@ def stretches_of(paths: Iterable[str], taking: Taking) -> Iterator[Stretch | End
             yield replace(found, incomplete=decoder.incomplete - before)
             frames = notes.frames
         shared = one_channel.end_of_log(path) if one_channel is not None else []
-        yield EndOfLog(path, [*notes.lacks(path), *shared, *([again] if again else [])], channels)
+        yield EndOfLog(path, [*notes.lacks(path), *shared, *([again] if again else [])], channels, bool(again))
     if decoder.under_way:
         yield Stretch(0, 0, 0, incomplete=decoder.under_way)
 

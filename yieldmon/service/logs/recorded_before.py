@@ -21,6 +21,8 @@ from yieldmon.bus.loading import iter_blocks
 from yieldmon.bus.log_notes import LogNotes
 from yieldmon.errors import InputError
 
+LEFT_OUT = "left out, as the grain counts once"
+"""End of the line that says so."""
 _MULTIPLIER, _ALL_BUT_BITS = np.uint64(0x9E3779B97F4A7C15), np.uint64(58)
 """Of a payload, so that one in 64 of them is compared, whatever its counter."""
 _LEAST_ALIKE = 8
@@ -68,7 +70,7 @@ class RecordedBefore:
                 held = (
                     f"up to {utc.text(utc.moment(until_s))} it holds the frames of {other.path} again ({1e3 * apart_s:+.0f} ms)"
                 )
-                line = f"{path}: {held}; left out, as the grain counts once"
+                line = f"{path}: {held}; {LEFT_OUT}"
         self._logs.append(_Log(path))
         return until_s, line
 
