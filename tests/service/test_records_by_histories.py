@@ -1,4 +1,4 @@
-"""Whatever happens, loads, tickets and parameters end as if wrong tickets that were taken back had never been entered.
+"""Whatever happens, loads, tickets and parameters end as if wrong tickets, taken back or replaced, had never been entered.
 
 Below the daemon's threads: an engine that is fed second by second, commands as the control socket hands them on, a store, and
 loads that are measured again on their own thread, which a history holds up and lets go on.
@@ -256,14 +256,18 @@ def grain_kg(seconds: int, signal_mv: float) -> float:
 
 
 class History:
-    """Draws steps: one right ticket of a load at most; wrong ones of any loads, taken back at any time."""
+    """Draws steps: one right ticket of a load at most; wrong ones of any loads, taken back at any time, or (replaces) replaced by
+    the right one for the same loads."""
 
-    def __init__(self, seed: int) -> None:
+    def __init__(self, seed: int, *, replaces: bool = False) -> None:
         self.draw = random.Random(seed)
         self.loads, self.weighed, self.wrong, self.keys = [2, 3, 4, 5], set[int](), list[int](), itertools.count(1)
+        self.requests: dict[int, dict[str, Any]] = {}
+        """Of the wrong tickets, by key."""
         self.kinds: tuple[tuple[int, Callable[[], list[Step]]], ...] = (
             (30, self.right_ticket), (15, self.wrong_ticket), (12, self.undo), (5, lambda: [Step("restart")]), (7, self.hold),
             (14, self.play), (5, self.harvest), (4, self.crop), (4, self.names), (2, self.zero), (2, self.file),
+            (25 if replaces else 0, self.replacement),
         )  # fmt: skip
 
     def steps(self, count: int = 14) -> list[Step]:
@@ -271,6 +275,8 @@ class History:
         weights, kinds = zip(*self.kinds, strict=True)
         while len(found) < len(HARVESTED) + count:
             found += self.draw.choices(kinds, weights)[0]()
+        for _ in self.wrong if weights[-1] else ():
+            found += self.replacement()
         found += [Step("ticket-undo", {}, key, wrong=True) for key in self.wrong]
         return [*found, Step("restart")] if self.draw.random() < 0.5 else found
 
@@ -291,7 +297,21 @@ class History:
     def wrong_ticket(self) -> list[Step]:
         step = self.ticket(self.draw.choice(self.loads), self.loads, self.draw.choice(WRONG), wrong=True)
         self.wrong.append(step.key)
+        self.requests[step.key] = step.request
         return [step]
+
+    def replacement(self) -> list[Step]:
+        """The right ticket for the loads of a wrong one, which is not taken back."""
+        loads = {key: {self.requests[key]["first_load"], self.requests[key]["last_load"]} for key in self.wrong}
+        free = [key for key in self.wrong if self.weighed.isdisjoint(loads[key])]
+        if not free:
+            return []
+        wrong = self.draw.choice(free)
+        self.wrong.remove(wrong)
+        self.weighed |= loads[wrong]
+        request = {"first_load": min(loads[wrong]), "last_load": max(loads[wrong])}
+        request |= {"factor": TRUE * self.draw.gauss(1.0, 0.003), "killed": self.draw.random() < 0.1}
+        return [Step("ticket", request, next(self.keys))]
 
     def undo(self) -> list[Step]:
         if not self.wrong:
@@ -341,7 +361,7 @@ def left(folder: Path, steps: Sequence[Step], refused: set[int], *, leave_out_wr
                 refused.add(place)
             desk.check()
         desk.settle()
-        values, counted = dict[str, Any](), desk.monitor.counted_loads
+        values = dict[str, Any]()
         for crop in (*CROPS, CROPS[0]):
             desk.ask("load-start", crop=crop)
             desk.ask("load-stop")
@@ -352,7 +372,7 @@ def left(folder: Path, steps: Sequence[Step], refused: set[int], *, leave_out_wr
         # Of a shared truck a part is taken from what was measured when it was entered.
         shared = {row["number"] for row in desk.ask("tickets")["tickets"] if row["truck"]}
         corrected = {row["number"]: row["corrected_mass_kg"] for row in rows if row["ticket_id"] not in shared}
-        return {"values": values, "corrected": corrected, "counted": counted}
+        return {"values": values, "corrected": corrected, "counted": desk.monitor.counted_loads}
     finally:
         desk.end()
 
@@ -389,6 +409,23 @@ CASES = {
         Step("load-start", {"crop": "wheat"}), Step("harvest", {"seconds": 4, "signal_mv": 70.0}),
         weighing(1, 7, 1.3, wrong=True), seconds(4),
         Step("load-correct", {"first_load": 4, "crop": "wheat"}), seconds(2), undo(1),
+    ),
+    "for a load whose own updated before another parameter file": (
+        weighing(1, 5), seconds(3), Step("file", {"name": "own.yaml"}), seconds(3), weighing(2, 5, 1.3, wrong=True), seconds(3),
+        undo(2),
+    ),
+    "after which another parameter file came, for a load whose own had updated": (
+        weighing(1, 5), seconds(3), weighing(2, 5, 1.3, wrong=True), seconds(3), Step("file", {"name": "own.yaml"}), seconds(3),
+        undo(2),
+    ),
+    "for a load whose own was entered before another parameter file, with one more": (
+        weighing(1, 5), seconds(3), weighing(2, 3), Step("file", {"name": "own.yaml"}), seconds(3),
+        weighing(3, 5, 1.3, wrong=True), weighing(4, 5, 1.2, wrong=True), seconds(3), undo(3), seconds(2), undo(4),
+    ),
+    "for loads of two crops with their own": (
+        Step("load-start", {"crop": "wheat"}), Step("harvest", {"seconds": 4, "signal_mv": 70.0}),
+        Step("load-correct", {"first_load": 4, "crop": "wheat"}), weighing(1, 5), weighing(2, 4), seconds(3),
+        Step("ticket", {"first_load": 4, "last_load": 5, "factor": TRUE}, 3, wrong=True), seconds(3), undo(3),
     ),
     "waiting when another parameter file comes": (
         weighing(1, 5), seconds(3), weighing(2, 3, 1.02, wrong=True), Step("file", {"name": "own.yaml"}), seconds(3), undo(2),
@@ -476,3 +513,41 @@ def test_a_ticket_for_a_load_that_was_given_no_crop_is_of_the_one_that_was_harve
     desk.play(3, 0.0)
     assert dict(desk.monitor.estimator.parameters.values) == shipped
     desk.end()
+
+
+REPLACED = {
+    "that has updated": (
+        weighing(1, 2), seconds(3), weighing(2, 5, 1.2, wrong=True), seconds(4), weighing(3, 3), seconds(3), weighing(4, 5),
+    ),
+    "that is the first": (weighing(1, 5, 1.2, wrong=True), seconds(4), weighing(2, 5), seconds(3), weighing(3, 3)),
+    "that waits": (weighing(1, 5, 1.2, wrong=True), weighing(2, 3), weighing(3, 5)),
+    "by one for more loads": (
+        weighing(1, 3, 1.2, wrong=True), seconds(3), weighing(2, 5), seconds(3), Step("restart"),
+        Step("ticket", {"first_load": 3, "last_load": 4, "factor": TRUE}, 3),
+    ),
+    "by one that is taken back": (
+        weighing(1, 5), seconds(3), weighing(2, 3), weighing(3, 5, 1.2, wrong=True), seconds(4), weighing(4, 2), seconds(3),
+        undo(3),
+    ),
+    "while its loads are measured again": (
+        weighing(1, 3), seconds(3), Step("hold", {"on": True}), weighing(2, 5, 1.2, wrong=True), seconds(3), Step("restart"),
+        weighing(3, 5), seconds(2),
+    ),
+    "after another parameter file": (
+        weighing(1, 5, 1.2, wrong=True), seconds(4), Step("file", {"name": "own.yaml"}), seconds(3), weighing(2, 5), seconds(3),
+    ),
+    "after another parameter file, with one more that is taken back": (
+        weighing(1, 5, 1.2, wrong=True), seconds(4), Step("file", {"name": "own.yaml"}), seconds(3), weighing(2, 5),
+        weighing(3, 5, 1.3, wrong=True), seconds(3), undo(3),
+    ),
+    "of a crop that is not harvested now": (
+        weighing(1, 5, 1.2, wrong=True), seconds(3), weighing(2, 3), seconds(3), Step("load-start", {"crop": "wheat"}),
+        Step("harvest", {"seconds": 4, "signal_mv": 70.0}), weighing(3, 5), seconds(2),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("steps", REPLACED.values(), ids=list(REPLACED))
+def test_a_ticket_that_is_replaced_leaves_nothing(steps: tuple[Step, ...], tmp_path: Path) -> None:
+    found, expected = same_without((*HARVESTED, *steps), tmp_path)
+    assert found["counted"] == expected["counted"]

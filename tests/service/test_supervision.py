@@ -198,7 +198,7 @@ def test_the_prometheus_file_is_written_again_after_a_thread_that_died(tmp_path:
 
 def test_a_disk_that_holds_up_tickets_leaves_status_its_answer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     gate = threading.Event()
-    monkeypatch.setattr(command_loads, "of_path", lambda path, numbers: gate.wait(PATIENCE_S) and ())
+    monkeypatch.setattr(command_loads, "of_new_ticket", lambda path, numbers: gate.wait(PATIENCE_S) and ())
     reported: list[str] = []
 
     def ticket() -> None:

@@ -207,7 +207,7 @@ def test_an_undo_names_the_standing_ticket_whose_update_goes_with_it() -> None:
     for number, load in ((1, 4), (2, 4), (3, 7), (4, 4)):
         log.ticket(Ticket(1.0, load, load, 100.0, 90.0, ""), is_reference=True)
         log.add(PARAMETERS, "", {"version": 1 + number, "from_version": number, "origin": "ticket", "tickets": [number]})
-    assert log.first_update(1, counts=True) == 2
+    assert log.first_update(1, lambda _: True) == 2
     log.undo_ticket(1, "", 2.0)
     assert log.standing_of({2, 3, 4, 5}) == (3, 4)
     assert log.standing_of({2}) == ()

@@ -60,6 +60,23 @@ def _updates(answer: Mapping[str, Any]) -> str:
     return "".join(f"; {part}" for part in parts)
 
 
+def replaced(answer: Mapping[str, Any]) -> str:
+    """What a new ticket leaves of those that stood for its loads."""
+    rows = answer.get("taken_back", ())
+    numbers, stood = [row["ticket"] for row in rows], answer["replaces"]
+    undo = f"`yieldmon ticket undo {answer['ticket']}` if it is for another load"
+    said = f"ticket {_listed(stood)} stood for it; the newer one counts ({undo}; of two weighings of one load enter the sum)"
+    if numbers:
+        said += f", as if ticket {_listed(numbers)} had never been entered"
+    for row in rows:
+        if "teaching_stays" in row:
+            said += f"; the update of the parameters by ticket {row['ticket']} stays: {row['teaching_stays']}"
+        said += _updates(row)
+    if others := [number for number in stood if number not in numbers]:
+        said += f"; ticket {_listed(others)} counts for its other loads, and for the parameters as it is"
+    return said
+
+
 def taken_back(answer: Mapping[str, Any]) -> str:
     """What an undo of a ticket did."""
     if "undone" in answer:

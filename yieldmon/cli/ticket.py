@@ -14,7 +14,7 @@ from typing import Any
 
 from yieldmon.cli._daemon import add_daemon_arguments, ask_daemon, in_thousands, mass
 from yieldmon.cli._json import print_json
-from yieldmon.cli._records import load_numbers, show, taken_back, undone, when
+from yieldmon.cli._records import load_numbers, replaced, show, taken_back, undone, when
 from yieldmon.cli._units import add_units
 from yieldmon.errors import InputError
 from yieldmon.files.units import units_of
@@ -101,11 +101,8 @@ def _warnings(answer: Mapping[str, Any], units: Units) -> Iterator[str]:
     doubt = answer.get("question") or (f"{off_pct:+.0f} % is a lot" if abs(off_pct) > UNLIKELY_PCT else "")
     if doubt:
         yield f"{units.in_text(doubt)}; if it is a slip, enter the right mass as another ticket"
-    if replaced := answer.get("replaces"):
-        yield (
-            f"ticket {', '.join(map(str, replaced))} stood for it; the newer one counts (`yieldmon ticket undo "
-            f"{answer['ticket']}` if it is for another load; of two weighings of one load enter the sum)"
-        )
+    if answer.get("replaces"):
+        yield replaced(answer)
     if (alone := answer.get("sets_scale_pct")) is not None:
         yield (
             f"the first ticket, it sets the scale by itself ({alone:+.1f} %); compare it with the slip, and weigh a second load, "

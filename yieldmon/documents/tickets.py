@@ -22,7 +22,8 @@ class TicketEntered(TypedDict):
     weighed_mass_kg: of these loads; of a truck the best of what the other combine leaves (own_mass_kg) and of what was measured.
     known_mass_kg: measured_mass_kg as corrected before. factor: weighed over measured. anchor: whether it is a reference mass for
     the calibration, else why_no_anchor; waits_for_crop: for whose return. question: what is doubtful of it. replaces: tickets
-    that stood for these loads. sets_scale_pct: of the first ticket, what it moves the scale by.
+    that stood for these loads; taken_back: those of them whose loads all have newer ones now, and what became of their updates.
+    sets_scale_pct: of the first ticket, what it moves the scale by.
     """
 
     crop: str
@@ -41,6 +42,7 @@ class TicketEntered(TypedDict):
     waits_for_crop: str
     question: str
     replaces: list[int]
+    taken_back: list[TicketUndone]
     sets_scale_pct: Number
 
 

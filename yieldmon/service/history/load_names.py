@@ -99,10 +99,12 @@ def _reasons(what: str, why: Mapping[int, str]) -> list[dict[str, Any]]:
 
 
 def _tickets_of(loads: Sequence[Load], journal: Journal) -> dict[int, Ticket]:
-    """The standing tickets for these loads. Raises InputError for one that is for further loads as well."""
-    numbers = {load.number for load in loads}
-    found = {}
-    for number, ticket in journal.actions.ledger.tickets.items():
+    """The tickets that count for these loads. Raises InputError for one that is for further loads as well."""
+    numbers, standing = {load.number for load in loads}, journal.actions.ledger
+    replaced, found = standing.replaced, {}
+    for number, ticket in standing.tickets.items():
+        if number in replaced:
+            continue
         covered = {load.number for load in journal.loads if ticket.first_load <= load.number <= ticket.last_load}
         if not covered & numbers:
             continue

@@ -94,12 +94,20 @@ class ParameterHistory:
         self.digest = parameter_file.digest(configured)
 
     def undo(
-        self, version: int, in_use: ParameterSet, named: str, who: str, now_s: float, silenced: Sequence[int] = ()
+        self,
+        version: int,
+        in_use: ParameterSet,
+        named: str,
+        who: str,
+        now_s: float,
+        silenced: Sequence[int] = (),
+        replaced: int = 0,
     ) -> tuple[ParameterSet, str]:
         """The parameters before a version, as a new version in use; the crop, where that is another than is harvested now: then
         those in use stay, and its own are kept for it. Raises InputError.
 
-        named: the crop that an operator named last. silenced: tickets that no longer update the parameters.
+        named: the crop that an operator named last. silenced: tickets that no longer update the parameters. replaced:
+        the ticket that a newer one replaces; 0 where that is not why.
         """
         changes = self._actions.updates
         if version not in changes:
@@ -122,6 +130,7 @@ class ParameterHistory:
         of_now = not crop or not now or crop == now
         followed = self._followed(version, (crop, "") if of_now else (crop,))
         document = {"version": version, "versions": followed} | ({"tickets": list(silenced)} if silenced else {})
+        document |= {"replaced": replaced} if replaced else {}
         self._actions.add(ledgers.PARAMETERS_UNDO, who, document, now_s)
         earlier = replace(self._versions[before], version=self.version + 1)
         if of_now:
@@ -135,13 +144,14 @@ class ParameterHistory:
         self.use(chosen, ledgers.CROP, who, f"what is known of {now}")
         return chosen, crop
 
-    def withdraw(self, version: int, who: str, now_s: float) -> None:
+    def withdraw(self, version: int, who: str, now_s: float, replaced: int = 0) -> None:
         """A version that a parameter file has replaced since rests on what was taken back: masses measured again with it, or with
-        what followed on it before that file, go back. The parameters in use stay."""
+        what followed on it before that file, go back. The parameters in use stay. replaced: as `undo` has it."""
         changes = self._actions.updates
         file = min(later for later in changes if later > version and changes[later].document.get("origin") == "file")
-        replaced = [later for later in self._followed(version, (self._crop_at(version), "")) if later < file]
-        self._actions.add(ledgers.PARAMETERS_UNDO, who, {"version": version, "versions": replaced}, now_s)
+        before_file = [later for later in self._followed(version, (self._crop_at(version), "")) if later < file]
+        document = {"version": version, "versions": before_file} | ({"replaced": replaced} if replaced else {})
+        self._actions.add(ledgers.PARAMETERS_UNDO, who, document, now_s)
 
     def _followed(self, version: int, crops: Sequence[str]) -> list[int]:
         """A version and those after it, of these crops where it is of one."""

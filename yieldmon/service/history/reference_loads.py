@@ -55,17 +55,20 @@ class ReferenceLoad:
     versions: frozenset[int]
 
 
-def of_path(path: Path, numbers: Collection[int]) -> tuple[StoredLoad, ...]:
-    """`of_store` of the store at a path. Raises InputError."""
+def of_new_ticket(path: Path, named: Collection[int]) -> tuple[StoredLoad, ...]:
+    """The loads named, of the store at a path, as `of_store`; where one has a ticket, which a new one may replace, with those of
+    all tickets that stand. Raises InputError."""
     with opened(path) as store:
-        return of_store(store, numbers)
+        ticketed = ledger.ledger(store.tickets(), store.actions()).newest
+        if ticketed.keys().isdisjoint(named):
+            return of_store(store, named)
+    return of_standing_tickets(path, named)
 
 
 def of_standing_tickets(path: Path, named: Collection[int] = ()) -> tuple[StoredLoad, ...]:
     """The loads of the tickets that stand and those named, of the store at a path, as `of_store`. Raises InputError."""
     with opened(path) as store:
-        standing = ledger.ledger(store.tickets(), store.actions()).tickets.values()
-        ticketed = {number for ticket in standing for number in range(ticket.first_load, ticket.last_load + 1)}
+        ticketed = set(ledger.ledger(store.tickets(), store.actions()).newest)
         of_named = of_store(store, named)
         return (*of_named, *of_store(store, ticketed - {load.load.number for load in of_named}))
 

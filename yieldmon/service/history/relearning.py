@@ -53,8 +53,8 @@ def without_ticket(
 
     Where it has updated the parameters, these are those from before it, updated again by the standing tickets after it. What
     sweeps and kernel noise changed since then goes. Where a parameter file has replaced them since, it stays, and masses
-    measured again with what the ticket led to go back. stored: loads of standing tickets, as the store has them. Raises
-    InputError.
+    measured again with what the ticket led to go back. A ticket that it replaced stands again and updates.
+    stored: loads of standing tickets, as the store has them. Raises InputError.
     """
     return _without(number, monitor, journal, who, now_s, stored, stands=())
 
@@ -104,6 +104,13 @@ def without_updates(
     return [_without(number, monitor, journal, who, now_s, stored, stands=numbers) for number in numbers]
 
 
+def without_replaced(
+    numbers: Sequence[int], monitor: Monitor, journal: Journal, who: str, now_s: float, stored: Sequence[StoredLoad]
+) -> list[TicketUndone]:
+    """The same of tickets that stand, which a newer one is about to replace."""
+    return [_without(number, monitor, journal, who, now_s, stored, stands=numbers, replaced=number) for number in numbers]
+
+
 def _without(
     number: int,
     monitor: Monitor,
@@ -113,20 +120,34 @@ def _without(
     stored: Sequence[StoredLoad],
     *,
     stands: Sequence[int],
+    replaced: int = 0,
 ) -> TicketUndone:
-    """stands: tickets that are not taken back but no longer update the parameters."""
+    """stands: tickets that are not taken back but no longer update the parameters. replaced: see `ParameterHistory.undo`."""
     actions = journal.actions
     ticket = actions.standing_ticket(number)
     loads = range(ticket.first_load, ticket.last_load + 1)
-    first = actions.first_update(number, counts=any(load in monitor.counted_loads for load in loads))
+    again, of_file_before = tuple[int, ...](), tuple[int, ...]()
+    if number not in stands:
+        again, of_file_before = actions.stand_again_without(number)
+    # One for loads of two crops has updated none itself.
+    crop = _crop_of(journal, again[0] if again else number)
+    of_others = [n for n in again if _crop_of(journal, n) != crop]
+    again = tuple(n for n in again if n not in of_others)
+
+    def counts(ticket: int) -> bool:
+        return _crop_of(journal, ticket) == crop and ticket not in stands
+
+    has_counted = any(load in monitor.counted_loads for load in loads)
+    rest = [actions.first_update(number, counts if has_counted else None), *(actions.first_update(n, counts) for n in again)]
+    first = min((version for version in rest if version is not None), default=None)
     answer: TicketUndone = {"ticket": number, "first_load": ticket.first_load, "last_load": ticket.last_load}
-    replaced = actions.update_before_file(number)
-    if replaced is not None:
-        journal.parameters.withdraw(replaced, who, now_s)
+    gone = [actions.update_before_file(number), *(actions.update_without_replaced(n) for n in of_file_before)]
+    if any(gone):
+        journal.parameters.withdraw(min(version for version in gone if version), who, now_s, replaced)
     undone_before, back = actions.undone_versions, None
     if first is not None:
         try:
-            back = _back_before(first, monitor, journal, who, now_s)
+            back = _back_before(first, monitor, journal, who, now_s, replaced=replaced)
         except InputError as error:
             # The mass that it corrected comes back all the same.
             answer["teaching_stays"] = str(error)
@@ -134,16 +155,17 @@ def _without(
         actions.wait_no_more([number])
     else:
         actions.undo_ticket(number, who, now_s)
-    undone, crop = actions.undone_versions - undone_before, _crop_of(journal, number)
-
-    def counts(ticket: int) -> bool:
-        return _crop_of(journal, ticket) == crop and ticket not in stands
-
-    later = filter(counts, actions.not_learnt_after(number))
+        for older in of_file_before:
+            actions.post_again(older)
+    undone = actions.undone_versions - undone_before
+    # Those that it replaced update again, each before the tickets after it.
+    later = filter(counts, actions.not_learnt_after(min((number, *again))))
     led = {*actions.standing_of(undone)}.difference(stands)
     numbers, stay = _updating({*led, *later}, loads, counts, actions)
     other = _if_other(crop, monitor, journal) if back is None else back.crop
     updating = _update_again(numbers, loads, other, monitor, journal, stored, goes_back=back is not None, stay=stay)
+    for ticket_of_other in of_others:
+        update_crop([ticket_of_other], _crop_of(journal, ticket_of_other), monitor, journal, stored)
     if back is not None or updating.again:
         answer["learnt_again"] = list(updating.again)
     if back is not None or updating.why_not:
@@ -174,7 +196,7 @@ def _updating(
     ticketed = (actions.entered(number) for number in judged)
     loads = {*gone, *(load for ticket in ticketed for load in range(ticket.first_load, ticket.last_load + 1))}
     same, learnt = [number for number in actions.handed_for(loads) if counts(number)], actions.learnt_from()
-    again = [number for number in actions.newest_of({*judged, *same}) if number not in learnt]
+    again = sorted({*judged, *same}.difference(learnt))
     return again, [number for number in same if number in learnt]
 
 
@@ -196,18 +218,24 @@ def _crop_of(journal: Journal, number: int) -> str:
 
 
 def _back_before(
-    version: int, monitor: Monitor, journal: Journal, who: str, now_s: float, silenced: Sequence[int] = ()
+    version: int,
+    monitor: Monitor,
+    journal: Journal,
+    who: str,
+    now_s: float,
+    silenced: Sequence[int] = (),
+    replaced: int = 0,
 ) -> Restored:
     """The parameters before a version again, as a new version; for another crop than the present one, once it is harvested.
 
-    silenced: tickets that no longer update the parameters. Raises InputError.
+    silenced, replaced: see `ParameterHistory.undo`. Raises InputError.
     """
     in_use = monitor.estimator.parameters
     if in_use.curve is not None:
         raise InputError(
             f"version {version}", "the flow comes from estimator_file, which learns nothing", "another estimator_file"
         )
-    chosen, crop = journal.parameters.undo(version, in_use, journal.crop, who, now_s, silenced)
+    chosen, crop = journal.parameters.undo(version, in_use, journal.crop, who, now_s, silenced, replaced)
     monitor.set_estimator(estimator_of(monitor.machine, chosen), calibration_age_s(chosen, now_s))
     return Restored(version, in_use.version, chosen.version, chosen.effects, crop)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from yieldmon.errors import InputError
-from yieldmon.service.history.reference_loads import StoredLoad, of_path, of_standing_tickets
+from yieldmon.service.history.reference_loads import StoredLoad, of_new_ticket, of_standing_tickets
 from yieldmon.service.operator import commands
 from yieldmon.service.operator.control_protocol import ControlError
 
@@ -43,7 +43,7 @@ class CommandLoads:
         if not self._reading.acquire(timeout=self._patience_s):
             raise ControlError("the disk does not answer; nothing was done")
         try:
-            return of_standing_tickets(path, numbers) if updates_again else of_path(path, numbers)
+            return of_standing_tickets(path, numbers) if updates_again else of_new_ticket(path, numbers)
         except InputError as error:
             _log.warning("loads of an earlier run cannot be read: %s", error)
             return ()

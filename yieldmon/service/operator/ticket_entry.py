@@ -15,7 +15,7 @@ from yieldmon.errors import InputError
 from yieldmon.estimation.estimators import estimator_of
 from yieldmon.files import ticket_file
 from yieldmon.files.crops import shipped_name
-from yieldmon.service.history.relearning import weighings, why_no_reference
+from yieldmon.service.history.relearning import weighings, why_no_reference, without_replaced
 from yieldmon.service.operator.control_protocol import TICKET_KG
 from yieldmon.service.operator.order import Order, covered_loads
 from yieldmon.service.operator.requests import Request
@@ -53,9 +53,14 @@ def enter_ticket(order: Order) -> TicketEntered:
     truck, own_kg, std_dev_kg = _weighed(request)
     covered = _closed_loads(order, first, last)
     measured_kg = sum(load.mass_kg for load in covered)
+    ticket = Ticket(order.now_s, first, last, own_kg, measured_kg, request.name("note") or "")
+    counting = (journal.actions.ledger.ticket_of(load.number) for load in covered)
+    stood_for = sorted({found[0] for found in counting if found is not None})
+    # Before anything else is made of it: the parameters are to be what they would be without those that it replaces.
+    replaced = journal.actions.replaced_by(ticket)
+    taken_back = without_replaced(replaced, monitor, journal, request.who, order.now_s, order.stored)
     again = journal.actions.ledger.factors
     known_kg = sum(load.mass_kg * again.get(load.number, 1.0) for load in covered)
-    ticket = Ticket(order.now_s, first, last, own_kg, measured_kg, request.name("note") or "")
     crop = _other_crop(order, covered)
     why_not = ticket_file.unit_slip(own_kg, measured_kg) or why_no_reference(monitor, journal, covered, order.stored, crop)
     shares = weighings(covered, ticket, own_kg, std_dev_kg, 0.0 if truck is None else truck.other_std_dev_kg)
@@ -71,8 +76,6 @@ def enter_ticket(order: Order) -> TicketEntered:
     if not why_not:
         for load_number, mass_kg, share_std_dev_kg, common_kg in shares:
             monitor.ticket(load_number, mass_kg, share_std_dev_kg, crop, common_kg)
-    counting = (journal.actions.ledger.ticket_of(load.number) for load in covered)
-    replaces = sorted({found[0] for found in counting if found is not None})
     number = journal.actions.ticket(ticket, request.who, std_dev_kg, is_reference=not why_not, crop=crop, truck=truck)
     return {
         "crop": journal.parameters.crop_of_load(covered[-1]),
@@ -90,7 +93,8 @@ def enter_ticket(order: Order) -> TicketEntered:
         "why_no_anchor": why_not,
         "waits_for_crop": "" if why_not else crop,
         "question": question,
-        "replaces": replaces,
+        "replaces": stood_for,
+        "taken_back": taken_back,
         "sets_scale_pct": None if first_moves is None else 100.0 * first_moves,
     }
 

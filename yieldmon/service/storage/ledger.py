@@ -47,6 +47,16 @@ class Ledger:
     tickets: Mapping[int, Ticket]
     factors: Mapping[int, float]
 
+    @property
+    def newest(self) -> Mapping[int, int]:
+        """Number of the newest ticket that covers each load, by the load's number."""
+        return {load: number for number, t in sorted(self.tickets.items()) for load in range(t.first_load, t.last_load + 1)}
+
+    @property
+    def replaced(self) -> frozenset[int]:
+        """Numbers of the tickets whose loads all have newer ones: they correct no load and update no parameters."""
+        return frozenset(self.tickets) - frozenset(self.newest.values())
+
     def ticket_of(self, load_number: int) -> tuple[int, Ticket] | None:
         """The newest ticket that stands and covers a load, with its number."""
         covering = [(n, t) for n, t in self.tickets.items() if t.first_load <= load_number <= t.last_load]

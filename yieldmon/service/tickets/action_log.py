@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import isclose
 from typing import Any
@@ -115,14 +115,28 @@ class ActionLog:
             raise InputError(f"ticket {number}", done, known)
         return standing[number]
 
-    def first_update(self, number: int, *, counts: bool) -> int | None:
+    def replaced_by(self, ticket: Ticket) -> tuple[int, ...]:
+        """Numbers of the standing tickets that a new one replaces: all of their loads have a newer one then."""
+        before = self.ledger
+        after = replace(before, tickets={**before.tickets, len(self._tickets) + 1: ticket})
+        return tuple(sorted(after.replaced - before.replaced))
+
+    def stand_again_without(self, number: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """Numbers of the references that only a standing ticket keeps from updating the parameters: those entered since the
+        parameter file in use came, and those before it."""
+        now, since = self.ledger, self._handed
+        without = replace(now, tickets={n: ticket for n, ticket in now.tickets.items() if n != number})
+        again = sorted(n for n in now.replaced - without.replaced - self.silenced if self._entry(n).get("reference", False))
+        return tuple(n for n in again if n in since), tuple(n for n in again if n not in since)
+
+    def first_update(self, number: int, held_against: Callable[[int], bool] | None = None) -> int | None:
         """The first version of the parameters that rests on a ticket; None where none that stands does, or a parameter file has
-        replaced it since. counts: it is among the weighed loads that others are held against, though it led to no version."""
+        replaced it since. held_against: which tickets after it are held against it, though it may have led to no version."""
         undone = self.undone_versions
         for version, led in sorted(self._led.items()):
             if version in undone or version <= self.calibrated_version:
                 continue
-            if number in led or (counts and any(other > number for other in led)):
+            if number in led or (held_against and any(other > number and held_against(other) for other in led)):
                 return version
         return None
 
@@ -131,6 +145,33 @@ class ActionLog:
         undone = self.undone_versions
         led = (v for v, numbers in sorted(self._led.items()) if number in numbers and v not in undone)
         return next((version for version in led if version < self.calibrated_version), None)
+
+    def update_without_replaced(self, number: int) -> int | None:
+        """The version that came as a ticket was replaced, where a parameter file has come since; None: none that stands."""
+        undos = [a.number for a in self._actions if a.kind == ledgers.PARAMETERS_UNDO and a.document.get("replaced") == number]
+        undone = self.undone_versions
+        came = next((v for v, a in sorted(self.updates.items()) if undos and a.number > undos[-1]), None)
+        by_undo = came is not None and self.updates[came].document.get("origin") == ledgers.UNDO
+        return came if came is not None and by_undo and came not in undone and came < self.calibrated_version else None
+
+    def post_again(self, number: int) -> None:
+        """A ticket of an earlier parameter file, that was replaced, stands again: so does what loads were measured again with by
+        what went with it, as nothing learns it anew."""
+        undos = (a for a in self._actions if a.kind == ledgers.PARAMETERS_UNDO and a.document.get("replaced") == number)
+        versions = {int(v) for a in undos for v in a.document["versions"] if v < self.calibrated_version}
+        counting, found = self._counting, dict[int, tuple[float, tuple[int, ...]]]()
+        for action in self._actions:
+            document = action.document
+            if action.kind != ledgers.POSTING or not counting.issuperset(document["tickets"]):
+                continue
+            again, stands = document["version"] in versions, document["version"] not in self.undone_versions
+            for load, factor in document["factors"].items() if again or stands else ():
+                found.pop(int(load), None)
+                if again and not stands:
+                    found[int(load)] = factor, tuple(sorted({*document["tickets"], number}))
+        for tickets in sorted({tickets for _, tickets in found.values()}):
+            factors = {str(load): factor for load, (factor, by) in sorted(found.items()) if by == tickets}
+            self.add(ledgers.POSTING, "", {"tickets": list(tickets), "version": 0, "factors": factors})
 
     def undo_ticket(self, number: int, who: str, now_s: float) -> Ticket:
         """Take a ticket back; returns it. Raises InputError."""
@@ -158,15 +199,14 @@ class ActionLog:
 
     def updates_gone_with(self, version: int) -> tuple[int, ...]:
         """Of a version that an undo made, numbers of the tickets that what it took back rests on and that no longer update: taken
-        back, or silenced. None for another version."""
+        back, silenced or replaced. None for another version."""
         update = self.updates.get(version)
         if update is None or update.document.get("origin") != ledgers.UNDO:
             return ()
         before = [a for a in self._actions if a.kind == ledgers.PARAMETERS_UNDO and a.number < update.number]
         taken_back = {int(v) for a in before[-1:] for v in a.document.get("versions", ())}
         led = {number for v, numbers in self._led.items() if v in taken_back for number in numbers}
-        standing, silenced = self.ledger.tickets, self.silenced
-        return tuple(sorted(number for number in led if number not in standing or number in silenced))
+        return tuple(sorted(led.difference(self._updating)))
 
     def last_ticket_before(self, version: int) -> int:
         """Number of the last ticket that was entered before a version came; 0 for none."""
@@ -183,35 +223,42 @@ class ActionLog:
         """As `ledger.silenced`."""
         return ledgers.silenced(self._actions)
 
-    def not_learnt_after(self, number: int) -> tuple[int, ...]:
-        """Numbers of the standing tickets after one, of the parameter file in use, that were handed to the calibration and led to
-        no version that stands; without those that are silenced."""
-        handed = [a for a in self._actions if a.kind == ledgers.TICKET and a.document.get("reference", False)]
+    @property
+    def _counting(self) -> frozenset[int]:
+        """Numbers of the standing tickets that none replaces."""
+        standing = self.ledger
+        return frozenset(standing.tickets) - standing.replaced
+
+    @property
+    def _updating(self) -> frozenset[int]:
+        """The same without those that are silenced: what the parameters are to rest on, where they are references."""
+        return self._counting - self.silenced
+
+    @property
+    def _handed(self) -> tuple[int, ...]:
+        """Numbers of the tickets that were handed to the calibration since the parameter file in use came, or waited then."""
         file = self.updates.get(self.calibrated_version)
         since = 0 if file is None else file.number
-        later = (int(a.document["ticket"]) for a in handed if a.number > since)
-        standing, others = self.ledger.tickets, {*self._learnt, *self.silenced}
-        return tuple(n for n in later if n > number and n in standing and n not in others)
+        led = {n for version, numbers in self._led.items() if version > self.calibrated_version for n in numbers}
+        handed = (a for a in self._actions if a.kind == ledgers.TICKET and a.document.get("reference", False))
+        return tuple(int(a.document["ticket"]) for a in handed if a.number > since or int(a.document["ticket"]) in led)
+
+    def not_learnt_after(self, number: int) -> tuple[int, ...]:
+        """Numbers of the tickets after one, of the parameter file in use, that were handed to the calibration and led to no
+        version that stands; without those taken back, replaced or silenced."""
+        updating, learnt = self._updating, self._learnt
+        return tuple(n for n in self._handed if n > number and n in updating and n not in learnt)
 
     def handed_for(self, loads: Collection[int]) -> tuple[int, ...]:
-        """Numbers of the standing tickets of the parameter file in use that were handed to the calibration for one of these
-        loads, or for one that is on such a ticket too; without those that are silenced."""
-        file, standing, silenced = self.updates.get(self.calibrated_version), self.ledger.tickets, self.silenced
-        handed = (a for a in self._actions if a.kind == ledgers.TICKET and a.document.get("reference", False))
-        since = (int(a.document["ticket"]) for a in handed if file is None or a.number > file.number)
-        left = {n: range(standing[n].first_load, standing[n].last_load + 1) for n in since if n in standing and n not in silenced}
+        """Numbers of the tickets of the parameter file in use that were handed to the calibration for one of these loads, or for
+        one that is on such a ticket too; without those taken back, replaced or silenced."""
+        standing, updating = self.ledger.tickets, self._updating
+        left = {n: range(standing[n].first_load, standing[n].last_load + 1) for n in self._handed if n in updating}
         covered, found = set(loads), list[int]()
         while more := [number for number, of_ticket in left.items() if not covered.isdisjoint(of_ticket)]:
             found += more
             covered.update(load for number in more for load in left.pop(number))
         return tuple(sorted(found))
-
-    def newest_of(self, numbers: Collection[int]) -> tuple[int, ...]:
-        """Of standing tickets with these numbers, the newest for the same loads."""
-        newest = {
-            (ticket.first_load, ticket.last_load): number for number, ticket in self.ledger.tickets.items() if number in numbers
-        }
-        return tuple(sorted(newest.values()))
 
     def as_entered(self, number: int) -> str:
         """The loads and masses of a ticket as the command line takes them."""
@@ -323,11 +370,11 @@ class ActionLog:
         return dict(self._open_loads)
 
     def closed_load(self, open_load: int | None) -> tuple[int, Remeasuring] | None:
-        """The first of `open_loads` that is closed now, with what it is measured again by, of its tickets those that stand; None
+        """The first of `open_loads` that is closed now, with what it is measured again by, of its tickets those that count; None
         where there is none. open_load: number of the load that is open, None for none."""
-        standing = self.ledger.tickets
+        counting = self._counting
         closed = ((number, by) for number, by in sorted(self._open_loads.items()) if number != open_load)
-        return next(((n, replace(by, tickets=tuple(t for t in by.tickets if t in standing))) for n, by in closed), None)
+        return next(((n, replace(by, tickets=tuple(t for t in by.tickets if t in counting))) for n, by in closed), None)
 
     @property
     def to_update(self) -> frozenset[int]:
@@ -337,7 +384,9 @@ class ActionLog:
     @property
     def unfinished(self) -> tuple[int, ...]:
         """Numbers of the tickets that wait or whose loads are being measured again, which a restart has to go on with."""
-        return (*self._taken, *self._to_measure, *self.waiting)
+        # Of those whose update was taken back by an undo of another no loads are to be measured again.
+        gone = {number for numbers in self._led.values() for number in numbers}.difference(self._learnt)
+        return (*(number for number in (*self._taken, *self._to_measure) if number not in gone), *self.waiting)
 
     @property
     def unfinished_of_crop(self) -> Mapping[str, Sequence[int]]:
@@ -356,11 +405,11 @@ class ActionLog:
         """Loads were measured again with the parameters of this version, after these tickets.
 
         factors: by load number; none where nothing came of it. Loads that were given another crop meanwhile keep what that crop's
-        parameters measured. Where one of the tickets or the version was taken back meanwhile it stands for nothing, and the other
-        tickets' loads are to be measured again. open_load: that was left out since it was open; closed_load: the one of
-        `open_loads` that this was about, None for all other loads.
+        parameters measured. Where one of the tickets or the version was taken back meanwhile, or one was replaced, it stands for
+        nothing, and the other tickets' loads are to be measured again. open_load: that was left out since it was open;
+        closed_load: the one of `open_loads` that this was about, None for all other loads.
         """
-        if closed_load is not None and not set(tickets) <= set(self.ledger.tickets):
+        if closed_load is not None and not self._counting.issuperset(tickets):
             return
         if closed_load is not None:
             self._open_loads.pop(closed_load, None)
@@ -402,9 +451,9 @@ class ActionLog:
         return ledgers.undone_versions(self._actions)
 
     def standing_of(self, versions: Collection[int]) -> tuple[int, ...]:
-        """Numbers of the tickets that led to these versions and stand, not silenced; of several for the same loads the newest."""
+        """Numbers of the tickets that led to these versions; without those taken back, replaced or silenced."""
         led = {number for version, numbers in self._led.items() if version in versions for number in numbers}
-        return self.newest_of(led - self.silenced)
+        return tuple(sorted(led & self._updating))
 
     def measure_lost_again(self) -> None:
         """Loads that were measured again after tickets whose update stands, while that measurement stands no more, are to be

@@ -32,10 +32,9 @@ def ticket_states(
     dict
     """
     updated, silenced = _versions(actions), ledgers.silenced(actions)
-    newest = {load: number for number, ticket in sorted(ledger.tickets.items()) for load in _loads_of(ticket)}
+    newest, replaced_ones = ledger.newest, ledger.replaced
     states = {}
     for number, ticket in ledger.tickets.items():
-        counting = {newest[load] for load in _loads_of(ticket)}
         if number in to_update:
             of_crop = f" of {to_update[number]}" if to_update[number] else ""
             state = f"to update the parameters{of_crop}"
@@ -47,7 +46,8 @@ def ticket_states(
             state = _CONTRADICTS
         else:
             state = _CORRECTS
-        if number not in counting:
+        if number in replaced_ones:
+            counting = {newest[load] for load in _loads_of(ticket)}
             replaced = f"replaced by ticket {', '.join(map(str, sorted(counting)))}"
             state = replaced if state in (_CORRECTS, _CONTRADICTS) else f"{state}, {replaced}"
         states[number] = state
