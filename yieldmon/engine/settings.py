@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from yieldmon.engine.flow_filter import FlowFilterSettings
-from yieldmon.estimation.beyond_range import FLOW_PER_MOISTURE_PCT
+from yieldmon.physics.grain import FLOW_PER_MOISTURE_PCT
 
 if TYPE_CHECKING:
     from yieldmon.estimation.waveform.arrival_law import ArrivalLaw

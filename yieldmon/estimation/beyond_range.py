@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from yieldmon.physics.effects import effect_parameter
+from yieldmon.physics.grain import FLOW_PER_MOISTURE_PCT
 from yieldmon.physics.machine import SAME_ANGLE_RAD
 from yieldmon.physics.numerics import Array
 
@@ -21,8 +22,6 @@ PER_RAD = 0.4
 11 to 15 % at 90 deg."""
 PER_LN_FLOW, PER_LN_SPEED = (effect_parameter(f"load_pattern.{name}").prior_sd for name in ("exponent", "speed"))
 """Powers of flow and speed beside the model's, as weighed loads take them."""
-FLOW_PER_MOISTURE_PCT = 0.02
-"""Relative change of the flow by a point of moisture that the parameters do not follow."""
 _BEND = 180.0**0.5
 """Slope at the end of a parabola over a range of 1, of which a line is taken off, over its rms there."""
 

@@ -12,13 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from yieldmon.estimation.beyond_range import FLOW_PER_MOISTURE_PCT
 from yieldmon.estimation.load_pattern import following
 from yieldmon.estimation.open_loop import invert_force
 from yieldmon.estimation.other_monitor import with_bias, with_new_bias
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.recent import Recent
 from yieldmon.physics.effects.other_monitor import BIAS
+from yieldmon.physics.grain import FLOW_PER_MOISTURE_PCT
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.numerics import Array
 from yieldmon.physics.throw import Throw
