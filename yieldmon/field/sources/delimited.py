@@ -30,18 +30,6 @@ _THOUSANDS = {mark: re.compile(rf"[+-]?\d{{1,3}}(?:[{mark}]\d{{3}})+(?:[{sign}]\
 _SPACES = re.compile(r"(?<=\d)[ \u00a0\u202f'\u2019](?=\d{3}(?!\d))")
 
 
-def numbers_in(texts: Sequence[str]) -> Array:
-    """Numbers, also with decimal commas, (n,); NaN for any other text."""
-    comma = has_decimal_comma(texts)
-    out = np.full(len(texts), np.nan)
-    for place, text in enumerate(texts):
-        try:
-            out[place] = number(text.replace(",", ".") if comma else text)
-        except ValueError:
-            continue
-    return out
-
-
 @dataclass(frozen=True)
 class Rows:
     """Columns by number, and what could not be read."""
@@ -125,6 +113,18 @@ def number(text: str) -> float:
     """A number, NaN for unknown. Raises ValueError."""
     plain = text.strip()
     return float("nan") if plain.lower() in UNKNOWN else plain_number(plain)
+
+
+def numbers_in(texts: Sequence[str]) -> Array:
+    """Numbers, also with decimal commas, (n,); NaN for any other text."""
+    comma = has_decimal_comma(texts)
+    out = np.full(len(texts), np.nan)
+    for place, text in enumerate(texts):
+        try:
+            out[place] = number(text.replace(",", ".") if comma else text)
+        except ValueError:
+            continue
+    return out
 
 
 def read_rows(

@@ -16,7 +16,7 @@ from yieldmon.field.units import FACTORS, factor, plain_unit
 from yieldmon.units import S_PER_DAY
 
 from . import clocks, written_times
-from .delimited import has_decimal_comma
+from .delimited import numbers_in
 from .naming import Column
 from .options import ReadOptions
 from .raw_table import Raw
@@ -170,14 +170,14 @@ def _driven_m(values: Mapping[str, Array], rows: NDArray[np.intp], time_s: Array
 
 def _in_order(raw: Raw, values: Mapping[str, Array], where: str, why: str) -> tuple[Array, bool, tuple[str, ...]]:
     """A clock for each machine's rows that have none: as far apart as their intervals are long, else a second."""
-    orders, of = _of_machines(raw), "in the order of the file"
+    orders, followed = _of_machines(raw), "in the order of the file"
     if not _are_as_driven(values, orders):
         numbered = _by_number(raw, values, orders)
         if not numbered or not _are_as_driven(values, numbered):
             apart_m, driven_m = _usual_ways_m(values, orders)
             problem = f"{why}, and its rows are not in the order driven ({apart_m:.1f} m apart, {driven_m:.1f} m driven)"
             raise InputError(where, problem, "--column time=NAME:UNIT, or the rows as they were logged")
-        orders, of = numbered, f"in the order of {raw.columns['number'].name}"
+        orders, followed = numbered, f"in the order of {raw.columns['number'].name}"
     step, apart = np.ones(raw.count), "one second apart"
     if "interval" in values:
         with np.errstate(invalid="ignore"):
@@ -188,7 +188,7 @@ def _in_order(raw: Raw, values: Mapping[str, Array], where: str, why: str) -> tu
     time_s = np.zeros(raw.count)
     for rows in orders:
         time_s[rows] = np.cumsum(step[rows]) - step[rows]
-    return time_s, False, (f"{why}: rows are taken as {apart}, {of}",)
+    return time_s, False, (f"{why}: rows are taken as {apart}, {followed}",)
 
 
 def _usual_ways_m(values: Mapping[str, Array], orders: Sequence[NDArray[np.intp]]) -> tuple[float, float]:
@@ -211,7 +211,8 @@ def _by_number(raw: Raw, values: Mapping[str, Array], orders: Sequence[NDArray[n
     label = None if column is None else raw.texts.get(column.name)
     dataset = np.zeros(raw.count, np.int32) if label is None else label.codes
     number = values.get("number", np.full(raw.count, np.nan))
-    if not np.isfinite(number).all() or len(np.unique(np.stack([raw.machine_of_row, dataset, number]), axis=1).T) < raw.count:
+    distinct = np.unique(np.stack([raw.machine_of_row, dataset, number]), axis=1).shape[1]
+    if not np.isfinite(number).all() or distinct < raw.count:
         return []
     return [rows[np.lexsort((number[rows], dataset[rows]))] for rows in orders]
 
@@ -222,7 +223,7 @@ def _of_column(column: Column, raw: Raw, options: ReadOptions, where: str) -> tu
     if column.name in raw.texts:
         label = raw.texts[column.name]
         dated, note = _dated(label, raw, options)
-        numbers = _as_numbers(label)
+        numbers = numbers_in(label.names)[label.codes]
         # Of counts of seconds some read as dates.
         counted = plain_unit(column.unit) in FACTORS["time"] or (np.isfinite(numbers).all() and not np.isfinite(dated).all())
         if np.isfinite(dated).any() and not counted:
@@ -313,13 +314,3 @@ def _dated_column(raw: Raw, options: ReadOptions) -> Column | None:
         return None
     times, _ = written_times.parsed(raw.texts[day.name].names[:_LOOKED_AT], options.day_first)
     return day if (times[np.isfinite(times)] % S_PER_DAY != 0).any() else None
-
-
-def _as_numbers(label: Label) -> Array:
-    out, comma = [], has_decimal_comma(label.names)
-    for name in label.names:
-        try:
-            out.append(float(name.replace(",", ".") if comma else name))
-        except ValueError:
-            out.append(float("nan"))
-    return np.array(out)[label.codes]

@@ -57,8 +57,8 @@ _ALIKE = 0.02
 _OFTEN = 3
 """Once or twice a recording may begin anew."""
 _MOSTLY = 0.5
-_DESTINATIONS_NAMED = 3
 """Of the seconds of a recording."""
+_DESTINATIONS_NAMED = 3
 _SHORTEST_BITS = 8
 _IMPACT_SIGNAL = re.compile(r"impact(\d+)\.\d+")
 _COUNTED_ANEW = "; pulses that each frame counts anew are a frequency: unit Hz, `scale` the frames per second"

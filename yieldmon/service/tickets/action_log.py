@@ -372,9 +372,12 @@ class ActionLog:
     def closed_load(self, open_load: int | None) -> tuple[int, Remeasuring] | None:
         """The first of `open_loads` that is closed now, with what it is measured again by, of its tickets those that count; None
         where there is none. open_load: number of the load that is open, None for none."""
+        first = next(((number, by) for number, by in sorted(self._open_loads.items()) if number != open_load), None)
+        if first is None:
+            return None
+        number, by = first
         counting = self._counting
-        closed = ((number, by) for number, by in sorted(self._open_loads.items()) if number != open_load)
-        return next(((n, replace(by, tickets=tuple(t for t in by.tickets if t in counting))) for n, by in closed), None)
+        return number, replace(by, tickets=tuple(ticket for ticket in by.tickets if ticket in counting))
 
     @property
     def to_update(self) -> frozenset[int]:
@@ -384,9 +387,12 @@ class ActionLog:
     @property
     def unfinished(self) -> tuple[int, ...]:
         """Numbers of the tickets that wait or whose loads are being measured again, which a restart has to go on with."""
-        # Of those whose update was taken back by an undo of another no loads are to be measured again.
-        gone = {number for numbers in self._led.values() for number in numbers}.difference(self._learnt)
-        return (*(number for number in (*self._taken, *self._to_measure) if number not in gone), *self.waiting)
+        to_measure = (*self._taken, *self._to_measure)
+        if to_measure:
+            # Of those whose update was taken back by an undo of another no loads are to be measured again.
+            gone = {number for numbers in self._led.values() for number in numbers}.difference(self._learnt)
+            to_measure = tuple(number for number in to_measure if number not in gone)
+        return (*to_measure, *self.waiting)
 
     @property
     def unfinished_of_crop(self) -> Mapping[str, Sequence[int]]:
