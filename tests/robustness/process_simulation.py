@@ -250,11 +250,15 @@ def asks(rng: random.Random) -> None:
         slow.sendall(b"{")
         require(_answered(path), "nobody is answered beside a peer that dribbles")
         for _ in range(4):
-            now_s += 2.0
             with suppress(OSError):
                 slow.sendall(b" ")
-            # With this one answered the byte is read and the time that has passed looked at.
+            now_s += 2.0
+            # A round that begins now reads the byte.
+            _until(lambda: server.busy_since_s == now_s, "a round of the server's thread")
             require(_answered(path), "nobody is answered beside a peer that dribbles")
+        now_s += 0.5
+        # The round in which the peer's time was over has ended; several requests may be answered in one.
+        _until(lambda: server.busy_since_s == now_s, "a round of the server's thread")
         require(_ended(slow), "a peer holds its place with a byte every 2 s")
         crowd = [connected() for _ in range(rng.randint(20, 60))]
         for peer in crowd:
