@@ -81,6 +81,13 @@ def test_signals_that_could_serve(
     assert first["rate_hz"] == pytest.approx(rate_hz, rel=0.05)
 
 
+def test_a_multiplexer_is_no_sensor(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log, dbc = drive(MULTIPLEXED, tmp_path), tmp_path / "impact.dbc"
+    dbc.write_text(MULTIPLEXED.dbc.replace("Everything", "ImpactAndSpeed"))
+    candidates = survey(capsys, str(log), "--dbc", str(dbc))["candidates"]
+    assert [one["signal"] for one in candidates["impact_voltage"]] == ["Voltage"]
+
+
 def test_a_written_mapping_stands_the_check_against_its_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log, mapping = drive(MULTIPLEXED, tmp_path), tmp_path / "mapping.yaml"
     survey(capsys, str(log), "--dbc", str(tmp_path / "multiplexed.dbc"), "--write", str(mapping))

@@ -293,7 +293,9 @@ class Survey:
         for message in messages:
             if message.dbc is None or message.rate_hz is None or message.name is None:
                 continue
-            for signal in message.signals.values():
+            multiplexers = {signal.bits.mux_by for signal in message.signals.values()}
+            measured = [signal for signal in message.signals.values() if signal.bits.name not in multiplexers]
+            for signal in measured:
                 for quantity in _HINTS:
                     score = _score(quantity, message, signal)
                     if score > 0.0:
