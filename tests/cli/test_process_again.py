@@ -13,6 +13,7 @@ from pathlib import Path
 import can
 import pytest
 
+from tests.schema_check import problems
 from tests.service.bench import CODEC, EMPTY_MV, GRAIN_MV, START_S, ZERO_MV, traffic
 from tests.service.bench import messages as messages_of
 from yieldmon.cli.main import main
@@ -57,7 +58,9 @@ def process(capsys, tmp_path, *words: object) -> tuple[int, str, str]:
 def again(capsys, tmp_path, *words: object) -> dict:
     code, out, err = process(capsys, tmp_path, STORE, *words, "--json")
     assert code == 0, err
-    return json.loads(out)
+    document = json.loads(out)
+    assert problems(document, "process-store") == []
+    return document
 
 
 @pytest.fixture

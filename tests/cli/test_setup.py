@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 import yaml
 
+from tests.schema_check import problems
 from yieldmon.cli.main import main
 from yieldmon.files.crops import crops
 from yieldmon.service.config import configuration
@@ -57,6 +58,7 @@ def answers(folder: Path, **changes: object) -> str:
 def test_answers_become_a_configuration_that_the_daemon_takes(tmp_path, capsys):
     assert main(["setup", "--answers", answers(tmp_path), "--out", str(tmp_path / "new"), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
+    assert problems(found, "setup") == []
     assert found["cell"]["gain_n_per_mv"] == pytest.approx(9.80665 * 10.0 / 195.1, rel=1e-3)
     assert 0.0 < found["cell"]["sd_pct"] < 1.0
     assert found["plate_angle_offset_deg"] == pytest.approx(1.45)

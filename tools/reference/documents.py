@@ -11,8 +11,11 @@ from yieldmon.documents.calibrate import (
     PulseShapeDocument,
     TapDocument,
 )
+from yieldmon.documents.calibrations import CalibrationListDocument, CalibrationUndoDocument
+from yieldmon.documents.check_config import CheckDocument
 from yieldmon.documents.demo import DemoDocument
 from yieldmon.documents.diagnose import DiagnosisDocument
+from yieldmon.documents.estimate import EstimateDocument
 from yieldmon.documents.fleet import (
     FleetCompareDocument,
     FleetDiagnosisDocument,
@@ -22,16 +25,37 @@ from yieldmon.documents.fleet import (
 )
 from yieldmon.documents.harvest_map import MapDocument
 from yieldmon.documents.loads import LoadCorrectDocument, LoadListDocument, LoadStartDocument, LoadStopDocument
-from yieldmon.documents.process import ProcessSummary
+from yieldmon.documents.monitor import MonitorDocument
+from yieldmon.documents.pack import PackDocument
+from yieldmon.documents.predict import PredictionDocument
+from yieldmon.documents.process import ProcessSummary, ReprocessSummary
+from yieldmon.documents.replay import ReplayDocument
 from yieldmon.documents.self_calibrate import SelfCalibrationDocument
+from yieldmon.documents.setup import SetupDocument
 from yieldmon.documents.signals import SurveyDocument
+from yieldmon.documents.simulate import SimulationDocument
 from yieldmon.documents.status import Status
 from yieldmon.documents.tickets import TicketDocument, TicketListDocument, TicketUndoDocument
+from yieldmon.documents.zero import ZeroDocument, ZeroUndoDocument
 
 #: Name of the schema -> type.
 DOCUMENTS: dict[str, Any] = {
+    "setup": SetupDocument,
+    "check-config": CheckDocument,
+    "signals": SurveyDocument,
     "status": Status,
+    "monitor": MonitorDocument,
+    "zero": ZeroDocument,
+    "zero-undo": ZeroUndoDocument,
+    "calibrations-list": CalibrationListDocument,
+    "calibrations-undo": CalibrationUndoDocument,
     "process": ProcessSummary,
+    "process-store": ReprocessSummary,
+    "pack": PackDocument,
+    "replay": ReplayDocument,
+    "simulate": SimulationDocument,
+    "predict": PredictionDocument,
+    "estimate": EstimateDocument,
     "calibrate": CalibrationDocument,
     "calibrate-curve": CurveCalibrationDocument,
     "calibrate-loads": LoadCalibrationDocument,
@@ -40,7 +64,6 @@ DOCUMENTS: dict[str, Any] = {
     "self-calibrate": SelfCalibrationDocument,
     "diagnose": DiagnosisDocument,
     "map": MapDocument,
-    "signals": SurveyDocument,
     "demo": DemoDocument,
     "load-start": LoadStartDocument,
     "load-stop": LoadStopDocument,

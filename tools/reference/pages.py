@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from tools.reference import api, columns, commands, configuration, faults, frames, json_documents, schemas
+from tools.reference import api, columns, commands, configuration, faults, frames, schemas
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
@@ -22,7 +22,6 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "configuration": configuration.markdown,
     "faults": faults.markdown,
     "frames": frames.markdown,
-    "json": json_documents.markdown,
     "schemas": schemas.markdown,
 }
 

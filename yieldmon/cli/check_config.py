@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import argparse
 import sys
-from typing import Any
 
 from yieldmon.cli import _channels
 from yieldmon.cli._json import print_json
+from yieldmon.documents.check_config import CheckDocument, SeenDocument
 from yieldmon.errors import InputError
 from yieldmon.resources import shipped
 from yieldmon.service.config import configuration, document_text
@@ -43,12 +43,12 @@ def run(args: argparse.Namespace) -> int:
         problems = error.problems
     except InputError as error:
         problems = [error]
-    seen: dict[str, Any] | None = None
+    seen: dict[str, SeenDocument] | None = None
     notes: list[str] = []
     if loaded is not None:
         seen, notes, problems = _held_against(loaded, args.log)
     if args.json:
-        document = {
+        document: CheckDocument = {
             "file": path,
             "valid": not problems,
             "problems": [{"where": p.where, "problem": p.problem, "expected": p.expected} for p in problems],
@@ -72,7 +72,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _held_against(
     loaded: configuration.Configuration, log: str | None
-) -> tuple[dict[str, Any] | None, list[str], list[InputError]]:
+) -> tuple[dict[str, SeenDocument] | None, list[str], list[InputError]]:
     """What a recording shows of the mapping's quantities, what is to be known of the mapping, and what is wrong with it."""
     from yieldmon.service.config import plausible
     from yieldmon.service.control_socket import has_group
@@ -101,10 +101,10 @@ def _held_against(
         notes.append(f"{incomplete} messages of several frames lack one and are not used")
     problems += mapping_check.problems(loaded, found, log)
     notes += mapping_check.remarks(loaded, found) + faults
-    return mapping_check.as_json(found), notes, [InputError(*problem) for problem in problems]
+    return mapping_check.documents(found), notes, [InputError(*problem) for problem in problems]
 
 
-def _show(seen: dict[str, Any]) -> None:
+def _show(seen: dict[str, SeenDocument]) -> None:
     print(f"{'quantity':18} {'unit':>6} {'per s':>8} {'low':>10} {'high':>10} {'gap s':>8}  first values")
     absent = [name for name, entry in seen.items() if not entry["values"]]
     for name, entry in seen.items():

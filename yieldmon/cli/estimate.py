@@ -5,13 +5,13 @@ from __future__ import annotations
 import argparse
 import csv
 import sys
-from typing import Any
 
 import numpy as np
 
 from yieldmon.cli import _flow_curve, _notes, model_options
 from yieldmon.cli._json import print_json
 from yieldmon.cli._limits import within
+from yieldmon.documents.estimate import EstimateDocument, EstimatedRow
 from yieldmon.errors import InputError
 from yieldmon.estimation.beyond_range import moisture_error_beyond
 from yieldmon.estimation.estimators import estimator_of
@@ -68,9 +68,9 @@ def run(args: argparse.Namespace) -> int:
     true = None if data.load is None else data.columns[data.load] * (passes if data.load == "paddle_mass_kg" else 1.0)
     if true is not None and (note := _contradiction(found.mass_flow_kg_s, std_dev, true)):
         _notes.note(f"{data.path}: {note}")
-    rows = []
+    rows: list[EstimatedRow] = []
     for i in range(len(data)):
-        row: dict[str, Any] = {
+        row: EstimatedRow = {
             "row": i + 1,
             "mass_flow_kg_s": float(found.mass_flow_kg_s[i]),
             "std_dev_kg_s": float(std_dev[i]),
@@ -79,10 +79,11 @@ def run(args: argparse.Namespace) -> int:
         }
         if true is not None:
             row["true_mass_flow_kg_s"] = float(true[i])
-            row["error_pct"] = float(100.0 * (row["mass_flow_kg_s"] / true[i] - 1.0)) if true[i] > 0.0 else np.nan
+            row["error_pct"] = float(100.0 * (found.mass_flow_kg_s[i] / true[i] - 1.0)) if true[i] > 0.0 else np.nan
         rows.append(row)
     if args.json:
-        print_json({"file": data.path, "rows": rows}, indent=1)
+        document: EstimateDocument = {"file": data.path, "rows": rows}
+        print_json(document, indent=1)
     else:
         writer = csv.DictWriter(sys.stdout, list(rows[0]), lineterminator="\n")
         writer.writeheader()

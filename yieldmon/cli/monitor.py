@@ -30,6 +30,7 @@ from yieldmon.cli._daemon import add_daemon_arguments, ask_daemon, daemon_socket
 from yieldmon.cli._json import print_json
 from yieldmon.cli._limits import above_0, within
 from yieldmon.cli._units import add_units
+from yieldmon.documents.monitor import MonitorDocument, MonitorRow
 from yieldmon.errors import InputError
 from yieldmon.files.units import units_of
 from yieldmon.frames import Unusable
@@ -342,7 +343,7 @@ def _print_once(traffic: Traffic, cab: _Cab, as_json: bool) -> None:
     console.print(cab.screen(traffic), height=height)
 
 
-def _document(traffic: Traffic, view: View) -> dict[str, object]:
+def _document(traffic: Traffic, view: View) -> MonitorDocument:
     now = traffic.now_s
     return {
         "time_s": now if traffic.frames else None,
@@ -353,7 +354,7 @@ def _document(traffic: Traffic, view: View) -> dict[str, object]:
     }
 
 
-def _row_document(traffic: Traffic, row: Row, now_s: float) -> dict[str, object]:
+def _row_document(traffic: Traffic, row: Row, now_s: float) -> MonitorRow:
     frame = traffic.decoded(row)
     signals = None
     if frame is not None:

@@ -16,6 +16,7 @@ from yieldmon.bus.logs import PACKED_SUFFIX, require_log
 from yieldmon.bus.packed_writing import pack
 from yieldmon.cli import _channels, _outputs
 from yieldmon.cli._json import print_json
+from yieldmon.documents.pack import PackDocument
 from yieldmon.errors import InputError
 from yieldmon.files.whole_file import scratch_for
 from yieldmon.identifiers import CLASSIC_BYTES
@@ -54,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
             found = f"no frame of channel {' or '.join(args.channels)}" if args.channels and notes.frames else "no frame at all"
             raise InputError(", ".join(args.logs), found, "a log with CAN frames")
     logs_bytes = sum(Path(log).stat().st_size for log in args.logs)
-    document = {
+    document: PackDocument = {
         "file": str(out),
         "frames": packed.frames,
         "bytes": packed.size_bytes,

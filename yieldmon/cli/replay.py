@@ -23,6 +23,7 @@ from yieldmon.bus.replay import ON_TIME_S, Progress, Schedule, Selection, Sender
 from yieldmon.cli._json import print_json
 from yieldmon.cli._limits import within
 from yieldmon.cli.main import EXIT_INTERRUPTED
+from yieldmon.documents.replay import ReplayDocument
 from yieldmon.errors import InputError
 from yieldmon.resources import shipped
 
@@ -166,7 +167,7 @@ def _live(progress: Progress) -> Live:
 
 def _report(progress: Progress, notes: LogNotes, args: argparse.Namespace) -> None:
     if args.json:
-        summary = {
+        summary: ReplayDocument = {
             "frames": progress.sent,
             "elapsed_s": progress.elapsed_s,
             "frames_per_s": progress.frames_per_s,

@@ -12,6 +12,7 @@ from yieldmon.cli import _outputs, _provenance
 from yieldmon.cli._json import print_document
 from yieldmon.cli._setup import derive, session
 from yieldmon.cli._setup.questions import QUESTIONS, bolted
+from yieldmon.documents.setup import SetupDocument, SetupRecord
 from yieldmon.errors import InputError
 from yieldmon.files import machine_file, parameter_file, strict_yaml, whole_file
 from yieldmon.files.whole_file import READABLE, readable_folder
@@ -94,7 +95,7 @@ def _ask(answers: dict[str, Any], folder: Path) -> None:
         raise KeyboardInterrupt from None
 
 
-def _written(answers: dict[str, Any], folder: Path, *, force: bool, asks: bool) -> dict[str, Any]:
+def _written(answers: dict[str, Any], folder: Path, *, force: bool, asks: bool) -> SetupDocument:
     """As `write`; in a terminal an answer that does not go with the others is asked again."""
     while True:
         try:
@@ -116,7 +117,7 @@ def _refuse_present(names: Iterable[str], folder: Path, *, force: bool) -> None:
         raise InputError(str(folder / there[0]), "exists already", expected)
 
 
-def write(answers: dict[str, Any], folder: Path, *, force: bool) -> dict[str, Any]:
+def write(answers: dict[str, Any], folder: Path, *, force: bool) -> SetupDocument:
     """The files; returns what they rest on. Raises InputError, and then writes none."""
     machine, parameters = derive.machine(answers), derive.parameters(answers)
     if (problem := plausible.cell_problem(machine, parameters)) is not None:
@@ -133,7 +134,7 @@ def write(answers: dict[str, Any], folder: Path, *, force: bool) -> dict[str, An
     for name in names.values():
         whole_file.check_place(folder / name)
     now = _provenance.today()
-    found = {
+    found: SetupRecord = {
         "date": now,
         "cell": {
             "gain_n_per_mv": gain.gain_n_per_mv,
@@ -160,7 +161,15 @@ def write(answers: dict[str, Any], folder: Path, *, force: bool) -> dict[str, An
     for name, content in ((MACHINE, machine_file.to_document(machine)), (RECORD, found), (CONFIGURATION, config)):
         whole_file.write(folder / name, strict_yaml.dump(content), durable=True, mode=READABLE)
     configuration.load(folder / CONFIGURATION)
-    return {**found, "files": {key: str(folder / name) for key, name in names.items()}}
+    return {
+        **found,
+        "files": {
+            "configuration": str(folder / CONFIGURATION),
+            "machine": str(folder / MACHINE),
+            "parameters": str(folder / names["parameters"]),
+            "record": str(folder / RECORD),
+        },
+    }
 
 
 def _sweep_angles(answers: dict[str, Any]) -> list[float]:
@@ -172,7 +181,7 @@ def _sweep_angles(answers: dict[str, Any]) -> list[float]:
     return [min(max(angle, low), high) for angle in wanted]
 
 
-def text(document: dict[str, Any]) -> str:
+def text(document: SetupDocument) -> str:
     """What was found, for people."""
     cell, measured = document["cell"], document["answers"]["plate_measured_deg"]
     lines = [

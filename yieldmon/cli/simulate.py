@@ -20,6 +20,7 @@ from yieldmon.bus.waiting import receive
 from yieldmon.cli import _named_files, _outputs
 from yieldmon.cli._json import print_json
 from yieldmon.cli._limits import within
+from yieldmon.documents.simulate import SimulationDocument
 from yieldmon.errors import InputError
 from yieldmon.files import whole_file
 from yieldmon.plant import scenario as scenarios
@@ -149,7 +150,7 @@ def _report(combine: VirtualCombine, counts: Counter[str], args: argparse.Namesp
     truth = combine.truth
     flow = truth.columns["mass_flow_kg_s"]
     total = float(truth.columns["total_mass_kg"][-1]) if len(flow) else 0.0
-    summary = {
+    summary: SimulationDocument = {
         "scenario": args.scenario,
         "seed": args.seed,
         "duration_s": round(combine.time_s, 3),

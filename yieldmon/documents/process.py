@@ -36,7 +36,13 @@ class ReprocessSummary(TypedDict):
 
 
 class ProcessSummary(Harvested):
-    """`yieldmon process --json`; with --separate one for each log, by name. faults: how often each came."""
+    """`yieldmon process --json`; with --separate one for each log, by name.
+
+    faults: how often each came; damages: places of the logs that were skipped; gaps: stretches without samples, gap_s long in
+    all; overlap_s: seconds of times that were read already, with overlap_kg; missing: share of the seconds without an input, by
+    its name; frames_lost_share: of the seconds, those under FramesLost; contested_kg: mass in no total, as more frames came than
+    one node sends; before_zero_s: seconds of grain before the first zero.
+    """
 
     frames: int
     frames_of_ours: int

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import nan
-from typing import Any
 
+from yieldmon.documents.undo import TicketUndone
 from yieldmon.engine.mass.totals import dry_mass
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.settings import TotalsSettings
@@ -35,10 +35,21 @@ class Correction:
     crop: str | None
 
 
+@dataclass(frozen=True)
+class CropCorrected:
+    """What another crop brought. measured_again: loads, by its parameters; not_measured_again: why others were not, by load.
+    updating: tickets that update its parameters; taken_back: their updates of the crop before."""
+
+    measured_again: tuple[int, ...]
+    not_measured_again: Mapping[int, str]
+    updating: relearning.Updating
+    taken_back: Sequence[TicketUndone]
+
+
 def correct(
     wanted: Correction, monitor: Monitor, journal: Journal, who: str, now_s: float, stored: Sequence[StoredLoad]
-) -> dict[str, Any]:
-    """Give closed loads other names; says what was measured again and what could not be. stored: loads, as the store has them.
+) -> CropCorrected | None:
+    """Give closed loads other names; None where no load gets another crop. stored: loads, as the store has them.
 
     Raises InputError.
     """
@@ -57,17 +68,17 @@ def correct(
     journal.actions.add(ledger.LOAD_NAMES, who, document, now_s)
     for load in wanted.loads:
         journal.loads.named(load.number, wanted.field, wanted.crop)
-    answer: dict[str, Any] = {"first_load": first, "last_load": last, "field": wanted.field, "crop": wanted.crop}
     if not others:
-        return answer
-    parameters = journal.parameters.of(wanted.crop or "", monitor.estimator.parameters, journal.crop)
+        return None
+    crop = wanted.crop or ""
+    parameters = journal.parameters.of(crop, monitor.estimator.parameters, journal.crop)
     by_number = {load.load.number: load for load in stored}
     factors, why_not = dict[int, float](), dict[int, str]()
     for load in others:
         kept = by_number.get(load.number)
-        dry_kg = None if kept is None else _dry_kg(kept, wanted.crop or "", monitor.settings.totals)
+        dry_kg = None if kept is None else _dry_kg(kept, crop, monitor.settings.totals)
         journal.loads.dried(load.number, dry_kg)
-        found = _factor(kept, parameters, wanted.crop or "", monitor)
+        found = _factor(kept, parameters, crop, monitor)
         if isinstance(found, str):
             why_not[load.number] = found
         else:
@@ -75,13 +86,10 @@ def correct(
     if factors:
         # By no version that an undo takes back: the loads are of this crop whatever becomes of it.
         journal.actions.posted_by_crop(factors, now_s)
-    updating = relearning.Updating((), dict.fromkeys(tickets, f"nothing is known of {wanted.crop}"))
+    updating = relearning.Updating((), dict.fromkeys(tickets, f"nothing is known of {crop}"))
     if parameters is not None:
-        updating = relearning.update_crop(list(tickets), wanted.crop or "", monitor, journal, stored)
-    return answer | {
-        "measured_again": sorted(factors), "not_measured_again": _reasons("load", why_not),
-        "learnt_again": list(updating.again), "not_learnt_again": updating.not_again, "taken_back": back,
-    }  # fmt: skip
+        updating = relearning.update_crop(list(tickets), crop, monitor, journal, stored)
+    return CropCorrected(tuple(sorted(factors)), why_not, updating, back)
 
 
 def _factor(kept: StoredLoad | None, parameters: ParameterSet | None, crop: str, monitor: Monitor) -> float | str:
@@ -92,10 +100,6 @@ def _factor(kept: StoredLoad | None, parameters: ParameterSet | None, crop: str,
         return f"nothing is known of {crop}"
     found = load_factor(_measured(kept), parameters, monitor.machine)
     return "too little of it rests on a known force" if found is None else found
-
-
-def _reasons(what: str, why: Mapping[int, str]) -> list[dict[str, Any]]:
-    return [{what: number, "why": text} for number, text in sorted(why.items())]
 
 
 def _tickets_of(loads: Sequence[Load], journal: Journal) -> dict[int, Ticket]:

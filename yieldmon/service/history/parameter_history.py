@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
+from yieldmon.documents.calibrations import CalibrationRow
 from yieldmon.engine.self_calibration.calibrator import CalibrationStep
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import SCALE, ParameterSet
@@ -194,7 +194,7 @@ class ParameterHistory:
         self._in_use = (parameters, origin)
         self._new.append(self._in_use)
 
-    def table(self) -> list[dict[str, Any]]:
+    def table(self) -> list[CalibrationRow]:
         """All changes of parameters and zeros by an operator, with who and when."""
         return ledgers.calibration_rows(self._actions, self.version)
 

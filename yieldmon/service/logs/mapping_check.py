@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import combinations
 from math import degrees, radians
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from yieldmon.documents.check_config import SeenDocument
 from yieldmon.engine.rivals import RivalLimits, RivalWatch, angle_limits, speed_limits
 from yieldmon.engine.sampling.aliasing import ALIAS_FREE_HZ, aliasing_share
 from yieldmon.engine.sources import QUANTITIES, SampleSource
@@ -488,7 +489,20 @@ def _group(configuration: Configuration, name: str) -> Group | None:
     return next((group for group in configuration.signals.groups if group.name == message), None)
 
 
-def as_json(seen: dict[str, QuantitySeen]) -> dict[str, Any]:
-    """For `--json`."""
-    left_out = ("step_share", "leaping_share", "silences", "counter_flaw")
-    return {name: {key: value for key, value in asdict(entry).items() if key not in left_out} for name, entry in seen.items()}
+def documents(seen: Mapping[str, QuantitySeen]) -> dict[str, SeenDocument]:
+    """As `yieldmon check-config --json` prints them, by name."""
+    return {name: _document(entry) for name, entry in seen.items()}
+
+
+def _document(entry: QuantitySeen) -> SeenDocument:
+    return {
+        "unit": entry.unit,
+        "values": entry.values,
+        "usable": entry.usable,
+        "rate_hz": entry.rate_hz,
+        "low": entry.low,
+        "high": entry.high,
+        "largest_gap_s": entry.largest_gap_s,
+        "first": list(entry.first),
+        "decoded": None if entry.decoded is None else list(entry.decoded),
+    }

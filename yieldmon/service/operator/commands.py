@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from yieldmon.documents.loads import Loads, LoadStarted, LoadStopped
+from yieldmon.documents.calibrations import Calibrations
+from yieldmon.documents.loads import Loads, LoadsCorrected, LoadStarted, LoadStopped
 from yieldmon.documents.tickets import Tickets
+from yieldmon.documents.undo import CalibrationUndone, TicketUndone
+from yieldmon.documents.zero import ZeroStarted, ZeroUndone
 from yieldmon.engine.mass.load_summary import LoadClosed, LoadOpened
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.sources import THOUSAND_KERNELS_G
@@ -142,7 +145,7 @@ def _load_stop(order: Order) -> LoadStopped:
     return {"load": monitor.totals.load_number, "mass_kg": monitor.totals.load_kg, "crop": crop}
 
 
-def _load_correct(order: Order) -> Answer:
+def _load_correct(order: Order) -> LoadsCorrected:
     request, monitor, journal = order.request, order.monitor, order.journal
     first = request.number_of("first_load", "load")
     last = request.number_of("last_load", "load") if request.given("last_load") else first
@@ -153,10 +156,25 @@ def _load_correct(order: Order) -> Answer:
         number = monitor.totals.load_number
         raise InputError(f"load {number}", "is still open", "`yieldmon load start` with the right names, then correct this one")
     wanted = load_names.Correction(covered_loads(journal, first, last, "load"), field, crop)
-    answer = load_names.correct(wanted, monitor, journal, request.who, order.now_s, order.stored)
+    of_crop = load_names.correct(wanted, monitor, journal, request.who, order.now_s, order.stored)
     goes_on = journal.crop_in_use(monitor.estimator.parameters)
     newest = not monitor.totals.load_open and last >= monitor.totals.load_number
-    return answer | {"goes_on": goes_on if newest and crop and goes_on and goes_on.lower() != crop.lower() else ""}
+    answer: LoadsCorrected = {
+        "first_load": wanted.loads[0].number,
+        "last_load": wanted.loads[-1].number,
+        "field": field,
+        "crop": crop,
+        "goes_on": goes_on if newest and crop and goes_on and goes_on.lower() != crop.lower() else "",
+    }
+    if of_crop is not None:
+        answer |= {
+            "measured_again": list(of_crop.measured_again),
+            "not_measured_again": [{"load": load, "why": why} for load, why in sorted(of_crop.not_measured_again.items())],
+            "learnt_again": list(of_crop.updating.again),
+            "not_learnt_again": of_crop.updating.not_again,
+            "taken_back": list(of_crop.taken_back),
+        }
+    return answer
 
 
 def _loads(order: Order) -> Loads:
@@ -167,21 +185,21 @@ def _tickets(order: Order) -> Tickets:
     return {"tickets": order.journal.actions.ticket_table(order.monitor.doubted_loads)}
 
 
-def _ticket_undo(order: Order) -> Answer:
+def _ticket_undo(order: Order) -> TicketUndone:
     number = order.request.number_of("ticket", "ticket")
     return relearning.without_ticket(number, order.monitor, order.journal, order.request.who, order.now_s, order.stored)
 
 
-def _calibrations(order: Order) -> Answer:
+def _calibrations(order: Order) -> Calibrations:
     return {"calibrations": order.journal.parameters.table()}
 
 
-def _calibration_undo(order: Order) -> Answer:
+def _calibration_undo(order: Order) -> CalibrationUndone:
     version = order.request.number_of("version", "version")
     return relearning.without_version(version, order.monitor, order.journal, order.request.who, order.now_s, order.stored)
 
 
-def _zero(order: Order) -> Answer:
+def _zero(order: Order) -> ZeroStarted:
     monitor = order.monitor
     signs = monitor.signs_of_grain
     force = order.request.flag("force")
@@ -192,7 +210,7 @@ def _zero(order: Order) -> Answer:
     return {"zero": "started; keep the elevator running empty"}
 
 
-def _zero_undo(order: Order) -> Answer:
+def _zero_undo(order: Order) -> ZeroUndone:
     monitor, journal = order.monitor, order.journal
     try:
         restored, events = monitor.undo_zero()

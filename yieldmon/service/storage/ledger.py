@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from yieldmon.documents.calibrations import CalibrationRow, CalibrationState
 from yieldmon.documents.loads import ListedLoad
 from yieldmon.documents.tickets import TicketRow, TruckDocument
 
@@ -216,19 +217,19 @@ def updated_by(actions: Iterable[Action]) -> dict[int, tuple[int, ...]]:
     return found
 
 
-def calibration_rows(actions: Iterable[Action], in_use: int) -> list[dict[str, Any]]:
+def calibration_rows(actions: Iterable[Action], in_use: int) -> list[CalibrationRow]:
     """Each change of parameters and each operator's zero, with who and when, and whether it stands."""
     known = list(actions)
     undone = undone_versions(known)
     undone_zeros = {int(a.document["action"]) for a in known if a.kind == ZERO_UNDO}
     # With one goes what was taken before it from the same second on.
     back = {a.document.get("second") for a in known if a.kind == ZERO and a.number in undone_zeros}
-    rows = []
+    rows: list[CalibrationRow] = []
     for action in known:
         document = action.document
         if action.kind == PARAMETERS:
             version = int(document["version"])
-            state = "in use" if version == in_use else "undone" if version in undone else ""
+            state: CalibrationState = "in use" if version == in_use else "undone" if version in undone else ""
             rows.append({
                 "kind": "parameters", "version": version, "time_s": action.time_s, "who": action.who,
                 "origin": document.get("origin", ""), "what": document.get("reason", ""), "effects": document.get("effects", []),

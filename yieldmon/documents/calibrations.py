@@ -1,0 +1,38 @@
+"""What `yieldmon calibrations ACTION --json` prints."""
+
+from __future__ import annotations
+
+from typing import Literal, TypedDict
+
+from .common import Answered
+from .undo import CalibrationUndone
+
+CalibrationState = Literal["in use", "undone", ""]
+
+
+class CalibrationRow(TypedDict):
+    """A change of parameters, or an operator's zero, which has no version. time_s: Unix time; who: the user, "" for the monitor
+    itself; origin: what brought it; what: the reason; state: "in use", "undone" or ""."""
+
+    kind: Literal["parameters", "zero"]
+    version: int | None
+    time_s: float
+    who: str
+    origin: str
+    what: str
+    effects: list[str]
+    state: CalibrationState
+
+
+class Calibrations(TypedDict):
+    """All calibrations, in order."""
+
+    calibrations: list[CalibrationRow]
+
+
+class CalibrationListDocument(Calibrations, Answered):
+    """`yieldmon calibrations list --json`."""
+
+
+class CalibrationUndoDocument(CalibrationUndone, Answered):
+    """`yieldmon calibrations undo --json`."""
