@@ -206,7 +206,7 @@ def signalled(rng: random.Random) -> None:
 
 def asks(rng: random.Random) -> None:
     """Peers that ask nothing, a byte now and then, or all at once, while one asks in earnest."""
-    now_s, lines = 1000.0, io.StringIO()
+    now_s = 1000.0
     gate = threading.Event()
 
     def clock() -> float:
@@ -217,16 +217,8 @@ def asks(rng: random.Random) -> None:
             gate.wait(_PATIENCE_S)
         return {"fine": True}
 
-    handler = logging.StreamHandler(lines)
-    handler.addFilter(QuietLog(clock))
-    log = logging.getLogger(control.__name__)
-    disabled = logging.root.manager.disable
     with _home("") as folder, mock.patch.object(control, "monotonic", clock), contextlib.ExitStack() as stack:
-        logging.disable(logging.NOTSET)
-        stack.callback(logging.disable, disabled)
-        log.addHandler(handler)
-        stack.callback(log.removeHandler, handler)
-        stack.enter_context(mock.patch.object(log, "propagate", False))
+        lines = stack.enter_context(_logged(clock))
         path = folder / "s.sock"
         server = ControlServer(path, None, answer)
         before = threading.active_count()
@@ -254,7 +246,7 @@ def asks(rng: random.Random) -> None:
                 slow.sendall(b" ")
             now_s += 2.0
             # A round that begins now reads the byte.
-            _until(lambda: server.busy_since_s == now_s, "a round of the server's thread")
+            _until(lambda at_s=now_s: server.busy_since_s == at_s, "a round of the server's thread")
             require(_answered(path), "nobody is answered beside a peer that dribbles")
         now_s += 0.5
         # The round in which the peer's time was over has ended; several requests may be answered in one.
@@ -271,6 +263,22 @@ def asks(rng: random.Random) -> None:
 
         _until(lambda: taken() + len(gone) >= len(crowd), "the crowd to be taken or sent away")
         require(taken() <= 8, f"{taken()} threads for as many requests at once")
+
+
+@contextlib.contextmanager
+def _logged(clock: Callable[[], float]) -> Iterator[io.StringIO]:
+    """What the control server logs, as a daemon's service manager gets it."""
+    lines, log, disabled = io.StringIO(), logging.getLogger(control.__name__), logging.root.manager.disable
+    handler = logging.StreamHandler(lines)
+    handler.addFilter(QuietLog(clock))
+    logging.disable(logging.NOTSET)
+    log.addHandler(handler)
+    try:
+        with mock.patch.object(log, "propagate", False):
+            yield lines
+    finally:
+        log.removeHandler(handler)
+        logging.disable(disabled)
 
 
 def _answered(path: Path) -> bool:

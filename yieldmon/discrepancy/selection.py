@@ -61,6 +61,15 @@ def choose(
     return Search(base=base, noise=noise, effects=effects, rng=rng, policy=policy).run(progress or (lambda text, share: None))
 
 
+@dataclass(frozen=True)
+class _Named:
+    """A fit with the step that added each of its effects, and the fits with effects that are tied with these."""
+
+    fit: Fit
+    steps: tuple[Step, ...]
+    rivals: tuple[Fit, ...]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Search:
     """One search through a library of effects.
@@ -120,13 +129,13 @@ class Search:
         if not order:
             verdict: Verdict = "unknown" if base_gap.p_value < self.policy.gap_p else "none"
             return Choice(verdict, self.base, self.base, base_gap, base_gap, (), looked_at, p_any)
-        current, steps, rivals = self.prune_ambiguous(current, order, places, p_any)
-        against = self.objections.against(current, steps)
-        if against and (fewer := self.without_unneeded(current, p_any)) is not None:
-            (current, steps, rivals), against = fewer, ""
+        named = self.prune_ambiguous(current, order, places, p_any)
+        against = self.objections.against(named.fit, named.steps)
+        if against and (fewer := self.without_unneeded(named.fit, p_any)) is not None:
+            named, against = fewer, ""
         verdict = "unknown" if against else "effect"
-        gap = lack_of_fit(current, self.noise)
-        return Choice(verdict, self.base, current, base_gap, gap, steps, looked_at, p_any, rivals, against)
+        gap = lack_of_fit(named.fit, self.noise)
+        return Choice(verdict, self.base, named.fit, base_gap, gap, named.steps, looked_at, p_any, named.rivals, against)
 
     def candidates(
         self,
@@ -288,9 +297,7 @@ class Search:
             all_rivals += [c.fit for c in usable if c.effect in tied]
         return tuple(steps), tuple(all_rivals)
 
-    def prune_ambiguous(
-        self, current: Fit, order: list[str], places: Places, p_any: float
-    ) -> tuple[Fit, tuple[Step, ...], tuple[Fit, ...]]:
+    def prune_ambiguous(self, current: Fit, order: list[str], places: Places, p_any: float) -> _Named:
         """The fit and its steps, less the further effects that are no name, being tied with too many.
 
         None is left out whose absence the data refute, or which leaves the gap unexplained, unless another shape of the first
@@ -307,9 +314,9 @@ class Search:
                 break
             current, order, places = self._exchange(fewer, kept, {})
             steps, rivals = self._steps(current, by_weight(current, order), places, p_any)
-        return current, steps, rivals
+        return _Named(current, steps, rivals)
 
-    def without_unneeded(self, current: Fit, p_any: float) -> tuple[Fit, tuple[Step, ...], tuple[Fit, ...]] | None:
+    def without_unneeded(self, current: Fit, p_any: float) -> _Named | None:
         """The fit and its steps without the effect that another law of the others serves best for; None where what is left is no
         name, or where each effect is needed."""
         each = needed(current, misfit([current]), self.policy.per_parameter)
@@ -322,7 +329,7 @@ class Search:
             return None
         fewer, found, places = self._exchange(fewer, kept, {})
         steps, rivals = self._steps(fewer, by_weight(fewer, found), places, p_any)
-        return None if self.objections.against(fewer, steps) else (fewer, steps, rivals)
+        return None if self.objections.against(fewer, steps) else _Named(fewer, steps, rivals)
 
     def refined(self, found: Sequence[Candidate], name: str, current: Fit) -> tuple[Candidate, ...]:
         """The candidates for the place of `name`; those that miss a tie by little are fitted from other starts."""

@@ -107,9 +107,11 @@ def pooled(start: ParameterSet, machines: Sequence[MachineLoads]) -> FleetPrior:
     for _ in range(_LINEARISED):
         here = moved(start, *shift)
         linear = [_linear(machine, here, settings, shift) for machine in machines]
-        shift, between, of_crop, own, by_held = _fitted(linear, before)
-    wide = _few_machines(len(machines)) ** 2 * (between + of_crop)
-    return FleetPrior(_with_covariance(moved(start, *shift), wide, by_held), shift, between, of_crop, own)
+        found = _fitted(linear, before)
+        shift = found.mean
+    wide = _few_machines(len(machines)) ** 2 * (found.between + found.of_mean)
+    prior = _with_covariance(moved(start, *shift), wide, found.by_held)
+    return FleetPrior(prior, shift, found.between, found.of_mean, found.own)
 
 
 @dataclass(frozen=True)
@@ -133,9 +135,20 @@ def _linear(machine: MachineLoads, known: ParameterSet, settings: LoadSettings, 
     return _Linear(weighted @ slope, weighted @ target, -weighted @ _held_slopes(machine.model, known, loads))
 
 
-def _fitted(machines: Sequence[_Linear], before: Array) -> tuple[Array, Array, Array, Array, Array]:
-    """Mean, covariance between machines, covariance of the mean, each machine's own vector, and the mean's change by each held
-    parameter (2, h)."""
+@dataclass(frozen=True)
+class _Common:
+    """What m machines have in common: the mean of x (2,), its covariance between machines and that of the mean (2, 2), each
+    machine's own x (m, 2), and the mean's change by each held parameter (2, h)."""
+
+    mean: Array
+    between: Array
+    of_mean: Array
+    own: Array
+    by_held: Array
+
+
+def _fitted(machines: Sequence[_Linear], before: Array) -> _Common:
+    """before: covariance of the mean without the machines (2, 2)."""
     mean, between = np.zeros(2), np.eye(2) * (2.0 * _SCATTER_SD) ** 2
     inverse_before, own = np.linalg.inv(before), np.zeros((len(machines), 2))
     of_mean = before
@@ -159,7 +172,7 @@ def _fitted(machines: Sequence[_Linear], before: Array) -> tuple[Array, Array, A
         if settled:
             break
     by_held = of_mean @ np.sum([share @ m.by_held for m, share in zip(machines, shares, strict=True)], axis=0)
-    return mean, between, of_mean, own, by_held
+    return _Common(mean, between, of_mean, own, by_held)
 
 
 def _masses_kg(model: ForwardModel, known: ParameterSet, loads: Sequence[WeighedLoad]) -> Array:

@@ -14,7 +14,7 @@ Source: Schmidt, "Application of state-space methods to navigation problems" (19
 from __future__ import annotations
 
 from collections.abc import Container, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -148,10 +148,11 @@ def _calibration(
     sweep_settings: ClosedLoopSettings,
     learnt: Container[str],
 ) -> LoadCalibration:
-    fit, directions, errors, full = _fitted(problem, active)
+    found = _fitted(problem, active)
+    fit, directions, errors = found.fit, found.directions, found.left_out_error
     against = problem.contradicts(fit, active, max(directions, 1))
     shown = float(np.nan_to_num(_expected_rms(fit.error[active], errors[active]))) if against else 0.0
-    posterior, next_sd, level_sd = _posterior(problem, fit, active, directions, full, shown)
+    posterior, next_sd, level_sd = _posterior(problem, active, found, shown)
     after = problem.weighed * np.exp(fit.error)
     together = _together(problem, fit, sweeps, active, sweep_settings) if sweeps else None
     if together is not None:
@@ -292,17 +293,27 @@ def _as_law_set(law: LawProblem, active: NDArray[np.bool_], found: LawAverage) -
     return carrying(_as_set(law, placed(law.start, found.step), covariance[: count + 2, : count + 2]), law, covariance)
 
 
-def _fitted(problem: LoadProblem, active: NDArray[np.bool_]) -> tuple[LoadFit, int, Array, LoadFit | None]:
-    """The fit, along how many directions it moved, and the errors of loads left out; and the fit along both where the loads
-    determine both but one is enough."""
+@dataclass(frozen=True)
+class _Fitted:
+    """A fit of loads, along how many directions it moved, and ln error of each load left out (n,). full: the fit along both
+    directions where the loads determine both but one is enough."""
+
+    fit: LoadFit
+    directions: int
+    left_out_error: Array
+    full: LoadFit | None = None
+
+
+def _fitted(problem: LoadProblem, active: NDArray[np.bool_]) -> _Fitted:
+    """Along as many directions as the active loads determine and need."""
     both = problem.fit(active, 2)
     directions = int(np.sum(problem.information(both, active) >= problem.settings.least_information))
     errors = problem.left_out(active, directions).error
     if directions == 2 and not problem.contradicts(one := problem.fit(active, 1), active, 1):
         simpler = problem.left_out(active, 1).error
         if _rms(simpler[active]) < _rms(errors[active]):
-            return one, 1, simpler, both
-    return (both if directions == 2 else problem.fit(active, directions)), directions, errors, None
+            return _Fitted(one, 1, simpler, both)
+    return _Fitted(both if directions == 2 else problem.fit(active, directions), directions, errors)
 
 
 def _together(
@@ -343,14 +354,15 @@ def _left_out_together(
 
 
 def _posterior(
-    problem: LoadProblem, fit: LoadFit, active: NDArray[np.bool_], directions: int, full: LoadFit | None, shown: float
+    problem: LoadProblem, active: NDArray[np.bool_], found: _Fitted, shown: float
 ) -> tuple[ParameterSet, float, float]:
     """The new set, and relative standard deviations of a further load and of these loads' common level.
 
     shown: the former as loads left out show it, where they contradict the model's curve, else 0: the least that is stated.
-    full: the fit along both directions where `fit` moved along one of the two that the loads determine. What they say of the
-    other counts in the covariance, with the distance between the fits as an error of its own.
+    What loads say of a direction along which the fit did not move counts in the covariance, with the distance to the full fit as
+    an error of its own.
     """
+    fit, directions, full = found.fit, found.directions, found.full
     centre = moved(problem.start, *map(float, fit.step))
     h = np.column_stack((problem.held_slopes(centre), fit.by_step))
     rows = h[active]

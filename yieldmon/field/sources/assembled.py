@@ -72,7 +72,8 @@ def assemble(raw: Raw, where: str, kind: str, options: ReadOptions) -> HarvestTa
         if section is not None:
             values["section"] = section
             unknown += (f"rows of one time stand side by side: they are taken as {int(section.max())} sections of the header",)
-    time, unix_time, notes = row_times(raw, values, clock, where)
+    times = row_times(raw, values, clock, where)
+    time = times.time_s
     held: tuple[str, ...] = ()
     if "section" not in values:
         places = values["longitude"], values["latitude"]
@@ -103,7 +104,7 @@ def assemble(raw: Raw, where: str, kind: str, options: ReadOptions) -> HarvestTa
             *unknown,
             *held,
             *ways,
-            *notes,
+            *times.notes,
             *strange,
             *(_backwards(time) if clock.time_s is not None else ()),
             *derived,
@@ -111,7 +112,7 @@ def assemble(raw: Raw, where: str, kind: str, options: ReadOptions) -> HarvestTa
         ),
         date_order=clock.date_order,
     )
-    return build(columns, labels, source, unix_time=unix_time, default_flow_s=raw.default_flow_s)
+    return build(columns, labels, source, unix_time=times.unix, default_flow_s=raw.default_flow_s)
 
 
 def _limited(values: dict[str, Array], columns: Mapping[str, Column]) -> tuple[str, ...]:

@@ -55,6 +55,15 @@ class ColumnTimes:
     date_order: DateOrder | None = None
 
 
+@dataclass(frozen=True)
+class RowTimes:
+    """When rows were measured, s, shape (n,), whether that is Unix time, and what was taken for granted."""
+
+    time_s: Array
+    unix: bool
+    notes: tuple[str, ...]
+
+
 def column_times(raw: Raw, options: ReadOptions, where: str) -> ColumnTimes:
     """The times in a file's columns of times and days. Raises InputError for times of which none can be read."""
     order = _date_order(raw, options)
@@ -62,7 +71,8 @@ def column_times(raw: Raw, options: ReadOptions, where: str) -> ColumnTimes:
     column = raw.columns.get("time") or _dated_column(raw, options)
     if column is None:
         return ColumnTimes(None, unix=False, notes=("has no time",))
-    time_s, unix, notes = _of_column(column, raw, options, where)
+    found = _of_column(column, raw, options, where)
+    time_s, unix, notes = found.time_s, found.unix, list(found.notes)
     order = order if unix else None
     if unix and clocks.days_only(time_s):
         return ColumnTimes(None, unix=False, notes=(f"{column.name} holds days and no times",))
@@ -84,8 +94,8 @@ def _date_order(raw: Raw, options: ReadOptions) -> DateOrder | None:
     return next((order for order in orders if order is not None), None)
 
 
-def row_times(raw: Raw, values: Mapping[str, Array], clock: ColumnTimes, where: str) -> tuple[Array, bool, tuple[str, ...]]:
-    """Time of each row, s, whether it is Unix time, and what was taken for granted.
+def row_times(raw: Raw, values: Mapping[str, Array], clock: ColumnTimes, where: str) -> RowTimes:
+    """When each row was measured.
 
     Parameters
     ----------
@@ -98,6 +108,10 @@ def row_times(raw: Raw, values: Mapping[str, Array], clock: ColumnTimes, where: 
     where : str
         Place for errors.
 
+    Returns
+    -------
+    RowTimes
+
     Raises
     ------
     InputError
@@ -107,7 +121,7 @@ def row_times(raw: Raw, values: Mapping[str, Array], clock: ColumnTimes, where: 
         return _in_order(raw, values, where, clock.notes[0])
     notes = list(clock.notes)
     if "section" not in values and "interval" in values and not _repeats(clock.time_s, raw):
-        return clock.time_s, clock.unix, tuple(notes)
+        return RowTimes(clock.time_s, clock.unix, tuple(notes))
     even_s, step_s = clock.time_s.copy(), 0.0
     for rows in _of_machines(raw):
         if "section" in values:
@@ -118,7 +132,7 @@ def row_times(raw: Raw, values: Mapping[str, Array], clock: ColumnTimes, where: 
         step_s = max(step_s, own_step_s)
     if step_s:
         notes.append(f"{clock.name} counts in steps of {step_s:.2g} s, more coarsely than the rows follow: times are evened out")
-    return even_s, clock.unix, tuple(notes)
+    return RowTimes(even_s, clock.unix, tuple(notes))
 
 
 def _repeats(time_s: Array, raw: Raw) -> bool:
@@ -168,7 +182,7 @@ def _driven_m(values: Mapping[str, Array], rows: NDArray[np.intp], time_s: Array
     return values["distance"][rows] if as_coarse and "distance" in values else apart_m
 
 
-def _in_order(raw: Raw, values: Mapping[str, Array], where: str, why: str) -> tuple[Array, bool, tuple[str, ...]]:
+def _in_order(raw: Raw, values: Mapping[str, Array], where: str, why: str) -> RowTimes:
     """A clock for each machine's rows that have none: as far apart as their intervals are long, else a second."""
     orders, followed = _of_machines(raw), "in the order of the file"
     if not _are_as_driven(values, orders):
@@ -188,7 +202,7 @@ def _in_order(raw: Raw, values: Mapping[str, Array], where: str, why: str) -> tu
     time_s = np.zeros(raw.count)
     for rows in orders:
         time_s[rows] = np.cumsum(step[rows]) - step[rows]
-    return time_s, False, (f"{why}: rows are taken as {apart}, {followed}",)
+    return RowTimes(time_s, unix=False, notes=(f"{why}: rows are taken as {apart}, {followed}",))
 
 
 def _usual_ways_m(values: Mapping[str, Array], orders: Sequence[NDArray[np.intp]]) -> tuple[float, float]:
@@ -217,7 +231,7 @@ def _by_number(raw: Raw, values: Mapping[str, Array], orders: Sequence[NDArray[n
     return [rows[np.lexsort((number[rows], dataset[rows]))] for rows in orders]
 
 
-def _of_column(column: Column, raw: Raw, options: ReadOptions, where: str) -> tuple[Array, bool, list[str]]:
+def _of_column(column: Column, raw: Raw, options: ReadOptions, where: str) -> RowTimes:
     place = f"{where}: {column.name}"
     midnight_s, day_note = _midnights(column, raw, options)
     if column.name in raw.texts:
@@ -227,7 +241,7 @@ def _of_column(column: Column, raw: Raw, options: ReadOptions, where: str) -> tu
         # Of counts of seconds some read as dates.
         counted = plain_unit(column.unit) in FACTORS["time"] or (np.isfinite(numbers).all() and not np.isfinite(dated).all())
         if np.isfinite(dated).any() and not counted:
-            return dated, True, [note] if note else []
+            return RowTimes(dated, unix=True, notes=(note,) if note else ())
         of_day = written_times.seconds_of_day(label.names)[label.codes]
         if not counted and np.isfinite(of_day).sum() > np.isfinite(numbers).sum():
             return _of_day(of_day, midnight_s, raw, options, [day_note])
@@ -240,10 +254,11 @@ def _of_column(column: Column, raw: Raw, options: ReadOptions, where: str) -> tu
 
 def _of_numbers(
     column: Column, numbers: Array, midnight_s: Array | None, raw: Raw, options: ReadOptions, notes: list[str], place: str
-) -> tuple[Array, bool, list[str]]:
+) -> RowTimes:
     s_per_unit = factor(column.unit, "time", place) if column.unit else 1.0
     if clocks.is_serial_days(numbers, in_days=s_per_unit == S_PER_DAY):
-        return clocks.of_serial_days(numbers), True, [f"{column.name} is taken as a spreadsheet's days, 1 for 1 January 1900"]
+        note = f"{column.name} is taken as a spreadsheet's days, 1 for 1 January 1900"
+        return RowTimes(clocks.of_serial_days(numbers), unix=True, notes=(note,))
     if not column.unit and clocks.is_day_fraction(numbers):
         note = f"{column.name} is taken as a spreadsheet's time of the day, 0.5 for noon"
         return _of_day(np.round(numbers * S_PER_DAY, 3), midnight_s, raw, options, [note, *notes])
@@ -257,24 +272,22 @@ def _of_numbers(
     unix = bool(time_unit) or "unix" in column.name.lower()
     taken_as = [] if column.unit else [f"{column.name} is taken as {time_unit or 'seconds'}"]
     if unix:
-        return numbers, True, taken_as
+        return RowTimes(numbers, unix=True, notes=tuple(taken_as))
     return _of_day(numbers, midnight_s, raw, options, [*notes, *taken_as])
 
 
-def _of_day(
-    clock_s: Array, midnight_s: Array | None, raw: Raw, options: ReadOptions, notes: list[str]
-) -> tuple[Array, bool, list[str]]:
+def _of_day(clock_s: Array, midnight_s: Array | None, raw: Raw, options: ReadOptions, notes: list[str]) -> RowTimes:
     """A clock without a date, with the day of each row or else going on over midnight, each machine's for itself."""
     known = clock_s[np.isfinite(clock_s)]
     if midnight_s is not None and known.size and known.min() >= 0.0 and known.max() <= S_PER_DAY:
-        return midnight_s + clock_s, True, [note for note in notes if note]
+        return RowTimes(midnight_s + clock_s, unix=True, notes=tuple(note for note in notes if note))
     out = clock_s.copy()
     for rows in _of_machines(raw):
         out[rows], more = clocks.unwrapped(clock_s[rows])
         notes = [*notes, *(note for note in more if note not in notes)]
         if options.first_date is not None:
             out[rows] = clocks.dated(out[rows], options.first_date)
-    return out, options.first_date is not None, [note for note in notes if note]
+    return RowTimes(out, unix=options.first_date is not None, notes=tuple(note for note in notes if note))
 
 
 def _midnights(column: Column, raw: Raw, options: ReadOptions) -> tuple[Array | None, str]:

@@ -55,9 +55,12 @@ def known_loads(store: Store) -> dict[str, KnownLoad]:
         weighed_kg, sd_kg, common_kg = None, UNKNOWN_SCALE_SD * load.corrected_mass_kg, 0.0
         if load.ticket_id is not None:
             weighed_kg = load.corrected_mass_kg
-            whole_kg, whole_sd_kg, whole_common_kg = log.reference_mass(load.ticket_id)
+            whole = log.reference_mass(load.ticket_id)
             # How a ticket's mass divides among several loads is not weighed: their deviations add up to that of the whole.
-            sd_kg, common_kg = whole_sd_kg * (weighed_kg / whole_kg) ** 0.5, whole_common_kg * weighed_kg / whole_kg
+            sd_kg, common_kg = (
+                whole.std_dev_kg * (weighed_kg / whole.mass_kg) ** 0.5,
+                whole.common_kg * weighed_kg / whole.mass_kg,
+            )
         factor, sd, common_sd = (kg / load.mass_kg for kg in (load.corrected_mass_kg, sd_kg, common_kg))
         known[str(load.number)] = KnownLoad(factor, sd, weighed_kg, common_sd)
     return known

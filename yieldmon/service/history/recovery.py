@@ -46,6 +46,16 @@ class Recovery:
     made: bool = True
 
 
+@dataclass(frozen=True)
+class _Remembered:
+    """What a store remembers, its identity, and the computer that wrote it last. made: as in `Recovery`."""
+
+    memory: Memory
+    identity: int
+    computer: int
+    made: bool = True
+
+
 def recover(path: Path, retention: Retention, open_store: Callable[[], Store], computer: int = NONE) -> Recovery:
     """What the store at `path` remembers. A damaged one is set aside and a new one made of what is left of it.
 
@@ -64,21 +74,20 @@ def recover(path: Path, retention: Retention, open_store: Callable[[], Store], c
             found = _remember_or_set_aside(path, retention, open_store, without, notes)
         if found is None:
             continue
-        memory, identity, written_on, made = found
-        last_batch = memory.last_batch
+        memory, last_batch = found.memory, found.memory.last_batch
         missing = witnessed(path) - last_batch
         notes += _doubts(last_batch, missing)
         if missing > 0:
             # Numbers go on, or an older copy put back later would look like the newer one.
             memory = replace(memory, last_batch=last_batch + missing)
-        if are_two(identity, witnessed_store(path)):
+        if are_two(found.identity, witnessed_store(path)):
             notes.append(f"it is another store than was written here: {_ANOTHERS}")
-        if are_two(computer, written_on):
+        if are_two(computer, found.computer):
             notes.append(f"it was last written on another computer: {_ANOTHERS}")
         for note in notes:
             _log.error("%s: %s", path, note)
         note_beginning(path)
-        return Recovery(memory, "; ".join(notes), last_batch, made)
+        return Recovery(memory, "; ".join(notes), last_batch, found.made)
     raise StoreError(f"{path}: cannot be used, nor can a new one in its place")
 
 
@@ -108,11 +117,11 @@ def _doubts(last_batch: int, missing: int) -> list[str]:
 
 def _remember(
     path: Path, retention: Retention, open_store: Callable[[], Store], without: tuple[str, ...], notes: list[str]
-) -> tuple[Memory, int, int, bool] | None:
-    """As `_read`, and whether there is a store; None where a damaged one has been set aside, and the one in its place is to be
+) -> _Remembered | None:
+    """As `_read`; None where a damaged one has been set aside, and the one in its place is to be
     read. Says in `notes` what was done. Raises StoreError, and StoreUnreadableError where nothing of it can be read."""
     try:
-        return *_read(path, retention, open_store), True
+        return _read(path, retention, open_store)
     except StoreDamagedError as error:
         _log.error("%s", error)
         try:
@@ -123,13 +132,13 @@ def _remember(
     except StoreError as error:
         why = str(error)
         left = _left_at(path)
-        return (*_from_copy(left, retention, why, notes), True) if left is not None else (Memory(), NONE, NONE, False)
-    return *_from_copy(path, retention, why, notes), True
+        return _Remembered(Memory(), NONE, NONE, made=False) if left is None else _from_copy(left, retention, why, notes)
+    return _from_copy(path, retention, why, notes)
 
 
 def _remember_or_set_aside(
     path: Path, retention: Retention, open_store: Callable[[], Store], without: tuple[str, ...], notes: list[str]
-) -> tuple[Memory, int, int, bool] | None:
+) -> _Remembered | None:
     """As `_remember`; a store of which nothing can be read is set aside. Raises StoreError where that cannot be done."""
     try:
         return _remember(path, retention, open_store, without, notes)
@@ -166,7 +175,7 @@ def _origin_of_totals(rescued: rescue.Rescued) -> str:
     return f"totals are those of {'the last second saved' if rescued.saved.get('second') else 'a new store'}"
 
 
-def _from_copy(path: Path, retention: Retention, why: str, notes: list[str]) -> tuple[Memory, int, int]:
+def _from_copy(path: Path, retention: Retention, why: str, notes: list[str]) -> _Remembered:
     """As `_read`, of what is left of a store that stays as it is; says so in `notes`. Raises StoreError, and
     StoreUnreadableError where nothing of it can be read."""
     try:
@@ -176,7 +185,7 @@ def _from_copy(path: Path, retention: Retention, why: str, notes: list[str]) -> 
             for without in rescue.GIVEN_UP:
                 rescued = rescue.rescue(copy, "damaged", without=without)
                 with suppress(StoreDamagedError), Store(copy, retention) as store:
-                    found = remembered(store), store.identity(), store.computer()
+                    found = _Remembered(remembered(store), store.identity(), store.computer())
                     break
             else:
                 raise StoreError(f"{path}: what is left of it makes no sense")
@@ -192,8 +201,8 @@ def _from_copy(path: Path, retention: Retention, why: str, notes: list[str]) -> 
     return found
 
 
-def _read(path: Path, retention: Retention, open_store: Callable[[], Store]) -> tuple[Memory, int, int]:
-    """What the store remembers, its identity, and the computer that wrote it last."""
+def _read(path: Path, retention: Retention, open_store: Callable[[], Store]) -> _Remembered:
+    """What the store remembers, opened the first way that works."""
     ways: tuple[Callable[[], Store], ...] = (
         open_store,
         lambda: Store(path, retention, exclusive=True),
@@ -205,7 +214,7 @@ def _read(path: Path, retention: Retention, open_store: Callable[[], Store]) -> 
         try:
             with way() as store:
                 identity, computer = store.identity(), store.computer()
-                return remembered(store), identity, computer
+                return _Remembered(remembered(store), identity, computer)
         except StoreDamagedError:
             raise
         except StoreError as error:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -14,7 +13,7 @@ from yieldmon.estimation.estimators import estimator_of
 from yieldmon.service.assembly import calibration_age_s
 from yieldmon.service.history.journal import Journal
 from yieldmon.service.history.reference_loads import StoredLoad, reference
-from yieldmon.service.storage.batch import Load, Ticket
+from yieldmon.service.storage.batch import Load
 from yieldmon.service.tickets.action_log import ActionLog
 
 _NOT_WEIGHED = frozenset({"sweep", "kernels"})
@@ -262,7 +261,7 @@ def _update_again(
         ticket = tickets[number]
         covered = [load for load in journal.loads if ticket.first_load <= load.number <= ticket.last_load]
         why = why_no_reference(monitor, journal, covered, stored, crop)
-        shares = () if why else weighings(covered, ticket, *journal.actions.reference_mass(number))
+        shares = () if why else journal.actions.reference_mass(number).shared_out(covered, ticket.measured_mass_kg)
         if number in stay:
             stays += shares
         elif why:
@@ -309,15 +308,3 @@ def why_no_reference(
     if not all(whole.get(load.number, False) for load in covered):
         return "not every second of it was measured"
     return ""
-
-
-def weighings(
-    covered: Sequence[Load], ticket: Ticket, mass_kg: float, std_dev_kg: float, common_kg: float = 0.0
-) -> list[Weighing]:
-    """The reference mass of a ticket, shared out over its loads. common_kg: as of a `Weighing`."""
-    found = []
-    for load in covered:
-        share = load.mass_kg / ticket.measured_mass_kg
-        if share > 0.0:
-            found.append(Weighing(load.number, share * mass_kg, math.sqrt(share) * std_dev_kg, share * common_kg))
-    return found

@@ -15,13 +15,14 @@ from yieldmon.errors import InputError
 from yieldmon.estimation.estimators import estimator_of
 from yieldmon.files import ticket_file
 from yieldmon.files.crops import shipped_name
-from yieldmon.service.history.relearning import weighings, why_no_reference, without_replaced
+from yieldmon.service.history.relearning import why_no_reference, without_replaced
 from yieldmon.service.operator.control_protocol import TICKET_KG
 from yieldmon.service.operator.order import Order, covered_loads
 from yieldmon.service.operator.requests import Request
 from yieldmon.service.storage.batch import Load, Ticket
 from yieldmon.service.storage.ledger import SharedTruck
 from yieldmon.service.tickets import ticket_doubt
+from yieldmon.service.tickets.ticket_mass import TicketMass
 
 _EXACT = 1e-3
 """Relative standard deviation of a mass that adds nothing to that of what was measured."""
@@ -50,10 +51,10 @@ def enter_ticket(order: Order) -> TicketEntered:
     request, monitor, journal = order.request, order.monitor, order.journal
     first = request.number_of("first_load", "load")
     last = request.number_of("last_load", "load") if request.given("last_load") else first
-    truck, own_kg, std_dev_kg = _weighed(request)
+    truck, own = _weighed(request)
     covered = _closed_loads(order, first, last)
     measured_kg = sum(load.mass_kg for load in covered)
-    ticket = Ticket(order.now_s, first, last, own_kg, measured_kg, request.name("note") or "")
+    ticket = Ticket(order.now_s, first, last, own.mass_kg, measured_kg, request.name("note") or "")
     counting = (journal.actions.ledger.ticket_of(load.number) for load in covered)
     stood_for = sorted({found[0] for found in counting if found is not None})
     # Before anything else is made of it: the parameters are to be what they would be without those that it replaces.
@@ -62,21 +63,19 @@ def enter_ticket(order: Order) -> TicketEntered:
     again = journal.actions.ledger.factors
     known_kg = sum(load.mass_kg * again.get(load.number, 1.0) for load in covered)
     crop = _other_crop(order, covered)
-    why_not = ticket_file.unit_slip(own_kg, measured_kg) or why_no_reference(monitor, journal, covered, order.stored, crop)
-    shares = weighings(covered, ticket, own_kg, std_dev_kg, 0.0 if truck is None else truck.other_std_dev_kg)
+    why_not = ticket_file.unit_slip(own.mass_kg, measured_kg) or why_no_reference(monitor, journal, covered, order.stored, crop)
+    shares = own.shared_out(covered, measured_kg)
     departs = None if why_not else _departure(shares, order, crop)
     question = _question(ticket, departs, order, covered, crop)
     if truck is not None:
-        alone = weighings(covered, ticket, own_kg, _EXACT * own_kg)
-        ticket = replace(
-            ticket, weighed_mass_kg=_best_kg(own_kg, std_dev_kg, known_kg, None if why_not else _departure(alone, order, crop))
-        )
+        exact = TicketMass(own.mass_kg, _EXACT * own.mass_kg).shared_out(covered, measured_kg)
+        ticket = replace(ticket, weighed_mass_kg=_best_kg(own, known_kg, None if why_not else _departure(exact, order, crop)))
     waits = journal.actions.unfinished_of_crop.get(crop) if crop else journal.actions.to_update
     first_moves = exp(departs.ln) - 1.0 if departs is not None and departs.first and not waits else None
     if not why_not:
         for load_number, mass_kg, share_std_dev_kg, common_kg in shares:
             monitor.ticket(load_number, mass_kg, share_std_dev_kg, crop, common_kg)
-    number = journal.actions.ticket(ticket, request.who, std_dev_kg, is_reference=not why_not, crop=crop, truck=truck)
+    number = journal.actions.ticket(ticket, request.who, own.std_dev_kg, is_reference=not why_not, crop=crop, truck=truck)
     return {
         "crop": journal.parameters.crop_of_load(covered[-1]),
         "ticket": number,
@@ -84,8 +83,8 @@ def enter_ticket(order: Order) -> TicketEntered:
         "last_load": last,
         "weighed_mass_kg": ticket.weighed_mass_kg,
         "truck": None if truck is None else truck.document,
-        "own_mass_kg": own_kg,
-        "own_std_dev_kg": std_dev_kg,
+        "own_mass_kg": own.mass_kg,
+        "own_std_dev_kg": own.std_dev_kg,
         "measured_mass_kg": measured_kg,
         "known_mass_kg": known_kg,
         "factor": ticket.factor,
@@ -111,17 +110,18 @@ def _closed_loads(order: Order, first: int, last: int) -> Sequence[Load]:
     return covered
 
 
-def _weighed(request: Request) -> tuple[SharedTruck | None, float, float]:
-    """The truck, where another combine filled it as well, and the mass of these loads with its standard deviation, kg."""
+def _weighed(request: Request) -> tuple[SharedTruck | None, TicketMass]:
+    """The truck, where another combine filled it as well, and what was weighed of these loads."""
     weighed_kg = request.mass("mass_kg", *TICKET_KG, "kg")
     std_dev_kg = request.mass_or_none("std_dev_kg", *TICKET_KG, "kg")
     if std_dev_kg is None:
         std_dev_kg = ticket_file.RELATIVE_STD_DEV * weighed_kg
     truck = _shared_truck(request, weighed_kg)
     if truck is None:
-        return None, weighed_kg, std_dev_kg
+        return None, TicketMass(weighed_kg, std_dev_kg)
     others = truck.other_kg, truck.other_std_dev_kg
-    return truck, *ticket_file.own_part(weighed_kg, std_dev_kg, *others, "mass from the other combine")
+    own_kg, own_std_dev_kg = ticket_file.own_part(weighed_kg, std_dev_kg, *others, "mass from the other combine")
+    return truck, TicketMass(own_kg, own_std_dev_kg, truck.other_std_dev_kg)
 
 
 def _shared_truck(request: Request, weighed_kg: float) -> SharedTruck | None:
@@ -135,9 +135,10 @@ def _shared_truck(request: Request, weighed_kg: float) -> SharedTruck | None:
     return SharedTruck(weighed_kg, other_kg, ticket_file.OTHER_RELATIVE_STD_DEV * other_kg if std_dev_kg is None else std_dev_kg)
 
 
-def _best_kg(own_kg: float, std_dev_kg: float, known_kg: float, measured: ticket_doubt.Departure | None) -> float:
+def _best_kg(own: TicketMass, known_kg: float, measured: ticket_doubt.Departure | None) -> float:
     """What another combine leaves of a truck, and what was measured, each by how well it is known. measured: of a mass known
     exactly; None where nothing is known of the load's deviation."""
+    own_kg, std_dev_kg = own.mass_kg, own.std_dev_kg
     ln, sd = (log(own_kg / known_kg), ticket_doubt.UNWEIGHED_SD) if measured is None else (measured.ln, measured.std_dev)
     return own_kg * exp(-ln / (1.0 + (sd * own_kg / std_dev_kg) ** 2))
 
@@ -193,7 +194,7 @@ def _ln_of_waiting(numbers: Sequence[int], order: Order, of_crop: FlowEstimator 
     for number in numbers:
         ticket = tickets[number]
         loads = [load for load in order.journal.loads if ticket.first_load <= load.number <= ticket.last_load]
-        for load, mass_kg, sd_kg, _ in weighings(loads, ticket, *order.journal.actions.reference_mass(number)):
+        for load, mass_kg, sd_kg, _ in order.journal.actions.reference_mass(number).shared_out(loads, ticket.measured_mass_kg):
             # Of a load that an earlier run measured nothing may be known now.
             with suppress(ValueError):
                 part = order.monitor.ticket_departure(load, mass_kg, sd_kg, of_crop)

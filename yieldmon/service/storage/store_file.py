@@ -6,7 +6,9 @@ import errno
 import os
 import shutil
 import sqlite3
+from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -165,29 +167,40 @@ def read_only(path: Path) -> sqlite3.Connection:
     # Reading beside a writer needs the writer's journal index; without a journal the file alone is the whole store.
     journal = parts(path)[1].exists()
     try:
-        database, application, version, strange = _opened(path, "mode=ro" if journal else "immutable=1")
+        opened = _opened(path, "mode=ro" if journal else "immutable=1")
     except InputError as error:
         cause = error.__cause__
         if not (journal and isinstance(cause, sqlite3.OperationalError) and cause.sqlite_errorcode & 0xFF in _NO_INDEX):
             raise
         # A disk that is full or read-only has no room for the index.
         with TemporaryDirectory(prefix="yieldmon-") as folder:
-            database, application, version, strange = _opened(_copied(path, Path(folder), error), "mode=ro")
+            opened = _opened(_copied(path, Path(folder), error), "mode=ro")
     problem = ""
-    if strange:
-        problem = f"has a {strange[0][0]} {strange[0][1]!r} where a store has a plain table"
-    elif application != schema.APPLICATION_ID:
+    if opened.strange:
+        kind, name = opened.strange[0]
+        problem = f"has a {kind} {name!r} where a store has a plain table"
+    elif opened.application != schema.APPLICATION_ID:
         problem = "is empty" if not path.stat().st_size else "is an SQLite file of another program"
-    elif not 0 <= version <= schema.VERSION:
-        problem = f"is a store of schema version {version}; this yieldmon knows {schema.VERSION}"
+    elif not 0 <= opened.version <= schema.VERSION:
+        problem = f"is a store of schema version {opened.version}; this yieldmon knows {schema.VERSION}"
     if problem:
-        database.close()
+        opened.database.close()
         raise InputError(str(path), problem, "a store of this version or an older one")
-    return database
+    return opened.database
 
 
-def _opened(path: Path, how: str) -> tuple[sqlite3.Connection, int, int, list[tuple[str, str]]]:
-    """A connection, application and version of its file, and what is strange in it. Raises InputError."""
+@dataclass(frozen=True)
+class _Opened:
+    """A connection, the identifier of its file's application, the file's version, and kind and name of what no store has."""
+
+    database: sqlite3.Connection
+    application: int
+    version: int
+    strange: Sequence[tuple[str, str]]
+
+
+def _opened(path: Path, how: str) -> _Opened:
+    """The file at a path. how: parameters of SQLite's address. Raises InputError."""
     try:
         database = sqlite3.connect(address(path, how), uri=True, isolation_level=None)
     except sqlite3.OperationalError as error:
@@ -199,7 +212,7 @@ def _opened(path: Path, how: str) -> tuple[sqlite3.Connection, int, int, list[tu
         prepared(database)
         _distrust(database, path)
         application, version = (database.execute(f"PRAGMA {name}").fetchone()[0] for name in ("application_id", "user_version"))
-        return database, application, version, database.execute(_STRANGE).fetchall()
+        return _Opened(database, application, version, database.execute(_STRANGE).fetchall())
     except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
         # SQLite's own message about a damaged schema may be no text.
         database.close()

@@ -15,6 +15,7 @@ from yieldmon.files.ticket_file import RELATIVE_STD_DEV
 from yieldmon.service.storage import ledger as ledgers
 from yieldmon.service.storage.batch import Action, Ticket
 from yieldmon.service.storage.ledger import SharedTruck
+from yieldmon.service.tickets.ticket_mass import TicketMass
 from yieldmon.service.tickets.ticket_states import ticket_states
 
 
@@ -273,14 +274,13 @@ class ActionLog:
         """What was kept beside a ticket; nothing of one of a store before 0.2."""
         return next((a.document for a in self._actions if a.kind == ledgers.TICKET and a.document["ticket"] == number), {})
 
-    def reference_mass(self, number: int) -> tuple[float, float, float]:
-        """The reference mass of a ticket with its standard deviation, where that was not kept the usual one, and the part of that
-        by another combine's monitor, kg."""
+    def reference_mass(self, number: int) -> TicketMass:
+        """The reference mass of a ticket; its standard deviation is the usual one where none was kept."""
         entry = self._entry(number)
         truck, std_dev_kg = ledgers.truck_of(entry), entry.get("std_dev_kg")
         mass_kg = self._tickets[number - 1].weighed_mass_kg if truck is None else truck.own_kg
         sd_kg = RELATIVE_STD_DEV * mass_kg if std_dev_kg is None else float(std_dev_kg)
-        return mass_kg, sd_kg, 0.0 if truck is None else truck.other_std_dev_kg
+        return TicketMass(mass_kg, sd_kg, 0.0 if truck is None else truck.other_std_dev_kg)
 
     def truck(self, number: int) -> SharedTruck | None:
         """What was entered of another combine with a ticket."""
@@ -342,7 +342,7 @@ class ActionLog:
         return behind
 
     def _is_of(self, number: int, references: Sequence[tuple[int, float]]) -> bool:
-        ticket, (mass_kg, *_) = self._tickets[number - 1], self.reference_mass(number)
+        ticket, mass_kg = self._tickets[number - 1], self.reference_mass(number).mass_kg
         return isclose(sum(kg for load, kg in references if ticket.first_load <= load <= ticket.last_load), mass_kg, rel_tol=1e-6)
 
     def bring_back(self, version: int) -> None:
