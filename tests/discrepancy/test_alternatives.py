@@ -193,7 +193,7 @@ def test_an_effect_that_only_mends_the_law_of_another_is_left_out(make_rows, sta
     policy = Policy(own_law_share=own_law_share, unexplained_share=0.4)
     search = Search(base=base, noise=noise, effects=library, rng=np.random.default_rng(1), policy=policy)
     fewer = search.without_unneeded(both, 0.0)
-    assert (fewer and fewer[0].effects) == left
+    assert (fewer and fewer.fit.effects) == left
 
 
 def test_no_effect_is_left_out_that_is_needed(make_rows, start) -> None:

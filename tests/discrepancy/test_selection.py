@@ -264,9 +264,9 @@ def test_a_further_effect_with_too_many_ties_is_pruned_unless_the_data_refute_it
     reduced = fit(base.frame, ("zero_offset",), current.values)
     looking = search(base, noise, policy, excess=1e6, effects=(*library, "zero_offset"))
     places = {"release_angle": looking.candidates(reduced, library, 4), "zero_offset": ()}
-    found, steps, _ = looking.prune_ambiguous(current, ["zero_offset", "release_angle"], places, 0.0)
-    assert tuple(sorted(found.effects)) == (left or pair)
-    assert {s.added for s in steps} == set(found.effects)
+    found = looking.prune_ambiguous(current, ["zero_offset", "release_angle"], places, 0.0)
+    assert tuple(sorted(found.fit.effects)) == (left or pair)
+    assert {s.added for s in found.steps} == set(found.fit.effects)
 
 
 def test_a_bound_that_the_data_do_not_refute_is_no_reason_to_refuse(make_rows, start) -> None:

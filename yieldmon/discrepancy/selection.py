@@ -62,7 +62,7 @@ def choose(
 
 
 @dataclass(frozen=True)
-class _Named:
+class Explanation:
     """A fit with the step that added each of its effects, and the fits with effects that are tied with these."""
 
     fit: Fit
@@ -297,7 +297,7 @@ class Search:
             all_rivals += [c.fit for c in usable if c.effect in tied]
         return tuple(steps), tuple(all_rivals)
 
-    def prune_ambiguous(self, current: Fit, order: list[str], places: Places, p_any: float) -> _Named:
+    def prune_ambiguous(self, current: Fit, order: list[str], places: Places, p_any: float) -> Explanation:
         """The fit and its steps, less the further effects that are no name, being tied with too many.
 
         None is left out whose absence the data refute, or which leaves the gap unexplained, unless another shape of the first
@@ -314,9 +314,9 @@ class Search:
                 break
             current, order, places = self._exchange(fewer, kept, {})
             steps, rivals = self._steps(current, by_weight(current, order), places, p_any)
-        return _Named(current, steps, rivals)
+        return Explanation(current, steps, rivals)
 
-    def without_unneeded(self, current: Fit, p_any: float) -> _Named | None:
+    def without_unneeded(self, current: Fit, p_any: float) -> Explanation | None:
         """The fit and its steps without the effect that another law of the others serves best for; None where what is left is no
         name, or where each effect is needed."""
         each = needed(current, misfit([current]), self.policy.per_parameter)
@@ -329,7 +329,7 @@ class Search:
             return None
         fewer, found, places = self._exchange(fewer, kept, {})
         steps, rivals = self._steps(fewer, by_weight(fewer, found), places, p_any)
-        return None if self.objections.against(fewer, steps) else _Named(fewer, steps, rivals)
+        return None if self.objections.against(fewer, steps) else Explanation(fewer, steps, rivals)
 
     def refined(self, found: Sequence[Candidate], name: str, current: Fit) -> tuple[Candidate, ...]:
         """The candidates for the place of `name`; those that miss a tie by little are fitted from other starts."""
