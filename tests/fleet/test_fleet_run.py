@@ -374,8 +374,8 @@ def test_a_ticket_covers_logs_by_name_whatever_their_order_in_time(tmp_path: Pat
 
 @pytest.mark.parametrize("name", ["._a.log", ".DS_Store", "Thumbs.db", "notes.txt"])
 def test_what_file_managers_leave_is_no_log(tmp_path: Path, name: str) -> None:
-    for each in ("a.log", name):
-        logs.write(tmp_path / "m" / "d" / each)
+    logs.write(tmp_path / "m" / "d" / "a.log")
+    (tmp_path / "m" / "d" / name).write_text("two stones in the header")
     found = manifest.load(str(tmp_path))
     assert [Path(log).name for log in found.partitions[0].logs] == ["a.log"]
     assert [Path(path).name for path in found.left_out] == [name]

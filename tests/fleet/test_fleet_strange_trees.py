@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 from pathlib import Path
 
@@ -22,6 +23,60 @@ def test_a_log_that_is_still_being_copied_is_refused(name: str, tmp_path: Path) 
     found = manifest.load(str(tmp_path / "tree"))
     assert [Path(error.where).name for error in found.refused] == [name]
     assert [Path(path).name for path in found.left_out] == ["notes.part"]
+
+
+CANDUMP = "(1790841600.000000) can0 18FF0117#803E00FFFFFFFFFF\n"
+READ, REFUSED, LEFT_OUT = "read", "refused", "left out"
+
+
+@pytest.mark.parametrize(
+    ("place", "content", "what"),
+    [
+        ("m/d/b.txt", CANDUMP, READ),
+        ("m/d/b.TXT", "\ufeff# of the north field\n\n" + CANDUMP, READ),
+        ("m/d/b.txt.gz", CANDUMP, READ),
+        ("m/d/b.txt", "***BUSMASTER Ver 2.6.0***\n***PROTOCOL CAN***\n", READ),
+        ("m/d/b.txt", "# Logger type: CL2000\n# HW rev: 6.3x\n", READ),
+        ("m/d/b.txt", " Chn Identifier Flg   DLC  D0...1...2...3...4...5...6..D7       Time     Dir\n", READ),
+        ("m/d/b.txt", "  can0  18FF0117   [8]  80 3E 00 FF FF FF FF FF\n", READ),  # without times: named as it is read
+        ("m/d/b.txt", CANDUMP.encode("utf-16"), READ),
+        ("m/d/b.txt.1", CANDUMP, REFUSED),
+        ("m/d/b.txt.part", CANDUMP, REFUSED),
+        ("m/b.txt", CANDUMP, REFUSED),
+        ("m/d/morning/b.txt", CANDUMP, REFUSED),
+        ("m/d/b.txt", "load 2: a stone in the header (12:40) can0 off\n", LEFT_OUT),
+        ("m/d/b.txt.gz", "load 2\n", LEFT_OUT),
+        ("m/d/b.txt.1", "load 2\n", LEFT_OUT),
+        ("m/d/b.txt", "", LEFT_OUT),
+        ("m/d/b.txt.zip", b"PK\x03\x04\x14\x00", LEFT_OUT),
+        ("m/d/b.mf4.kmf", "", LEFT_OUT),
+    ],
+)
+def test_a_text_file_is_a_log_where_it_begins_as_one(place: str, content: str | bytes, what: str, tmp_path: Path) -> None:
+    logs.write(tmp_path / "m" / "d" / "a.log")
+    path = tmp_path / place
+    path.parent.mkdir(parents=True, exist_ok=True)
+    text = content if isinstance(content, bytes) else content.encode()
+    path.write_bytes(gzip.compress(text) if place.endswith(".gz") else text)
+    found = manifest.load(str(tmp_path))
+    named = {
+        READ: [log for log in found.partitions[0].logs if not log.endswith("a.log")],
+        REFUSED: [error.where for error in found.refused],
+        LEFT_OUT: list(found.left_out),
+    }
+    of = path.parent if path.parent.name == "morning" else path
+    assert named == {READ: [], REFUSED: [], LEFT_OUT: [], what: [str(of)]}
+
+
+def test_what_is_left_out_and_may_be_a_log_is_said_with_what_to_do(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    logs.write(tmp_path / "tree" / "m" / "d" / "a.txt")
+    for name in ("b.kmf", "plan.txt"):
+        (tmp_path / "tree" / "m" / "d" / name).write_text("north first")
+    assert main(["fleet", "run", str(tmp_path / "tree"), "--out", str(tmp_path / "season"), "--workers", "0"]) == 0
+    said = capsys.readouterr().err
+    assert "b.kmf: left out, not read as a log: export b.kmf as .mf4" in said
+    assert "plan.txt: left out, holds no log of a day" in said
+    assert "1 measured" in said
 
 
 @pytest.mark.parametrize("place", ["m1/2026-10-02/logs.zip", "m1/2026-10-02.tar.gz", "m1/2026-10-02/all.7Z"])

@@ -121,9 +121,15 @@ def log_format(path: Path) -> tuple[str, bool]:
     suffix = (suffixes[-2:-1] if compressed else suffixes[-1:]) or [""]
     if suffix[0] not in SUFFIXES or (compressed and suffix[0] == PACKED_SUFFIX):
         known = f"one of {' '.join(SUFFIXES)}, each but the last also with .gz behind"
-        mend = _MENDS.get(suffix[0], _ROTATED if suffix[0][1:].isdigit() else None)
-        raise InputError(str(path), "unknown log format", f"{known}; {mend.format(path.name)}" if mend else known)
+        mend = mend_of(path.name)
+        raise InputError(str(path), "unknown log format", f"{known}; {mend}" if mend else known)
     return suffix[0], compressed
+
+
+def mend_of(name: str) -> str:
+    """What to do with a file that may be a log and whose name is no format's; "" where nothing is known."""
+    suffix = Path(name.lower().removesuffix(".gz")).suffix
+    return _MENDS.get(suffix, _ROTATED if suffix[1:].isdigit() else "").format(name)
 
 
 def _read_packed(path: Path, suffix: str, compressed: bool, notes: LogNotes) -> Iterator[can.Message]:

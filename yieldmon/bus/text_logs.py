@@ -37,6 +37,7 @@ _LONGEST_START_BYTES = 64
 _COMMENT = re.compile(r"#(?:\s|$)")
 """That people put into candump's logs."""
 _UTF8_MARK = b"\xef\xbb\xbf"
+_UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 #: Control characters that stand in no text log: all but tab, line feed and carriage return.
 _CONTROL_BYTE = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]")
 
@@ -60,7 +61,7 @@ def read_stream(stream: io.BufferedReader, path: Path, suffix: str, notes: LogNo
     lines = _Lines(stream, path, notes)
     match suffix:
         case ".log" | ".txt":
-            parse = _parser_of(stream, notes)
+            parse = _parser_of(stream.peek(_LONGEST_START_BYTES), notes)
             return _read_candump(lines, notes) if parse is None else _read_lines(lines, parse)
         case ".trc":
             return _read_trace(lines)
@@ -72,11 +73,22 @@ def read_stream(stream: io.BufferedReader, path: Path, suffix: str, notes: LogNo
 
 def is_candump(stream: io.BufferedReader) -> bool:
     """Whether a log of `CANDUMP_SUFFIXES` that stands at its beginning is to be read as candump's, not as a logger's."""
-    return _parser_of(stream, LogNotes()) is None
+    return _parser_of(stream.peek(_LONGEST_START_BYTES), LogNotes()) is None
 
 
-def _parser_of(stream: io.BufferedReader, notes: LogNotes) -> Parser | None:
-    start = stream.peek(_LONGEST_START_BYTES).removeprefix(_UTF8_MARK)
+def begins_as_log(start: bytes) -> bool:
+    """Whether the first kilobytes of a text file, decompressed, are those of a log of `CANDUMP_SUFFIXES`, and not of notes; also
+    where it is one that is then refused, as without times or in UTF-16."""
+    if start.startswith(_UTF16_MARKS):
+        start = start.decode("utf-16", errors="replace").encode()
+    if _parser_of(start, LogNotes()) is not None:
+        return True
+    lines = (line.strip() for line in start.removeprefix(_UTF8_MARK).decode(errors="replace").splitlines())
+    return any(parse_line(line) is not None or lacks_time(line) for line in lines)
+
+
+def _parser_of(start: bytes, notes: LogNotes) -> Parser | None:
+    start = start.removeprefix(_UTF8_MARK)
     if busmaster.begins(start):
         return busmaster.Busmaster()
     if clx000.begins(start):
@@ -158,7 +170,7 @@ class _Lines:
 
 def without_byte_order_mark(start: bytes, path: Path) -> bytes:
     """The start of a text file without the mark that some editors put before UTF-8. Raises InputError for UTF-16."""
-    if start.startswith((b"\xff\xfe", b"\xfe\xff")):
+    if start.startswith(_UTF16_MARKS):
         raise InputError(str(path), "UTF-16 text", "UTF-8 or ASCII")
     return start.removeprefix(_UTF8_MARK)
 

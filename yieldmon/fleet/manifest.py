@@ -2,9 +2,9 @@
 
 A manifest is a table (CSV) with the columns machine, day and log, a row for each log, and if wanted config, tickets and crop,
 which are the same in all rows of a partition. Names of files are relative to the manifest. A tree holds MACHINE/DAY/LOGS; beside
-the logs of a day, or in the machine's folder, `config.yaml` is its configuration; beside the logs `tickets.csv` its tickets. Logs
-at other depths, or under names that do not end as a format does, are refused: left out without an error, nobody would miss their
-mass.
+the logs of a day, or in the machine's folder, `config.yaml` is its configuration; beside the logs `tickets.csv` its tickets. A
+text file (*.txt) is a log if it begins as one. Logs at other depths, or under names that do not end as a format does, are
+refused: left out without an error, nobody would miss their mass.
 """
 
 from __future__ import annotations
@@ -13,12 +13,14 @@ import os
 import re
 import stat
 import unicodedata
+import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from yieldmon.bus.logs import SUFFIXES as LOG_SUFFIXES
+from yieldmon.bus.logs import SUFFIXES
+from yieldmon.bus.text_logs import begins_as_log
 from yieldmon.errors import InputError, reason
 from yieldmon.files import delimited
 from yieldmon.files.crops import misspelt
@@ -26,8 +28,11 @@ from yieldmon.fleet.filesystem import filesystem_of, is_remote
 from yieldmon.fleet.names import folder_of, in_order, is_name
 
 CONFIG, TICKETS = "config.yaml", "tickets.csv"
-SUFFIXES = tuple(suffix for suffix in LOG_SUFFIXES if suffix != ".txt")
-"""Of logs in a fleet's folders, where a text file may be anybody's notes."""
+_TEXT = re.compile(r".*\.txt([.-]\d+)?(\.[a-z0-9]+)*")
+"""A log, as it is named or also rotated, compressed or being copied; or anybody's notes."""
+_GZIP, _GZIP_MAGIC = 31, b"\x1f\x8b"
+_LOOKED_AT_BYTES = 16 * 1024
+"""Of a file that may be notes."""
 _UNREAD_COMPRESSIONS = (".zst", ".bz2", ".xz", ".lz4", ".7z", ".zip")
 _ARCHIVES = (".zip", ".7z", ".rar", ".tar", ".tgz", ".tar.gz", ".tar.xz", ".tar.bz2", ".tar.zst")
 _BEING_COPIED = (".part", ".partial", ".filepart", ".crdownload", ".download", ".tmp", ".temp")
@@ -68,7 +73,7 @@ class Partition:
 
 @dataclass(frozen=True, slots=True)
 class Manifest:
-    """partitions by name; left_out: what of a tree is no log; refused: what of a tree should be a machine, day, log,
+    """partitions by name; left_out: what of a tree is no log that is read; refused: what of a tree should be a machine, day, log,
     configuration or table of tickets and cannot be used."""
 
     partitions: tuple[Partition, ...]
@@ -246,19 +251,28 @@ def _logs(files: Any, day: str, left_out: list[str], refused: list[InputError]) 
                 refused.append(InputError(path, f"holds the log {log} and is no day", _LAYOUT))
             else:
                 left_out.append(path)
-        elif _is_rotated(name) and not _is_left_behind(name):
-            refused.append(InputError(path, "is a log under a name that is not read", "one that ends in .log, .asc or the like"))
-        elif other := _unread_compression(name):
-            refused.append(InputError(path, f"is compressed as {other}, which is not read", "the log as it is, or as .gz"))
-        elif _is_being_copied(name):
-            refused.append(InputError(path, "is a log that is not whole yet, by its name", "the log under its own name"))
-        elif _is_left_behind(name) or not _is_log(name):
+        elif _is_left_behind(name) or _is_notes(files, path, kind):
+            left_out.append(path)
+        elif misnamed := _misnamed(path, name):
+            refused.append(misnamed)
+        elif not _is_log(name):
             left_out.append(path)
         elif kind == _FILE:
             logs.append(path)
         else:
             refused.append(InputError(path, "is not a file, or is a link to nothing", "a log"))
     return sorted(logs, key=lambda path: in_order(path.rpartition("/")[2]))
+
+
+def _misnamed(path: str, name: str) -> InputError | None:
+    """Why a log is not read under its name; None for one that is, and for all else."""
+    if _is_rotated(name):
+        return InputError(path, "is a log under a name that is not read", "one that ends in .log, .asc or the like")
+    if other := _unread_compression(name):
+        return InputError(path, f"is compressed as {other}, which is not read", "the log as it is, or as .gz")
+    if _is_being_copied(name):
+        return InputError(path, "is a log that is not whole yet, by its name", "the log under its own name")
+    return None
 
 
 def _astray(files: Any, path: str, left_out: list[str]) -> list[InputError]:
@@ -268,9 +282,9 @@ def _astray(files: Any, path: str, left_out: list[str]) -> list[InputError]:
         name = entry.rpartition("/")[2]
         if kind == _FOLDER or _is_left_behind(name):
             continue
-        if name.lower() == TICKETS or _is_surely_log(name):
+        if name.lower() == TICKETS or (_is_surely_log(name) and not _is_notes(files, entry, kind)):
             refused.append(InputError(entry, "lies beside the folders of machines or days", _LAYOUT))
-        elif _is_log(name) or name.lower().endswith(_ARCHIVES):
+        elif (_is_log(name) and not _TEXT.fullmatch(name.lower())) or name.lower().endswith(_ARCHIVES):
             left_out.append(entry)
     return refused
 
@@ -281,7 +295,7 @@ def _log_below(files: Any, path: str, depth: int = _DEEPEST) -> str:
         name: str = entry.rpartition("/")[2]
         if _is_left_behind(name):
             continue
-        if kind == _FILE and _is_surely_log(name):
+        if kind == _FILE and _is_surely_log(name) and not _is_notes(files, entry, kind):
             return name
         if kind == _FOLDER and depth and (log := _log_below(files, entry, depth - 1)):
             return f"{name}/{log}"
@@ -343,12 +357,28 @@ def _unread_compression(name: str) -> str:
 def _is_being_copied(name: str) -> bool:
     """A log under the name of a copy that is not complete."""
     stem, dot, suffix = name.lower().rpartition(".")
-    return dot + suffix in _BEING_COPIED and _is_log(stem) and not name.startswith(".")
+    return dot + suffix in _BEING_COPIED and _is_log(stem)
 
 
 def _is_left_behind(name: str) -> bool:
     """By a file manager or editor."""
     return name.startswith(".") or name.lower() in _NO_LOGS
+
+
+def _is_notes(files: Any, path: str, kind: str) -> bool:
+    """A text file that does not begin as a log does; one that cannot be read may be one."""
+    if not _TEXT.fullmatch(path.rpartition("/")[2].lower()):
+        return False
+    if kind != _FILE:
+        return True
+    try:
+        with files.open(path, "rb") as stream:
+            start = stream.read(_LOOKED_AT_BYTES)
+        if start.startswith(_GZIP_MAGIC):
+            start = zlib.decompressobj(_GZIP).decompress(start, _LOOKED_AT_BYTES)
+    except (OSError, zlib.error):
+        return False
+    return not begins_as_log(start)
 
 
 def _is_surely_log(name: str) -> bool:

@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
+from yieldmon.bus.logs import mend_of
 from yieldmon.cli import _named_files
 from yieldmon.cli._channels import with_channels
 from yieldmon.cli._json import print_json
@@ -44,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
     _check_options(args)
     found = manifest.load(args.source)
     for path in found.left_out[:_MOST_LEFT_OUT]:
-        _say(f"{path}: left out, holds no log of a day (MACHINE/DAY/LOGS)")
+        _say(f"{path}: left out, {_why_left_out(path)}")
     if (more := len(found.left_out) - _MOST_LEFT_OUT) > 0:
         _say(f"{more} more left out, hold no log of a day (`left_out` of --json has them)")
     dataset = Dataset(args.out)
@@ -82,6 +83,11 @@ def run(args: argparse.Namespace) -> int:
     else:
         print("\n".join(map(plain, _lines_of(document))), file=sys.stderr)
     return 1 if document["poisoned"] or document["left"] else 0
+
+
+def _why_left_out(path: str) -> str:
+    mend = mend_of(path.rpartition("/")[2])
+    return f"not read as a log: {mend} if it is one" if mend else "holds no log of a day (MACHINE/DAY/LOGS)"
 
 
 def _check_options(args: argparse.Namespace) -> None:
