@@ -64,12 +64,11 @@ def test_the_view_says_what_the_ledger_says(steps: list) -> None:  # type: ignor
         path = Path(folder) / "s.sqlite"
         with Store(path) as store:
             store.commit([Batch(1, 1.0, {}, loads=LOADS, tickets=tuple(tickets), actions=tuple(actions))])
-            assert store.corrected_loads() == [stands.row(load) for load in LOADS]
+            assert store.corrected_loads() == stands.rows(LOADS)
         with contextlib.closing(sqlite3.connect(path)) as database:
             columns = "number, corrected_mass_kg, corrected_dry_mass_kg, ticket_id"
             found = database.execute(f"SELECT {columns} FROM load_corrected ORDER BY number").fetchall()
-    for load, (number, mass_kg, dry_kg, ticket) in zip(LOADS, found, strict=True):
-        row = stands.row(load)
+    for load, row, (number, mass_kg, dry_kg, ticket) in zip(LOADS, stands.rows(LOADS), found, strict=True):
         assert (number, ticket) == (load.number, row["ticket_id"])
         assert mass_kg == pytest.approx(row["corrected_mass_kg"], rel=1e-12)
         assert dry_kg == (None if load.dry_mass_kg is None else pytest.approx(row["corrected_dry_mass_kg"], rel=1e-12))

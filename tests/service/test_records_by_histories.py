@@ -257,7 +257,7 @@ def grain_kg(seconds: int, signal_mv: float) -> float:
 
 class History:
     """Draws steps: one right ticket of a load at most; wrong ones of any loads, taken back at any time, or (replaces) replaced by
-    the right one for the same loads."""
+    the right one for the same loads or one of them."""
 
     def __init__(self, seed: int, *, replaces: bool = False) -> None:
         self.draw = random.Random(seed)
@@ -301,15 +301,16 @@ class History:
         return [step]
 
     def replacement(self) -> list[Step]:
-        """The right ticket for the loads of a wrong one, which is not taken back."""
+        """The right ticket for the loads of a wrong one, or one of them; the wrong one is not taken back."""
         loads = {key: {self.requests[key]["first_load"], self.requests[key]["last_load"]} for key in self.wrong}
         free = [key for key in self.wrong if self.weighed.isdisjoint(loads[key])]
         if not free:
             return []
         wrong = self.draw.choice(free)
         self.wrong.remove(wrong)
-        self.weighed |= loads[wrong]
-        request = {"first_load": min(loads[wrong]), "last_load": max(loads[wrong])}
+        right = loads[wrong] if self.draw.random() < 0.5 else {self.draw.choice(sorted(loads[wrong]))}
+        self.weighed |= right
+        request: dict[str, Any] = {"first_load": min(right), "last_load": max(right)}
         request |= {"factor": TRUE * self.draw.gauss(1.0, 0.003), "killed": self.draw.random() < 0.1}
         return [Step("ticket", request, next(self.keys))]
 
@@ -379,6 +380,10 @@ def left(folder: Path, steps: Sequence[Step], refused: set[int], *, leave_out_wr
 
 def weighing(key: int, load: int, factor: float = 1.0, *, wrong: bool = False) -> Step:
     return Step("ticket", {"first_load": load, "last_load": load, "factor": TRUE * factor}, key, wrong)
+
+
+def of_two(key: int, first: int, factor: float = 1.0, *, wrong: bool = False) -> Step:
+    return Step("ticket", {"first_load": first, "last_load": first + 1, "factor": TRUE * factor}, key, wrong)
 
 
 def undo(key: int) -> Step:
@@ -539,6 +544,12 @@ REPLACED = {
     "after another parameter file, with one more that is taken back": (
         weighing(1, 5, 1.2, wrong=True), seconds(4), Step("file", {"name": "own.yaml"}), seconds(3), weighing(2, 5),
         weighing(3, 5, 1.3, wrong=True), seconds(3), undo(3),
+    ),
+    "in part": (
+        weighing(1, 2), seconds(3), of_two(2, 4, 1.2, wrong=True), seconds(4), weighing(3, 3), seconds(3), weighing(4, 5),
+    ),
+    "in part by one that is for a further load": (
+        of_two(1, 3, 1.3, wrong=True), seconds(4), Step("restart"), seconds(2), of_two(2, 4), seconds(3), weighing(3, 2),
     ),
     "of a crop that is not harvested now": (
         weighing(1, 5, 1.2, wrong=True), seconds(3), weighing(2, 3), seconds(3), Step("load-start", {"crop": "wheat"}),

@@ -408,6 +408,15 @@ def test_the_owner_is_told_what_a_correction_and_a_second_ticket_leave(tmp_path,
         told = capsys.readouterr().err
         assert "ticket 1 stood for it; the newer one counts (`yieldmon ticket undo 2` if it is for another load; " in told
         assert "of two weighings of one load enter the sum)" in told
+        assert "has no ticket any more" not in told
+        first, weighed = f"{number - 1}-{number}", ask(season.folder, "load", "list")["loads"][-1]["ticket_mass_kg"]
+        assert cli.main(["ticket", first, f"{2 * weighed}kg", *socket]) == 0
+        assert cli.main(["ticket", str(number), f"{weighed}kg", *socket]) == 0
+        told = capsys.readouterr().err
+        assert "ticket 3 stood for it; the newer one counts" in told
+        whole = f"`yieldmon ticket {first} MASS`"
+        assert f"; load {number - 1} has no ticket any more: enter one for it, or one for all ({whole})" in told
+        assert [row["ticket_id"] for row in ask(season.folder, "load", "list")["loads"][-2:]] == [None, 4]
         ask(season.folder, "load", "start", "--crop", "corn")
         assert ask(season.folder, "status")["load"]["crop"] == "corn"
 

@@ -96,6 +96,8 @@ def said(request: Mapping[str, Any], answer: Mapping[str, Any]) -> str:
                 doubt += "; the first, it sets the scale by itself: weigh a second load"
             if answer.get("replaces"):
                 doubt += "; it replaces the one before: of two weighings of one load enter the sum"
+            if without := answer.get("without_ticket"):
+                doubt += f"; load {', '.join(map(str, without))} has no ticket any more"
             if crop := answer.get("waits_for_crop"):
                 doubt += f"; it updates the parameters of {crop} once that is harvested again"
             return f"{taken}{doubt}" if answer["anchor"] else f"{taken}; no reference: {answer['why_no_anchor']}"

@@ -68,12 +68,14 @@ def replaced(answer: Mapping[str, Any]) -> str:
     said = f"ticket {_listed(stood)} stood for it; the newer one counts ({undo}; of two weighings of one load enter the sum)"
     if numbers:
         said += f", as if ticket {_listed(numbers)} had never been entered"
+    if without := answer.get("without_ticket"):
+        first, last = (f(row[key] for row in (*rows, answer)) for f, key in ((min, "first_load"), (max, "last_load")))
+        whole = f"`yieldmon ticket {first}-{last} MASS`"
+        said += f"; load {_listed(without)} has no ticket any more: enter one for it, or one for all ({whole})"
     for row in rows:
         if "teaching_stays" in row:
             said += f"; the update of the parameters by ticket {row['ticket']} stays: {row['teaching_stays']}"
         said += _updates(row)
-    if others := [number for number in stood if number not in numbers]:
-        said += f"; ticket {_listed(others)} counts for its other loads, and for the parameters as it is"
     return said
 
 

@@ -22,7 +22,7 @@ class TicketEntered(TypedDict):
     weighed_mass_kg: of these loads; of a truck the best of what the other combine leaves (own_mass_kg) and of what was measured.
     known_mass_kg: measured_mass_kg as corrected before. factor: weighed over measured. anchor: whether it is a reference mass for
     the calibration, else why_no_anchor; waits_for_crop: for whose return. question: what is doubtful of it. replaces: tickets
-    that stood for these loads; taken_back: those of them whose loads all have newer ones now, and what became of their updates.
+    that stood for these loads and count no more; taken_back: what became of their updates; without_ticket: their other loads.
     sets_scale_pct: of the first ticket, what it moves the scale by.
     """
 
@@ -43,6 +43,7 @@ class TicketEntered(TypedDict):
     question: str
     replaces: list[int]
     taken_back: list[TicketUndone]
+    without_ticket: list[int]
     sets_scale_pct: Number
 
 

@@ -85,7 +85,7 @@ class Journal:
     def load_table(self) -> list[ListedLoad]:
         """All loads as measured, as measured again, as weighed, and the best of these."""
         standing = self.actions.ledger
-        return [standing.row(load) for load in self.loads]
+        return standing.rows(self.loads)
 
     def report_all(self) -> None:
         """For a store that was made anew while in use: the next batch brings all that this run knows."""

@@ -69,7 +69,7 @@ def without_version(
     actions = journal.actions
     silenced = actions.led_first_to(version)
     since = min(silenced, default=actions.last_ticket_before(version))
-    loads = [load for n in silenced for load in range(actions.entered(n).first_load, actions.entered(n).last_load + 1)]
+    loads = [load for n in silenced for load in actions.entered(n).loads]
     undone_before = actions.undone_versions
     back = _back_before(version, monitor, journal, who, now_s, silenced)
     actions.wait_no_more(silenced)
@@ -124,7 +124,7 @@ def _without(
     """stands: tickets that are not taken back but no longer update the parameters. replaced: see `ParameterHistory.undo`."""
     actions = journal.actions
     ticket = actions.standing_ticket(number)
-    loads = range(ticket.first_load, ticket.last_load + 1)
+    loads = ticket.loads
     again, of_file_before = tuple[int, ...](), tuple[int, ...]()
     if number not in stands:
         again, of_file_before = actions.stand_again_without(number)
@@ -193,7 +193,7 @@ def _updating(
     """Numbers of the tickets that are to update again, those to be judged anew and those for the same loads or for `gone` that
     count; and those of the latter on which the parameters rest."""
     ticketed = (actions.entered(number) for number in judged)
-    loads = {*gone, *(load for ticket in ticketed for load in range(ticket.first_load, ticket.last_load + 1))}
+    loads = {*gone, *(load for ticket in ticketed for load in ticket.loads)}
     same, learnt = [number for number in actions.handed_for(loads) if counts(number)], actions.learnt_from()
     again = sorted({*judged, *same}.difference(learnt))
     return again, [number for number in same if number in learnt]
@@ -269,10 +269,7 @@ def _update_again(
         else:
             updated.append(number)
             again += shares
-    learnt = [
-        load for n in journal.actions.learnt_from() if n not in updated
-        for load in range(tickets[n].first_load, tickets[n].last_load + 1)
-    ]  # fmt: skip
+    learnt = [load for n in journal.actions.learnt_from() if n not in updated for load in tickets[n].loads]
     journal.happened(monitor.update_again(gone, again, learnt if goes_back or stays else None, crop, stays))
     journal.actions.wait_again(updated, crop)
     journal.actions.measure_lost_again()

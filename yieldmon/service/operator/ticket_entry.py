@@ -59,6 +59,7 @@ def enter_ticket(order: Order) -> TicketEntered:
     stood_for = sorted({found[0] for found in counting if found is not None})
     # Before anything else is made of it: the parameters are to be what they would be without those that it replaces.
     replaced = journal.actions.replaced_by(ticket)
+    left = {load for number in replaced for load in journal.actions.entered(number).loads}
     taken_back = without_replaced(replaced, monitor, journal, request.who, order.now_s, order.stored)
     again = journal.actions.ledger.factors
     known_kg = sum(load.mass_kg * again.get(load.number, 1.0) for load in covered)
@@ -94,6 +95,7 @@ def enter_ticket(order: Order) -> TicketEntered:
         "question": question,
         "replaces": stood_for,
         "taken_back": taken_back,
+        "without_ticket": sorted(left.difference(range(first, last + 1))),
         "sets_scale_pct": None if first_moves is None else 100.0 * first_moves,
     }
 
@@ -185,7 +187,7 @@ def _waiting_tickets(order: Order, crop: str, covered: Sequence[int]) -> list[in
     """Standing tickets that wait for another crop, for other loads than these."""
     standing = order.journal.actions.ledger.tickets
     waiting = [n for n in order.journal.actions.unfinished_of_crop.get(crop, ()) if n in standing]
-    return [n for n in waiting if not set(range(standing[n].first_load, standing[n].last_load + 1)) & set(covered)]
+    return [n for n in waiting if not set(standing[n].loads) & set(covered)]
 
 
 def _ln_of_waiting(numbers: Sequence[int], order: Order, of_crop: FlowEstimator | None) -> float | None:
@@ -209,7 +211,7 @@ def _only_tickets(order: Order, covered: Sequence[int]) -> list[int]:
     if counted & set(covered) or order.monitor.scale_counted:
         return []
     standing = order.journal.actions.ledger.tickets.items()
-    return [n for n, t in standing if counted and counted <= set(range(t.first_load, t.last_load + 1))]
+    return [n for n, t in standing if counted and counted <= set(t.loads)]
 
 
 def _question(ticket: Ticket, departs: ticket_doubt.Departure | None, order: Order, covered: Sequence[Load], crop: str) -> str:
@@ -218,7 +220,7 @@ def _question(ticket: Ticket, departs: ticket_doubt.Departure | None, order: Ord
         return ""
     known = order.journal.actions.ledger
     known_kg = {load.number: load.mass_kg * known.factors.get(load.number, 1.0) for load in order.journal.loads}
-    weighed = {n for t in known.tickets.values() for n in range(t.first_load, t.last_load + 1)}
+    weighed = {n for number, t in known.tickets.items() if number not in known.replaced for n in t.loads}
     same = {n: t for n, t in known.tickets.items() if (t.first_load, t.last_load) == (ticket.first_load, ticket.last_load)}
     before_kg = {max(same): same[max(same)].weighed_mass_kg} if same else {}
     asked = ticket_doubt.question(ticket.weighed_mass_kg, departs, covered, known_kg, weighed, before_kg)

@@ -70,6 +70,11 @@ class Ticket:
     note: str = ""
 
     @property
+    def loads(self) -> range:
+        """Their numbers."""
+        return range(self.first_load, self.last_load + 1)
+
+    @property
     def factor(self) -> float:
         """Weighed over measured."""
         return self.weighed_mass_kg / self.measured_mass_kg

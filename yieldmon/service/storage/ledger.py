@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from yieldmon.documents.calibrations import CalibrationRow, CalibrationState
@@ -48,25 +49,48 @@ class Ledger:
     tickets: Mapping[int, Ticket]
     factors: Mapping[int, float]
 
-    @property
+    @cached_property
     def newest(self) -> Mapping[int, int]:
-        """Number of the newest ticket that covers each load, by the load's number."""
-        return {load: number for number, t in sorted(self.tickets.items()) for load in range(t.first_load, t.last_load + 1)}
+        """Number of the newest ticket that covers each load, whether or not it is replaced, by the load's number."""
+        return {load: number for number, t in sorted(self.tickets.items()) for load in t.loads}
 
-    @property
+    @cached_property
     def replaced(self) -> frozenset[int]:
-        """Numbers of the tickets whose loads all have newer ones: they correct no load and update no parameters."""
-        return frozenset(self.tickets) - frozenset(self.newest.values())
+        """Numbers of the tickets of which a load has a newer one: they correct no load and update no parameters, as it is not
+        known which of the two is wrong, nor what is left for the rest of their loads."""
+        newest = self.newest
+        return frozenset(n for n, t in self.tickets.items() if any(newest[load] != n for load in t.loads))
 
     def ticket_of(self, load_number: int) -> tuple[int, Ticket] | None:
-        """The newest ticket that stands and covers a load, with its number."""
-        covering = [(n, t) for n, t in self.tickets.items() if t.first_load <= load_number <= t.last_load]
-        return max(covering, key=lambda item: item[0]) if covering else None
+        """The ticket that counts for a load, with its number: the newest that stands and covers it, where none replaces that."""
+        number = self.newest.get(load_number)
+        return None if number is None or number in self.replaced else (number, self.tickets[number])
 
-    def row(self, load: Load) -> ListedLoad:
-        """A load as measured, as measured again, as weighed, and the best of these."""
-        found, posted = self.ticket_of(load.number), self.factors.get(load.number)
-        factor = found[1].factor if found is not None else 1.0 if posted is None else posted
+    def rows(self, loads: Sequence[Load]) -> list[ListedLoad]:
+        """Loads as measured, as measured again, as weighed, and the best of these. loads: all that there are."""
+        found = {load.number: self.ticket_of(load.number) for load in loads}
+        together: dict[int, list[Load]] = {}
+        for load in loads:
+            if (counting := found[load.number]) is not None:
+                together.setdefault(counting[0], []).append(load)
+        scales = {number: self._scale(self.tickets[number], covered) for number, covered in together.items()}
+        counting = (found[load.number] for load in loads)
+        return [
+            self._row(load, ticket, 1.0 if ticket is None else scales[ticket[0]])
+            for load, ticket in zip(loads, counting, strict=True)
+        ]
+
+    def _scale(self, ticket: Ticket, covered: Sequence[Load]) -> float:
+        """Weighed mass over what its loads hold as measured again: other parameters may have measured some of them at first."""
+        known_kg = sum(load.mass_kg * self.factors.get(load.number, 1.0) for load in covered)
+        lost_kg = max(ticket.measured_mass_kg - sum(load.mass_kg for load in covered), 0.0)
+        whole_kg = known_kg + lost_kg
+        return ticket.weighed_mass_kg / whole_kg if whole_kg > 0.0 else ticket.factor
+
+    def _row(self, load: Load, found: tuple[int, Ticket] | None, scale: float) -> ListedLoad:
+        """scale: corrected mass over what the load holds as measured again, or as measured."""
+        posted = self.factors.get(load.number)
+        factor = scale * (1.0 if posted is None else posted)
         return {
             "number": load.number,
             "field": load.field,

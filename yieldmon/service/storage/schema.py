@@ -209,6 +209,42 @@ CREATE TABLE load_budget (
 ) STRICT;
 """
 
+# A ticket of which a load has a newer one counts no more; one for several loads is shared out by what they are known to hold.
+_VERSION_15 = """
+DROP VIEW load_corrected;
+CREATE VIEW load_corrected AS      -- the ticket that counts, else the newest posting, else what was measured
+WITH standing AS (
+    SELECT * FROM ticket WHERE id NOT IN (SELECT json_extract(document, '$.ticket') FROM action WHERE kind = 'ticket-undo')),
+counting AS (
+    SELECT * FROM standing WHERE NOT EXISTS (
+        SELECT 1 FROM standing AS newer
+        WHERE newer.id > standing.id AND newer.first_load <= standing.last_load AND newer.last_load >= standing.first_load)),
+posting AS (
+    SELECT CAST(load_factor.key AS INTEGER) AS number, load_factor.value AS factor, max(action.number)
+    FROM action, json_each(action.document, '$.factors') AS load_factor
+    WHERE action.kind = 'posting' AND NOT EXISTS (
+        SELECT 1 FROM json_each(action.document, '$.tickets') AS of_ticket, action AS undo
+        WHERE undo.kind = 'ticket-undo' AND json_extract(undo.document, '$.ticket') = of_ticket.value)
+    AND NOT EXISTS (
+        SELECT 1 FROM action AS undo LEFT JOIN json_each(undo.document, '$.versions') AS undone
+        WHERE undo.kind = 'parameters-undo'
+        AND json_extract(action.document, '$.version') IN (json_extract(undo.document, '$.version'), undone.value))
+    GROUP BY load_factor.key),
+known AS (
+    SELECT load.*, COALESCE(posting.factor, 1.0) AS again, counting.id AS ticket_id, counting.weighed_mass_kg,
+           counting.measured_mass_kg
+    FROM load
+    LEFT JOIN counting ON load.number BETWEEN counting.first_load AND counting.last_load
+    LEFT JOIN posting ON posting.number = load.number),
+scaled AS (
+    SELECT *, again * CASE WHEN ticket_id IS NULL THEN 1.0 ELSE COALESCE(weighed_mass_kg / NULLIF(
+        SUM(mass_kg * again) OVER of_ticket + max(measured_mass_kg - SUM(mass_kg) OVER of_ticket, 0.0), 0.0),
+        weighed_mass_kg / measured_mass_kg) END AS factor
+    FROM known WINDOW of_ticket AS (PARTITION BY ticket_id))
+SELECT number, field, crop, started_s, ended_s, mass_kg, dry_mass_kg, factor, ticket_id, mass_kg * factor AS corrected_mass_kg,
+       dry_mass_kg * factor AS corrected_dry_mass_kg FROM scaled ORDER BY number;
+"""
+
 #: From this version on rows carry checksums.
 CHECKED_FROM = 4
 
@@ -230,6 +266,7 @@ _SCRIPTS = (
     _VERSION_12,
     _VERSION_13,
     _VERSION_14,
+    _VERSION_15,
 )
 _SQL_KINDS = {float: "REAL", int: "INTEGER", str: "TEXT"}
 _WITHOUT = {float: "0.0", int: "0", str: "''"}

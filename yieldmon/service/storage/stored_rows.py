@@ -170,7 +170,7 @@ class StoredRows:
     def corrected_loads(self) -> list[ListedLoad]:
         """All loads as measured, as measured again, as weighed, and the best of these."""
         standing = ledger(self.tickets(), self.actions())
-        return [standing.row(load) for load in self.loads()]
+        return standing.rows(self.loads())
 
     def tickets(self) -> list[Ticket]:
         """All tickets in the order they were entered."""

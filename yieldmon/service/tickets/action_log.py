@@ -117,7 +117,7 @@ class ActionLog:
         return standing[number]
 
     def replaced_by(self, ticket: Ticket) -> tuple[int, ...]:
-        """Numbers of the standing tickets that a new one replaces: all of their loads have a newer one then."""
+        """Numbers of the standing tickets that a new one replaces: one of their loads has a newer one then."""
         before = self.ledger
         after = replace(before, tickets={**before.tickets, len(self._tickets) + 1: ticket})
         return tuple(sorted(after.replaced - before.replaced))
@@ -254,7 +254,7 @@ class ActionLog:
         """Numbers of the tickets of the parameter file in use that were handed to the calibration for one of these loads, or for
         one that is on such a ticket too; without those taken back, replaced or silenced."""
         standing, updating = self.ledger.tickets, self._updating
-        left = {n: range(standing[n].first_load, standing[n].last_load + 1) for n in self._handed if n in updating}
+        left = {n: standing[n].loads for n in self._handed if n in updating}
         covered, found = set(loads), list[int]()
         while more := [number for number, of_ticket in left.items() if not covered.isdisjoint(of_ticket)]:
             found += more

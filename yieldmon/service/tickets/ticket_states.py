@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 
 from yieldmon.service.storage import ledger as ledgers
-from yieldmon.service.storage.batch import Action, Ticket
+from yieldmon.service.storage.batch import Action
 
 _CORRECTS = "corrects its load"
 _CONTRADICTS = "contradicts those before it, counts when another agrees"
@@ -42,13 +42,13 @@ def ticket_states(
             state = f"updated the parameters to version {updated[number]}"
         elif number in silenced:
             state = "corrects its load, updates no parameters"
-        elif any(load in doubted_loads for load in _loads_of(ticket)):
+        elif any(load in doubted_loads for load in ticket.loads):
             state = _CONTRADICTS
         else:
             state = _CORRECTS
         if number in replaced_ones:
-            counting = {newest[load] for load in _loads_of(ticket)}
-            replaced = f"replaced by ticket {', '.join(map(str, sorted(counting)))}"
+            newer = {newest[load] for load in ticket.loads} - {number}
+            replaced = f"replaced by ticket {', '.join(map(str, sorted(newer)))}"
             state = replaced if state in (_CORRECTS, _CONTRADICTS) else f"{state}, {replaced}"
         states[number] = state
     return states
@@ -59,7 +59,3 @@ def _versions(actions: Sequence[Action]) -> dict[int, int]:
     gone, led = ledgers.undone_versions(actions), ledgers.updated_by(actions)
     pairs = ((number, version) for version, numbers in led.items() if version not in gone for number in numbers)
     return dict(sorted(pairs, reverse=True))
-
-
-def _loads_of(ticket: Ticket) -> range:
-    return range(ticket.first_load, ticket.last_load + 1)

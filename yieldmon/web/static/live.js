@@ -222,12 +222,13 @@ function answerOf(name, answer) {
     const doubt = asked ? ` ${asked}; if it is a slip, enter the right mass as another ticket.` : "";
     const first = answer.sets_scale_pct == null ? "" : " It is the first and sets the scale by itself: weigh a second load.";
     const replaced = answer.replaces?.length ? ` Ticket ${answer.replaces.join(", ")} stood for it; the newer one counts (of two weighings of one load enter the sum).` : "";
+    const left = answer.without_ticket?.length ? ` Load ${answer.without_ticket.join(", ")} has no ticket any more.` : "";
     const of = answer.waits_for_crop;
     const use = !answer.anchor ? `no reference for the calibration: ${answer.why_no_anchor}`
       : of ? `a reference for ${of}, which learns once it is harvested again` : "a reference for the calibration";
     const masses = `Measured ${mass(answer.measured_mass_kg)} ${units.mass.name}, weighed ${mass(answer.weighed_mass_kg)} ${units.mass.name}`;
     const truck = answer.truck ? ` Of the truck, ${mass(answer.truck.truck_kg - answer.weighed_mass_kg)} ${units.mass.name} are of the other combine.` : "";
-    return `${masses} (${number(change, 2)} %); ${use}.${truck}${replaced}${first}${doubt}`;
+    return `${masses} (${number(change, 2)} %); ${use}.${truck}${replaced}${left}${first}${doubt}`;
   }
   if (name === "ticket-undo") {
     const back = answer.version === undefined ? "" : `; measuring with the parameters from before it (version ${answer.version})`;
