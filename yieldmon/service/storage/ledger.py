@@ -66,19 +66,15 @@ class Ledger:
         number = self.newest.get(load_number)
         return None if number is None or number in self.replaced else (number, self.tickets[number])
 
-    def rows(self, loads: Sequence[Load]) -> list[ListedLoad]:
+    def rows(self, loads: Iterable[Load]) -> list[ListedLoad]:
         """Loads as measured, as measured again, as weighed, and the best of these. loads: all that there are."""
-        found = {load.number: self.ticket_of(load.number) for load in loads}
+        found = [(load, self.ticket_of(load.number)) for load in loads]
         together: dict[int, list[Load]] = {}
-        for load in loads:
-            if (counting := found[load.number]) is not None:
-                together.setdefault(counting[0], []).append(load)
+        for load, ticket in found:
+            if ticket is not None:
+                together.setdefault(ticket[0], []).append(load)
         scales = {number: self._scale(self.tickets[number], covered) for number, covered in together.items()}
-        counting = (found[load.number] for load in loads)
-        return [
-            self._row(load, ticket, 1.0 if ticket is None else scales[ticket[0]])
-            for load, ticket in zip(loads, counting, strict=True)
-        ]
+        return [self._row(load, ticket, 1.0 if ticket is None else scales[ticket[0]]) for load, ticket in found]
 
     def _scale(self, ticket: Ticket, covered: Sequence[Load]) -> float:
         """Weighed mass over what its loads hold as measured again: other parameters may have measured some of them at first."""
