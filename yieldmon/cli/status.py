@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, cast
 
 from rich.console import Console
 from rich.table import Table
@@ -14,6 +14,16 @@ from yieldmon import units as read
 from yieldmon.cli._daemon import add_daemon_arguments, ask_daemon
 from yieldmon.cli._json import print_json
 from yieldmon.cli._units import add_units
+from yieldmon.documents.status import (
+    Status,
+    StatusCrop,
+    StatusLoad,
+    StatusNetwork,
+    StatusNow,
+    StatusParameters,
+    StatusSweep,
+    StatusWaveform,
+)
 from yieldmon.files.units import units_of
 from yieldmon.units import Units
 
@@ -37,7 +47,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     """Exit code 0 when a daemon answered."""
-    status = ask_daemon(args, {"command": "status"})
+    status = cast("Status", ask_daemon(args, {"command": "status"}))
     if args.json:
         print_json(status)
     else:
@@ -46,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _show(status: Mapping[str, Any], units: Units, console: Console) -> None:
+def _show(status: Status, units: Units, console: Console) -> None:
     facts = Table(show_header=False, box=None, pad_edge=False)
     for name, text in _facts(status, units):
         facts.add_row(name, text)
@@ -60,14 +70,14 @@ def _show(status: Mapping[str, Any], units: Units, console: Console) -> None:
         console.print("no faults")
 
 
-def _grain_without_load(status: Mapping[str, Any]) -> bool:
+def _grain_without_load(status: Status) -> bool:
     """Whether grain comes and no load is open, as after a `yieldmon load stop` that nothing followed."""
     return status["load"]["open"] is False and status["state"] in ("harvesting", "sweeping")
 
 
-def _facts(status: Mapping[str, Any], units: Units) -> Iterator[tuple[str, str]]:
+def _facts(status: Status, units: Units) -> Iterator[tuple[str, str]]:
     """Name and text of each row, most wanted first."""
-    bus, store, configuration = (status[key] for key in ("bus", "store", "configuration"))
+    bus, store, configuration = status["bus"], status["store"], status["configuration"]
     state = f"{_words(status['state'])}, running for {_span(status['uptime_s'])}"
     yield "state", f"STALE, as it was {_span(status['age_s'])} ago: {state}" if status["stale"] else state
     if status["zero_waits_for"]:
@@ -120,7 +130,7 @@ def _seconds(rows: Sequence[Mapping[str, Any]], units: Units) -> Table:
     return table
 
 
-def _now(now: Mapping[str, Any], units: Units) -> str:
+def _now(now: StatusNow, units: Units) -> str:
     quality = f" ({_words(now['quality'])})" if now["quality"] is not None else ""
     if now["mass_flow_kg_s"] is None:
         parts = [f"no mass flow{quality}"]
@@ -136,7 +146,7 @@ def _now(now: Mapping[str, Any], units: Units) -> str:
     return ", ".join(parts)
 
 
-def _load(load: Mapping[str, Any], crop: Mapping[str, Any], units: Units) -> Iterator[tuple[str, str]]:
+def _load(load: StatusLoad, crop: StatusCrop, units: Units) -> Iterator[tuple[str, str]]:
     """The load's rows: its masses, and its area and yields where they are known."""
     names = " ".join(name for name in (load["field"], load["crop"]) if name)
     spread = load["std_dev_kg"]
@@ -154,15 +164,15 @@ def _load(load: Mapping[str, Any], crop: Mapping[str, Any], units: Units) -> Ite
         yield "", text + (f", {units.crop_yield(dry_yield)} dry" if dry_yield is not None else "")
 
 
-def _by_calibration(load: Mapping[str, Any]) -> bool:
+def _by_calibration(load: StatusLoad) -> bool:
     """Whether a load's standard deviation is large, and more than half of its variance the parameters'."""
     spread, parameters = load["std_dev_kg"], load["std_dev_by_cause_kg"]["parameters"]
     if spread is None or parameters is None or spread <= _LARGE_SHARE * load["mass_kg"]:
         return False
-    return bool(parameters**2 > 0.5 * spread**2)
+    return parameters**2 > 0.5 * spread**2
 
 
-def _sweep(sweep: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+def _sweep(sweep: StatusSweep) -> Iterator[tuple[str, str]]:
     """Sweeps of the plate, and what came of the last one."""
     yield "sweep", f"{_words(sweep['state'])}, {_due(sweep['due_in_s'])}, {sweep['sweeps']} so far"
     if sweep["aborted_because"] is not None:
@@ -173,7 +183,7 @@ def _sweep(sweep: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         yield "", f"last update: {sweep['last_update']}"
 
 
-def _network(network: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+def _network(network: StatusNetwork) -> Iterator[tuple[str, str]]:
     """Our address, where it is not the one that was asked for."""
     address, preferred = network["address"], network.get("preferred_address", network["address"])
     if address is None:
@@ -182,7 +192,7 @@ def _network(network: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         yield "network", f"address {address}: the preferred {preferred} is another node's"
 
 
-def _parameters(parameters: Mapping[str, Any]) -> str:
+def _parameters(parameters: StatusParameters) -> str:
     """Version, age and values; a value without a deviation counts as exactly known."""
     values = ", ".join(
         f"{name} {entry['value']:.4g}" + (f" ± {entry['std_dev']:.2g}" if entry["std_dev"] else "")
@@ -193,13 +203,14 @@ def _parameters(parameters: Mapping[str, Any]) -> str:
     return f"version {parameters['version']}{curve}, {age}" + (f": {values}" if values else "")
 
 
-def _waveform(seen: Mapping[str, Any] | None, units: Units) -> Iterator[tuple[str, str]]:
+def _waveform(seen: StatusWaveform | None, units: Units) -> Iterator[tuple[str, str]]:
     """Flow from the pulses' shape and from kernel noise, or why there is none; nothing where the waveform is switched off."""
     if seen is None:
         return
-    for name, kind in (("shape", "shape"), ("kernels", "kernel")):
-        flow, around = (seen[f"{kind}_{key}_kg_s"] for key in ("flow", "std_dev"))
-        why = seen[f"{kind}_missing_because"]
+    for name, flow, around, why in (
+        ("shape", seen["shape_flow_kg_s"], seen["shape_std_dev_kg_s"], seen["shape_missing_because"]),
+        ("kernels", seen["kernel_flow_kg_s"], seen["kernel_std_dev_kg_s"], seen["kernel_missing_because"]),
+    ):
         yield name, f"no flow: {why}" if flow is None else f"{units.flow(flow)} ± {units.flow(around)}"
 
 

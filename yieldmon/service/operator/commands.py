@@ -20,7 +20,8 @@ from yieldmon.service.assembly import calibration_age_s
 from yieldmon.service.history import load_names, relearning
 from yieldmon.service.history.journal import Journal
 from yieldmon.service.history.reference_loads import StoredLoad
-from yieldmon.service.operator.order import Answer, Order, covered_loads
+from yieldmon.service.operator.control_protocol import Answer
+from yieldmon.service.operator.order import Order, covered_loads
 from yieldmon.service.operator.requests import Request
 from yieldmon.service.operator.ticket_entry import enter_ticket
 from yieldmon.service.storage import ledger

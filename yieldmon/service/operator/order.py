@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from yieldmon.engine.monitor import Monitor
 from yieldmon.errors import InputError
@@ -12,8 +11,6 @@ from yieldmon.service.history.journal import Journal
 from yieldmon.service.history.reference_loads import StoredLoad
 from yieldmon.service.operator.requests import Request
 from yieldmon.service.storage.batch import Load
-
-Answer = Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
