@@ -1,13 +1,19 @@
-"""Docstrings of `yieldmon.api` are look-up tables: each parameter named, what comes back, and an example that runs."""
+"""Docstrings of `yieldmon.api` are look-up tables: each parameter named, what comes back, and an example that runs.
+
+Elsewhere in the product a table of parameters names each as well.
+"""
 
 from __future__ import annotations
 
+import ast
 import dataclasses
 import doctest
 import inspect
 import re
+import textwrap
 from collections.abc import Callable, Iterator
 from enum import Enum
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,7 +29,11 @@ _ENTRY = re.compile(r"^(\w+(?:, \w+)*)(?: : \S.*)?$")
 
 def sections(thing: object) -> dict[str, str]:
     """Text below each heading of a docstring, the text before them under ""."""
-    parts = _HEADING.split(inspect.getdoc(thing) or "")
+    return sections_of(inspect.getdoc(thing) or "")
+
+
+def sections_of(docstring: str) -> dict[str, str]:
+    parts = _HEADING.split(docstring)
     return {"": parts[0].strip(), **dict(zip(parts[1::2], parts[2::2], strict=True))}
 
 
@@ -91,6 +101,40 @@ def test_their_methods_do_so_too(name: str) -> None:
     assert problems(METHODS[name]) == []
 
 
+def unlike_signatures(source: str) -> list[str]:
+    """Functions and classes whose table of parameters lists others than they have."""
+    out = []
+    for node in ast.walk(ast.parse(source)):
+        if not isinstance(node, ast.FunctionDef | ast.ClassDef):
+            continue
+        table = sections_of(ast.get_docstring(node) or "").get("Parameters")
+        has = _fields(node) if isinstance(node, ast.ClassDef) else _parameters(node)
+        if table is not None and has and sorted(entries(table)) != sorted(has):
+            out.append(f"{node.name} lists {entries(table)}, has {has}")
+    return out
+
+
+def _parameters(function: ast.FunctionDef) -> list[str]:
+    known = function.args
+    named = [each.arg for each in (*known.posonlyargs, *known.args, *known.kwonlyargs, known.vararg, known.kwarg) if each]
+    return [name for name in named if name not in ("self", "cls")]
+
+
+def _fields(kind: ast.ClassDef) -> list[str]:
+    made_by = [part for part in kind.body if isinstance(part, ast.FunctionDef) and part.name == "__init__"]
+    if made_by:
+        return _parameters(made_by[0])
+    fields = [part.target for part in kind.body if isinstance(part, ast.AnnAssign)]
+    return [target.id for target in fields if isinstance(target, ast.Name) and not target.id.startswith("_")]
+
+
+def test_every_table_of_parameters_names_each() -> None:
+    modules = sorted(Path(api.__file__).parent.rglob("*.py"))
+    found = {str(path): unlike_signatures(path.read_text(encoding="utf-8")) for path in modules}
+    assert len(found) > 700
+    assert {path: lines for path, lines in found.items() if lines} == {}
+
+
 def test_what_is_missing_is_found() -> None:
     def half(first: int, second: int) -> int:
         """Does something
@@ -104,6 +148,7 @@ def test_what_is_missing_is_found() -> None:
     assert problems(half) == [
         "no sentence at the beginning", "lists ['first'], has ['first', 'second']", "does not say what it returns"
     ]  # fmt: skip
+    assert unlike_signatures(textwrap.dedent(inspect.getsource(half))) == ["half lists ['first'], has ['first', 'second']"]
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -78,7 +78,9 @@ class Totals:
     measured_kg : float
         Flow times interval over all rows, as measured.
     corrected_kg : float
-        The same by the weighed loads; `low_kg`, `high_kg` its 95 % interval where loads are weighed.
+        The same by the weighed loads.
+    low_kg, high_kg : float or None
+        Its 95 % interval; None where no load is weighed.
     by_reason : dict
         `kept` and each reason -> kg (corrected), together corrected_kg.
     area_m2 : float

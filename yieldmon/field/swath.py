@@ -38,7 +38,9 @@ class Swaths:
     gross_m2, area_m2 : array, shape (n,)
         Area of the swath and of the ground newly cut in it; 0 where nothing was cut.
     overlapped : array of int
-        Rows that lost ground to earlier ones, and `shapes`, what is left of each of them.
+        Rows that lost ground to earlier ones.
+    shapes : array of polygons
+        What is left of each of these.
     """
 
     corners_m: Array

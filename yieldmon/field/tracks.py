@@ -44,7 +44,9 @@ class Tracks:
     plane : Sites
         On which x_m and y_m are.
     step_of_row : array of int, shape (n,)
-        Of each of the table's rows, and row_x_m, row_y_m its place, shape (n,).
+        Of each of the table's rows.
+    row_x_m, row_y_m : array, shape (n,)
+        Place of each of them.
     stream : array of int, shape (k,)
         One machine of one source; time is continuous within a stream only.
     time_s, x_m, y_m, speed_m_s, width_m, flow_kg_s, moisture_pct, interval_s : array, shape (k,)

@@ -64,8 +64,8 @@ class GrainParameter:
         Its value where a parameter file does not speak of it; None: the file must.
     follows_response
         Whether it is in the reading's own unit; limits, search, start, typical and step are then per unit of scale.
-    offset
-        Relative changes are relative to value + offset, at least `floor`.
+    offset, floor
+        Relative changes are relative to value + offset, at least floor.
     along_scale
         Exponent of the change (mass flow, density, impact gain) -> (a, a, 1/a), which no force can show.
     drift, drift_of

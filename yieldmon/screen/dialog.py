@@ -31,6 +31,10 @@ class Dialog:
         The name of the known crop that what people type means; None where it means none.
     known_crops : callable () -> sequence of str
         Names of these.
+    question : str
+        That stands, or what became of a request.
+    typed : str or None
+        So far, of an answer that ends with Enter; None where none is asked for.
     """
 
     mass_kg: Callable[[str], float]

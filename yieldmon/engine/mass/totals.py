@@ -18,8 +18,9 @@ CORN_MARKET_MOISTURE_PCT = 15.5
 
 @dataclass(frozen=True, slots=True)
 class Totals:
-    """Masses in kg, wet and dry. unknown_moisture_kg: wet mass missing from the dry figures, its moisture not being known.
-    contested_kg: mass of seconds that more than one node sent samples for; it is in none of the others.
+    """Masses in kg, wet and dry. total_unknown_moisture_kg, load_unknown_moisture_kg: wet mass missing from the dry figures, its
+    moisture not being known.
+    total_contested_kg, load_contested_kg: mass of seconds that more than one node sent samples for; it is in none of the others.
     total_budget, load_budget: standard deviations of the wet masses. load_area_m2: harvested for the load's mass;
     load_unknown_area_kg: mass of the load whose area is not known. market_moisture_pct: of the dry masses
     that are counted from now on. first_load: number of the load with which the totals began."""

@@ -26,10 +26,17 @@ def aliasing_share(source: SampleSource, machine: Machine, speed_rad_s: float) -
 
     Parameters
     ----------
-    source
-        Sampling interval and the sensor's own filter.
-    speed_rad_s
-        Of the elevator's upper sprocket.
+    source : SampleSource
+        Sampling rate and the sensor's own filter.
+    machine : Machine
+        Whose paddles pass.
+    speed_rad_s : float
+        Of the elevator's upper sprocket, rad/s.
+
+    Returns
+    -------
+    float
+        Of the mean over a second.
     """
     pattern_hz = speed_rad_s * machine.sprocket_pitch_radius_m / machine.pattern_length_m
     if not pattern_hz > 0.0:

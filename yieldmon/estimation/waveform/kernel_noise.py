@@ -137,6 +137,8 @@ def kernel_impulse(
         Of the grain.
     cell_response_s, sample_interval_s : float
         As in `power_gain`.
+    settings : KernelNoiseSettings, optional
+        None: the defaults.
     steady_share : float
         What of the noise beyond `quiet` stays between the pulses (`noise_by_phase.steady_noise`) and so is not the kernels'; half
         of it counts as a deviation.
@@ -247,10 +249,20 @@ def kernel_flow(
 
     Parameters
     ----------
+    found : KernelImpulse
+        One that is usable.
+    mean_force_n : float
+        Of the grain, N.
     kernel_mass_kg : float
-        Mean mass of a kernel, weighted by mass where kernels differ; a thousand-kernel weight / 1000.
+        Mean mass of a kernel, weighted by mass where kernels differ, kg; a thousand-kernel weight / 1000.
     kernel_mass_sd : float
-        Relative.
+        Its relative standard deviation.
+    settings : KernelNoiseSettings, optional
+        None: the defaults.
+
+    Returns
+    -------
+    KernelFlow
     """
     s = settings or KernelNoiseSettings()
     flow = s.bias * mean_force_n * kernel_mass_kg / found.impulse_n_s

@@ -29,7 +29,7 @@ def expected_impulse(
         Of the grain, and of one kernel.
     quiet_n2_hz : float
         Two-sided density of the empty machine.
-    cell_response_s, sample_interval_s, settings :
+    cell_response_s, sample_interval_s, settings
         As of `kernel_impulse`.
     duration_s : float
         Of grain, and of the empty machine.

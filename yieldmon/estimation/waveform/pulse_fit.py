@@ -300,6 +300,9 @@ def rise(pulses: PulseModel, shown: WaveBatch, free: Array, held: Array, mean: A
 
     Parameters
     ----------
+    pulses : PulseModel
+    shown : WaveBatch
+        Of this window alone.
     free, held : ndarray (n,)
         Where that sum is least without the prior of the flow and with it.
     mean : ndarray (n,)
@@ -332,9 +335,13 @@ def information(
 
     Parameters
     ----------
+    pulses : PulseModel
     theta : ndarray (n,)
         Parameters at which, in the order of `pulses.names`.
+    elevator_speed_rad_s, plate_angle_rad : float
+        Of the window, rad/s and rad.
     noise_n : ndarray (k,)
+    patterns : float
         As in `PatternWave`.
     """
     at = pulses.linearised(theta[None], np.array([elevator_speed_rad_s]), np.array([plate_angle_rad]))

@@ -40,6 +40,8 @@ def estimate(
         Where to begin; default: looked for over all fills and shifts.
     centre : ndarray (n,), optional
         Means of the priors; default: the settings' own, at the start's flow, shift and gain.
+    iterations : int
+        Steps at most.
 
     Returns
     -------
@@ -67,6 +69,8 @@ def estimate_near(
     waves : sequence of PatternWave
     volume_flows_m3_s : sequence
         One for each wave, e.g. from the mean force.
+    iterations : int
+        Steps at most.
 
     Returns
     -------
@@ -108,6 +112,8 @@ def deviations_from(
         The fit without that flow.
     volume_flow_m3_s, relative_sd : float
         The other flow, and the standard deviation of its logarithm.
+    iterations : int
+        Steps at most.
 
     Returns
     -------

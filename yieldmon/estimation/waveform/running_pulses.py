@@ -59,6 +59,8 @@ class RunningPulses:
             As in `pattern_fold.fold_all`, the phase counted from the pulses themselves.
         mean_force_n : float
             Above 0.
+        plate_angle_rad, elevator_speed_rad_s : float
+            Of the window, rad and rad/s.
 
         Returns
         -------

@@ -105,6 +105,7 @@ def in_pulses(found: Density, crest: float) -> Density:
 
     Parameters
     ----------
+    found : Density
     crest : float
         Mean square of the pulses over the square of their mean.
     """

@@ -70,6 +70,9 @@ def calibrate_loads(
         One or more.
     sweeps : sequence of Sweep
         Of the same grain: fitted together with the loads that do not contradict each other, as in `self_calibrate`.
+    settings : LoadSettings, optional
+    sweep_settings : ClosedLoopSettings, optional
+        None: the defaults.
     learnt : container of str
         Names of loads that the prior has learnt from: that it measures these well says nothing for it.
 
