@@ -92,11 +92,48 @@ def test_the_deviation_grows_with_the_distance_and_with_the_error_found_within()
     assert _shares(_known(0.0), 30.0, [20.0], 700.0)[0] == 0.0
 
 
+@pytest.mark.parametrize(
+    ("text", "within", "beyond"),
+    [
+        # of the force at 70 deg, and beside that 10 deg beyond a range of 30 deg; None: there is no range
+        ("", 0.05, None),
+        ("calibrated_range: {plate_angle_deg: [50, 80]}", 0.0, 0.0646),
+        ("calibrated_range: {plate_angle_deg: [50, 80]}\nmodel_error: null", 0.0, 0.0646),
+        ("calibrated_range: {plate_angle_deg: [50, 80]}\nmodel_error: 0", 0.0, 0.0082),
+        ("calibrated_range: {plate_angle_deg: [50, 80]}\nmodel_error: 0.01", 0.01, 0.0347),
+        ("provenance: {scale: weighed}", 0.0, None),
+    ],
+)
+def test_a_model_error_that_is_not_known_is_not_one_of_0(text: str, within: float, beyond, tmp_path, capsys) -> None:
+    path = tmp_path / "p.yaml"
+    document = {"format": 1, "version": 1, **GRAIN, "covariance": {"names": ["friction"], "matrix": [[1e-20]]}}
+    path.write_text(f"{yaml.safe_dump(document)}{text}\n")
+    assert main(["predict", "--mass-flow", "10", "--plate-angle", "70", "40", "--params", str(path), "--json"]) == 0
+    printed = capsys.readouterr()
+    home, away = (row["force_std_dev_n"] / row["force_n"] for row in json.loads(printed.out)["rows"])
+    assert home == pytest.approx(within, abs=1e-9)
+    assert np.sqrt(max(away**2 - home**2, 0.0)) == pytest.approx(beyond or 0.0, abs=2e-4)
+    assert ("do not say how far the model itself is off" in printed.err) is (within == 0.05)
+    known = api.load_parameters(path)
+    api.save_parameters(known, path)
+    assert api.load_parameters(path).model_error == known.model_error
+
+
+def test_a_test_facilitys_one_speed_covers_what_an_elevator_makes_of_it() -> None:
+    at = 400.0 * api.RPM
+    known = _known(elevator_speed_rad_s=(at, at), mass_flow_kg_s=(5.0, 15.0))
+    speeds, flows = (v.ravel() for v in np.meshgrid([375.0, 385.0, 415.0, 425.0], [4.8, 4.9, 15.4, 15.6]))
+    outside = known.calibrated.outside(flows, None, speeds * api.RPM).reshape(4, 4)
+    assert not outside[1:3, 1:3].any()
+    assert outside.sum() == 12
+
+
 def _file(folder: Path) -> str:
     path = folder / "p.yaml"
     ranges = {"plate_angle_deg": [70, 70], "mass_flow_kg_s": [5, 15], "elevator_speed_rpm": [400, 400], "moisture_pct": [14, 16]}
     sd = {"names": ["restitution"], "matrix": [[1e-4]]}
-    path.write_text(yaml.safe_dump({"format": 1, "version": 1, **GRAIN, "covariance": sd, "calibrated_range": ranges}))
+    document = {"format": 1, "version": 1, **GRAIN, "covariance": sd, "model_error": 0.0, "calibrated_range": ranges}
+    path.write_text(yaml.safe_dump(document))
     return str(path)
 
 

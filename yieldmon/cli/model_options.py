@@ -68,6 +68,15 @@ def parameters(args: argparse.Namespace) -> ParameterSet:
     return with_values(parameter_file.load(path), assignments(args.set, "--set"))
 
 
+def say_unknown_error(known: ParameterSet) -> None:
+    """On standard error, that the set does not say how far the model itself is off."""
+    if known.curve is None and known.model_error is None and known.own_error > 0.0:
+        _notes.note(
+            "the parameters do not say how far the model itself is off (model_error): "
+            f"{100.0 * known.own_error:g} % of the force is taken for it"
+        )
+
+
 def assignments(texts: Iterable[str], option: str) -> dict[str, float]:
     """name=value texts as a mapping. Raises InputError for a bad one."""
     out: dict[str, float] = {}

@@ -52,7 +52,7 @@ def adopted(diagnosis: Diagnosis, parent: ParameterSet, provenance: dict[str, st
         response_unit="N" if cells.rows.si else "response",
         version=parent.version + 1,
         provenance=provenance,
-        model_error=best.learnt_error if best.learnt_error > model_error.FLOOR else 0.0,
+        model_error=model_error.stated(best.shown_error),
     )
 
 

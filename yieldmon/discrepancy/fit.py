@@ -112,9 +112,14 @@ class Fit:
         return model_error.basis(cells.plate_angle_rad, cells.load, cells.elevator_speed_rad_s)
 
     @cached_property
-    def learnt_error(self) -> float:
-        """Relative size of the model's own error, from angles and loads left out; at least the floor."""
+    def shown_error(self) -> float | None:
+        """Relative size of the model's own error, from angles and loads left out; None where these say nothing."""
         return model_error.learnt(self.residual, self.tangent(), 1.0 / self.level, self.frame.groups)
+
+    @property
+    def learnt_error(self) -> float:
+        """`shown_error`, at least the floor."""
+        return model_error.FLOOR if self.shown_error is None else self.shown_error
 
     @cached_property
     def shape_error(self) -> Array:

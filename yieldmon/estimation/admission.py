@@ -38,7 +38,7 @@ def refusal(parameters: ParameterSet) -> str:
     str
         One sentence, "" where they may.
     """
-    if parameters.model_error > LARGEST_MODEL_ERROR:
+    if parameters.model_error is not None and parameters.model_error > LARGEST_MODEL_ERROR:
         return (
             f"the calibration missed angles and loads that it left out by {100.0 * parameters.model_error:.0f} %: sweeps change "
             "nothing (see yieldmon diagnose)"
@@ -61,6 +61,6 @@ def refusal(parameters: ParameterSet) -> str:
 
 def allowing_for(settings: ClosedLoopSettings, parameters: ParameterSet) -> ClosedLoopSettings:
     """The settings with a model error of at least what the calibration found on angles and loads that it left out."""
-    if parameters.model_error <= settings.model_error:
+    if parameters.model_error is None or parameters.model_error <= settings.model_error:
         return settings
     return replace(settings, model_error=parameters.model_error)

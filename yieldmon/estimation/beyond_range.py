@@ -2,7 +2,8 @@
 
 Along each of plate angle, ln mass flow and ln elevator speed the error may have a slope. Before any table it is as large as laws
 of other authors differ by; a range over which the fit left an error e bounds it, as far as a bend that leaves so much there could
-go on with beyond, sqrt(180) e a range. What is known within the range stays as it is.
+go on with beyond, sqrt(180) e a range; where that error is not known the range bounds nothing. What is known within the range
+stays as it is.
 """
 
 from __future__ import annotations
@@ -56,7 +57,7 @@ def angle_error_beyond(parameters: ParameterSet, plate_angle_rad: Array) -> Arra
     )
 
 
-def speed_error_beyond(calibrated: CalibratedRange, model_error: float, elevator_speed_rad_s: Array) -> Array:
+def speed_error_beyond(calibrated: CalibratedRange, model_error: float | None, elevator_speed_rad_s: Array) -> Array:
     """The part of `error_beyond` by the elevator's speed, rad/s, above 0."""
     limits = calibrated.elevator_speed_rad_s
     if limits is None or not limits[0] > 0.0:
@@ -84,8 +85,10 @@ def _by_flow(parameters: ParameterSet, flow: Array) -> Array:
     return _slope(PER_LN_FLOW, float(high - low), parameters.model_error) * _distance(at, low, high)
 
 
-def _slope(before: float, span: float, model_error: float) -> float:
+def _slope(before: float, span: float, model_error: float | None) -> float:
     """Standard deviation of the error's slope, by what is likely before any table, and by the error that the range has shown."""
+    if model_error is None:
+        return before
     return float(1.0 / np.hypot(1.0 / before, span / (_BEND * max(model_error, FLOOR))))
 
 

@@ -205,7 +205,7 @@ class OpenLoop:
     model : ForwardModel
         With the effects that the parameters speak of; `load_pattern`, which weighed loads add to a set, is added to it.
     parameters : ParameterSet
-        Their covariance and model_error enter the standard deviation of the flow.
+        Their covariance and own_error enter the standard deviation of the flow.
 
     Attributes
     ----------
@@ -303,7 +303,7 @@ class OpenLoop:
         varied = self.model.throw(angle[..., None], speed[..., None], self._rows, moist[..., None]) if len(self._steps) else None
         flow, gain = self._inverted(force, angle, speed, moist, varied)
         spread = np.hypot(noise, self._parameter_force_sd(flow, varied))
-        own = np.hypot(self.parameters.model_error, error_beyond(self.parameters, flow, angle, speed))
+        own = np.hypot(self.parameters.own_error, error_beyond(self.parameters, flow, angle, speed))
         spread = np.hypot(spread, own * np.abs(force))
         with np.errstate(divide="ignore", invalid="ignore"):
             sd, noise_sd = spread / np.abs(gain), noise / np.abs(gain)

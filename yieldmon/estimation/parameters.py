@@ -17,9 +17,14 @@ from yieldmon.physics.grain import EXCHANGE_FORM, GRAIN, REQUIRED
 from yieldmon.physics.machine import SAME_ANGLE_RAD
 from yieldmon.physics.numerics import Array
 
+from .clusters import SAME_LOAD
+from .model_error import UNKNOWN
+
 if TYPE_CHECKING:
     from .flow_curve import FlowCurve
 
+SPEED_MARGIN = 0.05
+"""Relative change of the elevator speed that a calibration at one speed covers."""
 SCALE, WEIGHED = "scale", "weighed"
 """Key and value of the provenance of parameters whose scale weighed masses have set."""
 
@@ -51,23 +56,23 @@ class CalibratedRange:
         Parameters
         ----------
         mass_flow_kg_s, plate_angle_rad, elevator_speed_rad_s, moisture_pct : ndarray
-            Of one shape. An angle may lie as far outside as two angles may that count as the same, since an actuator reaches the
-            outermost angle to its accuracy only.
+            Of one shape. An angle or a flow may lie as far outside as two may that count as the same, since an actuator reaches
+            the outermost angle to its accuracy only; a speed by SPEED_MARGIN, since no elevator holds that of a test facility.
 
         Returns
         -------
         ndarray of bool
         """
         outside = np.zeros(np.shape(mass_flow_kg_s), dtype=bool)
-        for value, limits, same in (
-            (mass_flow_kg_s, self.mass_flow_kg_s, 0.0),
-            (plate_angle_rad, self.plate_angle_rad, SAME_ANGLE_RAD),
-            (elevator_speed_rad_s, self.elevator_speed_rad_s, 0.0),
-            (moisture_pct, self.moisture_pct, 0.0),
+        for value, limits, same, share in (
+            (mass_flow_kg_s, self.mass_flow_kg_s, 0.0, SAME_LOAD),
+            (plate_angle_rad, self.plate_angle_rad, SAME_ANGLE_RAD, 0.0),
+            (elevator_speed_rad_s, self.elevator_speed_rad_s, 0.0, SPEED_MARGIN),
+            (moisture_pct, self.moisture_pct, 0.0, 0.0),
         ):
             if value is not None and limits is not None:
-                slack = same + 1e-9 * max(abs(limits[0]), abs(limits[1]))
-                outside |= (value < limits[0] - slack) | (value > limits[1] + slack)
+                low, high = ((1.0 + sign * (share + 1e-9)) * end + sign * same for sign, end in zip((-1, 1), limits, strict=True))
+                outside |= (value < low) | (value > high)
         return outside
 
 
@@ -92,7 +97,8 @@ class ParameterSet:
     provenance : mapping of str to str
         Hash of the data file, date, method, parent version.
     model_error : float
-        Relative standard deviation of a predicted force that is the model's own and no parameter's; 0: not known to have one.
+        Relative standard deviation of a predicted force that is the model's own and no parameter's; 0: none beside the
+        covariance; None: not known, so that the calibrated range bounds no error beyond it (see also `own_error`).
     curve : FlowCurve, optional
         What gives the flow in place of the physics; None: the physics.
 
@@ -116,7 +122,7 @@ class ParameterSet:
     response_unit: str = "N"
     version: int = 1
     provenance: Mapping[str, str] = field(default_factory=dict)
-    model_error: float = 0.0
+    model_error: float | None = 0.0
     curve: FlowCurve | None = None
 
     def __post_init__(self) -> None:
@@ -174,6 +180,14 @@ class ParameterSet:
         """Whether weighed masses have set the scale: at the angle where these were measured it is that of the machine, whatever
         the model lacks."""
         return self.provenance.get(SCALE) == WEIGHED
+
+    @property
+    def own_error(self) -> float:
+        """Of `model_error` within the calibrated range. Where it is not known: 0 where rows or weighed masses have led to these
+        parameters, whose covariance holds what few of them do not show, else that of the published tables."""
+        if self.model_error is not None:
+            return self.model_error
+        return 0.0 if self.is_weighed or self.calibrated != CalibratedRange() else UNKNOWN
 
     def standard_deviation(self, name: str) -> float:
         """Standard deviation of one parameter.

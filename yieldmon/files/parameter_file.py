@@ -94,7 +94,8 @@ def from_document(document: Mapping[str, Any], where: str) -> ParameterSet:
         raise InputError(f"{where}: response_unit", f"is {unit!r}", "a text such as N")
     if not isinstance(version, int) or isinstance(version, bool) or not 1 <= version <= _LARGEST_VERSION:
         raise InputError(f"{where}: version", f"is {version!r}", f"a whole number from 1 to {_LARGEST_VERSION}")
-    model_error = number(document.get("model_error", 0.0), f"{where}: model_error", "", 0.0, 10.0)
+    error = document.get("model_error")
+    model_error = None if error is None else number(error, f"{where}: model_error", "", 0.0, 10.0)
     curve = flow_curve_file.from_document(document["curve"], f"{where}: curve") if "curve" in document else None
     calibrated = calibrated_range(mapping(document, "calibrated_range", where), where)
     try:
@@ -124,7 +125,7 @@ def to_document(parameters: ParameterSet) -> dict[str, Any]:
             effects.setdefault(effect, {})[short] = float(value)
     document["effects"] = effects
     document["response_unit"] = parameters.response_unit
-    if parameters.model_error:
+    if parameters.model_error is not None:
         document["model_error"] = float(parameters.model_error)
     if parameters.curve is not None:
         document["curve"] = flow_curve_file.to_document(parameters.curve)

@@ -280,10 +280,7 @@ def _examined(searched: Searched, response_unit: str, intervals: bool) -> Calibr
 
 def _bound_sides(problem: CalibrationProblem, theta: Array) -> list[str]:
     """For each free parameter the bound that it is at, "lower" or "upper", else ""."""
-    return [
-        "lower" if t <= lo + 1e-9 * u else "upper" if t >= hi - 1e-9 * u else ""
-        for t, lo, hi, u in zip(theta, problem.lower, problem.upper, problem.unit, strict=True)
-    ]
+    return [("", "upper", "lower")[side] for side in problem.bound_sides(theta).tolist()]
 
 
 def _fitted(problem: CalibrationProblem, theta: Array, errors: Array, ends: Array) -> tuple[FittedParameter, ...]:
@@ -309,7 +306,7 @@ def _parameter_set(problem: CalibrationProblem, theta: Array, uncertainty: FitUn
         uncertainty.covariance,
         _calibrated_range(problem.model, problem.data),
         response_unit,
-        model_error=uncertainty.model_error if uncertainty.model_error > model_error.FLOOR else 0.0,
+        model_error=model_error.stated(uncertainty.model_error),
     )
 
 

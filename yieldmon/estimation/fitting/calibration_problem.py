@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from yieldmon.estimation.model_error import orthonormal
 from yieldmon.estimation.priors import Bounds, Prior, fitting_bounds, follows_scale, start_ranges
@@ -162,6 +163,11 @@ class CalibrationProblem:
         law = constant + proportional * middle**2
         freedom = np.bincount(self.cell) - 1.0
         return np.asarray((law * freedom.sum() / float(freedom @ law))[self.cell])
+
+    def bound_sides(self, theta: Array) -> NDArray[np.int64]:
+        """For each free parameter at (n,) the bound that it is at, -1 for the lower and 1 for the upper one, else 0."""
+        at_lower, at_upper = theta <= self.lower + 1e-9 * self.unit, theta >= self.upper - 1e-9 * self.unit
+        return np.where(at_lower, -1, at_upper.astype(np.int64))
 
     @property
     def shows_noise(self) -> bool:

@@ -168,7 +168,14 @@ def sentences(
 
 
 def of_model_error(fitted: Sequence[FittedParameter], known: ParameterSet) -> Iterable[str]:
-    """That errors and intervals are by the rows' scatter, where the model's own error makes parameters less certain."""
+    """That errors and intervals are by the rows' scatter, where the model's own error makes parameters less certain; and where
+    the rows do not show that error."""
+    if known.model_error is None:
+        yield (
+            "the rows do not show how far the model itself is off: flows beyond their range are stated by what machines differ "
+            "by; more angles and loads, with replicates or sigma, would show it."
+        )
+        return
     sd = {p.name: known.standard_deviation(p.name) for p in fitted}
     if known.model_error > 0.0 and any(sd[p.name] > _WIDER * p.standard_error for p in fitted):
         each = ", ".join(f"{name} {value:.3g}" for name, value in sd.items())

@@ -28,13 +28,13 @@ class FitUncertainty:
     """covariance: (n, n), no parameter less certain than anywhere between its bounds, the model's own error included.
     standard_errors: (n,) by the data and the prior alone; inf where they do not fix a parameter. correlation: (n, n) of these.
     stretch: (n,) of the standard errors over those of rows that scatter alike. model_error: relative size of the model's own
-    error; 0 where it is not known."""
+    error; None where it is not known."""
 
     covariance: Array
     standard_errors: Array
     correlation: Array
     stretch: Array
-    model_error: float
+    model_error: float | None
 
 
 def fit_uncertainty(
@@ -56,8 +56,8 @@ def fit_uncertainty(
         information = weighted.T @ weighted / (unsure * factor) + problem.prior_white.T @ problem.prior_white
     inverse = _bounded_inverse(information, most) if np.any(singular) else _inverse(information, problem.unit)[0]
     covariance = _spread_out(inverse, unlike)
-    size = _learnt_error(problem, predicted - problem.data.momentum, cell_slopes, noise)
-    if size > 0.0:
+    size = _learnt_error(problem, predicted - problem.data.momentum, cell_slopes, noise, problem.bound_sides(theta) == 0)
+    if size is not None:
         covariance = _with_model_error(problem, covariance, inverse, size, predicted, weighted, noise)
     covariance = _within(covariance, most)
     deviation = np.sqrt(np.diag(free))
@@ -108,16 +108,19 @@ def _with_model_error(
     return np.asarray(covariance + moved @ moved.T)
 
 
-def _learnt_error(problem: CalibrationProblem, error: Array, slopes: Array, fitted: Noise) -> float:
-    """Relative size of the model's own error, from angles and loads left out; 0 where it is not known.
+def _learnt_error(
+    problem: CalibrationProblem, error: Array, slopes: Array, fitted: Noise, inside: NDArray[np.bool_]
+) -> float | None:
+    """Relative size of the model's own error, from angles and loads left out; None where it is not known.
 
     error: of each row. slopes: of each cell. fitted: the rows' noise as the fit took it; outliers of a robust fit say as
-    little of the model as they did there. Where neither replicates nor a stated sigma part it from noise, what no smooth error
-    makes of the residuals is noise; the error is at most _LEFT_OUT times what the fit leaves. With too few rows for that all that
-    it leaves is taken for noise where angles and loads are left out, and the error is no larger than that.
+    little of the model as they did there. inside: (n,) parameters at no bound: one at a bound makes up for no error.
+    Where neither replicates nor a stated sigma part it from noise, what no smooth error makes of the residuals is noise; the
+    error is at most _LEFT_OUT times what the fit leaves. With too few rows for that all that it leaves is taken for noise where
+    angles and loads are left out, and the error is no larger than that.
     """
     if not slopes.shape[1]:
-        return 0.0
+        return None
     share = (fitted.weight * problem.row_sd) ** 2 if problem.robust else np.ones(error.size)
     count = np.bincount(problem.cell, share)
     first = np.unique(problem.cell, return_index=True)[1]
@@ -125,7 +128,7 @@ def _learnt_error(problem: CalibrationProblem, error: Array, slopes: Array, fitt
     mean = np.bincount(problem.cell, share * error) / count
     predicted = np.bincount(problem.cell, share * (error + problem.data.momentum)) / count
     if not np.any(predicted):
-        return 0.0  # No grain reaches the plate: there is nothing that an error could be relative to.
+        return None  # No grain reaches the plate: there is nothing that an error could be relative to.
     level = model_error.level(predicted)
     parted = problem.pure_dof >= LEAST_PURE_DOF or problem.given_sigma
     smooth = model_error.basis(angle, load, speed) * level[:, None]
@@ -140,18 +143,22 @@ def _learnt_error(problem: CalibrationProblem, error: Array, slopes: Array, fitt
         noise = np.bincount(problem.cell, row_sd**-2.0) ** -0.5
     if problem.spread is not None:
         noise = noise * np.sqrt(problem.spread[first])
-    basis = model_error.orthonormal(slopes / noise[:, None] * problem.unit)
+    known_noise = parted or unexplained > 0.0
+    following = slopes[:, inside] if known_noise else slopes
+    basis = model_error.orthonormal(following / noise[:, None] * (problem.unit[inside] if known_noise else problem.unit))
     residual = mean / noise
     if problem.spread is not None or unexplained > 0.0:
-        # As a fit leaves it that weighs the cells by their noise and holds no parameter at a bound.
+        # As a fit leaves it that weighs the cells by their noise.
         residual = residual - basis @ (basis.T @ residual)
     size = model_error.learnt(residual, basis, noise / level, model_error.groups_of(angle, load))
-    if parted or unexplained > 0.0:
+    if size is None:
+        return None
+    if known_noise:
         dof = max(count.size - basis.shape[1], 1)
         most = _LEFT_OUT * float(np.sqrt(np.sum(residual**2) / dof / np.mean((level / noise) ** 2)))
         return max(min(size, most), model_error.FLOOR)
     most = float(np.mean((level[problem.cell] / row_sd) ** 2)) ** -0.5
-    return min(size, most) if size > model_error.FLOOR else 0.0
+    return min(size, most) if min(size, most) > model_error.FLOOR else None
 
 
 def _unexplained_sd(problem: CalibrationProblem, mean: Array, columns: Array, count: Array | NDArray[np.int64]) -> float:

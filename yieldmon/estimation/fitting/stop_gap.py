@@ -113,7 +113,7 @@ def sentence(parameters: ParameterSet) -> str:
     size = parameters.standard_deviation(_BEYOND[0])
     return (
         f"stop-gap: beside likely grain ({known}) a smooth error of the model of {100.0 * size:.2g} % over plate angle and load; "
-        f"together they miss the rows by {100.0 * parameters.model_error:.2g} % beyond noise. It holds within the table's angles "
+        f"together they miss the rows by {100.0 * parameters.own_error:.2g} % beyond noise. It holds within the table's angles "
         "and loads, names no cause (yieldmon diagnose looks for one), and sweeps change nothing while it is there."
     )
 

@@ -41,7 +41,7 @@ def with_pattern(parameters: ParameterSet, relative_sd: float) -> ParameterSet:
     """
     if EFFECT in parameters.effects:
         return parameters
-    size = max(relative_sd, _CALIBRATED * parameters.model_error, FLOOR)
+    size = max(relative_sd, _CALIBRATED * (parameters.model_error or 0.0), FLOOR)
     count = len(parameters.covariance_names)
     covariance = np.zeros((count + len(NAMES),) * 2)
     covariance[:count, :count] = parameters.covariance

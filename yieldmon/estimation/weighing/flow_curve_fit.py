@@ -21,8 +21,6 @@ LEAST_LOADS = 3
 _MOST_KNOTS = 12
 _LEAST_INNER = 3
 """Loads between the lightest and the heaviest from which these two count no longer for the deviation."""
-_SPEED_MARGIN = 0.05
-"""Relative change of the elevator speed that a calibration at one speed covers."""
 
 
 @dataclass(frozen=True)
@@ -84,9 +82,7 @@ def fit_table(machine: Machine, rows: Measurements, kind: str) -> CurveFit:
     own = law.flow(mean_force, cells[0], cells[1]) / mean_flow - 1.0
     share = mean_flow / (mean_flow + OFFSET_SHARE * mean_flow.max())
     moisture = columns[3][used]
-    calibrated = CalibratedRange(
-        span(flow), span(angle), _speeds(speed), span(moisture) if np.all(np.isfinite(moisture)) else None
-    )
+    calibrated = CalibratedRange(span(flow), span(angle), span(speed), span(moisture) if np.all(np.isfinite(moisture)) else None)
     curve = FlowCurve(law, _relative(share * errors, share * own, _inner(cells[2])), calibrated)
     return CurveFit(curve, int(flow.size), tuple(mean_flow.tolist()), tuple(errors.tolist()), tuple(own.tolist()))
 
@@ -156,7 +152,7 @@ def fit_loads(loads: Sequence[WeighedLoad], plate_angle_rad: float) -> CurveFit:
     flow = (alpha + beta * x) * x
     moist = [load.moisture_pct for load in loads]
     moisture = None if any(m is None for m in moist) else span(np.concatenate([m for m in moist if m is not None]))
-    speeds = _speeds(np.concatenate([part[1] for part in seconds]))
+    speeds = span(np.concatenate([part[1] for part in seconds]))
     own = matrix @ np.array([alpha, beta]) / weighed - 1.0
     common = np.mean([load.common_kg / load.weighed_kg for load in loads])
     apart = _relative(errors, own, np.ones(weighed.size, dtype=bool))
@@ -228,8 +224,3 @@ def _relative(left_out: Array, fitted: Array, inner: NDArray[np.bool_]) -> float
     if not (np.all(np.isfinite(left_out[inner])) and np.all(np.isfinite(fitted))):
         return 1.0
     return float(max(LEAST_RELATIVE_STD_DEV, np.sqrt(np.mean(left_out[inner] ** 2)), np.sqrt(np.mean(fitted**2))))
-
-
-def _speeds(values: Array) -> tuple[float, float]:
-    low, high = span(values)
-    return low * (1.0 - _SPEED_MARGIN), high * (1.0 + _SPEED_MARGIN)

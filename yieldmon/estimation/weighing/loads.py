@@ -41,8 +41,8 @@ _MOST_STRAIN, _MOST_LEFT = 5.0, 0.3
 """Standard deviations of density, gain and curve, all together, and ln error of a load, beyond which no machine explains them."""
 _CONTRADICTED = 2.0
 """Standard deviations, rms, by which loads left out are further off than another curve or scatter explains."""
-_TAIL = 0.025
-"""Share of the weighed grain beyond either end of the range that it calibrates."""
+_LOW, _HIGH = 0.025, 0.995
+"""Shares of the weighed grain below the ends of the range that it calibrates: less at the lower one is the ends of passes."""
 _LEFT_OUT_WEIGHT = 0.632
 _PRIOR_LOADS = 4.0
 """What the stated deviations count for, in loads, beside the scatter that the loads themselves show."""
@@ -113,35 +113,51 @@ def calibrate_loads(
     else:
         calibration = _by_another_law(problem, law, active, found, learnt)
     if not calibration.refused:
-        calibration = replace(calibration, parameter_set=_with_range(problem, calibration.parameter_set, active))
+        calibration = replace(calibration, parameter_set=_with_range(problem, calibration.parameter_set, loads, active))
     wrong = wrong_ticket(law, active, found) if found is not None and (no_plate or found.wrong > perhaps) else None
     calibration = replace(calibration, wrong_ticket=wrong, slips=known_slips(law, active))
     return replace(calibration, sentences=tuple(sentences(calibration, len(sweeps))))
 
 
-def _with_range(problem: LoadProblem, known: ParameterSet, active: NDArray[np.bool_]) -> ParameterSet:
-    """The set with the middle of the weighed grain in its calibrated range. What lies further out is sweeps of the plate and the
-    ends of passes, of which a load's mass says little."""
-    flow = LoadProblem(problem.model, known, known, problem.loads, problem.settings).flow(known)[0]
-    mass = np.where(active[problem.of_load], problem.duration * flow, 0.0)
-    before = known.calibrated
+def _with_range(
+    problem: LoadProblem, known: ParameterSet, loads: Sequence[WeighedLoad], active: NDArray[np.bool_]
+) -> ParameterSet:
+    """The set with the range of the weighed grain, which widens that of the set given where the loads bear this one out: else its
+    range, and what the model missed there, are another machine's. What lies further out is sweeps of the plate and the ends of
+    passes, of which a load's mass says little."""
+    every = LoadProblem(problem.model, known, known, loads, problem.settings)
+    flow = every.flow(known)[0]
+    mass = np.where(active[every.of_load], every.duration * flow, 0.0)
+    before = known.calibrated if _bears_out(problem, active) else CalibratedRange()
+    of_this_machine = before != CalibratedRange()
     moisture = np.array([load.mean_moisture_pct for load, ok in zip(problem.loads, active, strict=True) if ok])
 
     def middle(value: Array, limits: tuple[float, float] | None) -> tuple[float, float]:
         order = np.argsort(value)
         share = np.cumsum(mass[order]) / mass.sum()
-        low, high = (float(value[order][min(int(np.searchsorted(share, at)), value.size - 1)]) for at in (_TAIL, 1.0 - _TAIL))
+        low, high = (float(value[order][min(int(np.searchsorted(share, at)), value.size - 1)]) for at in (_LOW, _HIGH))
         return (low, high) if limits is None else (min(low, limits[0]), max(high, limits[1]))
 
     return replace(
         known,
+        # Without a range before them all that the loads leave stands in the covariance.
+        model_error=known.model_error if of_this_machine else 0.0,
         calibrated=CalibratedRange(
             middle(flow, before.mass_flow_kg_s),
-            middle(problem.angle, before.plate_angle_rad),
-            middle(problem.speed, before.elevator_speed_rad_s),
+            middle(every.angle, before.plate_angle_rad),
+            middle(every.speed, before.elevator_speed_rad_s),
             before.moisture_pct if problem.model.needs_moisture or not np.all(np.isfinite(moisture)) else span(moisture),
         ),
     )
+
+
+def _bears_out(problem: LoadProblem, active: NDArray[np.bool_]) -> bool:
+    """Whether the active loads weigh what the set given makes of them, within what it is uncertain by."""
+    given = problem.given
+    own = LoadProblem(problem.model, given, given, problem.loads, problem.settings)
+    std_dev = np.hypot(np.hypot(own.spreads(given), own.sd), given.own_error)
+    error = np.log(own.mass(given) / own.weighed)
+    return bool(np.all((np.abs(error) < problem.settings.outlier_sds * std_dev)[active]))
 
 
 def _calibration(
