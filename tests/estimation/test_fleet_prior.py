@@ -7,11 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from yieldmon.estimation.weighing.density_and_gain import moved
 from yieldmon.estimation.weighing.fleet_prior import MachineLoads, load_deviation, load_errors, pooled
 from yieldmon.estimation.weighing.load_inputs import WeighedLoad
 from yieldmon.files.crops import crop
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import Conditions, ForwardModel
+from yieldmon.physics.numerics import Array
 
 SHIPPED = crop("corn").parameters()
 MODEL = ForwardModel(Machine(), SHIPPED.effects)
@@ -58,6 +60,25 @@ def test_one_machine_more_makes_the_crop_better_known() -> None:
     machines = fleet(9, 0.02, 1.1, 8)
     few, many = (pooled(SHIPPED, machines[:count]) for count in (3, 9))
     assert np.trace(many.of_crop) < np.trace(few.of_crop)
+
+
+@pytest.mark.parametrize(("own_loads", "most"), [(1, 0.005), (0, 0.02)])
+def test_another_monitors_error_is_one_in_all_trucks_that_it_filled_too(own_loads: int, most: float) -> None:
+    """Ten such trucks say no more of the scale than one: whether it reads 5 % too much or too little changes little."""
+    machines = fleet(6, 0.01, 1.1, 3)
+    own, shared = machines[0].loads[:own_loads], machines[0].loads[1:] * 5
+
+    def found(bias: float) -> tuple[Array, Array]:
+        """Errors of the machine's loads by its own parameters and by the prior."""
+        off = [replace(load, weighed_kg=load.weighed_kg * np.exp(bias)) for load in shared]
+        off = [replace(load, common_kg=0.05 * load.weighed_kg, std_dev_kg=0.0501 * load.weighed_kg) for load in off]
+        pool = pooled(SHIPPED, [MachineLoads("m0", MODEL, (*own, *off)), *machines[1:]])
+        sets = moved(SHIPPED, *pool.machines[0]), pool.parameter_set
+        return tuple(load_errors(MODEL, known, machines[0].loads) for known in sets)  # type: ignore[return-value]
+
+    (own_low, prior_low), (own_high, prior_high) = found(-0.05), found(0.05)
+    assert np.abs(own_high - own_low).max() < most
+    assert np.abs(prior_high - prior_low).max() < 0.003
 
 
 def test_two_machines_are_no_fleet() -> None:

@@ -22,6 +22,7 @@ from yieldmon.files.parameter_file import load as load_parameters
 from yieldmon.fleet.comparison import compare
 from yieldmon.fleet.dataset import MARK
 from yieldmon.fleet.html import page
+from yieldmon.fleet.prior import crop_prior
 from yieldmon.fleet.summary import summarise
 
 PARAMETERS = """\
@@ -433,6 +434,16 @@ def test_prior_from_the_tickets_of_a_dataset(tmp_path: Path, capsys: pytest.Capt
     assert load_parameters(out).provenance["machines"] == "3"
     assert main(["fleet", "prior", dataset, "--crop", "wheat"]) == 2
     assert main(["fleet", "prior", dataset, "--crop", "grass"]) == 2
+
+
+def test_a_prior_takes_trucks_of_two_combines_as_such(tmp_path: Path) -> None:
+    for number in range(3):
+        day = tmp_path / "tree" / f"m{number}" / "d"
+        logs.write(day / "a.log", 60.0 + number)
+        (day / "tickets.csv").write_text("load,weighed_kg,std_dev_kg,other_kg,other_std_dev_kg\na.log,31,0.3,10,0.4\n")
+    assert measure(tmp_path / "tree", str(tmp_path / "season"), "--crop", "corn") == 0
+    loads = [machine.loads[0] for machine in crop_prior(str(tmp_path / "season"), "corn").machines]
+    assert {(load.weighed_kg, round(load.std_dev_kg, 9), round(load.common_kg, 9)) for load in loads} == {(21.0, 0.5, 0.4)}
 
 
 def test_a_prior_takes_the_seconds_of_the_logs_that_a_ticket_covers_once(

@@ -323,6 +323,7 @@ def _ticket_rows(
             "last_number": covered[-1]["last_number"], "start_s": covered[0]["start_s"], "end_s": covered[-1]["end_s"],
             "seconds": sum(row["seconds"] for row in covered), "measured_kg": _mass_kg(covered, seconds),
             "weighed_kg": ticket.mass_kg, "weighed_std_dev_kg": ticket.std_dev_kg,
+            "other_monitor_std_dev_kg": ticket.other_std_dev_kg,
             "logs": json.dumps([row["name"] for row in covered]),
         })  # fmt: skip
     return rows, unmatched

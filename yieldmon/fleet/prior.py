@@ -191,7 +191,13 @@ def _weighed(
         ticket["name"], "", tuple(row for row in kept if row.mass_kg > 0.0), dict(_versions(query, where))
     )
     paper = WeighedTicket(
-        ticket["name"], ticket["name"], ticket["weighed_kg"], ticket["weighed_std_dev_kg"], f"{where[0]} {where[1]}"
+        first=ticket["name"],
+        last=ticket["name"],
+        mass_kg=ticket["weighed_kg"],
+        std_dev_kg=ticket["weighed_std_dev_kg"],
+        where=f"{where[0]} {where[1]}",
+        # Of a day that an earlier release measured it is not noted.
+        other_std_dev_kg=ticket.get("other_monitor_std_dev_kg") or 0.0,
     )
     return weighed_loads.match([measured], [paper], machine)[0]
 

@@ -26,7 +26,8 @@ _COLUMNS: Mapping[str, Mapping[str, str]] = {
     LOADS: {
         "kind": "string", "name": "string", "first_number": "int64", "last_number": "int64", "start_s": "float64",
         "end_s": "float64", "seconds": "int64", "measured_kg": "float64", "std_dev_kg": "float64", "complete": "bool",
-        "weighed_kg": "float64", "weighed_std_dev_kg": "float64", "logs": "string",
+        "weighed_kg": "float64", "weighed_std_dev_kg": "float64", "other_monitor_std_dev_kg": "float64",
+        "logs": "string",
     },
     SWEEPS: {
         "sweep_id": "int64", "time_s": "float64", "state": "string", "reason": "string", "angles_deg": "string",

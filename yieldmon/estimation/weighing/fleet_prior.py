@@ -10,6 +10,10 @@ Loads say nothing of the other parameters, as friction, but what they say of den
 the same loads ask for a higher density. The covariance says so: a load is not as uncertain as friction alone would make it, and
 density and gain follow when a sweep then finds friction.
 
+Of trucks that another combine filled too a machine's loads share that one's monitor's error (`other_monitor`): however many they
+are, they know the machine's scale no better than it does. It is one of each machine: that several shared trucks with the same
+other one is not known.
+
 Sources: Laird and Ware, "Random-effects models for longitudinal data", Biometrics 38 (1982): the EM algorithm used here;
 Schmidt, "Application of state-space methods to navigation problems" (1966): parameters that are held and go on counting;
 JCGM 100:2008, annex G.3: t-distribution for a deviation that rests on few observations.
@@ -129,9 +133,11 @@ def _linear(machine: MachineLoads, known: ParameterSet, settings: LoadSettings, 
     error, slope = load_errors(machine.model, known, loads), _slopes(machine.model, known, loads)
     if not (np.all(np.isfinite(error)) and np.all(np.isfinite(slope))):
         raise ValueError(f"machine {machine.name}: a load holds more force than a full paddle gives with the crop's parameters")
-    variance = np.array([load.relative_sd**2 + load.measured_sd(settings.load_error) ** 2 for load in loads])
+    common = np.array([load.common_kg / load.weighed_kg for load in loads])
+    apart = np.array([load.relative_sd**2 + load.measured_sd(settings.load_error) ** 2 for load in loads]) - common**2
     target = slope @ at - error
-    weighted = slope.T / variance
+    # The other monitor's error is one in all loads that it weighed a part of.
+    weighted = slope.T @ np.linalg.inv(np.diag(apart) + np.outer(common, common))
     return _Linear(weighted @ slope, weighted @ target, -weighted @ _held_slopes(machine.model, known, loads))
 
 
