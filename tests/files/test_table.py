@@ -177,6 +177,24 @@ def test_a_workbook_of_charts_alone_is_refused(tmp_path):
         table.load(tmp_path / "t.xlsx")
 
 
+@pytest.mark.parametrize(
+    ("speeds", "note"),
+    [
+        (("300", "", "nan"), "2 rows have no elevator_speed_rpm (line 3, ...): the machine's nominal speed is taken there"),
+        (("300", "300", "-"), "1 row has no elevator_speed_rpm (line 4)"),
+        (("", "", ""), ""),
+        (("300", "310", "320"), ""),
+    ],
+)
+def test_rows_without_a_speed_in_a_table_that_has_some_are_said(tmp_path: Path, speeds: tuple[str, ...], note: str) -> None:
+    path = tmp_path / "t.csv"
+    rows = "".join(f"70,10,80,{speed}\n" for speed in speeds)
+    path.write_text(f"plate_angle_deg,mass_flow_kg_s,force_n,elevator_speed_rpm\n{rows}")
+    notes = "".join(table.load(path).notes)
+    assert note in notes
+    assert bool(note) is bool(notes)
+
+
 def test_of_two_loads_and_readings_the_ones_that_hold_something_count(tmp_path: Path) -> None:
     path = tmp_path / "t.csv"
     path.write_text("plate_angle_deg,mass_flow_kg_s,paddle_mass_kg,force_n,momentum_kg_m_s\n70,-,0.5,nan,3\n80,,0.6,,4\n")

@@ -157,12 +157,12 @@ def _sweeps(
     moisture = data.columns.get("moisture_pct")
     sweeps, true = [], []
     for i, name in enumerate(names):
-        rows = np.flatnonzero((labels == i) & np.isfinite(force))
+        rows, time_s = _in_time(np.flatnonzero((labels == i) & np.isfinite(force)), data)
         if np.unique(np.round(angle[rows], 4)).size < 2:
             raise InputError(f"{data.path}: group {name}", "holds fewer than two plate angles", "a sweep")
         moist = None if moisture is None else moisture[rows]
         try:
-            sweeps.append(Sweep(np.arange(rows.size, dtype=float), angle[rows], speed[rows], force[rows], sigma[rows], moist))
+            sweeps.append(Sweep(time_s, angle[rows], speed[rows], force[rows], sigma[rows], moist))
         except ValueError as error:
             raise InputError(f"{data.path}: group {name}", str(error)) from error
         if data.load is None:
@@ -171,6 +171,15 @@ def _sweeps(
             load = data.columns[data.load][rows] * (passes[rows] if data.load == "paddle_mass_kg" else 1.0)
             true.append(float(load.mean()) if np.ptp(load) <= 1e-9 * load.max() else float("nan"))
     return sweeps, true
+
+
+def _in_time(rows: np.ndarray, data: table.Table) -> tuple[np.ndarray, Array]:
+    """The rows of a sweep in the order of their times, and these, s; as they stand and a second each where one is not known."""
+    time_s = data.columns.get("time_s", np.full(len(data), np.nan))[rows]
+    if not np.all(np.isfinite(time_s)):
+        return rows, np.arange(rows.size, dtype=float)
+    order = np.argsort(time_s, kind="stable")
+    return rows[order], time_s[order]
 
 
 def _sigma(args: argparse.Namespace, data: table.Table, labels: np.ndarray) -> Array:
@@ -278,7 +287,7 @@ def _text(document: SelfCalibrationDocument) -> str:
         low, high = row["interval_kg_s"]
         end = f"{row['true_mass_flow_kg_s']:>11.4g}{row['error_pct']:>9.2f}" if "error_pct" in row else ""
         flow, sd = row["mass_flow_kg_s"], row["std_dev_kg_s"]
-        lines.append(f"{row['group']:<14}{flow:>11.4f}{sd:>9.4f}   {low:7.3f} ..{high:8.3f}{end}")
+        lines.append(f"{row['group']:<13} {flow:>11.4f} {sd:>8.4f}   {low:7.3f} .. {high:7.3f}{end}")
     if document["error_pct"]:
         lines.append(f"error: mean {document['error_pct']['mean_abs']:.2f} %, worst {document['error_pct']['max_abs']:.2f} %")
     for update in document["updates"]:

@@ -274,9 +274,20 @@ def load(path: str | Path, *, need_load: bool = True, used: str | None = None) -
         _first_known(readings, columns) or readings[0],
         columns,
         texts,
-        (*source.notes, *ignored),
+        (*source.notes, *ignored, *_at_nominal(columns, source)),
         source.lines,
     )
+
+
+def _at_nominal(columns: Mapping[str, Array], source: delimited.TextTable) -> tuple[str, ...]:
+    """A note on the rows without a speed in a table that has others."""
+    unknown = np.isnan(columns.get("elevator_speed_rpm", np.zeros(1)))
+    if not np.any(unknown) or np.all(unknown):
+        return ()
+    first, count = source.lines[int(np.argmax(unknown))], int(np.count_nonzero(unknown))
+    rows = "1 row has" if count == 1 else f"{count} rows have"
+    taken = f"no elevator_speed_rpm (line {first}{', ...' if count > 1 else ''}): the machine's nominal speed is taken there"
+    return (f"{source.path}: {rows} {taken}",)
 
 
 def _ignored(unknown: list[str], where: str) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ Regression Analysis" (pure error and lack of fit).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,7 +23,7 @@ from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array, span
 
 from . import angle_lines, multistart, profile_likelihood
-from .calibration_problem import CalibrationProblem, data_scale, residual_moments
+from .calibration_problem import LEAST_PURE_DOF, CalibrationProblem, data_scale, residual_moments
 from .calibration_result import (
     OUTLIER_SDS,
     Basin,
@@ -41,6 +41,8 @@ _NO_NOISE = (
     "there are no more rows than parameters, so that they do not show their noise: it is taken for 1 % of the largest reading; "
     "state it (column sigma), or measure more rows."
 )
+_OTHER_SIGMA = 3.0
+"""Times by which rows scatter more or less than a sigma says that is asked about."""
 _OTHER_STARTS = 3
 """Searches with plate angles from another line."""
 
@@ -274,8 +276,25 @@ def _examined(searched: Searched, response_unit: str, intervals: bool) -> Calibr
             *sentences(fitted, uncertainty.correlation, searched.basins, searched.starts, quality, problem.model.effects),
             *of_model_error(fitted, known),
             *(() if problem.shows_noise or problem.given_sigma else (_NO_NOISE,)),
+            *_of_sigma(problem, error),
         ),
     )
+
+
+def _of_sigma(problem: CalibrationProblem, error: Array) -> Iterator[str]:
+    """That the sigma given is another one than the rows show, error: of each of them."""
+    if not problem.given_sigma:
+        return
+    dof = error.size - len(problem.names) + len(problem.prior_white)
+    left = float(np.sqrt(np.sum((error / problem.row_sd) ** 2) / max(dof, 1)))
+    if dof >= LEAST_PURE_DOF and left < 1.0 / _OTHER_SIGMA:
+        yield f"sigma is {1.0 / max(left, 1e-99):.2g} times what the fit misses the rows by: is it in the unit of the reading?"
+    weight = problem.row_sd**-2.0
+    mean = np.bincount(problem.cell, weight * problem.data.momentum) / np.bincount(problem.cell, weight)
+    repeats = np.sum(weight * (problem.data.momentum - mean[problem.cell]) ** 2)
+    within = float(np.sqrt(repeats / max(problem.pure_dof, 1)))
+    if problem.pure_dof >= LEAST_PURE_DOF and within > _OTHER_SIGMA:
+        yield f"repeated rows scatter by {within:.2g} times their sigma: is it in the unit of the reading, and of one row?"
 
 
 def _bound_sides(problem: CalibrationProblem, theta: Array) -> list[str]:

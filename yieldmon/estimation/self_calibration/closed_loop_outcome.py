@@ -24,11 +24,12 @@ class FlowPosterior:
         return self.mass_flow_kg_s * self.log_sd
 
     def interval(self, level: float = 0.9) -> tuple[float, float]:
-        """Central interval, kg/s."""
+        """Central interval, kg/s; to inf where nothing is known of the flow."""
         from scipy.special import ndtri
 
         reach = float(ndtri(0.5 + 0.5 * level)) * self.log_sd
-        return self.mass_flow_kg_s * float(np.exp(-reach)), self.mass_flow_kg_s * float(np.exp(reach))
+        with np.errstate(over="ignore"):
+            return self.mass_flow_kg_s * float(np.exp(-reach)), self.mass_flow_kg_s * float(np.exp(reach))
 
 
 @dataclass(frozen=True, slots=True)
