@@ -57,20 +57,20 @@ class Rows:
         """The rows where `chosen` is true, with cells numbered anew."""
         _, cell = np.unique(self.cell[chosen], return_inverse=True)
         return Rows(
-            self.machine,
-            self.load_name,
-            self.of,
-            self.si,
-            self.plate_angle_rad[chosen],
-            self.elevator_speed_rad_s[chosen],
-            self.load[chosen],
-            self.moisture_pct[chosen],
-            self.value[chosen],
-            self.sigma[chosen],
-            tuple(t for t, keep in zip(self.trial, chosen, strict=True) if keep),
-            cell,
-            None if self.order is None else self.order[chosen],
-            self.timed,
+            machine=self.machine,
+            load_name=self.load_name,
+            of=self.of,
+            si=self.si,
+            plate_angle_rad=self.plate_angle_rad[chosen],
+            elevator_speed_rad_s=self.elevator_speed_rad_s[chosen],
+            load=self.load[chosen],
+            moisture_pct=self.moisture_pct[chosen],
+            value=self.value[chosen],
+            sigma=self.sigma[chosen],
+            trial=tuple(t for t, keep in zip(self.trial, chosen, strict=True) if keep),
+            cell=cell,
+            order=None if self.order is None else self.order[chosen],
+            timed=self.timed,
         )
 
     def conditions(self) -> Conditions:
@@ -152,20 +152,20 @@ def from_table(table: Table, machine: Machine) -> Rows:
     if np.count_nonzero(usable) < 8:
         raise InputError(table.path, f"has {np.count_nonzero(usable)} rows with load and reading", "at least 8")
     rows = Rows(
-        machine,
-        table.load,
-        "force" if table.reading == "force_n" else "momentum",
-        table.reading != "response",
-        np.radians(columns["plate_angle_deg"]),
-        table.speed_rad_s(machine),
-        columns[table.load],
-        columns.get("moisture_pct", nothing),
-        columns[table.reading],
-        columns.get("sigma", nothing),
-        table.text.get("trial", ("",) * count),
-        np.zeros(count, dtype=np.int64),
-        time_s if timed else np.arange(float(count)),
-        timed,
+        machine=machine,
+        load_name=table.load,
+        of="force" if table.reading == "force_n" else "momentum",
+        si=table.reading != "response",
+        plate_angle_rad=np.radians(columns["plate_angle_deg"]),
+        elevator_speed_rad_s=table.speed_rad_s(machine),
+        load=columns[table.load],
+        moisture_pct=columns.get("moisture_pct", nothing),
+        value=columns[table.reading],
+        sigma=columns.get("sigma", nothing),
+        trial=table.text.get("trial", ("",) * count),
+        cell=np.zeros(count, dtype=np.int64),
+        order=time_s if timed else np.arange(float(count)),
+        timed=timed,
     ).take(usable)
     column = f"{table.path}: {table.reading}"
     stated = int(np.count_nonzero(rows.sigma > 0.0))
@@ -224,7 +224,17 @@ def cells(rows: Rows) -> Cells:
         mean(v) for v in (rows.plate_angle_rad, rows.elevator_speed_rad_s, rows.load, rows.moisture_pct)
     )
     scatter = np.asarray(np.bincount(rows.cell, (rows.value - average[rows.cell]) ** 2), dtype=np.float64)
-    return Cells(rows, angle, speed, load, moisture, average, count, scatter, lay_out(angle, speed, load, moisture))
+    return Cells(
+        rows=rows,
+        plate_angle_rad=angle,
+        elevator_speed_rad_s=speed,
+        load=load,
+        moisture_pct=moisture,
+        mean=average,
+        count=count,
+        scatter=scatter,
+        layout=lay_out(angle, speed, load, moisture),
+    )
 
 
 def lay_out(angle: Array, speed: Array, load: Array, moisture: Array) -> Layout:

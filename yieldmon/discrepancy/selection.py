@@ -128,14 +128,34 @@ class Search:
                 current = refit_from_restarts(current)
         if not order:
             verdict: Verdict = "unknown" if base_gap.p_value < self.policy.gap_p else "none"
-            return Choice(verdict, self.base, self.base, base_gap, base_gap, (), looked_at, p_any)
+            return Choice(
+                verdict=verdict,
+                base=self.base,
+                best=self.base,
+                base_gap=base_gap,
+                best_gap=base_gap,
+                steps=(),
+                looked_at=looked_at,
+                p_any=p_any,
+            )
         named = self.prune_ambiguous(current, order, places, p_any)
         against = self.objections.against(named.fit, named.steps)
         if against and (fewer := self.without_unneeded(named.fit, p_any)) is not None:
             named, against = fewer, ""
         verdict = "unknown" if against else "effect"
         gap = lack_of_fit(named.fit, self.noise)
-        return Choice(verdict, self.base, named.fit, base_gap, gap, named.steps, looked_at, p_any, named.rivals, against)
+        return Choice(
+            verdict=verdict,
+            base=self.base,
+            best=named.fit,
+            base_gap=base_gap,
+            best_gap=gap,
+            steps=named.steps,
+            looked_at=looked_at,
+            p_any=p_any,
+            rivals=named.rivals,
+            against=against,
+        )
 
     def candidates(
         self,
@@ -162,7 +182,17 @@ class Search:
             missed = grouped_error(added, groups)
             unseen = float(np.mean(list(missed.values()) or [np.nan]))
             p = p_value(gained(current, added))
-            out.append(Candidate(s.effect, added, gain, p, unseen, refused, gained(current, added, own=True)))
+            out.append(
+                Candidate(
+                    effect=s.effect,
+                    fit=added,
+                    gain=gain,
+                    p_value=p,
+                    cross_validated=unseen,
+                    refused=refused,
+                    beyond_laws=gained(current, added, own=True),
+                )
+            )
         scale = misfit([c.fit for c in out])
         return tuple(sorted(out, key=lambda c: merit(c.fit, scale, self.policy)))
 
@@ -293,7 +323,17 @@ class Search:
             beyond = [merit(c.fit, scale, self.policy) - limit + self.policy.tie for c in usable if c.effect not in tied]
             stays = self._stability(current, [c.fit for c in usable], [c.effect in tied for c in usable])
             margin = min(beyond, default=np.inf)
-            steps.append(Step(family_of(name), found, tuple(map(family_of, tied)), stays * (1.0 - p_any), name, stays, margin))
+            steps.append(
+                Step(
+                    added=family_of(name),
+                    candidates=found,
+                    equivalent=tuple(map(family_of, tied)),
+                    confidence=stays * (1.0 - p_any),
+                    law=name,
+                    stability=stays,
+                    margin=margin,
+                )
+            )
             all_rivals += [c.fit for c in usable if c.effect in tied]
         return tuple(steps), tuple(all_rivals)
 

@@ -197,10 +197,17 @@ class Conclusion:
         parts, learning = self._parts, self._parts.learning
         seen = parts.waveform.last if parts.waveform is not None else NOTHING
         return Observation(
-            reading, flow, parts.plate.sweep, learning.outcome, learning.disagreement, learning.calibration_age_s,
-            parts.settings, seen, parts.publisher.mass_near_end(parts.loads.totals, parts.settings.faults.mass_near_end),
-            learning.scale_alarm.detail,
-        )  # fmt: skip
+            reading=reading,
+            flow=flow,
+            sweep=parts.plate.sweep,
+            outcome=learning.outcome,
+            disagreement=learning.disagreement,
+            calibration_age_s=learning.calibration_age_s,
+            settings=parts.settings,
+            waveform=seen,
+            mass_near_end=parts.publisher.mass_near_end(parts.loads.totals, parts.settings.faults.mass_near_end),
+            scale_alarm=learning.scale_alarm.detail,
+        )
 
     def _published(self) -> Published:
         parts, learning = self._parts, self._parts.learning

@@ -139,7 +139,19 @@ def estimate_delay(
     nan = float("nan")
 
     def refused(why: str, curve: Curve = empty, no_shift: float = nan, at_default: float = nan) -> Delay:
-        return Delay(default_s, None, None, Decision.CANNOT_TELL, declared_s, why, curve, no_shift, at_default, nan, len(pairs))
+        return Delay(
+            value_s=default_s,
+            low_s=None,
+            high_s=None,
+            decision=Decision.CANNOT_TELL,
+            declared_s=declared_s,
+            why=why,
+            curve=curve,
+            no_shift=no_shift,
+            shifted=at_default,
+            held_out=nan,
+            pairs=len(pairs),
+        )
 
     if quantity == "flow":
         pairs = of_like_passes(steps, pairs)
@@ -165,17 +177,17 @@ def estimate_delay(
     floor = max(FLOOR_S, 0.5 * steps.usual_interval_s)
     value = peak - (0.5 * max(0.0, steps.usual_interval_s - POINT_S) if quantity == "flow" else 0.0)
     return Delay(
-        value,
-        min(low - peak, -floor) + value,
-        max(high - peak, floor) + value,
-        Decision.ESTIMATED,
-        declared_s,
-        "one clear peak",
-        curve,
-        no_shift,
-        float(np.interp(peak, SHIFTS_S, everything)),
-        _held_out(sums),
-        len(pairs),
+        value_s=value,
+        low_s=min(low - peak, -floor) + value,
+        high_s=max(high - peak, floor) + value,
+        decision=Decision.ESTIMATED,
+        declared_s=declared_s,
+        why="one clear peak",
+        curve=curve,
+        no_shift=no_shift,
+        shifted=float(np.interp(peak, SHIFTS_S, everything)),
+        held_out=_held_out(sums),
+        pairs=len(pairs),
     )
 
 
@@ -184,17 +196,17 @@ def given_delay(value_s: float, declared_s: float | None, estimated: Delay) -> D
     at = estimated.curve
     agreement = float(np.interp(value_s, at.shift_s, at.correlation)) if len(at.shift_s) else float("nan")
     return Delay(
-        value_s,
-        None,
-        None,
-        Decision.DECLARED,
-        declared_s,
-        "given on the command line",
-        at,
-        estimated.no_shift,
-        agreement,
-        agreement,
-        estimated.pairs,
+        value_s=value_s,
+        low_s=None,
+        high_s=None,
+        decision=Decision.DECLARED,
+        declared_s=declared_s,
+        why="given on the command line",
+        curve=at,
+        no_shift=estimated.no_shift,
+        shifted=agreement,
+        held_out=agreement,
+        pairs=estimated.pairs,
     )
 
 

@@ -73,7 +73,17 @@ def block_means(longitude_deg: Array, latitude_deg: Array, mass_kg: Array, area_
     if not len(use):
         none = np.zeros(0)
         return Grid(
-            none.astype(np.intp), none.astype(np.intp), none, none, none.astype(np.intp), none, 0.0, 0.0, 1.0, 1.0, (1, 1)
+            row=none.astype(np.intp),
+            column=none.astype(np.intp),
+            yield_kg_m2=none,
+            standard_error_kg_m2=none,
+            points=none.astype(np.intp),
+            left_out=none,
+            west_deg=0.0,
+            north_deg=0.0,
+            width_deg=1.0,
+            height_deg=1.0,
+            shape=(1, 1),
         )
     middle = float(np.median(latitude_deg[use]))
     reference = float(longitude_deg[use][0])
@@ -112,15 +122,15 @@ def block_means(longitude_deg: Array, latitude_deg: Array, mass_kg: Array, area_
         hit = blocks[place] == others
         dropped = np.bincount(place[hit], minlength=len(blocks)).astype(float)
     return Grid(
-        blocks // columns,
-        blocks % columns,
-        mean,
-        np.where(count > 1, np.sqrt(variance), np.nan),
-        count,
-        dropped / (dropped + count),
-        west + reference,
-        north,
-        width,
-        height,
-        (rows, columns),
+        row=blocks // columns,
+        column=blocks % columns,
+        yield_kg_m2=mean,
+        standard_error_kg_m2=np.where(count > 1, np.sqrt(variance), np.nan),
+        points=count,
+        left_out=dropped / (dropped + count),
+        west_deg=west + reference,
+        north_deg=north,
+        width_deg=width,
+        height_deg=height,
+        shape=(rows, columns),
     )

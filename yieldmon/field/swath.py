@@ -199,7 +199,19 @@ def _lanes(table: HarvestTable, steps: Tracks) -> _Lanes:
     back_y = np.where(joined, y[before], y - distance * cos)
     back_sin, back_cos = np.where(joined, sin[before], sin), np.where(joined, cos[before], cos)
     may_cut = steps.down[step] & ~(table["header_down"] == 0)
-    return _Lanes(order, x, y, back_x, back_y, sin, cos, back_sin, back_cos, 0.5 * table["width_m"], may_cut)
+    return _Lanes(
+        order=order,
+        x=x,
+        y=y,
+        back_x=back_x,
+        back_y=back_y,
+        sin=sin,
+        cos=cos,
+        back_sin=back_sin,
+        back_cos=back_cos,
+        half=0.5 * table["width_m"],
+        may_cut=may_cut,
+    )
 
 
 def _polygons(corners: Array) -> Shapes:

@@ -137,9 +137,15 @@ def assess(steps: Tracks, pairs: Pairs, delay_s: float, generator: np.random.Gen
     drawn = {name: correlation_of((sums @ weights.T)[:, :, None])[:, 0] for name, sums in held.items()}
     margins = drawn["inverted"] - np.maximum(drawn["plain"], drawn["smoothed"])
     return Transport(
-        bool(np.percentile(margins, 2.5) > 0), candidates[index], float(shifts[shift]), scores["plain"], scores["smoothed"],
-        scores["inverted"], scores["inverted"] - max(scores["plain"], scores["smoothed"]), float(margins.std()),
-    )  # fmt: skip
+        better=bool(np.percentile(margins, 2.5) > 0),
+        chosen=candidates[index],
+        shift_s=float(shifts[shift]),
+        plain=scores["plain"],
+        smoothed=scores["smoothed"],
+        inverted=scores["inverted"],
+        margin=scores["inverted"] - max(scores["plain"], scores["smoothed"]),
+        margin_sd=float(margins.std()),
+    )
 
 
 def _best(tried: list[Array], blocks: slice) -> tuple[int, int]:

@@ -271,10 +271,17 @@ class Survey:
                 name = group_name(group) if group is not None else seen.canopen
             found.append(
                 MessageSeen(
-                    identifier, extended, seen.frames, seen.rate_hz, dbc, name, group,
-                    identifier & 0xFF if extended else None, seen.signals,
+                    identifier=identifier,
+                    extended=extended,
+                    frames=seen.frames,
+                    rate_hz=seen.rate_hz,
+                    dbc=dbc,
+                    name=name,
+                    group=group,
+                    source=identifier & 0xFF if extended else None,
+                    signals=seen.signals,
                 )
-            )  # fmt: skip
+            )
         return sorted(found, key=lambda m: (m.extended, m.group or 0, m.source or 0, m.identifier))
 
     @property

@@ -123,18 +123,27 @@ def _band(low: float, high: float, true: Array, measured: Array) -> Band:
     error = measured[known] - true[known]
     nan = float("nan")
     if not error.size:
-        return Band(low, high, int(np.sum(inside)), int(np.sum(inside)), nan, nan, nan, nan)
+        return Band(
+            low_kg_s=low,
+            high_kg_s=high,
+            windows=int(np.sum(inside)),
+            missing=int(np.sum(inside)),
+            bias_kg_s=nan,
+            rms_kg_s=nan,
+            mean_abs_pct=nan,
+            p95_abs_pct=nan,
+        )
     positive = true[known] > 0.0
     relative = 100.0 * np.abs(error[positive]) / true[known][positive] if low >= 2.0 else np.empty(0)
     return Band(
-        low,
-        high,
-        int(np.sum(inside)),
-        int(np.sum(inside) - error.size),
-        float(np.mean(error)),
-        float(np.sqrt(np.mean(error**2))),
-        float(np.mean(relative)) if relative.size else nan,
-        float(np.percentile(relative, 95.0)) if relative.size else nan,
+        low_kg_s=low,
+        high_kg_s=high,
+        windows=int(np.sum(inside)),
+        missing=int(np.sum(inside) - error.size),
+        bias_kg_s=float(np.mean(error)),
+        rms_kg_s=float(np.sqrt(np.mean(error**2))),
+        mean_abs_pct=float(np.mean(relative)) if relative.size else nan,
+        p95_abs_pct=float(np.percentile(relative, 95.0)) if relative.size else nan,
     )
 
 

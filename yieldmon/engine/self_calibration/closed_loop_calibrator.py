@@ -283,7 +283,16 @@ class ClosedLoopCalibrator:
             return None
         widening = outcome.prior_widening if outcome.updated else 1.0
         state = tuple(map(float, now.state))
-        return CalibrationStep(used.version, begun_s, end_s, prior.step, state, widening, sweep_alone, names)
+        return CalibrationStep(
+            from_version=used.version,
+            begin_s=begun_s,
+            end_s=end_s,
+            advance=prior.step,
+            state=state,
+            widening=widening,
+            sweep_alone=sweep_alone,
+            names=names,
+        )
 
     def _replaced(self, used: ParameterSet, until_s: float, known: ParameterSet) -> None:
         """Other parameters, in use from now on, than those used until a bus time."""

@@ -43,14 +43,14 @@ def mass_anchor(
     if forces is not None and (not model.needs_moisture or np.all(np.isfinite(forces.moisture_pct))):
         moisture = forces.moisture_pct if model.needs_moisture else None
         return MassAnchor(
-            anchor.reference_kg,
-            sd,
-            forces.duration_s,
-            forces.force_n * np.exp([error.away_at(angle_rad) for angle_rad in forces.plate_angle_rad.tolist()]),
-            forces.plate_angle_rad,
-            forces.elevator_speed_rad_s,
-            moisture,
-            anchor.common_kg,
+            reference_kg=anchor.reference_kg,
+            std_dev_kg=sd,
+            duration_s=forces.duration_s,
+            force_n=forces.force_n * np.exp([error.away_at(angle_rad) for angle_rad in forces.plate_angle_rad.tolist()]),
+            plate_angle_rad=forces.plate_angle_rad,
+            elevator_speed_rad_s=forces.elevator_speed_rad_s,
+            moisture_pct=moisture,
+            common_kg=anchor.common_kg,
         )
     pieces: list[MassAnchor] = []
     begin = anchor.start_s
@@ -120,16 +120,16 @@ def with_angle_error(mass: MassAnchor, model: ForwardModel, parameters: Paramete
 def weighed(anchor: ReferenceMass, mass: MassAnchor) -> WeighedLoad:
     """A mass anchor under its reference mass's name, with that one's own standard deviations."""
     return WeighedLoad(
-        name_of(anchor),
-        mass.reference_kg,
-        anchor.std_dev_kg,
-        mass.duration_s,
-        mass.force_n,
-        mass.plate_angle_rad,
-        mass.elevator_speed_rad_s,
-        mass.moisture_pct,
-        _noise_kg(anchor) / anchor.measured_kg,
-        anchor.common_kg,
+        name=name_of(anchor),
+        weighed_kg=mass.reference_kg,
+        std_dev_kg=anchor.std_dev_kg,
+        duration_s=mass.duration_s,
+        force_n=mass.force_n,
+        plate_angle_rad=mass.plate_angle_rad,
+        elevator_speed_rad_s=mass.elevator_speed_rad_s,
+        moisture_pct=mass.moisture_pct,
+        noise_sd=_noise_kg(anchor) / anchor.measured_kg,
+        common_kg=anchor.common_kg,
     )
 
 

@@ -240,15 +240,15 @@ def _ticket(
 ) -> ReferenceMass:
     end_s = load.end_s if isfinite(load.end_s) else now_s
     return ReferenceMass(
-        AnchorSource.TICKET,
-        load.start_s,
-        end_s,
-        mass_kg,
-        std_dev_kg,
-        load.measured_kg,
-        load.complete,
-        load.number,
-        load.budget,
+        source=AnchorSource.TICKET,
+        start_s=load.start_s,
+        end_s=end_s,
+        reference_kg=mass_kg,
+        std_dev_kg=std_dev_kg,
+        measured_kg=load.measured_kg,
+        complete=load.complete,
+        load_number=load.number,
+        budget=load.budget,
         forces=forces,
         common_kg=common_kg,
     )

@@ -264,15 +264,15 @@ def _examined(searched: Searched, response_unit: str, intervals: bool) -> Calibr
     quality = _quality(problem, error, jacobian[0], noise.variance_factor)
     known = _parameter_set(problem, theta, uncertainty, response_unit)
     return Calibration(
-        known,
-        fitted,
-        uncertainty.correlation,
-        searched.basins,
-        searched.starts,
-        quality,
-        predicted,
-        slopes,
-        (
+        parameter_set=known,
+        parameters=fitted,
+        correlation=uncertainty.correlation,
+        basins=searched.basins,
+        starts=searched.starts,
+        residuals=quality,
+        predicted=predicted,
+        jacobian=slopes,
+        sentences=(
             *sentences(fitted, uncertainty.correlation, searched.basins, searched.starts, quality, problem.model.effects),
             *of_model_error(fitted, known),
             *(() if problem.shows_noise or problem.given_sigma else (_NO_NOISE,)),
@@ -306,13 +306,13 @@ def _fitted(problem: CalibrationProblem, theta: Array, errors: Array, ends: Arra
     at_bound = _bound_sides(problem, theta)
     return tuple(
         FittedParameter(
-            name,
-            float(theta[i]),
-            float(errors[i]),
-            (float(ends[i, 0]), float(ends[i, 1])),
-            bool(ends[i, 0] <= problem.lower[i]),
-            bool(ends[i, 1] >= problem.upper[i]),
-            at_bound[i],
+            name=name,
+            value=float(theta[i]),
+            standard_error=float(errors[i]),
+            interval=(float(ends[i, 0]), float(ends[i, 1])),
+            open_below=bool(ends[i, 0] <= problem.lower[i]),
+            open_above=bool(ends[i, 1] >= problem.upper[i]),
+            at_bound=at_bound[i],
         )
         for i, name in enumerate(problem.names)
     )
@@ -355,15 +355,15 @@ def _quality(problem: CalibrationProblem, error: Array, cell_slopes: Array, vari
         f_value = lack / (pure_ss / pure_dof)
         p_value = _lack_of_fit_p(problem, cell_slopes, f_value)
     return Residuals(
-        rows,
-        rms,
-        100.0 * rms / largest,
-        float(np.sqrt(variance_factor)) * (1.0 if problem.given_sigma else float(problem.row_sd[0])),
-        problem.scatter(),
-        pure_dof,
-        f_value,
-        p_value,
-        tuple(int(i) for i in (outliers if problem.data.places is None else problem.data.places[outliers])),
+        rows=rows,
+        rms=rms,
+        rms_over_max_pct=100.0 * rms / largest,
+        noise_sd=float(np.sqrt(variance_factor)) * (1.0 if problem.given_sigma else float(problem.row_sd[0])),
+        pure_error_sd=problem.scatter(),
+        pure_error_dof=pure_dof,
+        lack_of_fit_f=f_value,
+        lack_of_fit_p=p_value,
+        outlier_rows=tuple(int(i) for i in (outliers if problem.data.places is None else problem.data.places[outliers])),
     )
 
 

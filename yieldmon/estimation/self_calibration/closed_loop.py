@@ -219,20 +219,20 @@ def _outcome(problem: ClosedLoopProblem, solution: Solution) -> Outcome:
     residuals = _sweep_residuals(problem, solution)
     scale = _scale(problem, solution)
     return Outcome(
-        parameter_set,
-        updated,
-        consistent,
-        _reason(
+        parameter_set=parameter_set,
+        updated=updated,
+        consistent=consistent,
+        reason=_reason(
             problem, updated=updated, consistent=consistent, learning=learning, p_value=p_value, residuals=residuals, scale=scale
         ),
-        _worst_angle(problem, residuals),
-        _flows(problem, solution),
-        learning,
-        scale,
-        chi2,
-        dof,
-        p_value,
-        residuals,
+        region=_worst_angle(problem, residuals),
+        flows=_flows(problem, solution),
+        parameters=learning,
+        scale=scale,
+        chi2=chi2,
+        dof=dof,
+        p_value=p_value,
+        residuals=residuals,
     )
 
 

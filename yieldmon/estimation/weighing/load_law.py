@@ -165,7 +165,20 @@ def average(problem: LawProblem, active: NDArray[np.bool_], near: Array | None =
     each = tuple(zip(wrong, found.of_slip[1:].tolist(), strict=True))
     right = float(found.of_slip[0])
     along = tuple(found.along[1:].tolist())
-    return LawAverage(step, whole, error, slope, held, found.law, found.scatter, found.scatters, strain, 1.0 - right, each, along)
+    return LawAverage(
+        step=step,
+        covariance=whole,
+        error=error,
+        by_step=slope,
+        by_held=held,
+        law=found.law,
+        scatter=found.scatter,
+        scatters=found.scatters,
+        strain=strain,
+        wrong=1.0 - right,
+        slips=each,
+        along=along,
+    )
 
 
 def _begin(problem: LawProblem) -> Array | None:

@@ -341,14 +341,14 @@ def _together(
     """Sweeps and loads in one fit that begins where the loads alone lead; None where it learns nothing."""
     anchors = [
         MassAnchor(
-            load.weighed_kg,
-            float(sd) * load.weighed_kg,
-            load.duration_s,
-            load.force_n,
-            load.plate_angle_rad,
-            load.elevator_speed_rad_s,
-            load.moisture_pct,
-            load.common_kg,
+            reference_kg=load.weighed_kg,
+            std_dev_kg=float(sd) * load.weighed_kg,
+            duration_s=load.duration_s,
+            force_n=load.force_n,
+            plate_angle_rad=load.plate_angle_rad,
+            elevator_speed_rad_s=load.elevator_speed_rad_s,
+            moisture_pct=load.moisture_pct,
+            common_kg=load.common_kg,
         )
         for load, sd, ok in zip(problem.loads, problem.sd, active, strict=True)
         if ok

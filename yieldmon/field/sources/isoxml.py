@@ -190,15 +190,15 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
         for one in source.skipped
     ]
     source = Source(
-        str(path),
-        KIND,
-        len(whole),
-        tuple(skipped),
-        _total([source.mass_kg for source in once.sources]),
-        _total([source.area_m2 for source in once.sources]),
-        (*of_crop, *notes),
-        whole.declared_flow_s,
-        whole.default_flow_s,
+        path=str(path),
+        kind=KIND,
+        points=len(whole),
+        skipped=tuple(skipped),
+        mass_kg=_total([source.mass_kg for source in once.sources]),
+        area_m2=_total([source.area_m2 for source in once.sources]),
+        notes=(*of_crop, *notes),
+        declared_flow_s=whole.declared_flow_s,
+        default_flow_s=whole.default_flow_s,
     )
     return replace(whole, sources=(source,), source_of_row=np.zeros(len(whole), np.int32))
 

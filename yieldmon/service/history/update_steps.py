@@ -34,14 +34,14 @@ def step_from_document(document: Mapping[str, Any]) -> CalibrationStep | None:
         parts = {name: np.array(document["advance"][name], dtype=float) for name in _MATRICES}
         state = tuple(map(float, document["state"]))
         step = CalibrationStep(
-            int(document["from_version"]),
-            float(document["begin_s"]),
-            float(document["end_s"]),
-            Advance(**parts),
-            state,
-            float(document.get("widening", 1.0)),
-            bool(document.get("sweep_alone", False)),
-            tuple(map(str, document.get("names", ()))),
+            from_version=int(document["from_version"]),
+            begin_s=float(document["begin_s"]),
+            end_s=float(document["end_s"]),
+            advance=Advance(**parts),
+            state=state,
+            widening=float(document.get("widening", 1.0)),
+            sweep_alone=bool(document.get("sweep_alone", False)),
+            names=tuple(map(str, document.get("names", ()))),
         )
     except (KeyError, TypeError, ValueError):
         return None

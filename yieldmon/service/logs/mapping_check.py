@@ -258,7 +258,9 @@ def _take(
 def _summary(name: str, parts: list[tuple[Array, Array, Array]], holds_s: float) -> QuantitySeen:
     unit = "mV" if name.startswith("impact") else QUANTITIES[name].unit
     if not parts:
-        return QuantitySeen(unit, 0, 0, None, None, None, None, (), None)
+        return QuantitySeen(
+            unit=unit, values=0, usable=0, rate_hz=None, low=None, high=None, largest_gap_s=None, first=(), decoded=None
+        )
     times, values, decoded = (np.concatenate(column) for column in zip(*parts, strict=True))
     known = np.isfinite(values)
     good, at, finite = values[known], times[known], decoded[np.isfinite(decoded)]

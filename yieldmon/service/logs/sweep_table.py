@@ -177,9 +177,14 @@ def _away(sweep: _Sweep, found: WindowFlows, wander: float, machine: Machine) ->
 
     noise = np.bincount(number, w.relative_sd[usable] ** 2, minlength=steps.size) / count**2
     return AwayVisits(
-        mean(w.plate_angle_rad), mean(w.elevator_speed_rad_s), np.exp(mean(found.log_flow)), mean(w.force_n), w.moisture_pct,
-        noise, covariance(found.visits, mean(w.time_s), wander),
-    )  # fmt: skip
+        plate_angle_rad=mean(w.plate_angle_rad),
+        elevator_speed_rad_s=mean(w.elevator_speed_rad_s),
+        mass_flow_kg_s=np.exp(mean(found.log_flow)),
+        force_n=mean(w.force_n),
+        moisture_pct=w.moisture_pct,
+        force_variance=noise,
+        flow_covariance=covariance(found.visits, mean(w.time_s), wander),
+    )
 
 
 def _usable(row: SecondRow) -> bool:

@@ -232,16 +232,16 @@ def _weighed(name: str, ticket: WeighedTicket, covered: Sequence[MeasuredLoad], 
     duration, force, angle, speed, moisture, _ = counted
     # The little that no force stands for is taken to go with the rest.
     return WeighedLoad(
-        name,
-        ticket.mass_kg,
-        ticket.std_dev_kg,
-        duration * total_kg / kept_kg,
-        force,
-        angle,
-        speed,
-        moisture if np.all(np.isfinite(moisture)) else None,
-        _noise_sd(covered, total_kg),
-        ticket.other_std_dev_kg,
+        name=name,
+        weighed_kg=ticket.mass_kg,
+        std_dev_kg=ticket.std_dev_kg,
+        duration_s=duration * total_kg / kept_kg,
+        force_n=force,
+        plate_angle_rad=angle,
+        elevator_speed_rad_s=speed,
+        moisture_pct=moisture if np.all(np.isfinite(moisture)) else None,
+        noise_sd=_noise_sd(covered, total_kg),
+        common_kg=ticket.other_std_dev_kg,
     )
 
 
