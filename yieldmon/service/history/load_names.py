@@ -21,6 +21,7 @@ from yieldmon.service.history import relearning
 from yieldmon.service.history.journal import Journal
 from yieldmon.service.history.load_factor import load_factor
 from yieldmon.service.history.reference_loads import StoredLoad
+from yieldmon.service.history.request_context import RequestContext
 from yieldmon.service.logs.weighed_loads import MeasuredLoad
 from yieldmon.service.storage import ledger
 from yieldmon.service.storage.batch import Load, Ticket
@@ -46,13 +47,9 @@ class CropCorrected:
     taken_back: Sequence[TicketUndone]
 
 
-def correct(
-    wanted: Correction, monitor: Monitor, journal: Journal, who: str, now_s: float, stored: Sequence[StoredLoad]
-) -> CropCorrected | None:
-    """Give closed loads other names; None where no load gets another crop. stored: loads, as the store has them.
-
-    Raises InputError.
-    """
+def correct(wanted: Correction, context: RequestContext) -> CropCorrected | None:
+    """Give closed loads other names; None where no load gets another crop. Raises InputError."""
+    monitor, journal, now_s = context.monitor, context.journal, context.now_s
     first, last = wanted.loads[0].number, wanted.loads[-1].number
     others = [load for load in wanted.loads if wanted.crop is not None and load.crop != wanted.crop]
     fields = [load for load in wanted.loads if wanted.field is not None and load.field != wanted.field]
@@ -63,16 +60,16 @@ def correct(
         )
     tickets = _tickets_of(others, journal)
     before = [{"load": load.number, "field": load.field, "crop": load.crop} for load in wanted.loads]
-    back = relearning.without_updates(list(tickets), monitor, journal, who, now_s, stored)
+    back = relearning.without_updates(list(tickets), context)
     document = {"first_load": first, "last_load": last, "field": wanted.field, "crop": wanted.crop, "before": before}
-    journal.actions.add(ledger.LOAD_NAMES, who, document, now_s)
+    journal.actions.add(ledger.LOAD_NAMES, context.who, document, now_s)
     for load in wanted.loads:
         journal.loads.named(load.number, wanted.field, wanted.crop)
     if not others:
         return None
     crop = wanted.crop or ""
     parameters = journal.parameters.of(crop, monitor.estimator.parameters, journal.crop)
-    by_number = {load.load.number: load for load in stored}
+    by_number = {load.load.number: load for load in context.stored}
     factors, why_not = dict[int, float](), dict[int, str]()
     for load in others:
         kept = by_number.get(load.number)
@@ -88,7 +85,7 @@ def correct(
         journal.actions.posted_by_crop(factors, now_s)
     updating = relearning.Updating((), dict.fromkeys(tickets, f"nothing is known of {crop}"))
     if parameters is not None:
-        updating = relearning.update_crop(list(tickets), crop, monitor, journal, stored)
+        updating = relearning.update_crop(list(tickets), crop, context)
     return CropCorrected(tuple(sorted(factors)), why_not, updating, back)
 
 

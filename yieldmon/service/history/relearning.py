@@ -12,7 +12,8 @@ from yieldmon.errors import InputError
 from yieldmon.estimation.estimators import estimator_of
 from yieldmon.service.assembly import calibration_age_s
 from yieldmon.service.history.journal import Journal
-from yieldmon.service.history.reference_loads import StoredLoad, reference
+from yieldmon.service.history.reference_loads import reference
+from yieldmon.service.history.request_context import RequestContext
 from yieldmon.service.storage.batch import Load
 from yieldmon.service.tickets.action_log import ActionLog
 
@@ -45,43 +46,39 @@ class Updating:
         return [{"ticket": number, "why": why} for number, why in sorted(self.why_not.items())]
 
 
-def without_ticket(
-    number: int, monitor: Monitor, journal: Journal, who: str, now_s: float, stored: Sequence[StoredLoad]
-) -> TicketUndone:
+def without_ticket(number: int, context: RequestContext) -> TicketUndone:
     """Take a ticket back, as if it had never been entered, as near as what is kept allows; says what does not come back.
 
     Where it has updated the parameters, these are those from before it, updated again by the standing tickets after it. What
     sweeps and kernel noise changed since then goes. Where a parameter file has replaced them since, it stays, and masses
     measured again with what the ticket led to go back. A ticket that it replaced stands again and updates.
-    stored: loads of standing tickets, as the store has them. Raises InputError.
+    Raises InputError.
     """
-    return _without(number, monitor, journal, who, now_s, stored, stands=())
+    return _without(number, context, stands=())
 
 
-def without_version(
-    version: int, monitor: Monitor, journal: Journal, who: str, now_s: float, stored: Sequence[StoredLoad]
-) -> CalibrationUndone:
+def without_version(version: int, context: RequestContext) -> CalibrationUndone:
     """Take a calibration back, as if it had never come: the standing tickets that updated after it do so again.
 
     Those whose own update it was (`silenced`) correct their loads alone. What sweeps and kernel noise changed since then
-    goes. stored: loads of standing tickets, as the store has them. Raises InputError.
+    goes. Raises InputError.
     """
-    actions = journal.actions
+    journal, actions = context.journal, context.journal.actions
     silenced = actions.led_first_to(version)
     since = min(silenced, default=actions.last_ticket_before(version))
     loads = [load for n in silenced for load in actions.entered(n).loads]
     undone_before = actions.undone_versions
-    back = _back_before(version, monitor, journal, who, now_s, silenced)
+    back = _back_before(version, context, silenced)
     actions.wait_no_more(silenced)
     undone = actions.undone_versions - undone_before
-    of_crop = back.crop or journal.crop_in_use(monitor.estimator.parameters)
+    of_crop = back.crop or journal.crop_in_use(context.monitor.estimator.parameters)
 
     def counts(ticket: int) -> bool:
         return not of_crop or _crop_of(journal, ticket) in (of_crop, "")
 
     later = filter(counts, actions.not_learnt_after(since))
     numbers, stay = _updating({*actions.standing_of(undone), *later}, loads, counts, actions)
-    updating = _update_again(numbers, loads, back.crop, monitor, journal, stored, goes_back=True, stay=stay)
+    updating = _update_again(numbers, loads, back.crop, context, goes_back=True, stay=stay)
     return {
         "undone": back.undone,
         "until": back.until,
@@ -96,33 +93,19 @@ def without_version(
     }
 
 
-def without_updates(
-    numbers: Sequence[int], monitor: Monitor, journal: Journal, who: str, now_s: float, stored: Sequence[StoredLoad]
-) -> list[TicketUndone]:
+def without_updates(numbers: Sequence[int], context: RequestContext) -> list[TicketUndone]:
     """The same of tickets that stand, for loads that are of another crop than they have updated."""
-    return [_without(number, monitor, journal, who, now_s, stored, stands=numbers) for number in numbers]
+    return [_without(number, context, stands=numbers) for number in numbers]
 
 
-def without_replaced(
-    numbers: Sequence[int], monitor: Monitor, journal: Journal, who: str, now_s: float, stored: Sequence[StoredLoad]
-) -> list[TicketUndone]:
+def without_replaced(numbers: Sequence[int], context: RequestContext) -> list[TicketUndone]:
     """The same of tickets that stand, which a newer one is about to replace."""
-    return [_without(number, monitor, journal, who, now_s, stored, stands=numbers, replaced=number) for number in numbers]
+    return [_without(number, context, stands=numbers, replaced=number) for number in numbers]
 
 
-def _without(
-    number: int,
-    monitor: Monitor,
-    journal: Journal,
-    who: str,
-    now_s: float,
-    stored: Sequence[StoredLoad],
-    *,
-    stands: Sequence[int],
-    replaced: int = 0,
-) -> TicketUndone:
+def _without(number: int, context: RequestContext, *, stands: Sequence[int], replaced: int = 0) -> TicketUndone:
     """stands: tickets that are not taken back but no longer update the parameters. replaced: see `ParameterHistory.undo`."""
-    actions = journal.actions
+    monitor, journal, actions = context.monitor, context.journal, context.journal.actions
     ticket = actions.standing_ticket(number)
     loads = ticket.loads
     again, of_file_before = tuple[int, ...](), tuple[int, ...]()
@@ -142,18 +125,18 @@ def _without(
     answer: TicketUndone = {"ticket": number, "first_load": ticket.first_load, "last_load": ticket.last_load}
     gone = [actions.update_before_file(number), *(actions.update_without_replaced(n) for n in of_file_before)]
     if any(gone):
-        journal.parameters.withdraw(min(version for version in gone if version), who, now_s, replaced)
+        journal.parameters.withdraw(min(version for version in gone if version), context.who, context.now_s, replaced)
     undone_before, back = actions.undone_versions, None
     if first is not None:
         try:
-            back = _back_before(first, monitor, journal, who, now_s, replaced=replaced)
+            back = _back_before(first, context, replaced=replaced)
         except InputError as error:
             # The mass that it corrected comes back all the same.
             answer["teaching_stays"] = str(error)
     if number in stands:
         actions.wait_no_more([number])
     else:
-        actions.undo_ticket(number, who, now_s)
+        actions.undo_ticket(number, context.who, context.now_s)
         for older in of_file_before:
             actions.post_again(older)
     undone = actions.undone_versions - undone_before
@@ -162,9 +145,9 @@ def _without(
     led = {*actions.standing_of(undone)}.difference(stands)
     numbers, stay = _updating({*led, *later}, loads, counts, actions)
     other = _if_other(crop, monitor, journal) if back is None else back.crop
-    updating = _update_again(numbers, loads, other, monitor, journal, stored, goes_back=back is not None, stay=stay)
+    updating = _update_again(numbers, loads, other, context, goes_back=back is not None, stay=stay)
     for ticket_of_other in of_others:
-        update_crop([ticket_of_other], _crop_of(journal, ticket_of_other), monitor, journal, stored)
+        update_crop([ticket_of_other], _crop_of(journal, ticket_of_other), context)
     if back is not None or updating.again:
         answer["learnt_again"] = list(updating.again)
     if back is not None or updating.why_not:
@@ -199,9 +182,9 @@ def _updating(
     return again, [number for number in same if number in learnt]
 
 
-def update_crop(numbers: Sequence[int], crop: str, monitor: Monitor, journal: Journal, stored: Sequence[StoredLoad]) -> Updating:
+def update_crop(numbers: Sequence[int], crop: str, context: RequestContext) -> Updating:
     """Tickets update the crop that their loads are of."""
-    return _update_again(numbers, (), _if_other(crop, monitor, journal), monitor, journal, stored, goes_back=False)
+    return _update_again(numbers, (), _if_other(crop, context.monitor, context.journal), context, goes_back=False)
 
 
 def _if_other(crop: str, monitor: Monitor, journal: Journal) -> str:
@@ -216,25 +199,18 @@ def _crop_of(journal: Journal, number: int) -> str:
     return next((journal.parameters.crop_of_load(load) for load in journal.loads if load.number == first), "")
 
 
-def _back_before(
-    version: int,
-    monitor: Monitor,
-    journal: Journal,
-    who: str,
-    now_s: float,
-    silenced: Sequence[int] = (),
-    replaced: int = 0,
-) -> Restored:
+def _back_before(version: int, context: RequestContext, silenced: Sequence[int] = (), replaced: int = 0) -> Restored:
     """The parameters before a version again, as a new version; for another crop than the present one, once it is harvested.
 
     silenced, replaced: see `ParameterHistory.undo`. Raises InputError.
     """
+    monitor, journal, now_s = context.monitor, context.journal, context.now_s
     in_use = monitor.estimator.parameters
     if in_use.curve is not None:
         raise InputError(
             f"version {version}", "the flow comes from estimator_file, which learns nothing", "another estimator_file"
         )
-    chosen, crop = journal.parameters.undo(version, in_use, journal.crop, who, now_s, silenced, replaced)
+    chosen, crop = journal.parameters.undo(version, in_use, journal.crop, context.who, now_s, silenced, replaced)
     monitor.set_estimator(estimator_of(monitor.machine, chosen), calibration_age_s(chosen, now_s))
     return Restored(version, in_use.version, chosen.version, chosen.effects, crop)
 
@@ -243,15 +219,14 @@ def _update_again(
     numbers: Sequence[int],
     gone: Sequence[int],
     crop: str,
-    monitor: Monitor,
-    journal: Journal,
-    stored: Sequence[StoredLoad],
+    context: RequestContext,
     *,
     goes_back: bool,
     stay: Sequence[int] = (),
 ) -> Updating:
     """These tickets update again, as far as they can. gone: loads whose tickets go. crop: see `Monitor.update_again`. goes_back:
     the parameters are those from before a ticket. stay: tickets for the same loads on which these rest."""
+    monitor, journal = context.monitor, context.journal
     tickets = journal.actions.ledger.tickets
     updated: list[int] = []
     again: list[Weighing] = []
@@ -260,7 +235,7 @@ def _update_again(
     for number in sorted((*numbers, *stay)):
         ticket = tickets[number]
         covered = [load for load in journal.loads if ticket.first_load <= load.number <= ticket.last_load]
-        why = why_no_reference(monitor, journal, covered, stored, crop)
+        why = why_no_reference(covered, context, crop)
         shares = () if why else journal.actions.reference_mass(number).shared_out(covered, ticket.measured_mass_kg)
         if number in stay:
             stays += shares
@@ -276,11 +251,10 @@ def _update_again(
     return Updating(tuple(updated), why_not)
 
 
-def why_no_reference(
-    monitor: Monitor, journal: Journal, covered: Sequence[Load], stored: Sequence[StoredLoad], crop: str = ""
-) -> str:
+def why_no_reference(covered: Sequence[Load], context: RequestContext, crop: str) -> str:
     """Why no part of a ticket is a reference mass for the calibration; "" where it is. The monitor gets to know those of its
     loads that an earlier run measured. crop: whose parameters are to learn; "": those in use."""
+    monitor, journal = context.monitor, context.journal
     in_use = crop or journal.crop_in_use(monitor.estimator.parameters)
     named = sorted({journal.parameters.crop_of_load(load) for load in covered} - {""})
     if len({name.lower() for name in named}) > 1:
@@ -290,7 +264,7 @@ def why_no_reference(
     if other is not None:
         return f"a load of {other}; the parameters in use are those of {in_use}; `yieldmon calibrate --loads` learns from it"
     whole = {load.number: load.complete for load in monitor.loads}
-    earlier = {load.load.number: load for load in stored if load.load.number not in whole}
+    earlier = {load.load.number: load for load in context.stored if load.load.number not in whole}
     wanted = {load.number for load in covered}
     for number, load in earlier.items():
         if number not in wanted:

@@ -46,7 +46,8 @@ def execute(
     command, arguments = _COMMANDS[name]
     checked = Request(request)
     checked.only(name, arguments)
-    return command(Order(checked, monitor, journal, now_s, stored))
+    order = Order(request=checked, monitor=monitor, journal=journal, who=checked.who, now_s=now_s, stored=stored)
+    return command(order)
 
 
 def ticketed_loads(request: Mapping[str, Any]) -> range:
@@ -132,7 +133,7 @@ def _totals_reset(order: Order) -> Answer:
     given = order.request.values.get("total_kg")
     if isinstance(given, bool) or given != round(before_kg):
         raise InputError("totals reset", f"the total is {before_kg:.0f} kg", "that figure, so that nothing is reset by mistake")
-    journal.actions.add(ledger.TOTALS_RESET, order.request.who, {"total_kg": before_kg}, order.now_s)
+    journal.actions.add(ledger.TOTALS_RESET, order.who, {"total_kg": before_kg}, order.now_s)
     journal.happened(monitor.reset_totals())
     return {"total_kg": before_kg, "load": monitor.totals.load_number}
 
@@ -157,7 +158,7 @@ def _load_correct(order: Order) -> LoadsCorrected:
         number = monitor.totals.load_number
         raise InputError(f"load {number}", "is still open", "`yieldmon load start` with the right names, then correct this one")
     wanted = load_names.Correction(covered_loads(journal, first, last, "load"), field, crop)
-    of_crop = load_names.correct(wanted, monitor, journal, request.who, order.now_s, order.stored)
+    of_crop = load_names.correct(wanted, order)
     goes_on = journal.crop_in_use(monitor.estimator.parameters)
     newest = not monitor.totals.load_open and last >= monitor.totals.load_number
     answer: LoadsCorrected = {
@@ -188,7 +189,7 @@ def _tickets(order: Order) -> Tickets:
 
 def _ticket_undo(order: Order) -> TicketUndone:
     number = order.request.number_of("ticket", "ticket")
-    return relearning.without_ticket(number, order.monitor, order.journal, order.request.who, order.now_s, order.stored)
+    return relearning.without_ticket(number, order)
 
 
 def _calibrations(order: Order) -> Calibrations:
@@ -197,7 +198,7 @@ def _calibrations(order: Order) -> Calibrations:
 
 def _calibration_undo(order: Order) -> CalibrationUndone:
     version = order.request.number_of("version", "version")
-    return relearning.without_version(version, order.monitor, order.journal, order.request.who, order.now_s, order.stored)
+    return relearning.without_version(version, order)
 
 
 def _zero(order: Order) -> ZeroStarted:
@@ -207,7 +208,7 @@ def _zero(order: Order) -> ZeroStarted:
     if signs and not force:
         raise InputError("zero", f"there is grain: {signs}", "the elevator running empty; --force if it does")
     goes_on = monitor.calibrate_zero(despite_signs=force)
-    order.journal.zero(order.request.who, signs, order.now_s, goes_on=goes_on)
+    order.journal.zero(order.who, signs, order.now_s, goes_on=goes_on)
     return {"zero": "started; keep the elevator running empty"}
 
 
@@ -220,7 +221,7 @@ def _zero_undo(order: Order) -> ZeroUndone:
     journal.happened(events)
     reported = {event.load.number for event in events if isinstance(event, LoadOpened | LoadClosed)}
     reported |= {monitor.totals.load_number} if monitor.totals.load_open else set()
-    journal.zero_undone(order.request.who, restored, reported, order.now_s)
+    journal.zero_undone(order.who, restored, reported, order.now_s)
     return {"zero": "undone", "restored_kg": sum(missed.kg for missed in restored.values())}
 
 

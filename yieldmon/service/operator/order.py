@@ -2,26 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
-from yieldmon.engine.monitor import Monitor
 from yieldmon.errors import InputError
 from yieldmon.service.history.journal import Journal
-from yieldmon.service.history.reference_loads import StoredLoad
+from yieldmon.service.history.request_context import RequestContext
 from yieldmon.service.operator.requests import Request
 from yieldmon.service.storage.batch import Load
 
 
-@dataclass(frozen=True, slots=True)
-class Order:
-    """A request and what it is carried out on; stored: loads that a ticket names, as the store has them."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Order(RequestContext):
+    """A request and what it is carried out on."""
 
     request: Request
-    monitor: Monitor
-    journal: Journal
-    now_s: float
-    stored: Sequence[StoredLoad]
 
 
 def covered_loads(journal: Journal, first: int, last: int, what: str = "ticket for load") -> list[Load]:

@@ -60,11 +60,11 @@ def enter_ticket(order: Order) -> TicketEntered:
     # Before anything else is made of it: the parameters are to be what they would be without those that it replaces.
     replaced = journal.actions.replaced_by(ticket)
     left = {load for number in replaced for load in journal.actions.entered(number).loads}
-    taken_back = without_replaced(replaced, monitor, journal, request.who, order.now_s, order.stored)
+    taken_back = without_replaced(replaced, order)
     again = journal.actions.ledger.factors
     known_kg = sum(load.mass_kg * again.get(load.number, 1.0) for load in covered)
     crop = _other_crop(order, covered)
-    why_not = ticket_file.unit_slip(own.mass_kg, measured_kg) or why_no_reference(monitor, journal, covered, order.stored, crop)
+    why_not = ticket_file.unit_slip(own.mass_kg, measured_kg) or why_no_reference(covered, order, crop)
     shares = own.shared_out(covered, measured_kg)
     departs = None if why_not else _departure(shares, order, crop)
     question = _question(ticket, departs, order, covered, crop)
@@ -76,7 +76,7 @@ def enter_ticket(order: Order) -> TicketEntered:
     if not why_not:
         for load_number, mass_kg, share_std_dev_kg, common_kg in shares:
             monitor.ticket(load_number, mass_kg, share_std_dev_kg, crop, common_kg)
-    number = journal.actions.ticket(ticket, request.who, own.std_dev_kg, is_reference=not why_not, crop=crop, truck=truck)
+    number = journal.actions.ticket(ticket, order.who, own.std_dev_kg, is_reference=not why_not, crop=crop, truck=truck)
     return {
         "crop": journal.parameters.crop_of_load(covered[-1]),
         "ticket": number,
