@@ -1,0 +1,50 @@
+"""Frames into a log while recording is on."""
+
+from __future__ import annotations
+
+import time
+from contextlib import ExitStack
+from pathlib import Path
+
+import can
+
+from yieldmon.bus.log_writing import writing
+from yieldmon.errors import InputError
+
+
+class Recorder:
+    """Writes frames to a log while recording is on."""
+
+    def __init__(self, stack: ExitStack) -> None:
+        """stack: closes the logs at its end."""
+        self._stack = stack
+        self._logger: can.Listener | None = None
+
+    def start(self, path: Path) -> str:
+        """Record to this log; returns its name. Raises InputError."""
+        try:
+            self._logger = self._stack.enter_context(writing(path))
+        except (ValueError, OSError) as error:
+            raise InputError(str(path), str(error), "a log file name that python-can can write, such as drive.log") from error
+        return path.name
+
+    def toggle(self) -> str:
+        """Begin a log named by the time, or end the one that is written; returns its name, "" for none."""
+        if self._logger is not None:
+            self._logger = None
+            return ""
+        return self.start(_not_taken(time.strftime("yieldmon-%Y%m%d-%H%M%S")))
+
+    def take(self, message: can.Message) -> None:
+        """The next frame."""
+        if self._logger is not None:
+            self._logger.on_message_received(message)
+
+
+def _not_taken(name: str) -> Path:
+    """A log of this name, with a number behind where there is one: a clock that is set back says the same time twice."""
+    path, count = Path(f"{name}.log"), 1
+    while path.exists():
+        count += 1
+        path = Path(f"{name}-{count}.log")
+    return path
