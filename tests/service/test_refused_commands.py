@@ -60,6 +60,7 @@ REFUSED = [
     ({**TICKET, "mass_kg": float("nan")}, mass(float("nan"))),
     ({"command": "ticket", "first_load": 1}, mass(None)),
     ({**TICKET, "std_dev_kg": 0.0009}, mass(0.0009, "std_dev_kg")),
+    ({**TICKET, "std_dev_kg": 10.5}, "std_dev_kg: is 10.5 kg, of 10 kg; expected that of the weighing, below its mass"),
     ({**TICKET, "first_load": -1}, "first_load: -1; expected the number of a load"),
     ({**TICKET, "first_load": 1.0}, "first_load: 1.0; expected the number of a load"),
     ({**TICKET, "first_load": True}, "first_load: True; expected the number of a load"),

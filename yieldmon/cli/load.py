@@ -8,6 +8,7 @@ from typing import Any
 
 from yieldmon.cli._daemon import add_daemon_arguments, ask_daemon
 from yieldmon.cli._json import print_json
+from yieldmon.cli._load_sums import PAUSE_DAYS, load_sums, sum_rows
 from yieldmon.cli._records import corrected, load_numbers, show
 from yieldmon.cli._units import add_units
 from yieldmon.files.units import units_of
@@ -36,6 +37,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     listing = actions.add_parser(
         "list", help="list all loads, as measured and as corrected by tickets", epilog="example: yieldmon load list --json"
     )
+    listing.add_argument(
+        "--sums", action="store_true", help=f"sums by field and crop; {PAUSE_DAYS} days without a load begin another harvest"
+    )
     correct = actions.add_parser(
         "correct", help="give complete loads another crop or field", epilog="example: yieldmon load correct 7-8 --crop wheat"
     )
@@ -60,10 +64,13 @@ def run(args: argparse.Namespace) -> int:
         request["first_load"], request["last_load"] = load_numbers(args.loads)
         request |= {key: value for key in ("field", "crop") if (value := getattr(args, key)) is not None}
     answer = ask_daemon(args, request)
+    if args.action == "list" and args.sums:
+        answer = {**answer, "sums": load_sums(answer["loads"])}
     if args.json:
         print_json(answer)
     elif args.action == "list":
-        show(*_rows(answer["loads"], args.units or answer.get("units", "metric")))
+        system = args.units or answer.get("units", "metric")
+        show(*(sum_rows(answer["sums"], system) if args.sums else _rows(answer["loads"], system)))
     elif args.action == "correct":
         print(corrected(answer))
     elif args.action == "start":

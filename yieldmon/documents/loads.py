@@ -69,8 +69,26 @@ class Loads(TypedDict):
     loads: list[ListedLoad]
 
 
+class LoadSum(TypedDict):
+    """Loads with grain of a field and crop, from one harvest of them. started_s, ended_s: Unix time, of the first and the last;
+    weighed: how many have a ticket; masses as of `ListedLoad`, with the area null where one load's is not known."""
+
+    field: str
+    crop: str
+    started_s: Number
+    ended_s: Number
+    loads: int
+    weighed: int
+    mass_kg: float
+    corrected_mass_kg: float
+    corrected_dry_mass_kg: Number
+    area_m2: Number
+
+
 class LoadListDocument(Loads, Answered):
-    """`yieldmon load list --json`."""
+    """`yieldmon load list --json`. sums: with `--sums`."""
+
+    sums: NotRequired[list[LoadSum]]
 
 
 class NotMeasured(TypedDict):

@@ -118,6 +118,8 @@ def _weighed(request: Request) -> tuple[SharedTruck | None, TicketMass]:
     std_dev_kg = request.mass_or_none("std_dev_kg", *TICKET_KG, "kg")
     if std_dev_kg is None:
         std_dev_kg = ticket_file.RELATIVE_STD_DEV * weighed_kg
+    if std_dev_kg > weighed_kg:
+        raise InputError("std_dev_kg", f"is {std_dev_kg:g} kg, of {weighed_kg:g} kg", "that of the weighing, below its mass")
     truck = _shared_truck(request, weighed_kg)
     if truck is None:
         return None, TicketMass(weighed_kg, std_dev_kg)
