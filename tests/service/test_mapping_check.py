@@ -12,7 +12,9 @@ import pytest
 from yieldmon.errors import InputError
 from yieldmon.service.config import configuration
 from yieldmon.service.config.configuration import Configuration
-from yieldmon.service.logs.mapping_check import RATE_TOLERANCE, QuantitySeen, notes, problems, remarks, seen_in
+from yieldmon.service.config.mapping_notes import notes
+from yieldmon.service.logs.mapping_check import RATE_TOLERANCE, problems, remarks
+from yieldmon.service.logs.quantities_seen import QuantitySeen, seen_in
 
 DBC = """\
 VERSION ""

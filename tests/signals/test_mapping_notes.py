@@ -10,7 +10,7 @@ import pytest
 
 from yieldmon.cli.main import main
 from yieldmon.service.config import configuration
-from yieldmon.service.logs.mapping_check import notes
+from yieldmon.service.config.mapping_notes import notes
 
 DBC = """\
 VERSION ""

@@ -9,7 +9,7 @@ import pytest
 
 from yieldmon.bus.databases import load_messages
 from yieldmon.service.config import configuration
-from yieldmon.service.logs.mapping_check import notes
+from yieldmon.service.config.mapping_notes import notes
 from yieldmon.signals.state_names import codes_by_name
 
 DBC = 'VERSION ""\nNS_ :\nBS_:\nBU_: Node\nBO_ 516 Switches: 1 Node\n SG_ {name} : 0|2@1+ (1,0) [0|3] "" Node\n{table}'

@@ -18,7 +18,7 @@ from yieldmon.physics.machine import Machine
 from yieldmon.plant import scenario
 from yieldmon.plant.combine import VirtualCombine
 from yieldmon.service.config import configuration
-from yieldmon.service.logs.mapping_check import aliasing_pct
+from yieldmon.service.config.mapping_notes import aliasing_pct
 
 # The first 464 frames of start1.log, TractorHacking/CAN-data, MIT licence, converted from its CSV.
 TRACTOR = Path(__file__).parents[1] / "data" / "tractor_bus.log"

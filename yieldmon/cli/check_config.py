@@ -74,11 +74,10 @@ def _held_against(
     loaded: configuration.Configuration, log: str | None
 ) -> tuple[dict[str, SeenDocument] | None, list[str], list[InputError]]:
     """What a recording shows of the mapping's quantities, what is to be known of the mapping, and what is wrong with it."""
-    from yieldmon.service.config import plausible
+    from yieldmon.service.config import mapping_notes, plausible
     from yieldmon.service.control_socket import has_group
-    from yieldmon.service.logs import mapping_check
 
-    notes, group = [*loaded.notes, *mapping_check.notes(loaded)], loaded.document.status.group
+    notes, group = [*loaded.notes, *mapping_notes.notes(loaded)], loaded.document.status.group
     if group is not None and not has_group(group):
         # Of another computer it may be one.
         notes.append(f"status.group: this computer has no group {group!r}, and a daemon would not start on it")
@@ -92,16 +91,16 @@ def _held_against(
         return None, notes, [InputError(*problem) for problem in problems]
     # These run the engine, which a check without a recording does not.
     from yieldmon.cli._log_progress import log_progress
-    from yieldmon.service.logs import foretold
+    from yieldmon.service.logs import foretold, mapping_check, quantities_seen
 
     with log_progress(2) as progress:
-        found, incomplete = mapping_check.seen_in(loaded, log, progress)
+        found, incomplete = quantities_seen.seen_in(loaded, log, progress)
         faults = foretold.faults_on(loaded, log, progress)
     if incomplete:
         notes.append(f"{incomplete} messages of several frames lack one and are not used")
     problems += mapping_check.problems(loaded, found, log)
     notes += mapping_check.remarks(loaded, found) + faults
-    return mapping_check.documents(found), notes, [InputError(*problem) for problem in problems]
+    return quantities_seen.documents(found), notes, [InputError(*problem) for problem in problems]
 
 
 def _show(seen: dict[str, SeenDocument]) -> None:

@@ -33,9 +33,9 @@ from yieldmon.files.crops import find_crop
 from yieldmon.finite import finite
 from yieldmon.frames import EstimateQuality, OperatingState
 from yieldmon.service.config.configuration import Configuration
+from yieldmon.service.config.mapping_notes import aliasing_pct, notes
 from yieldmon.service.history.journal import Journal
 from yieldmon.service.logs.harvested import harvested
-from yieldmon.service.logs.mapping_check import aliasing_pct, notes
 from yieldmon.service.storage.rows import SecondRow
 from yieldmon.service.storage.writer import StoreHealth
 from yieldmon.service.traffic.bus_traffic import BusTraffic
