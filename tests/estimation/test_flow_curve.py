@@ -80,6 +80,15 @@ def test_a_table_of_several_angles_is_read_between_them() -> None:
     assert list(status) == [FlowStatus.OK, FlowStatus.OK, FlowStatus.OUTSIDE_CALIBRATION]
 
 
+def test_a_curve_without_a_range_states_the_same_whatever_rows_are_beside_and_is_never_exact() -> None:
+    curve = replace(fit_table(MACHINE, rows(FLOWS), "alpha_beta").curve, calibrated=CalibratedRange(), relative_std_dev=0.0)
+    alone, beside = (
+        known(curve).estimate(f, HOME, 400.0 * RPM).std_dev_kg_s for f in (force_of(6.0), force_of(np.array([6.0, 18.0])))
+    )
+    assert float(alone) == pytest.approx(float(beside[0]))
+    assert float(alone) > 0.002 * 6.0
+
+
 @pytest.mark.parametrize("kind", ["alpha_beta", "table"])
 def test_the_stated_deviation_is_that_of_flows_between_the_loads(kind: str) -> None:
     loop = known(fit_table(MACHINE, rows(FLOWS), kind).curve)

@@ -130,7 +130,9 @@ def test_a_calibrated_range_stays_where_the_loads_bear_its_parameters_out():
     stated = {}
     for name, factor in (("another machine's", 1.0), ("of this machine", 3e3)):
         known = replace(SHIPPED, calibrated=wide, model_error=0.0, covariance=factor * SHIPPED.covariance)
-        found = calibrate_loads(MODEL, known, loads).parameter_set
+        outcome = calibrate_loads(MODEL, known, loads)
+        assert any("another machine's" in sentence for sentence in outcome.sentences) is (name == "another machine's")
+        found = outcome.parameter_set
         assert (found.calibrated.plate_angle_rad == wide.plate_angle_rad) is (name == "of this machine")
         away = OpenLoop(ForwardModel(MACHINE, found.effects), found).estimate(*at)
         stated[name] = float(away.std_dev_kg_s / away.mass_flow_kg_s)

@@ -444,6 +444,24 @@ def test_self_calibrate_takes_the_rows_at_their_times(capsys: pytest.CaptureFixt
     assert ordered["std_dev_kg_s"] < 0.15 * ordered["mass_flow_kg_s"]
 
 
+@pytest.mark.parametrize("unit_n", [1.0, 4.448])
+def test_calibrate_says_where_repeated_rows_are_no_repetitions(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, unit_n: float
+) -> None:
+    """Each row once more in pounds-force."""
+    rows = document(capsys, "predict", "--mass-flow", "6,12,18", "--plate-angle", "45:85:10", *PUBLISHED)["rows"]
+    rng = np.random.default_rng(7)
+    lines = [
+        f"{r['plate_angle_deg']},{r['mass_flow_kg_s']},{r['force_n'] * (1.0 + 0.01 * rng.standard_normal()) / unit:.6g}"
+        for r in rows
+        for unit in (1.0, unit_n)
+    ]
+    path = tmp_path / "t.csv"
+    path.write_text("\n".join(["plate_angle_deg,mass_flow_kg_s,force_n", *lines, ""]))
+    notes = "\n".join(document(capsys, "calibrate", path, "--starts", "2")["notes"])
+    assert ("no repetitions" in notes) is (unit_n > 1.0)
+
+
 @pytest.mark.parametrize(
     ("sigma", "asked"),
     [(0.02, "repeated rows scatter by"), (0.6, ""), (20.0, "times what the fit misses the rows by: is it in the unit")],

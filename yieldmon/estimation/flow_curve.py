@@ -241,11 +241,12 @@ class CurveEstimator:
         return np.asarray(self._curve.law.flow(*flat).reshape(shape))
 
     def _own_std_dev(self, flow: Array) -> Array:
-        """Of the curve, kg/s; growing above the highest calibrated flow."""
+        """Of the curve, kg/s; growing above the highest calibrated flow, where that is known."""
         limits = self._curve.calibrated.mass_flow_kg_s
-        high = limits[1] if limits is not None else float(np.max(flow, initial=0.0, where=np.isfinite(flow)))
+        high = np.full(flow.shape, limits[1]) if limits is not None else flow
         scale = flow + OFFSET_SHARE * high
-        return np.asarray(self._curve.relative_std_dev * scale * np.maximum(flow, high) / max(high, 1e-9))
+        least = max(self._curve.relative_std_dev, LEAST_RELATIVE_STD_DEV)
+        return np.asarray(least * scale * np.maximum(flow, high) / np.maximum(high, 1e-9))
 
 
 def with_curve(parameters: ParameterSet, curve: FlowCurve) -> ParameterSet:

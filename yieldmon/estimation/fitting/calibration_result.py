@@ -161,6 +161,11 @@ def sentences(
             f"the model misses by more than the replicates scatter ({found}, p < {_CERTAIN_P:g}): "
             "an effect is missing; see yieldmon diagnose."
         )
+    if quality.lack_of_fit_p > 1.0 - _CERTAIN_P:
+        yield (
+            f"repeated rows scatter by more than their means allow ({found}, p > {1.0 - _CERTAIN_P:g}): some are of another "
+            "unit, machine or grain, and no repetitions."
+        )
     if quality.outlier_rows:
         rows = ", ".join(str(i + 1) for i in quality.outlier_rows[:10])
         which, them = (f"row {rows} lies", "it") if len(quality.outlier_rows) == 1 else (f"rows {rows} lie", "them")

@@ -96,6 +96,8 @@ class LoadCalibration:
     contradiction: Contradiction | None = None
     another_law: AnotherLaw | None = None
     wrong_ticket: WrongTicket | None = None
+    range_dropped: bool = False
+    """Whether the loads contradict the parameters given, so that the calibrated range of these counts no more."""
     slips: tuple[tuple[str, str], ...] = ()
     """Names of loads and the known slip that explains the ticket of each."""
     sentences: tuple[str, ...] = field(default=())
@@ -121,6 +123,11 @@ def sentences(found: LoadCalibration, sweeps: int) -> list[str]:
     if found.refused:
         return out
     out.append(_scale(found))
+    if found.range_dropped:
+        out.append(
+            "the parameters before do not allow for these masses: their calibrated range is another machine's, and that of these "
+            "loads takes its place."
+        )
     return out + (_another_law(found, found.another_law, sweeps) if found.another_law is not None else _by_model(found, sweeps))
 
 

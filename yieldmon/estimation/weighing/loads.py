@@ -113,23 +113,24 @@ def calibrate_loads(
     else:
         calibration = _by_another_law(problem, law, active, found, learnt)
     if not calibration.refused:
-        calibration = replace(calibration, parameter_set=_with_range(problem, calibration.parameter_set, loads, active))
+        given = problem.given.calibrated
+        before = given if _bears_out(problem, active) else CalibratedRange()
+        ranged = _with_range(problem, calibration.parameter_set, loads, active, before)
+        calibration = replace(calibration, parameter_set=ranged, range_dropped=before != given)
     wrong = wrong_ticket(law, active, found) if found is not None and (no_plate or found.wrong > perhaps) else None
     calibration = replace(calibration, wrong_ticket=wrong, slips=known_slips(law, active))
     return replace(calibration, sentences=tuple(sentences(calibration, len(sweeps))))
 
 
 def _with_range(
-    problem: LoadProblem, known: ParameterSet, loads: Sequence[WeighedLoad], active: NDArray[np.bool_]
+    problem: LoadProblem, known: ParameterSet, loads: Sequence[WeighedLoad], active: NDArray[np.bool_], before: CalibratedRange
 ) -> ParameterSet:
-    """The set with the range of the weighed grain, which widens that of the set given where the loads bear this one out: else its
-    range, and what the model missed there, are another machine's. What lies further out is sweeps of the plate and the ends of
-    passes, of which a load's mass says little."""
+    """The set with the range of the weighed grain, which widens the one before: that of the set given where the loads bear it
+    out; else its range, and what the model missed there, are another machine's. What lies further out is sweeps of the plate and
+    the ends of passes, of which a load's mass says little."""
     every = LoadProblem(problem.model, known, known, loads, problem.settings)
     flow = every.flow(known)[0]
     mass = np.where(active[every.of_load], every.duration * flow, 0.0)
-    before = known.calibrated if _bears_out(problem, active) else CalibratedRange()
-    of_this_machine = before != CalibratedRange()
     moisture = np.array([load.mean_moisture_pct for load, ok in zip(problem.loads, active, strict=True) if ok])
 
     def middle(value: Array, limits: tuple[float, float] | None) -> tuple[float, float]:
@@ -141,7 +142,7 @@ def _with_range(
     return replace(
         known,
         # Without a range before them all that the loads leave stands in the covariance.
-        model_error=known.model_error if of_this_machine else 0.0,
+        model_error=known.model_error if before != CalibratedRange() else 0.0,
         calibrated=CalibratedRange(
             middle(flow, before.mass_flow_kg_s),
             middle(every.angle, before.plate_angle_rad),
