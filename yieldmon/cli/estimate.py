@@ -94,10 +94,10 @@ def run(args: argparse.Namespace) -> int:
 
 def _contradiction(flow_kg_s: Array, std_dev_kg_s: Array, true_kg_s: Array) -> str:
     """What is to be said where the flows of a table contradict its own loads, all of shape (n,); "" where they do not."""
-    told = (true_kg_s > 0.0) & (std_dev_kg_s > 0.0) & np.isfinite(flow_kg_s)
-    if not told.any():
+    rated = (true_kg_s > 0.0) & (std_dev_kg_s > 0.0) & np.isfinite(flow_kg_s)
+    if not rated.any():
         return ""
-    flow, std_dev, true = (column[told] for column in (flow_kg_s, std_dev_kg_s, true_kg_s))
+    flow, std_dev, true = (column[rated] for column in (flow_kg_s, std_dev_kg_s, true_kg_s))
     away = float(np.median(np.abs(flow - true) / std_dev))
     if away < _CONTRADICTS_SDS:
         return ""

@@ -42,7 +42,7 @@ from .pairs import screen
 from .policy import DEFAULT, Policy
 
 _DRAWS = 400
-"""Samples of the chosen model by which its stability is told."""
+"""Samples of the chosen model by which its stability is judged."""
 Progress = Callable[[str, float], None]
 """Called with the step in progress and the share done, 0 to 1."""
 Places = dict[str, tuple[Candidate, ...]]

@@ -238,8 +238,8 @@ class ClosedLoopCalibrator:
         return Instant(record.time_s, record.total_kg, moisture_pct)
 
     def _weighed_at(self, now: Instant, used: ParameterSet, ends_s: Sequence[float]) -> Instant:
-        """When masses say what they say: once their grain had passed, not when they were told, as after a night; but not before
-        what is known already."""
+        """When masses say what they say: once their grain had passed, not when they were entered, as after a night; but not
+        before what is known already."""
         self._knowledge.now(used, now)
         last_s = max((end_s for end_s in ends_s if isfinite(end_s)), default=now.time_s)
         return now._replace(time_s=min(max(last_s, self._knowledge.since_s), now.time_s))

@@ -126,10 +126,10 @@ def _straight(raw: Raw, places_m: tuple[Array, Array], way_m: Array, time_s: Arr
         east, north, way = x[last] - x[first], y[last] - y[first], driven_m[last] - driven_m[first]
         halves = sum(np.hypot(x[b] - x[a], y[b] - y[a]) for a, b in ((first, middle), (middle, last)))
         with np.errstate(invalid="ignore"):
-            told = (
+            straight = (
                 (np.hypot(east, north) >= np.maximum(_STRAIGHT * halves, LEAST_M)) & (way > 0) & (pauses[last] == pauses[first])
             )
-        found.append((way[told], east[told], north[told]))
+        found.append((way[straight], east[straight], north[straight]))
     if sum(len(one[0]) for one in found) < _LEAST_SPANS:
         return None
     return _Spans(*(np.concatenate(one) for one in zip(*found, strict=True)))

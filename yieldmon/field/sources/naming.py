@@ -282,10 +282,10 @@ def columns_of(
             if column is not None:
                 out[quantity] = column
     if numbers_of is not None and lacking:
-        told = _told_by_numbers(out, lacking, numbers_of)
-        out |= told
-        if told:
-            said = ", ".join(f"{column.name} {column.unit}" for column in told.values())
+        by_numbers = _units_by_numbers(out, lacking, numbers_of)
+        out |= by_numbers
+        if by_numbers:
+            said = ", ".join(f"{column.name} {column.unit}" for column in by_numbers.values())
             notes.append(f"units that no name says: {said}, with which flow and yield are of one mass")
     if "flow" not in out and "yield" in out and _DRIED.search(plain_name(out["yield"].name)):
         may_be = "may be" if plain_name(out["yield"].name).startswith("vr") else "is"
@@ -340,7 +340,7 @@ def _named_column(
     return None
 
 
-def _told_by_numbers(
+def _units_by_numbers(
     out: Mapping[str, Column], lacking: Mapping[str, str], numbers_of: Callable[[str], Array]
 ) -> dict[str, Column]:
     """Columns of those that lack a unit whose numbers tell it; none where they do not."""

@@ -71,7 +71,7 @@ def _are_parts(values: dict[str, Array], time_s: Array, kept: np.ndarray) -> boo
             continue
         own = values[quantity][order][1:]
         with np.errstate(invalid="ignore", over="ignore"):
-            told = (own > 0) & (step > (LEAST_M if quantity == "distance" else 0.0))
-            if told.any() and float(np.median(own[told] / step[told])) < _WHOLE:
+            known = (own > 0) & (step > (LEAST_M if quantity == "distance" else 0.0))
+            if known.any() and float(np.median(own[known] / step[known])) < _WHOLE:
                 return True
     return False

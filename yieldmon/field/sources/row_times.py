@@ -87,10 +87,10 @@ def column_times(raw: Raw, options: ReadOptions, where: str) -> ColumnTimes:
 
 def _date_order(raw: Raw, options: ReadOptions) -> DateOrder | None:
     """Of the column of times, or else of that of days; tables with decimal commas are of countries where the day comes first."""
-    told = True if options.day_first is None and raw.decimal_comma else options.day_first
+    stated = True if options.day_first is None and raw.decimal_comma else options.day_first
     columns = (raw.columns.get(quantity) for quantity in ("time", "day"))
     texts = (raw.texts[column.name].names for column in columns if column is not None and column.name in raw.texts)
-    orders = (written_times.order_of(names, told=told, first=options.first_date) for names in texts)
+    orders = (written_times.order_of(names, stated=stated, first=options.first_date) for names in texts)
     return next((order for order in orders if order is not None), None)
 
 

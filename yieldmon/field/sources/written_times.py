@@ -95,11 +95,11 @@ def parsed(texts: Sequence[str], day_first: bool | None = None) -> tuple[Array, 
     return out, "times without a zone are taken as UTC" if without_zone else ""
 
 
-def order_of(texts: Sequence[str], *, told: bool | None = None, first: date | None = None) -> DateOrder | None:
+def order_of(texts: Sequence[str], *, stated: bool | None = None, first: date | None = None) -> DateOrder | None:
     """Whether the day or the month comes first in dates of three numbers, the same in all of them; None without such dates.
 
-    A number over 12 tells, points between the numbers, the date of the first one where it is known, and what else is told; the
-    order in which they lie closer together is likely; where nothing is, it is the month.
+    By a number over 12, points between the numbers, the date of the first one where it is known, or what is stated; else the
+    order in which they lie closer together is likely, or the month first.
 
     >>> order_of(["12/08/2024", "13/08/2024"]).day_first, order_of(["03/04/2026"]).known
     (True, False)
@@ -112,14 +112,14 @@ def order_of(texts: Sequence[str], *, told: bool | None = None, first: date | No
     over, over_second = sum(one > 12 for one, _, _ in pairs), sum(one > 12 for _, one, _ in pairs)
     times = {days: np.array([_unix(y, b if days else a, str(a if days else b)) for a, b, y in pairs]) for days in (True, False)}
     if over != over_second:
-        told = over > over_second
+        stated = over > over_second
     elif dotted:
-        told = True
+        stated = True
     elif first is not None:
         said_s = datetime(first.year, first.month, first.day, tzinfo=UTC).timestamp()
-        told = next((days for days in (True, False) if np.min(times[days]) == said_s), told)
-    if told is not None:
-        return DateOrder(told, known=True, note="" if dotted and told else _read_as(told))
+        stated = next((days for days in (True, False) if np.min(times[days]) == said_s), stated)
+    if stated is not None:
+        return DateOrder(stated, known=True, note="" if dotted and stated else _read_as(stated))
     day_first = float(np.ptp(times[True])) < float(np.ptp(times[False]))
     if all(one == other for one, other, _ in pairs) or not np.isfinite([*times[True], *times[False]]).all():
         return DateOrder(day_first, known=False, note=_read_as(day_first))

@@ -25,7 +25,7 @@ class OtherVersionError(ControlError, KeyError):
 
 
 class _Answer(dict[str, Any]):
-    """A part of an answer. What a daemon of another version does not say is told as that."""
+    """A part of an answer. What a daemon of another version does not say is reported as that."""
 
     def __missing__(self, key: str) -> Any:
         raise OtherVersionError(
