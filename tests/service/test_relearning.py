@@ -416,7 +416,15 @@ def test_the_owner_is_told_what_a_correction_and_a_second_ticket_leave(tmp_path,
         assert "ticket 3 stood for it; the newer one counts" in told
         whole = f"`yieldmon ticket {first} MASS`"
         assert f"; load {number - 1} has no ticket any more: enter one for it, or one for all ({whole})" in told
+        assert "brings back ticket 2, which ticket 3 replaced" not in told
         assert [row["ticket_id"] for row in ask(season.folder, "load", "list")["loads"][-2:]] == [None, 4]
+        _harvest_on(season, bench)
+        capsys.readouterr()
+        for loads in (f"{number}-{number + 1}", str(number + 1)):
+            assert cli.main(["ticket", loads, f"{weighed}kg", *socket]) == 0
+        assert "; `yieldmon ticket undo 5` brings back ticket 4, which ticket 5 replaced" in capsys.readouterr().err
+        assert cli.main(["ticket", "undo", "5", *socket]) == 0
+        assert [row["ticket_id"] for row in ask(season.folder, "load", "list")["loads"][-2:]] == [4, 6]
         ask(season.folder, "load", "start", "--crop", "corn")
         assert ask(season.folder, "status")["load"]["crop"] == "corn"
 

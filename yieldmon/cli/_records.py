@@ -72,6 +72,8 @@ def replaced(answer: Mapping[str, Any]) -> str:
         first, last = (f(row[key] for row in (*rows, answer)) for f, key in ((min, "first_load"), (max, "last_load")))
         whole = f"`yieldmon ticket {first}-{last} MASS`"
         said += f"; load {_listed(without)} has no ticket any more: enter one for it, or one for all ({whole})"
+    for row in answer.get("still_replaced", ()):
+        said += f"; `yieldmon ticket undo {row['by']}` brings back ticket {row['ticket']}, which ticket {row['by']} replaced"
     for row in rows:
         if "teaching_stays" in row:
             said += f"; the update of the parameters by ticket {row['ticket']} stays: {row['teaching_stays']}"

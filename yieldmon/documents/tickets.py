@@ -16,13 +16,21 @@ class TruckDocument(TypedDict):
     other_std_dev_kg: float
 
 
+class StillReplaced(TypedDict):
+    """A ticket, and the one by which it is replaced."""
+
+    ticket: int
+    by: int
+
+
 class TicketEntered(TypedDict):
     """A ticket, and what comes of it.
 
     weighed_mass_kg: of these loads; of a truck the best of what the other combine leaves (own_mass_kg) and of what was measured.
     known_mass_kg: measured_mass_kg as corrected before. factor: weighed over measured. anchor: whether it is a reference mass for
     the calibration, else why_no_anchor; waits_for_crop: for whose return. question: what is doubtful of it. replaces: tickets
-    that stood for these loads and count no more; taken_back: what became of their updates; without_ticket: their other loads.
+    that stood for these loads and count no more; taken_back: what became of their updates; without_ticket: their other loads;
+    still_replaced: tickets that they alone replace, which an undo of them brings back.
     sets_scale_pct: of the first ticket, what it moves the scale by.
     """
 
@@ -44,6 +52,7 @@ class TicketEntered(TypedDict):
     replaces: list[int]
     taken_back: list[TicketUndone]
     without_ticket: list[int]
+    still_replaced: list[StillReplaced]
     sets_scale_pct: Number
 
 

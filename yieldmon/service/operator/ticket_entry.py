@@ -96,6 +96,7 @@ def enter_ticket(order: Order) -> TicketEntered:
         "replaces": stood_for,
         "taken_back": taken_back,
         "without_ticket": sorted(left.difference(range(first, last + 1))),
+        "still_replaced": [{"ticket": older, "by": n} for n in replaced for older in journal.actions.count_again_without(n)],
         "sets_scale_pct": None if first_moves is None else 100.0 * first_moves,
     }
 

@@ -125,10 +125,15 @@ class ActionLog:
     def stand_again_without(self, number: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
         """Numbers of the references that only a standing ticket keeps from updating the parameters: those entered since the
         parameter file in use came, and those before it."""
-        now, since = self.ledger, self._handed
-        without = replace(now, tickets={n: ticket for n, ticket in now.tickets.items() if n != number})
-        again = sorted(n for n in now.replaced - without.replaced - self.silenced if self._entry(n).get("reference", False))
+        since, silenced = self._handed, self.silenced
+        again = [n for n in self.count_again_without(number) if n not in silenced and self._entry(n).get("reference", False)]
         return tuple(n for n in again if n in since), tuple(n for n in again if n not in since)
+
+    def count_again_without(self, number: int) -> tuple[int, ...]:
+        """Numbers of the tickets that a standing one alone replaces, whether or not it is replaced itself."""
+        now = self.ledger
+        without = replace(now, tickets={n: ticket for n, ticket in now.tickets.items() if n != number})
+        return tuple(sorted(now.replaced - without.replaced - {number}))
 
     def first_update(self, number: int, held_against: Callable[[int], bool] | None = None) -> int | None:
         """The first version of the parameters that rests on a ticket; None where none that stands does, or a parameter file has
