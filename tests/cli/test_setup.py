@@ -13,6 +13,7 @@ import pytest
 import yaml
 
 from tests.schema_check import problems
+from yieldmon.cli._setup.questions import QUESTIONS
 from yieldmon.cli.main import main
 from yieldmon.files.crops import crops
 from yieldmon.service.config import configuration
@@ -75,6 +76,13 @@ def test_answers_become_a_configuration_that_the_daemon_takes(tmp_path, capsys):
     assert main(["setup", "--answers", answers(tmp_path), "--out", str(tmp_path / "new"), "--json"]) == 2
     assert "exists already" in capsys.readouterr().err
     assert main(["setup", "--answers", answers(tmp_path), "--out", str(tmp_path / "new"), "--json", "--force"]) == 0
+
+
+def test_the_example_answers_every_question(tmp_path, capsys):
+    example = Path(__file__).parents[2] / "examples" / "setup-answers.yaml"
+    assert list(yaml.safe_load(example.read_text())) == [question.key for question in QUESTIONS]
+    assert main(["setup", "--answers", str(example), "--out", str(tmp_path / "new")]) == 0
+    assert "force cell: 0.50265 N/mV" in capsys.readouterr().out
 
 
 BOLTED = dict.fromkeys(("home_plate_angle_deg", "min_plate_angle_deg", "max_plate_angle_deg"), 55)
