@@ -181,10 +181,11 @@ def make_map(table: HarvestTable, options: MapOptions, progress: Callable[[str],
             steps = tracks(table)
             machines = _machines(table, steps, pairs, options)
     steps = cut_before_measured(steps, table, {machine.stream: machine.flow.value_s for machine in machines})
-    factor, loads = correct(table, options.tickets)
+    by_weight = correct(table, options.tickets)
+    loads = by_weight.loads
     progress("ground")
     weighed = any(load.factor_sd is not None for load in loads)
-    placed = placed_by_machine(table, steps, machines, factor if weighed else None)
+    placed = placed_by_machine(table, steps, machines, by_weight.factor if weighed else None)
     ground = swaths(table, steps)
     progress("cleaning")
     at = Context(table, steps, placed, ground)
@@ -213,6 +214,7 @@ def make_map(table: HarvestTable, options: MapOptions, progress: Callable[[str],
         bushel_kg=None if facts is None else facts.bushel_lb * KG_PER_LB,
         transport=transport,
         notes=(
+            *by_weight.notes,
             *_notes(table, machines, options.transport and transport is None),
             *_unmeasured(table, steps),
             *doubts(table, totals, cleaned),

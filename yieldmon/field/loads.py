@@ -13,6 +13,7 @@ from yieldmon.documents.harvest_map import MapLoad
 from yieldmon.errors import InputError
 from yieldmon.files.ticket_file import WeighedTicket
 
+from .contradictions import HeldTicket, contradictions
 from .mixed import mixed_loads
 from .placed import measured_mass_kg
 from .table import UNKNOWN_SCALE_SD, Array, HarvestTable
@@ -45,12 +46,22 @@ class LoadResult:
         }
 
 
-def correct(table: HarvestTable, tickets: Sequence[WeighedTicket]) -> tuple[Array, tuple[LoadResult, ...]]:
-    """A factor for each row, and the loads in order.
+@dataclass(frozen=True)
+class Corrected:
+    """factor: of each row; loads: in order; notes: on tickets that others contradict."""
+
+    factor: Array
+    loads: tuple[LoadResult, ...]
+    notes: tuple[str, ...]
+
+
+def correct(table: HarvestTable, tickets: Sequence[WeighedTicket]) -> Corrected:
+    """What weighed loads make of a harvest.
 
     A weighed load takes its own factor, one that its source has corrected the source's; any other takes that of all weighed loads
-    together, with the spread between them. Loads of one name that several machines have are one for each machine, unless a ticket
-    says that they filled it together.
+    of its machine together, or where it has none of all machines', with the spread between them. Loads of one name that several
+    machines have are one for each machine, unless a ticket says that they filled it together. A ticket that the others of its
+    machine contradict is left out.
 
     Raises
     ------
@@ -65,13 +76,20 @@ def correct(table: HarvestTable, tickets: Sequence[WeighedTicket]) -> tuple[Arra
     pairs, firsts, codes = np.unique(label.codes.astype(np.intp) * count + key, return_index=True, return_inverse=True)
     loads = [divmod(int(pair), count) for pair in pairs]
     measured = np.bincount(codes, measured_mass_kg(table), len(loads))
-    weighed = _by_load(loads, label.names, measured, tickets, owners, together)
-    _refuse_mixed({loads[load][0] for load in weighed} - together, label.names, table)
+    held = [_held(ticket, loads, label.names, measured, owners, together) for ticket in tickets]
+    _refuse_mixed({loads[load][0] for ticket in held for load in ticket.loads} - together, label.names, table)
+    owner_of = {place: owner for place, (_, owner) in enumerate(loads)}
+    left_out, notes = contradictions(held, dict(enumerate(measured.tolist())), owner_of)
+    kept = [pair for number, pair in enumerate(zip(tickets, held, strict=True)) if number not in left_out]
+    weighed = _by_load(kept, measured)
     factors = {load: mass.kg / measured[load] for load, mass in weighed.items()}
     corrected = [table.sources[table.source_of_row[row]].known_loads.get(label.names[label.codes[row]]) for row in firsts]
-    common, spread = _common([(factors[load], measured[load]) for load in weighed])
-    if spread is None and any(corrected):
-        spread = UNKNOWN_SCALE_SD
+    known_of: dict[int | None, list[tuple[float, float]]] = {None: []}
+    for load in weighed:
+        known_of[None].append((factors[load], measured[load]))
+        if loads[load][0] not in together:
+            known_of.setdefault(loads[load][1], []).append((factors[load], measured[load]))
+    common_of = {owner: _common(known) for owner, known in known_of.items()}
     results = []
     for load, (number, owner) in enumerate(loads):
         shared = number not in together and sum(one == number for one, _ in loads) > 1
@@ -84,8 +102,10 @@ def correct(table: HarvestTable, tickets: Sequence[WeighedTicket]) -> tuple[Arra
                 LoadResult(name, float(measured[load]), known.weighed_kg, known.factor, known.factor_sd, known.common_sd)
             )
         else:
+            common, spread = common_of.get(owner, common_of[None])
+            spread = UNKNOWN_SCALE_SD if spread is None and any(corrected) else spread
             results.append(LoadResult(name, float(measured[load]), None, common, spread))
-    return np.array([one.factor for one in results] or [1.0])[codes], tuple(results)
+    return Corrected(np.array([one.factor for one in results] or [1.0])[codes], tuple(results), notes)
 
 
 @dataclass(frozen=True)
@@ -158,26 +178,30 @@ class _Weighed:
         return _Weighed(self.kg + other.kg, float(np.sqrt(max(apart, 0.0) + common**2)), common)
 
 
-def _by_load(
+def _held(
+    ticket: WeighedTicket,
     loads: Sequence[tuple[int, int]],
     names: Sequence[str],
     measured: Array,
-    tickets: Sequence[WeighedTicket],
     owners: Owners,
     together: set[int],
-) -> Mapping[int, _Weighed]:
+) -> HeldTicket:
+    """A ticket with the loads with grain that it is for. Raises InputError where there is none."""
+    held = [_held_by(ticket, number, loads, owners, together) for number in _numbers_of(ticket, names)]
+    if not float(sum(measured[load] for load in held)) > 0:
+        raise InputError(f"ticket of load {_said(ticket)!r}", "is of a load that measured nothing", "a load with grain")
+    return HeldTicket(_said(ticket), ticket.mass_kg, tuple(load for load in held if measured[load] > 0))
+
+
+def _by_load(tickets: Sequence[tuple[WeighedTicket, HeldTicket]], measured: Array) -> Mapping[int, _Weighed]:
     out: dict[int, _Weighed] = {}
-    for ticket in tickets:
-        held = [_held_by(ticket, number, loads, owners, together) for number in _numbers_of(ticket, names)]
-        total = float(sum(measured[load] for load in held))
-        if not total > 0:
-            raise InputError(f"ticket of load {_said(ticket)!r}", "is of a load that measured nothing", "a load with grain")
-        for load in held:
+    for ticket, held in tickets:
+        total = float(sum(measured[load] for load in held.loads))
+        for load in held.loads:
             share = float(measured[load]) / total
-            if share > 0:
-                # How a mass divides among several loads is not weighed: their deviations add up to that of the whole.
-                part = _Weighed(ticket.mass_kg * share, ticket.std_dev_kg * share**0.5, ticket.other_std_dev_kg * share)
-                out[load] = out.get(load, _Weighed()) + part
+            # How a mass divides among several loads is not weighed: their deviations add up to that of the whole.
+            part = _Weighed(ticket.mass_kg * share, ticket.std_dev_kg * share**0.5, ticket.other_std_dev_kg * share)
+            out[load] = out.get(load, _Weighed()) + part
     return out
 
 
@@ -207,7 +231,9 @@ def _common(factors: Sequence[tuple[float, float]]) -> tuple[float, float | None
         return 1.0, None
     values, weights = (np.array(part) for part in zip(*factors, strict=True))
     mean = float(np.average(values, weights=weights))
-    if len(values) < 3:
+    if len(values) < 2:
         return mean, UNKNOWN_SCALE_SD
     spread = float(np.std(values, ddof=1))
-    return mean, float(np.hypot(spread, spread / np.sqrt(len(values))))
+    known = float(np.hypot(spread, spread / np.sqrt(len(values))))
+    # Two that agree may do so by chance; two that contradict each other say nothing of the others.
+    return mean, known if len(values) > 2 else max(known, UNKNOWN_SCALE_SD)
