@@ -463,6 +463,12 @@ def test_wrong_tickets_that_were_taken_back_leave_nothing(seed: int, tmp_path: P
     same_without(History(seed).steps(), tmp_path)
 
 
+@pytest.mark.parametrize("seed", [32, 67])
+def test_wrong_tickets_that_were_replaced_leave_nothing(seed: int, tmp_path: Path) -> None:
+    """Two of each by a right one for one of their loads."""
+    same_without(History(seed, replaces=True).steps(), tmp_path)
+
+
 def test_what_the_store_does_not_say_in_time_is_known_from_the_ticket_before(tmp_path: Path) -> None:
     """A disk that is slow between two commands: the second one's store lacks the ticket that the first one entered."""
     desk = Desk(tmp_path / "a")

@@ -55,7 +55,8 @@ def enter_ticket(order: Order) -> TicketEntered:
     covered = _closed_loads(order, first, last)
     measured_kg = sum(load.mass_kg for load in covered)
     ticket = Ticket(order.now_s, first, last, own.mass_kg, measured_kg, request.name("note") or "")
-    counting = (journal.actions.ledger.ticket_of(load.number) for load in covered)
+    standing = journal.actions.ledger
+    counting = (standing.ticket_of(load.number) for load in covered)
     stood_for = sorted({found[0] for found in counting if found is not None})
     # Before anything else is made of it: the parameters are to be what they would be without those that it replaces.
     replaced = journal.actions.replaced_by(ticket)
