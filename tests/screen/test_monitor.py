@@ -309,6 +309,24 @@ def test_a_recording_takes_no_other_ones_name(log, tmp_path, monkeypatch):
     assert names == ["yieldmon-20261025-023000-2.log", "yieldmon-20261025-023000-3.log", "yieldmon-20261025-023000.log"]
 
 
+def test_a_recording_that_is_ended_is_whole_at_once(log, tmp_path, monkeypatch):
+    """And not only when the program ends."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    keys, found = iter(["r", "", "", "r"]), []
+
+    def waiting() -> str:
+        if (key := next(keys, None)) is not None:
+            return key
+        found.extend(path.read_bytes() for path in tmp_path.glob("yieldmon-*.log"))
+        return "q"
+
+    monkeypatch.setattr("yieldmon.screen.keys.waiting", waiting)
+    assert main(["monitor", str(log), "--speed", "1"]) == 0
+    assert found == [path.read_bytes() for path in tmp_path.glob("yieldmon-*.log")]
+    assert len(found[0].splitlines()) > 1
+
+
 @pytest.mark.parametrize(
     "arguments", [["missing.log", "--once"], ["--record", "x.unknown", "--once", "LOG"], ["LOG", "--speed", "-1"]]
 )

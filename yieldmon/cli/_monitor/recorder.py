@@ -16,22 +16,23 @@ class Recorder:
     """Writes frames to a log while recording is on."""
 
     def __init__(self, stack: ExitStack) -> None:
-        """stack: closes the logs at its end."""
-        self._stack = stack
+        """stack: closes a log that is still written at its end."""
+        self._open = stack.enter_context(ExitStack())
         self._logger: can.Listener | None = None
 
     def start(self, path: Path) -> str:
         """Record to this log; returns its name. Raises InputError."""
         try:
-            self._logger = self._stack.enter_context(writing(path))
+            self._logger = self._open.enter_context(writing(path))
         except (ValueError, OSError) as error:
             raise InputError(str(path), str(error), "a log file name that python-can can write, such as drive.log") from error
         return path.name
 
     def toggle(self) -> str:
-        """Begin a log named by the time, or end the one that is written; returns its name, "" for none."""
+        """Begin a log named by the time, or end the one that is written; returns its name, "" for none. An ended log is whole."""
         if self._logger is not None:
             self._logger = None
+            self._open.close()
             return ""
         return self.start(_not_taken(time.strftime("yieldmon-%Y%m%d-%H%M%S")))
 
