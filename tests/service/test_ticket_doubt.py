@@ -138,6 +138,25 @@ def test_the_first_ticket_says_that_it_decides_alone_and_the_second_that_the_fir
         assert "sets the scale by itself" not in second
         assert "or ticket 1, the only one before it, is the wrong one (`yieldmon ticket undo 1`)" in second
         assert "by one ticket alone" not in bench.daemon.monitor.outcome.reason
+        # Another crop's tickets say nothing of the machine in this one.
+        wheat = []
+        for _ in range(2):
+            ask(season.folder, "load", "start", "--crop", "wheat")
+            bench.play(5, 80.0)
+            bench.play(2, 0.0)
+            bench.played()
+            ask(season.folder, "load", "stop")
+            bench.play(2, 0.0)
+            bench.played()
+            wheat.append(ask(season.folder, "load", "list")["loads"][-1])
+            season.masses[wheat[-1]["number"]] = wheat[-1]["mass_kg"]
+        capsys.readouterr()
+        first = enter(wheat[0]["number"], 0.88 / TRUE)
+        assert "the first ticket, it sets the scale by itself (" in first
+        assert "known to hold" not in first
+        second = enter(wheat[1]["number"], 1.1 / TRUE)
+        assert "sets the scale by itself" not in second
+        assert "or ticket 3, the only one before it, is the wrong one (`yieldmon ticket undo 3`)" in second
 
 
 def test_where_a_tank_scale_has_updated_no_ticket_is_said_to_decide_alone(tmp_path, capsys) -> None:

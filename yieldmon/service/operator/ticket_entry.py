@@ -182,7 +182,7 @@ def _departure(shares: Sequence[Weighing], order: Order, crop: str) -> ticket_do
         return ticket_doubt.combined(apart, weighed_before=True, only_one=len(waiting) == 1)
     return ticket_doubt.combined(
         parts,
-        weighed_before=bool(order.monitor.counted_loads) or order.monitor.scale_counted,
+        weighed_before=bool(_counted_loads(order)) or order.monitor.scale_counted,
         only_one=bool(_only_tickets(order, [share.load_number for share in shares])),
     )
 
@@ -208,10 +208,18 @@ def _ln_of_waiting(numbers: Sequence[int], order: Order, of_crop: FlowEstimator 
     return fmean(found) if found else None
 
 
+def _counted_loads(order: Order) -> frozenset[int]:
+    """Loads of the crop that is harvested now whose tickets have counted."""
+    monitor, journal = order.monitor, order.journal
+    in_use = journal.crop_in_use(monitor.estimator.parameters).lower()
+    crop_of = {load.number: journal.parameters.crop_of_load(load).lower() for load in journal.loads}
+    return frozenset(load for load in monitor.counted_loads if crop_of.get(load, "") in ("", in_use) or not in_use)
+
+
 def _only_tickets(order: Order, covered: Sequence[int]) -> list[int]:
     """Standing tickets for all the loads whose tickets have counted, where these loads are others: a single weighing has set the
     scale."""
-    counted = order.monitor.counted_loads
+    counted = _counted_loads(order)
     if counted & set(covered) or order.monitor.scale_counted:
         return []
     standing = order.journal.actions.ledger.tickets.items()
