@@ -11,7 +11,7 @@ import pytest
 from yieldmon.cli.main import main
 from yieldmon.resources import shipped
 
-UNENDED = "friction: 0.3\ndensity: 1100\nshape_ratio: 2\nrestitution: 0.4"
+UNENDED = "model_error: 0\nfriction: 0.3\ndensity: 1100\nshape_ratio: 2\nrestitution: 0.4"
 """A file without the end of its last line."""
 
 

@@ -92,22 +92,25 @@ def test_the_deviation_grows_with_the_distance_and_with_the_error_found_within()
     assert _shares(_known(0.0), 30.0, [20.0], 700.0)[0] == 0.0
 
 
+STATED = 'covariance: {names: ["friction"], matrix: [[1.0e-20]]}\n'
+
+
 @pytest.mark.parametrize(
     ("text", "within", "beyond"),
     [
         # of the force at 70 deg, and beside that 10 deg beyond a range of 30 deg; None: there is no range
         ("", 0.05, None),
-        ("calibrated_range: {plate_angle_deg: [50, 80]}", 0.0, 0.0646),
-        ("calibrated_range: {plate_angle_deg: [50, 80]}\nmodel_error: null", 0.0, 0.0646),
-        ("calibrated_range: {plate_angle_deg: [50, 80]}\nmodel_error: 0", 0.0, 0.0082),
-        ("calibrated_range: {plate_angle_deg: [50, 80]}\nmodel_error: 0.01", 0.01, 0.0347),
-        ("provenance: {scale: weighed}", 0.0, None),
+        (STATED, 0.0, None),
+        (f"{STATED}calibrated_range: {{plate_angle_deg: [50, 80]}}", 0.0, 0.0646),
+        (f"{STATED}calibrated_range: {{plate_angle_deg: [50, 80]}}\nmodel_error: null", 0.0, 0.0646),
+        (f"{STATED}calibrated_range: {{plate_angle_deg: [50, 80]}}\nmodel_error: 0", 0.0, 0.0082),
+        (f"{STATED}calibrated_range: {{plate_angle_deg: [50, 80]}}\nmodel_error: 0.01", 0.01, 0.0347),
+        (f"{STATED}provenance: {{scale: weighed}}", 0.0, None),
     ],
 )
 def test_a_model_error_that_is_not_known_is_not_one_of_0(text: str, within: float, beyond, tmp_path, capsys) -> None:
     path = tmp_path / "p.yaml"
-    document = {"format": 1, "version": 1, **GRAIN, "covariance": {"names": ["friction"], "matrix": [[1e-20]]}}
-    path.write_text(f"{yaml.safe_dump(document)}{text}\n")
+    path.write_text(f"{yaml.safe_dump({'format': 1, 'version': 1, **GRAIN})}{text}\n")
     assert main(["predict", "--mass-flow", "10", "--plate-angle", "70", "40", "--params", str(path), "--json"]) == 0
     printed = capsys.readouterr()
     home, away = (row["force_std_dev_n"] / row["force_n"] for row in json.loads(printed.out)["rows"])

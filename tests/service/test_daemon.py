@@ -467,15 +467,19 @@ def test_loads_tickets_and_names(tmp_path, capsys):
         ticket = ask(tmp_path, capsys, "ticket", "1-2", f"{weighed}kg", "--note", "elevator 3")
         assert ticket["factor"] == pytest.approx(1.02)
         assert ticket["anchor"] is False, "load 1 began in grain, before there was a zero"
-        assert ask(tmp_path, capsys, "ticket", "2", f"{1.02 * loads[1]['mass_kg']}kg")["anchor"] is True
+        first = ask(tmp_path, capsys, "load", "list")["loads"][0]
+        assert first["corrected_mass_kg"] == pytest.approx(1.02 * loads[0]["mass_kg"])
+        second = ask(tmp_path, capsys, "ticket", "2", f"{1.02 * loads[1]['mass_kg']}kg")
+        assert (second["anchor"], second["without_ticket"]) == (True, [1])
         assert [anchor.load_number for anchor in bench.daemon.monitor.anchors] == [2]
         after = ask(tmp_path, capsys, "load", "list")["loads"]
         assert [load["mass_kg"] for load in after] == [load["mass_kg"] for load in loads]
-        assert after[0]["corrected_mass_kg"] == pytest.approx(1.02 * loads[0]["mass_kg"])
+        assert [load["ticket_id"] for load in after] == [None, 2]
+        assert after[1]["corrected_mass_kg"] == pytest.approx(1.02 * loads[1]["mass_kg"])
         total_before = bench.status["total"]["mass_kg"]
     with running(tmp_path, start_s=START_S + 100) as bench:
         kept = ask(tmp_path, capsys, "load", "list")["loads"]
-        assert kept[0]["corrected_mass_kg"] == pytest.approx(1.02 * loads[0]["mass_kg"])
+        assert [load["corrected_mass_kg"] for load in kept] == [load["corrected_mass_kg"] for load in after]
         assert bench.status["total"]["mass_kg"] == pytest.approx(total_before)
         assert bench.status["load"]["open"] is False
         again = ask(tmp_path, capsys, "ticket", "1", "50kg")

@@ -183,11 +183,12 @@ class ParameterSet:
 
     @property
     def own_error(self) -> float:
-        """Of `model_error` within the calibrated range. Where it is not known: 0 where rows or weighed masses have led to these
-        parameters, whose covariance holds what few of them do not show, else that of the published tables."""
+        """Of `model_error` within the calibrated range. Where it is not known: 0 beside a covariance or a range that is stated, or
+        where weighed masses have led to these parameters, else that of the published tables."""
         if self.model_error is not None:
             return self.model_error
-        return 0.0 if self.is_weighed or self.calibrated != CalibratedRange() else UNKNOWN
+        stated = self.covariance_names or self.calibrated != CalibratedRange()
+        return 0.0 if stated or self.is_weighed else UNKNOWN
 
     def standard_deviation(self, name: str) -> float:
         """Standard deviation of one parameter.
