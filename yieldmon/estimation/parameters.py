@@ -183,8 +183,8 @@ class ParameterSet:
 
     @property
     def own_error(self) -> float:
-        """Of `model_error` within the calibrated range. Where it is not known: 0 beside a covariance or a range that is stated, or
-        where weighed masses have led to these parameters, else that of the published tables."""
+        """Of `model_error` within the calibrated range. Where it is not known: 0 beside a stated covariance or range, or where
+        weighed masses have led to these parameters, else that of the published tables."""
         if self.model_error is not None:
             return self.model_error
         stated = self.covariance_names or self.calibrated != CalibratedRange()
