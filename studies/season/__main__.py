@@ -80,9 +80,9 @@ def compare(job: tuple[str, float, int, bool, float | None], *, without_tickets:
     if pattern_sd is not None:
         kept = replace(kept, pattern_sd=pattern_sd)
     found: dict[str, Any] = {"combine": name, "reversed": is_reversed, "seed": seed, "loads": len(season.loads.mass_kg)}
-    found |= {"model_error": round(first.model_error, 4), "stop_gap": STOP_GAP in first.effects}
+    found |= {"model_error": round(first.own_error, 4), "stop_gap": STOP_GAP in first.effects}
     # What no ticket takes away: then no sweep begins by schedule, and the season is the one without sweeps.
-    never = first.model_error > LARGEST_MODEL_ERROR or STOP_GAP in first.effects
+    never = first.own_error > LARGEST_MODEL_ERROR or STOP_GAP in first.effects
     outcomes: dict[int, study.Outcome] = {}
     strategies = [("map", False, 0), ("sweeps", True, 0), ("map_ticket", False, 1), ("sweeps_ticket", True, 1)]
     for label, sweeps, tickets in strategies if without_tickets else strategies[2:]:

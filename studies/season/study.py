@@ -205,7 +205,7 @@ def first_calibration(settings: SeasonSettings, machine: Machine, seed: int, com
     free = ("friction", "restitution", "density")
     found = calibrate(model, data, start, free, intervals=False).parameter_set
     # Above this calibrate advises --stop-gap.
-    return with_stop_gap(model, data, found, free) if found.model_error > LARGEST_MODEL_ERROR else found
+    return with_stop_gap(model, data, found, free) if found.own_error > LARGEST_MODEL_ERROR else found
 
 
 def run(

@@ -241,16 +241,20 @@ def asks(rng: random.Random) -> None:
         slow = connected()
         slow.sendall(b"{")
         require(_answered(path), "nobody is answered beside a peer that dribbles")
+
+        def next_round() -> None:
+            _until(lambda: server.busy_since_s == now_s, "a round of the server's thread")
+
         for _ in range(4):
             with suppress(OSError):
                 slow.sendall(b" ")
             now_s += 2.0
             # A round that begins now reads the byte.
-            _until(lambda at_s=now_s: server.busy_since_s == at_s, "a round of the server's thread")
+            next_round()
             require(_answered(path), "nobody is answered beside a peer that dribbles")
         now_s += 0.5
         # The round in which the peer's time was over has ended; several requests may be answered in one.
-        _until(lambda: server.busy_since_s == now_s, "a round of the server's thread")
+        next_round()
         require(_ended(slow), "a peer holds its place with a byte every 2 s")
         crowd = [connected() for _ in range(rng.randint(20, 60))]
         for peer in crowd:

@@ -172,7 +172,7 @@ def examine(
     notes += [*diagnosis_notes.of_one_cell(chosen, noise), *diagnosis_notes.of_repetitions(chosen, noise)]
     if chosen.verdict != "effect" and held_out is not None:
         held_out, _ = open_sealed(rows, sealed, chosen.base, chosen.base, noise)
-    return Examination(model.form, noise, chosen, held_out, sealed, outlier, tuple(notes))
+    return Examination(model.form, noise, chosen, held_out, sealed, outlier, tuple(notes), proof)
 
 
 def _in_the_better_form(

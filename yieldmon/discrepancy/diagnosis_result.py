@@ -16,7 +16,7 @@ from .gap import Region
 from .noise import Noise
 from .observations import Rows
 from .policy import Policy
-from .proof import Share
+from .proof import Proof, Share
 from .stopgap import Correction
 
 
@@ -89,7 +89,7 @@ class HeldOut:
 
 @dataclass(frozen=True)
 class Examination:
-    """The verdict and what the sealed rows say of it. sealed, outlier: mark rows, shape (rows,)."""
+    """The verdict and what the sealed rows say of it. sealed, outlier: mark rows, shape (rows,). proof: None without effects."""
 
     form: str
     noise: Noise
@@ -98,6 +98,7 @@ class Examination:
     sealed: NDArray[np.bool_]
     outlier: NDArray[np.bool_]
     notes: tuple[str, ...]
+    proof: Proof | None
 
 
 @dataclass(frozen=True)
