@@ -9,7 +9,8 @@ from .common import Number
 
 class PredictedRow(TypedDict):
     """An operating point and what the model gives for it. force_n: mean; momentum and force are in the sensor's unit where the
-    parameters are in one. moisture_pct, plate_position_m: as given; force_std_dev_n: by the parameters' covariance."""
+    parameters are in one. moisture_pct, plate_position_m: as given; force_std_dev_n: by the parameters' covariance, the model's
+    own error and the distance from the calibrated range."""
 
     mass_flow_kg_s: float
     plate_angle_deg: float

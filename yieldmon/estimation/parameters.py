@@ -96,7 +96,7 @@ class ParameterSet:
         Counts the sets of a machine.
     provenance : mapping of str to str
         Hash of the data file, date, method, parent version.
-    model_error : float
+    model_error : float or None
         Relative standard deviation of a predicted force that is the model's own and no parameter's; 0: none beside the
         covariance; None: not known, so that the calibrated range bounds no error beyond it (see also `own_error`).
     curve : FlowCurve, optional
