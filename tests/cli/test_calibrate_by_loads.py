@@ -102,7 +102,11 @@ def test_two_loads_leave_the_curve_of_the_force_open_and_say_what_to_do(loads, t
         ("load,weighed_t", "1,9000", "line 2, weighed_t: is 9e+06 kg"),
         ("weighed_kg", "700", "header: has no column load"),
         ("load,weighed_kg,std_dev_kg", "1,700,0", "std_dev_kg: is 0 kg; expected above 0"),
-        ("load,weighed_kg", "1,700\n1,700", "line 3, load: load 1 has a ticket already"),
+        (
+            "load,weighed_kg",
+            "1,700\n1,700",
+            "line 3, load: load 1 has a ticket already (line 2); expected one row for each load: the right one; or, ",
+        ),
     ],
 )
 def test_bad_tickets_are_named_in_one_line(loads, tmp_path, capsys, header, row, problem):

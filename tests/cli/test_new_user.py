@@ -33,7 +33,7 @@ FILES = {
 CALIBRATE = "calibrate --loads s.sqlite --tickets"
 NOBODY = "--socket nobody.sock"
 MISTAKES = {
-    f"{CALIBRATE} twice.csv": "twice.csv: line 3, load: load 1 has a ticket already; expected each load on one ticket",
+    f"{CALIBRATE} twice.csv": "twice.csv: line 3, load: load 1 has a ticket already (line 2); expected one row for each load",
     f"{CALIBRATE} ninety.csv": "is 99, no load that was measured; expected 1 to 2",
     f"{CALIBRATE} both.csv": "has weighed_kg and weighed_t; expected one column",
     f"{CALIBRATE} german.csv": "line 2, weighed_kg: is '5.000,5'; expected a number",

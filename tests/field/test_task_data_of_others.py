@@ -277,8 +277,14 @@ SENT = [(134, "DET-1", [1372] * COUNT), (135, "DET-1", [250] * COUNT)]
         ([element("DET-1", 1) + OFFSET_SECTIONS + offset(12, 135, 2500) + ANTENNA], [], TASK, (3.13, 0.5 + 0.3)),
         # Not said: the antenna, the header, the coupling.
         ([element("DET-1", 1, 5) + offset(5, 134, 4200)], [], TASK, None),
-        ([element("DET-1", 1) + ANTENNA], [], TASK, None),
-        ([HEADER, COMBINE.replace("</DVC>", element("DET-8", 6, 9) + offset(9, 134, -3000) + "</DVC>")], SENT, TASK, None),
+        (
+            [element("DET-1", 1) + ANTENNA], [], TASK,
+            "the antenna's offsets (DDI 134, 135) are not applied, as the descriptions do not say where the header is",
+        ),
+        (
+            [HEADER, COMBINE.replace("</DVC>", element("DET-8", 6, 9) + offset(9, 134, -3000) + "</DVC>")], SENT, TASK,
+            "are not applied, as the descriptions do not say how the header is coupled",
+        ),
         ([element("DET-1", 1, 5) + offset(5, 134, 42000) + ANTENNA], [], TASK, "41.13 m ahead of the antenna"),
     ],
 )  # fmt: skip
@@ -295,6 +301,33 @@ def test_the_header_is_where_the_descriptions_say(
         return
     assert np.isnan(table["header_ahead_m"]).all()
     assert (expected or "no offset") in f"{said} no offset"
+
+
+def test_there_and_back_the_points_are_where_the_header_was(capsys: pytest.CaptureFixture[str]) -> None:
+    """The header is 3.33 m ahead of the antenna and 0.3 m to its right, in passes to and fro."""
+    own = f'<DVC A="DVC-1" B="combine">{element("DET-1", 1, 5) + offset(5, 134, 4200) + ANTENNA}</DVC>'
+    folder = task_data([own], WHOLE)
+    path, length = folder / "TLG00001.bin", (folder / "TLG00001.bin").stat().st_size // COUNT
+    places = np.array([(row["latitude"], row["longitude"]) for row in rows(speeds=False)])
+    m_deg = np.array([111_195.0, 111_195.0 * np.cos(np.radians(places[0, 0]))])
+    steps = np.diff(places, axis=0, prepend=2 * places[:1] - places[1:2]) * m_deg
+    begins = np.arange(COUNT) % PASS_S == 0
+    steps[begins] = steps[np.flatnonzero(begins) + 1]
+    ahead = steps / np.linalg.norm(steps, axis=1, keepdims=True)
+    # North and east; to the right of north is east.
+    antenna = places - (3.33 * ahead + 0.3 * np.column_stack((-ahead[:, 1], ahead[:, 0]))) / m_deg
+    out = bytearray(path.read_bytes())
+    for number, place in enumerate(antenna):
+        struct.pack_into("<ii", out, number * length + 6, *(round(value * 1e7) for value in place))
+    path.write_bytes(out)
+    assert cli.main(["map", str(folder), "--out", "out", "--products", "csv", "--flow-delay", "0"]) == 0
+    assert "the header is 3.33 m ahead of the antenna and 0.30 m to the right" in capsys.readouterr().err
+    with Path("out/points.csv").open() as stream:
+        found = np.array([(float(row["latitude_deg"]), float(row["longitude_deg"])) for row in csv.DictReader(stream)])
+    apart_m = np.linalg.norm((found - places) * m_deg, axis=1)
+    turning = np.arange(COUNT) % PASS_S
+    in_pass = (turning >= 3) & (turning < PASS_S - 3)
+    assert apart_m[in_pass].max() < 0.05
 
 
 @pytest.mark.parametrize("side", [1, -1], ids=["from the left", "from the right by their offsets"])

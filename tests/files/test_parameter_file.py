@@ -77,6 +77,7 @@ def test_the_shipped_corn_loads():
 @pytest.mark.parametrize(
     ("change", "expected"),
     [
+        ({"model_error": 5}, "model_error: is 5.0; expected a number from 0 to 0.5 as a share of the force, 0.05 for 5 %"),
         ({"friction": -0.1}, "friction: is -0.1; expected a number from 0 to 5"),
         ({"friction": "low"}, "friction: is 'low'"),
         ({"restitution": 1.2}, "restitution: is 1.2"),

@@ -487,6 +487,26 @@ def test_a_ticket_of_a_renamed_machine_counts_once(tmp_path: Path, capsys: pytes
     found = json.loads(capsys.readouterr().out)
     assert found["left_out"] == ["renamed d: a.log repeats m2 d: a.log, with the same logs and weight"]
     assert found | {"left_out": []} == once
+    # Its slips in pounds, rounded to whole ones.
+    (tmp_path / "tree" / "renamed").rename(tmp_path / "tree" / "pounds")
+    (tmp_path / "tree" / "pounds" / "d" / "tickets.csv").write_text("load,weighed_t\na.log,0.02201\n")
+    assert measure(tmp_path / "tree", dataset, "--crop", "corn") == 0
+    assert main(["fleet", "prior", dataset, "--crop", "corn", "--json"]) == 0
+    assert "pounds d: a.log repeats m2 d: a.log, with the same logs and weight" in json.loads(capsys.readouterr().out)["left_out"]
+
+
+def test_a_load_on_two_rows_of_a_days_tickets_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Unless they are parts of it, which add up."""
+    weighed = {"m0": "a.log,20,\na.log,20,\n", "m1": "a.log,8,1\na.log,13,2\n"}
+    for machine, rows in weighed.items():
+        day = tmp_path / "tree" / machine / "d"
+        logs.write(day / "a.log", 60.0 + int(machine[1]))
+        (day / "tickets.csv").write_text(f"load,weighed_kg,part\n{rows}")
+    measure(tmp_path / "tree", str(tmp_path / "season"), "--crop", "corn")
+    assert "tickets.csv: line 3, load: load a.log has a ticket already (line 2)" in capsys.readouterr().err
+    assert main(["fleet", "report", str(tmp_path / "season"), "--json"]) in (0, 1)
+    document = json.loads(capsys.readouterr().out)
+    assert "tickets.csv: line 3, load: load a.log has a ticket already" in str(document)
 
 
 def test_a_machine_without_a_ticket_that_can_be_used_does_not_stop_the_prior(

@@ -161,6 +161,22 @@ def test_of_two_senders_of_a_group_the_first_counts_until_it_is_silent() -> None
     assert found == [47.0, 47.0, 47.1, 47.1, 48.2, 48.2]
 
 
+def test_a_position_that_a_node_repeats_while_it_has_no_fix_does_not_count() -> None:
+    """Until its 129029 has one again, or has been silent for the timeout; another node's does."""
+    navigation = Navigation(timeout_s=2.0)
+    rapid = struct.pack("<ii", 475000000, 85000000)
+    found = []
+    for time_s, method in ((0.0, 1), (1.0, 0), (1.5, 0), (2.5, 0), (3.5, 1), (4.5, 8), (7.0, None)):
+        if method is not None:
+            navigation.feed(payload(129029, _gnss(height=0) + bytes([method << 4 | 3]), time_s, 0x1C))
+        for source in (0x1C, 0x2A):
+            navigation.feed(payload(129025, rapid, time_s + 0.1, source))
+        latest = navigation.latest(Quantity.LATITUDE, 129025)
+        found.append(None if latest is None else (latest.source, latest.time_s))
+    # The other node's counts once the first has been silent for the timeout.
+    assert found == [(0x1C, 0.1), (0x1C, 0.1), (0x1C, 0.1), (0x2A, 2.6), (0x2A, 3.6), (0x2A, 4.6), (0x1C, 7.1)]
+
+
 def test_best_source_and_the_next_one() -> None:
     navigation = Navigation(timeout_s=2.0)
     wheel = struct.pack("<HIBB", 2500, 0, 0, 1)

@@ -404,10 +404,11 @@ def test_the_owner_is_told_what_a_correction_and_a_second_ticket_leave(tmp_path,
         mass_kg = ask(season.folder, "load", "list")["loads"][-1]["mass_kg"]
         assert cli.main(["ticket", str(number), f"{mass_kg}kg", *socket]) == 0
         assert "stood for it" not in capsys.readouterr().err
-        assert cli.main(["ticket", str(number), f"{mass_kg}kg", *socket]) == 0
+        assert cli.main(["ticket", str(number), f"{0.4 * mass_kg}kg + {0.6 * mass_kg}kg", *socket]) == 0
+        assert ask(season.folder, "load", "list")["loads"][-1]["ticket_mass_kg"] == pytest.approx(mass_kg)
         told = capsys.readouterr().err
         assert "ticket 1 stood for it; the newer one counts (`yieldmon ticket undo 2` if it is for another load; " in told
-        assert "of two weighings of one load enter the sum)" in told
+        assert f"of loads weighed in parts, as on two trucks, enter all in one: `yieldmon ticket {number} 9.1t+8.4t`)" in told
         assert "has no ticket any more" not in told
         first, weighed = f"{number - 1}-{number}", ask(season.folder, "load", "list")["loads"][-1]["ticket_mass_kg"]
         assert cli.main(["ticket", first, f"{2 * weighed}kg", *socket]) == 0

@@ -41,8 +41,12 @@ def course_speed(time_s: float, speed_m_s: float) -> can.Message:
     return message(time_s, 0x09F8021C, struct.pack("<BBHHH", 0, 0xFC, 15708, round(speed_m_s * 100), 0xFFFF))
 
 
-def position(time_s: float, latitude: float, counter: int) -> list[can.Message]:
-    data = struct.pack("<BHIqqq", 0, 20000, 0, round(latitude * 1e16), round(-90e16), 0) + b"\x10" + bytes(11)
+def rapid(time_s: float, latitude: float, source: int) -> can.Message:
+    return message(time_s, 0x09F80100 | source, struct.pack("<ii", round(latitude * 1e7), round(-90e7)))
+
+
+def position(time_s: float, latitude: float, counter: int, method: int = 1) -> list[can.Message]:
+    data = struct.pack("<BHIqqq", 0, 20000, 0, round(latitude * 1e16), round(-90e16), 0) + bytes([method << 4]) + bytes(11)
     return [message(time_s + k * 1e-4, f.identifier, f.data) for k, f in enumerate(split(129029, data, 0x1C, counter=counter))]
 
 
@@ -189,7 +193,10 @@ def random_traffic(draw: random.Random) -> list[can.Message]:
             data = data[: draw.randrange(8)]
         items += [message(time_s, kind | draw.choice((0x26, 0x80)), bytes(data))]
         if draw.random() < 0.05:
-            items += position(time_s, draw.uniform(-80.0, 80.0), draw.randrange(8))[draw.randrange(2) :]
+            frames = position(time_s, draw.uniform(-80.0, 80.0), draw.randrange(8), draw.choice((0, 1, 1)))
+            items += frames[draw.randrange(5) // 4 :]
+        if draw.random() < 0.2:
+            items += [rapid(time_s, draw.uniform(-80.0, 80.0), draw.choice((0x1C, 0x26)))]
     return items
 
 
@@ -204,6 +211,21 @@ def test_blocks_of_any_size_give_what_messages_give(seed: int | None) -> None:
         assert (mine.time_s, mine.message) == (theirs.time_s, theirs.message)
         assert usable == theirs.signals
         assert all(not isinstance(v, float) for k, v in mine.signals.items() if k not in theirs.signals)
+
+
+def test_a_position_that_is_repeated_without_a_fix_is_no_position() -> None:
+    """129025 goes on with the last place while the same node's 129029 says that it has none."""
+    items: list[can.Message] = []
+    for k in range(100):
+        at_s = START_S + k / 10
+        if k % 10 == 0:
+            items += position(at_s, 40.0 + k * 1e-4, k // 10 % 8, method=0 if 30 <= k < 70 else 1)
+        items.append(rapid(at_s + 0.05, 40.0 + min(k, 29) * 1e-4 if k < 70 else 40.0 + k * 1e-4, 0x1C))
+    for frames in (in_blocks(items, random.Random(3)), message_by_message(items)):
+        places = [frame.time_s - START_S for frame in frames if frame.message == VEHICLE_POSITION]
+        assert places
+        assert not [at_s for at_s in places if 3.01 <= at_s < 7.0]
+        assert [at_s for at_s in places if at_s >= 7.0]
 
 
 def test_daemon_records_what_the_log_gives(tmp_path: Path, log: Path) -> None:

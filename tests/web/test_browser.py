@@ -245,7 +245,7 @@ def test_what_a_late_ticket_is_told(browser: Browser, tmp_path: Path) -> None:
                 "no reference for the calibration: loads of corn and wheat on one ticket update the parameters of none; "
                 "Wrong crop if" in both
             )
-            assert "Ticket 1 stood for it; the newer one counts (of two weighings of one load enter the sum)." in both
+            assert "Ticket 1 stood for it; the newer one counts (of a load weighed in parts enter the sum)." in both
             unknown = told("New load", "Begin load", crop="havre")
             assert unknown == "Load 4 begun; havre is no known crop: it begins with the parameters of the one before."
 

@@ -40,20 +40,20 @@ def _silenced(answer: Mapping[str, Any]) -> str:
         return ""
     one = len(numbers) == 1
     does = f"still {'corrects its load' if one else 'correct their loads'} and {'updates' if one else 'update'} no parameters"
-    return f"; ticket {_listed(numbers)} {does}: `yieldmon ticket undo {numbers[0]}` takes that back too"
+    return f"; {named('ticket', numbers)} {does}: `yieldmon ticket undo {numbers[0]}` takes that back too"
 
 
 def _updates(answer: Mapping[str, Any]) -> str:
     """What becomes of the updates by standing tickets and sweeps since."""
     parts = []
     if again := answer.get("learnt_again"):
-        parts.append(f"the update by ticket {_listed(again)} is made again without it")
+        parts.append(f"the update by {named('ticket', again)} is made again without it")
     parts += [
         f"the update by ticket {row['ticket']} is not made again: {row['why']}" for row in answer.get("not_learnt_again", ())
     ]
     if "not_learnt_again" not in answer and answer.get("standing_tickets"):
-        tickets = _listed(answer["standing_tickets"])
-        parts.append(f"the update by ticket {tickets} is undone with it: enter such a mass again if it is right")
+        tickets = named("ticket", answer["standing_tickets"])
+        parts.append(f"the update by {tickets} is undone with it: enter such a mass again if it is right")
     if count := answer.get("sweeps_undone"):
         sweeps = "a sweep" if count == 1 else f"{count} sweeps"
         parts.append(f"the update by {sweeps} since then is undone with it; the next one makes its own")
@@ -65,13 +65,14 @@ def replaced(answer: Mapping[str, Any]) -> str:
     rows = answer.get("taken_back", ())
     numbers, stood = [row["ticket"] for row in rows], answer["replaces"]
     undo = f"`yieldmon ticket undo {answer['ticket']}` if it is for another load"
-    said = f"ticket {_listed(stood)} stood for it; the newer one counts ({undo}; of two weighings of one load enter the sum)"
+    parts = f"of loads weighed in parts, as on two trucks, enter all in one: `yieldmon ticket {_loads_of(answer)} 9.1t+8.4t`"
+    said = f"{named('ticket', stood)} stood for it; the newer one counts ({undo}; {parts})"
     if numbers:
-        said += f", as if ticket {_listed(numbers)} had never been entered"
+        said += f", as if {named('ticket', numbers)} had never been entered"
     if without := answer.get("without_ticket"):
         first, last = (f(row[key] for row in (*rows, answer)) for f, key in ((min, "first_load"), (max, "last_load")))
         whole = f"`yieldmon ticket {first}-{last} MASS`"
-        said += f"; load {_listed(without)} has no ticket any more: enter one for it, or one for all ({whole})"
+        said += f"; {without_ticket(without)}: enter {'one for it' if len(without) == 1 else 'those'}, or one for all ({whole})"
     for row in answer.get("still_replaced", ()):
         said += f"; `yieldmon ticket undo {row['by']}` brings back ticket {row['ticket']}, which ticket {row['by']} replaced"
     for row in rows:
@@ -105,7 +106,7 @@ def corrected(answer: Mapping[str, Any]) -> str:
     names = " ".join(name for name in (answer["field"], answer["crop"]) if name) or "no field"
     parts = [f"load {first}: {names}" if first == last else f"loads {first} to {last}: {names}"]
     if again := answer.get("measured_again"):
-        parts.append(f"load {_listed(again)} measured again with the parameters of {answer['crop']}, seconds stay as they are")
+        parts.append(f"{named('load', again)} measured again with the parameters of {answer['crop']}, seconds stay as they are")
     parts += [f"load {row['load']} is not measured again: {row['why']}" for row in answer.get("not_measured_again", ())]
     for update in answer.get("taken_back", ()):
         of_other = f"the update of another crop by ticket {update['ticket']}"
@@ -114,15 +115,39 @@ def corrected(answer: Mapping[str, Any]) -> str:
         elif "teaching_stays" in update:
             parts.append(f"{of_other} stays: {update['teaching_stays']}")
     if updated := answer.get("learnt_again"):
-        parts.append(f"the parameters of {answer['crop']} are updated by ticket {_listed(updated)}")
+        parts.append(f"the parameters of {answer['crop']} are updated by {named('ticket', updated)}")
     parts += [f"ticket {row['ticket']} updates no parameters: {row['why']}" for row in answer.get("not_learnt_again", ())]
     if goes_on := answer.get("goes_on"):
         parts.append(f"the next load is still {goes_on}: `yieldmon load start --crop {answer['crop']}` if it is not")
     return "; ".join(parts)
 
 
-def _listed(numbers: Iterable[int]) -> str:
-    return ", ".join(map(str, numbers))
+def named(noun: str, numbers: Sequence[int]) -> str:
+    """Numbered things in a sentence.
+
+    Examples
+    --------
+    >>> named("load", [2]), named("load", [2, 4, 5])
+    ('load 2', 'loads 2, 4 and 5')
+    """
+    before, last = ", ".join(map(str, numbers[:-1])), str(numbers[-1])
+    return f"{noun}s {before} and {last}" if before else f"{noun} {last}"
+
+
+def without_ticket(numbers: Sequence[int]) -> str:
+    """What is said of loads that a newer ticket for others has left without one.
+
+    Examples
+    --------
+    >>> without_ticket([2]), without_ticket([2, 4])
+    ('load 2 has no ticket any more', 'loads 2 and 4 have no ticket any more')
+    """
+    return f"{named('load', numbers)} {'has' if len(numbers) == 1 else 'have'} no ticket any more"
+
+
+def _loads_of(answer: Mapping[str, Any]) -> str:
+    first, last = answer["first_load"], answer["last_load"]
+    return str(first) if first == last else f"{first}-{last}"
 
 
 def show(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> None:

@@ -39,7 +39,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "mass",
         metavar="MASS|N",
         nargs="*",
-        help="mass: 9120kg, 9.12t, 91.2dt, 91.2q or 20106lb; undo: number of the ticket",
+        help="mass: 9120kg, 9.12t, 91.2dt, 91.2q or 20106lb, weighed in parts 9.1t+8.4t; undo: number of the ticket",
     )
     parser.add_argument("--std-dev", metavar="MASS", help="standard deviation of the weighing (default: 0.5 %% of it)")
     parser.add_argument("--other", metavar="MASS", help="of it from another combine that filled the same truck, by its monitor")
@@ -59,7 +59,13 @@ def run(args: argparse.Namespace) -> int:
     first, last = load_numbers(args.loads)
     if args.mass is None:
         raise InputError("MASS", "is missing", "the weighed mass: 9120, 9120kg or 9.12t")
-    request = {"command": "ticket", "first_load": first, "last_load": last, "mass_kg": mass(args.mass), "note": args.note}
+    request = {
+        "command": "ticket",
+        "first_load": first,
+        "last_load": last,
+        "mass_kg": sum(map(mass, _parts(args.mass))),
+        "note": args.note,
+    }
     for option, key in _OPTIONAL.items():
         text = getattr(args, key.removesuffix("_kg"))
         if text is not None:
@@ -119,10 +125,15 @@ def _of_truck(truck: Mapping[str, float], answer: Mapping[str, Any], units: Unit
     return f"{leaves}; with what was measured it is {best}, and {left} of the other"
 
 
+def _parts(text: str) -> list[str]:
+    """The masses of a load that was weighed in parts, as 9.1t+8.4t has them."""
+    return [part.strip() for part in text.strip().removeprefix("+").split("+")]
+
+
 def _require_units(args: argparse.Namespace) -> None:
     """Raises InputError for a mass without its unit where masses are shown in pounds."""
     given = {"MASS": args.mass} | {option: getattr(args, key.removesuffix("_kg")) for option, key in _OPTIONAL.items()}
-    bare = {where: text for where, text in given.items() if text and text[-1].isdigit()}
+    bare = {where: part for where, text in given.items() for part in _parts(text or "") if part[-1:].isdigit()}
     if bare and (args.units or ask_daemon(args, {"command": "loads"}).get("units")) == "us":
         where, text = next(iter(bare.items()))
         raise InputError(where, f"{text!r} is without its unit, where masses are shown in pounds", f"{text}lb or {text}kg")
@@ -131,14 +142,17 @@ def _require_units(args: argparse.Namespace) -> None:
 def _require_decimals(args: argparse.Namespace, first: int, last: int) -> None:
     """Raises InputError for a mass such as 9.120kg where the loads' measured mass is nearer to that with a point between
     thousands, as slips in some languages have it."""
-    texts = [(where, text) for where, text in (("MASS", args.mass), ("--other", args.other)) if text and in_thousands(text)]
+    texts = [(where, _parts(text)) for where, text in (("MASS", args.mass), ("--other", args.other)) if text]
+    texts = [(where, parts) for where, parts in texts if any(map(in_thousands, parts))]
     loads = ask_daemon(args, {"command": "loads"})["loads"] if texts else ()
     measured_kg = sum(load["mass_kg"] for load in loads if first <= load["number"] <= last)
-    for where, text in texts:
-        thousands = in_thousands(text)
-        if measured_kg > 0.0 and measured_kg**2 > mass(text) * mass(thousands):
-            problem = f"{text!r} may be {thousands} or a thousandth of that, where {measured_kg:,.0f} kg were measured"
-            raise InputError(where, problem, f"{thousands}, or {mass(text):g}kg")
+    for where, parts in texts:
+        thousands = [in_thousands(part) or part for part in parts]
+        kg = sum(map(mass, parts))
+        if measured_kg > 0.0 and measured_kg**2 > kg * sum(map(mass, thousands)):
+            may_be, as_kg = "+".join(thousands), "+".join(f"{mass(part):g}kg" for part in parts)
+            problem = f"{'+'.join(parts)!r} may be {may_be} or a thousandth of that, where {measured_kg:,.0f} kg were measured"
+            raise InputError(where, problem, f"{may_be}, or {as_kg}")
 
 
 def _listed(args: argparse.Namespace) -> int:

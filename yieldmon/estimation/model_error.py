@@ -24,6 +24,8 @@ FLOOR = 0.002
 UNKNOWN = 0.05
 """Relative standard deviation where nobody has looked: both published tables, fitted over all their angles, are missed by 2.1 and
 6.2 % of the largest reading."""
+LARGEST = 0.5
+"""Relative standard deviation beyond which a file's number is in another unit, or its calibration useless."""
 _DEGREES = (3, 3, 2)
 LEAST_LEVEL = 0.05
 """Readings below this share of the largest have the error of that share."""

@@ -1,4 +1,4 @@
-"""Tickets that the others of a harvest do not bear out: of another unit, another load, or of loads that two tickets weigh."""
+"""Tickets that the others of a harvest do not bear out: of another unit or another load."""
 
 from __future__ import annotations
 
@@ -35,6 +35,7 @@ def contradictions(
     Parameters
     ----------
     tickets : sequence of HeldTicket
+        None for a load of another.
     measured_kg : mapping of int to float
         By the place of each load.
     owner : mapping of int to int
@@ -46,21 +47,20 @@ def contradictions(
         Places in `tickets`.
     lines : tuple of str
     """
-    by_owner: dict[int, list[list[int]]] = {}
-    for group in _sharing_loads(tickets):
-        by_owner.setdefault(owner[tickets[group[0]].loads[0]], []).append(group)
+    by_owner: dict[int, list[int]] = {}
+    for number, ticket in enumerate(tickets):
+        by_owner.setdefault(owner[ticket.loads[0]], []).append(number)
     left_out, lines = set[int](), list[str]()
-    for groups in by_owner.values():
-        masses_kg = [sum(tickets[n].mass_kg for n in group) for group in groups]
-        factors = [kg / _measured(tickets, group, measured_kg) for kg, group in zip(masses_kg, groups, strict=True)]
+    for numbers in by_owner.values():
+        factors = [tickets[n].mass_kg / sum(measured_kg[load] for load in tickets[n].loads) for n in numbers]
         off = unlike_the_others(-np.log(factors))
         usual = exp(float(np.median(np.log(factors)[~off]))) if off.any() else 1.0
-        for group, kg, factor, is_off in zip(groups, masses_kg, factors, off, strict=True):
+        for number, factor, is_off in zip(numbers, factors, off, strict=True):
             if is_off:
-                left_out.update(group)
-                lines.append(_left_out([tickets[n].name for n in group], kg, factor / usual))
-        if 1 < len(groups) < LEAST_LOADS and abs(log(factors[0] / factors[1])) > _FAR_LN:
-            names = " and ".join(tickets[n].name for group in groups for n in group)
+                left_out.add(number)
+                lines.append(_left_out(tickets[number], factor / usual))
+        if 1 < len(numbers) < LEAST_LOADS and abs(log(factors[0] / factors[1])) > _FAR_LN:
+            names = " and ".join(tickets[n].name for n in numbers)
             lines.append(
                 f"tickets of loads {names} contradict each other, {factors[0]:.3g} and {factors[1]:.3g} times what was measured: "
                 "one is of another unit or load"
@@ -68,30 +68,7 @@ def contradictions(
     return frozenset(left_out), tuple(lines)
 
 
-def _sharing_loads(tickets: Sequence[HeldTicket]) -> list[list[int]]:
-    """Tickets that have a load in common, directly or by others between them, go together."""
-    groups: list[tuple[set[int], list[int]]] = []
-    for number, ticket in enumerate(tickets):
-        loads, members = set(ticket.loads), [number]
-        apart = []
-        for known, of_known in groups:
-            if known & loads:
-                loads |= known
-                members = [*of_known, *members]
-            else:
-                apart.append((known, of_known))
-        groups = [*apart, (loads, members)]
-    return [sorted(members) for _, members in groups]
-
-
-def _measured(tickets: Sequence[HeldTicket], group: Sequence[int], measured_kg: Mapping[int, float]) -> float:
-    return sum(measured_kg[load] for load in {load for number in group for load in tickets[number].loads})
-
-
-def _left_out(names: Sequence[str], kg: float, times: float) -> str:
-    says = f"{kg:.0f} kg, {times:.3g} times what the other tickets say of"
-    if len(names) > 1:
-        whole = ", ".join(names)
-        return f"tickets of loads {whole} weigh {says} these: left out; of a load on two tickets each needs its part alone"
+def _left_out(ticket: HeldTicket, times: float) -> str:
     slip = next((f", as where {what}" for factor, what in UNIT_SLIPS if abs(log(times / factor)) < _NEAR_LN), "")
-    return f"ticket of load {names[0]} weighs {says} it{slip}: left out"
+    says = f"{ticket.mass_kg:.0f} kg, {times:.3g} times what the other tickets say of it"
+    return f"ticket of load {ticket.name} weighs {says}{slip}: left out"

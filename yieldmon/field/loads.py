@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from yieldmon.documents.harvest_map import MapLoad
 from yieldmon.errors import InputError
 from yieldmon.files.ticket_file import WeighedTicket
+from yieldmon.files.ticket_parts import with_parts_added
 
 from .contradictions import HeldTicket, contradictions
 from .mixed import mixed_loads
@@ -61,13 +62,13 @@ def correct(table: HarvestTable, tickets: Sequence[WeighedTicket]) -> Corrected:
     A weighed load takes its own factor, one that its source has corrected the source's; any other takes that of all weighed loads
     of its machine together, or where it has none of all machines', with the spread between them. Loads of one name that several
     machines have are one for each machine, unless a ticket says that they filled it together. A ticket that the others of its
-    machine contradict is left out.
+    machine contradict is left out. Parts of a load are added where the tickets say that they are parts.
 
     Raises
     ------
     InputError
-        For a ticket of a load that the harvest does not have, one that measured nothing, and one of which it is not known whose
-        load it is: several machines have one of that name, or the rows of two are mixed in it.
+        For a ticket of a load that the harvest does not have, one that measured nothing, a second one of a load, and one of which
+        it is not known whose load it is: several machines have one of that name, or the rows of two are mixed in it.
     """
     label, owners = table.labels["load"], Owners.of(table)
     together = {number for ticket in tickets if ticket.machine.lower() == ALL for number in _numbers_of(ticket, label.names)}
@@ -76,11 +77,12 @@ def correct(table: HarvestTable, tickets: Sequence[WeighedTicket]) -> Corrected:
     pairs, firsts, codes = np.unique(label.codes.astype(np.intp) * count + key, return_index=True, return_inverse=True)
     loads = [divmod(int(pair), count) for pair in pairs]
     measured = np.bincount(codes, measured_mass_kg(table), len(loads))
-    held = [_held(ticket, loads, label.names, measured, owners, together) for ticket in tickets]
+    given = with_parts_added((ticket, _held(ticket, loads, label.names, measured, owners, together)) for ticket in tickets)
+    held = [HeldTicket(ticket.name, ticket.mass_kg, places) for ticket, places in given]
     _refuse_mixed({loads[load][0] for ticket in held for load in ticket.loads} - together, label.names, table)
     owner_of = {place: owner for place, (_, owner) in enumerate(loads)}
     left_out, notes = contradictions(held, dict(enumerate(measured.tolist())), owner_of)
-    kept = [pair for number, pair in enumerate(zip(tickets, held, strict=True)) if number not in left_out]
+    kept = [pair for number, pair in enumerate(given) if number not in left_out]
     weighed = _by_load(kept, measured)
     factors = {load: mass.kg / measured[load] for load, mass in weighed.items()}
     corrected = [table.sources[table.source_of_row[row]].known_loads.get(label.names[label.codes[row]]) for row in firsts]
@@ -141,12 +143,12 @@ def _refuse_mixed(loads: set[int], names: Sequence[str], table: HarvestTable) ->
 
 def _numbers_of(ticket: WeighedTicket, names: Sequence[str]) -> list[int]:
     """The loads of a ticket, by their place in the names."""
-    if _said(ticket) in names:
-        return [names.index(_said(ticket))]
+    if ticket.name in names:
+        return [names.index(ticket.name)]
     if ticket.first == ticket.last:
         return [_number_of(ticket.first, names)]
     if int(ticket.last) < int(ticket.first):
-        raise InputError(f"ticket of load {_said(ticket)!r}", "ends before it begins", "the first load and the last")
+        raise InputError(f"ticket of load {ticket.name!r}", "ends before it begins", "the first load and the last")
     return [_number_of(str(number), names) for number in range(int(ticket.first), int(ticket.last) + 1)]
 
 
@@ -166,16 +168,11 @@ def _number_of(load_name: str, names: Sequence[str]) -> int:
 
 @dataclass(frozen=True)
 class _Weighed:
-    """A load's mass by its tickets. common_kg: the part of sd_kg that is the same error in all."""
+    """A load's mass by its ticket. common_kg: the part of sd_kg that is the same error in all."""
 
-    kg: float = 0.0
-    sd_kg: float = 0.0
-    common_kg: float = 0.0
-
-    def __add__(self, other: _Weighed) -> _Weighed:
-        common = self.common_kg + other.common_kg
-        apart = self.sd_kg**2 - self.common_kg**2 + other.sd_kg**2 - other.common_kg**2
-        return _Weighed(self.kg + other.kg, float(np.sqrt(max(apart, 0.0) + common**2)), common)
+    kg: float
+    sd_kg: float
+    common_kg: float
 
 
 def _held(
@@ -185,33 +182,28 @@ def _held(
     measured: Array,
     owners: Owners,
     together: set[int],
-) -> HeldTicket:
-    """A ticket with the loads with grain that it is for. Raises InputError where there is none."""
+) -> tuple[int, ...]:
+    """The loads with grain that a ticket is for. Raises InputError where there is none."""
     held = [_held_by(ticket, number, loads, owners, together) for number in _numbers_of(ticket, names)]
     if not float(sum(measured[load] for load in held)) > 0:
-        raise InputError(f"ticket of load {_said(ticket)!r}", "is of a load that measured nothing", "a load with grain")
-    return HeldTicket(_said(ticket), ticket.mass_kg, tuple(load for load in held if measured[load] > 0))
+        raise InputError(f"ticket of load {ticket.name!r}", "is of a load that measured nothing", "a load with grain")
+    return tuple(load for load in held if measured[load] > 0)
 
 
-def _by_load(tickets: Sequence[tuple[WeighedTicket, HeldTicket]], measured: Array) -> Mapping[int, _Weighed]:
+def _by_load(tickets: Sequence[tuple[WeighedTicket, tuple[int, ...]]], measured: Array) -> Mapping[int, _Weighed]:
     out: dict[int, _Weighed] = {}
     for ticket, held in tickets:
-        total = float(sum(measured[load] for load in held.loads))
-        for load in held.loads:
+        total = float(sum(measured[load] for load in held))
+        for load in held:
             share = float(measured[load]) / total
             # How a mass divides among several loads is not weighed: their deviations add up to that of the whole.
-            part = _Weighed(ticket.mass_kg * share, ticket.std_dev_kg * share**0.5, ticket.other_std_dev_kg * share)
-            out[load] = out.get(load, _Weighed()) + part
+            out[load] = _Weighed(ticket.mass_kg * share, ticket.std_dev_kg * share**0.5, ticket.other_std_dev_kg * share)
     return out
-
-
-def _said(ticket: WeighedTicket) -> str:
-    return ticket.first if ticket.first == ticket.last else f"{ticket.first}-{ticket.last}"
 
 
 def _held_by(ticket: WeighedTicket, number: int, loads: Sequence[tuple[int, int]], owners: Owners, together: set[int]) -> int:
     """Index into `loads` of the machine's load that a ticket is of."""
-    where = f"ticket of load {_said(ticket)!r}"
+    where = f"ticket of load {ticket.name!r}"
     held = [load for load, (name, _) in enumerate(loads) if name == number]
     whose = [owners.names[loads[load][1]] for load in held]
     if ticket.machine and number not in together:

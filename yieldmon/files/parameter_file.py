@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from yieldmon.errors import InputError
+from yieldmon.estimation.model_error import LARGEST as LARGEST_MODEL_ERROR
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.effects import effect_parameter, get_effect
 from yieldmon.physics.grain import GRAIN
@@ -67,6 +68,8 @@ def load(path: str | Path | None = None) -> ParameterSet:
     known = from_document(load_mapping(path), str(path))
     if known.values["density"] < _LEAST_DENSITY_KG_M3:
         raise InputError(f"{path}: density", f"is {known.values['density']:g}", "kg/m3; this looks like g/cm3 or t/m3")
+    if known.model_error is not None:
+        number(known.model_error, f"{path}: model_error", "as a share of the force, 0.05 for 5 %", 0.0, LARGEST_MODEL_ERROR)
     _check_effects(known, str(path))
     return known
 

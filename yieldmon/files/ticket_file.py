@@ -26,7 +26,7 @@ _MASSES = ("weighed", "mass", "weight", "weighed_mass", "net", "net_weight", "ne
 _DEVIATIONS = ("std_dev", "sd", "sigma")
 _OTHERS = ("other", "other_mass")
 _OTHER_DEVIATIONS = ("other_std_dev", "other_sd")
-_MACHINE = "machine"
+_MACHINE, _PART = "machine", "part"
 _MIN_KG, _MAX_KG = 1.0, 1e6
 _UNIT_FACTOR = 5.0
 """Between a weighed and a measured mass: machines that were never calibrated are off by half (studies/setup)."""
@@ -36,7 +36,8 @@ _UNIT_FACTOR = 5.0
 class WeighedTicket:
     """A weighed mass for the loads `first` to `last` (numbers, or the name of one load or of a log that holds one). where: for
     errors. machine: whose loads these are, where several have them. other_std_dev_kg: the part of std_dev_kg by another combine's
-    monitor, the same error in all trucks that it filled too; 0 for none."""
+    monitor, the same error in all trucks that it filled too; 0 for none. part: which of several weighings of these loads, "" for
+    the only one."""
 
     first: str
     last: str
@@ -45,6 +46,17 @@ class WeighedTicket:
     where: str
     machine: str = ""
     other_std_dev_kg: float = 0.0
+    part: str = ""
+
+    @property
+    def name(self) -> str:
+        """Of its loads, as given."""
+        return self.first if self.first == self.last else f"{self.first}-{self.last}"
+
+    @property
+    def line(self) -> str:
+        """Where in its file it stands."""
+        return self.where.rpartition(": ")[2].partition(",")[0]
 
 
 def names_log(name: str, log: str) -> bool:
@@ -65,7 +77,8 @@ def names_log(name: str, log: str) -> bool:
 
 def load(path: str | Path) -> tuple[WeighedTicket, ...]:
     """The tickets of a file with the columns `load` (7, or 7-9 for several on one ticket) and `weighed_kg` (or _t, _dt, _q,
-    _lb), and if known `std_dev_kg`, `machine`; `other_kg` and `other_std_dev_kg` as `own_part` has them.
+    _lb), and if known `std_dev_kg`, `machine`, `part` (1, 2, ... of loads weighed in parts); `other_kg` and `other_std_dev_kg` as
+    `own_part` has them.
 
     Raises InputError naming line and column.
     """
@@ -73,7 +86,9 @@ def load(path: str | Path) -> tuple[WeighedTicket, ...]:
     which = _one_of(source, _LOADS, "load", "the number of a load, or the name of its log")
     mass, factor = _with_unit(source, _MASSES, "weighed_kg")
     deviation, other, other_deviation = (_if_there(source, kinds) for kinds in (_DEVIATIONS, _OTHERS, _OTHER_DEVIATIONS))
-    machines = next((source.column(name) for name in source.header if _plain(name) == _MACHINE), ())
+    machines, parts = (
+        next((source.column(name) for name in source.header if _plain(name) == wanted), ()) for wanted in (_MACHINE, _PART)
+    )
     tickets = []
     for i, cell in enumerate(source.column(which)):
         if not cell:
@@ -97,7 +112,8 @@ def load(path: str | Path) -> tuple[WeighedTicket, ...]:
         spans = bool(dash) and first.strip().isdecimal() and last.strip().isdecimal()
         names = (first.strip(), last.strip()) if spans else (cell, cell)
         machine = machines[i] if machines and not delimited.is_unknown(machines[i]) else ""
-        tickets.append(WeighedTicket(*names, kg, sd, source.where(i, which), machine, other_sd))
+        part = parts[i] if parts and not delimited.is_unknown(parts[i]) else ""
+        tickets.append(WeighedTicket(*names, kg, sd, source.where(i, which), machine, other_sd, part))
     return tuple(tickets)
 
 

@@ -27,6 +27,7 @@ from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import machine_file, parameter_file, ticket_file
 from yieldmon.files.crops import shipped_name
 from yieldmon.files.ticket_file import WeighedTicket
+from yieldmon.files.ticket_parts import with_parts_added
 from yieldmon.finite import finite
 from yieldmon.fleet import tables
 from yieldmon.fleet.identity import Identity
@@ -310,10 +311,13 @@ def _ticket_rows(
         return [], [Poisoned(called[path], by_name(str(error), called))]
     rows_of = {row["name"]: row for row in logs}
     rows, unmatched = [], []
-    for ticket in found:
-        wanted = _covered(ticket, given)
+    try:
+        matched = with_parts_added((ticket, _covered(ticket, given)) for ticket in found)
+    except InputError as error:
+        return [], [Poisoned(called[path], by_name(str(error), called))]
+    for ticket, wanted in matched:
         covered = sorted((rows_of[name] for name in wanted if name in rows_of), key=lambda row: int(row["first_number"]))
-        name = ticket.first if ticket.first == ticket.last else f"{ticket.first}-{ticket.last}"
+        name = ticket.name
         if not covered or len(covered) < len(wanted):
             where = by_name(ticket.where, called)
             unmatched.append(Poisoned(where, f"{where}: no log that was measured is {name}"))

@@ -103,7 +103,7 @@ def _machines(query: Query, name: str, start: ParameterSet) -> tuple[list[Machin
     models: dict[str, ForwardModel] = {}
     left_out = []
     contents = contents_of(query)
-    seen: dict[_Weighed, str] = {}
+    seen: dict[_Weighed, list[tuple[float, str]]] = {}
     for day in query.rows(_DAYS, (name,)):
         machine = machine_file.from_document(json.loads(day["machine_document"]), f"{day['machine']} {day['day']}")
         if day["machine"] in models and models[day["machine"]].machine != machine:
@@ -114,9 +114,11 @@ def _machines(query: Query, name: str, start: ParameterSet) -> tuple[list[Machin
         logs = [(contents.get((*where, log["name"]), ""), log) for log in query.rows(_LOGS, where)]
         for ticket in query.rows(_TICKETS, where):
             here = f"{where[0]} {where[1]}: {ticket['name']}"
-            if (first := seen.setdefault(_what_it_weighs(ticket, logs), here)) != here:
+            before, weighed_kg = seen.setdefault(_what_it_weighs(ticket, logs), []), float(ticket["weighed_kg"])
+            if first := next((name for kg, name in before if abs(kg - weighed_kg) <= _ROUNDED * weighed_kg), ""):
                 left_out.append(f"{here} repeats {first}, with the same logs and weight")
                 continue
+            before.append((weighed_kg, here))
             try:
                 found = _weighed(query, day, ticket, [log for _, log in logs], machine)
             except InputError as error:
@@ -157,17 +159,19 @@ def _alike(
     return [load for load, one in zip(loads, unlike, strict=True) if not one], lines
 
 
-_Weighed = tuple[tuple[str, ...], int, int, float]
-"""What the logs of a ticket hold, its first and last second in the first and last of them, and its weight, kg."""
+_Weighed = tuple[tuple[str, ...], int, int]
+"""What the logs of a ticket hold, and its first and last second in the first and last of them."""
+_ROUNDED = 0.001
+"""Within which two weights are one, as it was rounded in kilograms, hundredths of a tonne and pounds."""
 
 
 def _what_it_weighs(ticket: dict[str, Any], logs: Sequence[tuple[str, dict[str, Any]]]) -> _Weighed:
-    first, last, weighed_kg = ticket["first_number"], ticket["last_number"], float(ticket["weighed_kg"])
+    first, last = ticket["first_number"], ticket["last_number"]
     covered = [(content, log) for content, log in logs if _covers(ticket, log)]
     names = tuple(content or str(log) for content, log in covered)
     if not covered:
-        return (str(ticket),), first, last, weighed_kg
-    return names, first - covered[0][1]["first_number"], last - covered[-1][1]["first_number"], weighed_kg
+        return (str(ticket),), first, last
+    return names, first - covered[0][1]["first_number"], last - covered[-1][1]["first_number"]
 
 
 def _covers(ticket: dict[str, Any], log: dict[str, Any]) -> bool:

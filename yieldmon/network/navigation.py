@@ -185,6 +185,13 @@ def _gnss_position(data: bytes) -> Values:
     return _on_the_globe(_known(place)) | _date_time(days, time) | _known({Quantity.ALTITUDE: height_m})
 
 
+def fix_of(payload: Payload) -> bool | None:
+    """Whether a node has measured its position, as its 129029 says; None where a payload does not say."""
+    if payload.group != GNSS_POSITION or len(payload.data) <= _GNSS_METHOD_AT:
+        return None
+    return payload.data[_GNSS_METHOD_AT] >> 4 not in _NOT_MEASURED
+
+
 def _system_time(data: bytes) -> Values:
     _sequence, _source, days, time = struct.unpack("<BBHI", data[:8])
     return _date_time(days, time)
@@ -217,9 +224,16 @@ def read(payload: Payload) -> list[Reading]:
     return [Reading(payload.time_s, quantity, value, payload.group, payload.source) for quantity, value in values.items()]
 
 
+def is_without_fix(without_fix: Mapping[int, float], source: int, time_s: float, timeout_s: float = TIMEOUT_S) -> bool:
+    """Whether a node has said of late that it has no fix. without_fix: as `Navigation.without_fix`."""
+    said_s = without_fix.get(source)
+    return said_s is not None and 0.0 <= time_s - said_s <= timeout_s
+
+
 class Navigation:
     """The latest of every source, and the best of them. Where several nodes send one group, the first of them counts until it has
-    been silent for the timeout: two receivers are some metres apart.
+    been silent for the timeout: two receivers are some metres apart. While a node's 129029 says that it has no fix, the position
+    of its 129025, often the last one repeated, does not count.
 
     Parameters
     ----------
@@ -230,14 +244,36 @@ class Navigation:
     def __init__(self, timeout_s: float = TIMEOUT_S) -> None:
         self._timeout_s = timeout_s
         self._latest: dict[tuple[Quantity, int], Reading] = {}
+        self._without_fix: dict[int, float] = {}
+
+    @property
+    def without_fix(self) -> Mapping[int, float]:
+        """When each node that has no fix last said so, by its address."""
+        return self._without_fix
+
+    def note_fix(self, source: int, time_s: float, has_fix: bool) -> None:
+        """A node says whether it has measured its position."""
+        if has_fix:
+            self._without_fix.pop(source, None)
+        else:
+            self._without_fix[source] = time_s
 
     def feed(self, payload: Payload) -> None:
         """Take a complete parameter group."""
+        self.note_fix_of(payload)
         for reading in read(payload):
             self.take(reading)
 
+    def note_fix_of(self, payload: Payload) -> None:
+        """As `note_fix`, where the payload says it."""
+        has_fix = fix_of(payload)
+        if has_fix is not None:
+            self.note_fix(payload.source, payload.time_s, has_fix)
+
     def take(self, reading: Reading) -> bool:
         """Take one reading; whether it counts."""
+        if reading.group == POSITION_RAPID and is_without_fix(self._without_fix, reading.source, reading.time_s, self._timeout_s):
+            return False
         before = self.latest(reading.quantity, reading.group)
         if before is not None and before.source != reading.source and self._is_fresh(before, reading.time_s):
             return False

@@ -5,6 +5,7 @@ Groups of one frame only, and no time of day; a fast packet has to be put togeth
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import pi
 from typing import NamedTuple
 
@@ -15,7 +16,17 @@ from yieldmon.identifiers import CLASSIC_BYTES
 from yieldmon.physics.numerics import Array
 from yieldmon.places import is_somewhere
 
-from .navigation import FIELDS, LARGEST_LATITUDE_DEG, LARGEST_LONGITUDE_DEG, ORDER, TIMEOUT_S, Field, Navigation, Quantity
+from .navigation import (
+    FIELDS,
+    LARGEST_LATITUDE_DEG,
+    LARGEST_LONGITUDE_DEG,
+    ORDER,
+    TIMEOUT_S,
+    Field,
+    Navigation,
+    Quantity,
+    is_without_fix,
+)
 
 Raw = NDArray[np.int64]
 
@@ -26,6 +37,15 @@ class Column(NamedTuple):
     rows: NDArray[np.intp]
     time_s: Array
     values: Array
+
+
+class FixReport(NamedTuple):
+    """What a node says of its fix in the frame of a row."""
+
+    row: int
+    source: int
+    time_s: float
+    has_fix: bool
 
 
 BlockReadings = dict[tuple[Quantity, int], Column]
@@ -91,6 +111,41 @@ def read_block(
         known = whole & ~np.isnan(values)
         readings[quantity, group] = Column(rows[known], time_s[known], values[known])
     return readings
+
+
+def with_fix(before: Navigation, column: Column, sources: NDArray[np.uint32], reports: Sequence[FixReport]) -> NDArray[np.bool_]:
+    """Which positions of 129025 count beside what their nodes say of their fix, as `Navigation.take` says it.
+
+    Parameters
+    ----------
+    before : Navigation
+        As it was at the block's beginning.
+    column : Column
+        n readings.
+    sources : uint32 array, shape (n,)
+        Source addresses of their frames.
+    reports : sequence of FixReport
+        Of the block, in order.
+
+    Returns
+    -------
+    bool array, shape (n,)
+    """
+    counts = np.ones(column.rows.shape, bool)
+    if not before.without_fix and all(report.has_fix for report in reports):
+        return counts
+    state = Navigation()
+    for source, time_s in before.without_fix.items():
+        state.note_fix(source, time_s, has_fix=False)
+    told = 0
+    for place, (row, time_s, source) in enumerate(
+        zip(column.rows.tolist(), column.time_s.tolist(), sources.tolist(), strict=True)
+    ):
+        while told < len(reports) and reports[told].row < row:
+            state.note_fix(*reports[told][1:])
+            told += 1
+        counts[place] = not is_without_fix(state.without_fix, source, time_s)
+    return counts
 
 
 def of_first_sender(

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from yieldmon.cli._records import corrected
+from yieldmon.cli._records import corrected, without_ticket
 from yieldmon.service.operator.control_client import ask
 from yieldmon.service.operator.control_protocol import ControlError
 
@@ -95,9 +95,9 @@ def said(request: Mapping[str, Any], answer: Mapping[str, Any]) -> str:
             if answer.get("sets_scale_pct") is not None:
                 doubt += "; the first, it sets the scale by itself: weigh a second load"
             if answer.get("replaces"):
-                doubt += "; it replaces the one before: of two weighings of one load enter the sum"
+                doubt += "; it replaces the one before: of a load weighed in parts enter the sum"
             if without := answer.get("without_ticket"):
-                doubt += f"; load {', '.join(map(str, without))} has no ticket any more"
+                doubt += f"; {without_ticket(without)}"
             if crop := answer.get("waits_for_crop"):
                 doubt += f"; it updates the parameters of {crop} once that is harvested again"
             return f"{taken}{doubt}" if answer["anchor"] else f"{taken}; no reference: {answer['why_no_anchor']}"

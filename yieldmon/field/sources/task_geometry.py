@@ -35,11 +35,11 @@ def header_from_antenna(of: Values, count: int) -> tuple[dict[str, Array], tuple
     columns : dict of str to array, shape (count,)
         Of a harvest table, m; none where the descriptions lack the place of header or antenna, or the way from one to the other.
     notes : tuple of str
-        What was taken for granted.
+        What was taken for granted, and offsets of an antenna that are not applied.
     """
     header, antenna = _header(of), _antenna(of)
     if header is None or antenna is None:
-        return {}, ()
+        return {}, _not_applied(of, header)
     ahead, right = (1e-3 * np.broadcast_to(one - other, count) for one, other in zip(header, antenna, strict=True))
     usual_ahead, usual_right = float(np.median(ahead)), float(np.median(right))
     said = f"{usual_ahead:.2f} m ahead of the antenna and {usual_right:.2f} m to the right, by the device descriptions"
@@ -51,6 +51,18 @@ def header_from_antenna(of: Values, count: int) -> tuple[dict[str, Array], tuple
 
 
 _Place = tuple[Array, Array]
+
+
+def _not_applied(of: Values, header: _Place | None) -> tuple[str, ...]:
+    """A line on antennas away from their devices' reference points that cannot be seen from the header."""
+    antennas = [element for element, kind in of.device.kinds.items() if kind == _ANTENNA]
+    places = [place for element in antennas if (place := _place(of, element)) is not None]
+    if not any(np.abs(axis).max() >= 1e3 * _LEAST_M for place in places for axis in place):
+        return ()
+    coupled = "which antenna is used" if len(antennas) > 1 else "how the header is coupled"
+    lacks = "where the header is" if header is None else coupled
+    said = f"are not applied, as the descriptions do not say {lacks} (--header-ahead, --header-right)"
+    return (f"the antenna's offsets (DDI {OFFSET_X}, {OFFSET_Y}) {said}",)
 
 
 def _header(of: Values) -> _Place | None:

@@ -21,6 +21,7 @@ from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.self_calibration.closed_loop_inputs import Sweep
 from yieldmon.estimation.weighing.load_inputs import WeighedLoad
 from yieldmon.files.ticket_file import COLUMNS, WeighedTicket, names_log, unit_slip
+from yieldmon.files.ticket_parts import with_parts_added
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import ForwardModel
 from yieldmon.repeats import repeated
@@ -163,13 +164,9 @@ def _loads(
 
 def match(loads: Sequence[MeasuredLoad], tickets: Sequence[WeighedTicket], machine: Machine) -> tuple[WeighedLoad, ...]:
     """Each ticket with the seconds of its loads. Raises InputError for a ticket without a load, or with one that has another."""
-    taken: dict[str, str] = {}
     out = []
-    for ticket in tickets:
-        covered = loads_on(ticket, loads)
+    for ticket, covered in each_on_one(loads, tickets):
         for load in covered:
-            if load.name in taken:
-                raise InputError(ticket.where, f"load {load.name} has a ticket already", "each load on one ticket")
             if load.is_open:
                 problem = f"load {load.name} is still open, so more grain may come"
                 raise InputError(
@@ -177,10 +174,17 @@ def match(loads: Sequence[MeasuredLoad], tickets: Sequence[WeighedTicket], machi
                     problem,
                     "`yieldmon load stop` first, with the daemon running, or the tickets of the other loads",
                 )
-            taken[load.name] = ticket.where
-        name = ticket.first if ticket.first == ticket.last else f"{ticket.first}-{ticket.last}"
-        out.append(_weighed(name, ticket, covered, machine))
+        out.append(_weighed(ticket.name, ticket, covered, machine))
     return tuple(out)
+
+
+def each_on_one(
+    loads: Sequence[MeasuredLoad], tickets: Sequence[WeighedTicket]
+) -> list[tuple[WeighedTicket, tuple[MeasuredLoad, ...]]]:
+    """Each ticket with its loads, parts of a load added. Raises InputError as `loads_on` and `with_parts_added`."""
+    by_name = {load.name: load for load in loads}
+    named = [(ticket, [load.name for load in loads_on(ticket, loads)]) for ticket in tickets]
+    return [(ticket, tuple(by_name[name] for name in names)) for ticket, names in with_parts_added(named)]
 
 
 def loads_on(ticket: WeighedTicket, loads: Sequence[MeasuredLoad]) -> list[MeasuredLoad]:

@@ -21,7 +21,7 @@ from yieldmon.service.config.configuration import Configuration
 from yieldmon.service.logs.bulk_processing import process_in_bulk
 from yieldmon.service.logs.log_copies import refuse_copies
 from yieldmon.service.logs.recorded import is_store_not_log
-from yieldmon.service.logs.weighed_loads import MeasuredLoad, loads_in_log, loads_on
+from yieldmon.service.logs.weighed_loads import MeasuredLoad, each_on_one, loads_in_log
 from yieldmon.service.storage.rows import SecondRow
 
 _STEADY = 0.15
@@ -106,16 +106,11 @@ def match(loads: Sequence[WavedLoad], tickets: Sequence[WeighedTicket], configur
     measured = [item.load for item in loads]
     by_name = {item.load.name: item for item in loads}
     density, bias = configured.parameters.values["density"], configured.engine.waveform.kernel_bias
-    taken: set[str] = set()
     waves: list[WeighedWave] = []
     biases: dict[str, float] = {}
-    for ticket in tickets:
-        covered = [by_name[load.name] for load in loads_on(ticket, measured)]
-        for item in covered:
-            if item.load.name in taken:
-                raise InputError(ticket.where, f"load {item.load.name} has a ticket already", "each load on one ticket")
-            taken.add(item.load.name)
-        name = ticket.first if ticket.first == ticket.last else f"{ticket.first}-{ticket.last}"
+    for ticket, loads_of_ticket in each_on_one(measured, tickets):
+        covered = [by_name[load.name] for load in loads_of_ticket]
+        name = ticket.name
         scale = ticket.mass_kg / sum(item.load.mass_kg for item in covered)
         seconds = [pair for item in covered for pair in item.waves]
         waves += [WeighedWave(name, wave, scale * row.mean_force_flow_kg_s / density) for row, wave in seconds]

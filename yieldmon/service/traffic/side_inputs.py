@@ -23,14 +23,24 @@ from yieldmon.network.fast_packet import FAST_PACKET_GROUPS
 from yieldmon.network.navigation import (
     DIRECTION_SPEED,
     GROUPS,
+    POSITION_RAPID,
     TIMEOUT_S,
     Navigation,
     Quantity,
     Reading,
+    fix_of,
     read,
 )
 from yieldmon.network.navigation import VEHICLE_POSITION as POSITION_GROUP
-from yieldmon.network.navigation_blocks import BlockReadings, Column, best_groups, of_first_sender, read_block
+from yieldmon.network.navigation_blocks import (
+    BlockReadings,
+    Column,
+    FixReport,
+    best_groups,
+    of_first_sender,
+    read_block,
+    with_fix,
+)
 from yieldmon.network.process_data import PROCESS_DATA, Command
 from yieldmon.network.process_data import read as read_process_data
 from yieldmon.network.reassembly import Reassembler
@@ -148,13 +158,14 @@ class SideInputs:
         rows = np.sort(np.concatenate((others, native)))
         groups = _groups(block.can_id[rows])
         heard: BlockReadings = {}
+        reports: list[FixReport] = []
         latest = -1
         for group in np.unique(groups).tolist():
             here = rows[groups == group]
             if group not in GROUPS:
                 continue
             if group in FAST_PACKET_GROUPS:
-                here = self._fast_packets(block, here, heard)
+                here = self._fast_packets(block, here, heard, reports)
             else:
                 heard |= read_block(group, here, block.time_s[here], block.payload[here], block.length[here])
             if group not in _IN_THE_DBC and here.size:
@@ -162,13 +173,21 @@ class SideInputs:
         if latest >= 0:
             self._other_s = float(block.time_s[latest])
         ignored: _Ignored = {}
+        for key in [key for key in heard if key[1] == POSITION_RAPID]:
+            column = heard[key]
+            sources = block.can_id[column.rows] & np.uint32(SOURCE_MASK)
+            heard[key] = taken_column(column, with_fix(self._navigation, column, sources, reports))
+        for report in reports:
+            self._navigation.note_fix(report.source, report.time_s, report.has_fix)
         for key, column in heard.items():
             counts = of_first_sender(self._navigation, *key, column, block.can_id[column.rows] & np.uint32(SOURCE_MASK))
             if not counts.all():
                 ignored[key], heard[key] = column.rows[~counts], taken_column(column, counts)
         return heard, ignored
 
-    def _fast_packets(self, block: FrameBlock, rows: NDArray[np.intp], heard: BlockReadings) -> NDArray[np.intp]:
+    def _fast_packets(
+        self, block: FrameBlock, rows: NDArray[np.intp], heard: BlockReadings, reports: list[FixReport]
+    ) -> NDArray[np.intp]:
         """Adds what fast packets in these rows say; returns the rows with which one was whole."""
         whole = []
         found: dict[tuple[Quantity, int], list[tuple[int, float]]] = {}
@@ -176,6 +195,9 @@ class SideInputs:
             identifier = int(block.can_id[row]) & ~EXTENDED_FLAG
             for payload in self._reassembler.feed(identifier, _data(block, row), float(block.time_s[row])):
                 whole.append(row)
+                has_fix = fix_of(payload)
+                if has_fix is not None:
+                    reports.append(FixReport(row, payload.source, payload.time_s, has_fix))
                 for reading in read(payload):
                     found.setdefault((reading.quantity, reading.group), []).append((row, reading.value))
         for key, readings in found.items():
@@ -279,6 +301,7 @@ class SideInputs:
         for payload in self._reassembler.feed(identifier, data, time_s):
             if payload.group not in _IN_THE_DBC:
                 self._other_s = time_s
+            self._navigation.note_fix_of(payload)
             for reading in read(payload):
                 if self._navigation.take(reading):
                     readings.append(reading)

@@ -60,6 +60,8 @@ let arrived = [];
 // Values
 
 const mass = (kg) => amount(kg, units.mass);
+const named = (noun, numbers) =>
+  numbers.length > 1 ? `${noun}s ${numbers.slice(0, -1).join(", ")} and ${numbers.at(-1)}` : `${noun} ${numbers[0]}`;
 const flow = (kgS, most) => amount(kgS, units.flow, most);
 
 // Names of the units; the curve and the map are drawn anew where they change, with the crop or the daemon's configuration.
@@ -221,8 +223,8 @@ function answerOf(name, answer) {
     const asked = answer.question || (Math.abs(off) > UNLIKELY_PCT ? "That is a lot" : "");
     const doubt = asked ? ` ${asked}; if it is a slip, enter the right mass as another ticket.` : "";
     const first = answer.sets_scale_pct == null ? "" : " It is the first and sets the scale by itself: weigh a second load.";
-    const replaced = answer.replaces?.length ? ` Ticket ${answer.replaces.join(", ")} stood for it; the newer one counts (of two weighings of one load enter the sum).` : "";
-    const left = answer.without_ticket?.length ? ` Load ${answer.without_ticket.join(", ")} has no ticket any more.` : "";
+    const replaced = answer.replaces?.length ? ` ${named("Ticket", answer.replaces)} stood for it; the newer one counts (of a load weighed in parts enter the sum).` : "";
+    const left = answer.without_ticket?.length ? ` ${named("Load", answer.without_ticket)} ${answer.without_ticket.length > 1 ? "have" : "has"} no ticket any more.` : "";
     const of = answer.waits_for_crop;
     const use = !answer.anchor ? `no reference for the calibration: ${answer.why_no_anchor}`
       : of ? `a reference for ${of}, which learns once it is harvested again` : "a reference for the calibration";
@@ -232,14 +234,14 @@ function answerOf(name, answer) {
   }
   if (name === "ticket-undo") {
     const back = answer.version === undefined ? "" : `; measuring with the parameters from before it (version ${answer.version})`;
-    const again = answer.learnt_again?.length ? `; parameters updated again by ticket ${answer.learnt_again.join(", ")}` : "";
-    const left = answer.not_learnt_again?.length ? `; not by ticket ${answer.not_learnt_again.map((row) => row.ticket).join(", ")}` : "";
+    const again = answer.learnt_again?.length ? `; parameters updated again by ${named("ticket", answer.learnt_again)}` : "";
+    const left = answer.not_learnt_again?.length ? `; not by ${named("ticket", answer.not_learnt_again.map((row) => row.ticket))}` : "";
     return `Ticket ${answer.ticket} undone${back}${again}${left}.`;
   }
   if (name === "load-correct") {
     const loads = answer.first_load === answer.last_load ? `Load ${answer.first_load}` : `Loads ${answer.first_load} to ${answer.last_load}`;
     const again = answer.measured_again?.length ? "; measured again" : "";
-    const not = answer.not_measured_again?.length ? `; load ${answer.not_measured_again.map((row) => row.load).join(", ")} is not measured again` : "";
+    const not = answer.not_measured_again?.length ? `; ${named("load", answer.not_measured_again.map((row) => row.load))} ${answer.not_measured_again.length > 1 ? "are" : "is"} not measured again` : "";
     const next = answer.goes_on ? ` The next load is still ${answer.goes_on}: New load with ${answer.crop} if it is not.` : "";
     return `${loads}: ${[answer.field, answer.crop].filter(Boolean).join(" ")}${again}${not}.${next}`;
   }

@@ -1,0 +1,21 @@
+"""What is said of a ticket that replaces others."""
+
+from __future__ import annotations
+
+from yieldmon.cli._records import replaced
+
+
+def answer(**more: object) -> dict[str, object]:
+    rows = [{"ticket": 1, "first_load": 1, "last_load": 3}, {"ticket": 2, "first_load": 4, "last_load": 5}]
+    known = {"ticket": 3, "first_load": 3, "last_load": 4, "replaces": [1, 2], "taken_back": rows, "without_ticket": [1, 2, 5]}
+    return known | more
+
+
+def test_several_tickets_and_loads_are_spoken_of_as_several() -> None:
+    said = replaced(answer())
+    assert said.startswith(
+        "tickets 1 and 2 stood for it; the newer one counts (`yieldmon ticket undo 3` if it is for another load"
+    )
+    assert "as if tickets 1 and 2 had never been entered" in said
+    assert "; loads 1, 2 and 5 have no ticket any more: enter those, or one for all (`yieldmon ticket 1-5 MASS`)" in said
+    assert "; load 2 has no ticket any more: enter one for it, or" in replaced(answer(without_ticket=[2]))
