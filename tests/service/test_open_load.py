@@ -9,7 +9,8 @@ import pytest
 from tests.service.bench import START_S, running, wait_for
 from tests.service.test_tickets_after_restart import TRUE, Season, ask
 from yieldmon.service.storage.batch import Ticket
-from yieldmon.service.tickets.action_log import ActionLog, Remeasuring
+from yieldmon.service.tickets.action_log import ActionLog
+from yieldmon.service.tickets.remeasuring_queue import Remeasuring
 
 OPEN = 6
 """Number of the load that is open while tickets for others come and go."""
@@ -114,4 +115,4 @@ def test_the_first_closed_load_is_taken_and_the_newest_of_what_it_is_measured_by
     assert log.closed_load(8) == (7, Remeasuring((), 5))
     log.posted((), 6, {7: 1.1}, open_load=8, closed_load=7)
     assert log.open_loads == {8: Remeasuring((), 5)}
-    assert log.ledger.factors == {7: 1.1}
+    assert log.history.ledger.factors == {7: 1.1}

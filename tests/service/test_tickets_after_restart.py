@@ -158,15 +158,15 @@ def test_loads_are_measured_again_though_the_daemon_was_killed_meanwhile() -> No
     log.ticket(tickets[0], is_reference=True)
     assert log.unfinished == (1,)
     before = ActionLog(tickets, tuple(log), 0.0, log.unfinished)
-    assert (before.waiting, before.measuring_waits) == ([1], False)
+    assert (before.waiting, before.measuring_waits) == ((1,), False)
     led_to(log, 2)
     assert log.take_to_measure(2) == ((1,), 2)
     assert log.unfinished == (1,), "while they are measured"
     after = ActionLog(tickets, tuple(log), 0.0, log.unfinished)
-    assert (after.waiting, after.take_to_measure(2)) == ([], ((1,), 2))
+    assert (after.waiting, after.take_to_measure(2)) == ((), ((1,), 2))
     log.posted((1,), 2, {})
     assert log.unfinished == ()
-    assert ActionLog([], [], 0.0, (1,)).waiting == [], "a ticket that the store lost"
+    assert ActionLog([], [], 0.0, (1,)).waiting == (), "a ticket that the store lost"
 
 
 def led_to(log: ActionLog, version: int) -> None:
@@ -187,7 +187,7 @@ def log_of(count: int) -> ActionLog:
 def test_tickets_of_a_crop_that_is_left_before_they_update_wait_for_its_return() -> None:
     log = log_of(1)
     log.change_crop("wheat", "corn")
-    assert (log.waiting, log.unfinished, log.unfinished_of_crop) == ([], (), {"wheat": (1,)})
+    assert (log.waiting, log.unfinished, log.unfinished_of_crop) == ((), (), {"wheat": (1,)})
     log.ticket(Ticket(2.0, 2, 2, 100.0, 90.0, ""), is_reference=True)
     led_to(log, 5)
     assert log.take_to_measure(5) == ((2,), 5)
@@ -195,7 +195,7 @@ def test_tickets_of_a_crop_that_is_left_before_they_update_wait_for_its_return()
     tickets = [Ticket(1.0, number, number, 100.0, 90.0, "") for number in (1, 2)]
     after = ActionLog(tickets, tuple(log), 0.0, log.unfinished, log.unfinished_of_crop)
     after.change_crop("corn", "wheat")
-    assert (after.waiting, after.unfinished_of_crop) == ([1], {})
+    assert (after.waiting, after.unfinished_of_crop) == ((1,), {})
     assert ActionLog(tickets[:1], (), 0.0, (), {"wheat": (1, 2)}).unfinished_of_crop == {"wheat": (1,)}, "the store lost one"
     log.undo_ticket(1, "", 3.0)
     assert log.unfinished_of_crop == {}
@@ -207,10 +207,10 @@ def test_an_undo_names_the_standing_ticket_whose_update_goes_with_it() -> None:
     for number, load in ((1, 4), (2, 4), (3, 7), (4, 4)):
         log.ticket(Ticket(1.0, load, load, 100.0, 90.0, ""), is_reference=True)
         log.add(PARAMETERS, "", {"version": 1 + number, "from_version": number, "origin": "ticket", "tickets": [number]})
-    assert log.first_update(1, lambda _: True) == 2
+    assert log.history.first_update(1, lambda _: True) == 2
     log.undo_ticket(1, "", 2.0)
-    assert log.standing_of({2, 3, 4, 5}) == (3, 4)
-    assert log.standing_of({2}) == ()
+    assert log.history.standing_of({2, 3, 4, 5}) == (3, 4)
+    assert log.history.standing_of({2}) == ()
     answer = {"undone": 2, "until": 5, "version": 6, "crop": "", "standing_tickets": [3, 4]}
     assert back(answer) == (
         "calibration 2 to 5 undone, what was in use before is version 6; the update by ticket 3, 4 is undone with it: enter such "

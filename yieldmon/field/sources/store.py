@@ -17,7 +17,7 @@ from yieldmon.service.storage.batch import Load
 from yieldmon.service.storage.rows import SecondRow
 from yieldmon.service.storage.store import Store
 from yieldmon.service.storage.store_names import SQLITE_MAGIC
-from yieldmon.service.tickets.action_log import ActionLog
+from yieldmon.service.tickets.ticket_history import TicketHistory
 
 from .crop_names import crop_names
 from .options import ReadOptions
@@ -47,7 +47,7 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
 
 def known_loads(store: Store) -> dict[str, KnownLoad]:
     """The loads that tickets of the store have corrected, or that were measured again, by number."""
-    log = ActionLog(store.tickets(), store.actions(), 0.0)
+    history = TicketHistory(tuple(store.tickets()), tuple(store.actions()))
     known = {}
     for load in recorded.corrected_loads(store):
         if not load.mass_kg > 0.0 or (load.ticket_id is None and load.posted_mass_kg is None):
@@ -55,7 +55,7 @@ def known_loads(store: Store) -> dict[str, KnownLoad]:
         weighed_kg, sd_kg, common_kg = None, UNKNOWN_SCALE_SD * load.corrected_mass_kg, 0.0
         if load.ticket_id is not None:
             weighed_kg = load.corrected_mass_kg
-            whole = log.reference_mass(load.ticket_id)
+            whole = history.reference_mass(load.ticket_id)
             # How a ticket's mass divides among several loads is not weighed: their deviations add up to that of the whole.
             sd_kg, common_kg = (
                 whole.std_dev_kg * (weighed_kg / whole.mass_kg) ** 0.5,

@@ -84,7 +84,7 @@ class Journal:
 
     def load_table(self) -> list[ListedLoad]:
         """All loads as measured, as measured again, as weighed, and the best of these."""
-        standing = self.actions.ledger
+        standing = self.actions.history.ledger
         return standing.rows(self.loads)
 
     def report_all(self) -> None:

@@ -101,7 +101,7 @@ def _factor(kept: StoredLoad | None, parameters: ParameterSet | None, crop: str,
 
 def _tickets_of(loads: Sequence[Load], journal: Journal) -> dict[int, Ticket]:
     """The tickets that count for these loads. Raises InputError for one that is for further loads as well."""
-    numbers, standing = {load.number for load in loads}, journal.actions.ledger
+    numbers, standing = {load.number for load in loads}, journal.actions.history.ledger
     replaced, found = standing.replaced, {}
     for number, ticket in standing.tickets.items():
         if number in replaced:

@@ -20,7 +20,7 @@ from yieldmon.service.storage.batch import Action, Load, ParameterVersion, Ticke
 from yieldmon.service.storage.rows import kept_second
 from yieldmon.service.storage.store import Store
 from yieldmon.service.storage.store_errors import StoreDamagedError
-from yieldmon.service.tickets.action_log import Remeasuring
+from yieldmon.service.tickets.remeasuring_queue import Remeasuring
 
 _log = logging.getLogger(__name__)
 

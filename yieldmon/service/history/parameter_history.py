@@ -68,7 +68,7 @@ class ParameterHistory:
 
     def crop_of_load(self, load: Load) -> str:
         """As it was named, else that whose parameters were in use until another's were; "" where none were yet."""
-        changes = (a.document for a in self._actions.updates.values() if a.document.get("last_load", 0) >= load.number)
+        changes = (a.document for a in self._actions.history.updates.values() if a.document.get("last_load", 0) >= load.number)
         return load.crop or next((str(document["crop"]) for document in changes), "")
 
     def keeps(self, crop: str) -> bool:
@@ -109,20 +109,20 @@ class ParameterHistory:
         named: the crop that an operator named last. silenced: tickets that no longer update the parameters. replaced:
         the ticket that a newer one replaces; 0 where that is not why.
         """
-        changes = self._actions.updates
+        changes = self._actions.history.updates
         if version not in changes:
             raise InputError(f"version {version}", "no such calibration", "a version that `yieldmon calibrations list` shows")
         before = int(changes[version].document.get("from_version", 0))
-        if version in self._actions.undone_versions:
+        if version in self._actions.history.undone_versions:
             raise InputError(f"version {version}", "is undone already", "one that stands")
         if changes[version].document.get("origin") == ledgers.CROP:
             raise InputError(f"version {version}", "is a change of crop", "a calibration, or `yieldmon load start --crop NAME`")
-        gone = self._actions.updates_gone_with(version)
+        gone = self._actions.history.updates_gone_with(version)
         if gone:
             raise InputError(
                 f"version {version}",
                 f"is an undo, and what it took back rests on ticket {', '.join(map(str, gone))}, which updates no parameters now",
-                f"the mass once more if it is right: `yieldmon ticket {self._actions.as_entered(gone[0])}`",
+                f"the mass once more if it is right: `yieldmon ticket {self._actions.history.as_entered(gone[0])}`",
             )
         if before not in self._versions:
             raise InputError(f"version {version}", "the parameters before it are not known", "a later version")
@@ -147,7 +147,7 @@ class ParameterHistory:
     def withdraw(self, version: int, who: str, now_s: float, replaced: int = 0) -> None:
         """A version that a parameter file has replaced since rests on what was taken back: masses measured again with it, or with
         what followed on it before that file, go back. The parameters in use stay. replaced: as `undo` has it."""
-        changes = self._actions.updates
+        changes = self._actions.history.updates
         file = min(later for later in changes if later > version and changes[later].document.get("origin") == "file")
         before_file = [later for later in self._followed(version, (self._crop_at(version), "")) if later < file]
         document = {"version": version, "versions": before_file} | ({"replaced": replaced} if replaced else {})
@@ -155,7 +155,7 @@ class ParameterHistory:
 
     def _followed(self, version: int, crops: Sequence[str]) -> list[int]:
         """A version and those after it, of these crops where it is of one."""
-        changes = self._actions.updates
+        changes = self._actions.history.updates
         return [
             later
             for later in sorted(changes)

@@ -15,7 +15,7 @@ from yieldmon.service.history.journal import Journal
 from yieldmon.service.history.reference_loads import reference
 from yieldmon.service.history.request_context import RequestContext
 from yieldmon.service.storage.batch import Load
-from yieldmon.service.tickets.action_log import ActionLog
+from yieldmon.service.tickets.ticket_history import TicketHistory
 
 _NOT_WEIGHED = frozenset({"sweep", "kernels"})
 """Origins of parameters that nothing updates again."""
@@ -64,20 +64,21 @@ def without_version(version: int, context: RequestContext) -> CalibrationUndone:
     goes. Raises InputError.
     """
     journal, actions = context.journal, context.journal.actions
-    silenced = actions.led_first_to(version)
-    since = min(silenced, default=actions.last_ticket_before(version))
-    loads = [load for n in silenced for load in actions.entered(n).loads]
-    undone_before = actions.undone_versions
+    before = actions.history
+    silenced = before.led_first_to(version)
+    since = min(silenced, default=before.last_ticket_before(version))
+    loads = [load for n in silenced for load in before.entered(n).loads]
     back = _back_before(version, context, silenced)
     actions.wait_no_more(silenced)
-    undone = actions.undone_versions - undone_before
+    after = actions.history
+    undone = after.undone_versions - before.undone_versions
     of_crop = back.crop or journal.crop_in_use(context.monitor.estimator.parameters)
 
     def counts(ticket: int) -> bool:
         return not of_crop or _crop_of(journal, ticket) in (of_crop, "")
 
-    later = filter(counts, actions.not_learnt_after(since))
-    numbers, stay = _updating({*actions.standing_of(undone), *later}, loads, counts, actions)
+    later = filter(counts, after.not_learnt_after(since))
+    numbers, stay = _updating({*after.standing_of(undone), *later}, loads, counts, after)
     updating = _update_again(numbers, loads, back.crop, context, goes_back=True, stay=stay)
     return {
         "undone": back.undone,
@@ -89,7 +90,7 @@ def without_version(version: int, context: RequestContext) -> CalibrationUndone:
         "learnt_again": list(updating.again),
         "standing_tickets": sorted(updating.why_not),
         "not_learnt_again": updating.not_again,
-        "sweeps_undone": _not_weighed(undone - {version}, actions),
+        "sweeps_undone": _not_weighed(undone - {version}, after),
     }
 
 
@@ -106,11 +107,12 @@ def without_replaced(numbers: Sequence[int], context: RequestContext) -> list[Ti
 def _without(number: int, context: RequestContext, *, stands: Sequence[int], replaced: int = 0) -> TicketUndone:
     """stands: tickets that are not taken back but no longer update the parameters. replaced: see `ParameterHistory.undo`."""
     monitor, journal, actions = context.monitor, context.journal, context.journal.actions
-    ticket = actions.standing_ticket(number)
+    before = actions.history
+    ticket = before.standing_ticket(number)
     loads = ticket.loads
     again, of_file_before = tuple[int, ...](), tuple[int, ...]()
     if number not in stands:
-        again, of_file_before = actions.stand_again_without(number)
+        again, of_file_before = before.stand_again_without(number)
     # One for loads of two crops has updated none itself.
     crop = _crop_of(journal, again[0] if again else number)
     of_others = [n for n in again if _crop_of(journal, n) != crop]
@@ -120,13 +122,13 @@ def _without(number: int, context: RequestContext, *, stands: Sequence[int], rep
         return _crop_of(journal, ticket) == crop and ticket not in stands
 
     has_counted = any(load in monitor.counted_loads for load in loads)
-    rest = [actions.first_update(number, counts if has_counted else None), *(actions.first_update(n, counts) for n in again)]
+    rest = [before.first_update(number, counts if has_counted else None), *(before.first_update(n, counts) for n in again)]
     first = min((version for version in rest if version is not None), default=None)
     answer: TicketUndone = {"ticket": number, "first_load": ticket.first_load, "last_load": ticket.last_load}
-    gone = [actions.update_before_file(number), *(actions.update_without_replaced(n) for n in of_file_before)]
+    gone = [before.update_before_file(number), *(before.update_without_replaced(n) for n in of_file_before)]
     if any(gone):
         journal.parameters.withdraw(min(version for version in gone if version), context.who, context.now_s, replaced)
-    undone_before, back = actions.undone_versions, None
+    undone_before, back = actions.history.undone_versions, None
     if first is not None:
         try:
             back = _back_before(first, context, replaced=replaced)
@@ -139,11 +141,12 @@ def _without(number: int, context: RequestContext, *, stands: Sequence[int], rep
         actions.undo_ticket(number, context.who, context.now_s)
         for older in of_file_before:
             actions.post_again(older)
-    undone = actions.undone_versions - undone_before
+    after = actions.history
+    undone = after.undone_versions - undone_before
     # Those that it replaced update again, each before the tickets after it.
-    later = filter(counts, actions.not_learnt_after(min((number, *again))))
-    led = {*actions.standing_of(undone)}.difference(stands)
-    numbers, stay = _updating({*led, *later}, loads, counts, actions)
+    later = filter(counts, after.not_learnt_after(min((number, *again))))
+    led = {*after.standing_of(undone)}.difference(stands)
+    numbers, stay = _updating({*led, *later}, loads, counts, after)
     other = _if_other(crop, monitor, journal) if back is None else back.crop
     updating = _update_again(numbers, loads, other, context, goes_back=back is not None, stay=stay)
     for ticket_of_other in of_others:
@@ -160,24 +163,24 @@ def _without(number: int, context: RequestContext, *, stands: Sequence[int], rep
             "effects": list(back.effects),
             "crop": back.crop,
             "standing_tickets": sorted(updating.why_not),
-            "sweeps_undone": _not_weighed(undone, actions),
+            "sweeps_undone": _not_weighed(undone, after),
         }
     return answer
 
 
-def _not_weighed(versions: Iterable[int], actions: ActionLog) -> int:
+def _not_weighed(versions: Iterable[int], history: TicketHistory) -> int:
     """How many of these versions nothing updates again."""
-    return sum(actions.updates[version].document.get("origin") in _NOT_WEIGHED for version in versions)
+    return sum(history.updates[version].document.get("origin") in _NOT_WEIGHED for version in versions)
 
 
 def _updating(
-    judged: Collection[int], gone: Iterable[int], counts: Callable[[int], bool], actions: ActionLog
+    judged: Collection[int], gone: Iterable[int], counts: Callable[[int], bool], history: TicketHistory
 ) -> tuple[list[int], list[int]]:
     """Numbers of the tickets that are to update again, those to be judged anew and those for the same loads or for `gone` that
     count; and those of the latter on which the parameters rest."""
-    ticketed = (actions.entered(number) for number in judged)
+    ticketed = (history.entered(number) for number in judged)
     loads = {*gone, *(load for ticket in ticketed for load in ticket.loads)}
-    same, learnt = [number for number in actions.handed_for(loads) if counts(number)], actions.learnt_from()
+    same, learnt = [number for number in history.handed_for(loads) if counts(number)], history.learnt_from()
     again = sorted({*judged, *same}.difference(learnt))
     return again, [number for number in same if number in learnt]
 
@@ -195,7 +198,7 @@ def _if_other(crop: str, monitor: Monitor, journal: Journal) -> str:
 
 def _crop_of(journal: Journal, number: int) -> str:
     """Of a ticket's first load."""
-    first = journal.actions.entered(number).first_load
+    first = journal.actions.history.entered(number).first_load
     return next((journal.parameters.crop_of_load(load) for load in journal.loads if load.number == first), "")
 
 
@@ -227,7 +230,8 @@ def _update_again(
     """These tickets update again, as far as they can. gone: loads whose tickets go. crop: see `Monitor.update_again`. goes_back:
     the parameters are those from before a ticket. stay: tickets for the same loads on which these rest."""
     monitor, journal = context.monitor, context.journal
-    tickets = journal.actions.ledger.tickets
+    history = journal.actions.history
+    tickets = history.ledger.tickets
     updated: list[int] = []
     again: list[Weighing] = []
     stays: list[Weighing] = []
@@ -236,7 +240,7 @@ def _update_again(
         ticket = tickets[number]
         covered = [load for load in journal.loads if ticket.first_load <= load.number <= ticket.last_load]
         why = why_no_reference(covered, context, crop)
-        shares = () if why else journal.actions.reference_mass(number).shared_out(covered, ticket.measured_mass_kg)
+        shares = () if why else history.reference_mass(number).shared_out(covered, ticket.measured_mass_kg)
         if number in stay:
             stays += shares
         elif why:
@@ -244,7 +248,7 @@ def _update_again(
         else:
             updated.append(number)
             again += shares
-    learnt = [load for n in journal.actions.learnt_from() if n not in updated for load in tickets[n].loads]
+    learnt = [load for n in history.learnt_from() if n not in updated for load in tickets[n].loads]
     journal.happened(monitor.update_again(gone, again, learnt if goes_back or stays else None, crop, stays))
     journal.actions.wait_again(updated, crop)
     journal.actions.measure_lost_again()
@@ -270,7 +274,7 @@ def why_no_reference(covered: Sequence[Load], context: RequestContext, crop: str
         if number not in wanted:
             continue
         found = reference(load, monitor.machine, monitor.settings.windows.min_coverage)
-        if min(found.versions, default=0) < journal.actions.calibrated_version:
+        if min(found.versions, default=0) < journal.actions.history.calibrated_version:
             return f"load {number} was measured before the parameter file in use"
         monitor.know_load(found.summary, found.seconds)
         whole[number] = found.summary.complete

@@ -55,14 +55,14 @@ def enter_ticket(order: Order) -> TicketEntered:
     covered = _closed_loads(order, first, last)
     measured_kg = sum(load.mass_kg for load in covered)
     ticket = Ticket(order.now_s, first, last, own.mass_kg, measured_kg, request.name("note") or "")
-    standing = journal.actions.ledger
-    counting = (standing.ticket_of(load.number) for load in covered)
+    before = journal.actions.history
+    counting = (before.ledger.ticket_of(load.number) for load in covered)
     stood_for = sorted({found[0] for found in counting if found is not None})
     # Before anything else is made of it: the parameters are to be what they would be without those that it replaces.
-    replaced = journal.actions.replaced_by(ticket)
-    left = {load for number in replaced for load in journal.actions.entered(number).loads}
+    replaced = before.replaced_by(ticket)
+    left = {load for number in replaced for load in before.entered(number).loads}
     taken_back = without_replaced(replaced, order)
-    again = journal.actions.ledger.factors
+    again = journal.actions.history.ledger.factors
     known_kg = sum(load.mass_kg * again.get(load.number, 1.0) for load in covered)
     crop = _other_crop(order, covered)
     why_not = ticket_file.unit_slip(own.mass_kg, measured_kg) or why_no_reference(covered, order, crop)
@@ -72,12 +72,13 @@ def enter_ticket(order: Order) -> TicketEntered:
     if truck is not None:
         exact = TicketMass(own.mass_kg, _EXACT * own.mass_kg).shared_out(covered, measured_kg)
         ticket = replace(ticket, weighed_mass_kg=_best_kg(own, known_kg, None if why_not else _departure(exact, order, crop)))
-    waits = journal.actions.unfinished_of_crop.get(crop) if crop else journal.actions.to_update
+    waits = journal.actions.unfinished_of_crop.get(crop) if crop else journal.actions.waiting
     first_moves = exp(departs.ln) - 1.0 if departs is not None and departs.first and not waits else None
     if not why_not:
         for load_number, mass_kg, share_std_dev_kg, common_kg in shares:
             monitor.ticket(load_number, mass_kg, share_std_dev_kg, crop, common_kg)
     number = journal.actions.ticket(ticket, order.who, own.std_dev_kg, is_reference=not why_not, crop=crop, truck=truck)
+    after = journal.actions.history
     return {
         "crop": journal.parameters.crop_of_load(covered[-1]),
         "ticket": number,
@@ -97,7 +98,7 @@ def enter_ticket(order: Order) -> TicketEntered:
         "replaces": stood_for,
         "taken_back": taken_back,
         "without_ticket": sorted(left.difference(range(first, last + 1))),
-        "still_replaced": [{"ticket": older, "by": n} for n in replaced for older in journal.actions.count_again_without(n)],
+        "still_replaced": [{"ticket": older, "by": n} for n in replaced for older in after.count_again_without(n)],
         "sets_scale_pct": None if first_moves is None else 100.0 * first_moves,
     }
 
@@ -189,18 +190,19 @@ def _departure(shares: Sequence[Weighing], order: Order, crop: str) -> ticket_do
 
 def _waiting_tickets(order: Order, crop: str, covered: Sequence[int]) -> list[int]:
     """Standing tickets that wait for another crop, for other loads than these."""
-    standing = order.journal.actions.ledger.tickets
+    standing = order.journal.actions.history.ledger.tickets
     waiting = [n for n in order.journal.actions.unfinished_of_crop.get(crop, ()) if n in standing]
     return [n for n in waiting if not set(standing[n].loads) & set(covered)]
 
 
 def _ln_of_waiting(numbers: Sequence[int], order: Order, of_crop: FlowEstimator | None) -> float | None:
     """Mean of ln by which the loads of tickets that wait are off by their crop's parameters; None where there is none."""
-    tickets, found = order.journal.actions.ledger.tickets, list[float]()
+    history, found = order.journal.actions.history, list[float]()
+    tickets = history.ledger.tickets
     for number in numbers:
         ticket = tickets[number]
         loads = [load for load in order.journal.loads if ticket.first_load <= load.number <= ticket.last_load]
-        for load, mass_kg, sd_kg, _ in order.journal.actions.reference_mass(number).shared_out(loads, ticket.measured_mass_kg):
+        for load, mass_kg, sd_kg, _ in history.reference_mass(number).shared_out(loads, ticket.measured_mass_kg):
             # Of a load that an earlier run measured nothing may be known now.
             with suppress(ValueError):
                 part = order.monitor.ticket_departure(load, mass_kg, sd_kg, of_crop)
@@ -222,7 +224,7 @@ def _only_tickets(order: Order, covered: Sequence[int]) -> list[int]:
     counted = _counted_loads(order)
     if counted & set(covered) or order.monitor.scale_counted:
         return []
-    standing = order.journal.actions.ledger.tickets.items()
+    standing = order.journal.actions.history.ledger.tickets.items()
     return [n for n, t in standing if counted and counted <= set(t.loads)]
 
 
@@ -230,7 +232,7 @@ def _question(ticket: Ticket, departs: ticket_doubt.Departure | None, order: Ord
     """See ticket_doubt. crop: as `_departure` has it."""
     if departs is None:
         return ""
-    known = order.journal.actions.ledger
+    known = order.journal.actions.history.ledger
     known_kg = {load.number: load.mass_kg * known.factors.get(load.number, 1.0) for load in order.journal.loads}
     weighed = {n for number, t in known.tickets.items() if number not in known.replaced for n in t.loads}
     same = {n: t for n, t in known.tickets.items() if (t.first_load, t.last_load) == (ticket.first_load, ticket.last_load)}
