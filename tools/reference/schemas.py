@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import json
+import re
 import types
 import typing
 from pathlib import Path
@@ -12,6 +13,7 @@ from typing import Any
 from tools.reference.documents import DOCUMENTS
 
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"
+_CALL = re.compile(r"`yieldmon (.+) --json`")
 _PLAIN = {bool: "boolean", int: "integer", float: "number", str: "string", types.NoneType: "null"}
 
 
@@ -21,12 +23,13 @@ def files(folder: Path) -> dict[Path, str]:
 
 
 def markdown() -> str:
-    """A row for each schema, with the first sentence of what it says of itself."""
-    rows = [
-        f"|[{name}](schemas/{name}.json)|{_description(document).partition('. ')[0].removesuffix('.')}|"
-        for name, document in DOCUMENTS.items()
-    ]
-    return "\n".join(["|schema|of|", "|---|---|", *rows])
+    """A row for each schema, with the command that the first sentence of its description names."""
+    rows = [f"|[{name}](schemas/{name}.json)|{_command(document)}|" for name, document in DOCUMENTS.items()]
+    return "\n".join(["|schema|command|", "|---|---|", *rows])
+
+
+def _command(document: Any) -> str:
+    return _CALL.sub(r"`\1`", _description(document).partition(". ")[0].removesuffix("."))
 
 
 def of(document: Any) -> dict[str, Any]:
