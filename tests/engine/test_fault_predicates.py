@@ -29,8 +29,8 @@ FULL, SLOWEST = SETTINGS.windows.full_coverage, MACHINE.min_elevator_speed_rad_s
 TURNING, STANDING = (SETTINGS.gate.min_turning_rpm * share * RPM for share in (1.001, 0.999))
 STABLE, FAULT = float(ScaleStatus.STABLE.value), float(ScaleStatus.FAULT.value)
 HELD_S = SETTINGS.inputs.sensor_timeout_s
-NONE_MISSING = ", no frame missing: if it lasts, is rate_hz right?"
-TENTH_UNUSABLE = "; of those that came 10 % are not available or beyond what the sensor can give"
+NONE_MISSING = ", no frame missing: if this persists, check rate_hz"
+TENTH_UNUSABLE = "; 10 % of the received samples are not available or outside the sensor's range"
 
 
 def harvest(**of: Any) -> Reading:
@@ -133,8 +133,8 @@ CASES: dict[str, tuple[Callable[[], dict[FaultCode, str]], dict[FaultCode, str]]
         lambda: covered(0.5, samples=995), {F.FRAMES_LOST: "samples for 50 % of the second" + NONE_MISSING}),
     "lost by a counter for which the samples leave no room": (
         lambda: seen(harvest(lost_frames=5)),
-        {F.FRAMES_LOST: "5 lost, 0 too many; samples cover the second all the same: they come in bursts, or the mapping's "
-         "counter counts otherwise"}),
+        {F.FRAMES_LOST: "5 lost, 0 too many; samples cover the whole second: they arrive in bursts, or the mapping's "
+         "counter is wrong"}),
     "lost with room": (lambda: seen(harvest(lost_frames=5, covered_s=0.98)), {F.FRAMES_LOST: "5 lost, 0 too many"}),
     "not measured at all": (lambda: covered(0.0), {}),
     "the sensor began": (lambda: seen(replace(harvest(covered_s=0.5), sampled_before=False)), {}),

@@ -151,12 +151,12 @@ def _frames_lost_detail(o: Observation) -> str:
         # By the counters none is missing: as many as the counters have room for are, or the times are not those of the samples.
         covered = f"samples for {100.0 * o.window.coverage:.0f} % of the second"
         if unusable := _unusable_share(o):
-            return f"{covered}; of those that came {100.0 * unusable:.0f} % are not available or beyond what the sensor can give"
-        return f"{covered}, no frame missing: if it lasts, is rate_hz right?"
+            return f"{covered}; {100.0 * unusable:.0f} % of the received samples are not available or outside the sensor's range"
+        return f"{covered}, no frame missing: if this persists, check rate_hz"
     if o.window.lost_frames == 0 and not rivals:
         rivals = ": a second sender, or more samples per second than rate_hz says"
     if not rivals and _counted_otherwise(o):
-        rivals = "; samples cover the second all the same: they come in bursts, or the mapping's counter counts otherwise"
+        rivals = "; samples cover the whole second: they arrive in bursts, or the mapping's counter is wrong"
     return f"{o.window.lost_frames} lost, {o.window.surplus_frames} too many{rivals}"
 
 
@@ -207,7 +207,7 @@ _C = FaultCode
 _TABLE = (
     FaultDefinition(
         _C.SENSOR_MISSING, 520192, 9, _S, 1, 3,
-        "No usable impact samples for a second, or the sensor reports a fault of its own.",
+        "The impact sensor sent no usable samples for a second, or reports a fault.",
         "No flow is published and no mass is added for the seconds without samples.",
         "Check the sensor's supply, connector and bus stub.",
         lambda o: (
@@ -218,40 +218,40 @@ _TABLE = (
     ),
     FaultDefinition(
         _C.SENSOR_STUCK, 520192, 2, _S, 1, 3,
-        "Every sample has been the same for several seconds with the elevator turning.",
+        "All samples have been equal for several seconds while the elevator turns.",
         "No flow is published and no mass is added.",
-        "Check the plate for jamming and the sensor for a broken bridge.",
+        "Check for a jammed plate and a broken sensor bridge.",
         lambda o: (
             f"no change for {o.reading.stuck_s} s" if o.reading.stuck_s >= o.settings.faults.stuck_windows else None
         ),
     ),
     FaultDefinition(
         _C.SENSOR_SATURATED, 520192, 0, _W, 1, 3,
-        "Samples are at the end of the sensor's range, or the sensor reports it.",
-        "Flow is a lower bound and is marked as saturated.",
-        "Reduce ground speed; check the zero-load voltage and the plate for wedged material.",
+        "Samples are at the limit of the sensor's range, or the sensor reports that they are.",
+        "The true flow is higher than shown; its quality is saturated.",
+        "Reduce ground speed. Check the zero-load voltage, and the plate for wedged material.",
         lambda o: _saturated_detail(o) if o.sensor_saturated else None,
     ),
     FaultDefinition(
         _C.ZERO_DRIFTED, 520193, 13, _W, 3, 10,
-        "The zero-load voltage is far from its first value or was taken despite signs of grain, or the plate reads below empty.",
-        "Flow is corrected for a drift; a zero taken with grain on the plate makes flow and mass too small.",
-        "Undo a wrong zero (yieldmon zero --undo); else clean the plate and calibrate the zero with the elevator empty. "
-        "A new sensor's sign may be wrong (negative scale).",
+        "The zero-load voltage is far from its first value, was taken despite signs of grain, or the plate reads below empty.",
+        "Drift is corrected. A zero taken with grain on the plate makes flow and mass too small.",
+        "Undo a wrong zero (yieldmon zero --undo). Otherwise clean the plate and run yieldmon zero with the elevator empty. "
+        "If the sensor is new, check its sign (negative scale).",
         lambda o: o.reading.zero_drift or None,
     ),
     FaultDefinition(
         _C.SPEED_MISSING, 520194, 9, _S, 1, 3,
-        "No usable elevator speed for ten of its periods.",
+        "No usable elevator speed was received for ten of its periods.",
         "No flow is published and no mass is added.",
-        "Check the speed sensor, its node, and unit and scale of its mapping.",
+        "Check the speed sensor, its node, and the unit and scale in its mapping.",
         lambda o: _if(not o.reading.speed_known),
     ),
     FaultDefinition(
         _C.SPEED_OUT_OF_RANGE, 520194, 1, _W, 2, 3,
-        "The elevator turns at a speed outside the range in which grain is measured.",
-        "No flow is published and no mass is added while it lasts.",
-        "Bring the separator to its rated speed; check the elevator's belt.",
+        "The elevator speed is outside the measuring range.",
+        "No flow is published and no mass is added until the speed is back in range.",
+        "Run the separator at its rated speed. Check the elevator drive belt.",
         lambda o: (
             f"{o.speed_rpm:.0f} rpm"
             if o.reading.speed_known and o.speed_rpm > o.settings.gate.min_turning_rpm and not o.reading.in_range
@@ -260,37 +260,37 @@ _TABLE = (
     ),
     FaultDefinition(
         _C.PLATE_NOT_FOLLOWING, 520195, 7, _W, 1, 10,
-        "The plate did not reach a commanded angle in time, or the force did not follow the angle that it reports.",
-        "Sweeps end early and the wait before the next grows; flow is measured at the angle that is reported.",
-        "Check the actuator's linkage and supply for jamming.",
+        "The plate did not reach a commanded angle in time, or the force did not follow the reported angle.",
+        "Sweeps end early and the wait before the next grows. Flow is measured at the reported angle.",
+        "Check the actuator's linkage for jamming, and its supply.",
         lambda o: _if(o.sweep.not_following),
     ),
     FaultDefinition(
         _C.PLATE_FEEDBACK_STALE, 520195, 9, _W, 1, 3,
-        "No usable plate angle for ten of its periods, or the actuator reports a fault.",
-        "With the plate last seen at rest its angle is held and flow is marked as degraded; otherwise no flow is published.",
+        "No usable plate angle was received for ten of its periods, or the actuator reports a fault.",
+        "If the plate was at rest, its last angle is used and the quality is degraded. Otherwise no flow is published.",
         "Check the actuator's connector and bus stub.",
         lambda o: _if(o.reading.inputs.angle_stale),
     ),
     FaultDefinition(
         _C.SWEEP_ABORTED, 520196, 31, _N, 1, 1,
-        "The last sweep ended early; status names the reason.",
-        "The parameters stay as they were; another sweep follows after a wait.",
-        "None if it happens now and then; see the reason if it repeats.",
+        "The last sweep ended early; yieldmon status gives the reason.",
+        "The parameters are unchanged; the next sweep follows after a wait.",
+        "Nothing if it happens occasionally. If it repeats, act on the reason.",
         lambda o: str(o.sweep.abort_reason) if o.sweep.abort_reason is not None else None,
     ),
     FaultDefinition(
         _C.CALIBRATION_OLD, 520197, 13, _N, 1, 1,
-        "The parameters were last calibrated or updated longer ago than configured.",
-        "Flow may be biased by wear or crop; its standard deviation does not cover that.",
+        "The last calibration or update is older than faults.calibration_old_s.",
+        "Wear or another crop may bias the flow; its standard deviation does not include this.",
         "Weigh a load and enter the ticket, or let a sweep run.",
         lambda o: _if(o.calibration_age_s is not None and o.calibration_age_s > o.settings.faults.calibration_old_s),
     ),
     FaultDefinition(
         _C.FLOW_OUTSIDE_CALIBRATION, 520198, 31, _N, 2, 5,
-        "Force, angle or speed lies outside what was calibrated, or the flow is above a full paddle.",
-        "Flow is extrapolated, or bounded by a full paddle, and marked.",
-        "Calibrate over the range of flows that occur.",
+        "Force, angle or speed is outside the calibrated range, or the flow exceeds full paddles.",
+        "Flow is extrapolated, or limited to full paddles, and marked.",
+        "Calibrate over the range of flows that you harvest.",
         lambda o: (
             f"{o.flow.rate_kg_s:.1f} kg/s"
             # What is left of the grain at a stop is below any calibrated flow, and no matter.
@@ -301,93 +301,93 @@ _TABLE = (
     ),
     FaultDefinition(
         _C.NOT_IDENTIFIABLE, 520199, 31, _N, 1, 1,
-        "The last sweep left what it was to determine as uncertain as before.",
-        "The parameters stay as they were.",
-        "Enter a scale ticket or use a tank scale; sweep at higher flow.",
+        "The last sweep did not make the parameters more certain.",
+        "The parameters are unchanged.",
+        "Enter a scale ticket or use a tank scale. Sweep at higher flow.",
         lambda o: o.outcome.reason if o.outcome is not None and not (o.outcome.identifiable or o.outcome.weighed) else None,
     ),
     FaultDefinition(
         _C.MODEL_DISAGREES, 520200, 31, _W, 1, 1,
-        "The residuals of several sweeps show a pattern that the model cannot make.",
-        "Flow may be biased at some angles and loads; sweeps change no parameter, and what rests on them alone is undone.",
-        "Run diagnose on the store and adopt the effect that it proves.",
+        "The residuals of several sweeps show a pattern that the model cannot explain.",
+        "Flow may be biased at some angles and loads. Sweeps update nothing; updates based on sweeps alone are undone.",
+        "Run yieldmon diagnose on the store and adopt the effect that it finds.",
         lambda o: o.disagreement.region if o.disagreement.present else None,
     ),
     FaultDefinition(
         _C.STORE_FAILING, 520201, 12, _W, 1, 3,
-        "Records cannot be written to the store.",
-        "Measuring continues; totals since the last write are lost if power is cut.",
+        "The daemon cannot write records to the store.",
+        "Measuring continues. If power fails, the totals since the last write are lost.",
         "Free disk space or replace the storage.",
         REPORTED,
     ),
     FaultDefinition(
         _C.FRAMES_LOST, 520202, 19, _N, 1, 10,
         "The sample counter shows frames lost, or two nodes send samples, speed, plate angle or tank mass.",
-        "The seconds concerned are degraded; with two senders their mass is counted apart.",
-        "Check bus load, termination and for second senders.",
+        "The quality of these seconds is degraded. With two senders their mass is counted separately.",
+        "Check bus load and termination, and look for a second sender.",
         lambda o: _frames_lost_detail(o) if _frames_lost(o) else None,
     ),
     FaultDefinition(
         _C.CLOCK_JUMPED, 520203, 2, _N, 1, 1,
-        "Frame time stepped back or leapt forward.",
-        "Windows and totals continue; records near the step have wrong times.",
-        "None; check the logger's clock if it repeats.",
+        "The frames' time stamps jumped back or forward.",
+        "Measuring and totals continue. Records near the jump have wrong times.",
+        "Nothing if it happens once. If it repeats, check the computer's or logger's clock.",
         lambda o: _if(o.reading.windows_since_jump < o.settings.faults.clock_jump_hold_windows),
     ),
     FaultDefinition(
         _C.BUS_ERROR, 520204, 19, _W, 1, 3,
-        "Error frames, bus-off or a lost interface.",
-        "Frames are lost while it lasts.",
+        "The bus reports error frames or bus-off, or the interface is gone.",
+        "Frames are lost.",
         "Check wiring, termination and bit rate.",
         REPORTED,
     ),
     FaultDefinition(
         _C.OUTPUT_CONFLICT, 520205, 19, _W, 1, 10,
         "Another node sends frames that only this monitor sends.",
-        "Displays may show the other node's figures; the plate may be driven by it.",
-        "Remove the second monitor.",
+        "Displays may show the other node's figures, and it may drive the plate.",
+        "Stop the second monitor or replay.",
         REPORTED,
     ),
     FaultDefinition(
         _C.SCALE_FAULT, 520206, 2, _N, 3, 5,
-        "The tank scale reports a fault or went silent.",
-        "It is not used as a reference.",
-        "Check the scale.",
+        "The tank scale reports a fault or sends no frames.",
+        "The tank scale is not used as a reference.",
+        "Check the scale and its connection.",
         lambda o: _scale_fault(o.reading.inputs),
     ),
     FaultDefinition(
         _C.NETWORK_FAULT, 520207, 19, _W, 1, 3,
-        "No address could be claimed, or another node contests it, uses our NAME, or floods us with requests or sessions.",
-        "Without an address nothing is published and the plate is not driven; measuring continues.",
-        "Give one of the nodes another address or NAME; find the node that status names.",
+        "yieldmon could claim no address, or another node contests it, uses its NAME, or sends too many requests or sessions.",
+        "Without an address yieldmon sends nothing and does not drive the plate. Measuring continues.",
+        "Find the node that yieldmon status names. Give one of the two another address or NAME.",
         REPORTED,
     ),
     FaultDefinition(
         _C.ZERO_MISSING, 520193, 31, _S, 1, 1,
-        "The elevator runs and no zero-load voltage could be taken; the detail says why.",
-        "No flow is published and no mass is added until there is a zero.",
-        "Run the elevator empty. If it is empty, the paddles shake the plate: check its mounting, then calibrate the zero.",
+        "The elevator runs, but no zero-load voltage could be measured; the detail gives the reason.",
+        "No flow is published and no mass is added until a zero is measured.",
+        "Run the elevator empty. If it is empty, the paddles shake the plate: check its mounting, then run yieldmon zero.",
         _zero_missing,
     ),
     FaultDefinition(
         _C.WAVEFORM_CONTRADICTS, 520208, 31, _W, 3, 10,
-        "Flow from the pulses' shape or kernels and from the mean force differ beyond deviation, or no pulse of the model fits.",
-        "One is wrong; the flow is the mean force's.",
-        "Weigh a load; check plate, density, kernel weight; run diagnose on the store.",
+        "Flow from pulse shape or kernel noise contradicts flow from the mean force, or the pulses do not fit the model.",
+        "One of the two is wrong. The published flow is that of the mean force.",
+        "Weigh a load. Check plate, density and kernel weight. Run yieldmon diagnose on the store.",
         lambda o: o.waveform.contradiction or None,
     ),
     FaultDefinition(
         _C.MASS_NEAR_END, 520209, 0, _W, 1, 1,
-        "The load's or the total mass is near the largest that its signal in AccumulatedMass carries.",
-        "Beyond that the signal is not available; the store and status continue to count.",
-        "Start a new load; archive the totals.",
+        "The load's or the total mass is near the limit of its signal in AccumulatedMass.",
+        "Above the limit the signal is not available. The store and yieldmon status continue to count.",
+        "Start a new load. For the total: archive, then reset the totals.",
         lambda o: o.mass_near_end,
     ),
     FaultDefinition(
         _C.SCALE_DISAGREES, 520210, 31, _W, 1, 1,
         "A weighed mass contradicts the calibration (p < 0.001).",
-        "Mass since the named load is off by about that error; the scale is learnt from the weighed masses.",
-        "Check the ticket, then chain slip, paddle wear and sensor gain. Ends with a weighed mass that agrees or a calibration.",
+        "Mass since the named load is wrong by about that error. The weighed masses update the scale.",
+        "Check the ticket, then chain slip, paddle wear and sensor gain. An agreeing weighed mass or a calibration ends it.",
         lambda o: o.scale_alarm,
     ),
 )

@@ -40,17 +40,17 @@ class Document(Section):
     parameter_file: str | None = text(None, "grain parameters; null: the shipped corn")
     estimator_file: str | None = text(
         None,
-        "curve that gives the flow (`calibrate --estimator`); null: the model",
+        "curve to compute the flow with (`calibrate --estimator`); null: the model",
     )
     moisture_map_file: str | None = text(
         None, "how parameters change with moisture (`calibrate --by-moisture`); null: they do not"
     )
-    pulse_shape_file: str | None = text(None, "pulses' shape and its calibrated range; null: the shipped one")
-    units: Literal["metric", "us"] = choice("metric", "shown to people; documents (JSON), tables and frames stay in SI")
+    pulse_shape_file: str | None = text(None, "pulse shape and its calibrated range; null: the shipped file")
+    units: Literal["metric", "us"] = choice("metric", "units on screen; JSON, tables and frames stay in SI")
     bus: Bus = Bus()
     signals: dict[str, Any] = Field(
         default_factory=dict,
-        description="where quantities come from, by quantity (docs/guide/wiring.md); left out: the messages of the shipped DBC",
+        description="input signal of each quantity (docs/guide/wiring.md); others: from the shipped DBC",
     )
     outputs: Outputs = Outputs()
     store: Store = Store()

@@ -19,8 +19,8 @@ from yieldmon.service.config.section import Section
 def commented_defaults() -> str:
     """The default configuration as YAML, with the meaning, range and unit of every key."""
     lines = [
-        "# Configuration of yieldmon, with its defaults. Keys may be left out, files are relative to this one. Check a changed",
-        "# file with `yieldmon check-config FILE`; a running service takes it with `systemctl reload yieldmon`.",
+        "# Configuration of yieldmon, with its defaults. All keys are optional; file names are relative to this file.",
+        "# Check changes with `yieldmon check-config FILE`, apply them to the running service with `systemctl reload yieldmon`.",
         "",
     ]
     for name, field in Document.model_fields.items():
