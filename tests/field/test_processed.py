@@ -13,6 +13,7 @@ from yieldmon.errors import InputError
 from yieldmon.field import sources
 from yieldmon.field.sources.options import ReadOptions
 from yieldmon.service.logs.tables import open_table
+from yieldmon.service.storage.batch import Load
 from yieldmon.service.storage.rows import SecondRow
 from yieldmon.service.storage.store import Store
 
@@ -39,6 +40,41 @@ def test_a_table_of_seconds_is_read_as_the_store_with_the_same_seconds(tmp_path:
         np.testing.assert_array_equal(table[name], values, err_msg=name)
     assert table.sources[0].mass_kg == of_store.sources[0].mass_kg == pytest.approx(600.0)
     np.testing.assert_array_equal(table.labels["load"].codes, of_store.labels["load"].codes)
+
+
+def test_grain_between_a_loads_end_and_the_next_ones_begin_is_no_part_of_it(tmp_path: Path) -> None:
+    """Its seconds carry the ended load's number; in the daemon's lists they count in the total alone."""
+    rows = [replace(row, load_number=1 if row.number <= 40 else 2) for row in harvest()]
+    with Store(tmp_path / "s.sqlite") as store:
+        loads = (
+            Load(1, "north", "corn", 1.7e9, 1.7e9 + 25.0, 250.0, None),
+            Load(2, "north", "corn", 1.7e9 + 40.0, None, 200.0, None),
+        )
+        store.commit([batch(1, seconds=tuple(rows), loads=loads)])
+    table = sources.read(tmp_path / "s.sqlite", WIDTH)
+    label = table.labels["load"]
+    mass_kg = {name: float(table["flow_kg_s"][label.codes == code].sum()) for code, name in enumerate(label.names)}
+    assert mass_kg == pytest.approx({"1": 250.0, "": 150.0, "2": 200.0})
+    assert set(table.labels["field"].names) == {"north"}
+
+
+def test_the_width_is_that_of_the_daemons_areas(tmp_path: Path) -> None:
+    """Of the header that it had then; a second without an area has that of the nearest one with."""
+    way = {"longitude_deg": 9.0, "ground_speed_m_s": 2.0, "course_deg": 0.0}
+    rows = [
+        second(k, latitude_deg=48.0 + 1.8e-5 * k, area_m2=2.0 * (9.1 if k <= 200 else 6.1) if k % 30 > 5 else 0.0, **way)
+        for k in range(1, 401)
+    ]
+    with Store(tmp_path / "s.sqlite") as store:
+        store.commit([batch(1, seconds=tuple(rows))])
+    table = sources.read(tmp_path / "s.sqlite", ReadOptions())
+    assert table["width_m"] == pytest.approx(np.repeat([9.1, 6.1], 200))
+    assert "width 6.1 to 9.1 m, by the areas that it holds (else --width)" in table.sources[0].notes
+    assert sources.read(tmp_path / "s.sqlite", WIDTH)["width_m"] == pytest.approx(np.full(400, 9.0))
+    with Store(tmp_path / "none.sqlite") as store:
+        store.commit([batch(1, seconds=tuple(harvest()))])
+    with pytest.raises(InputError, match="has no working width; expected --width M"):
+        sources.read(tmp_path / "none.sqlite", ReadOptions())
 
 
 @pytest.mark.parametrize(

@@ -50,6 +50,17 @@ def test_a_crop_is_measured_with_its_own_parameters_and_comes_back_to_what_was_l
     assert {"wheat", "barley"} <= set(remembered.of_crop)
 
 
+def test_the_plate_of_a_machine_is_measured_for_all_crops() -> None:
+    """How far its angle is reported wrong, as `setup` puts it into the parameters of the first crop."""
+    known = parameter_file.load()
+    monitor, journal = started(replace(known, values={**known.values, "plate_angle_offset.angle_rad": 0.025}))
+    load(monitor, journal, "corn")
+    for name in ("wheat", "barley"):
+        load(monitor, journal, name)
+        in_use = monitor.estimator.parameters.values
+        assert in_use == {**crop(name).parameters().values, "plate_angle_offset.angle_rad": 0.025}
+
+
 def test_a_load_whose_field_cannot_be_named_changes_no_crop() -> None:
     monitor, journal = started()
     load(monitor, journal, "corn")
@@ -223,7 +234,7 @@ def test_a_crop_of_which_nothing_is_known_takes_no_calibration_away(tmp_path, st
 def test_a_slip_of_a_finger_is_no_crop(typed: str, meant: str) -> None:
     monitor, journal = started()
     number, before = monitor.totals.load_number, monitor.estimator.parameters
-    with pytest.raises(InputError, match=rf"crop: '{typed}' is no known crop; expected {meant}, or a name that is less like it"):
+    with pytest.raises(InputError, match=rf"crop: '{typed}' is no known crop; expected {meant}; for another crop, a name"):
         commands.execute({"command": "load-start", "crop": typed}, monitor, journal, 1.7e9)
     assert (monitor.totals.load_number, journal.crop, monitor.estimator.parameters) == (number, "", before)
 

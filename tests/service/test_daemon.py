@@ -68,14 +68,18 @@ def test_measures_publishes_and_stores(tmp_path):
     assert masses[-1]["TotalMass"] == pytest.approx(rows[len(masses) - 1].total_kg, abs=0.05)
 
 
-def test_goes_on_after_a_restart_where_it_stopped(tmp_path):
+def test_goes_on_after_a_restart_where_it_stopped(tmp_path, caplog):
+    caplog.set_level("INFO")
     with running(tmp_path) as bench:
         warm_up(bench)
+    assert f"store {tmp_path / 'yieldmon.sqlite'}: new, the total begins at 0 kg" in caplog.text
     with Store(tmp_path / "yieldmon.sqlite") as store:
         before = store.last_second()
         state = store.state()
     with running(tmp_path, start_s=START_S + 60) as bench:
-        assert bench.status["total"]["mass_kg"] == state["engine"]["totals"]["total_kg"]
+        total_kg = state["engine"]["totals"]["total_kg"]
+        assert bench.status["total"]["mass_kg"] == total_kg
+        assert f"goes on from {total_kg:.1f} kg, load 1" in caplog.text
         bench.play(4, GRAIN_MV)
         bench.played()
         assert bench.rows[-1]["mass_flow_kg_s"] > 1.0, "the zero is remembered"

@@ -179,6 +179,16 @@ BO_ 515 Board: 4 Node
  SG_ volts : 16|16@1+ (0.1,0) [0|6553.5] "mV" Node
 """
 )
+GAUGE = (
+    HEAD
+    + """BO_ 512 ForceBox: 8 Node
+ SG_ CH1 : 0|16@1+ (1,0) [0|65535] "" Node
+ SG_ RollCnt : 16|8@1+ (1,0) [0|255] "" Node
+BO_ 513 VehiclePosition: 8 Node
+ SG_ Latitude : 0|32@1- (1e-7,0) [-90|90] "deg" Node
+ SG_ Longitude : 32|32@1- (1e-7,0) [-180|180] "deg" Node
+"""
+)
 OWN_NUMBERS = (
     HEAD
     + """BO_ 517 Adc: 4 Node
@@ -299,6 +309,17 @@ def written(folder: Path, dbc: str, frames: list[tuple[int, bytes]], capsys: pyt
             [(514 + place % 2, words(50.0 + place % 40, 12.0, 0, 0)) for place in range(100)],
             ["impact_force: {dbc: node.dbc, message: Board, signal: force", "  latitude: {", "  longitude: {"],
             id="short names, and a voltage that stands",
+        ),
+        pytest.param(
+            GAUGE,
+            [
+                (512, (500 + place % 40).to_bytes(2, "little") + bytes([place // 2 % 256]) + bytes(5))
+                if place % 2 == 0
+                else (513, (480_000_000).to_bytes(4, "little") + (90_000_000).to_bytes(4, "little"))
+                for place in range(200)
+            ],
+            ["  impact_voltage: {dbc: node.dbc, message: ForceBox, signal: CH1", "  latitude: {", "  longitude: {"],
+            id="no counter of messages for samples, and no place for the plate's",
         ),
         *(
             pytest.param(

@@ -17,7 +17,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         description=f"{__doc__} A SOURCE is a daemon's store, a table of `process`, Ag Leader text, ISO 11783-10 task data "
         "(folder or zip), a zip of the John Deere Operations Center, a GeoPackage, GeoJSON, Parquet or shapefile of points, or "
         "CSV.",
-        epilog="example: yieldmon map north_field.txt --out north; yieldmon map today.sqlite --width 9.1 --out today",
+        epilog="example: yieldmon map north_field.txt --out north; yieldmon map today.sqlite --out today",
     )
     parser.add_argument("sources", metavar="SOURCE", nargs="+", help="harvests; several make one map")
     parser.add_argument("--out", metavar="DIR", required=True, help="folder to write to; it is made, and its files are replaced")

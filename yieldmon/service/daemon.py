@@ -149,7 +149,8 @@ class Daemon:
             if not self._store.read(lambda: self._stop_wanted):
                 self._receiver.stop()
                 return 0
-            self._measuring = Measuring(self.configuration, self._store.remembered())
+            memory = self._store.remembered()
+            self._measuring = Measuring(self.configuration, memory)
             self._answer = self._snapshot()
             status = self.configuration.document.status
             control = ControlServer(self.configuration.socket_path, status.group, self.command)
@@ -168,6 +169,8 @@ class Daemon:
         for note in self.configuration.notes:
             _log.warning("%s", note)
         _log.info("running on %s %s", self.configuration.document.bus.interface, self.configuration.document.bus.channel)
+        if self._store.known:
+            _log.info("store %s: %s", self._store.path, memory.in_words)
         try:
             while not self._stop_wanted:
                 self._round()

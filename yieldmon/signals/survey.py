@@ -78,7 +78,9 @@ _GAUGE, _SCALE = (
     re.compile(r"tank|bin|hopper|axle", re.IGNORECASE),
 )
 """A force in kg or lb: names of a gauge that sends so many values per second, and of scales, which none is."""
-_NO_SAMPLES = re.compile(r"counter|status", re.IGNORECASE)
+_NO_SAMPLES = re.compile(r"counter|status|alive|sequence|checksum|crc", re.IGNORECASE)
+_COUNTER, _MOST_OF_A_COUNTER = re.compile(r"cnt|ctr|roll", re.IGNORECASE), 8
+"""Names and bits of counters of messages, where longer signals with such names may be a converter's counts."""
 CHANNELS = re.compile(r"(input|chan(nel)?|ch|ain|port)_?\d+", re.IGNORECASE)
 """Numbered signals of one frame that are sensors of their own, not samples of one."""
 SHAFTS_ELSEWHERE = re.compile(r"engine|pto|front|rear|feeder", re.IGNORECASE)
@@ -450,6 +452,7 @@ def _impact_score(quantity: str, message: MessageSeen, signal: SignalSeen, named
         rate_hz * _samples(message, bits) < _LEAST_OF_RATE * MIN_RATE_HZ
         or bits.bits < _LEAST_BITS
         or _NO_SAMPLES.search(bits.name)
+        or (bits.bits <= _MOST_OF_A_COUNTER and _COUNTER.search(bits.name))
         or counts_pulses(bits)
     ):
         return 0.0
@@ -474,8 +477,12 @@ def _slow_score(quantity: str, rate_hz: float, signal: SignalSeen, named: bool, 
     found = factor(QUANTITIES[quantity].unit, signal.bits.unit) if signal.bits.unit else None
     if found is None or not QUANTITIES[quantity].usable(signal.last * found + zero(QUANTITIES[quantity].unit, signal.bits.unit)):
         return 0.0
+    others = [other for other in _HINTS if other != quantity and re.search(_HINTS[other], signal.bits.name, re.IGNORECASE)]
+    elsewhere = bool(others)
+    if not named and any(other not in IMPACT and QUANTITIES[other].unit == QUANTITIES[quantity].unit for other in others):
+        # As the latitude in a message VehiclePosition is no position of the plate.
+        return 0.0
     if not (named or message_named):
-        elsewhere = any(re.search(_HINTS[other], signal.bits.name, re.IGNORECASE) for other in _HINTS if other != quantity)
         return _WEAK if quantity in _BY_UNIT and not elsewhere else 0.0
     shaft = quantity == "elevator_speed" and SHAFTS_ELSEWHERE.search(signal.bits.name) is not None
     return 1.0 + named - 0.5 * shaft + min(rate_hz, 100.0) * 1e-6

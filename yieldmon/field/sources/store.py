@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from scipy.ndimage import median_filter
 
 from yieldmon.errors import InputError
 from yieldmon.field.table import DEFAULT_FLOW_S, UNKNOWN_SCALE_SD, Array, HarvestTable, KnownLoad, Label, Source, build
@@ -25,6 +26,10 @@ from .positions import plausible
 
 KIND = "yieldmon store"
 ORDER = 20
+_LEAST_WAY_M = 0.5
+"""Of a second whose area tells the width."""
+_SECONDS_OF_ONE_HEADER = 61
+"""Over which the width is the middle one: an area is noted when its grain comes, some seconds after the way."""
 
 
 def recognises(path: Path, head: bytes) -> bool:
@@ -33,7 +38,7 @@ def recognises(path: Path, head: bytes) -> bool:
 
 
 def read(path: Path, options: ReadOptions) -> HarvestTable:
-    """All seconds with their loads. Raises InputError where it has none, or no width is given."""
+    """All seconds with their loads. Raises InputError where it has none, or no width."""
     try:
         with recorded.opened(path) as store:
             rows = store.seconds()
@@ -96,12 +101,10 @@ def table_of(rows: list[SecondRow], loads: Mapping[int, Load], path: Path, kind:
     Raises
     ------
     InputError
-        Where there are no seconds, or no width is given.
+        Where there are no seconds, or no width is given and the areas do not tell it.
     """
     if not rows:
         raise InputError(str(path), "has no seconds", f"a {kind} with records")
-    if options.width_m is None:
-        raise InputError(str(path), "has no working width", "--width M")
     count = len(rows)
     harvesting = np.array([row.quality != EstimateQuality.NOT_HARVESTING for row in rows])
     flow = _column(rows, "mass_flow_kg_s")
@@ -111,6 +114,10 @@ def table_of(rows: list[SecondRow], loads: Mapping[int, Load], path: Path, kind:
         # Of a second of too few samples neither frame nor table has a flow.
         flow = np.where((duration > 0) & ~(np.isnan(flow) & (mass > 0)), mass / duration, flow)
     speed = _column(rows, "ground_speed_m_s")
+    if options.width_m is None:
+        width, of_width = _width_m(_column(rows, "area_m2"), speed * duration, path)
+    else:
+        width, of_width = np.full(count, options.width_m), ()
     columns, notes = plausible(
         {
             "time_s": _column(rows, "time_s"),
@@ -121,7 +128,7 @@ def table_of(rows: list[SecondRow], loads: Mapping[int, Load], path: Path, kind:
             "moisture_pct": _column(rows, "moisture_pct"),
             "interval_s": duration,
             "distance_m": speed * duration,
-            "width_m": np.full(count, options.width_m),
+            "width_m": width,
             "heading_deg": _column(rows, "course_deg"),
         }
     )
@@ -129,7 +136,7 @@ def table_of(rows: list[SecondRow], loads: Mapping[int, Load], path: Path, kind:
     crops = [loads[row.load_number].crop if row.load_number in loads else "" for row in rows]
     crop_of_row, of_crop = crop_names(Label.of(crops), options.crop)
     labels = {
-        "load": Label.of([str(row.load_number) for row in rows]),
+        "load": Label.of([_load(row, loads) for row in rows]),
         "field": Label.constant(options.field, count) if options.field else Label.of(fields),
         "crop": crop_of_row,
     }
@@ -139,9 +146,30 @@ def table_of(rows: list[SecondRow], loads: Mapping[int, Load], path: Path, kind:
         kind,
         count,
         mass_kg=total if total > 0 else None,
-        notes=(*of_crop, *notes, *([] if harvesting.any() else ["no second of harvest"])),
+        notes=(*of_crop, *of_width, *notes, *([] if harvesting.any() else ["no second of harvest"])),
     )
     return build(columns, labels, source, unix_time=True, default_flow_s=DEFAULT_FLOW_S)
+
+
+def _load(row: SecondRow, loads: Mapping[int, Load]) -> str:
+    """The load of a second; what comes between a load's end and the next one's begin carries the ended one's number and belongs
+    to none."""
+    ended_s = loads[row.load_number].ended_s if row.load_number in loads else None
+    return "" if ended_s is not None and row.time_s > ended_s else str(row.load_number)
+
+
+def _width_m(area_m2: Array, way_m: Array, path: Path) -> tuple[Array, tuple[str, ...]]:
+    """Of each second by the areas that the daemon reckoned with its header's width, which may change; and a note on it. Raises
+    InputError where they do not tell it."""
+    with np.errstate(invalid="ignore"):
+        known = np.flatnonzero((area_m2 > 0.0) & (way_m > _LEAST_WAY_M))
+    if known.size < _SECONDS_OF_ONE_HEADER // 2:
+        raise InputError(str(path), "has no working width", "--width M")
+    widths = np.round(median_filter(area_m2[known] / way_m[known], _SECONDS_OF_ONE_HEADER, mode="nearest"), 1)
+    nearest = np.searchsorted(0.5 * (known[1:] + known[:-1]), np.arange(area_m2.size))
+    least, most = widths.min(), widths.max()
+    said = f"{least:g} m" if least == most else f"{least:g} to {most:g} m"
+    return widths[nearest], (f"width {said}, by the areas that it holds (else --width)",)
 
 
 def _column(rows: list[SecondRow], name: str) -> Array:

@@ -67,6 +67,14 @@ class Memory:
     ticketed: tuple[StoredLoad, ...] = ()
     """Loads of the newest tickets."""
 
+    @property
+    def in_words(self) -> str:
+        """What a start goes on from."""
+        if self.engine is None:
+            return "new, the total begins at 0 kg and the parameters are those of their file"
+        totals = self.engine.totals
+        return f"goes on from {totals.total_kg:.1f} kg, load {totals.load_number}"
+
 
 def recall(store: Store) -> Memory:
     """What the store remembers. Raises StoreDamagedError when it makes no sense."""

@@ -40,8 +40,9 @@ class ParameterHistory:
         return parameters.provenance.get("crop", named) or (SHIPPED_CROP if self.digest == self._shipped_digest else "")
 
     def change_crop(self, crop: str, in_use: ParameterSet, named: str, who: str = "", last_load: int = 0) -> ParameterSet | None:
-        """The parameters for another crop: what was last known of it, else what is shipped, else a copy of those in use, which
-        tickets then update this crop alone. None where those in use stay: they are its own, or nothing says whose they are.
+        """The parameters for another crop: what was last known of it, else what is shipped with the plate's angle as it was
+        measured, else a copy of those in use, which tickets then update this crop alone. None where those in use stay: they are
+        its own, or nothing says whose they are.
 
         What is known of the crop before is kept. named: the crop that an operator named last. last_load: number of the newest.
         """
@@ -83,7 +84,10 @@ class ParameterHistory:
         if self.crop_of(in_use, named) in ("", crop):
             return in_use
         known = self._of_crop.get(crop)
-        return crops()[crop].parameters() if known is None and crop in crops() else known
+        if known is not None or crop not in crops():
+            return known
+        shipped = crops()[crop].parameters()
+        return replace(shipped, values={**shipped.values, **_of_the_plate(in_use)})
 
     def unlike(self, configured: ParameterSet) -> ParameterSet | None:
         """A parameter file read anew: the set to use from now on, None when it is the one that was read last."""
@@ -212,3 +216,8 @@ class ParameterHistory:
         """The next batch brings those in use."""
         if self._in_use is not None and self._in_use not in self._new:
             self._new.insert(0, self._in_use)
+
+
+def _of_the_plate(parameters: ParameterSet) -> dict[str, float]:
+    """What parameters hold that is the machine's whatever it harvests: by how much its plate's angle is reported wrong."""
+    return {name: value for name, value in parameters.values.items() if name.partition(".")[0] == "plate_angle_offset"}

@@ -113,7 +113,7 @@ def _crop_named(request: Request, journal: Journal) -> str | None:
         return name
     meant = None if journal.parameters.keeps(name.strip()) else misspelt(name)
     if meant is not None:
-        raise InputError("crop", f"{name.strip()!r} is no known crop", f"{meant}, or a name that is less like it")
+        raise InputError("crop", f"{name.strip()!r} is no known crop", f"{meant}; for another crop, a name less like it")
     return shipped_name(name) or name.strip()
 
 
