@@ -18,7 +18,7 @@ def add_channels(parser: argparse.ArgumentParser) -> None:
         default=[],
         dest="channels",
         metavar="NAME",
-        help="of the logs this channel only; repeatable",
+        help="read only this channel of the logs; repeatable",
     )  # fmt: skip
 
 

@@ -25,7 +25,7 @@ def add_daemon_arguments(parser: argparse.ArgumentParser) -> None:
     """--socket and --config: which daemon."""
     which = parser.add_mutually_exclusive_group()
     which.add_argument("--socket", metavar="PATH", help="the daemon's socket (default: the system's, else the user's)")
-    which.add_argument("--config", metavar="FILE", help="the daemon's configuration, which names its socket")
+    which.add_argument("--config", metavar="FILE", help="the daemon's configuration, to find its socket")
 
 
 def ask_daemon(args: argparse.Namespace, request: Mapping[str, Any]) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from yieldmon.files import whole_file
 
 def add_force(parser: argparse.ArgumentParser, *names: str) -> None:
     """--force, and which of the parser's arguments (by their names in the namespace) name files that the verb writes."""
-    parser.add_argument("--force", action="store_true", help="replace files that are there already")
+    parser.add_argument("--force", action="store_true", help="replace existing files")
     parser.set_defaults(output_arguments=names)
 
 

@@ -1,7 +1,7 @@
-"""List the calibrations of a running daemon, or go back to what was in use before one.
+"""List the calibrations of a running daemon, or undo one.
 
-Each change of parameters is listed: parameter files with adopted effects, sweeps, tickets, crops, and the operator's zero
-calibrations, with who and when.
+The list shows each change of parameters, with operator and time: parameter files with adopted effects, sweeps, tickets, crops,
+and zero calibrations.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """The verb's arguments."""
     parser = subparsers.add_parser(
         "calibrations",
-        help="list calibrations and zeros, or take one back",
-        description=f"{__doc__} undo takes back a calibration: later tickets update the parameters again, its own only "
-        "corrects its load. A zero goes back with `yieldmon zero --undo`.",
+        help="list calibrations and zeros, or undo one",
+        description=f"{__doc__} undo removes a calibration. Later tickets update the parameters again; an undone ticket "
+        "corrects only its load. To undo a zero use `yieldmon zero --undo`.",
         epilog="example: yieldmon calibrations list; yieldmon calibrations undo 14",
     )
     actions = parser.add_subparsers(dest="action", metavar="list|undo", required=True)
     listing = actions.add_parser(
-        "list", help=f"the newest {_SHOWN}; with --json all", epilog="example: yieldmon calibrations list"
+        "list", help=f"show the newest {_SHOWN}; with --json all", epilog="example: yieldmon calibrations list"
     )
     undo = actions.add_parser(
-        "undo", help="the parameters without a version, as a new one", epilog="example: yieldmon calibrations undo 14"
+        "undo", help="write a new parameter version without this one", epilog="example: yieldmon calibrations undo 14"
     )
-    undo.add_argument("version", metavar="VERSION", type=int, help="as the list shows it")
+    undo.add_argument("version", metavar="VERSION", type=int, help="version, from the list")
     for action in (listing, undo):
         add_daemon_arguments(action)
         action.add_argument("--json", action="store_true", help="print the answer as one JSON document")
@@ -41,7 +41,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def run(args: argparse.Namespace) -> int:
     """Exit code 0 when the daemon did it."""
     if args.action == "undo" and args.version < 1:
-        raise InputError("VERSION", f"is {args.version}", "a version as `yieldmon calibrations list` shows it")
+        raise InputError("VERSION", f"is {args.version}", "a version from `yieldmon calibrations list`")
     if args.action == "undo":
         answer = ask_daemon(args, {"command": "calibration-undo", "version": args.version})
         print_document(answer, back, as_json=args.json)

@@ -1,4 +1,4 @@
-"""Check a configuration file, with the machine and parameter files that it names."""
+"""Check a configuration file and the machine and parameter files that it names."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         epilog="example: yieldmon check-config /etc/yieldmon/yieldmon.yaml --log drive.log",
     )
     parser.add_argument("file", nargs="?", metavar="FILE", help="YAML configuration (default: the shipped one)")
-    parser.add_argument("--log", metavar="FILE", help="check the signal mapping against this recording")
+    parser.add_argument("--log", metavar="FILE", help="check the signal mapping against this log")
     _channels.add_channels(parser)
-    parser.add_argument("--json", action="store_true", help="print what was found as one JSON document")
-    parser.add_argument("--defaults", action="store_true", help="print the default configuration, commented, and end")
+    parser.add_argument("--json", action="store_true", help="print one JSON document")
+    parser.add_argument("--defaults", action="store_true", help="print the default configuration, with comments, and exit")
 
 
 def run(args: argparse.Namespace) -> int:

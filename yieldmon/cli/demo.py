@@ -1,4 +1,4 @@
-"""Virtual combine and monitor in one process on a virtual CAN bus, and how well they agree."""
+"""Run a virtual combine and the monitor on a virtual CAN bus, and print the error of the flow."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ EXAMPLE = "yieldmon demo --duration 120 --seed 1 --picture demo.png"
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """The verb's arguments."""
     parser = subparsers.add_parser(
-        "demo", help="see it work: virtual combine and monitor", description=__doc__, epilog=f"example: {EXAMPLE}"
+        "demo", help="run a virtual combine and the monitor", description=__doc__, epilog=f"example: {EXAMPLE}"
     )
     parser.add_argument("--duration", type=float, metavar="S", help="simulated time, s (default: the scenario's)")
-    parser.add_argument("--seed", type=int, default=1, metavar="N", help="seed of everything random (default: %(default)s)")
-    parser.add_argument("--scenario", metavar="FILE", help="scenario file, or a shipped one's name (default: demo)")
+    parser.add_argument("--seed", type=int, default=1, metavar="N", help="random seed (default: %(default)s)")
+    parser.add_argument("--scenario", metavar="FILE", help="scenario file or shipped name (default: demo)")
     parser.add_argument("--config", metavar="FILE", help="configuration file (default: the shipped one)")
-    parser.add_argument("--picture", type=Path, metavar="FILE", help="write true and measured flow here (PNG or SVG)")
-    parser.add_argument("--json", action="store_true", help="print the accuracy as one JSON document")
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="plot true and measured flow to this file (PNG or SVG)")
+    parser.add_argument("--json", action="store_true", help="print one JSON document")
     _outputs.add_force(parser, "picture")
 
 

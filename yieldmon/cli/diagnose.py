@@ -1,4 +1,4 @@
-"""Find where model and measurement disagree, name the missing effect, and prove that adding it helps."""
+"""Find where model and measurement disagree, name the missing effect, and test that adding it helps."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """The verb's arguments."""
     parser = subparsers.add_parser(
         "diagnose",
-        help="find and name what the model leaves out",
+        help="find and name missing effects of the model",
         description=__doc__,
         epilog="example: yieldmon diagnose facility.csv --params corn.yaml --report found",
     )
@@ -42,34 +42,36 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "--params",
         metavar="FILE.yaml",
-        help="parameters of the model (default: shipped corn; for a store, those it was given last)",
+        help="parameters of the model (default: shipped corn; for a store, its latest parameter file)",
     )
     parser.add_argument("--machine", metavar="FILE.yaml", help="file or shipped name (default: sprocket-8)")
     parser.add_argument(
         "--form",
         choices=("auto", "restitution", "exchange"),
         default="auto",
-        help="gain of the published model: 1 + e, or k1 and k2; auto: the parameter file's, and k1, k2 where 1 + e cannot fit",
+        help="impact gain of the model: 1 + e, or k1 and k2; auto: the parameter file's, but k1, k2 if 1 + e cannot fit",
     )
     parser.add_argument(
         "--hold-out",
         default="cells",
         metavar="WHICH",
-        help="rows held out of fits: cells, trials, none, or COLUMN=VALUE such as plate_angle_deg=60 (default: cells)",
+        help="rows held out of the fits: cells, trials, none, or COLUMN=VALUE such as plate_angle_deg=60 (default: cells)",
     )
     parser.add_argument("--without", action="append", default=[], metavar="EFFECT", help="leave an effect out of the search")
     parser.add_argument(
         "--keep-effects",
         action="store_true",
-        help="of a table: effects that the parameters name belong to the model and are not looked for (of a store: always)",
+        help="for a table: keep the parameter file's effects in the model and do not search for them (for a store: always)",
     )
-    parser.add_argument("--seed", type=int, default=1, metavar="N", help="of splits and bootstraps (default: 1)")
-    parser.add_argument("--sweeps", type=int, metavar="N", help="of a store, the newest N sweeps (default: all)")
-    parser.add_argument("--table", metavar="FILE.csv", help="of a store, write the table that is diagnosed")
-    parser.add_argument("--adopt", metavar="FILE.yaml", help="write the next version of the parameters, with the named effects")
-    parser.add_argument("--rollback", metavar="FILE.yaml", help="put the parent of an adopted file back in its place, and end")
-    parser.add_argument("--plan", metavar="FILE.csv", help="write the next experiment, and next to it the daemon's sweep section")
-    parser.add_argument("--report", metavar="DIR", help="write an HTML page with pictures")
+    parser.add_argument("--seed", type=int, default=1, metavar="N", help="seed of splits and bootstraps (default: 1)")
+    parser.add_argument("--sweeps", type=int, metavar="N", help="for a store: use the newest N sweeps (default: all)")
+    parser.add_argument("--table", metavar="FILE.csv", help="for a store: write the diagnosed table")
+    parser.add_argument("--adopt", metavar="FILE.yaml", help="write the next version of the parameters, with the effects found")
+    parser.add_argument("--rollback", metavar="FILE.yaml", help="restore the previous version of an adopted file, and exit")
+    parser.add_argument(
+        "--plan", metavar="FILE.csv", help="write the next experiment, and beside it a sweep section for the daemon"
+    )
+    parser.add_argument("--report", metavar="DIR", help="write an HTML page with plots")
     parser.add_argument("--json", action="store_true", help="print one JSON document")
     _outputs.add_force(parser, "table", "plan")
 

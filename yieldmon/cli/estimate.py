@@ -1,4 +1,4 @@
-"""Open loop: mass flow from force for each row of a table, with standard deviation and status."""
+"""Compute mass flow from force (open loop) for each row of a table, with standard deviation and status."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         description=__doc__,
         epilog="example: yieldmon estimate windows.csv --params corn.yaml --json",
     )
-    parser.add_argument("data", metavar="DATA.csv", help="plate_angle_deg and force_n, momentum_kg_m_s or response")
+    parser.add_argument("data", metavar="DATA.csv", help="table with plate_angle_deg, and force_n, momentum_kg_m_s or response")
     model_options.add_model_arguments(parser)
     _flow_curve.add_file(parser)
     parser.add_argument(
-        "--sigma", type=float, default=0.0, metavar="SD", help="noise of the reading where the table has no sigma (default: 0)"
+        "--sigma", type=float, default=0.0, metavar="SD", help="noise of the reading if the table has no sigma (default: 0)"
     )
     parser.add_argument("--json", action="store_true", help='one JSON document, {"rows": [...]} (default: CSV)')
 

@@ -36,8 +36,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """The verb's arguments."""
     parser = subparsers.add_parser(
         "export",
-        help="records as tables, maps and task data",
-        description=f"{__doc__} Yield points need position and ground speed frames in the record, and --swath.",
+        help="export records as tables, maps and task data",
+        description=f"{__doc__} Yield points need --swath, and position and ground speed in the record.",
         epilog="example: yieldmon export monday.parquet --out monday.gpkg --swath 9.1 --flow-delay 12",
     )
     parser.add_argument("record", metavar="RECORD", help="a daemon's store (.sqlite, .db), or a table of `process`")
@@ -46,15 +46,24 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     kinds = f"{', '.join(FORMATS)} (default: by the name's ending); taskdata without .zip writes a folder"
     parser.add_argument("--format", choices=FORMATS, metavar="FORMAT", help=kinds)
     parser.add_argument(
-        "--what", choices=("seconds", "loads", "points"), help="what a table holds (default: seconds); other formats hold points"
+        "--what", choices=("seconds", "loads", "points"), help="rows of a table (default: seconds); other formats have points"
     )
     points = parser.add_argument_group("yield points")
     points.add_argument("--swath", type=float, metavar="M", help="working width")
-    points.add_argument("--flow-delay", type=float, default=12.0, metavar="S", help="from cutting to the sensor (default: 12)")
-    points.add_argument("--start-delay", type=float, default=4.0, metavar="S", help="left out at a pass's start (default: 4)")
-    points.add_argument("--end-delay", type=float, default=4.0, metavar="S", help="left out at a pass's end (default: 4)")
     points.add_argument(
-        "--reference-moisture", type=float, metavar="PCT", help="of dry mass (default: the crop's market moisture, else 15.5)"
+        "--flow-delay", type=float, default=12.0, metavar="S", help="delay from cutting to the sensor (default: 12)"
+    )
+    points.add_argument(
+        "--start-delay", type=float, default=4.0, metavar="S", help="leave out the first S seconds of a pass (default: 4)"
+    )
+    points.add_argument(
+        "--end-delay", type=float, default=4.0, metavar="S", help="leave out the last S seconds of a pass (default: 4)"
+    )
+    points.add_argument(
+        "--reference-moisture",
+        type=float,
+        metavar="PCT",
+        help="moisture of dry mass (default: the crop's market moisture, else 15.5)",
     )
     points.add_argument("--field", metavar="NAME", help="name of the field (default: the load's, else field)")
     points.add_argument("--grain", metavar="NAME", help="name of the crop (default: the load's, else corn)")

@@ -1,6 +1,6 @@
 """Measure logs of many machines and days into a dataset; report on and learn from it.
 
-The dataset is a folder, or lies in an object store (s3://bucket/name), with a partition for each machine and day.
+The dataset is a folder or an object store (s3://bucket/name), with a partition for each machine and day.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """The verb's arguments."""
     parser = subparsers.add_parser(
         "fleet",
-        help="measure the logs of many machines on many processors; report on them",
+        help="measure and compare the logs of many machines",
         description=__doc__,
         epilog="example: yieldmon fleet run logs/ --out season",
     )

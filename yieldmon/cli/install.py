@@ -1,4 +1,4 @@
-"""Install yieldmon as a service of this machine, or take it away again."""
+"""Install yieldmon as a service on this computer, or uninstall it."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from yieldmon.service.installation import (
 )
 
 _TEXT = """
-The command goes into a new virtual environment below /opt/yieldmon, with the lock file's dependencies by their hashes. An
+The command goes into a new virtual environment below /opt/yieldmon, with the dependencies of the lock file, verified by hash. An
 existing configuration is kept. --uninstall keeps /etc/yieldmon and /var/lib/yieldmon.
 """
 
@@ -31,25 +31,30 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """The verb's arguments."""
     parser = subparsers.add_parser(
         "install",
-        help="install as a service of this machine",
+        help="install as a service on this computer",
         description=f"{__doc__}\n{_TEXT}",
         epilog="example: yieldmon install --interface can1",
     )
-    parser.add_argument("--uninstall", action="store_true", help="take everything away, except configuration and records")
-    parser.add_argument("--web", action="store_true", help="with the page (`yieldmon web`), as a unit of its own")
-    parser.add_argument("--rollback", action="store_true", help="go back to the previous installation; repeated, forward again")
-    parser.add_argument("--no-lock", action="store_true", help="dependencies as pip finds them, not those of the lock file")
-    parser.add_argument("--purge", action="store_true", help="with --uninstall: configuration and records, too")
-    parser.add_argument("--interface", metavar="NAME", help="CAN interface (default: the kept configuration's, else can0)")
+    parser.add_argument("--uninstall", action="store_true", help="remove everything except configuration and records")
+    parser.add_argument("--web", action="store_true", help="also install the web page (`yieldmon web`) as a unit of its own")
+    parser.add_argument("--rollback", action="store_true", help="go back to the previous installation; run again to go forward")
     parser.add_argument(
-        "--command", type=Path, metavar="PATH", help="an installed command, outside home folders (default: makes /opt/yieldmon)"
+        "--no-lock", action="store_true", help="install the latest dependencies instead of those in the lock file"
     )
-    parser.add_argument("--from", dest="source", metavar="PACKAGE", help="a wheel or folder for pip to install there")
+    parser.add_argument("--purge", action="store_true", help="with --uninstall: also remove configuration and records")
+    parser.add_argument("--interface", metavar="NAME", help="CAN interface (default: the existing configuration's, else can0)")
+    parser.add_argument(
+        "--command",
+        type=Path,
+        metavar="PATH",
+        help="use this installed command, outside home folders (default: install to /opt/yieldmon)",
+    )
+    parser.add_argument("--from", dest="source", metavar="PACKAGE", help="wheel or folder for pip to install")
     parser.add_argument("--python", default=sys.executable, metavar="PATH", help="Python of /opt/yieldmon (default: this one)")
     parser.add_argument(
-        "--root", type=Path, default=Path("/"), metavar="DIR", help="install below this folder instead; runs no systemctl"
+        "--root", type=Path, default=Path("/"), metavar="DIR", help="install below this folder instead, without systemctl"
     )
-    parser.add_argument("--dry-run", action="store_true", help="print what would be done")
+    parser.add_argument("--dry-run", action="store_true", help="print the steps without doing them")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -1,4 +1,4 @@
-"""Start or stop a load, list all loads, or correct past ones, on a running daemon."""
+"""Start or stop a load, list loads, or correct past ones, on a running daemon."""
 
 from __future__ import annotations
 
@@ -25,27 +25,29 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     start = actions.add_parser("start", help="begin a new load", epilog="example: yieldmon load start --field north --crop corn")
-    start.add_argument("--field", metavar="NAME", help="field name, for this load and the next ones")
-    start.add_argument("--crop", metavar="NAME", help="crop, for this load and the next ones; its parameters are used")
+    start.add_argument("--field", metavar="NAME", help="field name of this load and later ones")
+    start.add_argument("--crop", metavar="NAME", help="crop of this load and later ones; selects its parameters")
     start.add_argument(
         "--thousand-kernel-weight",
         type=float,
         metavar="G",
-        help="mass of a thousand kernels, g, for this load and the next ones; scales the flow from kernel noise",
+        help="mass of a thousand kernels, g, of this load and later ones; scales the flow from kernel noise",
     )
-    stop = actions.add_parser("stop", help="the load is complete", epilog="example: yieldmon load stop")
+    stop = actions.add_parser("stop", help="complete the load", epilog="example: yieldmon load stop")
     listing = actions.add_parser(
         "list", help="list all loads, as measured and as corrected by tickets", epilog="example: yieldmon load list --json"
     )
     listing.add_argument(
-        "--sums", action="store_true", help=f"sums by field and crop; {PAUSE_DAYS} days without a load begin another harvest"
+        "--sums",
+        action="store_true",
+        help=f"show sums by field and crop; a new harvest begins after {PAUSE_DAYS} days without a load",
     )
     correct = actions.add_parser(
-        "correct", help="give complete loads another crop or field", epilog="example: yieldmon load correct 7-8 --crop wheat"
+        "correct", help="change crop or field of complete loads", epilog="example: yieldmon load correct 7-8 --crop wheat"
     )
     correct.add_argument("loads", metavar="LOAD", help="number, or FIRST-LAST")
     correct.add_argument("--field", metavar="NAME", help="field name")
-    correct.add_argument("--crop", metavar="NAME", help="crop, whose parameters measure them again")
+    correct.add_argument("--crop", metavar="NAME", help="crop; its parameters recompute the loads")
     for action in (start, stop, listing, correct):
         add_daemon_arguments(action)
         add_units(action, "the daemon's configuration")

@@ -53,7 +53,7 @@ def add_set_argument(parser: argparse.ArgumentParser) -> None:
         metavar="NAME=VALUE",
         action="append",
         default=[],
-        help="change one parameter, e.g. friction=0.3 or gravity.acceleration_m_s2=9.81 (which adds the effect)",
+        help="change one parameter, e.g. friction=0.3 or gravity.acceleration_m_s2=9.81 (adds the effect)",
     )
 
 

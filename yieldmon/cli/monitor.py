@@ -1,4 +1,4 @@
-"""Live monitor: every frame decoded, with rate, age, bytes and range; or the cab's view of load, yield, flow and faults."""
+"""Watch a bus or log: every frame decoded; or the cab view of load, yield, flow and faults."""
 
 from __future__ import annotations
 
@@ -44,23 +44,27 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """The verb's arguments."""
     parser = subparsers.add_parser(
         "monitor",
-        help="watch the bus: every frame decoded, mass flow large",
-        description="Show a bus, or a log at its own speed. Keys: q quit, space pause, s sort, / filter, j and k choose a row, "
-        "r record to a log, u units, c the cab's view and back. There l, x, t, z and w ask the daemon for a load, crop, ticket, "
-        "zero or sweep, each after a question.",
+        help="watch a bus or log, every frame decoded",
+        description="Show a bus, or a log at its own speed. Keys: q quit, space pause, s sort, / filter, j and k select a row, "
+        "r record to a log, u units, c cab view on and off. In the cab view: l load, x crop, t ticket, z zero, w sweep; each "
+        "asks for confirmation.",
         epilog="example: yieldmon monitor -i socketcan -c can0; yieldmon monitor drive.log --once --json",
     )
     parser.add_argument("log", nargs="?", metavar="LOG", help="show this log instead of a bus")
     parser.add_argument("--dbc", action="append", default=[], metavar="FILE", help="DBC that names messages; repeatable")
-    parser.add_argument("--speed", type=float, default=1.0, metavar="X", help="of a log: times as fast; 0: at once (default: 1)")
-    parser.add_argument("--once", action="store_true", help="print one screen and end: after --seconds, or at a log's end")
-    parser.add_argument("--seconds", type=float, default=3.0, metavar="S", help="how long --once listens (default: 3)")
-    parser.add_argument("--json", action="store_true", help="one JSON document with --once, else a line a second")
+    parser.add_argument(
+        "--speed", type=float, default=1.0, metavar="X", help="for a log: X times as fast; 0: without waiting (default: 1)"
+    )
+    parser.add_argument(
+        "--once", action="store_true", help="print one screen and exit: after --seconds, or at the end of the log"
+    )
+    parser.add_argument("--seconds", type=float, default=3.0, metavar="S", help="listening time of --once (default: 3)")
+    parser.add_argument("--json", action="store_true", help="print one JSON document with --once, else one per second")
     parser.add_argument("--sort", choices=ORDERS, default="id", help="order of the rows (default: id)")
-    parser.add_argument("--filter", default="", metavar="TEXT", help="only rows whose name or identifier holds this")
+    parser.add_argument("--filter", default="", metavar="TEXT", help="show only rows whose name or identifier contains this")
     parser.add_argument("--record", type=Path, metavar="FILE", help="write every frame to this log (any format of python-can)")
     _outputs.add_force(parser, "record")
-    parser.add_argument("--cab", action="store_true", help="begin with the cab's view; without -i, of a running daemon")
+    parser.add_argument("--cab", action="store_true", help="start in the cab view; without -i: of the running daemon")
     add_units(parser, "the daemon's, else metric")
     add_daemon_arguments(parser)
     add_bus_arguments(parser)

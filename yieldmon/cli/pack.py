@@ -1,4 +1,4 @@
-"""CAN logs as packed frames: one Parquet file, a fraction of the size, read many times faster, every classic frame the same."""
+"""Pack CAN logs into one Parquet file: smaller, many times faster to read, every classic frame unchanged."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """The verb's arguments."""
     parser = subparsers.add_parser(
         "pack",
-        help="CAN logs as packed frames (Parquet)",
+        help="pack CAN logs into one Parquet file",
         description=__doc__,
         epilog="example: yieldmon pack monday-*.log.gz --out monday.parquet",
     )
-    parser.add_argument("logs", nargs="+", metavar="LOG", help="candump or any log of python-can; several are one record")
+    parser.add_argument("logs", nargs="+", metavar="LOG", help="any supported log; several logs form one record")
     parser.add_argument("--out", required=True, metavar="FILE.parquet", help="file to write")
     _channels.add_channels(parser)
     parser.add_argument("--json", action="store_true", help="print a summary as one JSON document")

@@ -1,4 +1,4 @@
-"""Draw what was measured, and what the model says, as PNG or SVG."""
+"""Plot measurements and the model as PNG or SVG."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """The verb's arguments."""
     parser = subparsers.add_parser(
         "plot",
-        help="draw records, curves and comparisons",
+        help="plot records, curves and comparisons",
         description=f"{__doc__} Needs the plot extra (matplotlib).",
         epilog="example: yieldmon plot flow monday.parquet --truth truth.csv --out monday.png",
     )
@@ -58,7 +58,9 @@ def _add_of_records(kinds: Any) -> None:
     record.add_argument("--truth", metavar="FILE", help="CSV with time_s, mass_flow_kg_s, total_mass_kg (as simulate writes)")
     _add_units(record)
 
-    record = _picture(kinds, "errors", _errors, "error of the seconds by band of true flow", "monday.parquet --truth truth.csv")
+    record = _picture(
+        kinds, "errors", _errors, "error of single seconds by band of true flow", "monday.parquet --truth truth.csv"
+    )
     record.add_argument("record", metavar="RECORD", help=RECORD_HELP)
     record.add_argument("--truth", metavar="FILE", required=True, help="CSV with time_s, mass_flow_kg_s, total_mass_kg")
     record.add_argument("--bands", nargs="+", default=["1:29:4"], metavar="KG_S", help="edges of the bands (default: 1:29:4)")
@@ -80,7 +82,7 @@ def _add_of_models(kinds: Any) -> None:
         "force by plate angle and by flow: model, and readings of a table",
         "facility.csv --params corn.yaml",
     )
-    curve.add_argument("data", nargs="?", metavar="DATA.csv", help="measurement table of force or momentum (default: none)")
+    curve.add_argument("data", nargs="?", metavar="DATA.csv", help="table of force or momentum (default: none)")
     model_options.add_model_arguments(curve)
     curve.add_argument("--mass-flow", nargs="+", metavar="KG_S", help="flows (default: the table's, or 2:26:4)")
     curve.add_argument("--plate-angle", nargs="+", metavar="DEG", help="angles (default: the table's, or 40:90:10)")
@@ -90,7 +92,7 @@ def _add_of_models(kinds: Any) -> None:
     missed = _picture(
         kinds, "residuals", _residuals, "model minus measured, over plate angle and load", "facility.csv --params corn.yaml"
     )
-    missed.add_argument("data", metavar="DATA.csv", help="measurement table with a load and a reading")
+    missed.add_argument("data", metavar="DATA.csv", help="table with a load and a reading")
     model_options.add_model_arguments(missed)
 
     study = _picture(
@@ -103,7 +105,7 @@ def _add_of_models(kinds: Any) -> None:
         kinds,
         "published",
         _published,
-        "published momentum table and closed loop, beside this model's",
+        "published momentum table and closed loop, compared with this model",
         "tests/data/published_tables.yaml",
     )
     theirs.add_argument("tables", metavar="TABLES.yaml", help="the published figures (tests/data/published_tables.yaml)")

@@ -1,4 +1,4 @@
-"""Forward model: momentum per paddle and mean force for lists of mass flow, plate angle and elevator speed."""
+"""Compute momentum per paddle and mean force from mass flow, plate angle and elevator speed."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """The verb's arguments."""
     parser = subparsers.add_parser(
         "predict",
-        help="force from mass flow",
+        help="compute force from mass flow",
         description=__doc__,
         epilog="example: yieldmon predict --mass-flow 2 9 18 --plate-angle 40:90:10 --json",
     )
     parser.add_argument("--mass-flow", nargs="+", required=True, metavar="KG_S", help="kg/s, e.g. 2,5,9 or 2:26:1")
     parser.add_argument("--plate-angle", nargs="+", metavar="DEG", help="deg, e.g. 40:90:5 (default: home)")
-    parser.add_argument("--plate-position", nargs="+", metavar="M", help="away from the elevator (m)")
+    parser.add_argument("--plate-position", nargs="+", metavar="M", help="distance moved away from the elevator (m)")
     parser.add_argument("--elevator-speed", nargs="+", metavar="RPM", help="elevator speed (default: the machine's nominal)")
-    parser.add_argument("--moisture", type=float, metavar="PCT", help="for effects that need it (%%)")
+    parser.add_argument("--moisture", type=float, metavar="PCT", help="grain moisture for effects that need it (%%)")
     model_options.add_model_arguments(parser)
     parser.add_argument("--json", action="store_true", help='one JSON document, {"rows": [...]} (default: CSV)')
 

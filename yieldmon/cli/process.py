@@ -1,4 +1,4 @@
-"""Put CAN logs through the engine: a row for each second, as the daemon would have measured it, learning from sweeps."""
+"""Measure CAN logs as the daemon would: a table with a row per second, with parameter updates from sweeps."""
 
 from __future__ import annotations
 
@@ -49,15 +49,15 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """The verb's arguments."""
     parser = subparsers.add_parser(
         "process",
-        help="put CAN logs through the engine",
+        help="measure CAN logs as the daemon would",
         description=__doc__,
         epilog="example: yieldmon process monday-*.log.gz --out monday.parquet --json",
     )
     parser.add_argument(
-        "logs", nargs="+", metavar="LOG", help="candump or any log of python-can; several are one record; or a daemon's store"
+        "logs", nargs="+", metavar="LOG", help="any supported log; several logs form one record; or a daemon's store"
     )
     parser.add_argument(
-        "--params", metavar="FILE", help="file or shipped name (default: the configuration's; of a store, its newest)"
+        "--params", metavar="FILE", help="file or shipped name (default: the configuration's; for a store, its newest)"
     )
     parser.add_argument("--config", metavar="FILE", help="YAML configuration (default: the shipped one)")
     _channels.add_channels(parser)
@@ -66,16 +66,22 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--out",
         metavar="FILE",
         required=True,
-        help=f"table to write, *{', *'.join(FORMATS)}; - is standard output; with --separate a folder",
-    )
-    parser.add_argument("--format", choices=[kind[1:] for kind in FORMATS], help="kind of table (default: by the name's ending)")
-    parser.add_argument("--separate", action="store_true", help="each log is a record of its own, with a table of its own")
-    parser.add_argument("--jobs", type=int, metavar="N", default=os.cpu_count() or 1, help="processes (default: one a core)")
-    parser.add_argument(
-        "--zero-mv", type=float, metavar="MV", help="zero-load voltage, mV, of a log that begins in grain, or a store"
+        help=f"table to write, *{', *'.join(FORMATS)}; -: standard output; with --separate a folder",
     )
     parser.add_argument(
-        "--delay", type=int, metavar="S", default=0, help="of a store: place and ground speed belong to the flow S seconds later"
+        "--format", choices=[kind[1:] for kind in FORMATS], help="format of the table (default: by the name's ending)"
+    )
+    parser.add_argument("--separate", action="store_true", help="measure each log separately and write a table for each")
+    parser.add_argument("--jobs", type=int, metavar="N", default=os.cpu_count() or 1, help="processes (default: one per core)")
+    parser.add_argument(
+        "--zero-mv", type=float, metavar="MV", help="zero-load voltage, mV, for a log that begins in grain, or a store"
+    )
+    parser.add_argument(
+        "--delay",
+        type=int,
+        metavar="S",
+        default=0,
+        help="for a store: position and ground speed belong to the flow S seconds later",
     )
     add_units(parser, "the configuration")
     parser.add_argument("--json", action="store_true", help="print a summary as one JSON document")

@@ -1,4 +1,4 @@
-"""Replay a log onto a bus with its own timing."""
+"""Replay logs on a bus with their own timing."""
 
 from __future__ import annotations
 
@@ -34,15 +34,17 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """The verb's arguments."""
     parser = subparsers.add_parser(
         "replay",
-        help="log onto a bus with its own timing",
+        help="replay logs on a bus with their own timing",
         description="Send the frames of one or more logs, one after the other, with the logs' own timing. Error frames are "
         "not sent, CAN FD frames only with --fd. Damaged records are reported and skipped.",
         epilog="example: yieldmon replay drive.log -i socketcan -c vcan0 --inputs-only --skip-gaps 10",
     )
     parser.add_argument("logs", nargs="+", metavar="LOG", help=".log .asc .blf .csv .db .mf4 .trc .txt, each also with .gz")
-    parser.add_argument("--speed", type=float, default=1.0, metavar="X", help="times as fast; 0: as fast as it goes (default: 1)")
-    parser.add_argument("--loop", action="store_true", help="begin again at the end, until interrupted")
-    parser.add_argument("--skip-gaps", type=float, metavar="S", help="shorten silences to S seconds of the log's time")
+    parser.add_argument(
+        "--speed", type=float, default=1.0, metavar="X", help="X times as fast; 0: as fast as possible (default: 1)"
+    )
+    parser.add_argument("--loop", action="store_true", help="repeat until interrupted")
+    parser.add_argument("--skip-gaps", type=float, metavar="S", help="shorten gaps to S seconds of log time")
     parser.add_argument("--from", type=float, default=0.0, dest="from_s", metavar="S", help="begin S seconds into the log")
     parser.add_argument("--to", type=float, default=math.inf, dest="to_s", metavar="S", help="end S seconds into the log")
     parser.add_argument(
@@ -50,11 +52,11 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         action="append",
         default=[],
         metavar="FROM=TO",
-        help="send the frames that the log has on channel FROM on channel TO; frames of channels not named are not sent",
+        help="send frames of the log's channel FROM on channel TO; frames of other channels are not sent",
     )
-    parser.add_argument("--inputs-only", action="store_true", help="just the frames that yieldmon takes in")
-    parser.add_argument("--config", metavar="FILE", help="whose signals --inputs-only sends (default: the shipped one's)")
-    parser.add_argument("--json", action="store_true", help="print the summary as one JSON document")
+    parser.add_argument("--inputs-only", action="store_true", help="send only the frames that yieldmon reads")
+    parser.add_argument("--config", metavar="FILE", help="configuration for --inputs-only (default: the shipped one)")
+    parser.add_argument("--json", action="store_true", help="print one JSON document")
     add_bus_arguments(parser)
 
 

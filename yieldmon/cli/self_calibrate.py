@@ -1,4 +1,4 @@
-"""Closed loop: flows and parameters together from sweeps of the plate, one unknown flow for each group of rows."""
+"""Estimate flows and parameters together from plate sweeps (closed loop), with one unknown flow per group of rows."""
 
 from __future__ import annotations
 
@@ -32,41 +32,43 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """The verb's arguments."""
     parser = subparsers.add_parser(
         "self-calibrate",
-        help="flows and parameters from sweeps (closed loop)",
+        help="estimate flows and parameters from sweeps (closed loop)",
         description=__doc__,
         epilog="example: yieldmon self-calibrate sweeps.csv --group-by sweep --out updated.yaml",
     )
-    parser.add_argument("data", metavar="DATA.csv", help="plate_angle_deg and a reading; a load column serves comparison only")
+    parser.add_argument(
+        "data", metavar="DATA.csv", help="table with plate_angle_deg and a reading; a load column is only for comparison"
+    )
     model_options.add_model_arguments(parser)
     parser.add_argument(
         "--group-by",
         metavar="COL",
-        help="one sweep for each value of this column (default: group, else the load, else one sweep)",
+        help="column that identifies the sweeps (default: group, else the load, else one sweep)",
     )
-    parser.add_argument("--separate", action="store_true", help="each sweep by itself from the same prior (default: pooled)")
     parser.add_argument(
-        "--sigma", type=float, metavar="SD", help="noise of a reading (default: column sigma, else from the rows)"
+        "--separate", action="store_true", help="evaluate each sweep alone, from the same prior (default: together)"
     )
+    parser.add_argument("--sigma", type=float, metavar="SD", help="noise of a reading (default: column sigma, else estimated)")
     parser.add_argument(
         "--model-error",
         type=float,
         default=0.0,
         metavar="SHARE",
-        help="the model's own relative error at each angle (at least the parameters')",
+        help="relative error of the model at each angle (at least the parameter file's)",
     )
     parser.add_argument(
         "--flow",
         choices=("constant", "linear", "process"),
         default="constant",
-        help="change of flow within a sweep",
+        help="assumed change of flow within a sweep",
     )
     parser.add_argument(
         "--density",
         metavar="KG_M3:SD",
-        help="another measurement of the parameter `density`",
+        help="independent measurement of the parameter `density`",
     )
-    parser.add_argument("--out", metavar="FILE.yaml", help="write the updated parameters here (pooled only)")
-    parser.add_argument("--json", action="store_true", help="one JSON document")
+    parser.add_argument("--out", metavar="FILE.yaml", help="parameter file to write (not with --separate)")
+    parser.add_argument("--json", action="store_true", help="print one JSON document")
     _outputs.add_force(parser, "out")
 
 

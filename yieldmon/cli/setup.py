@@ -1,4 +1,4 @@
-"""Set a machine up: measured numbers into configuration, machine and parameter files, and a record of them."""
+"""Set up a machine: write configuration, machine and parameter files from measured numbers."""
 
 from __future__ import annotations
 
@@ -35,15 +35,15 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """The verb's arguments."""
     parser = subparsers.add_parser(
         "setup",
-        help="set a machine up, step by step",
-        description=f"{__doc__} Asks in the terminal, with drawings of what to measure; Ctrl-C keeps what is answered, and the "
-        "same command goes on from there. Each number is checked against the others.",
+        help="set up a machine, step by step",
+        description=f"{__doc__} The command asks in the terminal, shows drawings of what to measure, and checks the "
+        "numbers against each other. Ctrl-C keeps the answers; run the same command to continue.",
         epilog="example: yieldmon setup --out /etc/yieldmon; yieldmon setup --answers answers.yaml --out new",
     )
-    parser.add_argument("--out", metavar="DIR", required=True, help="folder for the files; made if it is not there")
-    parser.add_argument("--answers", metavar="FILE", help="YAML file of answers; with all of them nothing is asked")
+    parser.add_argument("--out", metavar="DIR", required=True, help="folder for the files; created if missing")
+    parser.add_argument("--answers", metavar="FILE", help="YAML file with answers; only missing ones are asked")
     parser.add_argument("--force", action="store_true", help="replace files of an earlier set-up")
-    parser.add_argument("--json", action="store_true", help="print what was found as one JSON document; asks nothing")
+    parser.add_argument("--json", action="store_true", help="print one JSON document; asks nothing")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -1,4 +1,4 @@
-"""Show what is on a bus or in a log, and which signals could serve which quantity."""
+"""List the signals on a bus or in a log, and propose a mapping to quantities."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """The verb's arguments."""
     parser = subparsers.add_parser(
         "signals",
-        help="show what is on a bus or in a log, and what could serve which quantity",
+        help="list the signals on a bus or in a log, and propose a mapping",
         description=__doc__,
         epilog="example: yieldmon signals drive.log --dbc maker.dbc --write mapping.yaml",
     )
-    parser.add_argument("log", nargs="?", metavar="LOG", help="a log; without one the bus is listened to")
+    parser.add_argument("log", nargs="?", metavar="LOG", help="log to read instead of a bus")
     parser.add_argument("--dbc", action="append", default=[], metavar="FILE", help="DBC that names messages; repeatable")
-    parser.add_argument("--seconds", type=float, default=10.0, metavar="S", help="how long a bus is listened to (default: 10)")
-    parser.add_argument("--write", metavar="FILE", help="write a mapping to start from (YAML)")
+    parser.add_argument("--seconds", type=float, default=10.0, metavar="S", help="listening time on a bus (default: 10)")
+    parser.add_argument("--write", metavar="FILE", help="write the proposed mapping (YAML)")
     parser.add_argument("--json", action="store_true", help="print one JSON document")
     _outputs.add_force(parser, "write")
     add_bus_arguments(parser)

@@ -1,4 +1,4 @@
-"""Virtual combine onto a bus, or into a log, and the true flow as a table."""
+"""Simulate a combine on a bus or into a log, and write the true flow as a table."""
 
 from __future__ import annotations
 
@@ -37,21 +37,17 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """The verb's arguments."""
     parser = subparsers.add_parser(
         "simulate",
-        help="virtual combine onto a bus or into a log",
+        help="simulate a combine on a bus or into a log",
         description=__doc__,
         epilog="example: yieldmon simulate --scenario demo --log demo.log --truth demo-truth.csv",
     )
-    parser.add_argument(
-        "--scenario", default="demo", metavar="FILE", help="scenario file, or a shipped one's name (default: demo)"
-    )
+    parser.add_argument("--scenario", default="demo", metavar="FILE", help="scenario file or shipped name (default: demo)")
     parser.add_argument("--machine", metavar="FILE", help="file or shipped name (default: the scenario's)")
-    parser.add_argument("--log", metavar="FILE", help="write a log as fast as it goes (.log .asc .blf .trc .csv .db .mf4)")
-    parser.add_argument("--truth", metavar="FILE", help="write the truth, each second from 0, as CSV")
+    parser.add_argument("--log", metavar="FILE", help="write a log, as fast as possible (.log .asc .blf .trc .csv .db .mf4)")
+    parser.add_argument("--truth", metavar="FILE", help="write the true flow per second from 0, as CSV")
     parser.add_argument("--duration", type=float, metavar="S", help="stop after S seconds (default: the scenario's)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="random seed (default: 0)")
-    parser.add_argument(
-        "--start-time", type=float, default=0.0, metavar="T", help="timestamp of the log's beginning, s (default: 0)"
-    )
+    parser.add_argument("--start-time", type=float, default=0.0, metavar="T", help="first time stamp of the log, s (default: 0)")
     parser.add_argument("--json", action="store_true", help="print a summary as one JSON document")
     _outputs.add_force(parser, "log", "truth")
     add_bus_arguments(parser)

@@ -42,7 +42,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     add_daemon_arguments(parser)
     add_units(parser, "the daemon's configuration")
-    parser.add_argument("--json", action="store_true", help="print everything as one JSON document")
+    parser.add_argument("--json", action="store_true", help="print one JSON document")
 
 
 def run(args: argparse.Namespace) -> int:

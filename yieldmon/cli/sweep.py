@@ -1,4 +1,4 @@
-"""Start or end a self-calibration sweep of a running daemon."""
+"""Start or abort a self-calibration sweep of a running daemon."""
 
 from __future__ import annotations
 
@@ -11,12 +11,14 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """The verb's arguments."""
     parser = subparsers.add_parser(
         "sweep",
-        help="start or end a self-calibration sweep",
+        help="start or abort a self-calibration sweep",
         description=__doc__,
         epilog="example: yieldmon sweep start",
     )
     parser.add_argument(
-        "action", choices=("start", "abort"), help="start: sweep as soon as conditions hold; abort: end it, plate home"
+        "action",
+        choices=("start", "abort"),
+        help="start: sweep as soon as flow and speed are steady; abort: return the plate home",
     )
     add_daemon_arguments(parser)
 

@@ -1,4 +1,4 @@
-"""Set a running daemon's totals to 0, or keep a copy of its store."""
+"""Set a running daemon's totals to 0, or copy its store."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """The verb's arguments."""
     parser = subparsers.add_parser(
         "totals",
-        help="set the totals to 0, or keep a copy of the store",
-        description=f"{__doc__} archive writes all records, loads and parameters into a new file, whether or not a daemon runs; "
-        "reset sets total and load to 0, begins the next load number and keeps the records.",
+        help="set the totals to 0, or copy the store",
+        description=f"{__doc__} archive copies all records, loads and parameters to a new file, with or without a running "
+        "daemon. reset sets total and load to 0, begins the next load and keeps the records.",
         epilog="example: yieldmon totals archive /mnt/usb/2026.sqlite && yieldmon totals reset 41250",
     )
     actions = parser.add_subparsers(dest="action", metavar="archive|reset", required=True)
     archive = actions.add_parser(
-        "archive", help="copy the store into a new file", epilog="example: yieldmon totals archive /mnt/usb/2026.sqlite"
+        "archive", help="copy the store to a new file", epilog="example: yieldmon totals archive /mnt/usb/2026.sqlite"
     )
-    archive.add_argument("out", metavar="OUT", help="file to write; must not be there yet")
-    archive.add_argument("--store", metavar="FILE", help="the store to copy (default: the running daemon's)")
+    archive.add_argument("out", metavar="OUT", help="file to write; must not exist")
+    archive.add_argument("--store", metavar="FILE", help="store to copy (default: the running daemon's)")
     add_daemon_arguments(archive)
     reset = actions.add_parser("reset", help="set all masses to 0", epilog="example: yieldmon totals reset 41250")
-    reset.add_argument("total", metavar="TOTAL", nargs="+", help="the total as `status` shows it, or in whole kg")
+    reset.add_argument("total", metavar="TOTAL", nargs="+", help="present total, as `status` shows it or in whole kg")
     add_daemon_arguments(reset)
 
 

@@ -1,4 +1,4 @@
-"""Show a running daemon, its history and its buttons in a browser."""
+"""Show and operate a running daemon in a browser."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """The verb's arguments."""
     parser = subparsers.add_parser(
         "web",
-        help="the daemon in a browser",
-        description=f"{__doc__} A process of its own; needs the extra web.",
+        help="show and operate the daemon in a browser",
+        description=f"{__doc__} Needs the extra web. Runs as its own process.",
         epilog="example: yieldmon web, then http://127.0.0.1:8090/",
     )
     add_daemon_arguments(parser)
-    parser.add_argument("--store", metavar="FILE", type=Path, help="the store of the history (default: the daemon's)")
+    parser.add_argument("--store", metavar="FILE", type=Path, help="store for the history (default: the daemon's)")
     parser.add_argument(
         "--listen",
         metavar="ADDRESS:PORT",
         default="127.0.0.1:8090",
-        help="address (default: 127.0.0.1:8090); beyond this computer with --token-file",
+        help="address (default: 127.0.0.1:8090); others than this computer need --token-file",
     )
-    parser.add_argument("--token-file", metavar="FILE", type=Path, help="file that holds the token")
+    parser.add_argument("--token-file", metavar="FILE", type=Path, help="file with the token")
     parser.add_argument("--read-only", action="store_true", help="no buttons")
     parser.add_argument("--tiles", metavar="FILE", type=Path, help="background of the map: MBTiles of images")
 

@@ -1,4 +1,4 @@
-"""Calibrate the zero-load voltage of a running daemon; the elevator must run empty meanwhile."""
+"""Calibrate the zero-load voltage of a running daemon. The elevator must run empty."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser = subparsers.add_parser(
         "zero",
         help="calibrate the zero-load voltage",
-        description=f"{__doc__} It is refused while pulses, plate or tank indicate grain. --undo brings back the zero "
-        "before it and measures the seconds since then again.",
+        description=f"{__doc__} The daemon refuses while pulses, plate or tank indicate grain. --undo restores the previous zero "
+        "and recomputes the seconds since.",
         epilog="example: yieldmon zero",
     )
     what = parser.add_mutually_exclusive_group()
-    what.add_argument("--force", action="store_true", help="calibrate although there are signs of grain")
-    what.add_argument("--undo", action="store_true", help="take back the last zero calibration")
+    what.add_argument("--force", action="store_true", help="calibrate in spite of signs of grain")
+    what.add_argument("--undo", action="store_true", help="undo the last zero calibration")
     add_daemon_arguments(parser)
     parser.add_argument("--json", action="store_true", help="print the answer as one JSON document")
 
