@@ -107,6 +107,25 @@ def test_a_crops_tickets_move_that_crops_parameters(tmp_path, capsys, load: int,
     assert parameter_file.load(tmp_path / "new.yaml").values["density"] == pytest.approx(density, rel=0.02)
 
 
+@pytest.mark.parametrize("times", [1.0, 1.3])
+def test_loads_of_another_machine_than_the_shipped_one_need_its_configuration(times: float, tmp_path: Path, capsys) -> None:
+    """times: what its geometry makes of the forces, over what that of the shipped machine makes of them."""
+    found = [row for n in (1, 2) for row in rows(n, 100.0 * n, seconds=30, flow=6.0 + n)]
+    with Store(tmp_path / "s.sqlite") as store:
+        seconds = tuple(replace(row, number=i, mass_kg=times * row.mass_kg) for i, row in enumerate(found, 1))
+        loads = tuple(Load(n, "", "corn", 100.0 * n, 100.0 * n + 40.0, 200.0, None) for n in (1, 2))
+        version = ParameterVersion(1, 0.0, "file", parameter_file.to_document(known()))
+        store.commit([Batch(1, 300.0, {}, seconds, loads, parameter_versions=(version,))])
+    (tmp_path / "t.csv").write_text(f"load,weighed_kg\n1,{210 * times}\n2,{240 * times}\n")
+    words = ["calibrate", "--loads", str(tmp_path / "s.sqlite"), "--tickets", str(tmp_path / "t.csv")]
+    says = "its masses are 1.3 times what this machine's geometry makes of the forces"
+    assert main(words) == (0 if times == 1.0 else 2)
+    err = capsys.readouterr().err
+    assert (f"s.sqlite: {says}, the shipped one's; expected --config FILE" in err) == (times != 1.0)
+    assert main([*words, "--machine", "sprocket-8"]) == 0
+    assert (f"{says}: is it the configuration of the machine that" in capsys.readouterr().err) == (times != 1.0)
+
+
 def test_grain_between_two_loads_is_of_neither(tmp_path, capsys) -> None:
     """`yieldmon load stop`: what comes from then on counts in the total alone."""
     (tmp_path / "t.csv").write_text("load,weighed_kg\n1,35\n")

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from yieldmon.service.config.configuration import Configuration
     from yieldmon.service.logs.weighed_loads import MeasuredLoad
 
+_SAME_MACHINE = 0.05
+"""Relative difference within which masses may be those of a geometry."""
 _TABLE_ONLY = (
     "robust",
     "by_moisture",
@@ -99,7 +101,20 @@ def _measured(args: argparse.Namespace) -> tuple[Configuration, tuple[MeasuredLo
     tickets = ticket_file.load(args.tickets)
     measured = weighed_loads.read(args.loads, configured)
     of_crop = weighed_loads.alike(measured, tickets)
+    _require_machine(weighed_loads.times_what_a_machine_makes(of_crop, configured.machine), args)
     return configured, of_crop, weighed_loads.match(measured, tickets, configured.machine)
+
+
+def _require_machine(times: float | None, args: argparse.Namespace) -> None:
+    """Raises InputError where the loads of a store were measured by a machine of another geometry than the shipped one, which
+    nobody named; a note on one that was named. times: as `weighed_loads.times_what_a_machine_makes`."""
+    if times is None or abs(times - 1.0) <= _SAME_MACHINE:
+        return
+    problem = f"its masses are {times:.3g} times what this machine's geometry makes of the forces"
+    if args.config is None and args.machine is None:
+        expected = "--config FILE, the configuration of the machine that measured the loads"
+        raise InputError(args.loads[0], f"{problem}, the shipped one's", expected)
+    _notes.note(f"{args.loads[0]}: {problem}: is it the configuration of the machine that measured these loads?")
 
 
 def configuration_of(args: argparse.Namespace) -> Configuration:
@@ -126,14 +141,16 @@ def _prior(args: argparse.Namespace, measured: tuple[MeasuredLoad, ...], configu
 
 
 def _before_curve(measured: tuple[MeasuredLoad, ...], known: ParameterSet) -> ParameterSet:
-    """The parameters without a curve that loads of one crop began with. known: the configured ones, which may be another's."""
+    """The parameters without a curve that loads of one crop began with. known: the configured ones, which may be another's, or
+    the shipped ones where no configuration is named."""
     crop = measured[-1].crop
     unchanged = parameter_file.digest(known) == parameter_file.digest(parameter_file.load())
-    if not crop or known.provenance.get("crop", SHIPPED_CROP if unchanged else crop) == crop:
+    if not crop or (not unchanged and known.provenance.get("crop", crop) == crop):
         return known
     used = (load.parameters.get(row.parameter_version) for load in reversed(measured) for row in reversed(load.seconds))
     began = (p for p in used if p is not None and EFFECT not in p.effects and p.provenance.get("crop") == crop)
-    return next(began, crops()[crop].parameters() if crop in crops() else known)
+    shipped_ones = known if crop == SHIPPED_CROP or crop not in crops() else crops()[crop].parameters()
+    return next(began, shipped_ones)
 
 
 def report(found: LoadCalibration, args: argparse.Namespace) -> LoadCalibrationDocument:

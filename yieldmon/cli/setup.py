@@ -25,8 +25,8 @@ Next, on the machine:
      zero and the vibration (until then yieldmon status shows "zeroing", and
      what it waits for)
   2. harvest a load and weigh it; two more at other flows
-  3. yieldmon calibrate --loads STORE --tickets tickets.csv \\
-         --out {parameters}.new.yaml
+  3. yieldmon calibrate --config yieldmon.yaml --loads STORE \\
+         --tickets tickets.csv --out {parameters}.new.yaml
 For area and yield the header's width goes into machine.yaml, such as
   implement: {{working_width_m: 9.1}}"""
 

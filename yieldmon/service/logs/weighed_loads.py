@@ -36,6 +36,7 @@ from yieldmon.service.storage.rows import SecondRow
 LEAST_KNOWN_SHARE = 0.9
 """Of a load's mass that must rest on a known force, angle and speed."""
 _KEPT_SWEEPS = 20
+_TELLING_SECONDS, _LEAST_SECONDS = 300, 20
 
 
 @dataclass(frozen=True)
@@ -275,6 +276,24 @@ def force_columns(rows: Sequence[SecondRow], parameters: ParameterSet, machine: 
     with np.errstate(divide="ignore", invalid="ignore"):
         duration = np.where(flow > 0.0, mass / flow, np.nan)
     return np.stack((duration, force, angle, speed, moisture, mass))
+
+
+def times_what_a_machine_makes(loads: Sequence[MeasuredLoad], machine: Machine) -> float | None:
+    """Masses of a store's newest seconds over what a machine makes of their forces by the parameters that measured them: 1 with
+    the machine that did. None for logs, and where too few seconds tell."""
+    found: list[np.ndarray] = []
+    for load in [load for load in reversed(loads) if not load.log]:
+        of_version: dict[int, list[SecondRow]] = {}
+        for row in load.seconds[-_TELLING_SECONDS:]:
+            of_version.setdefault(row.parameter_version, []).append(row)
+        for version, rows in of_version.items():
+            if version in load.parameters:
+                found.append(force_columns(rows, load.parameters[version], machine)[0] / [row.duration_s for row in rows])
+        if sum(map(len, found)) >= _TELLING_SECONDS:
+            break
+    times = np.concatenate([np.zeros(0), *found])
+    times = times[np.isfinite(times)]
+    return float(np.median(times)) if len(times) >= _LEAST_SECONDS else None
 
 
 def weighed_until_s(measured: Sequence[MeasuredLoad], weighed: Sequence[WeighedLoad]) -> float | None:
