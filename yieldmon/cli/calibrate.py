@@ -17,7 +17,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="fit parameters to a table or to weighed loads",
         description=__doc__,
         epilog="example: yieldmon calibrate facility.csv --out corn.yaml; "
-        "yieldmon calibrate --config yieldmon.yaml --loads yieldmon.sqlite --tickets tickets.csv --out corn.yaml",
+        "yieldmon calibrate --loads yieldmon.sqlite --tickets tickets.csv --config yieldmon.yaml --out corn.yaml",
     )
     parser.add_argument(
         "data", nargs="?", metavar="DATA.csv", help="table with plate_angle_deg, mass flow or paddle mass, and a reading"
