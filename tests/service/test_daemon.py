@@ -34,6 +34,7 @@ from yieldmon import frames
 from yieldmon.bus.receiver import Receiver
 from yieldmon.cli import main as cli
 from yieldmon.files import parameter_file
+from yieldmon.files.crops import crop
 from yieldmon.frames import EstimateQuality, Frame
 from yieldmon.service.config import configuration
 from yieldmon.service.history.journal import Journal
@@ -421,6 +422,18 @@ def test_reload_takes_a_good_configuration_and_refuses_a_bad_one(tmp_path):
         wait_for(lambda: bench.status["configuration"]["reload"].startswith("refused"), "the refusal")
         assert "sweep.interval_s: 1; expected a number" in bench.status["configuration"]["reload"]
         assert bench.daemon.monitor.settings.sweep.interval_s == 7200.0
+
+
+def test_a_reload_says_that_its_parameters_are_of_another_crop_than_the_load(tmp_path):
+    with running(tmp_path) as bench:
+        warm_up(bench)
+        bench.daemon.command({"command": "load-start", "crop": "wheat"})
+        parameter_file.save(crop("corn").parameters(), tmp_path / "p.yaml")
+        (tmp_path / "c.yaml").write_text("parameter_file: p.yaml\nbus: {transmit_max_age_s: 60}")
+        bench.daemon.request_reload()
+        wait_for(lambda: bench.status["configuration"]["reload"].startswith("taken"), "the reload")
+        said = "the parameters are of corn, the load is of wheat: `yieldmon load start --crop wheat` uses those of wheat"
+        assert bench.status["configuration"]["reload"] == f"taken; {said}"
 
 
 def test_what_waits_for_a_start_is_reported_against_what_this_one_began_with(tmp_path):

@@ -375,7 +375,8 @@ class Daemon:
         self._manager.ready()
 
     def _use(self, new: Configuration) -> list[str]:
-        """Goes on with a configuration; returns its sections that will be taken at the next start only."""
+        """Goes on with a configuration; returns what is said of it: sections that will be taken at the next start only, and
+        parameters of another crop."""
         later = at_next_start(self._at_start, new)
         new = usable_now(self._at_start, new)
         self._commit()
@@ -384,7 +385,8 @@ class Daemon:
         self.configuration = new
         self._bus.use(new)
         logging.getLogger("yieldmon").setLevel(new.document.logging.level.upper())
-        return later
+        said = [f"{', '.join(later)} will be at the next start"] if later else []
+        return [*said, *self._measuring.of_another_crop]
 
     def _snapshot(self) -> Answer:
         self._answered_s = monotonic()

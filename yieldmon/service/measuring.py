@@ -10,6 +10,7 @@ from yieldmon.engine.mass.totals import Totals
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.results import Result, records_in
+from yieldmon.files.crops import shipped_name
 from yieldmon.service.assembly import monitor_of
 from yieldmon.service.config.configuration import Configuration
 from yieldmon.service.history.journal import Journal
@@ -89,6 +90,16 @@ class Measuring:
         # The next batch brings both: the file's name alone would make a start take the parameters before it for the file's.
         self.journal.parameters.configure(configuration.parameters)
         self.journal.new_monitor(self.monitor.estimator.parameters, "file")
+
+    @property
+    def of_another_crop(self) -> tuple[str, ...]:
+        """A line where the parameters in use say that they are of another crop than the one that is harvested."""
+        own, named = self.monitor.estimator.parameters.provenance.get("crop", ""), self.journal.crop
+        if not own or not named or (shipped_name(own) or own.lower()) == (shipped_name(named) or named.lower()):
+            return ()
+        return (
+            f"the parameters are of {own}, the load is of {named}: `yieldmon load start --crop {named}` uses those of {named}",
+        )
 
     def _replace(self, monitor: Monitor) -> None:
         commands.set_crop(monitor, self.journal)

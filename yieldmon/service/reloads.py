@@ -45,14 +45,12 @@ class Reloads:
     def take(self, use: Callable[[Configuration], Sequence[str]]) -> None:
         """Take the configuration that was read, or go on with the one before and say so; to be called when it is due.
 
-        use: takes the configuration and returns the sections that will be taken at the next start only; raises InputError or
-        OSError where it cannot be used.
+        use: takes the configuration and returns what is to be said of it; raises InputError or OSError where it cannot be used.
         """
         self.count += 1
         try:
             new = self._reading.result()
-            later = use(new)
-            self.note = "taken" + (f"; {', '.join(later)} will be at the next start" if later else "")
+            self.note = "; ".join(("taken", *use(new)))
             _log.info("configuration reloaded: %s", self.note)
             for note in new.notes:
                 _log.warning("%s", note)
