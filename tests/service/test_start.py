@@ -13,9 +13,10 @@ from yieldmon.bus import log_writing, logs
 
 TABLE = Path(__file__).resolve().parents[1] / "data" / "bench_table.csv"
 HEAVY = {
-    "asammdf", "can", "cantools", "matplotlib", "numpy", "pandas", "pyarrow", "pydantic", "rich", "scipy", "yaml",
+    "asammdf", "can", "cantools", "matplotlib", "numpy", "pandas", "pyarrow", "pydantic", "rich", "scipy", "sqlite3", "yaml",
     "yieldmon.engine.monitor", "yieldmon.engine.records", "yieldmon.estimation.fitting.calibration",
-    "yieldmon.estimation.self_calibration.closed_loop", "yieldmon.estimation.weighing.loads", "yieldmon.service.storage.store",
+    "yieldmon.estimation.self_calibration.closed_loop", "yieldmon.estimation.weighing.loads", "yieldmon.service.control_socket",
+    "yieldmon.service.storage.store",
     *(PARTS_OF_SCIPY := {"scipy.interpolate", "scipy.linalg", "scipy.optimize", "scipy.signal", "scipy.special", "scipy.stats"}),
 }  # fmt: skip
 
@@ -53,14 +54,14 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("calibrations list --socket /nonexistent", {"rich"}),
         ("zero --socket /nonexistent", set()),
         ("check-config", {"numpy", "pydantic", "yaml"}),
-        ("monitor LOG --once --speed 0", {"can", "cantools", "rich"}),
+        ("monitor LOG --once --speed 0", {"can", "cantools", "rich", "sqlite3"}),
         ("calibrate --help", {"numpy"}),
         (
             "calibrate TABLE --starts 1",
             {"numpy", "scipy", "scipy.linalg", "scipy.special", "yaml", "yieldmon.estimation.fitting.calibration"},
         ),
         ("estimate --help", {"numpy", "yaml"}),
-        ("simulate --help", {"can", "cantools", "numpy", "pydantic", "scipy", "yaml"}),
+        ("simulate --help", {"can", "cantools", "numpy", "pydantic", "scipy", "sqlite3", "yaml"}),
         ("diagnose --help", HEAVY - PARTS_OF_SCIPY - {"pandas", "pyarrow", "matplotlib", "asammdf"}),
         ("demo --help", HEAVY - PARTS_OF_SCIPY - {"pandas", "pyarrow", "matplotlib", "asammdf"}),
     ],

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import grp
 import sys
+from contextlib import suppress
 
 from yieldmon.cli import _channels
 from yieldmon.cli._json import print_json
@@ -75,10 +77,9 @@ def _held_against(
 ) -> tuple[dict[str, SeenDocument] | None, list[str], list[InputError]]:
     """What a recording shows of the mapping's quantities, what is to be known of the mapping, and what is wrong with it."""
     from yieldmon.service.config import mapping_notes, plausible
-    from yieldmon.service.control_socket import has_group
 
     notes, group = [*loaded.notes, *mapping_notes.notes(loaded)], loaded.document.status.group
-    if group is not None and not has_group(group):
+    if group is not None and not _has_group(group):
         # Of another computer it may be one.
         notes.append(f"status.group: this computer has no group {group!r}, and a daemon would not start on it")
     if loaded.engine.waveform.enabled:
@@ -101,6 +102,13 @@ def _held_against(
     problems += mapping_check.problems(loaded, found, log)
     notes += mapping_check.remarks(loaded, found) + faults
     return quantities_seen.documents(found), notes, [InputError(*problem) for problem in problems]
+
+
+def _has_group(name: str) -> bool:
+    """Whether this system has a group."""
+    with suppress(KeyError):
+        return bool(grp.getgrnam(name))
+    return False
 
 
 def _show(seen: dict[str, SeenDocument]) -> None:

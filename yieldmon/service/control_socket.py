@@ -13,8 +13,6 @@ from pathlib import Path
 from yieldmon.errors import InputError, reason
 from yieldmon.service.storage.ownership import OccupiedError
 
-#: Of a socket's path, on Linux, without the zero at its end.
-LONGEST_SOCKET_BYTES = 107
 _CONNECT_S = 1.0
 _BACKLOG = 64
 #: What only another configuration corrects; a medium that is full or a file that is in the way may pass.
@@ -39,13 +37,6 @@ class Listening:
 def _identity(path: Path) -> tuple[int, int]:
     found = path.lstat()
     return found.st_dev, found.st_ino
-
-
-def has_group(name: str) -> bool:
-    """Whether this system has a group."""
-    with suppress(KeyError):
-        return bool(grp.getgrnam(name))
-    return False
 
 
 def listen(path: Path, group: str | None) -> Listening:

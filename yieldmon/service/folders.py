@@ -6,6 +6,9 @@ import os
 from collections.abc import Mapping
 from pathlib import Path
 
+#: Of a socket's path, on Linux, without the zero at its end.
+LONGEST_SOCKET_BYTES = 107
+
 
 def state_folder(environment: Mapping[str, str]) -> Path:
     """Where a service keeps its data: systemd's StateDirectory, else the user's state folder."""

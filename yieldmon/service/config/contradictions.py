@@ -10,7 +10,7 @@ from pathlib import Path
 from yieldmon.engine.sources import THOUSAND_KERNELS_G
 from yieldmon.physics.machine import Machine
 from yieldmon.service.config.document import Document
-from yieldmon.service.control_socket import LONGEST_SOCKET_BYTES
+from yieldmon.service.folders import LONGEST_SOCKET_BYTES
 
 #: Of python-can, which takes a fifth of a second to ask.
 _COMMON_INTERFACES = frozenset({"socketcan", "udp_multicast", "virtual", "pcan", "kvaser", "slcan"})

@@ -21,7 +21,7 @@ from yieldmon.strict_model import StrictModel
 _PERIOD = f"{MIN_PERIOD_MS:g} to {MAX_PERIOD_MS:g} ms; null: with each new value"
 
 
-class OutputEntry(StrictModel):
+class OutputEntry(StrictModel, defer_build=True):
     """One quantity's keys. What is sent: value in `unit` * scale + offset, as the DBC's physical value."""
 
     dbc: str = Field(description="a DBC file, relative to the configuration")

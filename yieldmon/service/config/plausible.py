@@ -5,10 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
+import numpy as np
+
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files.crops import crops
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
+from yieldmon.physics.numerics import Array
 from yieldmon.service.config.configuration import Configuration
 
 _NEARLY_FULL = 0.99
@@ -54,12 +57,12 @@ def cell_problem(machine: Machine, known: ParameterSet) -> tuple[str, str] | Non
     heaviest = max(item.parameters().values["density"] for item in crops().values())
     heavy = {**known.values, "density": max(heaviest, known.values["density"])}
     model, home_rad = ForwardModel(machine, known.effects), machine.home_plate_angle_rad
-    full_n = _full_force_n(machine, model, home_rad, known.values)
+    full_n = float(_full_force_n(machine, model, home_rad, known.values))
     low, high = machine.min_plate_angle_rad, machine.max_plate_angle_rad
     if low == high:
         high = max(high, math.pi / 2.0)
-    forces_n = (_full_force_n(machine, model, low + (high - low) * step / (_ANGLES - 1), heavy) for step in range(_ANGLES))
-    most_n = _MOST_OVER_FULL * max((force for force in forces_n if math.isfinite(force)), default=full_n)
+    forces_n = _full_force_n(machine, model, low + (high - low) * np.arange(_ANGLES) / (_ANGLES - 1), heavy)
+    most_n = _MOST_OVER_FULL * max(forces_n[np.isfinite(forces_n)], default=full_n)
     sensor = machine.sensor
     end_n = sensor.gain_n_per_mv * sensor.full_scale_mv
     if not full_n > 0.0 or full_n <= end_n <= most_n:
@@ -71,9 +74,9 @@ def cell_problem(machine: Machine, known: ParameterSet) -> tuple[str, str] | Non
     )
 
 
-def _full_force_n(machine: Machine, model: ForwardModel, angle_rad: float, values: Mapping[str, float]) -> float:
+def _full_force_n(machine: Machine, model: ForwardModel, angle_rad: Array | float, values: Mapping[str, float]) -> Array:
     speed = machine.nominal_elevator_speed_rad_s
     full_kg = machine.full_paddle_mass_kg(values["density"], values["shape_ratio"])
     flow = _NEARLY_FULL * full_kg * machine.passes_per_s(speed)
     at = Conditions(angle_rad, speed, mass_flow_kg_s=flow, moisture_pct=15.0)
-    return abs(float(model.force(at, values, overfull="nan").real))
+    return np.asarray(np.abs(model.force(at, values, overfull="nan").real))

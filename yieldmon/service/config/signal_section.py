@@ -31,7 +31,7 @@ _NEEDED = {"elevator_speed": "a signal or a constant", "plate_angle": "a signal,
 SHIPPED_DATABASES = frozenset({"j1939.dbc", "yieldmon.dbc"})
 
 
-class NodeName(StrictModel):
+class NodeName(StrictModel, defer_build=True):
     """Fields of a J1939 NAME; those that are given must be equal."""
 
     identity_number: int | None = Field(None, ge=0, le=(1 << 21) - 1)
@@ -44,7 +44,7 @@ class NodeName(StrictModel):
     industry_group: int | None = Field(None, ge=0, le=7)
 
 
-class SignalEntry(StrictModel):
+class SignalEntry(StrictModel, defer_build=True):
     """One quantity's keys. Values become: physical value of the DBC * scale * ratio + offset, in `unit`."""
 
     dbc: str | None = Field(None, description="DBC file, relative to the configuration; null: the shipped one")
