@@ -92,7 +92,7 @@ def machine_of(name: str, truth: dict[str, float], chance: np.random.Generator, 
 
 def error_pct(machine: MachineLoads, known: ParameterSet) -> float:
     """Mean absolute error of a machine's loads with these parameters, %."""
-    errors = load_errors(machine.model, known, [load.condensed() for load in machine.loads])
+    errors = load_errors(machine.model, known, [load.condensed for load in machine.loads])
     return 100.0 * float(np.mean(np.abs(np.expm1(errors))))
 
 
@@ -123,7 +123,7 @@ class _Judged:
     def of(cls, fleet: Sequence[MachineLoads]) -> _Judged:
         """Of these machines, each with the weight of one."""
         shares = [np.full(len(machine.loads), 1.0 / (len(machine.loads) * len(fleet))) for machine in fleet]
-        return cls([load.condensed() for machine in fleet for load in machine.loads], np.concatenate(shares))
+        return cls([load.condensed for machine in fleet for load in machine.loads], np.concatenate(shares))
 
     def errors(self, known: ParameterSet) -> Array:
         """ln of measured over weighed mass."""
@@ -197,7 +197,7 @@ def study(machines: int, seed: int) -> dict[str, Any]:
         before, after, normalised = [], [], []
         for left_out in fleet:
             prior = pooled(shipped, [machine for machine in fleet if machine is not left_out]).parameter_set
-            loads = [load.condensed() for load in left_out.loads]
+            loads = [load.condensed for load in left_out.loads]
             before.append(error_pct(left_out, shipped))
             errors = load_errors(left_out.model, prior, loads)
             after.append(error_pct(left_out, prior))

@@ -254,12 +254,13 @@ def _with_reading(known: MoistureState, moisture_pct: float) -> MoistureState:
     if known.last_pct is not None:
         differences = min(differences + 1, _SCATTER_READINGS)
         variance += (min(0.5 * (moisture_pct - known.last_pct) ** 2, _MOST_SCATTER_PCT**2) - variance) / differences
-    known = replace(known, last_pct=moisture_pct, variance_pct2=variance, differences=differences)
-    if 0 < known.readings < _AVERAGED_READINGS:
-        count = known.readings + 1
-        mean = known.low_pct + (moisture_pct - known.low_pct) / count
-        return replace(known, low_pct=mean, high_pct=mean, now_pct=mean, readings=count)
-    return replace(known, now_pct=known.now_pct + (moisture_pct - known.now_pct) / _AVERAGED_READINGS)
+    low_pct, high_pct, readings = known.low_pct, known.high_pct, known.readings
+    if 0 < readings < _AVERAGED_READINGS:
+        readings += 1
+        low_pct = high_pct = now_pct = low_pct + (moisture_pct - low_pct) / readings
+    else:
+        now_pct = known.now_pct + (moisture_pct - known.now_pct) / _AVERAGED_READINGS
+    return MoistureState(known.version, low_pct, high_pct, now_pct, readings, moisture_pct, variance, differences)
 
 
 def _away_pct(known: MoistureState) -> float:

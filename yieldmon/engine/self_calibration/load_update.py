@@ -71,10 +71,15 @@ class LoadUpdate:
         outcome = update_from_tickets(self.model, prior, masses, settings=self.closed_loop)
         doubtful = 1.0 if len(counted) <= len(masses) else _DRIFT_WIDENING
         near = outcome.consistent and outcome.prior_widening <= doubtful and self._is_drift(outcome.prior_widening, prior, names)
-        near = near and self._without_curve(prior) is prior and self._knows_scale(prior, names)
+        near = near and self._without_curve(prior) is prior
+        by_prior = [departure(self.model, prior, load, self.load_settings) for load in self._of(names)] if near else []
+        # On a machine that was never calibrated only the loads together determine the scale and how far the force follows the
+        # model's curve.
+        near = near and all(std_dev < _KNOWN_SCALE for _, std_dev in by_prior)
+        before = [error for error, _ in by_prior]
         earlier = [load for load in counted if load.name not in names]
         if near and not self._leaves(earlier, prior, outcome.parameter_set):
-            return self._with_change_of_scale(outcome, prior, names), drifting
+            return self._with_change_of_scale(outcome, before, names), drifting
         # Outside the prior's standard deviations, or so far that its linearisation about the earlier loads no longer holds:
         # only the loads together determine the scale.
         try:
@@ -82,10 +87,10 @@ class LoadUpdate:
             found = calibrate_loads(self.model, self._without_curve(prior), counted, settings=self.load_settings, learnt=learnt)
         except ValueError:
             if near:
-                return self._with_change_of_scale(outcome, prior, names), drifting
+                return self._with_change_of_scale(outcome, before, names), drifting
             raise
         if near and (found.refused or found.contradiction is not None) and not _is_another(found):
-            return self._with_change_of_scale(outcome, prior, names), drifting
+            return self._with_change_of_scale(outcome, before, names), drifting
         outcome = Outcome.unchanged(_in_order_of(prior, found.parameter_set))
         scale = ScaleReport(
             found.scale_sd, found.scale_sd, float(np.log(found.scale)), observable=True, unobservable_directions=()
@@ -106,15 +111,14 @@ class LoadUpdate:
         joint[: len(names), : len(names)] = wide.covariance_of(names)
         return replace(drifting, parameters=replace(prior, covariance=wide.covariance_of(names)), joint=joint)
 
-    def _with_change_of_scale(self, outcome: Outcome, prior: ParameterSet, names: Container[str]) -> Outcome:
-        """The outcome whose reason says by how much its parameters change the mass of the loads of these names."""
+    def _with_change_of_scale(self, outcome: Outcome, before: Sequence[float], names: Container[str]) -> Outcome:
+        """The outcome whose reason says by how much its parameters change the mass of the loads of these names; before: relative
+        error of each by the prior."""
         if not outcome.updated:
             return outcome
-        each = [
-            np.log1p([departure(self.model, known, load)[0] for known in (prior, outcome.parameter_set)])
-            for load in self._of(names)
-        ]
-        moved = float(np.expm1(np.mean([after - before for before, after in each]))) if each else np.nan
+        now = [float(errors_of(self.model, outcome.parameter_set, [load])[0]) for load in self._of(names)]
+        each = np.log1p([before, now])
+        moved = float(np.expm1(np.mean(each[1] - each[0]))) if now else np.nan
         if not np.isfinite(moved):
             return outcome
         return replace(outcome, reason=f"weighed loads moved the scale by {100.0 * moved:+.1f} %; {outcome.reason}")
@@ -128,11 +132,6 @@ class LoadUpdate:
 
     def _of(self, names: Container[str]) -> list[WeighedLoad]:
         return [load for load in self.counted if load.name in names]
-
-    def _knows_scale(self, prior: ParameterSet, names: Container[str]) -> bool:
-        """Whether the parameters predict the loads of these names to `_KNOWN_SCALE`. On a machine that was never calibrated
-        only the loads together determine the scale and how far the force follows the model's curve."""
-        return all(departure(self.model, prior, load, self.load_settings)[1] < _KNOWN_SCALE for load in self._of(names))
 
     def _without_curve(self, prior: ParameterSet) -> ParameterSet:
         """What was known before weighed loads gave a curve of their own, to which all of them are to be fitted together."""

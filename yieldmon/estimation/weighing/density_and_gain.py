@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -25,9 +26,9 @@ def widened(prior: ParameterSet, settings: LoadSettings) -> ParameterSet:
     return replace(prior, covariance_names=tuple(names), covariance=covariance)
 
 
-def shifted(known: ParameterSet, name: str, step: float) -> ParameterSet:
-    """The set with one value moved by a step."""
-    return replace(known, values=dict(known.values) | {name: known.values[name] + step})
+def shifted(values: Mapping[str, float], name: str, step: float) -> dict[str, float]:
+    """The values with one of them moved by a step."""
+    return {**values, name: values[name] + step}
 
 
 def gain_names(known: ParameterSet) -> tuple[str, ...]:

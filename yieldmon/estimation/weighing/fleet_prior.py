@@ -129,7 +129,7 @@ class _Linear:
 
 
 def _linear(machine: MachineLoads, known: ParameterSet, settings: LoadSettings, at: Array) -> _Linear:
-    loads = [load.condensed() for load in machine.loads]
+    loads = [load.condensed for load in machine.loads]
     error, slope = load_errors(machine.model, known, loads), _slopes(machine.model, known, loads)
     if not (np.all(np.isfinite(error)) and np.all(np.isfinite(slope))):
         raise ValueError(f"machine {machine.name}: a load holds more force than a full paddle gives with the crop's parameters")
@@ -209,7 +209,8 @@ def _held_slopes(model: ForwardModel, known: ParameterSet, loads: Sequence[Weigh
     columns = []
     for name in _held(known):
         step = _STEP * known.standard_deviation(name)
-        up, down = (load_errors(model, shifted(known, name, sign * step), loads) for sign in (1.0, -1.0))
+        sets = (replace(known, values=shifted(known.values, name, sign * step)) for sign in (1.0, -1.0))
+        up, down = (load_errors(model, one, loads) for one in sets)
         columns.append((up - down) / (2.0 * step))
     return np.reshape(columns, (len(columns), len(loads))).T
 

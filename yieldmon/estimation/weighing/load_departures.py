@@ -49,7 +49,7 @@ def _measured(
     model: ForwardModel, known: ParameterSet, loads: Sequence[WeighedLoad], settings: LoadSettings | None
 ) -> LoadProblem:
     settings = LoadSettings() if settings is None else settings
-    return LoadProblem(model, known, known, [load.condensed() for load in loads], settings)
+    return LoadProblem(model, known, known, [load.condensed for load in loads], settings)
 
 
 def _ln_errors(problem: LoadProblem) -> Array:

@@ -6,7 +6,7 @@ J. R. Statist. Soc. B 36 (1974), for loads left out.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -135,14 +135,14 @@ class LoadProblem:
         """(n,) kg that these parameters make of each load."""
         return self.total(self.flow(known)[0])
 
-    def slopes(self, known: Sequence[ParameterSet], flow: Array, by_flow: Array, steps: Sequence[float]) -> Array:
-        """(n, k) change of ln mass by what turns the parameters into each of `known`, over its step; flow: given before."""
+    def slopes(self, values: Sequence[Mapping[str, float]], flow: Array, by_flow: Array, steps: Sequence[float]) -> Array:
+        """(n, k) change of ln mass by what turns the parameters into each of these values, over its step; flow: given before."""
         at = Conditions(self.angle, self.speed, mass_flow_kg_s=flow, moisture_pct=self.moisture)
-        alike = len({tuple(item.values) for item in known}) == 1
+        alike = len({tuple(item) for item in values}) == 1
         forces = (
-            list(np.real(self.model.force(at, _in_rows(known), overfull="nan")))
+            list(np.real(self.model.force(at, _in_rows(values), overfull="nan")))
             if alike
-            else [np.real(self.model.force(at, item.values, overfull="nan")) for item in known]
+            else [np.real(self.model.force(at, item, overfull="nan")) for item in values]
         )
         shifts = [(self.force - force) / by_flow for force in forces]
         return np.stack([self.total(shift) / self.total(flow) / step for shift, step in zip(shifts, steps, strict=True)], axis=1)
@@ -153,7 +153,7 @@ class LoadProblem:
         if not self.held:
             return np.zeros((len(self.loads), 0))
         steps = [1e-2 * self.start.standard_deviation(name) for name in self.held]
-        each = [shifted(centre, name, step) for name, step in zip(self.held, steps, strict=True)]
+        each = [shifted(centre.values, name, step) for name, step in zip(self.held, steps, strict=True)]
         return np.asarray(np.nan_to_num(self.slopes(each, flow, by_flow, steps)))
 
     def ticket_slopes(self) -> Array:
@@ -212,7 +212,7 @@ class LoadProblem:
         flow, by_flow = self.flow(moved(self.start, float(step[0]), float(step[1])))
         with np.errstate(divide="ignore", invalid="ignore"):
             error = np.log(self.total(flow) / self.weighed)
-            beside = [moved(self.start, *map(float, step + _STEP * d)) for d in np.eye(2)]
+            beside = [moved(self.start, *map(float, step + _STEP * d)).values for d in np.eye(2)]
             slopes = self.slopes(beside, flow, by_flow, (_STEP, _STEP))
         return error, slopes
 
@@ -292,7 +292,7 @@ class LoadProblem:
         """(n, k): change of ln mass with each parameter of a set's covariance; 0 where a load has no flow."""
         flow, by_flow = self.flow(known)
         steps = [1e-2 * known.standard_deviation(name) for name in known.covariance_names]
-        each = [shifted(known, name, step) for name, step in zip(known.covariance_names, steps, strict=True)]
+        each = [shifted(known.values, name, step) for name, step in zip(known.covariance_names, steps, strict=True)]
         return np.asarray(np.nan_to_num(self.slopes(each, flow, by_flow, steps)))
 
 
@@ -315,6 +315,6 @@ def _by_moisture(loads: Sequence[WeighedLoad]) -> Array:
     return np.asarray(FLOW_PER_MOISTURE_PCT * (np.array(found) - np.mean(found)))
 
 
-def _in_rows(known: Sequence[ParameterSet]) -> dict[str, Array]:
-    """Values of sets that name the same, (k, 1) each: to be evaluated together."""
-    return {name: np.array([[item.values[name]] for item in known]) for name in known[0].values}
+def _in_rows(values: Sequence[Mapping[str, float]]) -> dict[str, Array]:
+    """Of the same names, (k, 1) each: to be evaluated together."""
+    return {name: np.array([[item[name]] for item in values]) for name in values[0]}

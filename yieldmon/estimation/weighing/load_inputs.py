@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,6 +90,7 @@ class WeighedLoad:
         """Relative standard deviation of the measured mass, where the parameters are right."""
         return float(np.hypot(load_error, self.noise_sd))
 
+    @cached_property
     def condensed(self) -> WeighedLoad:
         """Windows of like force, at like angle and speed, replaced by their mean: at most `_GROUPS` for each angle and speed."""
         key = np.stack((np.round(self.plate_angle_rad / np.radians(2.0)), np.round(np.log(self.elevator_speed_rad_s) / 0.03)))

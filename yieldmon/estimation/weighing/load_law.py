@@ -201,7 +201,7 @@ def _slopes_at(problem: LawProblem, step: Array) -> tuple[Array, Array]:
     with np.errstate(divide="ignore", invalid="ignore"):
         error = np.log(problem.total(flow) / problem.weighed)
         size = 1e-4
-        beside = [placed(problem.start, step + size * d) for d in np.eye(step.size)]
+        beside = [placed(problem.start, step + size * d).values for d in np.eye(step.size)]
         return error, problem.slopes(beside, flow, by_flow, (size,) * step.size)
 
 

@@ -89,7 +89,7 @@ def calibrate_loads(
     if not loads:
         raise ValueError("no weighed load to learn from")
     settings = LoadSettings() if settings is None else settings
-    condensed = [load.condensed() for load in loads]
+    condensed = [load.condensed for load in loads]
     problem = LoadProblem(model, prior, widened(prior, settings), condensed, settings)
     law = law_problem(problem)
     every = np.ones(len(loads), dtype=bool)

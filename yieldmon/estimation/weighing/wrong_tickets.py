@@ -60,7 +60,7 @@ def contradicted(
     if len(before) < least:
         return None
     settings = LoadSettings() if settings is None else settings
-    problem = LoadProblem(model, prior, widened(prior, settings), [w.condensed() for w in (*before, load)], settings)
+    problem = LoadProblem(model, prior, widened(prior, settings), [w.condensed for w in (*before, load)], settings)
     try:
         error = None if EFFECT in prior.effects else problem.last_against_others()
         if error is None and EFFECT not in prior.effects:
@@ -92,7 +92,7 @@ def known_slip(
 ) -> str:
     """What explains the ticket of a load that those before it contradict, such as another unit; "" where nothing known does."""
     settings = LoadSettings() if settings is None else settings
-    problem = LoadProblem(model, prior, widened(prior, settings), [w.condensed() for w in (*before, load)], settings)
+    problem = LoadProblem(model, prior, widened(prior, settings), [w.condensed for w in (*before, load)], settings)
     return _known_slip(law_problem(problem), np.arange(len(problem.loads)) < len(before), len(before))
 
 
