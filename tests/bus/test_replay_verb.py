@@ -85,7 +85,7 @@ def test_damage_is_reported_and_skipped(drive: Path, capsys: pytest.CaptureFixtu
     assert main(["replay", str(drive), "-i", "virtual", "-c", "verb-5", "--speed", "0"]) == 0
     out, err = capsys.readouterr()
     assert f"{FRAMES} frames" in out
-    assert "15 damaged places" in out
+    assert "15 damaged records" in out
     assert f"{drive}:11: 'junk' is not a candump line" in err
     assert len(err.splitlines()) == 11
 
@@ -102,7 +102,7 @@ def test_damage_is_reported_and_skipped(drive: Path, capsys: pytest.CaptureFixtu
         (["{}", "--map", "can0"], "--map: 'can0'; expected FROM=TO"),
         (["{}", "--inputs-only"], "no frame to send"),
         (["{}", "--from", "1000"], "no frame to send"),
-        (["{}", "--config", "c.yaml"], "--config: is given without --inputs-only; expected both, or neither"),
+        (["{}", "--config", "c.yaml"], "--config: needs --inputs-only; expected both, or neither"),
     ],
 )
 def test_bad_input_is_one_line(drive: Path, options: list[str], problem: str, capsys: pytest.CaptureFixture[str]) -> None:

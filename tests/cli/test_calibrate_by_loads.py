@@ -127,7 +127,7 @@ def test_bad_tickets_are_named_in_one_line(loads, tmp_path, capsys, header, row,
         (["--loads", "a.db", "b.db", "--tickets", "t.csv"], "--loads: names a.db together with other sources"),
         (["--loads", "a.log", "a.log", "--tickets", "t.csv"], "--loads: names a.log twice"),
         (["t.csv", "--loads", "a.log", "--tickets", "t.csv"], "t.csv: is given together with --loads"),
-        (["--loads", "a.log", "--tickets", "t.csv", "--robust"], "--robust: belongs to a table"),
+        (["--loads", "a.log", "--tickets", "t.csv", "--robust"], "--robust: applies to a table"),
         (["--loads", "a.log", "--tickets", "t.csv"], "a.log: No such file"),
         (["--loads", "a.db", "--tickets", "t.csv"], "a.db: no such file"),
     ],
@@ -173,6 +173,6 @@ def test_a_log_that_begins_in_grain_says_why_there_is_no_mass_and_takes_a_zero(t
     assert main(["simulate", "--scenario", str(tmp_path / "s.yaml"), "--log", str(log)]) == 0
     capsys.readouterr()
     assert main(["process", str(log), "--out", str(out)]) == 0
-    assert "no mass: the log begins in grain, with no stretch of the elevator running empty" in capsys.readouterr().err
+    assert "no mass: the elevator never runs empty in the log" in capsys.readouterr().err
     assert main(["process", str(log), "--out", str(out), "--force", "--zero-mv", "500", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["total_mass_kg"] == pytest.approx(12.0 * 29.0, rel=0.06)

@@ -74,7 +74,10 @@ def test_the_shape_of_weighed_loads_gives_the_flow_of_a_load_left_out(loads, tmp
             "a.sqlite: is a store, which holds no samples; expected logs of weighed loads",
         ),
         (["--loads", "A", "A", "--tickets", "T"], "--loads: names A twice; expected each log once"),
-        (["--loads", "A", "--tickets", "T", "--robust"], "--robust: belongs to a table of a test facility; expected none with "),
+        (
+            ["--loads", "A", "--tickets", "T", "--robust"],
+            "--robust: applies to a table of a test facility only; expected none with ",
+        ),
         (
             ["--loads", "A", "--tickets", "T", "--estimator", "table"],
             "--estimator: fits a curve; expected either --estimator or ",

@@ -50,7 +50,7 @@ def test_the_file_holds_the_stop_gap_and_the_report_says_so(table: Path, tmp_pat
 def test_what_does_not_go_with_it_is_refused_before_anything_is_read(other: tuple[str, ...]) -> None:
     done = program("yieldmon.cli.main", "calibrate", "absent.csv", "--stop-gap", *other)
     assert done.returncode == 2
-    assert f"{other[0]}: does not go with --stop-gap" in done.stderr
+    assert f"{other[0]}: cannot be combined with --stop-gap" in done.stderr
 
 
 def test_rows_without_noise_are_refused(table: Path, tmp_path: Path) -> None:

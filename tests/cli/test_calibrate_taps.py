@@ -69,7 +69,7 @@ def test_a_plate_that_rings_writes_nothing_and_ends_with_1(tmp_path, capsys):
         (["speed.log"], "speed.log: holds no sample of the impact sensor"),
         (["missing.log"], "missing.log: No such file"),
         (["quiet.log", "copy.log"], "copy.log: "),
-        (["quiet.log", "--robust"], "--robust: belongs to a table"),
+        (["quiet.log", "--robust"], "--robust: applies to a table"),
         (["quiet.log", "--pulse-shape"], "--pulse-shape: is given together with --taps"),
         (["quiet.log", "--out", "quiet.log"], "quiet.log: "),
     ],

@@ -50,4 +50,4 @@ def test_diagnose_says_which_of_the_given_effects_it_looks_for(
     options: list[str], said: bool, table: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["diagnose", str(table), "--params", "corn", *FEW, *options]) == 0
-    assert ("corn.yaml has gravity, looked for here" in capsys.readouterr().err) is said
+    assert ("corn.yaml has gravity, searched for here" in capsys.readouterr().err) is said

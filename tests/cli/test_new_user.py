@@ -42,8 +42,8 @@ MISTAKES = {
     f"{CALIBRATE} tonnes.csv": "line 2, weighed_t: is 5e+06 kg; expected a mass from 1 to",
     f"{CALIBRATE} wide.csv": "std_dev_kg: is 9000 kg; expected above 0 and below the load's 5000 kg",
     f"{CALIBRATE} s.sqlite": "is not UTF-8; expected a UTF-8 CSV file",
-    f"{CALIBRATE} good.csv --out s.sqlite --force": "is a file that is read as well",
-    f"{CALIBRATE} good.csv --free friction": "--free: belongs to a table of a test facility",
+    f"{CALIBRATE} good.csv --out s.sqlite --force": "is also an input file",
+    f"{CALIBRATE} good.csv --free friction": "--free: applies to a table of a test facility only",
     "calibrate --loads s.sqlite": "--tickets: is missing",
     "calibrate --tickets good.csv": "DATA: is missing; expected a table of a test facility, or --loads",
     "calibrate --loads folder.sqlite --tickets good.csv": "folder.sqlite: is a folder; expected a daemon's store",
@@ -54,7 +54,7 @@ MISTAKES = {
     "setup --answers nowhere.yaml --out new": "nowhere.yaml: No such file",
     "setup --answers mm.yaml --out good.csv": "--out: good.csv is not a folder",
     "process a.log a.log.gz --out x.csv": "a.log.gz: is the same log as a.log, one of them gzipped, and would double its mass",
-    "process s.sqlite --out s.sqlite --zero-mv 1": "is a file that is read as well",
+    "process s.sqlite --out s.sqlite --zero-mv 1": "is also an input file",
     "process s.sqlite --out x.csv": "is a store, measured already; expected --params, --estimator,",
     "process s.sqlite --out x.csv --zero-mv -3": "--zero-mv: is -3; expected 0 to 100000 mV",
     "process s.sqlite a.log --out x.csv": "names a store together with other sources; expected one store alone",
@@ -67,7 +67,7 @@ MISTAKES = {
     f"ticket undo {NOBODY}": "ticket undo: no number; expected the number of a ticket",
     f"ticket list 3 {NOBODY}": "'3' has no meaning here",
     "map s.sqlite --out good.csv": "--out: good.csv is a file; expected a folder",
-    "plot flow s.sqlite --out s.sqlite --force": "is a file that is read as well",
+    "plot flow s.sqlite --out s.sqlite --force": "is also an input file",
     "predict --mass-flow 5 --moisture 150": "--moisture: is 150; expected 0 to 100 %",
 }
 

@@ -49,7 +49,7 @@ def test_a_load_that_the_calibration_leaves_unsure_is_told_what_helps(
         assert cli.main(["status", "--socket", str(tmp_path / "yieldmon.sock")]) == 0
     finally:
         server.stop()
-    assert ("a weighed load (`yieldmon ticket`) narrows it" in " ".join(capsys.readouterr().out.split())) is said
+    assert ("weigh a load (`yieldmon ticket`) to reduce it" in " ".join(capsys.readouterr().out.split())) is said
 
 
 @pytest.mark.parametrize(("spread_kg", "said"), [(87.0, "total 4,321 kg ± 87.0 kg"), (None, "total 4,321 kg")])

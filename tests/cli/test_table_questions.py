@@ -152,7 +152,7 @@ def test_rows_that_have_updated_the_parameters_before_are_said_to_count_twice(
         (["self-calibrate", others, "--group-by", "run", "--params", out], False),
     ):
         assert main(again) == 0
-        said = f"the parameters of {again[-2]} were learnt from this table; its rows count twice"
+        said = f"the parameters of {again[-2]} come from this table, so its rows count twice"
         assert (said in capsys.readouterr().err) is twice, again
 
 

@@ -116,7 +116,7 @@ def test_a_model_error_that_is_not_known_is_not_one_of_0(text: str, within: floa
     home, away = (row["force_std_dev_n"] / row["force_n"] for row in json.loads(printed.out)["rows"])
     assert home == pytest.approx(within, abs=1e-9)
     assert np.sqrt(max(away**2 - home**2, 0.0)) == pytest.approx(beyond or 0.0, abs=2e-4)
-    assert ("do not say how far the model itself is off" in printed.err) is (within == 0.05)
+    assert ("do not state the model's own error" in printed.err) is (within == 0.05)
     known = api.load_parameters(path)
     api.save_parameters(known, path)
     assert api.load_parameters(path).model_error == known.model_error

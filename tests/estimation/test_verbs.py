@@ -407,7 +407,7 @@ def test_self_calibrate_in_words(capsys: pytest.CaptureFixture[str], sweep_table
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ([], "does not state its noise"),
+        ([], "does not state the noise of its readings"),
         (["--sigma", "0"], "--sigma: is 0"),
         (["--sigma", "inf"], "--sigma: is inf"),
         (["--sigma", "1", "--model-error", "-1"], "--model-error: is -1"),

@@ -75,11 +75,11 @@ CROWDED = Named("plate_friction", ("a", "b", "c", "d", "e"), 0.8)
 @pytest.mark.parametrize(
     ("shared", "model", "candidates", "said"),
     [
-        ("effect", (LEVER, CROWDED), (), "the model lacks lever_arm or paddle_wear\nthe model lacks something that 6 effects"),
-        ("unknown", (), (LEVER,), "not certain enough to be named; the nearest: lever_arm or paddle_wear\n"),
-        ("unknown", (), (), "not certain enough to be named; no known effect explains it\n"),
+        ("effect", (LEVER, CROWDED), (), "the model lacks lever_arm or paddle_wear\nthe model lacks one of 6 effects"),
+        ("unknown", (), (LEVER,), "too uncertain to name; the nearest: lever_arm or paddle_wear\n"),
+        ("unknown", (), (), "too uncertain to name; no known effect explains it\n"),
         ("none", (), (), "no effect is shared by all machines\n"),
-        ("not compared", (), (), "what machines share is not known"),
+        ("not compared", (), (), "not known whether machines share an effect"),
     ],
 )
 def test_what_is_said_of_all_machines(

@@ -321,7 +321,7 @@ def test_interrupted(tmp_path: Path, when: str) -> None:
     assert running.returncode == 130
     # Before the last line, the dashboard's address and how far it is.
     assert [line for line in lines[:-1] if not re.match(r"yieldmon: (dashboard: |\d+ of 40 days)", line)] == []
-    assert re.fullmatch(rf"yieldmon: interrupted; \d+ of 40 days are in {out}, and the next run goes on from there", lines[-1])
+    assert re.fullmatch(rf"yieldmon: interrupted; \d+ of 40 days are in {out}; run again to continue", lines[-1])
     assert {path.name for path in out.glob("*")} <= {"_run", "machine=m0", "machine=m1"}
     for day in out.glob("machine=*/*"):
         assert (day / MARK).is_file()

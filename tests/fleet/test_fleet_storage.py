@@ -74,7 +74,7 @@ def test_days_that_a_full_disk_has_no_room_for_are_left(
     code, document, said = run(out)
     assert (code, document["done"], document["left"], document["failed"], document["poisoned"]) == (1, 1, 3, 0, [])
     assert {item["problem"].partition("; ")[0] for item in document["why_left"]} == {f"{out}: No space left on device"}
-    assert said.count("left to the next run, other days are tried") == 1
+    assert said.count("left to the next run; continuing with other days") == 1
     assert "expected room for the file" in said
     assert Dataset(str(out)).failures() == []
     assert {*whole(out).items()} < {*whole(measured).items()}

@@ -147,7 +147,7 @@ def test_a_terminal_that_draws_nothing_is_refused_in_a_line(tmp_path: Path) -> N
     )
     terminal.expect(pexpect.EOF, timeout=60)
     said = " ".join(terminal.before.split())
-    assert said == "yieldmon: TERM: is 'dumb', which draws no screen; expected `--once`, or another terminal"
+    assert said == "yieldmon: TERM: is 'dumb', a terminal without screen control; expected `--once`, or another terminal"
     terminal.close()
     assert terminal.exitstatus == 2
 

@@ -54,7 +54,7 @@ def test_every_key_does_on_the_daemon_what_it_asks(tmp_path) -> None:
         assert bench.status["load"]["number"] == 2
         assert cab.press("z", "y").startswith("zero: there is grain")
         assert cab.press("t", *"2 50kg", "\r", "y").startswith("ticket for load 2: it is still open")
-        assert cab.press("l", "s", "y") == "load 2 is complete"
+        assert cab.press("l", "s", "y") == "load 2 complete"
         measured_kg = bench.status["load"]["mass_kg"]
         reported = cab.press("t", *f"2 {1.02 * measured_kg:.4f}kg", "\r", "y")
         alone = "; the first, it sets the scale by itself: weigh a second load"
@@ -62,10 +62,10 @@ def test_every_key_does_on_the_daemon_what_it_asks(tmp_path) -> None:
         assert [anchor.load_number for anchor in bench.daemon.monitor.anchors] == [2]
         reported = cab.press("t", *"1 9kg", "\r", "y")
         assert reported == "ticket for load 1: nothing was measured for it; expected a load with a measured mass"
-        assert cab.press("w", "y") == "a sweep begins as soon as the conditions hold"
+        assert cab.press("w", "y") == "the sweep begins as soon as flow and speed are steady"
         bench.play(12, 0.0)
         bench.played()
-        assert cab.press("z", "y").startswith("the zero is being taken")
+        assert cab.press("z", "y").startswith("measuring the zero")
 
 
 def masses(bench: Bench) -> tuple[float, dict[int, tuple[str, float]]]:
@@ -135,7 +135,7 @@ def test_an_answer_that_makes_no_sense_ends_no_screen(tmp_path) -> None:
         wait_for(lambda: heard(1), "a status")
         link.request({"command": "ticket"})
         wait_for(lambda: any(isinstance(item, str) for item in news) or heard(99), "what came of the ticket")
-        assert "ticket: done; the daemon is of another version than this screen" in news
+        assert "ticket: done; the daemon has another version than this screen" in news
         news.clear()
         wait_for(lambda: heard(1), "another status")
     server.stop()

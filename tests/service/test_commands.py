@@ -247,7 +247,7 @@ def test_totals_are_reset_by_their_figure_alone(reported: object, reset: bool) -
     if reset:
         assert commands.execute(request, monitor, log, 1.7e9) == {"total_kg": 1234.6, "load": 7}
     else:
-        expected = "totals reset: the total is 1235 kg; expected that figure, so that nothing is reset by mistake"
+        expected = "totals reset: the total is 1235 kg; expected this figure, to confirm the reset"
         with pytest.raises(InputError) as caught:
             commands.execute(request, monitor, log, 1.7e9)
         assert str(caught.value) == expected

@@ -365,7 +365,7 @@ def kept(root: Path, bus: str) -> Path:
     [
         ([], "can1", ""),
         (["--interface", "can1"], "can1", ""),
-        (["--interface", "can0"], "can0", "reads can1, the unit waits for can0: name one of them in both"),
+        (["--interface", "can0"], "can0", "reads can1, but the unit waits for can0: use the same in both"),
     ],
 )
 def test_the_unit_waits_for_the_interface_of_the_kept_configuration(
@@ -383,7 +383,7 @@ def test_the_unit_waits_for_the_interface_of_the_kept_configuration(
 def test_a_kept_configuration_of_another_bus_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     kept(tmp_path, "{interface: pcan, channel: PCAN_USBBUS1}")
     assert install(tmp_path) == 0
-    assert "reads pcan PCAN_USBBUS1; the unit is for SocketCAN alone and waits for can0" in capsys.readouterr().out
+    assert "reads pcan PCAN_USBBUS1; the unit supports SocketCAN only and waits for can0" in capsys.readouterr().out
 
 
 def test_a_kept_configuration_that_cannot_be_read_is_kept(tmp_path: Path) -> None:
@@ -398,11 +398,11 @@ def test_a_command_that_the_service_does_not_see_is_refused(
 ) -> None:
     assert main(["install", "--root", str(tmp_path), "--command", command, "--dry-run"]) == 2
     said = capsys.readouterr().err
-    assert f"--command: {command} lies in a home folder, which the service does not see; expected a command outside" in said
+    assert f"--command: {command} lies in a home folder, which the service cannot read; expected a command outside" in said
     assert said.count("\n") == 1
 
 
 @pytest.mark.parametrize("command", ["/opt/nothing/yieldmon", "/opt", "/etc/passwd"])
 def test_a_command_that_is_no_program_is_refused(capsys: pytest.CaptureFixture[str], command: str) -> None:
     assert main(["install", "--command", command, "--dry-run"]) == 2
-    assert f"--command: {command} is no program that can be run; expected" in capsys.readouterr().err
+    assert f"--command: {command} is not an executable program; expected" in capsys.readouterr().err

@@ -185,7 +185,7 @@ def test_rates_are_said_to_be_of_several_channels(verb: str, tmp_path: Path, cap
 
     both_hz, said = rate_hz()
     assert both_hz == pytest.approx(500.0, rel=0.02)
-    assert "4 identifiers come on several channels (can0, can1)" in said
+    assert "4 identifiers appear on several channels (can0, can1)" in said
     one_hz, said = rate_hz("-c", "can1")
     assert one_hz == pytest.approx(250.0, rel=0.02)
     assert said == ""
@@ -195,7 +195,7 @@ def test_a_mapping_is_written_of_one_channel(tmp_path: Path, capsys: pytest.Capt
     """Of two the impact sensor's rate was twice its own."""
     (log,), out = bridged(tmp_path), tmp_path / "m.yaml"
     assert main(["signals", log, "--write", str(out)]) == 2
-    assert "come on several channels (can0, can1), which would make the rates wrong" in capsys.readouterr().err
+    assert "appear on several channels (can0, can1), which would make the rates wrong" in capsys.readouterr().err
     assert not out.exists()
     assert main(["signals", log, "--write", str(out), "-c", "can0"]) == 0
 

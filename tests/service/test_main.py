@@ -243,8 +243,8 @@ def test_what_the_encoding_lacks_is_no_error(verb_named_probe, monkeypatch):
 @pytest.mark.parametrize(
     ("raised", "says"),
     [
-        ("MemoryError()", "the system gives no more memory; expected "),
-        ("RuntimeError(\"can't start new thread\")", "the system gives no more threads; expected "),
+        ("MemoryError()", "out of memory; expected "),
+        ("RuntimeError(\"can't start new thread\")", "no more threads available; expected "),
         ("ImportError('a note\\nlibx.so: failed to map segment from shared object')",
          "libx.so: failed to map segment from shared object; expected more memory"),
     ],

@@ -139,7 +139,7 @@ def test_a_lower_name_takes_the_address_and_frames_follow(
         assert f"our address is {taken}, the preferred {US} is another node's" in caplog.text
         assert bench.status["network"]["preferred_address"] == US
         assert cli.main(["status", "--socket", str(tmp_path / "yieldmon.sock")]) == 0
-        assert f"address {taken}: the preferred {US} is another node's" in capsys.readouterr().out
+        assert f"address {taken}: another node has the preferred {US}" in capsys.readouterr().out
 
         def reported() -> bool:
             bench.play(1, 0.0)

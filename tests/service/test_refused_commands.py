@@ -90,7 +90,7 @@ def test_a_refusal_says_what_is_wrong_and_what_was_expected(bench: Bench, reques
 @pytest.mark.parametrize("off_kg", [1.0, -1.0])
 def test_a_total_is_reset_only_with_its_own_figure(bench: Bench, off_kg: float) -> None:
     total_kg = bench.status["total"]["mass_kg"]
-    says = f"totals reset: the total is {total_kg:.0f} kg; expected that figure, so that nothing is reset by mistake"
+    says = f"totals reset: the total is {total_kg:.0f} kg; expected this figure, to confirm the reset"
     with pytest.raises(InputError) as refused:
         bench.daemon.command({"command": "totals-reset", "total_kg": round(total_kg) + off_kg})
     assert str(refused.value) == says

@@ -31,9 +31,7 @@ def test_totals_are_archived_and_reset_and_stay_so(tmp_path: Path, capsys: pytes
         assert main(["totals", "archive", str(out), *socket]) == 2
         capsys.readouterr()
         assert main(["totals", "reset", "7 t", *socket]) == 2
-        assert capsys.readouterr().err.endswith(
-            f"is {Units().mass(total_kg)}; expected that figure, so that nothing is reset by mistake\n"
-        )
+        assert capsys.readouterr().err.endswith(f"is {Units().mass(total_kg)}; expected this figure, to confirm the reset\n")
         assert main(["totals", "reset", str(round(total_kg)), *socket]) == 0
         assert "set to 0; load 2 begins" in capsys.readouterr().out
         bench.play(3, 0.0)

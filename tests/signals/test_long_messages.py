@@ -270,11 +270,11 @@ def test_can_fd_in_logs_and_in_what_signals_lists(dbc: Path, tmp_path: Path, cap
     said, reported = capsys.readouterr()
     assert "Single 412.5 to 412.5 rpm" in said
     assert "Last 400 to 400 rpm" in said
-    assert "1 messages of several frames lack one" in reported
+    assert "1 incomplete messages of several frames are not used" in reported
     config = tmp_path / "c.yaml"
     config.write_text(f"signals:\n  elevator_speed: {{dbc: {dbc}, message: Long, signal: Single}}\n")
     assert main(["check-config", str(config), "--log", str(log)]) == 2
     said, _ = capsys.readouterr()
     (line,) = [line for line in said.splitlines() if line.startswith("elevator_speed")]
     assert line.split()[2:6] == ["5", "412.5", "412.5", "0.2"]
-    assert "note: 1 messages of several frames lack one" in said
+    assert "note: 1 incomplete messages of several frames are not used" in said

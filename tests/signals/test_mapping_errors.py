@@ -283,7 +283,7 @@ def test_a_message_that_nothing_uses_may_contradict_itself(
     capsys.readouterr()
     assert main(["signals", str(log), "--dbc", str(tmp_path / "counts.dbc")]) == 0
     reported = capsys.readouterr()
-    assert "counts.dbc: a message is not used: " in reported.err
+    assert "counts.dbc: message ignored: " in reported.err
     assert "Odd" in reported.err or "A has factor 0" in reported.err
     path.write_text(f"signals:\n  {IMPACT.replace('Bridge', 'Odd')}\n")
     assert "signals fit, do not overlap" in said(capsys, path)

@@ -23,7 +23,7 @@ def run(args: argparse.Namespace) -> CurveCalibrationDocument:
     """Fit and write; the report as plain data. Raises InputError."""
     for name in _OF_THE_PHYSICS:
         if getattr(args, name) not in (None, False, "", []):
-            raise InputError(f"--{name.replace('_', '-')}", "belongs to the physical model", "none with --estimator")
+            raise InputError(f"--{name.replace('_', '-')}", "applies to the physical model only", "none with --estimator")
     if args.out is not None:
         whole_file.check_place(args.out)
     found, facts = _of_loads(args) if args.loads is not None else _of_table(args)
@@ -101,7 +101,7 @@ def text(document: CurveCalibrationDocument) -> str:
     lines.append(f"error of {document['loads']} loads, %: mean {error['fitted_mean']:.3g}, largest {error['fitted_max']:.3g}")
     lines.append(f"each left out in turn:       mean {error['left_out_mean']:.3g}, largest {error['left_out_max']:.3g}")
     lines.append(
-        f"standard deviation: {document['relative_std_dev_pct']:.3g} % of (flow + {OFFSET_SHARE * high:.3g} kg/s), of this grain"
+        f"standard deviation: {document['relative_std_dev_pct']:.3g} % of (flow + {OFFSET_SHARE * high:.3g} kg/s), for this grain"
     )
     if "written" in document:
         lines.append(f"written: {document['written']}")

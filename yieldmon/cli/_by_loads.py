@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> LoadCalibrationDocument:
     prior = _prior(args, measured, configured)
     sweeps = weighed_loads.sweeps_of(measured)
     if sweeps:
-        _notes.note(f"{len(sweeps)} sweeps of the plate are fitted with the loads")
+        _notes.note(f"{len(sweeps)} plate sweeps are fitted together with the loads")
     try:
         found = calibrate_loads(ForwardModel(configured.machine, prior.effects), prior, loads, sweeps=sweeps)
     except ValueError as error:
@@ -76,7 +76,7 @@ def refuse_others(args: argparse.Namespace, option: str) -> None:
     """Raises InputError for an option that goes with a table alone."""
     for name in _TABLE_ONLY:
         if getattr(args, name) not in (None, False, "", []):
-            raise InputError(f"--{name.replace('_', '-')}", "belongs to a table of a test facility", f"none with {option}")
+            raise InputError(f"--{name.replace('_', '-')}", "applies to a table of a test facility only", f"none with {option}")
 
 
 def refuse_table(args: argparse.Namespace, option: str) -> None:

@@ -83,7 +83,7 @@ def _check_options(args: argparse.Namespace) -> None:
     if args.stop_gap:
         for option, given in (("--prior", args.prior), ("--by-moisture", args.by_moisture), ("--robust", args.robust)):
             if given:
-                raise InputError(option, "does not go with --stop-gap", "one of the two")
+                raise InputError(option, "cannot be combined with --stop-gap", "one of the two")
     if args.out is not None and not args.by_moisture:
         whole_file.check_place(args.out)
     if args.profiles is not None:
@@ -130,7 +130,7 @@ def _with_copies_named(result: Calibration, data: table.Table, rows: Measurement
     copied = copied_rows(reading if rows.places is None else reading[rows.places], rows.cells()[1])
     if not copied:
         return result
-    each = "standard errors and lack of fit take each for a measurement; give each measurement once."
+    each = "standard errors and lack of fit count each as a measurement; give each measurement once."
     word = f"{as_copies_do(copied, rows.momentum.size)}: {each}"
     return replace(result, sentences=(word, *result.sentences))
 
@@ -175,7 +175,7 @@ def _with_stop_gap(machine: Machine, rows: Measurements, result: Calibration) ->
     try:
         found = with_stop_gap(ForwardModel(machine, plain.effects), rows, plain, result.names)
     except ValueError as error:
-        raise InputError("--stop-gap", str(error), "a table that allows one") from error
+        raise InputError("--stop-gap", str(error), "a table that supports a stop-gap") from error
     return replace(found, provenance={**found.provenance, "stop_gap": "fitted with the grain"})
 
 

@@ -45,4 +45,4 @@ class SharedIdentifiers:
         """One line without an end; None where each comes on one channel."""
         shared = [channels for channels in self._channels.values() if len(channels) > 1]
         names = sorted(set().union(*shared) - {""})
-        return f"{len(shared)} identifiers come on several channels ({', '.join(names)})" if shared else None
+        return f"{len(shared)} identifiers appear on several channels ({', '.join(names)})" if shared else None

@@ -43,7 +43,7 @@ def check(args: argparse.Namespace) -> None:
             # Standard output and the like take what several write.
             other = written.setdefault(whole_file.real_path(path), option)
             if other != option and (path.is_file() or not path.exists()):
-                raise InputError(f"{option} {value}", f"is the file of {other} as well", "another name")
+                raise InputError(f"{option} {value}", f"is also the file of {other}", "another name")
 
 
 def check_folder(folder: Path, names: Iterable[str], option: str, *, force: bool, inputs: Iterable[str | Path] = ()) -> None:
@@ -60,7 +60,7 @@ def refuse(path: Path, option: str, *, force: bool, inputs: set[Path] = frozense
     if path.is_dir():
         return
     if whole_file.real_path(path) in inputs:
-        raise InputError(f"{option} {path}", "is a file that is read as well", "another name")
+        raise InputError(f"{option} {path}", "is also an input file", "another name")
     whole_file.check_place(path)
     if path.is_file() and not force:
         raise InputError(f"{option} {path}", "exists already", "another name, or --force to replace it")

@@ -78,7 +78,7 @@ def text(document: PulseShapeDocument) -> str:
         f"calibrated: load {least:.2f} to {most:.2f} of a full paddle, plate {low:.0f} to {high:.0f} deg, "
         f"{slow:.0f} to {fast:.0f} rpm"
     )
-    lines.append(f"stretch known to {100.0 * document['std_dev'][0]:.1f} %, by {', '.join(document['terms'])}")
+    lines.append(f"standard deviation of stretch {100.0 * document['std_dev'][0]:.1f} %, by {', '.join(document['terms'])}")
     if document["kernel_bias"] is not None:
         spread = document["kernel_bias_std_dev"]
         around = "" if spread is None else f" ± {spread:.3f}"
@@ -86,7 +86,7 @@ def text(document: PulseShapeDocument) -> str:
     if document["refused"]:
         lines.append(f"refused: {document['refused']}")
     if "written" in document:
-        lines.append(f"written: {document['written']}; for pulse_shape_file, with waveform.shape_terms: true")
+        lines.append(f"written: {document['written']}; set pulse_shape_file to it, and waveform.shape_terms: true")
     return "\n".join(lines)
 
 

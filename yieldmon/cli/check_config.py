@@ -81,7 +81,7 @@ def _held_against(
     notes, group = [*loaded.notes, *mapping_notes.notes(loaded)], loaded.document.status.group
     if group is not None and not _has_group(group):
         # Of another computer it may be one.
-        notes.append(f"status.group: this computer has no group {group!r}, and a daemon would not start on it")
+        notes.append(f"status.group: this computer has no group {group!r}, so the daemon would not start")
     if loaded.engine.waveform.enabled:
         # Brings the engine along, which other configurations are checked without.
         from yieldmon.service.config import waveform_needs
@@ -98,7 +98,7 @@ def _held_against(
         found, incomplete = quantities_seen.seen_in(loaded, log, progress)
         faults = foretold.faults_on(loaded, log, progress)
     if incomplete:
-        notes.append(f"{incomplete} messages of several frames lack one and are not used")
+        notes.append(f"{incomplete} incomplete messages of several frames are not used")
     problems += mapping_check.problems(loaded, found, log)
     notes += mapping_check.remarks(loaded, found) + faults
     return quantities_seen.documents(found), notes, [InputError(*problem) for problem in problems]
@@ -122,4 +122,4 @@ def _show(seen: dict[str, SeenDocument]) -> None:
         first = " ".join(f"{value:.5g}" for value in entry["first"]) or "none"
         print(f"{name:18} {entry['unit']:>6} {shown[0]:>8} {shown[1]:>10} {shown[2]:>10} {shown[3]:>8}  {first}")
     if absent:
-        print(f"not in this recording: {', '.join(absent)}")
+        print(f"not in this log: {', '.join(absent)}")

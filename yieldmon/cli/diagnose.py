@@ -114,7 +114,7 @@ def run(args: argparse.Namespace) -> int:
         print(f"plan: {args.plan}, {schedule}", file=sys.stderr)
     if args.adopt is not None:
         if found.verdict != "effect":
-            print(f"yieldmon: nothing to adopt: the verdict is {found.verdict}", file=sys.stderr)
+            print(f"yieldmon: no effect to adopt: the verdict is {found.verdict}", file=sys.stderr)
             return 1
         parent = source.parameter_path
         if parent is None:
@@ -182,12 +182,12 @@ class _Source:
 def _from_csv(args: argparse.Namespace) -> _Source:
     for option, value in (("--sweeps", args.sweeps), ("--table", args.table)):
         if value is not None:
-            raise InputError(option, f"{args.data} is not a store", f"a name that ends in {', '.join(recorded.STORE_SUFFIXES)}")
+            raise InputError(option, f"{args.data} is not a store", f"a file name ending in {', '.join(recorded.STORE_SUFFIXES)}")
     path = _named_files.parameters_path(args.params) if args.params is not None else shipped(parameter_file.DEFAULT)
     source = _Source(table.load(args.data), without_stop_gap(parameter_file.load(path)), path, keep_effects=args.keep_effects)
     if args.params is not None and source.parameters.effects and not args.keep_effects:
         names = ", ".join(source.parameters.effects)
-        _notes.note(f"{path.name} has {names}, looked for here as anything else; --keep-effects takes it as known")
+        _notes.note(f"{path.name} has {names}, searched for here like other effects; --keep-effects keeps it in the model")
     return source
 
 
@@ -221,7 +221,7 @@ def print_text(found: diagnosis.Diagnosis) -> None:
     if found.verdict == "effect":
         _print_steps(found.choice.steps, found.best)
     elif found.leading is not None:
-        print("leading candidates, not certain enough to be named:")
+        print("leading candidates, none of them certain:")
         _print_steps(found.choice.steps, found.leading)
     measures = [("before", found.before), ("after", found.after)]
     if found.with_leading is not None:

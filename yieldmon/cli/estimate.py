@@ -102,7 +102,7 @@ def _contradiction(flow_kg_s: Array, std_dev_kg_s: Array, true_kg_s: Array) -> s
     if away < _CONTRADICTS_SDS:
         return ""
     return (
-        f"half of the flows are {100.0 * np.median(np.abs(flow / true - 1.0)):.3g} % off the table's own loads, or more, and "
-        f"{away:.3g} of their standard deviations: expected parameters of its grain and machine (`yieldmon calibrate`), and the "
-        "noise of its readings (--sigma)"
+        f"half of the flows differ from the table's loads by {100.0 * np.median(np.abs(flow / true - 1.0)):.3g} % or more "
+        f"({away:.3g} standard deviations); expected parameters of this grain and machine (`yieldmon calibrate`), and the "
+        "noise of the readings (--sigma)"
     )

@@ -101,19 +101,19 @@ def _export_points(args: argparse.Namespace, kind: str, out: Path, rows: Sequenc
     points = yield_points(rows, settings, args.record)
     if not points:
         expected = "flow, and a position --flow-delay before it"
-        raise InputError(args.record, "has no second of harvest that a place belongs to", expected)
+        raise InputError(args.record, "has no second of harvest with a position", expected)
     _write_points(kind, out, points, settings, _names(args, loads))
     masses = f"{sum(point.mass_kg for point in points):.0f} of {sum(row.mass_kg for row in rows):.0f} kg"
     said = f"{out}: {_counted(len(points), 'yield point')} with {masses}"
     if kind == "agleader":
         # Readers take such a file for a raw one.
-        said += f"; the flow delay of {args.flow_delay:g} s is taken out: read them with `yieldmon map --flow-delay 0`"
+        said += f"; corrected for a flow delay of {args.flow_delay:g} s: read them with `yieldmon map --flow-delay 0`"
     print(said, file=sys.stderr)
     in_points = {point.load_number for point in points}
     corrected = [load for load in loads if load.number in in_points and load.corrected_mass_kg != load.mass_kg]
     if corrected:
         better = f"{sum(load.corrected_mass_kg for load in corrected):.0f} for {sum(load.mass_kg for load in corrected):.0f} kg"
-        note = f"points are as measured; {_counted(len(corrected), 'load')} weighed or measured again ({better})"
+        note = f"points are as measured; {_counted(len(corrected), 'load')} weighed or recomputed ({better})"
         print(f"yieldmon: {note}: `yieldmon map` corrects its points", file=sys.stderr)
 
 

@@ -97,10 +97,10 @@ def _check_command(command: Path, *, there: bool) -> None:
     for path in (command, target):
         if path.parts[1:2] in (("home",), ("root",)) or path.parts[1:3] == ("run", "user"):
             leads = "" if path == command else f" leads to {target}, which"
-            problem = f"{command}{leads} lies in a home folder, which the service does not see"
-            raise InputError("--command", problem, "a command outside, as docs/guide/service.md makes one, or no --command")
+            problem = f"{command}{leads} lies in a home folder, which the service cannot read"
+            raise InputError("--command", problem, "a command outside home folders (docs/guide/service.md), or no --command")
     if there and not (target.is_file() and os.access(target, os.X_OK)):
-        raise InputError("--command", f"{command} is no program that can be run", "the path that `command -v yieldmon` prints")
+        raise InputError("--command", f"{command} is not an executable program", "the path that `command -v yieldmon` prints")
 
 
 def _say_other_bus(installer: Installer, interface: str, bus: tuple[str, str] | None) -> None:
@@ -109,6 +109,6 @@ def _say_other_bus(installer: Installer, interface: str, bus: tuple[str, str] | 
         return
     kept = installer.at(CONFIGURATION / "yieldmon.yaml")
     if bus[0] == "socketcan":
-        installer.report(f"note    {kept} reads {bus[1]}, the unit waits for {interface}: name one of them in both")
+        installer.report(f"note    {kept} reads {bus[1]}, but the unit waits for {interface}: use the same in both")
     else:
-        installer.report(f"note    {kept} reads {bus[0]} {bus[1]}; the unit is for SocketCAN alone and waits for {interface}")
+        installer.report(f"note    {kept} reads {bus[0]} {bus[1]}; the unit supports SocketCAN only and waits for {interface}")

@@ -84,11 +84,14 @@ def run(args: argparse.Namespace) -> int:
             from yieldmon.files.crops import crops  # parameters, and numpy with them, which nothing else here needs
 
             known = ", ".join(crops())
-            print(f"yieldmon: {answer['crop']} is not a known crop; the parameters stay; known are {known}", file=sys.stderr)
+            print(
+                f"yieldmon: {answer['crop']} is not a known crop; the parameters are unchanged; known crops: {known}",
+                file=sys.stderr,
+            )
     else:
         units = units_of(args.units, answer.get("units", "metric"), answer.get("crop", ""))
         print(f"load {answer['load']} complete: {units.mass_with_bushels(answer['mass_kg'])}")
-        print("yieldmon: grain until the next `yieldmon load start` counts in the total alone", file=sys.stderr)
+        print("yieldmon: until the next `yieldmon load start`, grain counts only in the total", file=sys.stderr)
     return 0
 
 

@@ -147,11 +147,11 @@ def _missing_package(error: ModuleNotFoundError) -> str | None:
 def _no_resources(error: BaseException) -> str | None:
     """One line for memory, threads or libraries that the system does not give; None for another error."""
     if isinstance(error, MemoryError):
-        return "the system gives no more memory; expected a larger limit (`ulimit -v`, MemoryMax) or less input"
+        return "out of memory; expected a larger limit (`ulimit -v`, MemoryMax) or less input"
     if isinstance(error, RuntimeError) and str(error) == "can't start new thread":
-        return "the system gives no more threads; expected a larger limit (`ulimit -u`, `ulimit -v`, TasksMax, MemoryMax)"
+        return "no more threads available; expected a larger limit (`ulimit -u`, `ulimit -v`, TasksMax, MemoryMax)"
     if isinstance(error, ImportError) and (found := _UNMAPPED.search(str(error))):
-        return f"{found[0]}; expected more memory (`ulimit -v`, MemoryMax) or a sound installation"
+        return f"{found[0]}; expected more memory (`ulimit -v`, MemoryMax) or an intact installation"
     return None
 
 

@@ -72,8 +72,8 @@ def say_unknown_error(known: ParameterSet) -> None:
     """On standard error, that the set does not say how far the model itself is off."""
     if known.curve is None and known.model_error is None and known.own_error > 0.0:
         _notes.note(
-            "the parameters do not say how far the model itself is off (model_error): "
-            f"{100.0 * known.own_error:g} % of the force is taken for it"
+            "the parameters do not state the model's own error (model_error): "
+            f"{100.0 * known.own_error:g} % of the force is assumed"
         )
 
 
@@ -148,7 +148,9 @@ def check_moisture(moisture_pct: float | None) -> None:
     if moisture_pct is not None and not 0.0 <= moisture_pct <= 100.0:
         raise InputError("--moisture", f"is {moisture_pct:g}", "0 to 100 %")
     if moisture_pct is not None and 0.0 < moisture_pct < 1.0:
-        raise InputError("--moisture", f"is {moisture_pct:g}", f"per cent; this looks like a share: {100.0 * moisture_pct:g} %")
+        raise InputError(
+            "--moisture", f"is {moisture_pct:g}", f"per cent; this looks like a fraction: {100.0 * moisture_pct:g} %"
+        )
 
 
 def check_each(good: np.ndarray, values: np.ndarray, option: str, expected: str) -> None:
@@ -162,7 +164,7 @@ def check_operating_points(flow_kg_s: np.ndarray, angle_deg: np.ndarray, speed_r
     check_each(flow_kg_s >= 0.0, flow_kg_s, "--mass-flow", "0 kg/s or more")
     check_each((angle_deg > 0.0) & (angle_deg < 180.0), angle_deg, "--plate-angle", "0 to 180 deg, both excluded")
     check_each((speed_rpm > 0.0) & (speed_rpm < np.inf), speed_rpm, "--elevator-speed", "above 0 rpm")
-    slow = f"{LEAST_SPEED_RPM:g} rpm or more, of the upper shaft: slower, no paddle throws"
+    slow = f"{LEAST_SPEED_RPM:g} rpm or more at the upper shaft: slower paddles do not throw"
     check_each(speed_rpm >= LEAST_SPEED_RPM, speed_rpm, "--elevator-speed", slow)
     if float(angle_deg.max()) <= np.pi:
         raise InputError("--plate-angle", f"has nothing above {angle_deg.max():g}", "degrees; these look like radians")

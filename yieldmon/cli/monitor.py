@@ -96,7 +96,7 @@ def run(args: argparse.Namespace) -> int:
             _show(source, traffic, cab, record, stack)
         _refuse_empty(args.log, channel, traffic)
     if shared.problem is not None:
-        print(f"yieldmon: {args.log}: {shared.problem} and share their rows; -c NAME shows one", file=sys.stderr)
+        print(f"yieldmon: {args.log}: {shared.problem} and share rows; select one with -c NAME", file=sys.stderr)
     return 0
 
 
@@ -148,7 +148,9 @@ def _refreshes(source: Source, traffic: Traffic, record: Recorder, act: Callable
 def _show(source: Source, traffic: Traffic, cab: CabView, record: Recorder, stack: ExitStack) -> None:
     console = Console()
     if console.is_dumb_terminal:
-        raise InputError("TERM", f"is {os.environ.get('TERM', '')!r}, which draws no screen", "`--once`, or another terminal")
+        raise InputError(
+            "TERM", f"is {os.environ.get('TERM', '')!r}, a terminal without screen control", "`--once`, or another terminal"
+        )
     if cab.daemon is not None:
         stack.enter_context(cab.daemon)
     with keys.raw_keys(), Live(cab.screen(traffic), console=console, screen=True, auto_refresh=False) as live:

@@ -133,7 +133,7 @@ def _check(args: argparse.Namespace) -> None:
         raise InputError("--json", "standard output is taken by --out -", "a file for --out")
     refuse_named_twice(args.logs)
     if args.zero_mv is not None and not 0.0 <= args.zero_mv <= 100_000.0:
-        raise InputError("--zero-mv", f"is {args.zero_mv:g}", "0 to 100000 mV, as a table of an earlier log has it (zero_mv)")
+        raise InputError("--zero-mv", f"is {args.zero_mv:g}", "0 to 100000 mV, such as zero_mv in the table of an earlier log")
     for log in args.logs:
         # Here, where a package that is not installed costs one line: processes that read would print tracebacks.
         require_package(real_path(log))
@@ -177,7 +177,7 @@ def _store_again(args: argparse.Namespace, loaded: configuration.Configuration, 
         now, was = units.mass(load["after_kg"]), units.mass(load["before_kg"])
         print(f"load {load['load']}: {now}; as measured {was}", file=sys.stderr)
     if found.unusable:
-        print(f"{found.unusable} s without a known force, angle or speed stay as they were", file=sys.stderr)
+        print(f"{found.unusable} s without a known force, angle or speed are unchanged", file=sys.stderr)
     return 0
 
 
@@ -304,7 +304,7 @@ def _line(document: ProcessSummary, units: Units) -> str:
         line += f" on {units.area(document['area_m2'])}, {units.crop_yield(document['yield_kg_m2'])}"
     line += f", {document['frames_malformed']} malformed frames" if document["frames_malformed"] else ""
     incomplete = document["messages_incomplete"]
-    line += f", {incomplete} messages that lack a frame" if incomplete else ""
+    line += f", {incomplete} incomplete messages" if incomplete else ""
     lines = [line, *(f"damaged: {damage}" for damage in document["damages"])]
     if document["faults"]:
         lines.append("faults: " + ", ".join(f"{code} {count} x" for code, count in document["faults"].items()))
@@ -316,27 +316,27 @@ def _line(document: ProcessSummary, units: Units) -> str:
 
 def _why_no_mass(document: ProcessSummary) -> str:
     """What there is to say where nothing could be measured; "" where something was, or where there may have been no grain."""
-    shown = "`yieldmon check-config CONFIG --log LOG` shows what is there"
+    shown = "run `yieldmon check-config CONFIG --log LOG`"
     missing = document.get("missing", {})
     if not document["windows"]:
-        return "no whole second passes between the frames' times, as of a recorder without a clock, or candump -td"
+        return "the frames' times span less than a second: recorder without a clock, or candump -td"
     if document["zero_known"]:
         turned = not document["total_mass_kg"] and FaultCode.ZERO_DRIFTED in document["faults"]
-        return f"the zero drifted (ZeroDrifted): if there was grain, is the sensor's sign right? {shown}" if turned else ""
+        return f"the zero drifted (ZeroDrifted): if there was grain, check the sensor's sign; {shown}" if turned else ""
     if missing.get("elevator speed", 0.0) > _MOSTLY:
-        return f"no frame reports the elevator's speed, and without it there is no zero; {shown}"
+        return f"no frame reports the elevator speed, which the zero needs; {shown}"
     if missing.get("plate angle", 0.0) > _MOSTLY:
         return (
-            "no frame reports the plate's angle, and without it there is no zero; of a plate that is bolted on it is "
+            "no frame reports the plate angle, which the zero needs; for a plate at a fixed angle set "
             f"plate.fixed_angle_deg; {shown}"
         )
     if document.get("frames_lost_share", 0.0) > _MOSTLY:
         return (
-            "each second lacks samples (FramesLost): frames are lost, or two nodes or channels send them, and such seconds give "
-            f"no zero; {shown}"
+            "every second lacks samples (FramesLost), so there is no zero: frames are lost, or two nodes or channels send them; "
+            f"{shown}"
         )
     return (
-        "the log begins in grain, with no stretch of the elevator running empty, so there is no zero; --zero-mv gives a known "
-        "one, as the table of an earlier log or `yieldmon status` has it; if it begins empty, `yieldmon check-config CONFIG "
-        "--log LOG` says whether the samples can be a force"
+        "the elevator never runs empty in the log, so there is no zero; give one with --zero-mv, from the table of an earlier "
+        "log or `yieldmon status`; if the log begins empty, run `yieldmon check-config CONFIG --log LOG`: it tests whether the "
+        "samples can be a force"
     )

@@ -93,7 +93,7 @@ def run(args: argparse.Namespace) -> int:
         except KeyboardInterrupt:
             code = EXIT_INTERRUPTED
     if not progress.sent and code == 0:
-        raise InputError(", ".join(args.logs), "no frame to send", "frames that the options let through")
+        raise InputError(", ".join(args.logs), "no frame to send", "options that select some frames")
     _report(progress, notes, args)
     return code
 
@@ -102,7 +102,7 @@ def _inputs(args: argparse.Namespace) -> FilterTable | None:
     """What --inputs-only lets through; None without it."""
     if not args.inputs_only:
         if args.config is not None:
-            raise InputError("--config", "is given without --inputs-only", "both, or neither")
+            raise InputError("--config", "needs --inputs-only", "both, or neither")
         return None
     from yieldmon.service.config import configuration
     from yieldmon.service.traffic.input_frames import InputFrames
@@ -143,7 +143,7 @@ def _sparing_damage_report() -> Callable[[Damage], None]:
         if number <= _DAMAGES_SHOWN:
             print(f"yieldmon: {damage}", file=sys.stderr)
         elif number == _DAMAGES_SHOWN + 1:
-            print("yieldmon: further damaged places are counted only", file=sys.stderr)
+            print("yieldmon: further damaged records are only counted", file=sys.stderr)
 
     return report
 
@@ -186,7 +186,7 @@ def _report(progress: Progress, notes: LogNotes, args: argparse.Namespace) -> No
         on_time_pct = 100 * (1 - progress.late / progress.sent)
         line += f"; {on_time_pct:.2f} % within {1000 * ON_TIME_S:g} ms, at worst {1000 * progress.worst_lateness_s:.1f} ms late"
     if notes.damaged_places:
-        line += f"; {notes.damaged_places} damaged places"
+        line += f"; {notes.damaged_places} damaged records"
     if notes.dropped_by_recorder:
-        line += f"; the recorder had lost {notes.dropped_by_recorder} frames"
+        line += f"; the recorder lost {notes.dropped_by_recorder} frames"
     print(line)

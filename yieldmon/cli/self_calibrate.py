@@ -89,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
     if not prior.covariance_names:
         where = "--params" if args.params is None else args.params
         raise InputError(
-            where, "has no covariance, each parameter counts as exactly known", "one, as `calibrate --out` writes it"
+            where, "has no covariance, so all parameters count as exact", "a covariance, as `calibrate --out` writes"
         )
     _provenance.note_same_table(data, prior, "--params")
     labels, names = _groups(data, args.group_by)
@@ -190,7 +190,7 @@ def _sigma(args: argparse.Namespace, data: table.Table, labels: np.ndarray) -> A
     values = data.columns[data.reading]
     known = np.isfinite(values) & (labels >= 0)
     if np.any(column[known] == 0.0):
-        raise InputError(data.path, "column sigma has zeros", "a number above 0, or nothing where it is not known")
+        raise InputError(data.path, "column sigma has zeros", "a number above 0, or an empty field if unknown")
     speed = data.columns.get("elevator_speed_rpm", np.full(len(data), np.nan))
     keys = np.stack((data.columns["plate_angle_deg"], np.nan_to_num(speed, nan=-1.0), labels))
     cells = np.unique(keys, axis=1, return_inverse=True)[1].ravel()
@@ -205,7 +205,7 @@ def _sigma(args: argparse.Namespace, data: table.Table, labels: np.ndarray) -> A
     means = np.bincount(cells[known], values[known], minlength=cells.max() + 1) / np.maximum(counts, 1)
     dof = int(np.sum(np.maximum(counts - 1, 0)))
     if dof < 3:
-        raise InputError(data.path, "does not state its noise", "--sigma SD, a column sigma, or repeated rows")
+        raise InputError(data.path, "does not state the noise of its readings", "--sigma SD, a column sigma, or repeated rows")
     spread = float(np.sqrt(np.sum((values[known] - means[cells[known]]) ** 2) / dof))
     if spread <= _ROUNDING * float(np.max(np.abs(values[known]))):
         raise InputError(data.path, "holds repeated rows without any scatter", "--sigma SD")

@@ -21,13 +21,13 @@ from yieldmon.service.config import configuration, plausible
 CONFIGURATION, MACHINE, RECORD = "yieldmon.yaml", "machine.yaml", "setup-record.yaml"
 AFTER = """\
 Next, on the machine:
-  1. start the daemon with the elevator running empty for 20 s: it learns the
-     zero and the vibration (until then yieldmon status shows "zeroing", and
-     what it waits for)
-  2. harvest a load and weigh it; two more at other flows
+  1. start the daemon and run the elevator empty for 20 s: it measures zero
+     and vibration (until then yieldmon status shows "zeroing", and what it
+     waits for)
+  2. harvest and weigh a load, then two more at other flows
   3. yieldmon calibrate --config yieldmon.yaml --loads STORE \\
          --tickets tickets.csv --out {parameters}.new.yaml
-For area and yield the header's width goes into machine.yaml, such as
+For area and yield add the header's width to machine.yaml, such as
   implement: {{working_width_m: 9.1}}"""
 
 

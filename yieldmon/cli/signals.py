@@ -69,9 +69,9 @@ def run(args: argparse.Namespace) -> int:
     if shared.problem is not None:
         if args.write is not None:
             raise InputError(args.log, f"{shared.problem}, which would make the rates wrong", "one channel: -c NAME")
-        print(f"yieldmon: {args.log}: {shared.problem} and count together; -c NAME takes one", file=sys.stderr)
+        print(f"yieldmon: {args.log}: {shared.problem} and count together; select one with -c NAME", file=sys.stderr)
     if survey.incomplete:
-        print(f"yieldmon: {survey.incomplete} messages of several frames lack one and are not used", file=sys.stderr)
+        print(f"yieldmon: {survey.incomplete} incomplete messages of several frames are not used", file=sys.stderr)
     if args.write is not None:
         whole_file.write(args.write, mapping_text(survey, _as_written(paths, Path(args.write))), mode=whole_file.READABLE)
         print(f"written: {args.write}", file=sys.stderr)
@@ -95,7 +95,7 @@ def _databases(paths: Mapping[str, str]) -> dict[str, dict[str, MessageBits]]:
     for name, messages in databases.items():
         if problems := [message.contradiction for message in messages.values() if message.contradiction]:
             more = f", and {len(problems) - 1} more like it" if len(problems) > 1 else ""
-            print(f"yieldmon: {name}: a message is not used: {problems[0]}{more}", file=sys.stderr)
+            print(f"yieldmon: {name}: message ignored: {problems[0]}{more}", file=sys.stderr)
     return databases
 
 
@@ -191,8 +191,8 @@ def _show(survey: Survey) -> None:
             if math.isfinite(seen.low):
                 print(f"{'':44}{signal} {seen.low:g} to {seen.high:g} {seen.bits.unit}")
     for address, name in survey.nodes:
-        print(f"node {address}: " + ("no NAME heard" if name is None else f"NAME 0x{name}, {_fields(name)}"))
+        print(f"node {address}: " + ("no NAME received" if name is None else f"NAME 0x{name}, {_fields(name)}"))
     for quantity, found in survey.candidates.items():
         print(f"{quantity}: " + ", ".join(f"{c.message}.{c.signal} ({c.rate_hz:.1f} Hz)" for c in found[:4]))
     if not survey.candidates:
-        print("no signal here could serve a quantity; name the maker's DBC with --dbc")
+        print("no signal matches a quantity; give the manufacturer's DBC with --dbc")

@@ -79,13 +79,13 @@ def _facts(status: Status, units: Units) -> Iterator[tuple[str, str]]:
     """Name and text of each row, most wanted first."""
     bus, store, configuration = status["bus"], status["store"], status["configuration"]
     state = f"{_words(status['state'])}, running for {_span(status['uptime_s'])}"
-    yield "state", f"STALE, as it was {_span(status['age_s'])} ago: {state}" if status["stale"] else state
+    yield "state", f"STALE, {_span(status['age_s'])} old: {state}" if status["stale"] else state
     if status["zero_waits_for"]:
         yield "zero", f"waits for {units.in_text(status['zero_waits_for'])}"
     yield "now", _now(status["now"], units)
     yield from _load(status["load"], status["crop"], units)
     if _grain_without_load(status):
-        yield "", "no load is open: grain counts in the total alone until `yieldmon load start`"
+        yield "", "no load is open: until `yieldmon load start`, grain counts only in the total"
     total = status["total"]
     contested_kg, spread_kg = total["contested_mass_kg"], total["std_dev_kg"]
     around = f" ± {units.mass(spread_kg)}" if spread_kg is not None else ""
@@ -105,7 +105,7 @@ def _facts(status: Status, units: Units) -> Iterator[tuple[str, str]]:
     yield from _network(status["network"])
     for note in status["signals"]["notes"]:
         yield "signals", note
-    waiting = f", {store['pending']} s of records not written yet" if store["pending"] else ""
+    waiting = f", {store['pending']} s of records not yet written" if store["pending"] else ""
     yield "store", f"{store['file']}: {store['failing'] or store['note'] or 'writing'}{waiting}"
     yield "configuration", f"{configuration['file']}; reload: {configuration['reload']}"
 
@@ -151,13 +151,13 @@ def _load(load: StatusLoad, crop: StatusCrop, units: Units) -> Iterator[tuple[st
     names = " ".join(name for name in (load["field"], load["crop"]) if name)
     spread = load["std_dev_kg"]
     around = f" ± {units.mass(spread)}" if spread is not None else ""
-    dry = "dry mass not known (moisture was missing, or lower than any grain's, for some of it)"
+    dry = "dry mass not known (moisture was missing or implausibly low for part of it)"
     if load["dry_mass_kg"] is not None:
         dry = f"{units.mass_with_bushels(load['dry_mass_kg'])} dry, at {crop['market_moisture_pct']:g} % moisture"
     title = f"{load['number']}{'' if load['open'] else ' (closed)'}{' ' if names else ''}{names}"
     yield "load", f"{title}: {units.mass_with_bushels(load['mass_kg'])}{around} wet, {dry}"
     if _by_calibration(load):
-        yield "", "± is the calibration's for the most part: a weighed load (`yieldmon ticket`) narrows it"
+        yield "", "± comes mostly from the calibration: weigh a load (`yieldmon ticket`) to reduce it"
     if load["area_m2"] is not None:
         dry_yield = load["dry_yield_kg_m2"]
         text = f"{units.area(load['area_m2'])}, {units.crop_yield(load['yield_kg_m2'])} wet"
@@ -176,9 +176,9 @@ def _sweep(sweep: StatusSweep) -> Iterator[tuple[str, str]]:
     """Sweeps of the plate, and what came of the last one."""
     yield "sweep", f"{_words(sweep['state'])}, {_due(sweep['due_in_s'])}, {sweep['sweeps']} so far"
     if sweep["aborted_because"] is not None:
-        yield "", f"the last one was aborted: {sweep['aborted_because']}"
+        yield "", f"last sweep aborted: {sweep['aborted_because']}"
     if sweep.get("declined_because") is not None:
-        yield "", f"{sweep['declined']} that were due not made; of the last: {sweep['declined_because']}"
+        yield "", f"{sweep['declined']} due sweeps not made; last reason: {sweep['declined_because']}"
     if sweep["last_update"] is not None:
         yield "", f"last update: {sweep['last_update']}"
 
@@ -187,9 +187,9 @@ def _network(network: StatusNetwork) -> Iterator[tuple[str, str]]:
     """Our address, where it is not the one that was asked for."""
     address, preferred = network["address"], network.get("preferred_address", network["address"])
     if address is None:
-        yield "network", f"no address ({network['claim']}): nothing is published"
+        yield "network", f"no address ({network['claim']}): nothing is sent"
     elif address != preferred:
-        yield "network", f"address {address}: the preferred {preferred} is another node's"
+        yield "network", f"address {address}: another node has the preferred {preferred}"
 
 
 def _parameters(parameters: StatusParameters) -> str:

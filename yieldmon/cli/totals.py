@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
             number = database_errno(error.__cause__ or error)
             what = os.strerror(number) if number != errno.EIO else str(error)
             raise OSError(number, what, args.out) from error
-    print(f"{out}: a copy of {store}")
+    print(f"{out}: copy of {store}")
     return 0
 
 
@@ -74,7 +74,7 @@ def _named(args: argparse.Namespace) -> int:
     if typed.removesuffix("kg") == f"{total_kg:.0f}" or typed in map(_plain, shown):
         return round(total_kg)
     total = units_of(None, status["units"]).mass(total_kg)
-    raise InputError("totals reset", f"the total is {total}", "that figure, so that nothing is reset by mistake")
+    raise InputError("totals reset", f"the total is {total}", "this figure, to confirm the reset")
 
 
 def _plain(mass: str) -> str:

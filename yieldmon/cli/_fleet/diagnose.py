@@ -68,15 +68,15 @@ def _shared_lines(document: FleetDiagnosisDocument) -> list[str]:
     if document["shared"] == "unknown":
         nearest = ", with ".join(_words(item) for item in document["candidates"])
         least = f"the nearest: {nearest}" if nearest else "no known effect explains it"
-        return [f"the model lacks something that all machines show and that is not certain enough to be named; {least}"]
+        return [f"the model lacks an effect in all machines, too uncertain to name; {least}"]
     none = {"none": "no effect is shared by all machines"}
-    return [none.get(document["shared"], "what machines share is not known: too few of one geometry could be compared")]
+    return [none.get(document["shared"], "not known whether machines share an effect: too few of one geometry")]
 
 
 def _visible_lines(visible_from: list[VisibleEffect]) -> list[str]:
     """What sweeps like these would show of one machine, and what they cannot."""
     seen = [v for v in visible_from if v["size"] is not None]
-    lines = ["an effect of one machine's own shows in 80 of 100 such fleets from"] if seen else []
+    lines = ["smallest effect of a single machine that 80 of 100 such fleets show:"] if seen else []
     lines += [f"  {v['name']:28}{v['parameter']} {v['size']:.3g} {v['unit']}".rstrip() for v in seen]
     unseen = [v["name"] for v in visible_from if v["size"] is None]
     return [*lines, f"not visible in these sweeps at any physical size: {', '.join(unseen)}"] if unseen else lines
@@ -85,5 +85,5 @@ def _visible_lines(visible_from: list[VisibleEffect]) -> list[str]:
 def _words(named: FleetEffect) -> str:
     count = 1 + len(named["equivalent"])
     if count > POLICY.largest_class:
-        return f"something that {count} effects explain alike, {named['name']} among them"
+        return f"one of {count} effects that fit equally well, such as {named['name']}"
     return " or ".join([named["name"], *named["equivalent"]])

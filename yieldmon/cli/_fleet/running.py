@@ -65,14 +65,14 @@ def run(args: argparse.Namespace) -> int:
 
             def take(outcome: Outcome) -> None:
                 if outcome.status == LEFT and not any(before.status == LEFT for before in outcomes):
-                    _say(f"{outcome.name}: {outcome.why_left}; left to the next run, other days are tried")
+                    _say(f"{outcome.name}: {outcome.why_left}; left to the next run; continuing with other days")
                 outcomes.append(outcome)
                 advance(outcome)
 
             scheduling.run_all(tasks, scheduling.Cluster(args.scheduler, args.workers, args.adaptive), take, _say)
     except KeyboardInterrupt:
         there = sum(outcome.status in (DONE, SKIPPED) for outcome in outcomes)
-        _say(f"interrupted; {there} of {len(partitions)} days are in {args.out}, and the next run goes on from there")
+        _say(f"interrupted; {there} of {len(partitions)} days are in {args.out}; run again to continue")
         dataset.abandon(token)
         raise
     dataset.withdraw_failures([outcome.name for outcome in outcomes if outcome.status == SKIPPED], token)
@@ -96,9 +96,7 @@ def _check_options(args: argparse.Namespace) -> None:
     if meant := misspelt(args.crop):
         raise InputError("--crop", f"is {args.crop!r}", meant)
     if args.scheduler and args.adaptive:
-        raise InputError(
-            "--adaptive", "is given together with --scheduler", "one of them; a cluster elsewhere has its own adaptation"
-        )
+        raise InputError("--adaptive", "is given together with --scheduler", "only one; a cluster adapts by itself")
 
 
 def _tasks(
@@ -224,7 +222,7 @@ def _lines_of(document: FleetRunDocument) -> list[str]:
     lines = [*_by_machine("poisoned", document["poisoned"]), *_by_machine("left to the next run", document["why_left"])]
     lines += [f"doubtful: {item['partition']}: {item['problem']}" for item in document["doubtful"]]
     lines.append(
-        f"{document['dataset']}: {document['done']} measured, {document['skipped']} there already, {document['failed']} failed"
+        f"{document['dataset']}: {document['done']} measured, {document['skipped']} already there, {document['failed']} failed"
         + (f", {document['left']} left to the next run" if document["left"] else "")
         + f"; {document['frames']} frames"
     )

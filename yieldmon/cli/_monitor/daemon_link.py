@@ -80,7 +80,7 @@ def _answered(request: Mapping[str, Any], answer: Mapping[str, Any]) -> str:
         return said(request, answer)
     except (KeyError, TypeError, ValueError):
         # The thread must not end of it: the last status would pass for what is.
-        return f"{request['command']}: done; the daemon is of another version than this screen"
+        return f"{request['command']}: done; the daemon has another version than this screen"
 
 
 def said(request: Mapping[str, Any], answer: Mapping[str, Any]) -> str:
@@ -102,19 +102,17 @@ def said(request: Mapping[str, Any], answer: Mapping[str, Any]) -> str:
                 doubt += f"; it updates the parameters of {crop} once that is harvested again"
             return f"{taken}{doubt}" if answer["anchor"] else f"{taken}; no reference: {answer['why_no_anchor']}"
         case "zero":
-            return "the zero is being taken; keep the elevator running empty; `yieldmon zero --undo` takes it back"
+            return "measuring the zero; keep the elevator running empty; undo with `yieldmon zero --undo`"
         case "sweep-start":
-            return "a sweep begins as soon as the conditions hold"
-    return "the sweep has ended; the plate goes home"
+            return "the sweep begins as soon as flow and speed are steady"
+    return "sweep aborted; the plate returns home"
 
 
 def _said_of_load(command: str, answer: Mapping[str, Any]) -> str:
     if command == "load-correct":
         return f"{corrected(answer)}; x, c and the former crop take it back"
     if command == "load-stop":
-        return f"load {answer['load']} is complete"
+        return f"load {answer['load']} complete"
     crop = answer["crop"]
-    not_known = (
-        "" if answer.get("crop_known", True) else ", which is no known crop: it begins with the parameters of the one before"
-    )
+    not_known = "" if answer.get("crop_known", True) else ", an unknown crop: it starts with the previous crop's parameters"
     return f"load {answer['load']} started" + (f" of {crop}{not_known}" if crop else "")

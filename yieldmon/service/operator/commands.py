@@ -132,7 +132,7 @@ def _totals_reset(order: Order) -> Answer:
     before_kg = monitor.totals.total_kg
     given = order.request.values.get("total_kg")
     if isinstance(given, bool) or given != round(before_kg):
-        raise InputError("totals reset", f"the total is {before_kg:.0f} kg", "that figure, so that nothing is reset by mistake")
+        raise InputError("totals reset", f"the total is {before_kg:.0f} kg", "this figure, to confirm the reset")
     journal.actions.add(ledger.TOTALS_RESET, order.who, {"total_kg": before_kg}, order.now_s)
     journal.happened(monitor.reset_totals())
     return {"total_kg": before_kg, "load": monitor.totals.load_number}
