@@ -198,7 +198,7 @@ def _shape(args: argparse.Namespace) -> Any:
 def _pack(args: argparse.Namespace) -> Any:
     from studies.waveform import kernels
 
-    return {"rows": kernels.pack(args.ledgers, args.out or Path("kernel_forces.npz"))}
+    return {"rows": kernels.pack(args.ledgers, args.out or Path("kernel_forces.npz"), rows_a_seed=args.rows_a_seed)}
 
 
 _PARTS = {
@@ -216,6 +216,7 @@ def main() -> int:
     )
     parser.add_argument("part", choices=tuple(_PARTS))
     parser.add_argument("ledgers", nargs="*", type=Path, help="pack: folders of campaigns")
+    parser.add_argument("--rows-a-seed", type=int, default=1, help="pack: leave seeds with fewer rows out (default 1)")
     parser.add_argument("--out", type=Path)
     parser.add_argument("--seeds", type=int, default=30, help="season: so many, from --seed on")
     parser.add_argument("--bias-slope", type=float, help="daemon-season: d ln(b) / d restitution (default: of kernels.json)")

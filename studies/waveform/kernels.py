@@ -21,6 +21,8 @@ FOLDER = Path(__file__).resolve().parent
 FORCES = FOLDER / "kernel_forces.npz"
 MORE_FORCES = FOLDER / "more_kernel_forces.npz"
 """Heaps of the campaigns thin-c, thin-d and dense-d."""
+THIN_FORCES = FOLDER / "thin_kernel_forces.npz"
+"""Heaps of the campaigns thin-e and thin-f."""
 INTERVAL_S = 1e-4
 QUANTUM_N_S = 2e-4
 """`pack` rounds what has arrived until each time to it: 1e-4 of the kernels' density at 800 Hz, less below; half the bytes."""
@@ -32,13 +34,19 @@ _FULL_RATE_HZ = 5000.0
 CELLS_S = (0.0, 0.0002, 0.001, 0.003, 0.008)
 
 
-def pack(ledgers: list[Path], out: Path) -> int:
-    """Force on the plate at 10 kHz of each row of the campaigns' ledgers, behind those of the file; returns how many it has."""
+def pack(ledgers: list[Path], out: Path, *, rows_a_seed: int = 1) -> int:
+    """Force on the plate at 10 kHz of each row of the campaigns' ledgers, behind those of the file; returns how many it has.
+
+    rows_a_seed: seeds with fewer rows in a ledger are left out, such as the last of a campaign that was ended.
+    """
     rows: list[dict[str, float]] = []
     forces = []
     for ledger in ledgers:
-        for file in sorted((ledger / "rows").glob("*.json")):
-            row = json.loads(file.read_text())
+        done = [json.loads(file.read_text()) for file in sorted((ledger / "rows").glob("*.json"))]
+        of_seed = Counter(row["trial"] for row in done)
+        for row in done:
+            if of_seed[row["trial"]] < rows_a_seed:
+                continue
             plate = np.load(ledger / "throws" / row["throw_key"] / f"plate-{row['plate_angle_deg']:07.3f}.npz")
             step = float(plate["time_step_s"])
             force = plate["total_force_n"][:, 0]
@@ -370,7 +378,7 @@ def coverage(pulses: Heaps, seed: int) -> list[dict[str, Any]]:
 
 def report(seed: int) -> dict[str, Any]:
     """Tables: bias by crop and load, by restitution and angle; calibrated on the other crop; through cells."""
-    pulses = heaps(FORCES, MORE_FORCES)
+    pulses = heaps(FORCES, MORE_FORCES, THIN_FORCES)
     full = KernelNoiseSettings(low_hz=200.0, high_hz=800.0, response_error=0.0)
     found = ratios(pulses, 0.0, _FULL_RATE_HZ, full, None)
     by_load, seeds_sd = pooled(found, (0, 1)), by_seeds_left_out(pulses, full)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -76,3 +77,28 @@ def test_flow_by_the_other_crop_s_line_and_its_deviation() -> None:
     share = np.hypot(0.9, np.hypot(0.2556, 0.1556))
     whole = np.hypot(0.02 / own, 0.02 * share / other) * other / own
     assert line[0.4, 0.2]["sd_pct"] == pytest.approx(100.0 * whole, abs=0.06)
+
+
+def _row(ledger: Path, seed: int, angle_deg: float) -> None:
+    """A row of a campaign's ledger: a push of 1 ms from 0.1 s on."""
+    throw = f"throw{seed}"
+    for folder in (ledger / "rows", ledger / "throws" / throw):
+        folder.mkdir(parents=True, exist_ok=True)
+    row = {"throw_key": throw, "plate_angle_deg": angle_deg, "paddle_mass_kg": 0.2, "restitution": 0.75, "trial": seed}
+    (ledger / "rows" / f"{seed}-{angle_deg:g}.json").write_text(json.dumps(row))
+    force = np.zeros((400, 2))
+    force[100:200, 0] = 10.0
+    np.savez(
+        ledger / "throws" / throw / f"plate-{angle_deg:07.3f}.npz",
+        time_step_s=1e-5, start_s=0.099, total_force_n=force, mass_kg=np.full(4, 4e-4), grain_impulse_n_s=np.full((4, 2), 0.0025),
+    )  # fmt: skip
+
+
+def test_packing_leaves_seeds_out_that_a_campaign_had_not_finished(tmp_path: Path) -> None:
+    for seed, angle_deg in ((1, 50.0), (1, 70.0), (2, 50.0)):
+        _row(tmp_path / "ledger", seed, angle_deg)
+    every, whole = tmp_path / "every.npz", tmp_path / "whole.npz"
+    assert (kernels.pack([tmp_path / "ledger"], every), kernels.pack([tmp_path / "ledger"], whole, rows_a_seed=2)) == (3, 2)
+    pulses = kernels.heaps(whole)
+    assert (pulses.seed.tolist(), pulses.keys[:, 3].tolist()) == ([1, 1], [50.0, 70.0])
+    assert pulses.force_n.sum(axis=1) * kernels.INTERVAL_S == pytest.approx([0.01, 0.01], rel=0.01)
