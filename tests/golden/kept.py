@@ -22,6 +22,8 @@ MACHINES = FOLDER / "machines.yaml"
 #: Between machines whose floating point differs in the last digits, numbers are compared instead of bytes.
 RELATIVE_TOLERANCE = 1e-6
 ABSOLUTE_TOLERANCE = 1e-9
+#: Of an error in percent, 100 (a / b - 1), where a and b agree to RELATIVE_TOLERANCE; it may itself be near 0.
+ERROR_TOLERANCE_PCT = 100.0 * RELATIVE_TOLERANCE
 
 _NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 
@@ -93,7 +95,8 @@ def differences() -> dict[str, str]:
 def first_difference(text: str, expected: str) -> str:
     """Where two outputs differ by more than the tolerances; empty where they do not.
 
-    Text between numbers is compared exactly, numbers by RELATIVE_TOLERANCE and ABSOLUTE_TOLERANCE.
+    Text between numbers is compared exactly, numbers by RELATIVE_TOLERANCE and ABSOLUTE_TOLERANCE, JSON's members `error_pct` by
+    ERROR_TOLERANCE_PCT.
     """
     ours, kept = text.splitlines(), expected.splitlines()
     if len(ours) != len(kept):
@@ -103,6 +106,7 @@ def first_difference(text: str, expected: str) -> str:
             continue
         same_text = _NUMBER.sub("#", line) == _NUMBER.sub("#", other)
         values = [[float(part) for part in _NUMBER.findall(part)] for part in (line, other)]
-        if not same_text or not np.allclose(*values, rtol=RELATIVE_TOLERANCE, atol=ABSOLUTE_TOLERANCE):
+        absolute = ERROR_TOLERANCE_PCT if '"error_pct": ' in line else ABSOLUTE_TOLERANCE
+        if not same_text or not np.allclose(*values, rtol=RELATIVE_TOLERANCE, atol=absolute):
             return f"line {number}: {line[:200]!r}, expected {other[:200]!r}"
     return ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -54,6 +55,12 @@ def test_a_difference_in_the_seventh_digit_is_seen() -> None:
     assert kept.first_difference("a,1.0000000001\n", "a,1.0\n") == ""
     assert kept.first_difference("b,1\n", "a,1\n") != ""
     assert kept.first_difference("a,1\nb,2\n", "a,1\n") != ""
+
+
+@pytest.mark.parametrize(("other", "same"), [(-0.0741, True), (-0.0743, False), (0.0740, False)])
+def test_an_error_in_percent_is_a_difference_of_what_agrees_to_six_digits(other: float, same: bool) -> None:
+    shown = [json.dumps({"error_pct": value}, indent=2) for value in (-0.07405, other)]
+    assert (kept.first_difference(*shown) == "") == same
 
 
 def test_store_of_0_1_0_opens_with_its_totals(tmp_path: Path) -> None:
