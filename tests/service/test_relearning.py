@@ -132,7 +132,7 @@ def test_a_second_undo_takes_back_what_was_learnt_again(tmp_path) -> None:
         assert (answer["learnt_again"], answer["not_learnt_again"], answer["sweeps_undone"]) == ([2, 3], [], 0)
         assert taken_back(answer) == (
             "ticket 1 undone; calibration 2 to 4 undone, what was in use before is version 5; "
-            "the update by ticket 2, 3 is made again without it"
+            "the update by tickets 2 and 3 is made again without it"
         )
         settle(season, bench)
         ask(season.folder, "ticket", "undo", "2")
