@@ -43,7 +43,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help=f"show sums by field and crop; a new harvest begins after {PAUSE_DAYS} days without a load",
     )
     correct = actions.add_parser(
-        "correct", help="change crop or field of complete loads", epilog="example: yieldmon load correct 7-8 --crop wheat"
+        "correct",
+        help="change crop or field of complete loads, or the field of the open one",
+        epilog="example: yieldmon load correct 7-8 --crop wheat",
     )
     correct.add_argument("loads", metavar="LOAD", help="number, or FIRST-LAST")
     correct.add_argument("--field", metavar="NAME", help="field name")

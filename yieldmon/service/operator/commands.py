@@ -154,11 +154,16 @@ def _load_correct(order: Order) -> LoadsCorrected:
     field, crop = request.name("field"), _crop_named(request, journal)
     if field is None and not crop:
         raise InputError("load correct", "names nothing to correct", "a crop or a field")
-    if monitor.totals.load_open and first <= monitor.totals.load_number <= last:
-        number = monitor.totals.load_number
-        raise InputError(f"load {number}", "is still open", "`yieldmon load start` with the right names, then correct this one")
+    opened = monitor.open_load
+    if opened is not None and first <= opened.number <= last:
+        if crop:
+            expected = f"another field, or `yieldmon load start --crop {crop}`, then correct load {opened.number}"
+            raise InputError(f"load {opened.number}", "is still open", expected)
+        journal.loads.measured(opened, journal.field, journal.crop)
     wanted = load_names.Correction(covered_loads(journal, first, last, "load"), field, crop)
     of_crop = load_names.correct(wanted, order)
+    if opened is not None and wanted.loads[-1].number == opened.number:
+        journal.name_load(field, None)
     goes_on = journal.crop_in_use(monitor.estimator.parameters)
     newest = not monitor.totals.load_open and last >= monitor.totals.load_number
     answer: LoadsCorrected = {
