@@ -159,7 +159,7 @@ def test_a_terminal_that_draws_nothing_is_refused_in_a_line(tmp_path: Path) -> N
 def test_grain_while_no_load_is_open_is_told(is_open: bool, state: str, told: bool) -> None:
     status = {**STATUS, "state": state, "load": {**STATUS["load"], "open": is_open}}
     shown = words(drawn(Cab(status, Units(), "", View(cab=True)), 80, 24))
-    assert ("no load is open, grain counts in the total alone: l, n begins one" in shown) is told
+    assert ("no load is open: grain counts only in the total; l, n starts one" in shown) is told
 
 
 def pressed(keys: list[str], status: dict[str, Any] | None = STATUS) -> tuple[Dialog, list[dict[str, Any]]]:

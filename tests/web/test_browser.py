@@ -247,7 +247,7 @@ def test_what_a_late_ticket_is_told(browser: Browser, tmp_path: Path) -> None:
             )
             assert "Ticket 1 stood for it; the newer one counts (of a load weighed in parts enter the sum)." in both
             unknown = told("New load", "Begin load", crop="havre")
-            assert unknown == "Load 4 begun; havre is no known crop: it begins with the parameters of the one before."
+            assert unknown == "Load 4 begun; havre is not a known crop: it starts with the parameters of the crop before."
 
 
 def test_us_units(browser: Browser, tmp_path: Path) -> None:

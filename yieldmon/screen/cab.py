@@ -97,7 +97,7 @@ class Cab:
         else:
             lines += wrapped(title, width)
         if load["open"] is False and status["state"] in ("harvesting", "sweeping"):
-            lines += wrapped("no load is open, grain counts in the total alone: l, n begins one", width, style="bold yellow")
+            lines += wrapped("no load is open: grain counts only in the total; l, n starts one", width, style="bold yellow")
         if status["zero_waits_for"]:
             lines += wrapped(f"waits for {self._units.in_text(status['zero_waits_for'])}", width, style="yellow")
         return lines

@@ -84,7 +84,7 @@ function show() {
   const area = load.area_m2 ? `${amount(load.area_m2, units.area)} ${units.area.name}` : "";
   const names = [load.field, load.crop, area].filter(Boolean).join(", ");
   const grain = ["harvesting", "sweeping"].includes(state.state);
-  const ended = grain ? " (ended: grain counts in the total alone)" : " (ended)";
+  const ended = grain ? " (ended: grain counts only in the total)" : " (ended)";
   set("load-name", `Load ${load.number}${load.open ? "" : ended}${names ? `: ${names}` : ""}`);
   set("load", mass(load.mass_kg));
   set("load-band", load.std_dev_kg === null ? "" : `± ${mass(load.std_dev_kg)}`);
@@ -213,7 +213,7 @@ function connect() {
 function answerOf(name, answer) {
   if (name === "load-start") {
     const crop = answer.parameters?.changed ? `; measuring with the parameters of ${answer.crop}`
-      : answer.crop_known === false ? `; ${answer.crop} is no known crop: it begins with the parameters of the one before` : "";
+      : answer.crop_known === false ? `; ${answer.crop} is not a known crop: it starts with the parameters of the crop before` : "";
     return `Load ${answer.load} begun${crop}.`;
   }
   if (name === "load-stop") return `Load ${answer.load} ended: ${mass(answer.mass_kg)} ${units.mass.name}.`;
