@@ -157,7 +157,7 @@ def test_estimate_says_where_flows_contradict_the_tables_own_loads(
     capsys.readouterr()
     assert main(["estimate", str(dem), "--params", str(params) if own else "corn"]) == 0
     told = capsys.readouterr().err
-    assert ("of their standard deviations: expected parameters of its grain and machine" in told) == said
+    assert (" standard deviations); expected parameters of this grain and machine" in told) == said
     assert told.count("\n") == int(said)
 
 

@@ -207,7 +207,7 @@ def test_each_second_of_a_pass_has_its_own_point_wherever_in_the_second_the_rows
 @pytest.mark.parametrize(("name", "reported"), [("p.txt", True), ("p.zip", False), ("p.geojson", False)])
 def test_formats_that_cannot_say_that_the_delay_is_taken_out_are_named(exported, capsys, name: str, reported: bool) -> None:
     exported(name, *WORDS)
-    assert ("flow delay of 10 s is taken out" in capsys.readouterr().err) is reported
+    assert ("corrected for a flow delay of 10 s" in capsys.readouterr().err) is reported
 
 
 def test_agleader_text_gives_the_same_yield(exported):

@@ -93,7 +93,7 @@ def test_without_json_the_reason_stands_once_for_a_machine(
     for line, machine in ((first, "m0"), (second, "m1")):
         assert line.startswith(f"left to the next run: machine={machine} (2 days): ")
         assert line.endswith("File too large; expected a medium and a user that may have a file of this size (`ulimit -f`)")
-    assert last.endswith(": 0 measured, 0 there already, 0 failed, 4 left to the next run; 0 frames")
+    assert last.endswith(": 0 measured, 0 already there, 0 failed, 4 left to the next run; 0 frames")
 
 
 def test_a_read_only_medium_leaves_the_day_and_what_is_there(small: tuple[Path, Resize], tree: Path) -> None:

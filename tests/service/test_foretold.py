@@ -46,7 +46,7 @@ def seldom_speed(frame: Frame) -> Frame | None:
     [
         (lambda frame: frame, []),
         (with_status, ["the daemon shows SensorSaturated in 19 of 19 s: 100 % of the samples"]),
-        (counting_samples, ["the daemon shows FramesLost in 19 of 19 s: ", "or the mapping's counter counts otherwise"]),
+        (counting_samples, ["the daemon shows FramesLost in 19 of 19 s: ", "or the mapping's counter is wrong"]),
         (
             seldom_speed,
             [

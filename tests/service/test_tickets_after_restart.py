@@ -213,8 +213,8 @@ def test_an_undo_names_the_standing_ticket_whose_update_goes_with_it() -> None:
     assert log.history.standing_of({2}) == ()
     answer = {"undone": 2, "until": 5, "version": 6, "crop": "", "standing_tickets": [3, 4]}
     assert back(answer) == (
-        "calibration 2 to 5 undone, what was in use before is version 6; the update by ticket 3, 4 is undone with it: enter such "
-        "a mass again if it is right"
+        "calibration 2 to 5 undone, what was in use before is version 6; the update by tickets 3 and 4 is undone with it: enter "
+        "such a mass again if it is right"
     )
 
 

@@ -24,7 +24,7 @@ def test_totals_are_archived_and_reset_and_stay_so(tmp_path: Path, capsys: pytes
         bench.played()
         total_kg = bench.status["total"]["mass_kg"]
         assert total_kg > 5.0
-        with pytest.raises(ControlError, match="nothing is reset by mistake"):
+        with pytest.raises(ControlError, match=r"the total is .*; expected this figure, to confirm the reset"):
             ask(tmp_path / "yieldmon.sock", {"command": "totals-reset", "total_kg": 1})
         assert bench.daemon.writer.wait_until_written(10.0)
         assert main(["totals", "archive", str(out), *socket]) == 0

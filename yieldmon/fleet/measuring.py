@@ -310,11 +310,7 @@ def _ticket_rows(
             raise
         return [], [Poisoned(called[path], by_name(str(error), called))]
     rows_of = {row["name"]: row for row in logs}
-    rows, unmatched = [], []
-    try:
-        matched = with_parts_added((ticket, _covered(ticket, given)) for ticket in found)
-    except InputError as error:
-        return [], [Poisoned(called[path], by_name(str(error), called))]
+    rows, (matched, unmatched) = [], _one_for_each(found, given, called)
     for ticket, wanted in matched:
         covered = sorted((rows_of[name] for name in wanted if name in rows_of), key=lambda row: int(row["first_number"]))
         name = ticket.name
@@ -331,6 +327,25 @@ def _ticket_rows(
             "logs": json.dumps([row["name"] for row in covered]),
         })  # fmt: skip
     return rows, unmatched
+
+
+def _one_for_each(
+    tickets: Sequence[WeighedTicket], given: Sequence[str], called: Mapping[str, str]
+) -> tuple[list[tuple[WeighedTicket, Sequence[str]]], list[Poisoned]]:
+    """Tickets with the logs they cover, parts of the same logs added; of two whole ones for the same logs neither, as nothing
+    says which is right."""
+    by_logs: dict[tuple[str, ...], list[tuple[WeighedTicket, Sequence[str]]]] = {}
+    for ticket in tickets:
+        wanted = tuple(_covered(ticket, given))
+        by_logs.setdefault(wanted or (ticket.where,), []).append((ticket, wanted))
+    matched, refused = list[tuple[WeighedTicket, Sequence[str]]](), list[Poisoned]()
+    for same in by_logs.values():
+        try:
+            matched += with_parts_added(same)
+        except InputError as error:
+            where = by_name(same[-1][0].where, called)
+            refused.append(Poisoned(where, by_name(str(error), called)))
+    return matched, refused
 
 
 def _mass_kg(covered: Sequence[dict[str, Any]], seconds: Sequence[tuple[float, float, float]]) -> float:
