@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import pytest
+
 from yieldmon.cli._records import replaced
+from yieldmon.cli.main import main
 
 
 def answer(**more: object) -> dict[str, object]:
@@ -19,3 +22,16 @@ def test_several_tickets_and_loads_are_spoken_of_as_several() -> None:
     assert "as if tickets 1 and 2 had never been entered" in said
     assert "; loads 1, 2 and 5 have no ticket any more: enter those, or one for all (`yieldmon ticket 1-5 MASS`)" in said
     assert "; load 2 has no ticket any more: enter one for it, or" in replaced(answer(without_ticket=[2]))
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ("9.1+8.4t", "MASS: '9.1+8.4t' has a unit at some parts only; expected a unit at each part, such as 9.1t+8.4t"),
+        ("9.1t+", "mass: ''; expected kilograms above 0"),
+        ("9t+-3t", "mass: '-3t'; expected kilograms above 0"),
+    ],
+)
+def test_parts_of_a_mass_that_cannot_be_added_are_refused(given: str, said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["ticket", "7", given, "--socket", "/nonexistent/yieldmon.sock"]) == 2
+    assert said in capsys.readouterr().err

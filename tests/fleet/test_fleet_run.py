@@ -157,6 +157,20 @@ def test_loads_and_tickets(tmp_path: Path) -> None:
     assert [name for name, _ in json.loads(known["logs"])] == ["a.log", "b.log.gz", "c.log"]
 
 
+def test_two_whole_tickets_for_the_same_logs_leave_out_these_two_alone(tmp_path: Path) -> None:
+    day = tmp_path / "tree" / "m" / "1"
+    for place, (mv, name) in enumerate(((60.0, "a.log"), (80.0, "b.log"))):
+        logs.write(day / name, mv, logs.START_S + 100.0 * place)
+    (day / "tickets.csv").write_text("load,weighed_kg,part\n1,90,\n1,95,\nb,50,1\nb,70,2\n")
+    outcome: Outcome = work(tasks(tmp_path / "tree", tmp_path / "out")[0])
+    (refused,) = outcome.poisoned
+    assert (refused.where, refused.problem.partition(";")[0]) == (
+        "tickets.csv: line 3, load", "tickets.csv: line 3, load: load 1 has a ticket already (line 2)"
+    )  # fmt: skip
+    rows = pq.ParquetFile(tmp_path / "out" / "machine=m" / "day=1" / "loads.parquet").read().to_pylist()
+    assert [(row["name"], row["weighed_kg"]) for row in rows if row["kind"] == "ticket"] == [("b", 120.0)]
+
+
 def test_a_ticket_over_logs_of_the_same_time_is_held_against_their_mass_once(tmp_path: Path) -> None:
     """Two recorders on one machine; of logs that begin at 0 each, nothing is known."""
     text = logs.text(60.0)

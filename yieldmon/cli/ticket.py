@@ -63,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
         "command": "ticket",
         "first_load": first,
         "last_load": last,
-        "mass_kg": sum(map(mass, _parts(args.mass))),
+        "mass_kg": _sum_kg(args.mass),
         "note": args.note,
     }
     for option, key in _OPTIONAL.items():
@@ -128,6 +128,15 @@ def _of_truck(truck: Mapping[str, float], answer: Mapping[str, Any], units: Unit
 def _parts(text: str) -> list[str]:
     """The masses of a load that was weighed in parts, as 9.1t+8.4t has them."""
     return [part.strip() for part in text.strip().removeprefix("+").split("+")]
+
+
+def _sum_kg(text: str) -> float:
+    """The mass of a load from its parts, kg. Raises InputError, also where only some of them have a unit."""
+    parts = _parts(text)
+    masses_kg = [mass(part) for part in parts]
+    if len({part[-1].isalpha() for part in parts}) > 1:
+        raise InputError("MASS", f"{text!r} has a unit at some parts only", "a unit at each part, such as 9.1t+8.4t")
+    return sum(masses_kg)
 
 
 def _require_units(args: argparse.Namespace) -> None:

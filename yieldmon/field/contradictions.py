@@ -35,7 +35,7 @@ def contradictions(
     Parameters
     ----------
     tickets : sequence of HeldTicket
-        None for a load of another.
+        One at most for each load.
     measured_kg : mapping of int to float
         By the place of each load.
     owner : mapping of int to int

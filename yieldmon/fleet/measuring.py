@@ -343,8 +343,7 @@ def _one_for_each(
         try:
             matched += with_parts_added(same)
         except InputError as error:
-            where = by_name(same[-1][0].where, called)
-            refused.append(Poisoned(where, by_name(str(error), called)))
+            refused.append(Poisoned(by_name(error.where, called), by_name(str(error), called)))
     return matched, refused
 
 

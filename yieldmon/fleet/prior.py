@@ -103,7 +103,7 @@ def _machines(query: Query, name: str, start: ParameterSet) -> tuple[list[Machin
     models: dict[str, ForwardModel] = {}
     left_out = []
     contents = contents_of(query)
-    seen: dict[_Weighed, list[tuple[float, str]]] = {}
+    seen: dict[_Covered, list[tuple[float, str]]] = {}
     for day in query.rows(_DAYS, (name,)):
         machine = machine_file.from_document(json.loads(day["machine_document"]), f"{day['machine']} {day['day']}")
         if day["machine"] in models and models[day["machine"]].machine != machine:
@@ -114,7 +114,7 @@ def _machines(query: Query, name: str, start: ParameterSet) -> tuple[list[Machin
         logs = [(contents.get((*where, log["name"]), ""), log) for log in query.rows(_LOGS, where)]
         for ticket in query.rows(_TICKETS, where):
             here = f"{where[0]} {where[1]}: {ticket['name']}"
-            before, weighed_kg = seen.setdefault(_what_it_weighs(ticket, logs), []), float(ticket["weighed_kg"])
+            before, weighed_kg = seen.setdefault(_what_it_covers(ticket, logs), []), float(ticket["weighed_kg"])
             if first := next((name for kg, name in before if abs(kg - weighed_kg) <= _ROUNDED * weighed_kg), ""):
                 left_out.append(f"{here} repeats {first}, with the same logs and weight")
                 continue
@@ -159,13 +159,13 @@ def _alike(
     return [load for load, one in zip(loads, unlike, strict=True) if not one], lines
 
 
-_Weighed = tuple[tuple[str, ...], int, int]
+_Covered = tuple[tuple[str, ...], int, int]
 """What the logs of a ticket hold, and its first and last second in the first and last of them."""
 _ROUNDED = 0.001
 """Within which two weights are one, as it was rounded in kilograms, hundredths of a tonne and pounds."""
 
 
-def _what_it_weighs(ticket: dict[str, Any], logs: Sequence[tuple[str, dict[str, Any]]]) -> _Weighed:
+def _what_it_covers(ticket: dict[str, Any], logs: Sequence[tuple[str, dict[str, Any]]]) -> _Covered:
     first, last = ticket["first_number"], ticket["last_number"]
     covered = [(content, log) for content, log in logs if _covers(ticket, log)]
     names = tuple(content or str(log) for content, log in covered)

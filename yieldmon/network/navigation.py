@@ -224,12 +224,6 @@ def read(payload: Payload) -> list[Reading]:
     return [Reading(payload.time_s, quantity, value, payload.group, payload.source) for quantity, value in values.items()]
 
 
-def is_without_fix(without_fix: Mapping[int, float], source: int, time_s: float, timeout_s: float = TIMEOUT_S) -> bool:
-    """Whether a node has said of late that it has no fix. without_fix: as `Navigation.without_fix`."""
-    said_s = without_fix.get(source)
-    return said_s is not None and 0.0 <= time_s - said_s <= timeout_s
-
-
 class Navigation:
     """The latest of every source, and the best of them. Where several nodes send one group, the first of them counts until it has
     been silent for the timeout: two receivers are some metres apart. While a node's 129029 says that it has no fix, the position
@@ -242,7 +236,8 @@ class Navigation:
     """
 
     def __init__(self, timeout_s: float = TIMEOUT_S) -> None:
-        self._timeout_s = timeout_s
+        self.timeout_s = timeout_s
+        """As given."""
         self._latest: dict[tuple[Quantity, int], Reading] = {}
         self._without_fix: dict[int, float] = {}
 
@@ -258,6 +253,11 @@ class Navigation:
         else:
             self._without_fix[source] = time_s
 
+    def is_without_fix(self, source: int, time_s: float) -> bool:
+        """Whether a node has said within the timeout that it has no fix."""
+        said_s = self._without_fix.get(source)
+        return said_s is not None and 0.0 <= time_s - said_s <= self.timeout_s
+
     def feed(self, payload: Payload) -> None:
         """Take a complete parameter group."""
         self.note_fix_of(payload)
@@ -272,7 +272,7 @@ class Navigation:
 
     def take(self, reading: Reading) -> bool:
         """Take one reading; whether it counts."""
-        if reading.group == POSITION_RAPID and is_without_fix(self._without_fix, reading.source, reading.time_s, self._timeout_s):
+        if reading.group == POSITION_RAPID and self.is_without_fix(reading.source, reading.time_s):
             return False
         before = self.latest(reading.quantity, reading.group)
         if before is not None and before.source != reading.source and self._is_fresh(before, reading.time_s):
@@ -297,4 +297,4 @@ class Navigation:
         return None
 
     def _is_fresh(self, reading: Reading, now_s: float) -> bool:
-        return 0.0 <= now_s - reading.time_s <= self._timeout_s
+        return 0.0 <= now_s - reading.time_s <= self.timeout_s

@@ -16,17 +16,7 @@ from yieldmon.identifiers import CLASSIC_BYTES
 from yieldmon.physics.numerics import Array
 from yieldmon.places import is_somewhere
 
-from .navigation import (
-    FIELDS,
-    LARGEST_LATITUDE_DEG,
-    LARGEST_LONGITUDE_DEG,
-    ORDER,
-    TIMEOUT_S,
-    Field,
-    Navigation,
-    Quantity,
-    is_without_fix,
-)
+from .navigation import FIELDS, LARGEST_LATITUDE_DEG, LARGEST_LONGITUDE_DEG, ORDER, TIMEOUT_S, Field, Navigation, Quantity
 
 Raw = NDArray[np.int64]
 
@@ -134,7 +124,7 @@ def with_fix(before: Navigation, column: Column, sources: NDArray[np.uint32], re
     counts = np.ones(column.rows.shape, bool)
     if not before.without_fix and all(report.has_fix for report in reports):
         return counts
-    state = Navigation()
+    state = Navigation(before.timeout_s)
     for source, time_s in before.without_fix.items():
         state.note_fix(source, time_s, has_fix=False)
     told = 0
@@ -144,7 +134,7 @@ def with_fix(before: Navigation, column: Column, sources: NDArray[np.uint32], re
         while told < len(reports) and reports[told].row < row:
             state.note_fix(*reports[told][1:])
             told += 1
-        counts[place] = not is_without_fix(state.without_fix, source, time_s)
+        counts[place] = not state.is_without_fix(source, time_s)
     return counts
 
 
