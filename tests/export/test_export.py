@@ -419,6 +419,30 @@ def test_a_geopackage_that_outgrows_its_medium_is_one_line(folder, tmp_path, cap
     assert list(out.iterdir()) == []
 
 
+def test_grain_between_loads_has_no_load_number(tmp_path, capsys):
+    """As `map` has it: what comes after a load's end carries its number in the record and belongs to none."""
+    loads = (Load(1, "north", "wheat", START_S, START_S + 50.5, 560.0, None), dataclasses.replace(LOADS[1], crop="wheat"))
+    with Store(tmp_path / "s.sqlite") as store:
+        store.commit([Batch(1, START_S, {}, tuple(ROWS), loads)])
+    words = [str(tmp_path / "s.sqlite"), "--swath", "9", "--flow-delay", str(DELAY_S), "--what", "points", "--out"]
+    assert cli.main(["export", *words, str(tmp_path / "p.csv")]) == 0
+    with (tmp_path / "p.csv").open(encoding="utf-8") as stream:
+        points = list(csv.DictReader(stream))
+    # Cut at second n, measured at n + DELAY_S.
+    seconds = [round(float(point["time_s"]) - START_S - 0.1) for point in points]
+    expected = ["2" if n > 100 else "1" if n + DELAY_S <= 50 else "" for n in seconds]
+    assert [point["load_number"] for point in points] == expected
+    assert {"", "1", "2"} == set(expected)
+    # Dry at the moisture of both loads' crop, which is not the one of corn.
+    assert {round(float(p["dry_yield_kg_m2"]) / float(p["yield_kg_m2"]), 6) for p in points} == {round(80.0 / 86.5, 6)}
+    for name in ("p.txt", "p.zip", "p.gpkg", "p.parquet"):
+        assert cli.main(["export", *words, str(tmp_path / name)]) == 0
+    lines = (tmp_path / "p.txt").read_text(encoding="ascii").splitlines()
+    assert {tuple(line.split(",")[12:14]) for line in lines} == {(f'"L{n}:<1>"', '"wheat"') for n in (0, 1, 2)}
+    table = pyarrow.parquet.read_table(tmp_path / "p.parquet").to_pylist()
+    assert [row["load_number"] for row in table] == [int(n) if n else None for n in expected]
+
+
 def test_a_stores_points_have_the_field_crop_and_dry_mass_of_their_loads(tmp_path):
     """As `load list` has them: wheat is dry at 13.5 %, corn at 15.5."""
     rows = [dataclasses.replace(row, load_number=1 if row.number <= 99 else 2, moisture_pct=20.0) for row in ROWS]

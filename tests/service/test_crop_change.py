@@ -148,7 +148,7 @@ def test_a_calibration_that_names_no_crop_is_a_renamed_loads_too() -> None:
     """As a load that begins with that name keeps it; once an operator has named a crop it is that one's."""
     own = replace(crop("corn").parameters(), values={**crop("corn").parameters().values, "density": 900.0}, provenance={})
     monitor, journal = started(own)
-    assert not load(monitor, journal, "")["changed"]
+    assert not load(monitor, journal, None)["changed"]
     for name in ("corn", "wheat", "teff"):
         assert journal.parameters.of(name, own, "") is own
     assert not load(monitor, journal, "wheat")["changed"]

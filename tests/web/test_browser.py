@@ -210,6 +210,14 @@ def test_a_load_begun_under_a_wrong_crop(browser: Browser, tmp_path: Path) -> No
                     commands.get_by_role("button", name="End load").click()
                     dialog.get_by_role("button", name="End load").click()
                     watched.wait(ASKED)
+            # A crop that was filled in and is taken out.
+            watched.page.locator("#load-name").filter(has_text="wheat").wait_for()
+            commands.get_by_role("button", name="New load").click()
+            dialog.locator("[name=crop]").fill("")
+            dialog.get_by_role("button", name="Begin load").click()
+            watched.wait(ASKED)
+            assert dialog.locator(".problem").inner_text().startswith("crop: is empty")
+            assert bench.status["load"]["number"] == 1
 
 
 def test_what_a_late_ticket_is_told(browser: Browser, tmp_path: Path) -> None:

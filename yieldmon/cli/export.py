@@ -17,6 +17,7 @@ from yieldmon.export.points import PointSettings, YieldPoint, yield_points
 from yieldmon.files.crops import find_crop
 from yieldmon.service.logs import recorded
 from yieldmon.service.storage.ledger import LoadRecord
+from yieldmon.service.storage.load_ends import load_ends_s
 from yieldmon.service.storage.rows import SecondRow
 
 ENDINGS = {
@@ -125,14 +126,16 @@ def _table(kind: str) -> Callable[[Path, type, Sequence[Any]], None]:
     return columns.write_csv if kind == "csv" else columns.write_parquet
 
 
-def _names(args: argparse.Namespace, loads: Sequence[LoadRecord]) -> Callable[[int], tuple[str, str]]:
-    """Field and crop of a load, by its number."""
+def _names(args: argparse.Namespace, loads: Sequence[LoadRecord]) -> Callable[[int | None], tuple[str, str]]:
+    """Field and crop of a load, by its number; of grain between loads where all loads have the same."""
     known = {load.number: (args.field or load.field or _FIELD, args.grain or load.crop or _GRAIN) for load in loads}
-    return lambda number: known.get(number, (args.field or _FIELD, args.grain or _GRAIN))
+    of_all = set(known.values())
+    between = of_all.pop() if len(of_all) == 1 else (args.field or _FIELD, args.grain or _GRAIN)
+    return lambda number: between if number is None else known.get(number, (args.field or _FIELD, args.grain or _GRAIN))
 
 
 def _write_points(
-    kind: str, out: Path, points: list[YieldPoint], settings: PointSettings, names_of: Callable[[int], tuple[str, str]]
+    kind: str, out: Path, points: list[YieldPoint], settings: PointSettings, names_of: Callable[[int | None], tuple[str, str]]
 ) -> None:
     if kind in TABLES:
         _table(kind)(out, YieldPoint, points)
@@ -166,6 +169,7 @@ def _settings(args: argparse.Namespace, loads: Sequence[LoadRecord]) -> PointSet
         start_pass_delay_s=args.start_delay,
         end_pass_delay_s=args.end_delay,
         reference_moisture_pct=CORN_MARKET_MOISTURE_PCT if given_pct is None else given_pct,
+        load_ends_s=load_ends_s(loads),
         reference_by_load={load.number: _market_moisture_pct(load.crop) for load in loads} if given_pct is None else {},
     )
 

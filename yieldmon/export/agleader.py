@@ -22,6 +22,8 @@ from .points import YieldPoint
 LB_PER_KG = 1.0 / KG_PER_LB
 IN_PER_M = 1.0 / M_PER_IN
 HEADER_DOWN = 33
+NO_LOAD = 0
+"""Number for grain between loads, whose numbers begin at 1."""
 _DIFFERENTIAL_FIX, _PDOP, _ALTITUDE_FT = 1, 0.0, 0.0
 
 
@@ -43,7 +45,7 @@ def line(point: YieldPoint, field: str, grain: str) -> str:
         f"{point.pass_number}",
         "0",
         f'"F1:{quotable(field)}"',
-        f'"L{point.load_number}:<1>"',
+        f'"L{point.load_number or NO_LOAD}:<1>"',
         f'"{quotable(grain)}"',
         f"{_DIFFERENTIAL_FIX}",
         f"{_PDOP:.1f}",
@@ -52,7 +54,7 @@ def line(point: YieldPoint, field: str, grain: str) -> str:
     return ",".join(values)
 
 
-def write(path: Path, points: Sequence[YieldPoint], names_of: Callable[[int], tuple[str, str]]) -> None:
-    """One line a point. names_of: field and grain of a load, by its number."""
+def write(path: Path, points: Sequence[YieldPoint], names_of: Callable[[int | None], tuple[str, str]]) -> None:
+    """One line a point. names_of: field and grain of a load, by its number; None for grain between loads."""
     text = "".join(line(point, *names_of(point.load_number)) + "\r\n" for point in points)
     whole_file.write(path, text.encode("ascii", "replace"))

@@ -17,6 +17,7 @@ from yieldmon.engine.mass.totals import dry_mass
 from yieldmon.engine.settings import TotalsSettings
 from yieldmon.errors import InputError
 from yieldmon.frames import EstimateQuality
+from yieldmon.service.storage.load_ends import load_of
 from yieldmon.service.storage.rows import SecondRow
 
 _NAN = float("nan")
@@ -27,7 +28,8 @@ _HALF_S = 0.5 + 1e-6
 @dataclass(frozen=True)
 class PointSettings:
     """swath_m: working width. pass_gap_s: a pause of the position's flow this long ends a pass. min_speed_m_s: below it the yield
-    of a place is not defined. reference_moisture_pct: of dry mass; reference_by_load: of the loads whose crop is known."""
+    of a place is not defined. reference_moisture_pct: of dry mass; reference_by_load: of the loads whose crop is known.
+    load_ends_s: of the loads that have ended, Unix time."""
 
     swath_m: float
     flow_delay_s: float = 12.0
@@ -37,16 +39,24 @@ class PointSettings:
     min_speed_m_s: float = 0.3
     reference_moisture_pct: float = 15.5
     reference_by_load: Mapping[int, float] = field(default_factory=dict)
+    load_ends_s: Mapping[int, float] = field(default_factory=dict)
 
-    def reference_of(self, load_number: int) -> float:
-        """Moisture of a load's dry mass, %."""
-        return self.reference_by_load.get(load_number, self.reference_moisture_pct)
+    def reference_of(self, load_number: int | None) -> float:
+        """Moisture of a load's dry mass, %; of grain between loads where these have one and the same."""
+        if load_number is None and len(known := set(self.reference_by_load.values())) == 1:
+            return known.pop()
+        return (
+            self.reference_moisture_pct
+            if load_number is None
+            else self.reference_by_load.get(load_number, self.reference_moisture_pct)
+        )
 
 
 @dataclass(frozen=True, slots=True)
 class YieldPoint:
     """A place and the grain from it. time_s: when the machine was there (Unix time). yield_kg_m2 is wet; dry values are at the
-    reference moisture, None with moisture unknown. held: the plate was in a sweep, the flow is a good deal less sure."""
+    reference moisture, None with moisture unknown. load_number: None for grain between loads. held: the plate was in a sweep, the
+    flow is a good deal less sure."""
 
     time_s: float
     latitude_deg: float
@@ -63,7 +73,7 @@ class YieldPoint:
     yield_kg_m2: float
     dry_mass_flow_kg_s: float | None
     dry_yield_kg_m2: float | None
-    load_number: int
+    load_number: int | None
     pass_number: int
     held: bool
 
@@ -118,7 +128,8 @@ def _point(place: SecondRow, row: SecondRow, settings: PointSettings, number: in
     assert place.ground_speed_m_s is not None, "the caller chose places"
     distance = place.ground_speed_m_s * row.duration_s
     area = distance * settings.swath_m
-    totals = TotalsSettings(moisture_reference_pct=settings.reference_of(row.load_number))
+    load_number = load_of(row, settings.load_ends_s)
+    totals = TotalsSettings(moisture_reference_pct=settings.reference_of(load_number))
     dry = dry_mass(row.mass_kg, _NAN if row.moisture_pct is None else row.moisture_pct, totals)
     return YieldPoint(
         time_s=place.time_s,
@@ -136,7 +147,7 @@ def _point(place: SecondRow, row: SecondRow, settings: PointSettings, number: in
         yield_kg_m2=row.mass_kg / area,
         dry_mass_flow_kg_s=None if dry is None else dry / row.duration_s,
         dry_yield_kg_m2=None if dry is None else dry / area,
-        load_number=row.load_number,
+        load_number=load_number,
         pass_number=number,
         held=row.quality == EstimateQuality.SWEEPING,
     )

@@ -59,7 +59,7 @@ def raw_values(point: YieldPoint, total_kg: float, total_dry_kg: float | None, r
     return {number: round(value) for number, value in known.items() if value is not None}
 
 
-def binary_log(points: Sequence[YieldPoint], reference_of: Callable[[int], float]) -> tuple[bytes, dict[int, int]]:
+def binary_log(points: Sequence[YieldPoint], reference_of: Callable[[int | None], float]) -> tuple[bytes, dict[int, int]]:
     """The records of the time log, and the last raw value of each total.
 
     A record: ms since midnight (uint32), days since 1980-01-01 (uint16), north and east in 1e-7 deg (int32), position status
@@ -84,7 +84,7 @@ def binary_log(points: Sequence[YieldPoint], reference_of: Callable[[int], float
     return b"".join(records), totals
 
 
-def files(points: Sequence[YieldPoint], field: str, reference_of: Callable[[int], float]) -> dict[str, bytes]:
+def files(points: Sequence[YieldPoint], field: str, reference_of: Callable[[int | None], float]) -> dict[str, bytes]:
     """File name -> content of a TASKDATA folder. Raises ValueError without points."""
     if not points:
         raise ValueError("no points")
@@ -108,7 +108,7 @@ def _refuse_other_times(path: Path, points: Sequence[YieldPoint]) -> None:
             raise InputError(str(path), f"task data cannot hold a point of {utc.text(at)}", expected)
 
 
-def write(path: Path, points: Sequence[YieldPoint], field: str, reference_of: Callable[[int], float]) -> None:
+def write(path: Path, points: Sequence[YieldPoint], field: str, reference_of: Callable[[int | None], float]) -> None:
     """A zip with the folder TASKDATA in it for a name that ends in .zip, else that folder inside `path`. reference_of: moisture
     of a load's dry mass, %, by its number. Raises InputError for a time or mass that the format cannot hold."""
     _refuse_other_times(path, points)

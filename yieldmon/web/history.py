@@ -11,6 +11,7 @@ import struct
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass, field
+from math import inf
 from pathlib import Path
 from threading import Lock
 from typing import Any
@@ -187,15 +188,20 @@ class History:
 
     def _places(self, database: sqlite3.Connection, first: int, last: int, load: int | None) -> Array:
         """Seconds of first to last (of a load), from those that are kept where these reach back so far."""
+        end_s = inf
+        if load is not None:
+            # Grain between loads carries the number of the one before, as `storage.load_ends` has it.
+            ended = database.execute("SELECT ended_s FROM load WHERE number = ?", (load,)).fetchone()
+            end_s = inf if ended is None or ended[0] is None else ended[0]
         oldest = max(first, database.execute("SELECT min(number) FROM second").fetchone()[0] or 0)
         if oldest < self._sums.places_from:
-            condition, values = ("load_number = ?", (load,)) if load is not None else ("1", ())
+            condition, values = ("load_number = ? AND time_s <= ?", (load, end_s)) if load is not None else ("1", ())
             query = _PLACES.format(condition=condition)
             return _columns(database.execute(query, (first, last, *values, MOST_POINTS)).fetchall())
         places = self._sums.places
         low, high = np.searchsorted(places[0], [oldest, last + 0.5])
         chosen = places[:, low:high]
-        return chosen if load is None else chosen[:, chosen[5] == load]
+        return chosen if load is None else chosen[:, (chosen[5] == load) & (chosen[1] <= end_s)]
 
     def _packed(self, places: Array) -> bytes:
         number, time_s, latitude, longitude, flow, _ = places

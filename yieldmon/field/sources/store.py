@@ -15,6 +15,7 @@ from yieldmon.field.table import DEFAULT_FLOW_S, UNKNOWN_SCALE_SD, Array, Harves
 from yieldmon.frames import EstimateQuality
 from yieldmon.service.logs import recorded
 from yieldmon.service.storage.batch import Load
+from yieldmon.service.storage.load_ends import load_ends_s, load_of
 from yieldmon.service.storage.rows import SecondRow
 from yieldmon.service.storage.store import Store
 from yieldmon.service.storage.store_names import SQLITE_MAGIC
@@ -135,8 +136,9 @@ def table_of(rows: list[SecondRow], loads: Mapping[int, Load], path: Path, kind:
     fields = [loads[row.load_number].field if row.load_number in loads else "" for row in rows]
     crops = [loads[row.load_number].crop if row.load_number in loads else "" for row in rows]
     crop_of_row, of_crop = crop_names(Label.of(crops), options.crop)
+    ends_s = load_ends_s(loads.values())
     labels = {
-        "load": Label.of([_load(row, loads) for row in rows]),
+        "load": Label.of(["" if (number := load_of(row, ends_s)) is None else str(number) for row in rows]),
         "field": Label.constant(options.field, count) if options.field else Label.of(fields),
         "crop": crop_of_row,
     }
@@ -149,13 +151,6 @@ def table_of(rows: list[SecondRow], loads: Mapping[int, Load], path: Path, kind:
         notes=(*of_crop, *of_width, *notes, *([] if harvesting.any() else ["no second of harvest"])),
     )
     return build(columns, labels, source, unix_time=True, default_flow_s=DEFAULT_FLOW_S)
-
-
-def _load(row: SecondRow, loads: Mapping[int, Load]) -> str:
-    """The load of a second; what comes between a load's end and the next one's begin carries the ended one's number and belongs
-    to none."""
-    ended_s = loads[row.load_number].ended_s if row.load_number in loads else None
-    return "" if ended_s is not None and row.time_s > ended_s else str(row.load_number)
 
 
 def _width_m(area_m2: Array, way_m: Array, path: Path) -> tuple[Array, tuple[str, ...]]:

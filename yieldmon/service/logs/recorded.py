@@ -21,6 +21,7 @@ from yieldmon.errors import InputError, brief
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import parameter_file
 from yieldmon.service.storage.ledger import LoadRecord
+from yieldmon.service.storage.load_ends import load_ends_s
 from yieldmon.service.storage.rows import SecondRow
 from yieldmon.service.storage.store import Store
 from yieldmon.service.storage.store_errors import StoreDamagedError, StoreError
@@ -181,7 +182,7 @@ def parameter_sets(store: Store) -> dict[int, ParameterSet]:
 def load_ends(path: Path) -> dict[int, float]:
     """When the loads ended that have, Unix time, by number. Raises InputError."""
     with opened(path) as store:
-        return {load.number: load.ended_s for load in store.loads() if load.ended_s is not None}
+        return load_ends_s(store.loads())
 
 
 def last_parameters(path: Path) -> ParameterSet:

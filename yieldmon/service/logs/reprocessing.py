@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import inf
 
 import numpy as np
 
@@ -20,6 +19,7 @@ from yieldmon.finite import finite
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array
+from yieldmon.service.storage.load_ends import load_of
 from yieldmon.service.storage.rows import SecondRow
 
 _PLACED = ("latitude_deg", "longitude_deg", "ground_speed_m_s", "course_deg")
@@ -60,13 +60,14 @@ def measured_again(
         counted = covered & (force > settings.gate.grain_on_n)
     flow, std_dev = _flows(rows, machine, parameters, force, counted)
     out: list[SecondRow] = []
+    ends_s = load_ends_s or {}
     total_kg, load_kg, load, unusable = 0.0, 0.0, -1, 0
     for i, row in enumerate(rows):
         known = bool(np.isfinite(flow[i]))
         kept = bool(counted[i]) and not known
         unusable += kept
         mass_kg = row.mass_kg if kept else float(flow[i]) * _seconds(row, settings.windows.min_coverage) if known else 0.0
-        load_kg = (0.0 if row.load_number != load else load_kg) + (mass_kg if _of_load(row, load_ends_s) else 0.0)
+        load_kg = (0.0 if row.load_number != load else load_kg) + (mass_kg if load_of(row, ends_s) is not None else 0.0)
         total_kg, load = total_kg + mass_kg, row.load_number
         changed = {
             "mass_kg": mass_kg, "load_kg": load_kg, "total_kg": total_kg, "load_std_dev_kg": None, "total_std_dev_kg": None,
@@ -102,18 +103,13 @@ def _flows(
     return flow, std_dev
 
 
-def _of_load(row: SecondRow, load_ends_s: Mapping[int, float] | None) -> bool:
-    end_s = inf if load_ends_s is None else load_ends_s.get(row.load_number, inf)
-    return bool(row.time_s <= end_s)
-
-
 def loads_of_rows(
     before: Sequence[SecondRow], after: Sequence[SecondRow], load_ends_s: Mapping[int, float] | None = None
 ) -> list[ReprocessedLoad]:
     """Each load's mass as measured and as measured again; load_ends_s as in `measured_again`."""
     masses: dict[int, list[float]] = {}
     for one, other in zip(before, after, strict=True):
-        if (one.mass_kg or other.mass_kg) and _of_load(one, load_ends_s):
+        if (one.mass_kg or other.mass_kg) and load_of(one, load_ends_s or {}) is not None:
             sums = masses.setdefault(one.load_number, [0.0, 0.0])
             sums[0] += one.mass_kg
             sums[1] += other.mass_kg

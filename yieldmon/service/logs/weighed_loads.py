@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import inf
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +30,7 @@ from yieldmon.service.logs.bulk_processing import process_in_bulk
 from yieldmon.service.logs.log_copies import refuse_copies
 from yieldmon.service.logs.recorded import is_store_not_log, opened, parameter_sets
 from yieldmon.service.storage.batch import Load
+from yieldmon.service.storage.load_ends import load_ends_s, load_of
 from yieldmon.service.storage.rows import SecondRow
 
 LEAST_KNOWN_SHARE = 0.9
@@ -140,10 +140,9 @@ def _why_no_mass(rows: Sequence[SecondRow]) -> str:
 
 
 def of_loads(rows: Iterable[SecondRow], loads: Iterable[Load]) -> list[SecondRow]:
-    """The seconds that belong to loads: what comes between a load's end and the next one's begin carries the ended one's number
-    and counts in the total alone."""
-    ended_s = {load.number: load.ended_s for load in loads if load.ended_s is not None}
-    return [row for row in rows if row.time_s <= ended_s.get(row.load_number, inf)]
+    """The seconds that belong to loads; grain between loads counts in the total alone."""
+    ends_s = load_ends_s(loads)
+    return [row for row in rows if load_of(row, ends_s) is not None]
 
 
 def loads_of(rows: Iterable[SecondRow], versions: Mapping[int, ParameterSet]) -> tuple[MeasuredLoad, ...]:

@@ -109,12 +109,12 @@ def _crop_named(request: Request, journal: Journal) -> str | None:
     """The crop as it is kept, None where the request names none. Raises InputError for a slip of a finger: what is weighed and
     measured under that name would be lost to the crop that was meant."""
     name = request.name("crop")
-    if not name:
-        return name
-    meant = None if journal.parameters.keeps(name.strip()) else misspelt(name)
+    if name is None:
+        return None
+    meant = None if journal.parameters.keeps(name) else misspelt(name)
     if meant is not None:
-        raise InputError("crop", f"{name.strip()!r} is no known crop", f"{meant}; for another crop, a name less like it")
-    return shipped_name(name) or name.strip()
+        raise InputError("crop", f"{name!r} is no known crop", f"{meant}; for another crop, a name less like it")
+    return shipped_name(name) or name
 
 
 def set_crop(monitor: Monitor, journal: Journal) -> None:
@@ -152,7 +152,7 @@ def _load_correct(order: Order) -> LoadsCorrected:
     first = request.number_of("first_load", "load")
     last = request.number_of("last_load", "load") if request.given("last_load") else first
     field, crop = request.name("field"), _crop_named(request, journal)
-    if field is None and not crop:
+    if field is None and crop is None:
         raise InputError("load correct", "names nothing to correct", "a crop or a field")
     opened = monitor.open_load
     if opened is not None and first <= opened.number <= last:

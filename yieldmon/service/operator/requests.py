@@ -41,13 +41,16 @@ class Request:
             raise InputError(command, f"takes no {brief(strange, _SHOWN)!r}", ", ".join(keys) or "no argument")
 
     def name(self, key: str) -> str | None:
-        """A printable text on one line, None where there is none. Raises InputError."""
+        """A printable text on one line, without blanks around it; None where the key is missing or null. Raises InputError, also
+        for an empty text, which would take a name away unnoticed."""
         value = self.values.get(key)
         if value is None:
             return None
         if not isinstance(value, str) or len(value) > _MAX_NAME or not value.isprintable():
             raise InputError(key, brief(repr(value), _SHOWN), f"a name of at most {_MAX_NAME} printable characters")
-        return value
+        if not value.strip():
+            raise InputError(key, "is empty", f"a name of at most {_MAX_NAME} printable characters")
+        return value.strip()
 
     def number_of(self, key: str, what: str) -> int:
         """The number by which a load, a ticket or a version goes. Raises InputError."""

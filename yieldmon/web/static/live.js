@@ -254,7 +254,9 @@ function requestOf(dialog) {
   const given = Object.fromEntries(new FormData(dialog.querySelector("form")));
   const request = { command: dialog.dataset.command };
   for (const [name, value] of Object.entries(given)) {
-    if (String(value).trim() === "") continue;
+    // A name that was filled in and has been taken out is refused by the daemon; the load would have it all the same.
+    const takenOut = request.command === "load-start" && dialog.querySelector(`[name=${name}]`).defaultValue !== "";
+    if (String(value).trim() === "" && !takenOut) continue;
     request[name] = ["first_load", "last_load", "ticket"].includes(name) ? Number(value) : String(value).trim();
   }
   for (const name of ["mass", "other", "other_std_dev"]) {
@@ -274,8 +276,7 @@ function open(dialog) {
     const text = dialog.querySelector("[data-text=load]");
     if (text) text.textContent = `Load ${state.load.number} has ${mass(state.load.mass_kg)} ${units.mass.name}${state.load.open ? "" : " and is ended"}.`;
     if (dialog.dataset.command === "load-start") {
-      dialog.querySelector("[name=field]").value = state.load.field;
-      dialog.querySelector("[name=crop]").value = state.load.crop;
+      for (const name of ["field", "crop"]) dialog.querySelector(`[name=${name}]`).defaultValue = state.load[name];
     }
   }
   if (dialog.dataset.command === "load-correct" && state) {
