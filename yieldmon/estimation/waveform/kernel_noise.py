@@ -213,11 +213,12 @@ def _least_squares(
     """
     impulse = max(float(np.median(above / gain)), 0.0)
     weight = variance = np.ones_like(gain)
+    of_empty = ground**2 / averages[1]
+    # A background wrong by one share everywhere is taken as wrong in each place, which is what lines of vibration are.
+    wrong = (quiet_error * ground) ** 2
     for _ in range(_ITERATIONS):
-        expected = ground + impulse * gain
-        variance = expected**2 / averages[0] + ground**2 / averages[1]
-        # A background wrong by one share everywhere is taken as wrong in each place, which is what lines of vibration are.
-        weight = gain / (variance + (quiet_error * ground) ** 2)
+        variance = (ground + impulse * gain) ** 2 / averages[0] + of_empty
+        weight = gain / (variance + wrong)
         impulse = max(float((weight * above).sum() / (weight * gain).sum()), 0.0)
     return impulse, weight, variance
 
