@@ -419,6 +419,23 @@ def test_a_geopackage_that_outgrows_its_medium_is_one_line(folder, tmp_path, cap
     assert list(out.iterdir()) == []
 
 
+def test_empty_loads_are_left_out_and_counted(tmp_path, capsys):
+    loads = (*LOADS[:1], Load(2, "", "", START_S, START_S + 1.0, 0.0, 0.0), Load(3, "", "", START_S, None, 0.0, 0.0))
+    with Store(tmp_path / "s.sqlite") as store:
+        store.commit([Batch(1, START_S, {}, tuple(ROWS), loads)])
+    words = ["export", str(tmp_path / "s.sqlite"), "--out", str(tmp_path / "l.csv"), "--what", "loads", "--force"]
+    for given, numbers, said in (
+        ([], ["1", "3"], "l.csv: 2 loads; 1 empty load not listed; --all lists it\n"),
+        (["--all"], ["1", "2", "3"], "l.csv: 3 loads\n"),
+    ):
+        assert cli.main([*words, *given]) == 0
+        with (tmp_path / "l.csv").open(encoding="utf-8") as stream:
+            assert [row["number"] for row in csv.DictReader(stream)] == numbers
+        assert capsys.readouterr().err.endswith(said)
+    assert cli.main([*words[:4], "--all", "--force"]) == 2
+    assert "--all: has no meaning with seconds; expected --what loads" in capsys.readouterr().err
+
+
 def test_grain_between_loads_has_no_load_number(tmp_path, capsys):
     """As `map` has it: what comes after a load's end carries its number in the record and belongs to none."""
     loads = (Load(1, "north", "wheat", START_S, START_S + 50.5, 560.0, None), dataclasses.replace(LOADS[1], crop="wheat"))

@@ -109,7 +109,7 @@ class Operator:
         elif what == SWEEP_AT_S:
             ask(self._socket, {"command": "sweep-start"})
         elif what == TICKET_AT_S:
-            load = max(ask(self._socket, {"command": "loads"})["loads"][:-1], key=lambda load: load["number"])
+            load = max(ask(self._socket, {"command": "loads", "all": True})["loads"][:-1], key=lambda load: load["number"])
             if load["mass_kg"] > 0.0:
                 mass_kg = 1.01 * load["mass_kg"]
                 ask(self._socket, {"command": "ticket", "first_load": load["number"], "mass_kg": mass_kg})

@@ -38,6 +38,7 @@ STATUS: dict[str, Any] = {
         "number": 7, "open": True, "field": "north forty", "crop": "corn", "mass_kg": 8432.1, "std_dev_kg": 61.0,
         "dry_mass_kg": 8258.7, "area_m2": 8123.0, "yield_kg_m2": 1.038, "dry_yield_kg_m2": 1.0167,
     },
+    "loads": [{"number": 3}, {"number": 5}, {"number": 7}],
     "total": {"mass_kg": 412_345.0},
     "sweep": {"state": "idle", "progress_pct": 0.0, "due_in_s": 731.0},
     "faults": [],

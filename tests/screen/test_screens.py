@@ -183,7 +183,7 @@ def pressed(keys: list[str], status: dict[str, Any] | None = STATUS) -> tuple[Di
         ([*"t7 9.12t", "\x1b", "y"], []),
         (["t", "7", "8", "\x7f", *" 100lb", "\r", "y"], [{"command": "ticket", "first_load": 7, "mass_kg": 45.359237}]),
         (["x", "y"], []),
-        (["x", "c", "\r", *"wheat", "\r", "y"], [CORRECT]),
+        (["x", "c", "\r", *"wheat", "\r", "y"], [{**CORRECT, "first_load": 5, "last_load": 5}]),
         (["x", "c", *"6", "\r", *"Winter Wheat", "\r", "y"], [CORRECT]),
         (["x", "c", "\r", *"wheat", "\r", "n"], []),
         (["x", "c", "\r", *"wheat", "\x1b", "y"], []),
@@ -201,6 +201,7 @@ def test_nothing_is_asked_of_the_daemon_without_a_yes(keys: list[str], sent: lis
 
 
 def test_each_step_of_a_wrong_crop_is_one_prompt_with_its_figures() -> None:
+    """The load that is proposed is the last complete one with grain; load 6 has none."""
     known = " ".join(crops())
     dialog = Dialog(mass, shipped_name, lambda: tuple(crops()))
     shown = []
@@ -210,7 +211,7 @@ def test_each_step_of_a_wrong_crop_is_one_prompt_with_its_figures() -> None:
             shown.append(dialog.prompt)
     assert shown[:3] == [
         "n: a new load of another crop, c: correct the crop of a load, Esc: neither",
-        "number of the load whose crop is wrong (Enter: 6): _",
+        "number of the load whose crop is wrong (Enter: 5): _",
         f"crop of load 7 ({known}): _",
     ]
     assert shown[-2:] == [

@@ -158,7 +158,7 @@ def test_a_ticket_that_comes_after_its_crop_says_when_it_updates(tmp_path) -> No
         assert cab.press("x", "n", *"majs", "\r", "y").startswith("load 3 started of corn")
         bench.play(2, 0.0)
         bench.played()
-        measured_kg = bench.status["loads"][1]["mass_kg"]
+        measured_kg = next(load["mass_kg"] for load in bench.status["loads"] if load["number"] == 2)
         reported = cab.press("t", *f"2 {1.02 * measured_kg:.4f}kg", "\r", "y")
         assert reported.startswith("ticket for load 2 taken: +2.0 % against what was measured")
         assert reported.endswith("; it updates the parameters of wheat once that is harvested again")

@@ -467,6 +467,24 @@ def test_an_interface_that_goes_and_comes_back(tmp_path):
             assert bench.rows[-1]["coverage"] == 1.0
 
 
+def test_an_empty_load_is_counted_and_not_listed(tmp_path, capsys):
+    with running(tmp_path) as bench:
+        bench.play(6, GRAIN_MV)
+        warm_up(bench)
+        for _ in range(2):
+            ask(tmp_path, capsys, "load", "start")
+        found = ask(tmp_path, capsys, "load", "list")
+        assert ([load["number"] for load in found["loads"]], found["empty_loads"]) == ([1, 3], [2])
+        assert [load["number"] for load in bench.status["loads"]] == [1, 3]
+        whole = ask(tmp_path, capsys, "load", "list", "--all")
+        assert ([load["number"] for load in whole["loads"]], whole["empty_loads"]) == ([1, 2, 3], [2])
+        for words, said in (([], "yieldmon: 1 empty load not listed; --all lists it\n"), (["--all"], ""), (["--sums"], "")):
+            assert cli.main(["load", "list", *words, "--socket", str(tmp_path / "yieldmon.sock")]) == 0
+            assert capsys.readouterr().err == said
+        with Store.reading(tmp_path / "yieldmon.sqlite") as store:
+            assert [load.number for load in store.loads()] == [1, 2, 3]
+
+
 def test_loads_tickets_and_names(tmp_path, capsys):
     with running(tmp_path) as bench:
         bench.play(6, GRAIN_MV)

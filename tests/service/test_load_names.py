@@ -96,11 +96,12 @@ def test_what_a_correction_refuses_is_said_in_one_line(tmp_path, capsys) -> None
         rows = ask(season.folder, "load", "list")["loads"]
         assert {row["crop"] for row in rows if row["number"] in LOADED} == {"corn"}
         ask(season.folder, "load", "correct", "2", "--field", "north")
-        assert ask(season.folder, "load", "list")["loads"][1]["field"] == "north"
+        listed = {row["number"]: row for row in ask(season.folder, "load", "list")["loads"]}
+        assert listed[2]["field"] == "north"
         answer = ask(season.folder, "load", "correct", "4-5", "--field", "south")
         assert (answer["field"], answer["crop"], "measured_again" in answer) == ("south", None, False), "the open one too"
         assert ask(season.folder, "load", "start")["field"] == "south", "and those after it"
-        rows = ask(season.folder, "load", "list")["loads"]
+        rows = ask(season.folder, "load", "list", "--all")["loads"]
         assert [(row["number"], row["field"]) for row in rows[3:6]] == [(4, "south"), (5, "south"), (6, "south")]
 
 

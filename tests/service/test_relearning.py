@@ -64,7 +64,7 @@ def settle(season: Season, bench) -> None:
 def left(season: Season, bench) -> dict:
     """What is learnt, and the loads' masses, when all has been done."""
     settle(season, bench)
-    rows = ask(season.folder, "load", "list")["loads"]
+    rows = ask(season.folder, "load", "list", "--all")["loads"]
     with contextlib.closing(sqlite3.connect(season.folder / "yieldmon.sqlite")) as database:
         listed = dict(database.execute("SELECT number, corrected_mass_kg FROM load_corrected"))
     assert listed == pytest.approx({row["number"]: row["corrected_mass_kg"] for row in rows})

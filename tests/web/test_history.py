@@ -121,14 +121,18 @@ def test_a_store_begun_anew_is_read_anew(daemon: StandIn) -> None:
 
 def test_loads_tickets_sweeps_and_faults(daemon: StandIn) -> None:
     daemon.seconds(20)
-    loads = (Load(1, "<i>north</i>", "corn", 1.0, 2.0, 1000.0, 900.0), Load(2, "south", "corn", 3.0, None, 50.0, None))
+    loads = (
+        Load(1, "<i>north</i>", "corn", 1.0, 2.0, 1000.0, 900.0), Load(2, "south", "corn", 3.0, None, 50.0, None),
+        Load(3, "", "", 4.0, 4.0, 0.0, 0.0), Load(4, "", "", None, None, 0.0, 0.0), Load(5, "", "", 5.0, None, 0.0, 0.0),
+    )  # fmt: skip
     sweep = SweepRecord(5.0, "updated", "learnt", {"sweep_id": 1, "angles_deg": [60.0, 70.0], "parameter_version": 2})
     ticket, fault = Ticket(6.0, 1, 1, 1100.0, 1000.0, "scale"), FaultEvent(7.0, "FramesLost", True, "3 frames")
     daemon.commit(loads=loads, sweeps=(sweep,), tickets=(ticket,), faults=(fault,))
     found = History(DELAY_S).document(daemon.store_path)
     assert [(load["number"], load["field"], load["corrected_mass_kg"], load["std_dev_kg"]) for load in found["loads"]] == [
-        (2, "south", 50.0, None), (1, "<i>north</i>", pytest.approx(1100.0), 40.0)
+        (5, "", 0.0, None), (2, "south", 50.0, None), (1, "<i>north</i>", pytest.approx(1100.0), 40.0)
     ]  # fmt: skip
+    assert found["empty_loads"] == [3, 4]
     assert [one["document"]["angles_deg"] for one in found["sweeps"]] == [[60.0, 70.0]]
     assert [(one["number"], one["note"], one["undone_s"]) for one in found["tickets"]] == [(1, "scale", None)]
     assert [one["state"] for one in found["tickets"]] == ["corrects its load"]

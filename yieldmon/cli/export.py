@@ -16,6 +16,7 @@ from yieldmon.export import agleader, columns, geojson, geopackage, taskdata
 from yieldmon.export.points import PointSettings, YieldPoint, yield_points
 from yieldmon.files.crops import find_crop
 from yieldmon.service.logs import recorded
+from yieldmon.service.storage.empty_loads import empty_loads, not_listed
 from yieldmon.service.storage.ledger import LoadRecord
 from yieldmon.service.storage.load_ends import load_ends_s
 from yieldmon.service.storage.rows import SecondRow
@@ -49,6 +50,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "--what", choices=("seconds", "loads", "points"), help="rows of a table (default: seconds); other formats have points"
     )
+    parser.add_argument("--all", action="store_true", help="with --what loads: complete loads without grain too")
     points = parser.add_argument_group("yield points")
     points.add_argument("--swath", type=float, metavar="M", help="working width")
     points.add_argument(
@@ -81,10 +83,14 @@ def run(args: argparse.Namespace) -> int:
     what = args.what or ("seconds" if kind in TABLES else "points")
     if what != "points" and kind not in TABLES:
         raise InputError("--what", f"{what} as {kind}", f"{what} as {' or '.join(TABLES)}")
+    if args.all and what != "loads":
+        raise InputError("--all", f"has no meaning with {what}", "--what loads")
     if what == "loads":
         loads = recorded.read_loads(args.record)
-        _table(kind)(out, LoadRecord, loads)
-        print(f"{out}: {_counted(len(loads), 'load')}", file=sys.stderr)
+        empty = frozenset() if args.all else frozenset(empty_loads(loads))
+        listed = [load for load in loads if load.number not in empty]
+        _table(kind)(out, LoadRecord, listed)
+        print(f"{out}: {_counted(len(listed), 'load')}" + (f"; {not_listed(len(empty))}" if empty else ""), file=sys.stderr)
         return 0
     rows = recorded.read_seconds(args.record)
     if what == "seconds":

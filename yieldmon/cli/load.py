@@ -12,6 +12,7 @@ from yieldmon.cli._load_sums import PAUSE_DAYS, load_sums, sum_rows
 from yieldmon.cli._records import corrected, load_numbers, show
 from yieldmon.cli._units import add_units
 from yieldmon.files.units import units_of
+from yieldmon.service.storage.empty_loads import not_listed
 from yieldmon.units import UNKNOWN, crop_yield_kg_m2
 
 
@@ -35,13 +36,14 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     stop = actions.add_parser("stop", help="complete the load", epilog="example: yieldmon load stop")
     listing = actions.add_parser(
-        "list", help="list all loads, as measured and as corrected by tickets", epilog="example: yieldmon load list --json"
+        "list", help="list loads, as measured and as corrected by tickets", epilog="example: yieldmon load list --json"
     )
     listing.add_argument(
         "--sums",
         action="store_true",
         help=f"show sums by field and crop; a new harvest begins after {PAUSE_DAYS} days without a load",
     )
+    listing.add_argument("--all", action="store_true", help="list complete loads without grain too")
     correct = actions.add_parser(
         "correct",
         help="change crop or field of complete loads, or the field of the open one",
@@ -58,43 +60,57 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     """Exit code 0 when the daemon did it."""
-    request: dict[str, object] = {"command": "loads" if args.action == "list" else f"load-{args.action}"}
-    if args.action == "start":
-        request |= {key: value for key in ("field", "crop") if (value := getattr(args, key)) is not None}
-        if args.thousand_kernel_weight is not None:
-            request["thousand_kernel_weight_g"] = args.thousand_kernel_weight
-    if args.action == "correct":
-        request["command"] = "load-correct"
-        request["first_load"], request["last_load"] = load_numbers(args.loads)
-        request |= {key: value for key in ("field", "crop") if (value := getattr(args, key)) is not None}
-    answer = ask_daemon(args, request)
+    answer = ask_daemon(args, _request(args))
     if args.action == "list" and args.sums:
         answer = {**answer, "sums": load_sums(answer["loads"])}
     if args.json:
         print_json(answer)
     elif args.action == "list":
-        system = args.units or answer.get("units", "metric")
-        show(*(sum_rows(answer["sums"], system) if args.sums else _rows(answer["loads"], system)))
+        _list(args, answer)
     elif args.action == "correct":
         print(corrected(answer))
     elif args.action == "start":
-        names = " ".join(name for name in (answer["field"], answer["crop"]) if name)
-        print(f"load {answer['load']} started" + (f": {names}" if names else ""))
-        if answer["parameters"]["changed"]:
-            print(f"measuring with the parameters of {answer['crop']}, version {answer['parameters']['version']}")
-        elif not answer["crop_known"]:
-            from yieldmon.files.crops import crops  # parameters, and numpy with them, which nothing else here needs
-
-            known = ", ".join(crops())
-            print(
-                f"yieldmon: {answer['crop']} is not a known crop; the parameters are unchanged; known crops: {known}",
-                file=sys.stderr,
-            )
+        _say_started(answer)
     else:
         units = units_of(args.units, answer.get("units", "metric"), answer.get("crop", ""))
         print(f"load {answer['load']} complete: {units.mass_with_bushels(answer['mass_kg'])}")
         print("yieldmon: until the next `yieldmon load start`, grain counts only in the total", file=sys.stderr)
     return 0
+
+
+def _request(args: argparse.Namespace) -> dict[str, object]:
+    if args.action == "list":
+        return {"command": "loads", "all": True} if args.all else {"command": "loads"}
+    request: dict[str, object] = {"command": f"load-{args.action}"}
+    if args.action == "correct":
+        request["first_load"], request["last_load"] = load_numbers(args.loads)
+    if args.action in ("start", "correct"):
+        request |= {key: value for key in ("field", "crop") if (value := getattr(args, key)) is not None}
+    if args.action == "start" and args.thousand_kernel_weight is not None:
+        request["thousand_kernel_weight_g"] = args.thousand_kernel_weight
+    return request
+
+
+def _list(args: argparse.Namespace, answer: dict[str, Any]) -> None:
+    system = args.units or answer.get("units", "metric")
+    show(*(sum_rows(answer["sums"], system) if args.sums else _rows(answer["loads"], system)))
+    if (empty := answer.get("empty_loads")) and not (args.all or args.sums):
+        print(f"yieldmon: {not_listed(len(empty))}", file=sys.stderr)
+
+
+def _say_started(answer: dict[str, Any]) -> None:
+    names = " ".join(name for name in (answer["field"], answer["crop"]) if name)
+    print(f"load {answer['load']} started" + (f": {names}" if names else ""))
+    if answer["parameters"]["changed"]:
+        print(f"measuring with the parameters of {answer['crop']}, version {answer['parameters']['version']}")
+    elif not answer["crop_known"]:
+        from yieldmon.files.crops import crops  # parameters, and numpy with them, which nothing else here needs
+
+        known = ", ".join(crops())
+        print(
+            f"yieldmon: {answer['crop']} is not a known crop; the parameters are unchanged; known crops: {known}",
+            file=sys.stderr,
+        )
 
 
 _MASSES = ("mass_kg", "std_dev_kg", "dry_mass_kg", "posted_mass_kg", "ticket_mass_kg", "corrected_mass_kg")

@@ -64,9 +64,11 @@ class ListedLoad(TypedDict):
 
 
 class Loads(TypedDict):
-    """All loads, in order."""
+    """Loads, in order. empty_loads: numbers of the complete loads in which nothing was measured; loads has them with `--all`
+    only."""
 
     loads: list[ListedLoad]
+    empty_loads: list[int]
 
 
 class LoadSum(TypedDict):

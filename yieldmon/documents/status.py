@@ -217,7 +217,7 @@ class StatusStore(TypedDict):
 
 class StatusFigures(TypedDict):
     """What a running daemon is doing. windows: the last one-second records, quality and operating state by name. loads: the last
-    ten, as `yieldmon load list --json` has them. waveform: None where it is switched off."""
+    ten with grain, or open, as `yieldmon load list --json` has them. waveform: None where it is switched off."""
 
     version: str
     uptime_s: float

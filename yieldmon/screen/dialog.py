@@ -94,7 +94,7 @@ class Dialog:
                 stop = "s: it is complete, "
             self.question = f"{held}; n: a new load, {stop}Esc: neither"
         elif key == "x":
-            self._choices = {"n": partial(self._other_crop, load), "c": partial(self._wrong_load, load)}
+            self._choices = {"n": partial(self._other_crop, load), "c": partial(self._wrong_load, status)}
             self.question = "n: a new load of another crop, c: correct the crop of a load, Esc: neither"
         elif key == "t":
             self._read(_TICKET, self._ticket)
@@ -149,9 +149,12 @@ class Dialog:
 
         self._read(f"crop of the new load ({self._known}): ", named)
 
-    def _wrong_load(self, load: Mapping[str, Any]) -> None:
+    def _wrong_load(self, status: Mapping[str, Any]) -> None:
+        load = status["load"]
         newest = int(load["number"])
-        usual = newest - 1 if load["open"] and newest > 1 else newest
+        # Those of the status hold grain, or are open.
+        complete = [one["number"] for one in status["loads"] if one["number"] != newest or not load["open"]]
+        usual = complete[-1] if complete else newest
 
         def numbered(typed: str, _units: Units) -> None:
             number = typed or str(usual)

@@ -226,7 +226,14 @@ def _shown(status: Mapping[str, Any]) -> dict[str, Any]:
     parts = {name: {key: status[name].get(key) for key in keys} for name, keys in _SHOWN_OF.items()}
     now = {**status["windows"][-1], "yield_kg_m2": status.get("now", {}).get("yield_kg_m2")} if status["windows"] else None
     shown = in_units({name: status[name] for name in _SHOWN}, texts_of_status(status))
-    return {"problem": None, **shown, **parts, "now": now, "units": units_of_status(status)}
+    # Those of the status hold grain, or are open.
+    complete = [load["number"] for load in status.get("loads", ()) if load["number"] != _open_load(status)]
+    last = complete[-1] if complete else None
+    return {"problem": None, **shown, **parts, "now": now, "last_complete_load": last, "units": units_of_status(status)}
+
+
+def _open_load(status: Mapping[str, Any]) -> int | None:
+    return int(status["load"]["number"]) if status["load"]["open"] else None
 
 
 def _row(window: Mapping[str, Any]) -> Row:

@@ -25,6 +25,7 @@ from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.numerics import Array
 from yieldmon.service.logs import sweep_table
 from yieldmon.service.logs.recorded import last_parameters, opened, ticket_table
+from yieldmon.service.storage.empty_loads import empty_loads, without_empty
 from yieldmon.service.storage.store import Store
 from yieldmon.service.storage.store_file import read_only
 
@@ -109,13 +110,15 @@ class History:
         with self._lock, _problems(path):
             self._sum_up(path)
             with opened(path) as store:
-                loads = store.corrected_loads()
+                empty = empty_loads(store.loads())
+                loads = without_empty(store.corrected_loads(), empty)
                 for load in loads:
                     # Of a store that kept it with the seconds alone.
                     load["std_dev_kg"] = load["std_dev_kg"] or self._sums.load_std_dev_kg.get(load["number"])
                 return {
                     "days": [day.document(name) for name, day in sorted(self._sums.days.items(), reverse=True)],
                     "loads": loads[::-1],
+                    "empty_loads": empty,
                     "sweeps": [asdict(sweep) for sweep in reversed(store.sweeps(_SWEEPS))],
                     "parameters": _parameters(store, path),
                     "faults": [asdict(fault) for fault in reversed(store.faults(_FAULTS))],

@@ -72,6 +72,9 @@ def correct(wanted: Correction, context: RequestContext) -> CropCorrected | None
     by_number = {load.load.number: load for load in context.stored}
     factors, why_not = dict[int, float](), dict[int, str]()
     for load in others:
+        if not load.mass_kg > 0.0:
+            # Nothing was measured that could be measured again.
+            continue
         kept = by_number.get(load.number)
         dry_kg = None if kept is None else _dry_kg(kept, crop, monitor.settings.totals)
         journal.loads.dried(load.number, dry_kg)

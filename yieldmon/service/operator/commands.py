@@ -25,6 +25,7 @@ from yieldmon.service.operator.order import Order, covered_loads
 from yieldmon.service.operator.requests import Request
 from yieldmon.service.operator.ticket_entry import enter_ticket
 from yieldmon.service.storage import ledger
+from yieldmon.service.storage.empty_loads import empty_loads, without_empty
 
 _MOST_LOADS = 63
 """Between the first and the last of a ticket that is a reference mass for loads of an earlier run."""
@@ -185,7 +186,9 @@ def _load_correct(order: Order) -> LoadsCorrected:
 
 
 def _loads(order: Order) -> Loads:
-    return {"loads": order.journal.load_table()}
+    journal = order.journal
+    empty, rows = empty_loads(journal.loads), journal.load_table()
+    return {"loads": rows if order.request.flag("all") else without_empty(rows, empty), "empty_loads": empty}
 
 
 def _tickets(order: Order) -> Tickets:
@@ -249,7 +252,7 @@ _COMMANDS: Mapping[str, tuple[Callable[[Order], Answer], tuple[str, ...]]] = {
     "load-stop": (_load_stop, ()),
     "load-correct": (_load_correct, ("first_load", "last_load", "field", "crop")),
     "totals-reset": (_totals_reset, ("total_kg",)),
-    "loads": (_loads, ()),
+    "loads": (_loads, ("all",)),
     "ticket": (enter_ticket, ("first_load", "last_load", "mass_kg", "std_dev_kg", "other_kg", "other_std_dev_kg", "note")),
     "tickets": (_tickets, ()),
     "ticket-undo": (_ticket_undo, ("ticket",)),

@@ -36,6 +36,7 @@ from yieldmon.service.config.configuration import Configuration
 from yieldmon.service.config.mapping_notes import aliasing_pct, notes
 from yieldmon.service.history.journal import Journal
 from yieldmon.service.logs.harvested import harvested
+from yieldmon.service.storage.empty_loads import empty_loads, without_empty
 from yieldmon.service.storage.rows import SecondRow
 from yieldmon.service.storage.writer import StoreHealth
 from yieldmon.service.traffic.bus_traffic import BusTraffic
@@ -77,7 +78,7 @@ def snapshot(
             "notes": list(configuration.notes),
         },
         "load": _load(totals, journal),
-        "loads": journal.load_table()[-_RECENT_LOADS:],
+        "loads": without_empty(journal.load_table(), empty_loads(journal.loads))[-_RECENT_LOADS:],
         "total": _total(totals),
         "windows": [_window(row) for row in rows],
         "zero_waits_for": monitor.zero_waits_for or None,

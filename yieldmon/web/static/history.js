@@ -159,6 +159,8 @@ try {
   mapChoices(found);
   days(found.days);
   loads(found.loads);
+  const empty = found.empty_loads.length;
+  if (empty) set("loads-empty", `${empty} empty ${empty > 1 ? "loads" : "load"} not listed.`);
   tickets(found.tickets);
   parameters(found.parameters);
   sweeps(found.sweeps);

@@ -281,8 +281,8 @@ function open(dialog) {
   }
   if (dialog.dataset.command === "load-correct" && state) {
     const form = dialog.querySelector("form");
-    const ended = state.load.number - (state.load.open ? 1 : 0);
-    if (ended > 0) form.first_load.value = form.last_load.value = ended;
+    const ended = state.last_complete_load;
+    if (ended !== null) form.first_load.value = form.last_load.value = ended;
   }
   if (dialog.dataset.command === "ticket") prepareTicket(dialog);
   if (dialog.dataset.command === "ticket-undo") prepareTicketUndo(dialog);
@@ -294,8 +294,8 @@ async function prepareTicket(dialog) {
   const form = dialog.querySelector("form");
   text.textContent = "";
   // Before the store has answered: by then somebody may be typing.
-  const ended = state === null ? 0 : state.load.number - (state.load.open ? 1 : 0);
-  if (ended > 0) form.first_load.value = form.last_load.value = ended;
+  const ended = state === null ? null : state.last_complete_load;
+  if (ended !== null) form.first_load.value = form.last_load.value = ended;
   try {
     const { loads } = await getJson("/api/history");
     const compare = () => {
