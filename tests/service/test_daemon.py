@@ -483,6 +483,13 @@ def test_an_empty_load_is_counted_and_not_listed(tmp_path, capsys):
             assert capsys.readouterr().err == said
         with Store.reading(tmp_path / "yieldmon.sqlite") as store:
             assert [load.number for load in store.loads()] == [1, 2, 3]
+        bench.play(5, GRAIN_MV)
+        bench.played()
+        ask(tmp_path, capsys, "load", "stop")
+        kg = ask(tmp_path, capsys, "load", "list")["loads"][-1]["mass_kg"]
+        for words in (["2-3", f"{kg}kg"], ["3", f"{kg}kg"]):
+            entered = ask(tmp_path, capsys, "ticket", *words)
+        assert (entered["replaces"], entered["without_ticket"]) == ([1], []), "there is nothing to weigh of load 2"
 
 
 def test_loads_tickets_and_names(tmp_path, capsys):

@@ -20,6 +20,7 @@ from yieldmon.service.operator.control_protocol import TICKET_KG
 from yieldmon.service.operator.order import Order, covered_loads
 from yieldmon.service.operator.requests import Request
 from yieldmon.service.storage.batch import Load, Ticket
+from yieldmon.service.storage.empty_loads import empty_loads
 from yieldmon.service.storage.ledger import SharedTruck
 from yieldmon.service.tickets import ticket_doubt
 from yieldmon.service.tickets.ticket_mass import TicketMass
@@ -61,6 +62,7 @@ def enter_ticket(order: Order) -> TicketEntered:
     # Before anything else is made of it: the parameters are to be what they would be without those that it replaces.
     replaced = before.replaced_by(ticket)
     left = {load for number in replaced for load in before.entered(number).loads}
+    left -= set(empty_loads(journal.loads))
     taken_back = without_replaced(replaced, order)
     again = journal.actions.history.ledger.factors
     known_kg = sum(load.mass_kg * again.get(load.number, 1.0) for load in covered)
