@@ -189,6 +189,14 @@ BO_ 513 VehiclePosition: 8 Node
  SG_ Longitude : 32|32@1- (1e-7,0) [-180|180] "deg" Node
 """
 )
+PAGES = (
+    HEAD
+    + """BO_ 512 Node: 4 Node
+ SG_ Page M : 0|16@1+ (1,0) [0|65535] "" Node
+ SG_ Bridge m0 : 16|16@1+ (1,0) [0|65535] "" Node
+ SG_ SupplyVolts m1 : 16|16@1+ (0.1,0) [0|6553.5] "mV" Node
+"""
+)
 OWN_NUMBERS = (
     HEAD
     + """BO_ 517 Adc: 4 Node
@@ -239,6 +247,12 @@ def written(folder: Path, dbc: str, frames: list[tuple[int, bytes]], capsys: pyt
             [(512, words(2900.0 + place % 2, 500.0 + 3 * (place % 90))) for place in range(200)],
             ["impact_voltage: {dbc: node.dbc, message: AnalogInputs, signal: Input2, rate_hz: 100}"],
             id="inputs of a module",
+        ),
+        pytest.param(
+            PAGES,
+            [(512, words(place % 50 == 0 and 0.1, 500.0 + 3 * (place % 90))) for place in range(400)],
+            ["impact_voltage: {dbc: node.dbc, message: Node, signal: Bridge, rate_hz: 98"],
+            id="a page that is sent too rarely",
         ),
         pytest.param(
             APART,

@@ -305,10 +305,11 @@ class Survey:
             multiplexers = {signal.bits.mux_by for signal in message.signals.values()}
             measured = [signal for signal in message.signals.values() if signal.bits.name not in multiplexers]
             for signal in measured:
+                mux, frames = signal.page
+                rate_hz = message.rate_hz * frames / message.frames
                 for quantity in _HINTS:
-                    score = _score(quantity, message, signal)
+                    score = _score(quantity, message, signal, rate_hz)
                     if score > 0.0:
-                        mux, frames = signal.page
                         place = message.dbc, message.name, signal.bits.name
                         several = senders[message.dbc, message.name] > 1 or self._is_elsewhere(message)
                         source = message.source if several else None
@@ -317,7 +318,7 @@ class Survey:
                             quantity,
                             *place,
                             unit=signal.bits.unit,
-                            rate_hz=message.rate_hz * frames / message.frames,
+                            rate_hz=rate_hz,
                             mux=mux,
                             source=source,
                             node=node,
@@ -392,17 +393,17 @@ def _not_available(quantity: str, bits: SignalBits) -> tuple[int, ...]:
     return tuple(sorted(named_no_value(bits)))
 
 
-def _score(quantity: str, message: MessageSeen, signal: SignalSeen) -> float:
-    """How well a signal fits a quantity; 0: not at all."""
+def _score(quantity: str, message: MessageSeen, signal: SignalSeen, rate_hz: float) -> float:
+    """How well a signal that comes at this rate fits a quantity; 0: not at all."""
     if not np.isfinite(signal.low):
         return 0.0
     hint = re.compile(_HINTS[quantity], re.IGNORECASE)
     named, message_named = hint.search(signal.bits.name) is not None, hint.search(message.name or "") is not None
     if quantity in IMPACT:
-        return _impact_score(quantity, message, signal, 1.0 * named + 0.5 * message_named)
+        return _impact_score(quantity, message, signal, rate_hz, 1.0 * named + 0.5 * message_named)
     if QUANTITIES[quantity].unit == "":
         return 2.0 if named and signal.bits.unit == "" and signal.bits.bits <= 8 else 0.0
-    return _slow_score(quantity, message.rate_hz or 0.0, signal, named, message_named)
+    return _slow_score(quantity, rate_hz, signal, named, message_named)
 
 
 def _valid(message: MessageSeen) -> str | None:
@@ -446,8 +447,8 @@ def _samples(message: MessageSeen, bits: SignalBits) -> int:
     return sum(other.name.rstrip("0123456789") == stem and other.unit == bits.unit for other in others)
 
 
-def _impact_score(quantity: str, message: MessageSeen, signal: SignalSeen, named: float) -> float:
-    bits, rate_hz = signal.bits, message.rate_hz or 0.0
+def _impact_score(quantity: str, message: MessageSeen, signal: SignalSeen, rate_hz: float, named: float) -> float:
+    bits = signal.bits
     if (
         rate_hz * _samples(message, bits) < _LEAST_OF_RATE * MIN_RATE_HZ
         or bits.bits < _LEAST_BITS
