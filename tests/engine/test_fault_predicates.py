@@ -93,6 +93,9 @@ CASES: dict[str, tuple[Callable[[], dict[FaultCode, str]], dict[FaultCode, str]]
     "too slow": (lambda: seen(harvest(speed_rad_s=nextafter(SLOWEST, 0.0))), {F.SPEED_OUT_OF_RANGE: "250 rpm"}),
     "hardly turning": (lambda: seen(harvest(speed_rad_s=TURNING)), {F.SPEED_OUT_OF_RANGE: "50 rpm"}),
     "standing": (lambda: seen(harvest(speed_rad_s=STANDING)), {}),
+    "standing, with grain for a while": (lambda: seen(replace(harvest(speed_rad_s=STANDING), struck_s=4)), {}),
+    "standing, with grain for longer": (
+        lambda: seen(replace(harvest(speed_rad_s=0.0), struck_s=5)), {F.SPEED_MISSING: "0 rpm, but grain strikes the plate"}),
     "too slow at an unknown speed": (
         lambda: seen(replace(harvest(speed_rad_s=TURNING), speed_known=False)), {F.SPEED_MISSING: ""}),
     "plate does not follow": (

@@ -14,6 +14,7 @@ from yieldmon.engine.sampling.windows import Window
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.sources import DEFAULT_SOURCES, QUANTITIES
 from yieldmon.frames import EstimateQuality, HeaderDown, WorkState
+from yieldmon.physics.machine import RPM
 
 SETTINGS = EngineSettings()
 GAIN_N_PER_MV = MACHINE.sensor.gain_n_per_mv
@@ -104,6 +105,26 @@ def test_a_sensor_is_stuck_that_stays_the_same_while_the_elevator_turns(turns: b
     assert counts == ([1, 2, 3, 4, 5, 6] if known else [0] * 6)
     assert machine.second(60.0, pulse_mv=90.0, **of).quality is (None if moves else NOT_AVAILABLE)
     assert machine.harvest().stuck_s == 0
+
+
+STRUCK: dict[str, tuple[float, dict[str, float], bool]] = {
+    # mean force N, what else the window has, whether grain strikes the plate of an elevator that is reported to stand
+    "pulses": (60.0, {"speed_rad_s": 0.0, "span_mv": 140.0}, True),
+    "slower than one that turns": (60.0, {"speed_rad_s": 49.0 * RPM, "span_mv": 140.0}, True),
+    "turning, too slow": (60.0, {"speed_rad_s": 51.0 * RPM, "span_mv": 140.0}, False),
+    "grain that lies on the plate": (60.0, {"speed_rad_s": 0.0, "span_mv": 10.0}, False),
+    "taps on an empty plate": (0.9 * SETTINGS.gate.certain_force_n, {"speed_rad_s": 0.0, "span_mv": 2000.0}, False),
+    "no sample": (nan, {"speed_rad_s": 0.0, "span_mv": 0.0, "covered_s": 0.0}, False),
+}
+
+
+@pytest.mark.parametrize("case", STRUCK)
+def test_grain_strikes_the_plate_of_an_elevator_that_is_reported_to_stand(case: str) -> None:
+    force_n, of, known = STRUCK[case]
+    machine = Seconds()
+    machine.harvest()
+    assert [machine.second(force_n, **of).struck_s for _ in range(3)] == ([1, 2, 3] if known else [0, 0, 0])
+    assert machine.harvest().struck_s == 0
 
 
 def test_a_stuck_sensor_gives_a_flow_until_it_counts_as_stuck() -> None:

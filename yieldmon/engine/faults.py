@@ -196,6 +196,18 @@ def _zero_missing(o: Observation) -> str | None:
     )
 
 
+_STRUCK_S = 5
+"""How long grain must strike the plate of an elevator that is reported to stand: longer than one takes to run down."""
+
+
+def _speed_missing(o: Observation) -> str | None:
+    if not o.reading.speed_known:
+        return ""
+    if o.reading.struck_s < _STRUCK_S:
+        return None
+    return f"{o.speed_rpm:.0f} rpm, but grain strikes the plate"
+
+
 REPORTED = None
 """The service around the engine sees the condition, see `health.FaultBook.report`."""
 
@@ -242,10 +254,10 @@ _TABLE = (
     ),
     FaultDefinition(
         _C.SPEED_MISSING, 520194, 9, _S, 1, 3,
-        "No usable elevator speed was received for ten of its periods.",
+        "No usable elevator speed was received for ten of its periods, or it reads 0 while grain strikes the plate.",
         "No flow is published and no mass is added.",
         "Check the speed sensor, its node, and the unit and scale in its mapping.",
-        lambda o: _if(not o.reading.speed_known),
+        _speed_missing,
     ),
     FaultDefinition(
         _C.SPEED_OUT_OF_RANGE, 520194, 1, _W, 2, 3,

@@ -27,6 +27,8 @@ _OTHER_SPEEDS = (("rad/s", 1.0 / RPM), ("turns a second", 60.0))
 """Units in which a speed may come that is taken for rpm, and rpm in each."""
 _ENOUGH = 0.8
 """Share of a second whose samples give an empty elevator's level, where some are lost all the time."""
+_PULSED = 0.5
+"""Range of a second's samples over their mean from which paddles strike the plate; grain that lies on it hardly moves."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +37,8 @@ class Reading:
 
     quality: why there is no flow, None where an estimate decides. force_n, force_std_dev_n: nan where not known. speed_rad_s: of
     the window, nan where no frame reported it; speed_known: at the window's end; in_range: at a speed at which grain is measured.
-    stuck_s: how long no sample has changed. still: the plate rested. sampled_before: the window before had samples.
+    stuck_s: how long no sample has changed. struck_s: how long grain has struck the plate although the elevator is reported to
+    stand. still: the plate rested. sampled_before: the window before had samples.
     windows_since_jump: closed since the bus's clock jumped. zero_taken: a zero was learnt with this window. zero_age_s: since the
     zero was last taken or followed, or since the start. zero_drift: what is wrong with it, "" for nothing.
     zero_refusal: why there is no first zero.
@@ -50,6 +53,7 @@ class Reading:
     speed_known: bool
     in_range: bool
     stuck_s: int
+    struck_s: int
     still: bool
     at_home: bool
     harvesting: bool
@@ -84,6 +88,7 @@ class Measurement:
         self._obstacle = ""
         """Why the last window could not be shown to the zero."""
         self._stuck_s = 0
+        self._struck_s = 0
         self._scatter = PaddleScatter(settings.windows)
         self._sampled = False
         self._jumps = 0
@@ -140,6 +145,7 @@ class Measurement:
         stuck = self._stuck_s >= settings.faults.stuck_windows
         idle_s = self._idle_s(inputs)
         quality, force, noise = self._gated(window, speed_was_known and not stuck, in_range, idle_s)
+        self._struck_s = self._struck_s + 1 if self._struck_at_rest(window, force) else 0
         self._last = (window, force) if window.samples else None
         self._tank.see(inputs)
         taken = self._follow_zero(window, inputs, inputs.speed_known and in_range and not stuck, still and at_home)
@@ -150,8 +156,8 @@ class Measurement:
         zero = self.zero
         zero_age_s = window.end_s - (zero.known_s if zero.known_s is not None else self._started_s)
         return _reading(
-            window, inputs, quality, force, noise, speed, inputs.speed_known, in_range, self._stuck_s, still, at_home,
-            self._gate.harvesting, zero.state, zero.drift, zero.calibrating, sampled_before, self._since_jump, taken,
+            window, inputs, quality, force, noise, speed, inputs.speed_known, in_range, self._stuck_s, self._struck_s, still,
+            at_home, self._gate.harvesting, zero.state, zero.drift, zero.calibrating, sampled_before, self._since_jump, taken,
             zero_age_s, zero.refusal,
         )  # fmt: skip
 
@@ -192,6 +198,13 @@ class Measurement:
             return noise
         share = max(aliasing_share(source, machine, window.speed_rad_s) for source in self._aliasing)
         return hypot(noise, share * force_n) if share > 0.0 else noise
+
+    def _struck_at_rest(self, window: Window, force_n: float) -> bool:
+        """Whether grain strikes the plate although the elevator is reported to stand."""
+        gate = self._settings.gate
+        if window.speed_rad_s > gate.min_turning_rpm * RPM or not force_n > gate.certain_force_n:
+            return False
+        return window.span_mv * self._machine.sensor.gain_n_per_mv > _PULSED * force_n
 
     def _idle_s(self, inputs: InputSnapshot) -> float:
         """How long header, work state or ground speed have said that no crop is taken in, s."""
