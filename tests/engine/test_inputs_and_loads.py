@@ -13,7 +13,7 @@ from yieldmon import frames as bus
 from yieldmon.engine.inputs import Inputs
 from yieldmon.engine.mass.loads import Loads
 from yieldmon.engine.mass.missed_mass import MissedMass
-from yieldmon.engine.mass.opening import Missing, Opening
+from yieldmon.engine.mass.silences import Missing, Silences
 from yieldmon.engine.mass.totals import Totals
 from yieldmon.engine.runs import run_of
 from yieldmon.engine.settings import EngineSettings, InputSettings, TotalsSettings
@@ -86,6 +86,7 @@ MISSING = {
     "waking": Missing.of(sampled=False, speed=30.0, zeroed=False),
     "unzeroed": Missing.of(sampled=True, speed=30.0, zeroed=False),
     "standing": Missing.of(sampled=True, speed=0.0, zeroed=False),
+    "at rest": None,
 }
 
 
@@ -104,17 +105,27 @@ MISSING = {
         (["silent", "available", "silent"], False),
         (["silent", "available", "waking"], False),
         (["unzeroed"] * 3 + ["waking", "available"], True),
-        (["unzeroed"] * 5, False),
+        (["unzeroed"] * 9 + ["waking", "available"], True),
+        (["unzeroed"] * 11, False),
         (["standing"] * 100 + ["unzeroed"] * 3 + ["waking", "available"], True),
         (["silent"] * 5 + ["unzeroed"] * 3 + ["waking", "available"], True),
         (["unzeroed"] * 3 + ["available", "waking"], False),
         (["available", "unzeroed"], False),
+        # The ignition is off, also until the load ends.
+        (["available", "at rest", *["silent"] * 3600], True),
+        (["available", "at rest", *["silent"] * 3600, "at rest", "available"], True),
+        (["available", "at rest", "waking", *["silent"] * 61, "waking", "waking", "at rest"], True),
+        (["at rest", *["silent"] * 3600, "available"], False),
+        (["at rest", *["silent"] * 60, "available", "available"], True),
+        (["at rest", *["silent"] * 5, *["waking"] * 4], False),
+        (["at rest", "available", "silent"], False),
+        (["at rest", *["silent"] * 5, "available", "silent"], False),
     ],
-    ids=str,
+    ids=lambda seconds: str(seconds)[:80],
 )
-def test_a_load_may_begin_before_its_sensors_send(seconds: list[str] | str, whole: bool) -> None:
-    opening, taken = Opening(), [seconds] if seconds == "available" else seconds
-    found = [opening.lacks_nothing(1.0, MISSING[second]) for second in taken]
+def test_a_load_may_lack_its_sensors_while_no_grain_comes(seconds: list[str] | str, whole: bool) -> None:
+    silences, taken = Silences(), [seconds] if seconds == "available" else seconds
+    found = [silences.lacks_nothing(1.0, MISSING[second], stands=second == "at rest") for second in taken]
     assert all(found) is whole
 
 

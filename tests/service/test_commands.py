@@ -106,9 +106,10 @@ STORED = StoredLoad(Load(1, "north", "corn", 99.0, 104.0, 50.0, 45.0), SECONDS, 
         ({}, replace(STORED, doubted=True), [1], "not every second of it was measured"),
         ({}, replace(STORED, seconds=SECONDS[:-1]), [1], "not every second of it was measured"),
         ({1: True}, replace(STORED, doubted=True), [], ""),
-        ({1: False}, STORED, [], "not every second of it was measured"),
+        ({1: False}, STORED, [1], ""),
+        ({1: False}, replace(STORED, seconds=SECONDS[:-1]), [1], "not every second of it was measured"),
     ],
-    ids=["earlier run", "doubted", "a second missing", "this run's own word counts", "this run did not see it whole"],
+    ids=["earlier run", "doubted", "a second missing", "this run's own word counts", "goes on in this run", "and lacks a second"],
 )
 def test_a_load_of_an_earlier_run_updates_as_the_store_has_it(
     measured_now: dict[int, bool], stored: StoredLoad, learnt: list[int], why: str

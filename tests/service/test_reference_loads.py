@@ -10,12 +10,14 @@ import pytest
 
 from tests.service.test_posting import MACHINE, known, rows
 from yieldmon.engine.mass.budget import MassBudget
+from yieldmon.engine.settings import EngineSettings
 from yieldmon.files import parameter_file
 from yieldmon.frames import EstimateQuality
 from yieldmon.service.history.reference_loads import StoredLoad, of_store, reference
 from yieldmon.service.storage.batch import Action, Load, ParameterVersion
 from yieldmon.service.storage.rows import SecondRow
 
+SETTINGS = replace(EngineSettings(), windows=replace(EngineSettings().windows, min_coverage=0.75))
 MASS_KG = 50.0
 LOAD = Load(number=4, field="", crop="", started_s=99.0, ended_s=104.0, mass_kg=MASS_KG, dry_mass_kg=40.0, area_m2=None)
 SECONDS = tuple(rows(4, 100.0))
@@ -25,12 +27,13 @@ SECONDS = tuple(rows(4, 100.0))
 def whole(changes: dict[int, dict[str, Any]] | None = None, doubted: bool = False, **of_load: Any) -> bool:
     seconds = tuple(replace(row, **(changes or {}).get(row.number, {})) for row in SECONDS)
     stored = StoredLoad(replace(LOAD, **of_load), seconds, {1: known()}, doubted)
-    return reference(stored, MACHINE, 0.75).summary.complete
+    return reference(stored, MACHINE, SETTINGS).summary.complete
 
 
 NOT_MEASURED = {"mass_flow_kg_s": None, "quality": int(EstimateQuality.NOT_AVAILABLE)}
 SILENT = NOT_MEASURED | {"coverage": 0.0, "elevator_speed_rpm": None, "mass_kg": 0.0}
 NOT_HARVESTING = {"mass_flow_kg_s": None, "quality": int(EstimateQuality.NOT_HARVESTING)}
+AT_REST = NOT_HARVESTING | {"elevator_speed_rpm": 0.0, "mass_kg": 0.0}
 
 
 @pytest.mark.parametrize(
@@ -61,6 +64,14 @@ NOT_HARVESTING = {"mass_flow_kg_s": None, "quality": int(EstimateQuality.NOT_HAR
         ({4: {"time_s": 103.25}, 5: {"time_s": 104.5}}, {}, True),
         ({4: {"time_s": 103.25}, 5: {"time_s": 104.75}}, {}, False),
         ({4: {"time_s": 102.5}, 5: {"time_s": 104.0}}, {}, True),
+        ({}, {"ended_s": 105.5}, True),
+        ({}, {"ended_s": 5000.0}, False),
+        ({5: AT_REST}, {"ended_s": 5000.0, "mass_kg": 0.8 * MASS_KG}, True),
+        # Computer and ignition were off, while the elevator stood.
+        ({3: AT_REST, 4: AT_REST | {"time_s": 4000.0}, 5: {"time_s": 4001.0}}, {"mass_kg": 0.6 * MASS_KG}, True),
+        ({3: AT_REST, 4: SILENT, 5: SILENT}, {"mass_kg": 0.4 * MASS_KG}, True),
+        ({3: AT_REST, 4: {"time_s": 4000.0}, 5: {"time_s": 4001.0}}, {"mass_kg": 0.8 * MASS_KG}, False),
+        ({4: AT_REST | {"time_s": 4000.0}, 5: {"time_s": 4001.0}}, {"mass_kg": 0.8 * MASS_KG}, False),
     ],
 )
 def test_a_whole_load_has_every_second(changes: dict[int, dict[str, Any]], of_load: dict[str, Any], expected: bool) -> None:
@@ -70,12 +81,14 @@ def test_a_whole_load_has_every_second(changes: dict[int, dict[str, Any]], of_lo
 
 
 def test_a_load_as_the_engine_takes_it() -> None:
-    found = reference(StoredLoad(LOAD, SECONDS, {1: known()}, False), MACHINE, 0.75)
+    found = reference(StoredLoad(LOAD, SECONDS, {1: known()}, False), MACHINE, SETTINGS)
     summary = found.summary
     assert (summary.number, summary.start_s, summary.end_s, summary.measured_kg) == (4, 99.0, 104.0, MASS_KG)
     assert (summary.dry_kg, summary.unknown_moisture_kg, found.versions) == (40.0, 0.0, {1})
     assert len(found.seconds) == 5
-    without = reference(StoredLoad(replace(LOAD, dry_mass_kg=None, started_s=None), SECONDS, {1: known()}, False), MACHINE, 0.75)
+    without = reference(
+        StoredLoad(replace(LOAD, dry_mass_kg=None, started_s=None), SECONDS, {1: known()}, False), MACHINE, SETTINGS
+    )
     assert (without.summary.dry_kg, without.summary.unknown_moisture_kg, without.summary.start_s) == (0.0, MASS_KG, 99.0)
 
 
@@ -155,7 +168,7 @@ def test_the_budget_is_the_seconds_noise_and_what_is_left(
     seconds = tuple(
         replace(row, noise_std_dev_kg_s=noise, load_std_dev_kg=whole_kg) for row, noise in zip(SECONDS, noises, strict=True)
     )
-    summary = reference(StoredLoad(LOAD, seconds, {1: known()}, False), MACHINE, 0.75).summary
+    summary = reference(StoredLoad(LOAD, seconds, {1: known()}, False), MACHINE, SETTINGS).summary
     if noise_kg2 is None or whole_kg is None:
         assert repr(summary.budget) == repr(type(summary.budget).unknown())
         return
@@ -171,7 +184,7 @@ def test_a_load_that_was_stored_with_its_budget_has_it_back() -> None:
     """However many loads ago it was: what sweeps may show of the parameters is not taken for the zero's error."""
     stated = MassBudget(noise_kg2=0.25, parameters_kg=3.5, zero_kg=0.2, moisture_kg=0.1, motion_kg=-0.05)
     load = replace(LOAD, std_dev_kg=stated.std_dev_kg, budget=stated)
-    summary = reference(StoredLoad(load, SECONDS, {1: known()}, False), MACHINE, 0.75).summary
+    summary = reference(StoredLoad(load, SECONDS, {1: known()}, False), MACHINE, SETTINGS).summary
     assert (summary.budget, summary.std_dev_kg) == (stated, stated.std_dev_kg)
 
 
@@ -183,7 +196,7 @@ def test_the_budget_of_seconds_of_another_length_goes_with_their_length() -> Non
             replace(row, noise_std_dev_kg_s=0.1, load_std_dev_kg=50.0, duration_s=duration_s, mass_kg=10.0 * duration_s)
             for row in SECONDS
         )
-        found = reference(StoredLoad(LOAD, seconds, {1: known()}, False), MACHINE, 0.75).summary.budget
+        found = reference(StoredLoad(LOAD, seconds, {1: known()}, False), MACHINE, SETTINGS).summary.budget
         return found.noise_kg2, found.parameters_kg
 
     (noise_kg2, parameters_kg), twice = budget(1.0), budget(2.0)

@@ -289,3 +289,24 @@ def test_a_ticket_after_a_night_says_as_much_of_its_day_as_one_at_once(tmp_path)
     assert set(next_day) == set(at_once) == {2, 3, 4, 5}
     assert next_day == pytest.approx(at_once, rel=3e-3)
     assert next_day[2] == pytest.approx(TRUE, rel=0.01)
+
+
+@pytest.mark.parametrize("rests", [True, False], ids=["elevator stands", "elevator runs"])
+def test_a_load_that_was_open_while_ignition_and_computer_were_off(tmp_path, rests: bool) -> None:
+    """It is complete if no grain can have come meanwhile, also if the next one begins before the first frame."""
+    with running(tmp_path) as bench:
+        bench.play(14, 0.0)
+        bench.play(20, 60.0)
+        bench.play(8, 0.0)
+        if rests:
+            bench.play(4, 0.0, speed_rpm=0.0)
+        bench.played()
+        number, began_s = bench.status["load"]["number"], bench.now_s + 40_000.0
+    with running(tmp_path, start_s=began_s) as bench:
+        ask(tmp_path, "load", "start")
+        bench.play(4, 0.0, speed_rpm=0.0 if rests else 400.0)
+        bench.played()
+        loads = {row["number"]: row for row in ask(tmp_path, "load", "list")["loads"]}
+        assert loads[number]["ended_s"] is not None
+        answer = ask(tmp_path, "ticket", str(number), f"{loads[number]['mass_kg']}kg")
+        assert answer["why_no_anchor"] == ("" if rests else "not every second of it was measured")

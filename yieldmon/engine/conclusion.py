@@ -13,7 +13,7 @@ from yieldmon.engine.flow_estimator import FlowEstimator
 from yieldmon.engine.health import conditions
 from yieldmon.engine.mass.load_summary import LoadEvents
 from yieldmon.engine.mass.missed_mass import NO_LOAD, MissedMass
-from yieldmon.engine.mass.opening import Missing
+from yieldmon.engine.mass.silences import Missing
 from yieldmon.engine.measurement import Reading
 from yieldmon.engine.parts import Parts
 from yieldmon.engine.publishing import Published

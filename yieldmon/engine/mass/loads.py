@@ -18,13 +18,14 @@ from yieldmon.engine.mass.budget import MassBudget
 from yieldmon.engine.mass.load_errors import Deviations, LoadErrors
 from yieldmon.engine.mass.load_summary import LoadClosed, LoadEvents, LoadOpened, LoadRestated, LoadSummary
 from yieldmon.engine.mass.missed_mass import NO_LOAD, MissedMass
-from yieldmon.engine.mass.opening import Missing, Opening
 from yieldmon.engine.mass.shared_error import ClosedLoadState
+from yieldmon.engine.mass.silences import Missing, Silences
 from yieldmon.engine.mass.totals import Totals, dry_mass
 from yieldmon.engine.sampling.windows import Window
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.estimation.self_calibration.angle_error import NO_ERROR, AngleError
 from yieldmon.frames import EstimateQuality
+from yieldmon.physics.machine import RPM
 
 _NAN = float("nan")
 _KEPT_LOADS = 256
@@ -43,7 +44,7 @@ class Loads:
         self._closed: deque[LoadSummary] = deque(maxlen=_KEPT_LOADS)
         self._start_s = _NAN
         self._complete = True
-        self._opening = Opening()
+        self._silences = Silences()
         self._errors = LoadErrors()
         self._before: dict[int, MassBudget] = {}
         """Of loads that closed in a run before."""
@@ -71,7 +72,7 @@ class Loads:
         closed = self._close(now_s)
         self.totals = self.totals.start_load()
         self._start_s = now_s
-        self._complete, self._opening = True, Opening()
+        self._complete, self._silences = True, Silences()
         return (*closed, LoadOpened(self._summary(_NAN)))
 
     def reset(self, now_s: float) -> LoadEvents:
@@ -80,7 +81,7 @@ class Loads:
         number = self.totals.load_number + 1
         self.totals = Totals(load_number=number, first_load=number, market_moisture_pct=self.totals.market_moisture_pct)
         self._start_s = now_s
-        self._complete, self._opening = True, Opening()
+        self._complete, self._silences = True, Silences()
         return (*closed, LoadOpened(self._summary(_NAN)))
 
     def stop(self, now_s: float) -> LoadEvents:
@@ -99,7 +100,8 @@ class Loads:
     ) -> float:
         """Add a window and its area to the totals; returns its mass, kg. missing: of the inputs, where there is no flow."""
         available = flow.measured or flow.quality is not EstimateQuality.NOT_AVAILABLE
-        if not self._opening.lacks_nothing(window.end_s - window.start_s, None if available else missing):
+        stands = window.speed_rad_s <= self._settings.gate.min_turning_rpm * RPM
+        if not self._silences.lacks_nothing(window.end_s - window.start_s, None if available else missing, stands=stands):
             self._complete = False
         if not flow.measured:
             self.totals = self.totals.with_area(area_m2, 0.0)
@@ -236,7 +238,7 @@ class Loads:
         self._errors.clear()
         self._before = {}
         self.totals = self._at_market(totals)
-        self._complete, self._opening = not (totals.load_open and totals.load_kg > 0.0), Opening()
+        self._complete, self._silences = not (totals.load_open and totals.load_kg > 0.0), Silences()
 
     def correct(self, missed: Mapping[int, MissedMass]) -> LoadEvents:
         """Mass that was missed, by load, joins its loads and, where it came since they were reset, the totals; closed loads are

@@ -123,7 +123,7 @@ class TicketBook:
             raise ValueError(f"ticket for load {load_number}: standard deviation {std_dev_kg} kg; expected above 0 kg")
         load = next((load for load in reversed(loads) if load.number == load_number), None)
         forces = self.forces.of(load_number)
-        if load is None and load_number in self._earlier:
+        if (load is None or not load.complete) and load_number in self._earlier:
             load, forces = self._earlier[load_number]
         if load is None:
             known = sorted(load.number for load in loads)
@@ -188,7 +188,7 @@ class TicketBook:
         return [ticket for ticket in tickets if ticket not in self._waiting]
 
     def know_load(self, load: LoadSummary, seconds: Iterable[KeptSecond]) -> None:
-        """A closed load that an earlier run measured, so that a ticket for it updates the parameters."""
+        """A closed load that an earlier run measured, or began to, so that a ticket for it updates the parameters."""
         sums = LoadForceSums()
         for second in seconds:
             sums.add(

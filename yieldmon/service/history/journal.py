@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
+from math import isfinite
 from typing import Any
 
 from yieldmon.documents.loads import ListedLoad
@@ -115,8 +116,13 @@ class Journal:
         for event in events:
             if isinstance(event, FaultEvent):
                 self._fault(event.code.value, event.detail, active=event.active)
-            elif isinstance(event, LoadOpened | LoadClosed):
+            elif isinstance(event, LoadOpened):
                 self.loads.measured(event.load, self.field, self.crop)
+            elif isinstance(event, LoadClosed):
+                # Before the first frame the bus has told no time.
+                known = isfinite(event.load.end_s)
+                load = event.load if known else replace(event.load, end_s=self.actions.now_s)
+                self.loads.measured(load, self.field, self.crop)
             elif isinstance(event, LoadRestated):
                 self.loads.restated(event.number, event.budget)
             elif isinstance(event, ParametersChanged):

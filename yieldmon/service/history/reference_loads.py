@@ -15,8 +15,9 @@ import numpy as np
 
 from yieldmon.engine.mass.budget import MassBudget
 from yieldmon.engine.mass.load_summary import LoadSummary
-from yieldmon.engine.mass.opening import Missing, Opening
+from yieldmon.engine.mass.silences import Missing, Silences
 from yieldmon.engine.sampling.since_zero import KeptSecond
+from yieldmon.engine.settings import EngineSettings
 from yieldmon.estimation.estimators import estimator_of
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import parameter_file
@@ -32,6 +33,8 @@ from yieldmon.service.storage.store import Store
 _MOST_LOADS = 64
 _GAP_S = 0.5
 """Time without a second that a whole load may have altogether."""
+_SECOND_UNDER_WAY_S = 2.0
+"""From the last second of a load to its end: the second in which it ends is of the next load."""
 _SAME_MASS = 1e-4
 """Relative difference of a load's mass from that of its seconds that is rounding."""
 
@@ -108,8 +111,8 @@ def _zero_doubted(seconds: Sequence[SecondRow], actions: Sequence[Action]) -> bo
     return any(first <= begun < last for begun, _ in spans)
 
 
-def reference(stored: StoredLoad, machine: Machine, min_coverage: float) -> ReferenceLoad:
-    """As the run that measured it knew it. min_coverage: of a window that counts whole."""
+def reference(stored: StoredLoad, machine: Machine, settings: EngineSettings) -> ReferenceLoad:
+    """As the run that measured it knew it."""
     load, seconds, budget = stored.load, stored.seconds, _budget(stored, machine)
     summary = LoadSummary(
         number=load.number,
@@ -118,7 +121,7 @@ def reference(stored: StoredLoad, machine: Machine, min_coverage: float) -> Refe
         measured_kg=load.mass_kg,
         dry_kg=load.dry_mass_kg or 0.0,
         unknown_moisture_kg=0.0 if load.dry_mass_kg is not None else load.mass_kg,
-        complete=not stored.doubted and _whole(load, seconds, min_coverage),
+        complete=not stored.doubted and _whole(load, seconds, settings),
         std_dev_kg=budget.std_dev_kg,
         budget=budget,
     )
@@ -126,26 +129,34 @@ def reference(stored: StoredLoad, machine: Machine, min_coverage: float) -> Refe
     return ReferenceLoad(summary, tuple(map(kept_second, seconds)), versions)
 
 
-def _whole(load: Load, seconds: Sequence[SecondRow], min_coverage: float) -> bool:
-    """Whether every second was measured: none missing, none without a flow for want of an input, none contested."""
+def _whole(load: Load, seconds: Sequence[SecondRow], settings: EngineSettings) -> bool:
+    """Whether every second was measured: none missing but in a pause, none without a flow for want of
+    an input, none contested."""
     counted_kg = sum(s.mass_kg for s in seconds)
     if not load.mass_kg > 0.0 or abs(counted_kg - load.mass_kg) > _SAME_MASS * load.mass_kg:
         return False
-    opening = Opening()
+    silences, first = Silences(), seconds[0]
+    end_s = first.time_s - first.duration_s
+    lost_s = 0.0 if load.started_s is None else max(0.0, end_s - load.started_s)
     for second in seconds:
+        gap_s = max(0.0, second.time_s - second.duration_s - end_s)
+        if gap_s <= _GAP_S:
+            lost_s += gap_s
+        elif not silences.lacks_nothing(gap_s, Missing.ALL):
+            return False
+        end_s = second.time_s
         measured = second.mass_flow_kg_s is not None
         available = measured or second.quality != EstimateQuality.NOT_AVAILABLE
         speed_rpm = nan if second.elevator_speed_rpm is None else second.elevator_speed_rpm
         missing = Missing.of(sampled=second.coverage > 0.0, speed=speed_rpm, zeroed=second.zero_mv is not None)
-        if not opening.lacks_nothing(second.duration_s, None if available else missing):
+        stands = speed_rpm <= settings.gate.min_turning_rpm
+        if not silences.lacks_nothing(second.duration_s, None if available else missing, stands=stands):
             return False
         counted = measured or (not available and second.mass_kg > 0.0)
-        if counted and (second.coverage < min_coverage or second.surplus_frames > 0):
+        if counted and (second.coverage < settings.windows.min_coverage or second.surplus_frames > 0):
             return False
-    begun = [seconds[0].time_s - seconds[0].duration_s if load.started_s is None else load.started_s]
-    ends = [*begun, *(s.time_s for s in seconds)]
-    gaps = (s.time_s - s.duration_s - end for s, end in zip(seconds, ends, strict=False))
-    return float(sum(max(gap, 0.0) for gap in gaps)) <= _GAP_S
+    unseen_s = 0.0 if load.ended_s is None else load.ended_s - end_s
+    return lost_s <= _GAP_S and (unseen_s <= _SECOND_UNDER_WAY_S or silences.lacks_nothing(unseen_s, Missing.ALL))
 
 
 def _budget(stored: StoredLoad, machine: Machine) -> MassBudget:

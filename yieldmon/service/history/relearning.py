@@ -268,12 +268,13 @@ def why_no_reference(covered: Sequence[Load], context: RequestContext, crop: str
     if other is not None:
         return f"a load of {other}; the parameters in use are those of {in_use}; `yieldmon calibrate --loads` learns from it"
     whole = {load.number: load.complete for load in monitor.loads}
-    earlier = {load.load.number: load for load in context.stored if load.load.number not in whole}
+    # Of a load that goes on over a restart only the store has every second.
+    earlier = {load.load.number: load for load in context.stored if not whole.get(load.load.number, False)}
     wanted = {load.number for load in covered}
     for number, load in earlier.items():
         if number not in wanted:
             continue
-        found = reference(load, monitor.machine, monitor.settings.windows.min_coverage)
+        found = reference(load, monitor.machine, monitor.settings)
         if min(found.versions, default=0) < journal.actions.history.calibrated_version:
             return f"load {number} was measured before the parameter file in use"
         monitor.know_load(found.summary, found.seconds)

@@ -36,7 +36,7 @@ def resume(monitor: Monitor, memory: Memory, origin: str, configured: ParameterS
         monitor.set_estimator(monitor.estimator, age_s, since_kg)
     monitor.remember_since_zero(memory.since_zero)
     for stored in memory.ticketed if origin == "store" else ():
-        found = reference(stored, monitor.machine, monitor.settings.windows.min_coverage)
+        found = reference(stored, monitor.machine, monitor.settings)
         monitor.know_load(found.summary, found.seconds)
     monitor.remember_tickets(memory.engine.tickets)
 

@@ -1,4 +1,5 @@
-"""How a load begins while the sensors' nodes still wake, and while no zero is known yet."""
+"""Silences of the sensors in which no grain comes: a load's begin, while their nodes still wake and no zero is known yet, and
+pauses."""
 
 from __future__ import annotations
 
@@ -7,8 +8,8 @@ from math import inf, isfinite
 
 _LONGEST_SILENCE_S, _LONGEST_WAKING_S = 60.0, 3.0
 """How long all sensors' nodes may be silent at a load's begin, and one of them after another: assumed, by no study."""
-_LONGEST_ZEROING_S = 4.5
-"""How long the elevator may turn at a load's begin until its first zero: three seconds that are seen to be empty, after one in
+_LONGEST_ZEROING_S = 10.0
+"""How long the elevator may turn at a load's begin until its first zero: three seconds that are seen to be empty, after those in
 which it gets up to speed."""
 
 
@@ -33,25 +34,36 @@ class Missing(Enum):
         return cls.ZERO if speed != 0.0 else cls.ZERO_STANDING
 
 
-class Opening:
-    """The seconds at a load's begin that are taken for time without grain: those in which no sensor sends yet, because its node
-    wakes later than the bus, the next few in which one does and the other not, and those of the first zero."""
+class Silences:
+    """The seconds of a load without sensors that are taken for time without grain.
+
+    These are those at its begin in which no sensor sends yet, because its node wakes later than the bus, the next few in which
+    one does and the other not, and those of the first zero; and a pause with the ignition off, of any length, if the elevator
+    stood before and stands after it.
+    """
 
     def __init__(self) -> None:
         self._silent_s = self._waking_s = self._zeroing_s = 0.0
+        self._stood = False
+        """Whether the elevator stood when the sensors were last there."""
 
-    def lacks_nothing(self, duration_s: float, missing: Missing | None) -> bool:
-        """Whether a further second leaves the load whole. missing: None where its inputs were there."""
+    def lacks_nothing(self, duration_s: float, missing: Missing | None, *, stands: bool = False) -> bool:
+        """Whether a further second, or time without one, leaves the load whole. missing: None where its inputs were there.
+        stands: whether the elevator stood in it."""
         if missing is None:
-            self._silent_s, self._zeroing_s = inf, 0.0
-            return True
+            ran_unseen = self._stood and not stands and self._silent_s > _LONGEST_SILENCE_S
+            self._silent_s, self._waking_s, self._zeroing_s = 0.0 if stands else inf, 0.0, 0.0
+            self._stood = stands
+            return not ran_unseen
         unzeroed = missing in (Missing.ZERO, Missing.ZERO_STANDING)
         if self._silent_s < inf and (unzeroed or self._zeroing_s > 0.0):
             # The second that ends with the zero has no flow either.
             self._zeroing_s += 0.0 if missing is Missing.ZERO_STANDING else duration_s
             return self._zeroing_s <= _LONGEST_ZEROING_S
-        if missing is Missing.ALL and self._waking_s == 0.0:
+        if missing is Missing.ALL and (self._stood or self._waking_s == 0.0):
             self._silent_s += duration_s
         else:
             self._waking_s += duration_s
-        return 0.0 < self._silent_s <= _LONGEST_SILENCE_S and self._waking_s <= _LONGEST_WAKING_S
+        if self._waking_s > _LONGEST_WAKING_S:
+            return False
+        return self._silent_s < inf if self._stood else 0.0 < self._silent_s <= _LONGEST_SILENCE_S
