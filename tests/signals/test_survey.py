@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import struct
 from math import hypot
 from pathlib import Path
@@ -206,6 +207,14 @@ OWN_NUMBERS = (
 )
 
 
+AMPLIFIER = (
+    HEAD
+    + "BO_ 512 Amplifier: 8 Node\n"
+    + "".join(f' SG_ CH{k + 1} : {16 * k}|16@1+ ({{scale}},0) [0|6553.5] "{{unit}}" Node\n' for k in range(4))
+)
+"""Four channels of one frame."""
+
+
 def words(*values: float) -> bytes:
     return b"".join(round(10.0 * value).to_bytes(2, "little") for value in values)
 
@@ -222,6 +231,24 @@ def written(folder: Path, dbc: str, frames: list[tuple[int, bytes]], capsys: pyt
     assert main(words) == 0
     capsys.readouterr()
     return (folder / "map.yaml").read_text()
+
+
+@pytest.mark.parametrize("unit", ["mV", ""])
+@pytest.mark.parametrize(
+    ("moves", "first", "found"),
+    [(60, "CH3", "CH3 moved most"), (10, "CH3", "all moved alike, so the first is a guess")],
+)
+def test_channels_of_one_frame_are_one_proposal(unit: str, moves: int, first: str, found: str, tmp_path, capsys) -> None:
+    """The one that moves most, and the others with their ranges, not four sensors one by one."""
+    frames = [(512, words(*(500.0 + k % 8, 500.0 + k % 9, 500.0 + k % moves, 500.0 + k % 7))) for k in range(600)]
+    text = written(tmp_path, AMPLIFIER.format(unit=unit, scale=0.1 if unit else 1), frames, capsys)
+    proposals = [line for line in text.splitlines() if "impact_voltage: {" in line]
+    assert len(proposals) == 1
+    assert f"message: Amplifier, signal: {first}, rate_hz: 100" in proposals[0]
+    (channels,) = [line for line in text.splitlines() if "# Channels of Amplifier: CH3 " in line]
+    assert re.findall(r"CH\d", channels.partition(";")[0]) == ["CH3", "CH2", "CH1", "CH4"]
+    assert channels.endswith(f"; {found}.")
+    assert "Strike the plate while recording: the channel that moves is the impact sensor's." in text
 
 
 @pytest.mark.parametrize(

@@ -27,6 +27,10 @@ _GUESSES = {
     _EXCITATION: "The scale is a guess: volts that feed the bridge.",
 }
 """Keys of an entry that the bus does not show -> what is said of them."""
+_STANDS_OUT = 1.5
+"""A channel that moves so many times as much as the next one is likelier the impact sensor's."""
+_MOST_CHANNELS = 8
+"""Of one frame that are named."""
 _MOST_NAMELESS = 6
 """So many frames without a DBC that may be an impact sensor's are named."""
 TELLING = ("manufacturer_code", "function", "function_instance", "ecu_instance", "identity_number")
@@ -50,7 +54,8 @@ def mapping_text(survey: Survey, paths: Mapping[str, str]) -> str:
         free = [c for c in candidates[quantity] if (c.message, c.signal) not in used]
         if not free:
             continue
-        entries = list(dict.fromkeys(entry for one in free for entry in _entries(one, paths, candidates)))[:4]
+        shown, channels = _by_frame(free)
+        entries = list(dict.fromkeys(entry for one in shown for entry in _entries(one, paths, candidates)))[:4]
         lines += [f"  # {said}" for key, said in _GUESSES.items() if any(key in entry for entry in entries)]
         if free[0].weak:
             how = "their rates" if quantity in IMPACT else "their units"
@@ -59,6 +64,7 @@ def mapping_text(survey: Survey, paths: Mapping[str, str]) -> str:
             used.update((free[0].message, signal) for signal in _samples(free[0], candidates))
             lines.append(f"  {quantity}: {entries.pop(0)}")
         lines += [f"  # or {quantity}: {entry}" for entry in entries]
+        lines += [f"  # {said}" for alike in channels for said in _which_channel(alike)]
     return "\n".join(lines if any(line[2:3] != "#" for line in lines[3:]) else [*lines[:2], "signals: {}", *lines[3:]]) + "\n"
 
 
@@ -87,6 +93,29 @@ def _samples(found: Candidate, candidates: Mapping[str, Sequence[Candidate]]) ->
         if parts is not None and same and parts[1] == numbered[1] and _overlap(found.span, other.span):
             alike[int(parts[2])] = other.signal
     return [alike[number] for number in sorted(alike)]
+
+
+def _by_frame(candidates: Sequence[Candidate]) -> tuple[list[Candidate], list[list[Candidate]]]:
+    """The candidates with one for each frame of numbered channels, that which fits best; and all channels of each such frame, the
+    likeliest first."""
+    frames: dict[tuple[object, ...], list[Candidate]] = {}
+    for one in candidates:
+        numbered = one.quantity in IMPACT and CHANNELS.fullmatch(one.signal) is not None
+        own = () if numbered else (one.signal, one.valid)
+        frames.setdefault((one.dbc, one.message, one.mux, one.source, one.node, one.unit, *own), []).append(one)
+    return [alike[0] for alike in frames.values()], [alike for alike in frames.values() if len(alike) > 1]
+
+
+def _which_channel(alike: Sequence[Candidate]) -> tuple[str, str]:
+    """What is said of the channels of one frame, of which one is the impact sensor's. alike: the likeliest first."""
+    ranges = ", ".join(f"{one.signal} {one.span[0]:.5g} to {one.span[1]:.5g}" for one in alike[:_MOST_CHANNELS])
+    first, second = (one.span[1] - one.span[0] for one in alike[:2])
+    found = f"{alike[0].signal} moved most" if first > _STANDS_OUT * second else "all moved alike, so the first is a guess"
+    unit = f" {alike[0].unit}" if alike[0].unit else ""
+    return (
+        f"Channels of {alike[0].message}: {ranges}{unit}; {found}.",
+        "Strike the plate while recording: the channel that moves is the impact sensor's.",
+    )
 
 
 def _overlap(one: tuple[float, float], other: tuple[float, float]) -> bool:

@@ -462,11 +462,11 @@ def _impact_score(quantity: str, message: MessageSeen, signal: SignalSeen, rate_
         quantity == "impact_force" and force_unit(bits.unit) is not None and _is_gauge(f"{message.name} {bits.name}", rate_hz)
     )
     plain = bits.unit == "" and quantity == "impact_voltage" and named > 0.0
-    bare = bits.unit in BARE and quantity == "impact_voltage" and bits.bits >= _LEAST_BITS_OF_A_NUMBER
-    if bare and not plain and rate_hz >= FAST_HZ and is_makers_own(message.group) and signal.high > signal.low:
-        return _WEAK
     # Grain makes an impact sensor's signal move more than any other.
     moves = (signal.high - signal.low) / max(abs(signal.high), abs(signal.low), 1e-9)
+    bare = bits.unit in BARE and quantity == "impact_voltage" and bits.bits >= _LEAST_BITS_OF_A_NUMBER
+    if bare and not plain and rate_hz >= FAST_HZ and is_makers_own(message.group) and signal.high > signal.low:
+        return _WEAK * (0.9 + 0.1 * min(moves, 1.0))
     return 2.0 * fits + named + 0.25 * (moves > 0.0) + 0.01 * moves + rate_hz * 1e-6 if fits or plain else 0.0
 
 
