@@ -158,6 +158,18 @@ def test_report_names_logs_with_the_samples_of_another_at_other_times(tmp_path: 
     assert (none, other) == (pytest.approx(0.0, abs=1e-9), pytest.approx(once, rel=0.15))
 
 
+def test_report_names_a_ticket_of_which_nothing_was_measured(tmp_path: Path) -> None:
+    """As where all of its log repeats one before it; to the errors it counts as a loss of all."""
+    day = tmp_path / "tree" / "m" / "2026-10-01"
+    logs.write(day / "a.log")
+    (day / "b.log").write_text("".join(logs.text().splitlines(keepends=True)[2000:]))
+    (day / "tickets.csv").write_text("load,weighed_kg\na.log,20\nb.log,20\n")
+    assert measure(tmp_path / "tree", str(tmp_path / "out")) == 0
+    said = [item["problem"] for item in summarise(str(tmp_path / "out"))["doubtful"]]
+    assert "the ticket of b.log weighs 20 kg, and nothing was measured" in said
+    assert not any("a.log weighs" in text for text in said)
+
+
 def test_report_names_days_without_a_zero(tmp_path: Path) -> None:
     source, out = tmp_path / "tree", str(tmp_path / "out")
     lines = logs.text(60.0).splitlines(keepends=True)

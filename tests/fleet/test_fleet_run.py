@@ -157,6 +157,47 @@ def test_loads_and_tickets(tmp_path: Path) -> None:
     assert [name for name, _ in json.loads(known["logs"])] == ["a.log", "b.log.gz", "c.log"]
 
 
+def test_logs_that_are_called_the_same_in_folders_that_are_too_stay_apart(tmp_path: Path) -> None:
+    """Two cards of one recorder, say: mass and tickets of each log are its own."""
+    for place, (mv, card) in enumerate(((60.0, "left"), (90.0, "right"))):
+        logs.write(tmp_path / card / "can0" / "0001.log", mv, logs.START_S + 100.0 * place)
+    (tmp_path / "tickets.csv").write_text("load,weighed_kg\n1,24\nright/can0/0001.log,36\n0001.log,30\n")
+    table = tmp_path / "fleet.csv"
+    rows = (f"m,d,{card}/can0/0001.log,tickets.csv" for card in ("left", "right"))
+    table.write_text("\n".join(["machine,day,log,tickets", *rows]) + "\n")
+    outcome: Outcome = work(tasks(table, tmp_path / "out")[0])
+    assert [item.problem for item in outcome.poisoned] == ["tickets.csv: line 4, load: no log that was measured is 0001.log"]
+    rows_of = pq.ParquetFile(tmp_path / "out" / "machine=m" / "day=d" / "loads.parquet").read().to_pylist()
+    kg = {row["name"]: row["measured_kg"] for row in rows_of if row["kind"] == "log"}
+    assert [*kg] == ["left/can0/0001.log", "right/can0/0001.log"]
+    tickets = {row["weighed_kg"]: row["measured_kg"] for row in rows_of if row["kind"] == "ticket"}
+    assert tickets == {24.0: kg["left/can0/0001.log"], 36.0: kg["right/can0/0001.log"]}
+    assert kg["left/can0/0001.log"] < 0.8 * kg["right/can0/0001.log"]
+
+
+def test_a_ticket_is_one_of_the_machine_and_day_that_it_is_for(tmp_path: Path) -> None:
+    """One table for all, as a truck scale writes it: another machine's first load is not this one's, and neither is that of
+    another day."""
+    rows = ["machine,day,log,tickets"]
+    for place, (machine, day) in enumerate((("a", "1"), ("b", "1"), ("c", "1"), ("c", "2"))):
+        logs.write(tmp_path / f"{machine}{day}.log", 60.0, logs.START_S + 86400.0 * place)
+        rows.append(f"{machine},{day},{machine}{day}.log,tickets.csv")
+    (tmp_path / "fleet.csv").write_text("\n".join(rows) + "\n")
+    (tmp_path / "tickets.csv").write_text("load,weighed_kg,machine\n1,20,a\n1,25,c\nc2,30,c\n1,35,B\n1,40,\n")
+    found = {}
+    for task in tasks(tmp_path / "fleet.csv", tmp_path / "out"):
+        outcome: Outcome = work(task)
+        of_day = pq.ParquetFile(tmp_path / "out" / task.partition.name / "loads.parquet").read().to_pylist()
+        weighed = [row["weighed_kg"] for row in of_day if row["kind"] == "ticket"]
+        said = {item.problem.partition(", load: ")[0].rpartition(" ")[2]: item.problem for item in outcome.poisoned}
+        found[task.partition.machine + task.partition.day] = weighed, sorted(said)
+        assert said["5"] == "tickets.csv: line 5, load: is of the machine 'B'; expected a or b or c"
+        assert "line 6, load: load 1 is one in each of the 4 days that this table is for; expected the name of" in said["6"]
+    assert found == {
+        "a1": ([20.0], ["5", "6"]), "b1": ([], ["5", "6"]), "c1": ([], ["3", "4", "5", "6"]), "c2": ([30.0], ["3", "5", "6"]),
+    }  # fmt: skip
+
+
 def test_two_whole_tickets_for_the_same_logs_leave_out_these_two_alone(tmp_path: Path) -> None:
     day = tmp_path / "tree" / "m" / "1"
     for place, (mv, name) in enumerate(((60.0, "a.log"), (80.0, "b.log"))):

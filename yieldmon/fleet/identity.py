@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -64,9 +65,10 @@ def parameters_sha256(configured: Configuration) -> str:
     })  # fmt: skip
 
 
-def inputs_sha256(logs: list[tuple[str, str]], tickets_sha256: str, crop: str) -> str:
-    """Of the logs (name, SHA-256 of the content), in their order, the tickets and the crop."""
-    return _digest({"logs": logs, "tickets": tickets_sha256, "crop": crop})
+def inputs_sha256(logs: list[tuple[str, str]], tickets_sha256: str, crop: str, sharing: Sequence[tuple[str, str]] = ()) -> str:
+    """Of the logs (name, SHA-256 of the content), in their order, the tickets, the crop, and the days that share the tickets."""
+    shared = {"sharing": list(sharing)} if sharing else {}
+    return _digest({"logs": logs, "tickets": tickets_sha256, "crop": crop, **shared})
 
 
 def _digest(content: Any) -> str:

@@ -15,7 +15,7 @@ import stat
 import unicodedata
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -54,7 +54,8 @@ class Partition:
     """One machine's logs of one day, by name or as the manifest lists them.
 
     Paths or fsspec addresses; config, tickets: "" for none. crop: "" where the parameters say it. copies: of the logs those that
-    repeat another one of the machine, with that one.
+    repeat another one of the machine, with that one. sharing: machine and day of all partitions that have this table of
+    tickets, if several do.
     """
 
     machine: str
@@ -64,6 +65,7 @@ class Partition:
     tickets: str = ""
     crop: str = ""
     copies: tuple[tuple[str, str], ...] = ()
+    sharing: tuple[tuple[str, str], ...] = ()
 
     @property
     def name(self) -> str:
@@ -132,9 +134,13 @@ def _of_table(source: str) -> Manifest:
     if not logs:
         raise refused[0] if refused else InputError(source, "has no row", "a row for each log")
     found = []
+    with_tickets: dict[str, list[tuple[str, str]]] = {}
     for key in sorted(logs):
         config, tickets = (_beside(source, name) if name else "" for name in others[key][:2])
         found.append(Partition(*key, tuple(logs[key]), config, tickets, others[key][2]))
+        with_tickets.setdefault(tickets, []).append(key)
+    shared = {tickets: tuple(keys) for tickets, keys in with_tickets.items() if tickets and len(keys) > 1}
+    found = [replace(each, sharing=shared.get(each.tickets, ())) for each in found]
     return Manifest(tuple(found), refused=tuple(refused))
 
 

@@ -31,7 +31,9 @@ from yieldmon.files.ticket_parts import with_parts_added
 from yieldmon.finite import finite
 from yieldmon.fleet import tables
 from yieldmon.fleet.identity import Identity
+from yieldmon.fleet.manifest import Partition
 from yieldmon.fleet.overlaps import within
+from yieldmon.fleet.own_tickets import own_tickets
 from yieldmon.service.config.configuration import Configuration
 from yieldmon.service.logs import log_record
 from yieldmon.service.logs.bulk_processing import EndOfLog, Stretch
@@ -141,7 +143,7 @@ class _Taken:
 
 
 def measure(
-    logs: Sequence[str], tickets: str, crop: str, configured: Configuration, folder: Path, names: Mapping[str, str]
+    logs: Sequence[str], tickets: str, partition: Partition, configured: Configuration, folder: Path, names: Mapping[str, str]
 ) -> Measured:
     """Measure a partition and write all its tables but the provenance.
 
@@ -152,8 +154,8 @@ def measure(
         in the result.
     tickets : str
         Path of a table of tickets, "" for none. A number means the log in that place of `names`; a name the log of that name.
-    crop : str
-        "" for that of the parameters.
+    partition : Partition
+        What is known of it beside its files; no crop: that of the parameters.
     configured : Configuration
     folder : Path
         Where the tables are written.
@@ -186,14 +188,14 @@ def measure(
             usable = [log for log in usable if log not in faulty]
             poisoned += [Poisoned(names[log], by_name(str(problem), names)) for log, problem in faulty.items()]
     rows = _log_rows(taken, names)
-    covered, unmatched = _ticket_rows(rows, tickets, list(names.values()), taken.rows)
+    covered, unmatched = _ticket_rows(rows, tickets, list(names.values()), taken.rows, partition)
     tables.write(tables.LOADS, [*_load_rows(monitor), *rows, *covered], folder / "loads.parquet")
     start_s = taken.rows[0][0] if taken.rows else float("nan")
     first = _parameter_rows(configured.parameters, start_s, "file", "as configured")
     tables.write(tables.PARAMETERS, [*first, *taken.parameters], folder / "parameters.parquet")
     tables.write(tables.SWEEPS, taken.sweeps, folder / "sweeps.parquet")
     tables.write(tables.FAULTS, taken.faults, folder / "faults.parquet")
-    crop = crop or configured.parameters.provenance.get("crop", "")
+    crop = partition.crop or configured.parameters.provenance.get("crop", "")
     crop = shipped_name(crop) or crop
     document["damages"] = [by_name(text, names) for text in [*document["damages"], *_without_ours(taken)]]
     samples = {names[span.log]: span.samples for span in taken.spans if span.log and span.samples}
@@ -296,7 +298,11 @@ def _load_rows(monitor: Monitor) -> list[dict[str, Any]]:
 
 
 def _ticket_rows(
-    logs: Sequence[dict[str, Any]], path: str, given: Sequence[str], seconds: Sequence[tuple[float, float, float]]
+    logs: Sequence[dict[str, Any]],
+    path: str,
+    given: Sequence[str],
+    seconds: Sequence[tuple[float, float, float]],
+    partition: Partition,
 ) -> tuple[list[dict[str, Any]], list[Poisoned]]:
     """Rows of what tickets cover, and tickets that nothing fits. given: all logs of the partition, in order; seconds:
     end, duration and mass of each."""
@@ -304,13 +310,14 @@ def _ticket_rows(
         return [], []
     called = {path: Path(path).name}
     try:
-        found = ticket_file.load(path)
+        found, others = own_tickets(ticket_file.load(path), partition.machine, partition.sharing)
     except InputError as error:
         if of_the_computer(error) is not None:
             raise
         return [], [Poisoned(called[path], by_name(str(error), called))]
     rows_of = {row["name"]: row for row in logs}
     rows, (matched, unmatched) = [], _one_for_each(found, given, called)
+    unmatched += [Poisoned(by_name(error.where, called), by_name(str(error), called)) for error in others]
     for ticket, wanted in matched:
         covered = sorted((rows_of[name] for name in wanted if name in rows_of), key=lambda row: int(row["first_number"]))
         name = ticket.name
@@ -369,6 +376,9 @@ def _covered(ticket: WeighedTicket, given: Sequence[str]) -> Sequence[str]:
         first, last = int(ticket.first), int(ticket.last)
         return given[first - 1 : last] if 1 <= first <= last <= len(given) else ()
     found = [name for name in given if ticket_file.names_log(ticket.first, name)]
+    if len(found) > 1:
+        # Called the same, in folders.
+        found = [name for name in found if name == ticket.first]
     return found if len(found) == 1 else ()
 
 

@@ -267,13 +267,13 @@ def _errors(rows: Rows) -> TicketErrors:
 
 
 def _unlike_tickets(tickets: Rows) -> list[DayProblem]:
-    """Tickets that none of the machine's others bears out."""
+    """Tickets that none of the machine's others bears out, and those of loads of which nothing was measured."""
     found: list[DayProblem] = []
     for rows in _by_machine(tickets).values():
         ratios = np.array([row["measured_kg"] / row["weighed_kg"] for row in rows])
         with np.errstate(divide="ignore"):
-            unlike = unlike_the_others(np.log(ratios))
-        usual = float(np.median(ratios[~unlike]))
+            unlike = unlike_the_others(np.log(ratios)) | (ratios <= 0.0)
+        usual = float(np.median(ratios[~unlike])) if not unlike.all() else 1.0
         for row, ratio in zip(itertools.compress(rows, unlike), ratios[unlike], strict=True):
             weighed_kg = row["weighed_kg"]
             nothing = f"weighs {weighed_kg:.0f} kg, and nothing was measured"

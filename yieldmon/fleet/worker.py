@@ -161,6 +161,7 @@ def _inputs(task: Task, dataset: Dataset) -> Iterator[_Inputs]:
             [(name, state if isinstance(state, str) else _UNREADABLE) for name, state in states],
             digests.of_file(tickets) if tickets else "",
             partition.crop,
+            partition.sharing,
         )
         identity = Identity(task.software, task.parameters_sha256, inputs)
         usable = [path for path in logs if names[path] in measurable]
@@ -196,7 +197,7 @@ def _measured(task: Task, dataset: Dataset) -> Outcome:
         output = inputs.folder / "output"
         output.mkdir()
         try:
-            measured = measure(inputs.usable, inputs.tickets, partition.crop, task.configured, output, names)
+            measured = measure(inputs.usable, inputs.tickets, partition, task.configured, output, names)
         except InputError as error:
             if inputs.changed():
                 return _still_written(task, dataset, inputs)
@@ -243,7 +244,10 @@ def _state(log: str) -> str | InputError:
 
 
 def _names(logs: tuple[str, ...]) -> list[str]:
-    """The logs' own names; with their folder where two are called the same."""
+    """The logs' own names; with as many of the folders above as tell those apart that are called the same."""
+    depth = 1
     names = [Path(log).name for log in logs]
-    twice = set(repeated(names))
-    return [f"{Path(log).parent.name}/{name}" if name in twice else name for log, name in zip(logs, names, strict=True)]
+    while twice := {*repeated(names)}:
+        depth += 1
+        names = ["/".join(log.split("/")[-depth:]) if name in twice else name for log, name in zip(logs, names, strict=True)]
+    return names
