@@ -70,7 +70,7 @@ def test_a_ticket_for_several_loads_is_shared_out_by_mass_and_its_uncertainty_by
     monitor = Told({1: True, 2: True})
     answer = ask(monitor, first_load=1, last_load=2, mass_kg=4400.0, std_dev_kg=20.0)
     assert answer["factor"] == pytest.approx(1.1)
-    assert answer["anchor"] is True
+    assert answer["is_reference"] is True
     assert monitor.tickets == [(1, pytest.approx(3300.0), pytest.approx(20.0 * 0.75**0.5)), (2, pytest.approx(1100.0), 10.0)]
     assert sum(sd**2 for _, _, sd in monitor.tickets) == pytest.approx(20.0**2)
 
@@ -79,7 +79,7 @@ def test_a_ticket_for_several_loads_is_shared_out_by_mass_and_its_uncertainty_by
 def test_a_ticket_that_cannot_update_says_so(complete: dict[int, bool]) -> None:
     monitor = Told(complete)
     answer = ask(monitor, first_load=1, last_load=2, mass_kg=4400.0)
-    assert (answer["anchor"], answer["why_no_anchor"]) == (False, "not every second of it was measured")
+    assert (answer["is_reference"], answer["why_no_reference"]) == (False, "not every second of it was measured")
     assert answer["factor"] == pytest.approx(1.1)
     assert monitor.tickets == []
 
@@ -91,8 +91,8 @@ def test_a_ticket_in_another_unit_is_kept_and_updates_nothing(mass_kg: float, up
     monitor = Told({1: True})
     answer = ask(monitor, first_load=1, mass_kg=mass_kg)
     assert answer["factor"] == pytest.approx(mass_kg / 3000.0)
-    assert (answer["anchor"], len(monitor.tickets)) == (updates, int(updates))
-    assert updates or answer["why_no_anchor"] == f"weighs {mass_kg:.5g} kg, where 3000 kg were measured"
+    assert (answer["is_reference"], len(monitor.tickets)) == (updates, int(updates))
+    assert updates or answer["why_no_reference"] == f"weighs {mass_kg:.5g} kg, where 3000 kg were measured"
 
 
 SECONDS = tuple(rows(1, 100.0))
@@ -119,7 +119,7 @@ def test_a_load_of_an_earlier_run_updates_as_the_store_has_it(
     monitor.know_load = lambda summary, seconds: got_to_know.append(summary.number)
     log = Journal(Memory(loads=(stored.load,)), parameter_file.load(), now_s=0.0)
     answer = commands.execute({"command": "ticket", "first_load": 1, "mass_kg": 51.0}, monitor, log, 1.7e9, [stored])
-    assert (got_to_know, answer["why_no_anchor"], answer["anchor"]) == (learnt, why, not why)
+    assert (got_to_know, answer["why_no_reference"], answer["is_reference"]) == (learnt, why, not why)
     assert [number for number, _, _ in monitor.tickets] == [1] * (not why)
 
 
@@ -129,7 +129,7 @@ def test_a_ticket_for_another_crop_than_the_one_in_use_waits_for_its_return() ->
     known.name_load(None, "wheat")
     request = {"command": "ticket", "first_load": 1, "mass_kg": 3100.0}
     answer = commands.execute(request, monitor, known, 1.7e9)
-    assert (answer["anchor"], answer["waits_for_crop"], answer["why_no_anchor"]) == (True, "corn", "")
+    assert (answer["is_reference"], answer["waits_for_crop"], answer["why_no_reference"]) == (True, "corn", "")
     assert (monitor.tickets, monitor.for_crops) == ([(1, 3100.0, pytest.approx(15.5))], ["corn"])
     assert (known.actions.waiting, known.actions.unfinished_of_crop) == ((), {"corn": (1,)})
 
@@ -139,8 +139,8 @@ def test_a_ticket_for_loads_of_two_crops_updates_none_of_them() -> None:
     known = journal()
     known.loads.named(2, None, "wheat")
     answer = commands.execute({"command": "ticket", "first_load": 1, "last_load": 2, "mass_kg": 4100.0}, monitor, known, 1.7e9)
-    assert (answer["anchor"], monitor.tickets, answer["factor"]) == (False, [], pytest.approx(1.025))
-    assert answer["why_no_anchor"].startswith(
+    assert (answer["is_reference"], monitor.tickets, answer["factor"]) == (False, [], pytest.approx(1.025))
+    assert answer["why_no_reference"].startswith(
         "loads of corn and wheat on one ticket update the parameters of none; `yieldmon load correct`"
     )
 
@@ -151,8 +151,8 @@ def test_a_ticket_of_another_crop_under_a_curve_updates_nothing() -> None:
     known = journal()
     known.name_load(None, "wheat")
     answer = commands.execute({"command": "ticket", "first_load": 1, "mass_kg": 3100.0}, monitor, known, 1.7e9)
-    assert (answer["anchor"], answer["waits_for_crop"], monitor.tickets) == (False, "", [])
-    assert answer["why_no_anchor"].startswith("a load of corn; the parameters in use are those of wheat")
+    assert (answer["is_reference"], answer["waits_for_crop"], monitor.tickets) == (False, "", [])
+    assert answer["why_no_reference"].startswith("a load of corn; the parameters in use are those of wheat")
 
 
 def test_the_newest_ticket_of_a_load_counts() -> None:
@@ -275,7 +275,7 @@ def test_a_load_of_unknown_moisture_has_no_dry_mass(unknown_kg: float, dry_kg: f
     ],
 )
 def test_an_unlikely_mass_is_asked_about(words, factor, said, warned, monkeypatch, capsys):
-    answer = {"factor": factor, "measured_mass_kg": 1.0, "weighed_mass_kg": factor, "anchor": True, "why_no_anchor": ""}
+    answer = {"factor": factor, "measured_mass_kg": 1.0, "weighed_mass_kg": factor, "is_reference": True, "why_no_reference": ""}
     monkeypatch.setattr(ticket, "ask_daemon", lambda args, request: answer)
     assert main(["ticket", *words]) == 0
     out, err = capsys.readouterr()
@@ -288,7 +288,9 @@ def test_what_tickets_before_made_of_a_load_is_what_its_mass_is_held_against(mon
     """On a machine that was 50 % off every right ticket was called a slip, the last as the first."""
     for known_kg, warned in ((1.0, True), (0.52, False)):
         answer = {"factor": 0.5, "measured_mass_kg": 1.0, "known_mass_kg": known_kg, "weighed_mass_kg": 0.5}
-        monkeypatch.setattr(ticket, "ask_daemon", lambda args, request, a=answer: {**a, "anchor": True, "why_no_anchor": ""})
+        monkeypatch.setattr(
+            ticket, "ask_daemon", lambda args, request, a=answer: {**a, "is_reference": True, "why_no_reference": ""}
+        )
         assert main(["ticket", "7", "0.5kg"]) == 0
         assert bool(capsys.readouterr().err) is warned
 
@@ -305,7 +307,14 @@ def test_what_tickets_before_made_of_a_load_is_what_its_mass_is_held_against(mon
     ],
 )
 def test_a_mass_without_its_unit_is_refused_where_pounds_are_shown(words, units, refused, monkeypatch, capsys):
-    answer = {"factor": 1.0, "measured_mass_kg": 1.0, "weighed_mass_kg": 1.0, "anchor": True, "why_no_anchor": "", "units": units}
+    answer = {
+        "factor": 1.0,
+        "measured_mass_kg": 1.0,
+        "weighed_mass_kg": 1.0,
+        "is_reference": True,
+        "why_no_reference": "",
+        "units": units,
+    }
     asked = []
     monkeypatch.setattr(ticket, "ask_daemon", lambda args, request: asked.append(request["command"]) or answer)
     assert main(["ticket", "7", *words]) == (2 if refused else 0)
@@ -333,7 +342,14 @@ def test_a_mass_without_its_unit_is_refused_where_pounds_are_shown(words, units,
     ],
 )
 def test_a_mass_is_taken_in_its_unit(text, kg, monkeypatch, capsys):
-    answer = {"factor": 1.0, "measured_mass_kg": 1.0, "weighed_mass_kg": 1.0, "anchor": True, "why_no_anchor": "", "units": "us"}
+    answer = {
+        "factor": 1.0,
+        "measured_mass_kg": 1.0,
+        "weighed_mass_kg": 1.0,
+        "is_reference": True,
+        "why_no_reference": "",
+        "units": "us",
+    }
     asked = []
     monkeypatch.setattr(ticket, "ask_daemon", lambda args, request: asked.append(request) or answer)
     assert main(["ticket", "7", *text.split(" ")]) == 0
@@ -360,7 +376,14 @@ def test_a_point_may_part_thousands_where_that_is_nearer_to_what_was_measured(
     """A German slip's 9.120 kg was 9.12 kg."""
     masses_kg = {6: 4e5, 7: measured_kg / 3, 8: measured_kg * 2 / 3, 9: 1.0}
     loads = [{"number": number, "mass_kg": kg} for number, kg in masses_kg.items()]
-    answer = {"factor": 1.0, "measured_mass_kg": 1.0, "weighed_mass_kg": 1.0, "anchor": True, "why_no_anchor": "", "loads": loads}
+    answer = {
+        "factor": 1.0,
+        "measured_mass_kg": 1.0,
+        "weighed_mass_kg": 1.0,
+        "is_reference": True,
+        "why_no_reference": "",
+        "loads": loads,
+    }
     asked = []
     monkeypatch.setattr(ticket, "ask_daemon", lambda args, request: asked.append(request["command"]) or answer)
     words = [text] if option == "MASS" else ["5t", "--other", text]

@@ -508,11 +508,11 @@ def test_loads_tickets_and_names(tmp_path, capsys):
         weighed = 1.02 * (loads[0]["mass_kg"] + loads[1]["mass_kg"])
         ticket = ask(tmp_path, capsys, "ticket", "1-2", f"{weighed}kg", "--note", "elevator 3")
         assert ticket["factor"] == pytest.approx(1.02)
-        assert ticket["anchor"] is False, "load 1 began in grain, before there was a zero"
+        assert ticket["is_reference"] is False, "load 1 began in grain, before there was a zero"
         first = ask(tmp_path, capsys, "load", "list")["loads"][0]
         assert first["corrected_mass_kg"] == pytest.approx(1.02 * loads[0]["mass_kg"])
         second = ask(tmp_path, capsys, "ticket", "2", f"{1.02 * loads[1]['mass_kg']}kg")
-        assert (second["anchor"], second["without_ticket"]) == (True, [1])
+        assert (second["is_reference"], second["without_ticket"]) == (True, [1])
         assert [anchor.load_number for anchor in bench.daemon.monitor.anchors] == [2]
         after = ask(tmp_path, capsys, "load", "list")["loads"]
         assert [load["mass_kg"] for load in after] == [load["mass_kg"] for load in loads]
@@ -525,7 +525,7 @@ def test_loads_tickets_and_names(tmp_path, capsys):
         assert bench.status["total"]["mass_kg"] == pytest.approx(total_before)
         assert bench.status["load"]["open"] is False
         again = ask(tmp_path, capsys, "ticket", "1", "50kg")
-        assert (again["anchor"], again["why_no_anchor"]) == (False, "not every second of it was measured")
+        assert (again["is_reference"], again["why_no_reference"]) == (False, "not every second of it was measured")
     with Store(tmp_path / "yieldmon.sqlite") as store:
         assert [ticket.note for ticket in store.tickets()] == ["elevator 3", "", ""]
         rows = store.corrected_loads()

@@ -60,7 +60,7 @@ def test_an_undo_reaches_the_open_load_once_it_is_closed(tmp_path, plain: float,
         season.harvest(bench)
         ask(season.folder, "load", "start")
         harvest_on(bench, 4)
-        assert season_ticket(season, 5, factor)["anchor"]
+        assert season_ticket(season, 5, factor)["is_reference"]
         harvest_on(bench, 12)
         assert "moved the scale by" in bench.status["sweep"]["last_update"]
         assert ask(season.folder, "ticket", "undo", "1")["undone"] == 2
@@ -90,7 +90,7 @@ def test_what_a_ticket_changes_reaches_the_open_load_once_it_is_closed(tmp_path,
         season.harvest(bench)
         ask(season.folder, "load", "start")
         harvest_on(bench, 16)
-        assert season_ticket(season, 5, TRUE)["anchor"]
+        assert season_ticket(season, 5, TRUE)["is_reference"]
         harvest_on(bench, 4)
         found = closed(season, bench)
         assert found["corrected_mass_kg"] == pytest.approx(TRUE * plain, rel=0.01)

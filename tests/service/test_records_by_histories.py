@@ -476,7 +476,7 @@ def test_what_the_store_does_not_say_in_time_is_known_from_the_ticket_before(tmp
     for step in (*HARVESTED, Step("restart"), seconds(2), weighing(1, 3, 1.02, wrong=True), weighing(2, 5), seconds(4)):
         desk.do(step)
     answer = desk.measuring.execute(Job({"command": "ticket-undo", "ticket": 1, "who": "anna"}, ()))
-    assert (answer["learnt_again"], answer["not_learnt_again"]) == ([2], [])
+    assert (answer["updated_again"], answer["not_updated_again"]) == ([2], [])
     desk.end()
 
 

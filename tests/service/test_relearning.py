@@ -27,7 +27,7 @@ def enter(season: Season, bench, tickets) -> None:
     for number, factor in tickets:
         bench.play(2, 0.0)
         bench.played()
-        assert season.ticket(bench, number, factor)["why_no_anchor"] == ""
+        assert season.ticket(bench, number, factor)["why_no_reference"] == ""
 
 
 def last_second(season: Season) -> float:
@@ -131,7 +131,7 @@ def test_a_second_undo_takes_back_what_was_learnt_again(tmp_path) -> None:
         before = left(season, bench)
         enter(season, bench, RIGHT)
         answer = ask(season.folder, "ticket", "undo", "1")
-        assert (answer["learnt_again"], answer["not_learnt_again"], answer["sweeps_undone"]) == ([2, 3], [], 0)
+        assert (answer["updated_again"], answer["not_updated_again"], answer["sweeps_undone"]) == ([2, 3], [], 0)
         assert taken_back(answer) == (
             "ticket 1 undone; calibration 2 to 4 undone, what was in use before is version 5; "
             "the update by tickets 2 and 3 is made again without it"
@@ -159,7 +159,7 @@ def test_an_undo_that_took_an_update_back_is_not_undone_behind_its_ticket(undo: 
         said = capsys.readouterr().err
         assert "version 4: is an undo, and what it took back rests on ticket 2, which updates no parameters now" in said
         words = said.split("`")[1].removeprefix("yieldmon ").split()
-        assert ask(season.folder, *words, "--std-dev", f"{0.002 * 1.003 * TRUE * season.masses[3]}kg")["anchor"]
+        assert ask(season.folder, *words, "--std-dev", f"{0.002 * 1.003 * TRUE * season.masses[3]}kg")["is_reference"]
         same(left(season, bench), before)
 
 
@@ -235,7 +235,7 @@ def test_a_calibration_undone_leaves_what_the_others_led_to(place: int, restart:
             answer = ask(season.folder, "calibrations", "undo", str(version))
             found = left(season, bench)
     others = list(range(place + 2, len(tickets) + 1))
-    assert (answer["silenced"], answer["learnt_again"], answer["not_learnt_again"]) == ([place + 1], others, [])
+    assert (answer["silenced"], answer["updated_again"], answer["not_updated_again"]) == ([place + 1], others, [])
     assert found["corrected"][5] == pytest.approx(1.01 * TRUE * season.masses[5], rel=1e-6)
     same({"values": found["values"]}, {"values": never["values"]})
     told = back(answer)
@@ -261,7 +261,7 @@ def test_a_ticket_whose_loads_are_being_measured_again_counts_once_after_an_undo
         answer = ask(season.folder, undo, "undo", str(number))
         held.set()
         found = left(season, bench)
-    assert (answer["learnt_again"], answer["not_learnt_again"]) == ([], [])
+    assert (answer["updated_again"], answer["not_updated_again"]) == ([], [])
     same({key: found[key] for key in ("values", "again")}, {key: never[key] for key in ("values", "again")})
 
 
@@ -274,7 +274,7 @@ def test_a_silenced_ticket_stays_silent_when_another_is_taken_back(tmp_path) -> 
         ask(season.folder, "calibrations", "undo", str(versions_of(season, 2)[0]))
         settle(season, bench)
         undone = ask(season.folder, "ticket", "undo", "1")
-        assert (undone["learnt_again"], undone["not_learnt_again"]) == ([3], [])
+        assert (undone["updated_again"], undone["not_updated_again"]) == ([3], [])
         found = left(season, bench)
     with running(alone.folder) as bench:
         alone.harvest(bench)
@@ -302,12 +302,12 @@ def test_a_parameter_file_undone_gives_the_tickets_after_it_to_the_one_before(tm
         bench.played()
         season.masses = {row["number"]: row["mass_kg"] for row in ask(season.folder, "load", "list")["loads"]}
         number = max(season.masses)
-        assert season.ticket(bench, number, TRUE)["why_no_anchor"] == ""
+        assert season.ticket(bench, number, TRUE)["why_no_reference"] == ""
         settle(season, bench)
         rows = ask(season.folder, "calibrations", "list")["calibrations"]
         version = next(row["version"] for row in reversed(rows) if row["origin"] == "file")
         answer = ask(season.folder, "calibrations", "undo", str(version))
-        assert (answer["silenced"], answer["learnt_again"], answer["not_learnt_again"]) == ([], [2], [])
+        assert (answer["silenced"], answer["updated_again"], answer["not_updated_again"]) == ([], [2], [])
         assert left(season, bench)["values"]["density"] != pytest.approx(900.0, rel=0.01)
         # It updates again from the file before, so it is among those that an undo of it reaches.
         assert ask(season.folder, "ticket", "undo", "2")["undone"] > version
@@ -341,7 +341,7 @@ def test_tickets_entered_together_all_update_one_version_each(never, tmp_path) -
         assert first[0] == [1]
         assert [max(numbers) for numbers in first] == [1, 2, 3]
         answer = ask(season.folder, "calibrations", "undo", str(versions_of(season, 1)[0]))
-        assert (answer["silenced"], answer["learnt_again"]) == ([1], [2, 3])
+        assert (answer["silenced"], answer["updated_again"]) == ([1], [2, 3])
 
 
 @pytest.mark.parametrize("seconds", [0, 1, 2, 3])

@@ -41,7 +41,7 @@ def test_the_first_ticket_of_a_shared_truck_sets_the_scale_as_well_as_its_rest_i
     run, bench = season
     whole_kg = TRUE * run.masses[4]
     answer = enter(run, bench, 4, whole_kg, 1.0)
-    assert answer["anchor"]
+    assert answer["is_reference"]
     # 3 % of the other's as much and 0.5 % of the truck are 3.2 % of its own.
     assert answer["own_std_dev_kg"] == pytest.approx(sqrt(0.03**2 + 0.01**2) * whole_kg, rel=1e-6)
     assert answer["weighed_mass_kg"] == pytest.approx(whole_kg, rel=0.01)
@@ -64,7 +64,7 @@ def test_a_load_that_is_known_better_than_the_rest_of_its_truck_is_hardly_moved_
     assert answer["weighed_mass_kg"] == pytest.approx(true_kg, rel=0.03)
     assert answer["question"] == ""
     undone = ask(run.folder, "ticket", "undo", "1")
-    assert 4 in undone["learnt_again"]
+    assert 4 in undone["updated_again"]
     listed = ask(run.folder, "ticket", "list")["tickets"][-1]
     assert listed["truck"] == pytest.approx(
         {"truck_kg": 10.0 * true_kg, "other_kg": 9.27 * true_kg, "other_std_dev_kg": 0.03 * 9.27 * true_kg}

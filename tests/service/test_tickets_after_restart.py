@@ -84,7 +84,7 @@ def learnt(folder, runs: tuple[int, ...]) -> tuple[list, list[str]]:
             for _ in range(count):
                 bench.play(2, 0.0)
                 bench.played()
-                assert season.ticket(bench, *left.pop(0))["why_no_anchor"] == ""
+                assert season.ticket(bench, *left.pop(0))["why_no_reference"] == ""
                 reported.append(bench.daemon.monitor.outcome.reason)
             season.now_s = bench.now_s
     return season.updates(), reported
@@ -273,7 +273,7 @@ def posted(folder, night_s: float, factor: float) -> dict[int, float]:
     with running(folder, NO_SWEEPS, start_s=season.now_s + night_s) as bench:
         bench.play(3, 0.0)
         bench.played()
-        assert season.ticket(bench, 2, factor)["why_no_anchor"] == ""
+        assert season.ticket(bench, 2, factor)["why_no_reference"] == ""
 
         def measured_again() -> dict[int, float]:
             bench.play(1, 0.0)
@@ -309,4 +309,4 @@ def test_a_load_that_was_open_while_ignition_and_computer_were_off(tmp_path, res
         loads = {row["number"]: row for row in ask(tmp_path, "load", "list")["loads"]}
         assert loads[number]["ended_s"] is not None
         answer = ask(tmp_path, "ticket", str(number), f"{loads[number]['mass_kg']}kg")
-        assert answer["why_no_anchor"] == ("" if rests else "not every second of it was measured")
+        assert answer["why_no_reference"] == ("" if rests else "not every second of it was measured")

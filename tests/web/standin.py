@@ -128,7 +128,7 @@ class StandIn:
         self.asked.append({name: value for name, value in request.items() if name != "who"})
         if self.refuses:
             raise InputError(request["command"], self.refuses)
-        weighed = {"factor": 1.0, "measured_mass_kg": 1.0, "weighed_mass_kg": 1.0, "anchor": True}
+        weighed = {"factor": 1.0, "measured_mass_kg": 1.0, "weighed_mass_kg": 1.0, "is_reference": True}
         named = {"load": 1, "field": "", "crop": "", "zero": "started", "sweep": "started"}
         return {"mass_kg": 1.0, "restored_kg": 0.0, **named, **weighed}
 

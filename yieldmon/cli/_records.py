@@ -46,12 +46,12 @@ def _silenced(answer: Mapping[str, Any]) -> str:
 def _updates(answer: Mapping[str, Any]) -> str:
     """What becomes of the updates by standing tickets and sweeps since."""
     parts = []
-    if again := answer.get("learnt_again"):
+    if again := answer.get("updated_again"):
         parts.append(f"the update by {named('ticket', again)} is made again without it")
     parts += [
-        f"the update by ticket {row['ticket']} is not made again: {row['why']}" for row in answer.get("not_learnt_again", ())
+        f"the update by ticket {row['ticket']} is not made again: {row['why']}" for row in answer.get("not_updated_again", ())
     ]
-    if "not_learnt_again" not in answer and answer.get("standing_tickets"):
+    if "not_updated_again" not in answer and answer.get("standing_tickets"):
         tickets = named("ticket", answer["standing_tickets"])
         parts.append(f"the update by {tickets} is undone with it: enter such a mass again if it is right")
     if count := answer.get("sweeps_undone"):
@@ -76,8 +76,8 @@ def replaced(answer: Mapping[str, Any]) -> str:
     for row in answer.get("still_replaced", ()):
         said += f"; `yieldmon ticket undo {row['by']}` brings back ticket {row['ticket']}, which ticket {row['by']} replaced"
     for row in rows:
-        if "teaching_stays" in row:
-            said += f"; the update of the parameters by ticket {row['ticket']} stays: {row['teaching_stays']}"
+        if "update_kept_because" in row:
+            said += f"; the update of the parameters by ticket {row['ticket']} stays: {row['update_kept_because']}"
         said += _updates(row)
     return said
 
@@ -86,7 +86,7 @@ def taken_back(answer: Mapping[str, Any]) -> str:
     """What an undo of a ticket did."""
     if "undone" in answer:
         return f"ticket {answer['ticket']} undone; {back(answer)}"
-    stays = f"; its update of the parameters stays: {answer['teaching_stays']}" if "teaching_stays" in answer else ""
+    stays = f"; its update of the parameters stays: {answer['update_kept_because']}" if "update_kept_because" in answer else ""
     return f"ticket {answer['ticket']} undone{stays}{_updates(answer)}"
 
 
@@ -112,11 +112,11 @@ def corrected(answer: Mapping[str, Any]) -> str:
         of_other = f"the update of another crop by ticket {update['ticket']}"
         if "undone" in update:
             parts.append(f"{of_other} is taken back: {back(update)}")
-        elif "teaching_stays" in update:
-            parts.append(f"{of_other} stays: {update['teaching_stays']}")
-    if updated := answer.get("learnt_again"):
+        elif "update_kept_because" in update:
+            parts.append(f"{of_other} stays: {update['update_kept_because']}")
+    if updated := answer.get("updated_again"):
         parts.append(f"the parameters of {answer['crop']} are updated by {named('ticket', updated)}")
-    parts += [f"ticket {row['ticket']} updates no parameters: {row['why']}" for row in answer.get("not_learnt_again", ())]
+    parts += [f"ticket {row['ticket']} updates no parameters: {row['why']}" for row in answer.get("not_updated_again", ())]
     if goes_on := answer.get("goes_on"):
         parts.append(f"the next load is still {goes_on}: `yieldmon load start --crop {answer['crop']}` if it is not")
     return "; ".join(parts)

@@ -81,9 +81,9 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print_json(answer)
     else:
-        why_not = f"no reference: {units.in_text(answer['why_no_anchor'])}"
+        why_not = f"no reference: {units.in_text(answer['why_no_reference'])}"
         crop = answer.get("waits_for_crop", "")
-        use = f"a reference for {crop or 'the calibration'}" if answer["anchor"] else why_not
+        use = f"a reference for {crop or 'the calibration'}" if answer["is_reference"] else why_not
         measured, weighed = (units.mass_with_bushels(answer[key]) for key in ("measured_mass_kg", "weighed_mass_kg"))
         print(f"{which}: measured {measured}, weighed {weighed} ({change_pct:+.2f} %); {use}")
         if truck := answer.get("truck"):
@@ -95,7 +95,7 @@ def run(args: argparse.Namespace) -> int:
                 end="",
             )
             print(f"`yieldmon load start --crop {crop}`, also for some seconds with the elevator empty")
-        elif answer["anchor"]:
+        elif answer["is_reference"]:
             print("the loads of the last three days are measured again with the updated parameters: `yieldmon load list`")
     return 0
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NotRequired, TypedDict
 
 from .common import Answered, Number
-from .undo import NotLearnt, TicketUndone
+from .undo import NotUpdated, TicketUndone
 
 
 class CropParameters(TypedDict):
@@ -101,7 +101,7 @@ class NotMeasured(TypedDict):
 
 
 class LoadsCorrected(TypedDict):
-    """Loads with other names; field, crop: null where it stays. measured_again: loads, by the crop's parameters; learnt_again:
+    """Loads with other names; field, crop: null where it stays. measured_again: loads, by the crop's parameters; updated_again:
     tickets that update these; taken_back: their updates of the other crop. goes_on: the crop that the next load still has, ""
     for the same. Without another crop there are names only."""
 
@@ -112,8 +112,8 @@ class LoadsCorrected(TypedDict):
     goes_on: str
     measured_again: NotRequired[list[int]]
     not_measured_again: NotRequired[list[NotMeasured]]
-    learnt_again: NotRequired[list[int]]
-    not_learnt_again: NotRequired[list[NotLearnt]]
+    updated_again: NotRequired[list[int]]
+    not_updated_again: NotRequired[list[NotUpdated]]
     taken_back: NotRequired[list[TicketUndone]]
 
 

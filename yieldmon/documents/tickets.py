@@ -27,10 +27,10 @@ class TicketEntered(TypedDict):
     """A ticket, and what comes of it.
 
     weighed_mass_kg: of these loads; of a truck the best of what the other combine leaves (own_mass_kg) and of what was measured.
-    known_mass_kg: measured_mass_kg as corrected before. factor: weighed over measured. anchor: whether it is a reference mass for
-    the calibration, else why_no_anchor; waits_for_crop: for whose return. question: what is doubtful of it. replaces: tickets
-    that stood for these loads and count no more; taken_back: what became of their updates; without_ticket: their other loads with
-    grain; still_replaced: tickets that they alone replace, which an undo of them brings back.
+    known_mass_kg: measured_mass_kg as corrected before. factor: weighed over measured. is_reference: whether it is a reference
+    mass for the calibration, else why_no_reference; waits_for_crop: for whose return. question: what is doubtful of it. replaces:
+    tickets that stood for these loads and count no more; taken_back: what became of their updates; without_ticket: their other
+    loads with grain; still_replaced: tickets that they alone replace, which an undo of them brings back.
     sets_scale_pct: of the first ticket, what it moves the scale by.
     """
 
@@ -45,8 +45,8 @@ class TicketEntered(TypedDict):
     measured_mass_kg: float
     known_mass_kg: float
     factor: float
-    anchor: bool
-    why_no_anchor: str
+    is_reference: bool
+    why_no_reference: str
     waits_for_crop: str
     question: str
     replaces: list[int]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NotRequired, TypedDict
 
 
-class NotLearnt(TypedDict):
+class NotUpdated(TypedDict):
     """A ticket that updates the parameters no more, and why."""
 
     ticket: int
@@ -15,7 +15,7 @@ class NotLearnt(TypedDict):
 class CalibrationUndone(TypedDict):
     """A calibration that was taken back. undone to until: versions of the parameters that went with it; version, effects, crop:
     of those from before them; crop "" for the one harvested now. silenced: tickets that only correct their loads from now on.
-    learnt_again: tickets that update the parameters from before again; standing_tickets: those that do not. sweeps_undone:
+    updated_again: tickets that update the parameters from before again; standing_tickets: those that do not. sweeps_undone:
     sweeps, and kernel noise, whose updates went."""
 
     undone: int
@@ -24,17 +24,17 @@ class CalibrationUndone(TypedDict):
     effects: list[str]
     crop: str
     silenced: list[int]
-    learnt_again: list[int]
+    updated_again: list[int]
     standing_tickets: list[int]
-    not_learnt_again: list[NotLearnt]
+    not_updated_again: list[NotUpdated]
     sweeps_undone: int
 
 
 class TicketUndone(TypedDict):
     """A ticket that was taken back. undone to until: versions of the parameters that went with it; version, effects, crop: of
-    those from before them; crop "" for the one harvested now. learnt_again: tickets that update these again; standing_tickets:
-    those that do not. sweeps_undone: sweeps, and kernel noise, whose updates went. teaching_stays: why its update could not be
-    taken back."""
+    those from before them; crop "" for the one harvested now. updated_again: tickets that update these again; standing_tickets:
+    those that do not. sweeps_undone: sweeps, and kernel noise, whose updates went. update_kept_because: why its update
+    could not be taken back."""
 
     ticket: int
     first_load: int
@@ -45,7 +45,7 @@ class TicketUndone(TypedDict):
     effects: NotRequired[list[str]]
     crop: NotRequired[str]
     standing_tickets: NotRequired[list[int]]
-    teaching_stays: NotRequired[str]
-    learnt_again: NotRequired[list[int]]
-    not_learnt_again: NotRequired[list[NotLearnt]]
+    update_kept_because: NotRequired[str]
+    updated_again: NotRequired[list[int]]
+    not_updated_again: NotRequired[list[NotUpdated]]
     sweeps_undone: NotRequired[int]

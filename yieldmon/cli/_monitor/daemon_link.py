@@ -100,7 +100,7 @@ def said(request: Mapping[str, Any], answer: Mapping[str, Any]) -> str:
                 doubt += f"; {without_ticket(without)}"
             if crop := answer.get("waits_for_crop"):
                 doubt += f"; it updates the parameters of {crop} once that is harvested again"
-            return f"{taken}{doubt}" if answer["anchor"] else f"{taken}; no reference: {answer['why_no_anchor']}"
+            return f"{taken}{doubt}" if answer["is_reference"] else f"{taken}; no reference: {answer['why_no_reference']}"
         case "zero":
             return "measuring the zero; keep the elevator running empty; undo with `yieldmon zero --undo`"
         case "sweep-start":

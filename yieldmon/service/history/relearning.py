@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from yieldmon.documents.undo import CalibrationUndone, NotLearnt, TicketUndone
+from yieldmon.documents.undo import CalibrationUndone, NotUpdated, TicketUndone
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.self_calibration.anchors import Weighing
 from yieldmon.errors import InputError
@@ -41,7 +41,7 @@ class Updating:
     why_not: Mapping[int, str]
 
     @property
-    def not_again(self) -> list[NotLearnt]:
+    def not_again(self) -> list[NotUpdated]:
         """The others, by number."""
         return [{"ticket": number, "why": why} for number, why in sorted(self.why_not.items())]
 
@@ -87,9 +87,9 @@ def without_version(version: int, context: RequestContext) -> CalibrationUndone:
         "effects": list(back.effects),
         "crop": back.crop,
         "silenced": list(silenced),
-        "learnt_again": list(updating.again),
+        "updated_again": list(updating.again),
         "standing_tickets": sorted(updating.why_not),
-        "not_learnt_again": updating.not_again,
+        "not_updated_again": updating.not_again,
         "sweeps_undone": _not_weighed(undone - {version}, after),
     }
 
@@ -134,7 +134,7 @@ def _without(number: int, context: RequestContext, *, stands: Sequence[int], rep
             back = _back_before(first, context, replaced=replaced)
         except InputError as error:
             # The mass that it corrected comes back all the same.
-            answer["teaching_stays"] = str(error)
+            answer["update_kept_because"] = str(error)
     if number in stands:
         actions.wait_no_more([number])
     else:
@@ -152,9 +152,9 @@ def _without(number: int, context: RequestContext, *, stands: Sequence[int], rep
     for ticket_of_other in of_others:
         update_crop([ticket_of_other], _crop_of(journal, ticket_of_other), context)
     if back is not None or updating.again:
-        answer["learnt_again"] = list(updating.again)
+        answer["updated_again"] = list(updating.again)
     if back is not None or updating.why_not:
-        answer["not_learnt_again"] = updating.not_again
+        answer["not_updated_again"] = updating.not_again
     if back is not None:
         answer |= {
             "undone": back.undone,

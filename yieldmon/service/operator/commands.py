@@ -178,8 +178,8 @@ def _load_correct(order: Order) -> LoadsCorrected:
         answer |= {
             "measured_again": list(of_crop.measured_again),
             "not_measured_again": [{"load": load, "why": why} for load, why in sorted(of_crop.not_measured_again.items())],
-            "learnt_again": list(of_crop.updating.again),
-            "not_learnt_again": of_crop.updating.not_again,
+            "updated_again": list(of_crop.updating.again),
+            "not_updated_again": of_crop.updating.not_again,
             "taken_back": list(of_crop.taken_back),
         }
     return answer

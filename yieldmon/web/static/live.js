@@ -226,7 +226,7 @@ function answerOf(name, answer) {
     const replaced = answer.replaces?.length ? ` ${named("Ticket", answer.replaces)} stood for it; the newer one counts (of a load weighed in parts enter the sum).` : "";
     const left = answer.without_ticket?.length ? ` ${named("Load", answer.without_ticket)} ${answer.without_ticket.length > 1 ? "have" : "has"} no ticket any more.` : "";
     const of = answer.waits_for_crop;
-    const use = !answer.anchor ? `no reference for the calibration: ${answer.why_no_anchor}`
+    const use = !answer.is_reference ? `no reference for the calibration: ${answer.why_no_reference}`
       : of ? `a reference for ${of}, which learns once it is harvested again` : "a reference for the calibration";
     const masses = `Measured ${mass(answer.measured_mass_kg)} ${units.mass.name}, weighed ${mass(answer.weighed_mass_kg)} ${units.mass.name}`;
     const truck = answer.truck ? ` Of the truck, ${mass(answer.truck.truck_kg - answer.weighed_mass_kg)} ${units.mass.name} are of the other combine.` : "";
@@ -234,8 +234,8 @@ function answerOf(name, answer) {
   }
   if (name === "ticket-undo") {
     const back = answer.version === undefined ? "" : `; measuring with the parameters from before it (version ${answer.version})`;
-    const again = answer.learnt_again?.length ? `; parameters updated again by ${named("ticket", answer.learnt_again)}` : "";
-    const left = answer.not_learnt_again?.length ? `; not by ${named("ticket", answer.not_learnt_again.map((row) => row.ticket))}` : "";
+    const again = answer.updated_again?.length ? `; parameters updated again by ${named("ticket", answer.updated_again)}` : "";
+    const left = answer.not_updated_again?.length ? `; not by ${named("ticket", answer.not_updated_again.map((row) => row.ticket))}` : "";
     return `Ticket ${answer.ticket} undone${back}${again}${left}.`;
   }
   if (name === "load-correct") {
