@@ -212,7 +212,9 @@ def test_every_lack_of_fit_says_which_rows_it_is_over(make_rows, start, outside,
         "</tr>"
     )[0]
     assert f"<td>{found.before.lack_of_fit_f:.2f}</td><td>{found.with_leading.lack_of_fit_f:.2f}</td>" in row
-    kept = page.partition(f"<tr><td>{found.held_out.rows} rows kept aside, fitted to the others</td>")[2].partition("</tr>")[0]
+    kept = page.partition(f"<tr><td>{found.held_out.rows} held-out rows, model fitted to the others</td>")[2].partition("</tr>")[
+        0
+    ]
     # Judged by the published model alone, as nothing is named: what it leaves before is no word on the leading candidates.
     assert kept.count(f"<td>{found.held_out.before.rms:.4g}</td>") == 1
     assert kept.endswith("<td></td>")
@@ -574,7 +576,7 @@ def test_sealed_loads_that_overfill_what_was_fitted_without_them_are_reported(ma
     rows = with_cells(replace(rows, machine=machine, load=load, value=value))
     found = diagnosis.diagnose_rows(rows, start, replace(QUICK, hold_out="mass_flow_kg_s=14.9"))
     assert found.held_out is None
-    assert any(note.startswith("18 held-out rows prove nothing") for note in found.notes)
+    assert any(note.startswith("18 held-out rows are not used") for note in found.notes)
     assert found.base.values["density"] > 1500.0
     json.dumps(to_document(found), allow_nan=False)
 
@@ -652,7 +654,7 @@ def test_a_gap_that_is_not_there_is_not_closed_by_nothing(clean_found) -> None:
 
 def test_held_out_rows_within_their_scatter_decide_nothing(offset_found, capsys) -> None:
     found = offset_found
-    assert re.search(r"rows kept aside F = [0-9.]+ \([0-9.]+ to [0-9.]+\) before and", report.summary(found))
+    assert re.search(r"held-out rows F = [0-9.]+ \([0-9.]+ to [0-9.]+\) before and", report.summary(found))
     held = replace(found.held_out, closed_pct=diagnosis_result.share_closed_pct(before=1.0, after=0.9, floor=1.1))
     assert "no smaller" not in report.summary(found)
     worse = replace(found.held_out, closed_pct=-12.0)
@@ -661,4 +663,4 @@ def test_held_out_rows_within_their_scatter_decide_nothing(offset_found, capsys)
     found = replace(found, held_out=held)
     assert to_document(found)["gap"]["closed_pct"] is None
     print_text(found)
-    assert "rows kept aside F = " in capsys.readouterr().out
+    assert "held-out rows F = " in capsys.readouterr().out

@@ -36,7 +36,10 @@ def test_zero_in_grain_is_refused_then_a_fault_and_an_undo_restores_the_mass() -
     frames, target = BENCH.frames(140), monitor()
     feed(target, run_of([f for f in frames if f.time_s < 1040.0]))
     before = target.totals.total_kg
-    with pytest.raises(InputError, match=r"there is grain: the paddles throw pulses .* and the plate feels .* N; expected"):
+    with pytest.raises(
+        InputError,
+        match=r"there is grain: the paddle pulses have an amplitude of .* and the force on the plate is .* N; expected",
+    ):
         ask(target, "zero")
     feed(target, run_of([f for f in frames if 1040.0 <= f.time_s < 1041.0]))
     assert target.totals.total_kg > before + 10.0
@@ -153,7 +156,7 @@ def test_a_zero_asked_for_at_rest_is_not_taken_in_the_grain_that_comes(force: bo
     feed(target, run_of([f for f in frames if 1028.0 <= f.time_s < 1055.0]))
     # Forced it is taken, and a fault says that it is wrong; else it waits, and the mass goes on being counted.
     assert (FaultCode.ZERO_DRIFTED in target.faults.active) is force
-    assert ("the paddles throw pulses" in target.zero_waits_for) is not force
+    assert ("the paddle pulses have an amplitude" in target.zero_waits_for) is not force
     if force:
         return
     feed(target, run_of([f for f in frames if f.time_s >= 1055.0]))
@@ -168,7 +171,7 @@ def test_zero_just_after_the_grain_says_so() -> None:
         target.feed(frame)
         if frame.time_s > 1030.0 and target.signs_of_grain:
             refusals.append(target.signs_of_grain)
-    assert "there was some in the last seconds" in refusals
+    assert "grain was measured in the last seconds" in refusals
     assert not [signs for signs in refusals if "pulses of 0 mV" in signs]
     assert target.signs_of_grain == ""
 

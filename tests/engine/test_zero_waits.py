@@ -66,7 +66,7 @@ def test_the_zero_says_what_it_waits_for(how: dict[str, float | None], expected:
 
 def test_grain_on_the_paddles_is_named() -> None:
     reported = waiting(pulse_mv=400.0, seconds=6.0)
-    assert reported.startswith("an elevator that runs empty: the paddles throw pulses of ")
+    assert reported.startswith("an elevator that runs empty: in the last 3 s the paddle pulses had an amplitude of ")
     assert "stop taking in crop" in reported
 
 

@@ -378,7 +378,7 @@ def test_at_bound_and_undetermined_parameters_are_reported_in_words() -> None:
     assert by_name["density"].open_below
     assert not by_name["density"].determined
     text = " ".join(result.sentences)
-    assert "friction sits on its upper bound 1" in text
+    assert "friction is at its upper bound 1" in text
     assert "density is determined on one side only" in text
     assert "trade off" in text
 

@@ -38,8 +38,8 @@ def refuted(names: tuple[str, ...], proof: Proof) -> str:
     where = f"; {', '.join(proof.worse)} worse than before" if proof.worse else ""
     low, high = (100.0 * (proof.crossed.value + s * proof.crossed.sd) for s in (-REACH_95, REACH_95))
     return (
-        f"{' + '.join(names)} is not named: unseen rows lie {low:.0f} to {high:.0f} % of the way to it, where more than 50 % "
-        f"is needed{where}"
+        f"{' + '.join(names)} is not named: held-out rows show {low:.0f} to {high:.0f} % of the change that it predicts, where "
+        f"more than 50 % is needed{where}"
     )
 
 
@@ -59,7 +59,7 @@ def of_one_cell(choice: Choice, noise: Noise) -> list[str]:
     load = "kg on a paddle" if cells.rows.load_name == "paddle_mass_kg" else "kg/s"
     cell = f"plate {np.degrees(cells.plate_angle_rad[worst]):.0f} deg and {cells.load[worst]:.3g} {load}"
     f = f"F = {without.f:.2f} (p = {without.p_value:.1g}) {rows_searched(choice.best)}"
-    return [f"what is left rests on one cell, {cell}: without it {f}; measured well?"]
+    return [f"the remaining lack of fit comes from one cell, {cell}: without it {f}; check that measurement"]
 
 
 def of_own_law(choice: Choice, noise: Noise, policy: Policy) -> list[str]:
@@ -200,16 +200,16 @@ def of_run_order(choice: Choice, policy: Policy) -> list[str]:
         return []
     return [
         f"the table has its rows {how}: if they were measured in that order, a drift over the run explains them as well as "
-        f"{' or '.join(out)}; measure in turn, or state `time_s`"
+        f"{' or '.join(out)}; randomize the order, or state `time_s`"
     ]
 
 
 def of_overfull(opened: NDArray[np.bool_], proven_rows: int) -> list[str]:
     """How many of the rows opened prove nothing; proven_rows: those that do."""
     lost = int(np.count_nonzero(opened)) - proven_rows
-    return [f"{lost} held-out rows prove nothing: they overfill the paddles of the model fitted without them"] if lost else []
+    return [f"{lost} held-out rows are not used: they overfill the paddles of the model fitted without them"] if lost else []
 
 
 def of_undetectable(effects: tuple[str, ...]) -> list[str]:
     """Effects that this design cannot show."""
-    return [f"at no physical size would these rows show: {', '.join(effects)}"] if effects else []
+    return [f"not detectable with these rows at any physical size: {', '.join(effects)}"] if effects else []

@@ -156,13 +156,13 @@ def _doubt(diagnosis: Diagnosis) -> str:
 
 
 def unseen(held: HeldOut) -> str:
-    """What the rows that were kept aside say: their lack of fit before and after, with 95 % intervals."""
+    """What the held-out rows say: their lack of fit before and after, with 95 % intervals."""
     before, after = held.before.lack_of_fit_f, held.after.lack_of_fit_f
     if before is None or after is None or held.f_interval is None:
-        return f"{held.rows} rows kept aside"
+        return f"{held.rows} held-out rows"
     (low, high), (least, most) = held.f_interval
     return (
-        f"on {held.rows} rows kept aside F = {before:.2f} ({low:.2f} to {high:.2f}) before and "
+        f"on {held.rows} held-out rows F = {before:.2f} ({low:.2f} to {high:.2f}) before and "
         f"{after:.2f} ({least:.2f} to {most:.2f}) after"
     )
 
@@ -337,7 +337,7 @@ def _gap_table(diagnosis: Diagnosis) -> str:
     if held is not None:
         # Without a name they are judged by the published model alone: there is no after.
         after = held.after if diagnosis.verdict == "effect" else None
-        rows.append((f"{held.rows} rows kept aside, fitted to the others", held.before, after, held.f_interval))
+        rows.append((f"{held.rows} held-out rows, model fitted to the others", held.before, after, held.f_interval))
     head = ("", "rms before", "rms after", "% of max before", "after", "F before", "F after")
     out = "<table><tr>" + "".join(f"<th>{h}</th>" for h in head) + "</tr>"
     for name, before, after, intervals in rows:

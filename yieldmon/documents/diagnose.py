@@ -60,7 +60,7 @@ class HeldOutDocument(TypedDict):
 
 class Gap(TypedDict):
     """How far the model was off and is now. before, after, with_leading (with `leading`): fitted to all rows but outliers and
-    judged on them; held_out: on rows kept aside, fitted to the others. closed_pct: share of the gap that the effects close."""
+    judged on them; held_out: on held-out rows, fitted to the others. closed_pct: share of the gap that the effects close."""
 
     before: MeasureDocument
     after: MeasureDocument
@@ -96,7 +96,7 @@ class BaseModel(TypedDict):
 
 
 class CandidateDocument(TypedDict):
-    """An effect that was looked at; lack_of_fit_f: with it alone, on the rows searched (those not kept aside)."""
+    """An effect that was looked at; lack_of_fit_f: with it alone, on the rows searched (those not held out)."""
 
     name: str
     law: str

@@ -109,9 +109,9 @@ class Measurement:
         if refusal is not None and not refusal.obstacle and seen == wanted:
             limits = self._settings.zero
             return (
-                f"an elevator that runs empty: the paddles throw pulses of {refusal.pulse_mv:.1f} mV (at most "
-                f"{limits.first_pulse_limit_mv:g}) and the level ranges over {refusal.level_range_mv:.1f} mV (at most "
-                f"{limits.level_range_mv:g}) in the last {wanted} s; stop taking in crop"
+                f"an elevator that runs empty: in the last {wanted} s the paddle pulses had an amplitude of "
+                f"{refusal.pulse_mv:.1f} mV (at most {limits.first_pulse_limit_mv:g}) and the mean voltage varied by "
+                f"{refusal.level_range_mv:.1f} mV (at most {limits.level_range_mv:g}); stop taking in crop"
             )
         return f"the elevator running empty: {seen} of {wanted} s"
 
@@ -122,11 +122,11 @@ class Measurement:
         if self._last is not None:
             window, force_n = self._last
             if self.zero.pulses(window):
-                signs.append(f"the paddles throw pulses of {window.pulse_mv:.0f} mV")
+                signs.append(f"the paddle pulses have an amplitude of {window.pulse_mv:.0f} mV")
             elif self._gate.harvesting or self.zero.looks_loaded:
-                signs.append("there was some in the last seconds")
+                signs.append("grain was measured in the last seconds")
             if isfinite(force_n) and force_n > self._settings.gate.grain_on_n:
-                signs.append(f"the plate feels {force_n:.1f} N")
+                signs.append(f"the force on the plate is {force_n:.1f} N")
         if rise := self._tank.sign_of_grain:
             signs.append(rise)
         return " and ".join(signs)

@@ -132,7 +132,7 @@ class WindowRecord:
     duration_s
         Before time_s, less half a paddle pattern: what the second stands for.
     mass_flow_kg_s
-        Wet grain, as published: weighed with the windows before.
+        Wet grain, as published: filtered with the windows before.
     std_dev_kg_s, force_std_dev_n, load_std_dev_kg, total_std_dev_kg
         Standard deviation of mass_flow_kg_s, force_n, load_kg and total_kg.
     shape_std_dev_kg_s, shape_volume_std_dev_m3_s, kernel_std_dev_kg_s, mean_force_std_dev_kg_s
@@ -144,7 +144,7 @@ class WindowRecord:
     mass_kg
         Wet grain that the second adds to load and total, as measured.
     load_number
-        Of the load that it belongs to.
+        Of the open load, or of the last one where none is open.
     load_kg
         Wet grain of the load, this second included.
     total_kg
@@ -154,41 +154,41 @@ class WindowRecord:
     force_n
         Mean force of the grain on the plate.
     elevator_speed_rad_s
-        Of the upper shaft.
+        Speed of the upper shaft.
     plate_angle_rad
-        From the horizontal, 90 deg upright.
+        Plate angle from the horizontal; 90 deg is upright.
     plate_still
         The plate did not move while the window was formed.
     moisture_pct, test_weight_kg_m3, grain_temperature_degc
-        As the combine sent it, unless that is too old.
+        As received from the combine; not available once too old.
     zero_mv
-        Zero-load voltage that was taken off.
+        Zero-load voltage that was subtracted.
     pulse_mv
-        Amplitude of what repeats with the paddle pattern.
+        Amplitude of the signal that repeats with the paddle pattern.
     saturated_share
         Share of samples at the end of the sensor's range, or at a ceiling below it.
     lost_frames
-        Sample frames missing by their counter and time.
+        Sample frames lost, by their counter and time.
     surplus_frames
-        Sample frames, speeds and angles of a second sender.
+        Sample, speed and angle frames of a second sender.
     repeated_frames
-        Sample frames that came twice; one is used.
+        Duplicate sample frames; one of each is used.
     sweep_id
-        Of the sweep under way, 0 outside sweeps.
+        Number of the sweep in progress, 0 outside sweeps.
     sweep_step
-        Of the sweep under way, from 0; -1 outside sweeps.
+        Step of the sweep in progress, from 0; -1 outside sweeps.
     usable_for_calibration
         The window counts for its sweep step.
     parameter_version
-        Of the parameters in use.
+        Version of the parameters in use.
     faults
         Names of the active faults.
     latitude_deg, longitude_deg, ground_speed_m_s, course_deg
-        Of the receiver when the window ended, not of the ground where the grain was cut.
+        Of the GNSS receiver at the window's end, not of the ground where the grain was cut.
     position_group, speed_group
         Parameter group of the standard source in use; not known where it is that of the DBC.
     factory_mass_flow_kg_s
-        What the factory's own monitor says; never an input.
+        Mass flow from the factory-fitted monitor; recorded, never used.
     noise_std_dev_kg_s
         Part of the measured flow's standard deviation that averages out over seconds.
     shape_flow_kg_s
@@ -196,15 +196,15 @@ class WindowRecord:
     kernel_flow_kg_s
         Flow from kernel noise.
     area_m2
-        Harvested for the second's grain.
+        Area harvested for the second's grain.
     shape_volume_flow_m3_s
         Volume flow on the paddles, from the pulses' shape.
     mean_force_flow_kg_s
         Flow from the mean force alone.
     thousand_kernel_weight_g
-        As used with kernel noise.
+        Thousand-kernel weight used with kernel noise.
     kernel_verdict, shape_verdict
-        Whether it gives a flow, else why not.
+        Whether that estimator gives a flow, else why not.
     """
 
     window: int = second_field(lambda s: s.number, "whole", row=None)

@@ -66,10 +66,7 @@ EXCHANGED = "restitution ends at its physical bound: the published exchange coef
 
 def at_bound_sentence(name: str, side: str, value: float) -> str:
     """What calibration and diagnosis say of a parameter whose best value lies on a bound; side: "lower" or "upper"."""
-    return (
-        f"{name} sits on its {side} bound {value:.6g}: the data would take it further, so the value is the bound's and not the "
-        "data's."
-    )
+    return f"{name} is at its {side} bound {value:.6g}: the best fit lies beyond it, so this value is not an estimate."
 
 
 def _grain(name: str) -> GrainParameter:

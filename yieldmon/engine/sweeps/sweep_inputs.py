@@ -23,7 +23,7 @@ class SweepAbort(StrEnum):
     FLOW_CHANGED = "the flow changed"
     SPEED_CHANGED = "the elevator speed changed"
     NOT_MEASURED = "flow was not measured"
-    OPERATOR = "operator"
+    OPERATOR = "by the operator"
     FORCE_DOES_NOT_FOLLOW = "the force does not follow the angle that the plate reports"
 
 
