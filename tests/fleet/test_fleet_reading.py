@@ -8,6 +8,7 @@ import re
 import shutil
 import socket
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pyarrow as pa
@@ -19,11 +20,13 @@ from tests.fleet.sealing import seal
 from tests.schema_check import problems
 from yieldmon.cli.main import main
 from yieldmon.files.parameter_file import load as load_parameters
+from yieldmon.files.parameter_file import save as save_parameters
 from yieldmon.fleet.comparison import compare
 from yieldmon.fleet.dataset import MARK
 from yieldmon.fleet.html import page
 from yieldmon.fleet.prior import crop_prior
 from yieldmon.fleet.summary import summarise
+from yieldmon.resources import shipped
 
 PARAMETERS = """\
 format: 1
@@ -291,6 +294,20 @@ def test_comparison(season: Path, capsys: pytest.CaptureFixture[str]) -> None:
         assert {"records", "parameters", "loads"} <= set(item["tables"])
         assert "mass_flow_kg_s" in item["columns"]
         assert "elevator_speed_rpm" not in item["columns"]
+
+
+def test_parameters_of_another_crop_are_no_other_logs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Of two versions of the parameters one names its crop, as a calibration does."""
+    logs.tree(tmp_path / "tree", machines=1, days=1)
+    known = load_parameters(shipped("config/parameters/corn.yaml"))
+    save_parameters(replace(known, provenance={**known.provenance, "crop": "corn"}), tmp_path / "p.yaml")
+    assert measure(tmp_path / "tree", str(tmp_path / "a"), "--crop", "wheat") == 0
+    assert measure(tmp_path / "tree", str(tmp_path / "b"), "--params", str(tmp_path / "p.yaml"), "--crop", "wheat") == 0
+    assert [summarise(str(tmp_path / out))["days"][0]["crop"] for out in "ab"] == ["wheat", "corn"]
+    assert measure(tmp_path / "tree", str(tmp_path / "c")) == 0
+    capsys.readouterr()
+    main(["fleet", "compare", str(tmp_path / "c"), str(tmp_path / "b")])
+    assert "logs" not in capsys.readouterr().out
 
 
 def of_an_earlier_release(dataset: Path, day: Path) -> Path:

@@ -9,7 +9,7 @@ from yieldmon.documents.fleet import FleetCompareDocument
 from yieldmon.fleet.comparison import compare
 
 _SHOWN = 20
-_CAUSES = {"inputs_sha256": "logs or tickets", "parameters_sha256": "parameters", "software": "software"}
+_CAUSES = {"inputs_sha256": "logs, tickets or crop", "parameters_sha256": "parameters", "software": "software"}
 
 
 def run(args: argparse.Namespace) -> int:

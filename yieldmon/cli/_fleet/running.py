@@ -115,7 +115,9 @@ def _tasks(
             folder = Path(partition.config).parent
             outcomes.append(refused(partition, dataset, token, by_name(str(configured), {str(folder): folder.name})))
             continue
-        whole = replace(partition, crop=partition.crop or configured[0].parameters.provenance.get("crop", "") or crop)
+        # That of the parameters is theirs: with other parameters the logs and tickets are the same.
+        of_parameters = configured[0].parameters.provenance.get("crop", "")
+        whole = replace(partition, crop=partition.crop or ("" if of_parameters else crop))
         tasks.append(Task(whole, dataset.address, token, *configured, software()))
     return tasks, outcomes
 
