@@ -465,6 +465,25 @@ def test_prior_from_the_tickets_of_a_dataset(tmp_path: Path, capsys: pytest.Capt
     assert main(["fleet", "prior", dataset, "--crop", "grass"]) == 2
 
 
+def test_a_machine_whose_two_tickets_contradict_each_other_is_named_and_no_prior(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of two tickets neither is known to be wrong, yet no grain has the density that both together ask for."""
+    for number in range(5):
+        day = tmp_path / "tree" / f"m{number}" / "d"
+        for load, (mv, weighed) in enumerate(((45.0, 16.0), (120.0, 36.0 if number else 26.0))):
+            logs.write(day / f"{load}.log", mv + number, logs.START_S + 100.0 * load)
+            with (day / "tickets.csv").open("a") as table:
+                table.write(("" if load else "load,weighed_kg\n") + f"{load}.log,{weighed}\n")
+    dataset = str(tmp_path / "season")
+    assert measure(tmp_path / "tree", dataset, "--crop", "corn") == 0
+    found = crop_prior(dataset, "corn")
+    assert [machine.name for machine in found.machines] == ["m1", "m2", "m3", "m4"]
+    (said,) = found.left_out
+    assert said.startswith("m0: its tickets contradict each other, as where a weight is wrong: they ask for grain ")
+    assert found.prior.parameter_set.standard_deviation("density") < 0.5 * found.prior.parameter_set.values["density"]
+
+
 def test_a_prior_takes_trucks_of_two_combines_as_such(tmp_path: Path) -> None:
     for number in range(3):
         day = tmp_path / "tree" / f"m{number}" / "d"

@@ -13,14 +13,14 @@ from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.weighing.fleet_prior import LEAST_MACHINES, FleetPrior, MachineLoads, load_errors, pooled
 from yieldmon.estimation.weighing.load_inputs import WeighedLoad
-from yieldmon.estimation.weighing.unlike_others import unlike_the_other_machines, unlike_the_others
+from yieldmon.estimation.weighing.unlike_others import unlike_the_other_densities, unlike_the_other_machines, unlike_the_others
 from yieldmon.files import machine_file
 from yieldmon.files.crops import crop
 from yieldmon.files.ticket_file import WeighedTicket
 from yieldmon.fleet import tables
 from yieldmon.fleet.querying import Query, opened
 from yieldmon.fleet.repeats import contents_of
-from yieldmon.fleet.unlike_tickets import in_words, in_words_of_all
+from yieldmon.fleet.unlike_tickets import in_words, in_words_of_all, in_words_of_density
 from yieldmon.fleet.usable_seconds import Seen
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import ForwardModel
@@ -72,16 +72,24 @@ def crop_prior(address: str, name: str) -> CropPrior:
         machines, left_out = _machines(query, name, start)
         of_no_crop = query.rows(_OF_NO_CROP)[0]["count"]
         crops = [row["crop"] for row in query.rows(_CROPS)]
-    if len(machines) < LEAST_MACHINES:
+    found = None
+    while found is None and len(machines) >= LEAST_MACHINES:
+        try:
+            found = pooled(start, machines)
+        except ValueError as error:
+            raise InputError(address, str(error)) from error
+        densities = found.machines[:, 0]
+        unlike = unlike_the_other_densities(densities)
+        if unlike is not None:
+            off = densities[unlike] - float(np.median(np.delete(densities, unlike)))
+            left_out.append(in_words_of_density(machines.pop(unlike).name, off))
+            found = None
+    if found is None:
         without = f"; {of_no_crop} tickets are of days without a crop" if of_no_crop else ""
         mend = ", or `fleet run --crop`, for days without one" if of_no_crop else ""
         others = f"; its tickets are for {', '.join(crops)}" if crops and name not in crops else ""
         found_no = f"has tickets of {len(machines)} machines for {name}{others}{without}{_others(left_out)}"
         raise InputError(address, found_no, f"at least {LEAST_MACHINES}{mend}")
-    try:
-        found = pooled(start, machines)
-    except ValueError as error:
-        raise InputError(address, str(error)) from error
     facts = {
         "crop": name, "method": "pooled over machines (empirical Bayes)", "machines": str(len(machines)),
         "loads": str(sum(len(machine.loads) for machine in machines)), "start": f"config/crops.yaml: {name}",

@@ -21,6 +21,20 @@ def in_words(weighed_kg: float, times: float) -> str:
     return f"weighs {weighed_kg:.0f} kg, {times:.3g} times what the machine's other tickets say of it"
 
 
+def in_words_of_density(machine: str, log_times: float) -> str:
+    """A machine whose tickets together ask for grain exp(log_times) times as dense as that of the other machines.
+
+    Examples
+    --------
+    >>> in_words_of_density("m2", -1.4)
+    "m2: its tickets contradict each other, as where a weight is wrong: they ask for grain 0.247 times as dense as others' do"
+    """
+    return (
+        f"{machine}: its tickets contradict each other, as where a weight is wrong: "
+        f"they ask for grain {exp(log_times):.3g} times as dense as others' do"
+    )
+
+
 def in_words_of_all(machine: str, log_times: float) -> str:
     """A machine whose tickets weigh exp(log_times) times what those of the other machines make of its loads.
 

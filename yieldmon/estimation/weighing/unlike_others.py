@@ -17,6 +17,10 @@ _LEAST_OFF, _TIMES_SCATTER = 0.2, 6.0
 _LEAST_OFF_OF_MACHINES = 0.4
 """ln, of a machine's: two standard deviations of the gain of one that was never calibrated."""
 
+_DENSITIES_OFF = 1.0
+"""ln, by which a machine's density is off the others'. With correct tickets up to 0.85 (144 simulated fleets, two loads or more
+of each machine)."""
+
 
 def unlike_the_others(log_errors: Array) -> NDArray[np.bool_]:
     """Which loads are off what the machine's other loads have in common, by over a fifth and far more than these scatter.
@@ -58,6 +62,29 @@ def unlike_the_other_machines(log_errors: Array) -> NDArray[np.bool_]:
     [False, True, False, False, False]
     """
     return _off(log_errors, LEAST_MACHINES, _LEAST_OFF_OF_MACHINES)
+
+
+def unlike_the_other_densities(log_densities: Array) -> int | None:
+    """Which machine's loads together ask for grain of a density that no such grain has, as where one of two tickets is wrong.
+
+    Parameters
+    ----------
+    log_densities : ndarray
+        (n,) ln of the density that each machine's loads ask for.
+
+    Returns
+    -------
+    int or None
+        Place of the one that is farthest from the median of the others, if by a factor of over 2.7. It takes others along: judge
+        these again without it.
+
+    Examples
+    --------
+    >>> unlike_the_other_densities(np.array([0.1, -1.4, 0.2]))
+    1
+    """
+    off = [abs(one - np.median(np.delete(log_densities, place))) for place, one in enumerate(log_densities)]
+    return int(np.argmax(off)) if max(off) > _DENSITIES_OFF else None
 
 
 def _off(log_errors: Array, least: int, least_off: float) -> NDArray[np.bool_]:
