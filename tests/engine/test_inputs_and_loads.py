@@ -82,10 +82,11 @@ def test_missed_mass_joins_its_own_load_and_no_other() -> None:
 
 MISSING = {
     "available": None,
-    "silent": Missing.of(sampled=False, speed=nan, zeroed=False),
-    "waking": Missing.of(sampled=False, speed=30.0, zeroed=False),
-    "unzeroed": Missing.of(sampled=True, speed=30.0, zeroed=False),
-    "standing": Missing.of(sampled=True, speed=0.0, zeroed=False),
+    "silent": Missing.of(sampled=False, speed=nan, in_range=False, zeroed=False),
+    "waking": Missing.of(sampled=False, speed=30.0, in_range=True, zeroed=False),
+    "unzeroed": Missing.of(sampled=True, speed=30.0, in_range=True, zeroed=False),
+    "spin-up": Missing.of(sampled=True, speed=15.0, in_range=False, zeroed=False),
+    "standing": Missing.of(sampled=True, speed=0.0, in_range=False, zeroed=False),
     "at rest": None,
 }
 
@@ -105,8 +106,10 @@ MISSING = {
         (["silent", "available", "silent"], False),
         (["silent", "available", "waking"], False),
         (["unzeroed"] * 3 + ["waking", "available"], True),
-        (["unzeroed"] * 9 + ["waking", "available"], True),
-        (["unzeroed"] * 11, False),
+        (["unzeroed"] * 5, False),
+        (["spin-up"] * 6 + ["unzeroed"] * 3 + ["waking", "available"], True),
+        (["spin-up"] * 7, False),
+        (["standing"] * 100 + ["spin-up"] * 6 + ["unzeroed"] * 5, False),
         (["standing"] * 100 + ["unzeroed"] * 3 + ["waking", "available"], True),
         (["silent"] * 5 + ["unzeroed"] * 3 + ["waking", "available"], True),
         (["unzeroed"] * 3 + ["available", "waking"], False),

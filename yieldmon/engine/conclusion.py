@@ -100,7 +100,12 @@ class Conclusion:
         by_mean_force = self._by_mean_force(reading, estimate, estimator)
         flow = self._corrected(away_from_home(by_mean_force, reading, learning.model_error), window.end_s, estimator)
         area_m2 = parts.area.second(window.end_s, window.weight_s, reading.inputs, grain_comes=flow.measured)
-        missing = Missing.of(sampled=window.samples > 0, speed=reading.speed_rad_s, zeroed=reading.zero is not None)
+        missing = Missing.of(
+            sampled=window.samples > 0,
+            speed=reading.speed_rad_s,
+            in_range=reading.in_range,
+            zeroed=reading.zero is not None,
+        )
         mass_kg = loads.count(window, flow, reading.inputs.fresh["moisture"], area_m2, missing)
         self._weigh(reading, flow, mass_kg)
         angle_rad = window.plate_angle_rad if isfinite(window.plate_angle_rad) else parts.machine.home_plate_angle_rad

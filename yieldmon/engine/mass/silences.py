@@ -8,9 +8,9 @@ from math import inf, isfinite
 
 _LONGEST_SILENCE_S, _LONGEST_WAKING_S = 60.0, 3.0
 """How long all sensors' nodes may be silent at a load's begin, and one of them after another: assumed, by no study."""
-_LONGEST_ZEROING_S = 10.0
-"""How long the elevator may turn at a load's begin until its first zero: three seconds that are seen to be empty, after those in
-which it gets up to speed."""
+_LONGEST_ZEROING_S, _LONGEST_SPIN_UP_S = 4.5, 6.0
+"""How long the elevator may turn at a load's begin until its first zero, at a speed at which one is taken: three seconds that are
+seen to be empty; and before, while it gets up to that speed."""
 
 
 class Missing(Enum):
@@ -23,15 +23,20 @@ class Missing(Enum):
     """Samples and speed were there, and no zero to take off."""
     ZERO_STANDING = auto()
     """Of such a second: the elevator stood."""
+    ZERO_OUT_OF_RANGE = auto()
+    """Of such a second: the elevator turned at a speed at which no zero is taken."""
 
     @classmethod
-    def of(cls, *, sampled: bool, speed: float, zeroed: bool) -> Missing:
-        """speed: of the elevator in any unit, nan where it is not known. zeroed: a zero was known."""
+    def of(cls, *, sampled: bool, speed: float, in_range: bool, zeroed: bool) -> Missing:
+        """speed: of the elevator in any unit, nan where it is not known. in_range: grain is measured at it. zeroed: a zero was
+        known."""
         if not sampled and not speed > 0.0:
             return cls.ALL
         if zeroed or not sampled or not isfinite(speed):
             return cls.SOME
-        return cls.ZERO if speed != 0.0 else cls.ZERO_STANDING
+        if speed == 0.0:
+            return cls.ZERO_STANDING
+        return cls.ZERO if in_range else cls.ZERO_OUT_OF_RANGE
 
 
 class Silences:
@@ -43,7 +48,7 @@ class Silences:
     """
 
     def __init__(self) -> None:
-        self._silent_s = self._waking_s = self._zeroing_s = 0.0
+        self._silent_s = self._waking_s = self._zeroing_s = self._spin_up_s = 0.0
         self._stood = False
         """Whether the elevator stood when the sensors were last there."""
 
@@ -52,14 +57,18 @@ class Silences:
         stands: whether the elevator stood in it."""
         if missing is None:
             ran_unseen = self._stood and not stands and self._silent_s > _LONGEST_SILENCE_S
-            self._silent_s, self._waking_s, self._zeroing_s = 0.0 if stands else inf, 0.0, 0.0
+            self._silent_s, self._waking_s = 0.0 if stands else inf, 0.0
+            self._zeroing_s = self._spin_up_s = 0.0
             self._stood = stands
             return not ran_unseen
-        unzeroed = missing in (Missing.ZERO, Missing.ZERO_STANDING)
+        unzeroed = missing in (Missing.ZERO, Missing.ZERO_STANDING, Missing.ZERO_OUT_OF_RANGE)
         if self._silent_s < inf and (unzeroed or self._zeroing_s > 0.0):
-            # The second that ends with the zero has no flow either.
-            self._zeroing_s += 0.0 if missing is Missing.ZERO_STANDING else duration_s
-            return self._zeroing_s <= _LONGEST_ZEROING_S
+            if missing is Missing.ZERO_OUT_OF_RANGE:
+                self._spin_up_s += duration_s
+            elif missing is not Missing.ZERO_STANDING:
+                # The second that ends with the zero has no flow either.
+                self._zeroing_s += duration_s
+            return self._zeroing_s <= _LONGEST_ZEROING_S and self._spin_up_s <= _LONGEST_SPIN_UP_S
         if missing is Missing.ALL and (self._stood or self._waking_s == 0.0):
             self._silent_s += duration_s
         else:

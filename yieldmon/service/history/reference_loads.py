@@ -121,7 +121,7 @@ def reference(stored: StoredLoad, machine: Machine, settings: EngineSettings) ->
         measured_kg=load.mass_kg,
         dry_kg=load.dry_mass_kg or 0.0,
         unknown_moisture_kg=0.0 if load.dry_mass_kg is not None else load.mass_kg,
-        complete=not stored.doubted and _whole(load, seconds, settings),
+        complete=not stored.doubted and _whole(load, seconds, machine, settings),
         std_dev_kg=budget.std_dev_kg,
         budget=budget,
     )
@@ -129,9 +129,8 @@ def reference(stored: StoredLoad, machine: Machine, settings: EngineSettings) ->
     return ReferenceLoad(summary, tuple(map(kept_second, seconds)), versions)
 
 
-def _whole(load: Load, seconds: Sequence[SecondRow], settings: EngineSettings) -> bool:
-    """Whether every second was measured: none missing but in a pause, none without a flow for want of
-    an input, none contested."""
+def _whole(load: Load, seconds: Sequence[SecondRow], machine: Machine, settings: EngineSettings) -> bool:
+    """Whether every second was measured: none missing but in a pause, none without a flow for want of an input, none contested."""
     counted_kg = sum(s.mass_kg for s in seconds)
     if not load.mass_kg > 0.0 or abs(counted_kg - load.mass_kg) > _SAME_MASS * load.mass_kg:
         return False
@@ -148,7 +147,12 @@ def _whole(load: Load, seconds: Sequence[SecondRow], settings: EngineSettings) -
         measured = second.mass_flow_kg_s is not None
         available = measured or second.quality != EstimateQuality.NOT_AVAILABLE
         speed_rpm = nan if second.elevator_speed_rpm is None else second.elevator_speed_rpm
-        missing = Missing.of(sampled=second.coverage > 0.0, speed=speed_rpm, zeroed=second.zero_mv is not None)
+        missing = Missing.of(
+            sampled=second.coverage > 0.0,
+            speed=speed_rpm,
+            in_range=machine.min_elevator_speed_rad_s <= speed_rpm * RPM <= machine.max_elevator_speed_rad_s,
+            zeroed=second.zero_mv is not None,
+        )
         stands = speed_rpm <= settings.gate.min_turning_rpm
         if not silences.lacks_nothing(second.duration_s, None if available else missing, stands=stands):
             return False
