@@ -1,4 +1,4 @@
-"""The published model, stage by stage, against a discrete-element campaign: tables and pictures of studies/dem/README.md.
+"""The published model, stage by stage, against a discrete-element campaign: tables and pictures of studies/dem/results.md.
 
 Reads tests/data/dem_campaign*, dem_clumps* and dem_table.csv; needs no engine. The sections diagnosis and open-loop take
 minutes; edges needs the folder of each throw, which the repository does not hold.

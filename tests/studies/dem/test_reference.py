@@ -114,7 +114,7 @@ def test_the_page_can_be_made_again(tmp_path: Path) -> None:
     done = program("studies.dem.report", *chapters, "--page", page, "--pictures", tmp_path)
     assert done.returncode == 0, done.stderr
     text = page.read_text(encoding="utf-8")
-    shipped_page = (ROOT / "studies" / "dem" / "README.md").read_text(encoding="utf-8")
+    shipped_page = (ROOT / "studies" / "dem" / "results.md").read_text(encoding="utf-8")
     for name in names:
         block = text.split(f"<!-- {name} -->\n")[1].split(f"<!-- /{name} -->")[0]
         assert block.startswith("|")

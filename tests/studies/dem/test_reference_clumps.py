@@ -87,7 +87,7 @@ def test_the_page_can_be_made_again(tmp_path: Path) -> None:
     page.write_text("\n".join(f"<!-- {n} -->\n<!-- /{n} -->" for n in names), encoding="utf-8")
     done = program("studies.dem.report", "clumps", "--page", page, "--pictures", tmp_path)
     assert done.returncode == 0, done.stderr
-    text, shipped_page = page.read_text(encoding="utf-8"), (ROOT / "studies" / "dem" / "README.md").read_text(encoding="utf-8")
+    text, shipped_page = page.read_text(encoding="utf-8"), (ROOT / "studies" / "dem" / "results.md").read_text(encoding="utf-8")
     for name in names:
         block = text.split(f"<!-- {name} -->\n")[1].split(f"<!-- /{name} -->")[0]
         assert block.startswith("|")
