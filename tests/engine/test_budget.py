@@ -61,6 +61,11 @@ def test_the_zero_is_less_certain_the_longer_it_was_not_measured(since_empty_s: 
     assert zero_std_dev_mv(SETTINGS, since_empty_s) == pytest.approx(expected_mv)
 
 
+@pytest.mark.parametrize(("away_mv", "expected_mv"), [(0.0, 0.2), (0.59, 0.2), (0.61, 0.61), (15.0, 15.0)])
+def test_the_zero_is_as_uncertain_as_the_empty_plate_was_seen_away_from_it(away_mv: float, expected_mv: float) -> None:
+    assert zero_std_dev_mv(SETTINGS, 0.0, away_mv) == pytest.approx(expected_mv)
+
+
 @pytest.mark.parametrize(
     ("seen", "calibrated", "followed", "expected_pct"),
     [

@@ -267,3 +267,42 @@ def test_readings_are_as_windows_say() -> None:
     reading = machine.harvest()
     assert (reading.still, reading.at_home, reading.harvesting, reading.in_range, reading.speed_known) == (True,) * 5
     assert (reading.sampled_before, reading.zero_age_s, reading.calibrating_zero) == (True, 3.0, False)
+
+
+UNSEEN_MV = SETTINGS.zero.window_pulse_margin_mv
+EMPTY_SPELLS: dict[str, tuple[list[tuple[float, float]], float]] = {
+    # levels above the zero and pulses of the seconds after some of grain, mV; how far the empty plate was seen from the zero
+    "a turn at the headland": ([(14.0, 0.0)] * 3, 14.0),
+    "below empty": ([(-14.0, 0.0)] * 3, 14.0),
+    "too short": ([(14.0, 0.0)] * 2, 0.0),
+    "interrupted by pulses": ([(14.0, 0.0), (14.0, 0.0), (14.0, 90.0), (14.0, 0.0), (14.0, 0.0)], 0.0),
+    "the last grain trickles": ([(60.0, 0.0), (30.0, 0.0), (14.0, 0.0)], 14.0),
+    "grain comes again": ([(14.0, 0.0)] * 3 + [(40.0, 0.0), (600.0, 90.0)], 14.0),
+    "a later spell": ([(14.0, 0.0)] * 3 + [(600.0, 90.0)] + [(9.0, 0.0)] * 3, 9.0),
+    "what a trickle may do": ([(0.99 * UNSEEN_MV, 0.0)] * 3, 0.0),
+    "more than a trickle": ([(1.01 * UNSEEN_MV, 0.0)] * 3, 1.01 * UNSEEN_MV),
+}
+
+
+@pytest.mark.parametrize("case", EMPTY_SPELLS)
+def test_short_spells_without_grain_show_how_far_the_zero_is_off(case: str) -> None:
+    seconds, expected_mv = EMPTY_SPELLS[case]
+    machine = Seconds()
+    machine.harvest(20)
+    zero = machine.measurement.zero.state
+    for away_mv, pulse_mv in seconds:
+        reading = machine.second(away_mv * GAIN_N_PER_MV, pulse_mv=pulse_mv)
+    assert reading.zero_away_mv == pytest.approx(expected_mv)
+    assert machine.measurement.zero.state == zero, "it moves no zero"
+
+
+def test_a_zero_that_is_taken_anew_is_away_from_nothing() -> None:
+    machine = Seconds()
+    machine.harvest(20)
+    readings = [machine.second(14.0 * GAIN_N_PER_MV) for _ in range(3)]
+    assert readings[-1].zero_away_mv > 0.0
+    machine.measurement.zero.calibrate()
+    for _ in range(SETTINGS.zero.settle_windows):
+        reading = machine.second(14.0 * GAIN_N_PER_MV)
+    assert reading.zero_taken
+    assert (reading.zero_away_mv, machine.harvest().zero_away_mv) == (0.0, 0.0)

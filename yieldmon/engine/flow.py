@@ -167,7 +167,7 @@ class FlowMeter:
             late_rad = _late_rad(reading.window, self._settings.windows.max_ramp_s)
             size = _change_by_angle(reading, rate, estimator, late_rad)[0]
             noise, motion = hypot(noise, size), size if angle_rad > before_rad else -size if angle_rad < before_rad else 0.0
-        zero_n = zero_std_dev_mv(settings, reading.zero_age_s) * self._gain_n_per_mv
+        zero_n = zero_std_dev_mv(settings, reading.zero_age_s, reading.zero_away_mv) * self._gain_n_per_mv
         relative = self.moisture.relative_std_dev(
             reading.inputs.fresh["moisture"],
             parameters.version,

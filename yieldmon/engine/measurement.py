@@ -13,6 +13,7 @@ from yieldmon.engine.mass.gates import GateInputs, HarvestGate
 from yieldmon.engine.mass.tank_rise import TankRise
 from yieldmon.engine.quick import maker_of
 from yieldmon.engine.sampling.aliasing import ALIAS_FREE_HZ, aliasing_share
+from yieldmon.engine.sampling.empty_spells import EmptySpells
 from yieldmon.engine.sampling.paddle_scatter import PaddleScatter
 from yieldmon.engine.sampling.windows import Window
 from yieldmon.engine.sampling.zero import ZeroRefusal, ZeroState, ZeroTracker
@@ -40,7 +41,8 @@ class Reading:
     stuck_s: how long no sample has changed. struck_s: how long grain has struck the plate although the elevator is reported to
     stand. still: the plate rested. sampled_before: the window before had samples.
     windows_since_jump: closed since the bus's clock jumped. zero_taken: a zero was learnt with this window. zero_age_s: since the
-    zero was last taken or followed, or since the start. zero_drift: what is wrong with it, "" for nothing.
+    zero was last taken or followed, or since the start. zero_away_mv: how far the empty plate was seen from it since, in spells
+    too short to take another. zero_drift: what is wrong with it, "" for nothing.
     zero_refusal: why there is no first zero.
     """
 
@@ -64,6 +66,7 @@ class Reading:
     windows_since_jump: int
     zero_taken: bool
     zero_age_s: float
+    zero_away_mv: float
     zero_refusal: ZeroRefusal | None
 
 
@@ -81,6 +84,7 @@ class Measurement:
         slow = any(source.rate_hz < ALIAS_FREE_HZ for source in sources.impact)
         self._aliasing = sources.impact if slow else ()
         """Sensors whose samples alias."""
+        self._empty_spells = EmptySpells()
         self._gate = HarvestGate(settings.gate)
         self._rest_rad = radians(2.0 * settings.plate.at_target_tolerance_deg)
         self._idle_since_s: float | None = None
@@ -158,7 +162,7 @@ class Measurement:
         return _reading(
             window, inputs, quality, force, noise, speed, inputs.speed_known, in_range, self._stuck_s, self._struck_s, still,
             at_home, self._gate.harvesting, zero.state, zero.drift, zero.calibrating, sampled_before, self._since_jump, taken,
-            zero_age_s, zero.refusal,
+            zero_age_s, self._zero_away_mv(window), zero.refusal,
         )  # fmt: skip
 
     def _gated(self, window: Window, usable: bool, in_range: bool, idle_s: float) -> tuple[EstimateQuality | None, float, float]:
@@ -228,6 +232,7 @@ class Measurement:
         self._obstacle = self._zero_obstacle(window, inputs, elevator_runs, plate_rests_at_home)
         if not self._obstacle and self.zero.calibrating and self.zero.waits_for_grain_to_pass(signs := self.signs_of_grain):
             self._obstacle = f"an elevator that runs empty: {signs}; stop taking in crop"
+        self._look_at_empty(window, usable=not self._obstacle)
         if self._obstacle:
             self.zero.interrupt()
             if elevator_runs and window.samples:
@@ -237,6 +242,20 @@ class Measurement:
         wanted = self.zero.calibrating or self.zero.state is None
         self.zero.see(window, may_be_empty=not self._gate.harvesting and emptied)
         return wanted and self.zero.state is not None and not self.zero.calibrating
+
+    def _look_at_empty(self, window: Window, usable: bool) -> None:
+        """Show the window to the spells of an empty elevator. usable: the zero may look at it."""
+        zero = self.zero.state
+        if zero is None or not usable or self.zero.pulses(window):
+            self._empty_spells.interrupt()
+        else:
+            self._empty_spells.see(window.mean_mv, zero.zero_mv, window.end_s)
+
+    def _zero_away_mv(self, window: Window) -> float:
+        zero = self.zero.state
+        if zero is None:
+            return 0.0
+        return self._empty_spells.departure_mv(zero.zero_mv, self.zero.known_s, self.zero.unseen_pulse_mv(window))
 
     def _is_level(self, window: Window) -> bool:
         """Whether a window's samples give its level: all of them, or most of them of a sensor that loses some all the time. One

@@ -150,6 +150,8 @@ class MassBudget:
 _made = maker_of(MassBudget)
 EMPTY = MassBudget()
 """Of no mass."""
+_CONTRADICTED = 3.0
+"""Standard deviations from which on what is seen of the empty plate contradicts the drift that is expected of the zero."""
 _AVERAGED_READINGS = 6
 _NOW_VARIANCE = 1.0 / (2 * _AVERAGED_READINGS - 1)
 """Of the mean of the newest readings, over that of one: their weights fall by the same share from each to the one before it."""
@@ -270,7 +272,7 @@ def _away_pct(known: MoistureState) -> float:
     return sqrt(max(apart**2 - of_means * known.variance_pct2, 0.0))
 
 
-def zero_std_dev_mv(settings: BudgetSettings, since_empty_s: float) -> float:
+def zero_std_dev_mv(settings: BudgetSettings, since_empty_s: float, away_mv: float = 0.0) -> float:
     """Standard deviation of the zero, mV: as it was taken, and the drift since.
 
     Parameters
@@ -278,10 +280,13 @@ def zero_std_dev_mv(settings: BudgetSettings, since_empty_s: float) -> float:
     settings : BudgetSettings
     since_empty_s : float
         Since the zero was last taken or followed, s.
+    away_mv : float
+        How far the empty plate was seen from the zero since, mV: beyond three deviations it is the deviation.
 
     Returns
     -------
     float
     """
     hours = max(0.0, since_empty_s) / 3600.0
-    return hypot(settings.zero_mv, settings.zero_drift_mv_per_root_h * sqrt(hours))
+    expected_mv = hypot(settings.zero_mv, settings.zero_drift_mv_per_root_h * sqrt(hours))
+    return away_mv if away_mv > _CONTRADICTED * expected_mv else expected_mv

@@ -203,8 +203,20 @@ class ZeroTracker:
         state = self._state
         if state is None:
             return window.pulse_mv > self._settings.first_pulse_limit_mv
-        usual = state.window_pulse_mv * _speed_factor(window.speed_rad_s, state.speed_rad_s)
-        return window.pulse_mv > max(usual * self._settings.window_pulse_margin, usual + self._settings.window_pulse_margin_mv)
+        return window.pulse_mv > self._pulse_limit_mv(self._usual_pulse_mv(state, window))
+
+    def unseen_pulse_mv(self, window: Window) -> float:
+        """What paddle pulses may have beyond what vibration makes before `pulses` sees them; inf where no zero is known."""
+        if self._state is None:
+            return float("inf")
+        usual = self._usual_pulse_mv(self._state, window)
+        return self._pulse_limit_mv(usual) - usual
+
+    def _pulse_limit_mv(self, usual: float) -> float:
+        return max(usual * self._settings.window_pulse_margin, usual + self._settings.window_pulse_margin_mv)
+
+    def _usual_pulse_mv(self, state: ZeroState, window: Window) -> float:
+        return state.window_pulse_mv * _speed_factor(window.speed_rad_s, state.speed_rad_s)
 
     def interrupt(self) -> None:
         """The windows to come do not follow on those seen (sensor lost, plate moved, elevator out of its range)."""

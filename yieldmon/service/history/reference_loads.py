@@ -130,7 +130,7 @@ def reference(stored: StoredLoad, machine: Machine, settings: EngineSettings) ->
 
 
 def _whole(load: Load, seconds: Sequence[SecondRow], machine: Machine, settings: EngineSettings) -> bool:
-    """Whether every second was measured: none missing but in a pause, none without a flow for want of an input, none contested."""
+    """Whether every second was measured: none missing but in a pause, none without a flow for want of an input or contested."""
     counted_kg = sum(s.mass_kg for s in seconds)
     if not load.mass_kg > 0.0 or abs(counted_kg - load.mass_kg) > _SAME_MASS * load.mass_kg:
         return False

@@ -1,0 +1,58 @@
+"""How far the empty plate reads from the zero in spells too short to take a new one, such as turns at the headland."""
+
+from __future__ import annotations
+
+from math import inf
+
+_LEAST_WINDOWS = 3
+"""Windows in a row without paddle pulses that are taken for an empty elevator."""
+
+
+class EmptySpells:
+    """Levels of windows without paddle pulses. They move no zero: that takes a longer look."""
+
+    def __init__(self) -> None:
+        self._windows = 0
+        self._away_mv = inf
+        """Nearest to the zero of the spell under way."""
+        self._found: tuple[float, float] | None = None
+        """Level of the last spell that was long enough, mV, and when it was seen."""
+        self._level_mv = 0.0
+
+    def interrupt(self) -> None:
+        """Grain, or a window that says nothing: the spell has ended."""
+        self._windows, self._away_mv = 0, inf
+
+    def see(self, level_mv: float, zero_mv: float, end_s: float) -> None:
+        """A window without paddle pulses, by its mean level.
+
+        Of a spell the level nearest to the zero counts, as grain that still trickles adds to the others.
+        """
+        self._windows += 1
+        if abs(level_mv - zero_mv) < self._away_mv:
+            self._away_mv, self._level_mv = abs(level_mv - zero_mv), level_mv
+        if self._windows >= _LEAST_WINDOWS:
+            self._found = (self._level_mv, end_s)
+
+    def departure_mv(self, zero_mv: float, known_s: float | None, trickle_mv: float) -> float:
+        """How far the last spell's level is from the zero.
+
+        Parameters
+        ----------
+        zero_mv : float
+            In use.
+        known_s : float or None
+            When it was last taken or followed, s.
+        trickle_mv : float
+            Level that grain may have without pulses that show.
+
+        Returns
+        -------
+        float
+            mV; 0 where the zero was looked at since, and where a trickle of grain would do.
+        """
+        if self._found is None:
+            return 0.0
+        level_mv, seen_s = self._found
+        away_mv = abs(level_mv - zero_mv)
+        return away_mv if away_mv > trickle_mv and (known_s is None or known_s < seen_s) else 0.0
