@@ -16,6 +16,7 @@ from yieldmon.cli.main import main
 from yieldmon.errors import InputError
 from yieldmon.files import parameter_file
 from yieldmon.files.ticket_file import WeighedTicket, names_log
+from yieldmon.frames import EstimateQuality
 from yieldmon.physics.model import ForwardModel
 from yieldmon.service.logs.weighed_loads import MeasuredLoad, force_columns, loads_of, loads_on, match, sweeps_of
 from yieldmon.service.storage.batch import Batch, Load, ParameterVersion
@@ -113,7 +114,7 @@ def test_loads_of_another_machine_than_the_shipped_one_need_its_configuration(ti
     found = [row for n in (1, 2) for row in rows(n, 100.0 * n, seconds=30, flow=6.0 + n)]
     with Store(tmp_path / "s.sqlite") as store:
         seconds = tuple(replace(row, number=i, mass_kg=times * row.mass_kg) for i, row in enumerate(found, 1))
-        loads = tuple(Load(n, "", "corn", 100.0 * n, 100.0 * n + 40.0, 200.0, None) for n in (1, 2))
+        loads = tuple(Load(n, "", "corn", 100.0 * n, 100.0 * n + 31.0, 200.0, None) for n in (1, 2))
         version = ParameterVersion(1, 0.0, "file", parameter_file.to_document(known()))
         store.commit([Batch(1, 300.0, {}, seconds, loads, parameter_versions=(version,))])
     (tmp_path / "t.csv").write_text(f"load,weighed_kg\n1,{210 * times}\n2,{240 * times}\n")
@@ -124,6 +125,35 @@ def test_loads_of_another_machine_than_the_shipped_one_need_its_configuration(ti
     assert (f"s.sqlite: {says}, the shipped one's; expected --config FILE" in err) == (times != 1.0)
     assert main([*words, "--machine", "sprocket-8"]) == 0
     assert (f"{says}: is it the configuration of the machine that" in capsys.readouterr().err) == (times != 1.0)
+
+
+SILENT = {"mass_flow_kg_s": None, "quality": int(EstimateQuality.NOT_AVAILABLE), "mass_kg": 0.0, "coverage": 0.0}
+
+
+@pytest.mark.parametrize(
+    ("silent", "gone", "said"),
+    [
+        (0, 0, ""),
+        (3, 0, "3 s of load 1, 7.5 % of its time, were not measured: what was weighed may be more than what was measured"),
+        (0, 3, "3 s of load 1, 7.5 % of its time, were not measured"),
+        (6, 0, "line 2, load: 6 s of load 1, 15 % of its time, were not measured; expected at most 10 %; a load measured whole"),
+    ],
+    ids=["whole", "a silent sensor", "seconds missing", "too many"],
+)
+def test_seconds_of_a_load_that_were_not_measured_are_said(tmp_path, capsys, silent: int, gone: int, said: str) -> None:
+    found = rows(1, 100.0, seconds=40, flow=8.0)
+    found = [replace(row, **SILENT) if 10 <= i < 10 + silent else row for i, row in enumerate(found)]
+    del found[20 : 20 + gone]
+    with Store(tmp_path / "s.sqlite") as store:
+        load = Load(1, "", "corn", 100.0, 141.0, sum(row.mass_kg for row in found), None)
+        version = ParameterVersion(1, 0.0, "file", parameter_file.to_document(known()))
+        store.commit([Batch(1, 300.0, {}, tuple(found), (load,), parameter_versions=(version,))])
+    (tmp_path / "t.csv").write_text("load,weighed_kg\n1,300\n")
+    words = ["calibrate", "--loads", str(tmp_path / "s.sqlite"), "--tickets", str(tmp_path / "t.csv")]
+    assert main(words) == (2 if silent == 6 else 0)
+    err = capsys.readouterr().err
+    assert said in err
+    assert bool(said) == ("not measured" in err)
 
 
 def test_grain_between_two_loads_is_of_neither(tmp_path, capsys) -> None:

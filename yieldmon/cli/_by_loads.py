@@ -102,7 +102,14 @@ def _measured(args: argparse.Namespace) -> tuple[Configuration, tuple[MeasuredLo
     measured = weighed_loads.read(args.loads, configured)
     of_crop = weighed_loads.alike(measured, tickets)
     _require_machine(weighed_loads.times_what_a_machine_makes(of_crop, configured.machine), args)
-    return configured, of_crop, weighed_loads.match(measured, tickets, configured.machine)
+    loads = weighed_loads.match(measured, tickets, configured.machine)
+    for load in {load.name: load for ticket in tickets for load in weighed_loads.loads_on(ticket, measured)}.values():
+        if load.unmeasured_s > 0.0:
+            _notes.note(
+                f"{load.unmeasured_s:.0f} s of load {load.name}, {100.0 * load.unmeasured_share:.1f} % of its time, were not "
+                "measured: what was weighed may be more than what was measured"
+            )
+    return configured, of_crop, loads
 
 
 def _require_machine(times: float | None, args: argparse.Namespace) -> None:

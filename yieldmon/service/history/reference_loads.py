@@ -15,15 +15,14 @@ import numpy as np
 
 from yieldmon.engine.mass.budget import MassBudget
 from yieldmon.engine.mass.load_summary import LoadSummary
-from yieldmon.engine.mass.silences import Missing, Silences
 from yieldmon.engine.sampling.since_zero import KeptSecond
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.estimation.estimators import estimator_of
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import parameter_file
-from yieldmon.frames import EstimateQuality
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.service.logs.recorded import opened
+from yieldmon.service.logs.unmeasured import is_available, unmeasured
 from yieldmon.service.storage import ledger
 from yieldmon.service.storage.batch import Action, Load
 from yieldmon.service.storage.load_ends import load_ends_s, load_of
@@ -31,10 +30,6 @@ from yieldmon.service.storage.rows import SecondRow, kept_second
 from yieldmon.service.storage.store import Store
 
 _MOST_LOADS = 64
-_GAP_S = 0.5
-"""Time without a second that a whole load may have altogether."""
-_SECOND_UNDER_WAY_S = 2.0
-"""From the last second of a load to its end: the second in which it ends is of the next load."""
 _SAME_MASS = 1e-4
 """Relative difference of a load's mass from that of its seconds that is rounding."""
 
@@ -134,33 +129,10 @@ def _whole(load: Load, seconds: Sequence[SecondRow], machine: Machine, settings:
     counted_kg = sum(s.mass_kg for s in seconds)
     if not load.mass_kg > 0.0 or abs(counted_kg - load.mass_kg) > _SAME_MASS * load.mass_kg:
         return False
-    silences, first = Silences(), seconds[0]
-    end_s = first.time_s - first.duration_s
-    lost_s = 0.0 if load.started_s is None else max(0.0, end_s - load.started_s)
-    for second in seconds:
-        gap_s = max(0.0, second.time_s - second.duration_s - end_s)
-        if gap_s <= _GAP_S:
-            lost_s += gap_s
-        elif not silences.lacks_nothing(gap_s, Missing.ALL):
-            return False
-        end_s = second.time_s
-        measured = second.mass_flow_kg_s is not None
-        available = measured or second.quality != EstimateQuality.NOT_AVAILABLE
-        speed_rpm = nan if second.elevator_speed_rpm is None else second.elevator_speed_rpm
-        missing = Missing.of(
-            sampled=second.coverage > 0.0,
-            speed=speed_rpm,
-            in_range=machine.min_elevator_speed_rad_s <= speed_rpm * RPM <= machine.max_elevator_speed_rad_s,
-            zeroed=second.zero_mv is not None,
-        )
-        stands = speed_rpm <= settings.gate.min_turning_rpm
-        if not silences.lacks_nothing(second.duration_s, None if available else missing, stands=stands):
-            return False
-        counted = measured or (not available and second.mass_kg > 0.0)
-        if counted and (second.coverage < settings.windows.min_coverage or second.surplus_frames > 0):
-            return False
-    unseen_s = 0.0 if load.ended_s is None else load.ended_s - end_s
-    return lost_s <= _GAP_S and (unseen_s <= _SECOND_UNDER_WAY_S or silences.lacks_nothing(unseen_s, Missing.ALL))
+    if not unmeasured(seconds, machine, settings, started_s=load.started_s, ended_s=load.ended_s).none:
+        return False
+    counted = [s for s in seconds if s.mass_flow_kg_s is not None or (not is_available(s) and s.mass_kg > 0.0)]
+    return all(s.coverage >= settings.windows.min_coverage and s.surplus_frames <= 0 for s in counted)
 
 
 def _budget(stored: StoredLoad, machine: Machine) -> MassBudget:

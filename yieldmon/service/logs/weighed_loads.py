@@ -29,6 +29,7 @@ from yieldmon.service.config.configuration import Configuration
 from yieldmon.service.logs.bulk_processing import process_in_bulk
 from yieldmon.service.logs.log_copies import refuse_copies
 from yieldmon.service.logs.recorded import is_store_not_log, opened, parameter_sets
+from yieldmon.service.logs.unmeasured import unmeasured
 from yieldmon.service.storage.batch import Load
 from yieldmon.service.storage.load_ends import load_ends_s, load_of
 from yieldmon.service.storage.rows import SecondRow
@@ -41,8 +42,8 @@ _TELLING_SECONDS, _LEAST_SECONDS = 300, 20
 
 @dataclass(frozen=True)
 class MeasuredLoad:
-    """Seconds of one load, with the parameters that measured each version's. crop: "" where none was named. is_open: more may
-    come."""
+    """Seconds of one load with mass, and the parameters that measured each version's. crop: "" where none was named. is_open:
+    more may come. unmeasured_s: time not measured although grain may have come."""
 
     name: str
     log: str
@@ -50,6 +51,13 @@ class MeasuredLoad:
     parameters: Mapping[int, ParameterSet]
     crop: str = ""
     is_open: bool = False
+    unmeasured_s: float = 0.0
+
+    @property
+    def unmeasured_share(self) -> float:
+        """Of its time with grain."""
+        measured_s = float(sum(row.duration_s for row in self.seconds))
+        return self.unmeasured_s / (self.unmeasured_s + measured_s)
 
     @property
     def mass_kg(self) -> float:
@@ -67,16 +75,16 @@ def read(
     if twice := repeated(sources):
         raise InputError("--loads", f"names {twice[0]} twice", "each log once")
     refuse_copies(sources)
-    return _of_store(Path(stores[0])) if stores else _of_logs(sources, configured, progress)
+    return _of_store(Path(stores[0]), configured) if stores else _of_logs(sources, configured, progress)
 
 
-def _of_store(path: Path) -> tuple[MeasuredLoad, ...]:
+def _of_store(path: Path, configured: Configuration) -> tuple[MeasuredLoad, ...]:
     with opened(path) as store:
         rows = store.seconds()
         versions = parameter_sets(store)
         known = {str(load.number): load for load in store.loads()}
-    found = []
-    for load in loads_of(of_loads(rows, known.values()), versions):
+    rows, found = of_loads(rows, known.values()), []
+    for load in _examined(loads_of(rows, versions), rows, configured, known):
         of_parameters = versions.get(load.seconds[-1].parameter_version)
         crop = known[load.name].crop if load.name in known else ""
         crop = crop or (of_parameters.provenance.get("crop", "") if of_parameters is not None else "")
@@ -119,7 +127,7 @@ def _of_logs(
             progress=progress,
         )
         versions = {configured.parameters.version: configured.parameters}
-        found += loads_in_log(rows, source, versions, len(found))
+        found += _examined(loads_in_log(rows, source, versions, len(found)), rows, configured)
     return tuple(found)
 
 
@@ -160,6 +168,30 @@ def _loads(
     if log:
         by_number = {i: by_number[number] for i, number in enumerate(sorted(by_number), 1)}
     return tuple(MeasuredLoad(str(before + number), log, tuple(part), versions) for number, part in sorted(by_number.items()))
+
+
+def _examined(
+    loads: Iterable[MeasuredLoad],
+    rows: Iterable[SecondRow],
+    configured: Configuration,
+    stored: Mapping[str, Load] | None = None,
+) -> list[MeasuredLoad]:
+    """The loads with what of their time was not measured; rows: all of theirs, those without mass too."""
+    by_number: dict[int, list[SecondRow]] = {}
+    for row in rows:
+        by_number.setdefault(row.load_number, []).append(row)
+    out = []
+    for load in loads:
+        known = (stored or {}).get(load.name)
+        lacks = unmeasured(
+            by_number[load.seconds[0].load_number],
+            configured.machine,
+            configured.engine,
+            started_s=known.started_s if known is not None else None,
+            ended_s=known.ended_s if known is not None else None,
+        )
+        out.append(load if lacks.none else replace(load, unmeasured_s=lacks.seconds_s + lacks.gaps_s))
+    return out
 
 
 def match(loads: Sequence[MeasuredLoad], tickets: Sequence[WeighedTicket], machine: Machine) -> tuple[WeighedLoad, ...]:
@@ -207,6 +239,14 @@ def loads_on(ticket: WeighedTicket, loads: Sequence[MeasuredLoad]) -> list[Measu
 
 
 def _weighed(name: str, ticket: WeighedTicket, covered: Sequence[MeasuredLoad], machine: Machine) -> WeighedLoad:
+    for load in covered:
+        if load.unmeasured_share > 1.0 - LEAST_KNOWN_SHARE:
+            share = f"{100.0 * load.unmeasured_share:.0f} % of its time"
+            raise InputError(
+                ticket.where,
+                f"{load.unmeasured_s:.0f} s of load {load.name}, {share}, were not measured",
+                f"at most {100.0 * (1.0 - LEAST_KNOWN_SHARE):.0f} %; a load measured whole",
+            )
     parts, total_kg = [], sum(load.mass_kg for load in covered)
     if slip := unit_slip(ticket.mass_kg, total_kg):
         expected = (
