@@ -87,7 +87,7 @@ def test_published_tables(name: str, f_before: float, f_after: float) -> None:
     assert set(found["gap"]["before"]) >= {"rms", "rms_over_max_pct", "lack_of_fit_f", "p_value"}
     assert set(found["effects"][0]) >= {"name", "stage", "parameters", "confidence", "equivalent"}
     assert 0.2 < found["effects"][0]["confidence"] < 0.6
-    assert any("rests on one cell, plate 50 deg and 0.3 kg" in note for note in found["notes"]) == (name == "bench")
+    assert any("comes from one cell, plate 50 deg and 0.3 kg" in note for note in found["notes"]) == (name == "bench")
     assert found["next_experiment"]["rows"]
     assert set(found["next_experiment"]["rows"][0]) == {"plate_angle_deg", "mass_flow_kg_s", "elevator_speed_rpm"}
 

@@ -150,7 +150,7 @@ class Desk:
         self.begin()
 
     def on_record(self) -> tuple[Any, ...]:
-        rows = self.ask("loads")["loads"]
+        rows = self.ask("loads", all=True)["loads"]
         return rows, self.ask("tickets")["tickets"], self.ask("calibrations")["calibrations"], self.monitor.totals.total_kg
 
     def settle(self) -> None:
