@@ -270,17 +270,20 @@ def test_readings_are_as_windows_say() -> None:
 
 
 UNSEEN_MV = SETTINGS.zero.window_pulse_margin_mv
+CERTAIN_MV = SETTINGS.gate.certain_force_n / GAIN_N_PER_MV
 EMPTY_SPELLS: dict[str, tuple[list[tuple[float, float]], float]] = {
     # levels above the zero and pulses of the seconds after some of grain, mV; how far the empty plate was seen from the zero
     "a turn at the headland": ([(14.0, 0.0)] * 3, 14.0),
     "below empty": ([(-14.0, 0.0)] * 3, 14.0),
     "too short": ([(14.0, 0.0)] * 2, 0.0),
     "interrupted by pulses": ([(14.0, 0.0), (14.0, 0.0), (14.0, 90.0), (14.0, 0.0), (14.0, 0.0)], 0.0),
-    "the last grain trickles": ([(60.0, 0.0), (30.0, 0.0), (14.0, 0.0)], 14.0),
+    "the last grain trickles": ([(60.0, 0.0), (19.0, 0.0), (17.0, 0.0), (14.0, 0.0)], 14.0),
     "grain comes again": ([(14.0, 0.0)] * 3 + [(40.0, 0.0), (600.0, 90.0)], 14.0),
     "a later spell": ([(14.0, 0.0)] * 3 + [(600.0, 90.0)] + [(9.0, 0.0)] * 3, 9.0),
     "what a trickle may do": ([(0.99 * UNSEEN_MV, 0.0)] * 3, 0.0),
     "more than a trickle": ([(1.01 * UNSEEN_MV, 0.0)] * 3, 1.01 * UNSEEN_MV),
+    "as much as grain may have without pulses": ([(0.99 * CERTAIN_MV, 0.0)] * 3, 0.99 * CERTAIN_MV),
+    "grain to a sensor too slow for pulses": ([(1.01 * CERTAIN_MV, 0.0)] * 3, 0.0),
 }
 
 

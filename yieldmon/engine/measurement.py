@@ -244,9 +244,16 @@ class Measurement:
         return wanted and self.zero.state is not None and not self.zero.calibrating
 
     def _look_at_empty(self, window: Window, usable: bool) -> None:
-        """Show the window to the spells of an empty elevator. usable: the zero may look at it."""
+        """Show the window to the spells of an empty elevator. usable: the zero may look at it.
+
+        A sensor too slow for the paddles shows no pulses in grain either: a force that means grain without them is not empty.
+        """
         zero = self.zero.state
         if zero is None or not usable or self.zero.pulses(window):
+            self._empty_spells.interrupt()
+            return
+        force_n = (window.mean_mv - zero.zero_mv) * self._machine.sensor.gain_n_per_mv
+        if abs(force_n) > self._settings.gate.certain_force_n:
             self._empty_spells.interrupt()
         else:
             self._empty_spells.see(window.mean_mv, zero.zero_mv, window.end_s)

@@ -43,13 +43,10 @@ class PointSettings:
 
     def reference_of(self, load_number: int | None) -> float:
         """Moisture of a load's dry mass, %; of grain between loads where these have one and the same."""
-        if load_number is None and len(known := set(self.reference_by_load.values())) == 1:
-            return known.pop()
-        return (
-            self.reference_moisture_pct
-            if load_number is None
-            else self.reference_by_load.get(load_number, self.reference_moisture_pct)
-        )
+        if load_number is not None:
+            return self.reference_by_load.get(load_number, self.reference_moisture_pct)
+        of_all = set(self.reference_by_load.values())
+        return of_all.pop() if len(of_all) == 1 else self.reference_moisture_pct
 
 
 @dataclass(frozen=True, slots=True)

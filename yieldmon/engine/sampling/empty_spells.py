@@ -44,7 +44,7 @@ class EmptySpells:
         known_s : float or None
             When it was last taken or followed, s.
         trickle_mv : float
-            Level that grain may have without pulses that show.
+            Amplitude that pulses may have unseen: a trickle comes in short pulses, whose level is below their amplitude.
 
         Returns
         -------
