@@ -52,3 +52,13 @@ def test_a_root_searched_without_perturbations_carries_them() -> None:
     found = numerics.first_root(lambda t: t * t - a, np.ones((2, 1)), unperturbed=lambda t: t * t - a.real)
     np.testing.assert_allclose(found.real[:, 0], [0.5, 0.8], rtol=1e-4)
     np.testing.assert_allclose(found.imag[:, 0] / 1e-30, [1.0, 0.625], rtol=1e-3)
+
+
+@pytest.mark.parametrize("size", [1, 2, 3, 40, 101])
+def test_the_median_is_that_of_numpy_to_the_last_bit(size: int) -> None:
+    values = np.random.default_rng(size).normal(size=size)
+    assert numerics.median(values) == np.median(values)
+
+
+def test_the_median_of_a_nan_is_a_nan() -> None:
+    assert np.isnan(numerics.median(np.array([1.0, np.nan, 3.0])))

@@ -33,8 +33,9 @@ _CHANGING = 0.1
 
 _BY_PHASE_EVERY = 5
 """Windows; a fifth of them tells noise between the pulses well enough."""
-_EVERY, _FEW = 5, 20
-"""The mean over the windows kept moves slowly: it is formed anew after so many, and always while there are few."""
+_EVERY, _GROWN = 5, 0.25
+"""The mean over the windows kept moves slowly: it is formed anew after so many, or while there are few when they have grown by so
+much."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +127,7 @@ class KernelChannel:
             self._hear(force_n, trace, wave, reading, flow_kg_s)
         if min(len(self._quiet), len(self._loaded)) < self._settings.quiet_windows:
             return None
-        if self._apparent is None or self._heard >= _EVERY or len(self._loaded) < _FEW:
+        if self._apparent is None or self._heard >= min(_EVERY, _GROWN * (len(self._loaded) - self._heard)):
             self._apparent, self._heard = self._apparent_mass(trace.interval_s), 0
         return replace(self._apparent, impulse_n_s=self._apparent.impulse_n_s * reading.force_n / flow_kg_s)
 

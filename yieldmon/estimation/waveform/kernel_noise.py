@@ -14,7 +14,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from yieldmon.physics.numerics import Array
+from yieldmon.physics.numerics import Array, median
 
 from .band_evenness import uneven_sd
 from .noise_gain import CONTACT_HZ, power_gain_and_aliases
@@ -211,7 +211,7 @@ def _least_squares(
     above, ground: density beyond that of the empty machine, and that. averages: periodograms of the loaded and of the empty
     machine. quiet_error: relative deviation of ground.
     """
-    impulse = max(float(np.median(above / gain)), 0.0)
+    impulse = max(median(above / gain), 0.0)
     weight = variance = np.ones_like(gain)
     of_empty = ground**2 / averages[1]
     # A background wrong by one share everywhere is taken as wrong in each place, which is what lines of vibration are.

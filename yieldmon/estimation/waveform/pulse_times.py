@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from yieldmon.estimation.gaussian import SD_PER_MAD
-from yieldmon.physics.numerics import Array
+from yieldmon.physics.numerics import Array, median
 
 _LEAST_PULSES = 20
 _MOST_BLURRED = 3.0
@@ -78,7 +78,7 @@ def pulse_times(late_turns: Array, mean_n: Array, *, pulses: int, pattern_s: flo
     felt = float((np.maximum(mean_n, 0.0) * squares).sum())
     by_kernels = pulses * felt / (whole**2 * step_s) if whole > 0.0 else 0.0
     late_s = late_turns * pattern_s
-    away_s = late_s - np.median(late_s) if late_s.size else late_s
+    away_s = late_s - median(late_s) if late_s.size else late_s
     turned_s = 2.0 * np.pi * frequency[within]
     # Of a pulse far out of place no more is left than it and the mean pulse hold.
     apart_s2 = (2.0 - 2.0 * np.cos(turned_s[:, None] * away_s)).sum(axis=1) / (max(away_s.size, 1) * turned_s**2)
@@ -108,7 +108,7 @@ def misplaced_share(windows: Sequence[PulseTimes], impulse_n_s: float, power_n2:
     pulses = sum(window.away_s.size for window in windows)
     if pulses < _LEAST_PULSES or not whole > 0.0:
         return 0.0
-    middle = float(np.median(np.abs(np.concatenate([window.away_s for window in windows]))))
+    middle = median(np.abs(np.concatenate([window.away_s for window in windows])))
     most = (SD_PER_MAD * middle) ** 2 * pulses / max(pulses - len(windows), 1)
     apart_n2 = blurred_n2 = 0.0
     for window in windows:
