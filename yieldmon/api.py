@@ -12,6 +12,8 @@ Examples
 
 from __future__ import annotations
 
+import warnings
+
 from yieldmon.bus.codec import Codec
 from yieldmon.bus.logs import read_log
 from yieldmon.discrepancy.diagnosis import Diagnosis, Options, diagnose
@@ -25,7 +27,7 @@ from yieldmon.estimation.fitting.measurements import Measurements
 from yieldmon.estimation.open_loop import FlowEstimate, FlowStatus, OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.self_calibration.closed_loop import self_calibrate
-from yieldmon.estimation.self_calibration.closed_loop_inputs import DensityAnchor, MassAnchor, Sweep
+from yieldmon.estimation.self_calibration.closed_loop_inputs import MeasuredDensity, Sweep, WeighedMass
 from yieldmon.estimation.self_calibration.closed_loop_outcome import Outcome
 from yieldmon.files.machine_file import load as load_machine
 from yieldmon.files.parameter_file import load as load_parameters
@@ -55,7 +57,6 @@ __all__ = [
     "ClosedLoopSettings",
     "Codec",
     "Conditions",
-    "DensityAnchor",
     "Diagnosis",
     "Effect",
     "EffectParameter",
@@ -66,7 +67,7 @@ __all__ = [
     "InputError",
     "LoadRecord",
     "Machine",
-    "MassAnchor",
+    "MeasuredDensity",
     "Measurements",
     "Monitor",
     "OpenLoop",
@@ -79,6 +80,7 @@ __all__ = [
     "Sweep",
     "Table",
     "VirtualCombine",
+    "WeighedMass",
     "WindowResult",
     "build_monitor",
     "calibrate",
@@ -101,3 +103,13 @@ __all__ = [
 
 API_VERSION = 1
 """Increases when a name is removed or its meaning changes."""
+
+_FORMER_NAMES = {"DensityAnchor": MeasuredDensity, "MassAnchor": WeighedMass}
+
+
+def __getattr__(name: str) -> type:
+    if name not in _FORMER_NAMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    present = _FORMER_NAMES[name]
+    warnings.warn(f"{__name__}.{name} is now called {present.__name__}", DeprecationWarning, stacklevel=2)
+    return present

@@ -632,7 +632,7 @@ def section_diagnosis() -> dict[str, str]:
         for friction in np.unique(read("dem_campaign.csv")["friction"]):
             for column, name in READINGS.items():
                 found = diagnosed(float(friction), column, accuracy, given=given)
-                held, gap = found.held_out, found.choice
+                held, choice = found.held_out, found.choice
                 body.append(
                     (
                         "gravity, plate's end" if given else "-",
@@ -642,7 +642,7 @@ def section_diagnosis() -> dict[str, str]:
                         found.verdict,
                         said(found),
                         f"{found.before.rms_over_max_pct:.2f}",
-                        f"{gap.base_gap.f:.1f} → {gap.best_gap.f:.1f}",
+                        f"{choice.lack_of_fit_before.f:.1f} → {choice.lack_of_fit_after.f:.1f}",
                         "-"
                         if held is None
                         else f"{held.before.rms:.3f} → {held.after.rms:.3f} (noise {held.noise_floor_rms:.3f})",

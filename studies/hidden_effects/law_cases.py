@@ -272,23 +272,25 @@ def record(kind: str, name: str, number: int, salt: int) -> dict[str, Any]:
         "visible_sd": float(np.sqrt(max(choice.base.chi2 - choice.base.dof, 0.0))),
         "verdict": choice.verdict,
         "classes": classes,
-        "against": choice.against,
-        "undone": choice.best.undone,
+        "against": choice.objection,
+        "undone": choice.best.cancelled,
         # Each of several effects beside other laws of the others: twice the log evidence, and gain in chi-square.
         "needed": [[n.effect, n.evidence, n.gain] for n in needed(choice.best, misfit([choice.best]), Policy().per_parameter)],
         "laws": [s.law for s in choice.steps],
         "features": confidence.features(choice),
-        "f": [choice.base_gap.f, choice.best_gap.f],
-        "p": [choice.base_gap.p_value, choice.best_gap.p_value],
+        "f": [choice.lack_of_fit_before.f, choice.lack_of_fit_after.f],
+        "p": [choice.lack_of_fit_before.p_value, choice.lack_of_fit_after.p_value],
         "chi2": [choice.base.chi2, choice.best.chi2],
         "dof": [choice.base.dof, choice.best.dof],
         # Chi-square that the model's own error makes in the mean, and what is left where laws may be off by so many times more.
         "own": [float(np.sum(model_error.off(f.own_error, f.tangent()) ** 2)) for f in (choice.base, choice.best)],
         "left_by_law": [choice.best.marginal(times * choice.best.shape_error)[0] for times in LAW_TIMES],
-        "agrees": None if seen.proof is None else seen.proof.agrees,
-        "share": None if seen.proof is None else [seen.proof.crossed.value, seen.proof.crossed.sd],
-        "sealed": None if seen.proof is None or seen.proof.sealed is None else [seen.proof.sealed.value, seen.proof.sealed.sd],
-        "worse": [] if seen.proof is None else list(seen.proof.worse),
+        "agrees": None if seen.validation is None else seen.validation.agrees,
+        "share": None if seen.validation is None else [seen.validation.cross_fitted.value, seen.validation.cross_fitted.sd],
+        "sealed": None
+        if seen.validation is None or seen.validation.held_out is None
+        else [seen.validation.held_out.value, seen.validation.held_out.sd],
+        "worse": [] if seen.validation is None else list(seen.validation.worse),
         # The grain's parameters: true ones, as the published model fits them, and as the model with the effects does.
         "grain": {"true": grain}
         | {what: {k: f.values.get(k) for k in grain} for what, f in (("published", choice.base), ("fitted", choice.best))},

@@ -52,9 +52,9 @@ def _judged(record: Record) -> Record:
     policy = Policy()
     left = record["features"][0]["left_share"] ** 2
     against = (
-        record["p"][1] < policy.gap_p
+        record["p"][1] < policy.lack_of_fit_p
         or left > policy.unexplained_share
-        or record.get("undone", 0.0) > policy.most_undone
+        or record.get("undone", 0.0) > policy.most_cancelled
         or len(record["classes"][0]) > policy.largest_class
     )
     found = [{**f, "against": float(against)} for f in record["features"]]

@@ -30,7 +30,7 @@ import numpy as np
 from studies.hidden_effects import cases, law_cases, study
 from studies.hidden_effects import generator as g
 from yieldmon.discrepancy.base_fit import base_frame, fit_base
-from yieldmon.discrepancy.gap import where
+from yieldmon.discrepancy.lack_of_fit import where
 from yieldmon.discrepancy.noise import estimate
 from yieldmon.discrepancy.observations import Rows, cells, with_cells
 from yieldmon.estimation.parameters import ParameterSet

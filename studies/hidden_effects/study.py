@@ -47,7 +47,7 @@ def run_case(case: cases.Case) -> dict[str, Any]:
         "partial": [s.added for s in steps],
         "classes": [[s.added, *s.equivalent] for s in steps] if choice.verdict == "effect" else [],
         "confidence": [s.confidence for s in steps],
-        "f": [choice.base_gap.f, choice.best_gap.f],
+        "f": [choice.lack_of_fit_before.f, choice.lack_of_fit_after.f],
         "p_any": choice.p_any,
         "closed_pct": seen.held_out.closed_pct if seen.held_out is not None and choice.verdict == "effect" else None,
         "parameter_error_pct": _parameter_error(case, data, choice.best),

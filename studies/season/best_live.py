@@ -94,7 +94,7 @@ def best_live(season: Season, first: ParameterSet, harvest: SeasonSettings, kept
     }
     days = (season.time_s[loads.end - 1] // kept.day_s).astype(int)
     shares: dict[str, Any] = {}
-    ticket_sd = np.hypot(np.hypot(kept.ticket_sd_kg / loads.mass_kg, kept.anchor_error), own_sd)
+    ticket_sd = np.hypot(np.hypot(kept.ticket_sd_kg / loads.mass_kg, kept.reference_error), own_sd)
     alone, swept_too = (
         _errors(rows, told[label], prior_of(first, kept), tickets_at(days, 1), ticket_sd, own_sd)
         for label in ("no sweeps", "sweeps as they read")

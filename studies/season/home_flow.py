@@ -70,7 +70,7 @@ def home_flow(
         moisture - REFERENCE_PCT,
         season.restitution[middle] / (1.0 + season.restitution[middle]),
         own,
-        np.hypot(kept.ticket_sd_kg / loads.mass_kg, kept.anchor_error),
+        np.hypot(kept.ticket_sd_kg / loads.mass_kg, kept.reference_error),
         tickets_at(days, 1),
         max(1, round(kept.sweep_interval_s / float(np.mean(loads.end - loads.start)))),
     )

@@ -21,10 +21,10 @@ from studies.season.study import Array, Keeper, Strategy, StudySettings
 from yieldmon.engine.calibrator_settings import CalibratorSettings
 from yieldmon.engine.flow_estimator import FlowEstimator
 from yieldmon.engine.records import WindowRecord
-from yieldmon.engine.self_calibration.anchors import AnchorSource, ReferenceMass
 from yieldmon.engine.self_calibration.calibrator import CalibrationOutcome
 from yieldmon.engine.self_calibration.closed_loop_calibrator import ClosedLoopCalibrator
 from yieldmon.engine.self_calibration.load_forces import LoadForceSums
+from yieldmon.engine.self_calibration.reference_mass import ReferenceMass, ReferenceSource
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
@@ -38,7 +38,7 @@ from yieldmon.service.storage.rows import SecondRow, second_row
 
 POSTED = Strategy("(c) by the daemon", moisture_map=True, sweeps=True, tickets_per_day=1)
 TICKET_ERROR = 0.002
-"""As in `study.Keeper`; `learning.anchor_error` of the daemon."""
+"""As in `study.Keeper`; `learning.reference_error` of the daemon."""
 _NIGHT_S = 14.0 * 3600.0
 _UNKNOWN: dict[str, Any] = {f.name: nan if f.type == "float" else 0 for f in fields(WindowRecord)} | {"faults": ()}
 
@@ -59,14 +59,14 @@ class DaemonKeeper(Keeper):
                 drift=settings.wandering,
                 steady_per_kilotonne=settings.steady_per_kilotonne,
                 steady_drift_memory_kt=settings.steady_drift_memory_kt,
-                anchor_error=TICKET_ERROR,
+                reference_error=TICKET_ERROR,
             ),
         )
         self.estimator: FlowEstimator = OpenLoop(self.model, self.parameters)
         self.versions = {self.parameters.version: self.parameters}
         self.version_of = np.zeros(season.time_s.size, dtype=int)
         self.steps: list[Step] = []
-        self.anchors: list[ReferenceMass] = []
+        self.references: list[ReferenceMass] = []
         self.reasons: list[str] = []
         self.seconds: list[SecondRow] = []
         self.evening_kg = np.full(season.loads.mass_kg.size, np.nan)
@@ -122,9 +122,9 @@ class DaemonKeeper(Keeper):
                 moisture_pct=r.moisture_pct,
             )
         measured = float(np.nansum(self.flow[windows]))
-        self.anchors.append(
+        self.references.append(
             ReferenceMass(
-                AnchorSource.TICKET,
+                ReferenceSource.TICKET,
                 records[0].time_s - 1.0,
                 records[-1].time_s,
                 mass_kg,
@@ -135,7 +135,7 @@ class DaemonKeeper(Keeper):
                 forces=sums.of(number + 1),
             )
         )
-        self._told(self.daemon.weigh(records[-1], self.anchors, self.estimator), end)
+        self._told(self.daemon.weigh(records[-1], self.references, self.estimator), end)
 
     def _follow(self, stop: int) -> None:
         outcome = self.daemon.follow(self._records(np.arange(stop - 1, stop))[0], self.estimator)

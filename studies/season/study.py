@@ -28,7 +28,7 @@ from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.self_calibration.angle_pattern import with_pattern
 from yieldmon.estimation.self_calibration.closed_loop import learn as learn_from_sweeps
 from yieldmon.estimation.self_calibration.closed_loop import update_from_tickets
-from yieldmon.estimation.self_calibration.closed_loop_inputs import MassAnchor, Sweep
+from yieldmon.estimation.self_calibration.closed_loop_inputs import Sweep, WeighedMass
 from yieldmon.estimation.self_calibration.closed_loop_outcome import Outcome as Update
 from yieldmon.estimation.self_calibration.drift_rates import DriftRates
 from yieldmon.estimation.self_calibration.drift_updates import DriftUpdate, by_weighed_masses, ending
@@ -76,7 +76,7 @@ class StudySettings:
     wandering: the parameters' random walks. steady_per_kilotonne: of their steady rates, which begin at 0 and are learnt; empty:
     no rates. steady_drift_memory_kt: harvested mass over which a rate falls to 1/e; inf: none. map_sd: of the moisture map's
     slopes, 1/%. learned_information, kept_ratio: as in ClosedLoopSettings; scraps may add up here. pattern_sd: of the model's
-    error away from home that sweeps separate from the grain; 0: none. anchor_error: of a weighed load, relative, beside the
+    error away from home that sweeps separate from the grain; 0: none. reference_error: of a weighed load, relative, beside the
     scale's. refuse_corners: as the daemon, no sweep where a parameter lies at an end of its physical range, and no update that
     would put it there.
     """
@@ -112,7 +112,7 @@ class StudySettings:
     model_error: float = 0.004
     flow_process_sd: float = 0.12
     flow_process_time_s: float = 30.0
-    anchor_error: float = 0.002
+    reference_error: float = 0.002
     refuse_corners: bool = False
 
     @classmethod
@@ -134,7 +134,7 @@ class StudySettings:
             flow_process_sd=loop.flow_process_sd,
             flow_process_time_s=loop.flow_process_time_s,
             pattern_sd=learning.pattern_sd,
-            anchor_error=learning.anchor_error,
+            reference_error=learning.reference_error,
             refuse_corners=True,
         )
 
@@ -427,9 +427,9 @@ class Keeper:
     def _weigh(self, number: int, mass_kg: float, sd_kg: float, hour: float) -> None:
         start, end = int(self.season.loads.start[number]), int(self.season.loads.end[number])
         used = np.flatnonzero(self.flow[start:end] > 0.0) + start
-        anchor = MassAnchor.from_windows(
+        mass = WeighedMass.from_windows(
             mass_kg,
-            float(np.hypot(sd_kg, self.settings.anchor_error * mass_kg)),
+            float(np.hypot(sd_kg, self.settings.reference_error * mass_kg)),
             np.ones(used.size),
             self.force[used] * np.exp(self.away[used]),
             np.radians(self.angle_deg[used]),
@@ -437,9 +437,9 @@ class Keeper:
         )
         if self.strategy.moisture_map:
             moisture = float(np.mean(self.season.moisture_reading_pct[used]))
-            anchor = replace(anchor, moisture_pct=np.full(anchor.force_n.shape, moisture))
+            mass = replace(mass, moisture_pct=np.full(mass.force_n.shape, moisture))
         came = self._grow(end)
-        self._take(update_from_tickets(self.model, self.parameters, [anchor], settings=self.loop), came, hour)
+        self._take(update_from_tickets(self.model, self.parameters, [mass], settings=self.loop), came, hour)
 
     def _take(self, update: Update, came: Advance, hour: float, *, sweep_alone: bool = False, admitted: bool = True) -> None:
         """came: the time before the update."""

@@ -18,10 +18,10 @@ from studies.setup.study import LOAD_FLOWS, TICKET_SD, Combine, answers, combine
 from yieldmon.cli._setup import derive
 from yieldmon.engine.mass.budget import MassBudget
 from yieldmon.engine.records import WindowRecord
-from yieldmon.engine.self_calibration.anchors import AnchorSource, ReferenceMass
 from yieldmon.engine.self_calibration.calibrator import CalibrationOutcome
 from yieldmon.engine.self_calibration.closed_loop_calibrator import ClosedLoopCalibrator
 from yieldmon.engine.self_calibration.load_forces import LoadForceSums
+from yieldmon.engine.self_calibration.reference_mass import ReferenceMass, ReferenceSource
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.machine import Machine
@@ -62,7 +62,7 @@ class _Machine:
         self.model = ForwardModel(machine, prior.effects)
         self.calibrator = ClosedLoopCalibrator(self.model)
         self.estimator = OpenLoop(self.model, prior)
-        self.anchors: list[ReferenceMass] = []
+        self.references: list[ReferenceMass] = []
         self.now_s = 0.0
 
     def harvest(self, kg: float, flow_kg_s: float, rng: np.random.Generator) -> _Harvested:
@@ -76,15 +76,15 @@ class _Machine:
 
     def ticket(self, load: _Harvested, weighed_kg: float) -> CalibrationOutcome:
         """As the daemon's engine hands it on."""
-        number, mass, sums = len(self.anchors) + 1, self.measured(load), LoadForceSums()
+        number, mass, sums = len(self.references) + 1, self.measured(load), LoadForceSums()
         for kg, force, speed in zip(mass, load.force_n, load.speed_rad_s, strict=True):
             angle = self.machine.home_plate_angle_rad
             values = {"force_n": float(force), "angle_rad": angle, "speed_rad_s": float(speed), "moisture_pct": float("nan")}
             sums.add(number, float(kg), 1.0, **values)
         end_s, noise = self.now_s + mass.size, noise_sd(self.estimator, load.force_n, load.speed_rad_s)
-        self.anchors.append(
+        self.references.append(
             ReferenceMass(
-                AnchorSource.TICKET,
+                ReferenceSource.TICKET,
                 self.now_s,
                 end_s,
                 weighed_kg,
@@ -97,7 +97,9 @@ class _Machine:
             )
         )
         self.now_s = end_s
-        outcome = self.calibrator.weigh(_record(end_s, sum(a.measured_kg for a in self.anchors)), self.anchors, self.estimator)
+        outcome = self.calibrator.weigh(
+            _record(end_s, sum(a.measured_kg for a in self.references)), self.references, self.estimator
+        )
         if outcome.estimator is not None:
             self.estimator = OpenLoop(self.model, outcome.estimator.parameters)
         return outcome

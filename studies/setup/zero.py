@@ -29,7 +29,7 @@ class Daemon:
     def __init__(self, folder: Path) -> None:
         self._config = str(folder / "yieldmon.yaml")
         bus = {"interface": "udp_multicast", "channel": GROUP, "options": {"port": PORT}}
-        Path(self._config).write_text(json.dumps({"bus": bus, "anchors": {"min_increment_kg": 500}}), encoding="utf-8")
+        Path(self._config).write_text(json.dumps({"bus": bus, "reference_masses": {"min_increment_kg": 500}}), encoding="utf-8")
         folders = {"STATE_DIRECTORY": str(folder), "RUNTIME_DIRECTORY": str(folder)}
         self.process = subprocess.Popen([*_YIELDMON, "run", "--config", self._config], env=os.environ | folders)
         self._environment = os.environ | folders

@@ -22,7 +22,7 @@ from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.self_calibration import drift_spread
 from yieldmon.estimation.self_calibration.closed_loop import update_from_tickets
-from yieldmon.estimation.self_calibration.closed_loop_inputs import MassAnchor
+from yieldmon.estimation.self_calibration.closed_loop_inputs import WeighedMass
 from yieldmon.estimation.self_calibration.closed_loop_outcome import Outcome
 from yieldmon.estimation.self_calibration.steady_drift import advance, begin, forgotten, learn, widened
 from yieldmon.estimation.waveform import common_bias
@@ -162,10 +162,10 @@ class DriftingSeason:
             self.known, self.bias = learnt.drifting, learnt.bias
             self._spread = drift_spread.updated(self._spread, learnt.errors)
         if ticket:
-            anchor = MassAnchor.from_windows(
+            mass = WeighedMass.from_windows(
                 weighed_kg, TICKET_SD * weighed_kg, LOAD_KG / flows.sum() * size, force, HOME_RAD * size, SPEED_RAD_S * size
             )
-            self.learn(update_from_tickets(MODEL, self.known.parameters, [anchor]))
+            self.learn(update_from_tickets(MODEL, self.known.parameters, [mass]))
         return error, stated
 
     def _as_stated(self) -> ParameterSet:

@@ -11,7 +11,7 @@ from yieldmon.discrepancy import diagnosis, diagnosis_notes
 from yieldmon.discrepancy.alternatives import chosen_from_all, needed, one_angle_off
 from yieldmon.discrepancy.choice import Choice, Step
 from yieldmon.discrepancy.fit import fit
-from yieldmon.discrepancy.gap import lack_of_fit
+from yieldmon.discrepancy.lack_of_fit import lack_of_fit
 from yieldmon.discrepancy.merit import left_by_own_law, merit, misfit
 from yieldmon.discrepancy.observations import Rows, with_cells
 from yieldmon.discrepancy.policy import Policy
@@ -20,7 +20,7 @@ from yieldmon.estimation import model_error
 
 NOTHING = diagnosis.Options(policy=Policy(most_effects=0), hold_out="none")
 COST = Policy().per_parameter
-LAST_RULES = Policy(gap_p=0.0, unexplained_share=1e9, unexplained_f=1e9)
+LAST_RULES = Policy(lack_of_fit_p=0.0, unexplained_share=1e9, unexplained_f=1e9)
 """What is left speaks against nothing."""
 
 
@@ -52,7 +52,7 @@ def test_rows_of_one_angle_name_nothing(make_rows, start, angles_deg, verdict) -
     choice = diagnosis.examine(rows, start, diagnosis.Options(hold_out="none", policy=Policy(most_effects=1))).choice
     assert "zero_offset" in {choice.steps[0].added, *choice.steps[0].equivalent}
     assert choice.verdict == verdict
-    assert ("one plate angle" in choice.against) == (verdict == "unknown")
+    assert ("one plate angle" in choice.objection) == (verdict == "unknown")
 
 
 @pytest.mark.parametrize(
@@ -71,7 +71,7 @@ def test_the_angle_whose_rows_are_off_is_found(make_rows, start, error) -> None:
     wrong = fit(base.frame, ("plate_angle_offset",), base.values)
     steps = (Step("plate_angle_offset", (), (), 1.0, "plate_angle_offset"),)
     search = Search(base=base, noise=noise, effects=(), rng=np.random.default_rng(1), policy=LAST_RULES)
-    assert "an error of the rows at 60 deg alone" in search.objections.against(wrong, steps)
+    assert "an error of the rows at 60 deg alone" in search.objections.first(wrong, steps)
 
 
 def test_one_angle_does_not_stand_in_for_an_effect_that_acts_on_all(make_rows, start) -> None:
@@ -94,8 +94,8 @@ def test_true_effects_need_each_other_whatever_their_laws(make_rows, start) -> N
     assert min(n.evidence for n in found) > chosen_from_all(COST)
     assert min(n.gain for n in found) > chosen_from_all(COST)
     # Not even where effects that undo each other at all would have to be earned.
-    search = Search(base=base, noise=noise, effects=(), rng=np.random.default_rng(1), policy=Policy(most_undone=-1.0))
-    assert search.objections.against(both, (Step("zero_offset", (), (), 1.0, "zero_offset"),)) == ""
+    search = Search(base=base, noise=noise, effects=(), rng=np.random.default_rng(1), policy=Policy(most_cancelled=-1.0))
+    assert search.objections.first(both, (Step("zero_offset", (), (), 1.0, "zero_offset"),)) == ""
 
 
 @pytest.mark.parametrize(
@@ -103,8 +103,8 @@ def test_true_effects_need_each_other_whatever_their_laws(make_rows, start) -> N
     [
         (LAST_RULES, "another law of the other effects is as likely as speed_dependent_shape"),
         (
-            Policy(gap_p=0.0, unexplained_share=1e9, unexplained_f=1e9, least_evidence=-1e9, most_undone=-1.0),
-            "undo among themselves",
+            Policy(lack_of_fit_p=0.0, unexplained_share=1e9, unexplained_f=1e9, least_evidence=-1e9, most_cancelled=-1.0),
+            "cancels out",
         ),
     ],
     ids=["evidence", "terms of a series"],
@@ -120,7 +120,7 @@ def test_an_effect_that_only_corrects_the_law_of_another_is_none(make_rows, star
     assert by_effect["speed_dependent_shape"].evidence < 0.0 < by_effect["zero_offset"].evidence
     assert by_effect["speed_dependent_shape"].gain < chosen_from_all(COST) < by_effect["zero_offset"].gain
     search = Search(base=base, noise=noise, effects=(), rng=np.random.default_rng(1), policy=policy)
-    assert says in search.objections.against(both, (Step("zero_offset", (), (), 1.0, "zero_offset"),))
+    assert says in search.objections.first(both, (Step("zero_offset", (), (), 1.0, "zero_offset"),))
 
 
 def test_one_effect_has_no_others_whose_law_could_differ(make_rows, start) -> None:
@@ -134,18 +134,18 @@ def test_one_effect_has_no_others_whose_law_could_differ(make_rows, start) -> No
     ids=["far ahead", "a rival is near", "too much is left"],
 )
 def test_one_effect_far_ahead_may_have_another_shape_of_its_law(make_rows, start, margin, share, refused) -> None:
-    """A zero that moves by 30 % with the speed leaves a gap, 17 % of the excess."""
+    """A zero that moves by 30 % with the speed leaves a misfit, 17 % of the excess."""
     effects, alter = by_speed("zero_offset", 4.0, 0.3)
     base, noise = published(make_rows(effects, alter=alter), start)
     alone = fit(base.frame, ("zero_offset",), base.values)
-    assert lack_of_fit(alone, noise).p_value < Policy().gap_p
+    assert lack_of_fit(alone, noise).p_value < Policy().lack_of_fit_p
     steps = (Step("zero_offset", (), (), 1.0, "zero_offset", margin=margin),)
     policy = Policy(own_law_share=share, unexplained_share=0.3)
     search = Search(base=base, noise=noise, effects=(), rng=np.random.default_rng(1), policy=policy)
-    assert ("something else is missing" in search.objections.against(alone, steps)) == refused
+    assert ("something else is missing" in search.objections.first(alone, steps)) == refused
     seen = Choice("effect", base, alone, lack_of_fit(base, noise), lack_of_fit(alone, noise), steps, (), 0.0)
     notes = diagnosis_notes.of_own_law(seen, noise, policy)
-    assert [n.startswith("zero_offset leaves a gap (F = ") for n in notes] == ([] if refused else [True])
+    assert [n.startswith("zero_offset leaves a misfit (F = ") for n in notes] == ([] if refused else [True])
 
 
 def test_no_other_shape_of_a_wrong_law_explains(make_rows, start) -> None:
@@ -154,7 +154,7 @@ def test_no_other_shape_of_a_wrong_law_explains(make_rows, start) -> None:
     steps = (Step("stream_spread", (), (), 1.0, "stream_spread", margin=1e3),)
     policy = Policy(own_law_share=1.0, unexplained_share=1.0)
     search = Search(base=base, noise=noise, effects=(), rng=np.random.default_rng(1), policy=policy)
-    assert "something else is missing" in search.objections.against(wrong, steps)
+    assert "something else is missing" in search.objections.first(wrong, steps)
 
 
 def test_own_error_of_the_model_is_no_gap_of_a_law(make_rows, start) -> None:
@@ -178,9 +178,9 @@ def test_own_error_of_the_model_is_no_excess_that_an_effect_far_ahead_leaves(mak
     alone = fit(base.frame, ("zero_offset",), base.values)
     own = float(np.sum(model_error.off(alone.own_error, alone.tangent()) ** 2))
     most = (alone.chi2 - alone.dof - 0.5 * own) / (base.chi2 - base.dof)
-    policy = Policy(gap_p=0.0, unexplained_share=most, unexplained_f=1e9)
+    policy = Policy(lack_of_fit_p=0.0, unexplained_share=most, unexplained_f=1e9)
     search = Search(base=base, noise=noise, effects=(), rng=np.random.default_rng(1), policy=policy)
-    found = search.objections.against(alone, (Step("zero_offset", (), (), 1.0, "zero_offset", margin=margin),))
+    found = search.objections.first(alone, (Step("zero_offset", (), (), 1.0, "zero_offset", margin=margin),))
     assert ("of the excess is left" in found) == refused
 
 

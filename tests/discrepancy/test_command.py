@@ -77,7 +77,7 @@ def test_the_same_seed_says_the_same_in_any_process(offset_table: Path, capsys) 
 
 @pytest.mark.parametrize(("name", "f_before", "f_after"), [("dem", 12.0, 1.6), ("bench", 12.0, 3.0)])
 def test_published_tables(name: str, f_before: float, f_after: float) -> None:
-    """Two effects close the published model's gap; the confidence of their names is reported."""
+    """Two effects close the published model's misfit; the confidence of their names is reported."""
     # The command's output, as tests/golden holds it.
     found = json.loads(kept.load(f"diagnose-{name}"))
     assert found["verdict"] == "effect"
@@ -138,7 +138,7 @@ def test_adopt_plan_report_and_rollback(offset_table: Path, tmp_path: Path, caps
     assert "zero-load reading" in page
     assert re.search(r"force_n = -?[0-9.]+ ± [0-9.]+ N", page)
     assert not re.search(r'(src|href)="(?!data:)', page)
-    # Held-out lack of fit with its interval, and no share of a gap above 100 %.
+    # Held-out lack of fit with its interval, and no share above 100 %.
     assert len(re.findall(r"<td>[0-9.]+ \([0-9.]+ to [0-9.]+\)</td>", page)) == 2
     assert "closed" not in page
     assert "<th>power at the 5 % level</th>" in page

@@ -1,4 +1,4 @@
-"""What is hidden is named, what is not is not, and the sealed rows prove it."""
+"""What is hidden is named, what is not is not, and the held-out rows confirm it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from scipy import stats
 from studies.hidden_effects import generator
 from tests.discrepancy.conftest import GRAIN, START
 from yieldmon.cli.diagnose import print_text
-from yieldmon.discrepancy import adoption, detectability, diagnosis, diagnosis_result, experiment, gap, report
+from yieldmon.discrepancy import adoption, detectability, diagnosis, diagnosis_result, experiment, lack_of_fit, report
 from yieldmon.discrepancy.candidates import Signature
 from yieldmon.discrepancy.diagnosis_document import to_document
 from yieldmon.discrepancy.fit import LAW_SD_OF_FREE_SHAPES, Fit, fit
@@ -291,7 +291,7 @@ def test_loads_that_hardly_differ_are_no_wrong_column(make_rows, start) -> None:
     alike = rows.take(rows.load > 15.0)
     rows = replace(alike, load=alike.load * np.repeat([1.0, 1.04, 1.08], len(alike) // 3), value=alike.value)
     base = diagnosis.examine(with_cells(rows), start, QUICK).choice.base
-    change, power = gap.change_with_load(base, Noise(1.0, 0.05, 20.0, "stated"))
+    change, power = lack_of_fit.change_with_load(base, Noise(1.0, 0.05, 20.0, "stated"))
     assert change.p_value > 0.01
     assert power < 0.999
 
@@ -308,9 +308,9 @@ def test_a_clean_table_has_no_note_on_its_repetitions(clean_found) -> None:
 
 
 def test_a_gap_that_only_all_rows_together_show_is_reported(offset_rows, offset_seen) -> None:
-    """The search saw none: its rows do not show what the sealed ones have."""
-    assert offset_seen.choice.best_gap.p_value > 0.01
-    bent = replace(offset_rows, value=offset_rows.value * np.where(offset_seen.sealed, 1.05, 1.0))
+    """The search saw none: its rows do not show what the held-out ones have."""
+    assert offset_seen.choice.lack_of_fit_after.p_value > 0.01
+    bent = replace(offset_rows, value=offset_rows.value * np.where(offset_seen.is_held_out, 1.05, 1.0))
     reported = [diagnosis.conclude(offset_seen, of, QUICK).notes for of in (offset_rows, bent)]
     assert [any("all rows together leave F = " in note for note in notes) for notes in reported] == [False, True]
 
@@ -413,7 +413,7 @@ def test_an_effect_taken_out_of_the_library_is_never_named(start, offset_rows) -
 
 
 def test_more_ties_than_a_class_holds_are_no_name(tied_seen, tied_options) -> None:
-    """Where the data cannot tell the leading effect from many, nothing is named, though the gap is explained."""
+    """Where the data cannot tell the leading effect from many, nothing is named, though the misfit is explained."""
     choice = tied_seen.choice
     assert 1 + len(choice.steps[0].equivalent) > tied_options.policy.largest_class
     assert (choice.verdict, choice.named) == ("unknown", ())
@@ -430,10 +430,10 @@ def test_the_error_of_a_law_is_a_share_of_what_its_effect_changes(offset_seen) -
     assert volume > 0.0
 
 
-def test_sealed_rows_are_not_fitted(start, offset_rows, offset_seen) -> None:
-    """Whatever stands in the sealed rows, the choice and its parameters are the same."""
+def test_held_out_rows_are_not_fitted(start, offset_rows, offset_seen) -> None:
+    """Whatever stands in the held-out rows, the choice and its parameters are the same."""
     rows, first = offset_rows, offset_seen
-    spoilt = replace(rows, value=np.where(first.sealed, -5.0 * rows.value, rows.value))
+    spoilt = replace(rows, value=np.where(first.is_held_out, -5.0 * rows.value, rows.value))
     second = diagnosis.examine(spoilt, start, QUICK)
     assert first.choice.best.values == second.choice.best.values
     assert first.held_out.after.rms != second.held_out.after.rms
@@ -552,9 +552,9 @@ def test_loads_that_share_an_error_leave_the_scale_uncertain(offset_found, start
     np.testing.assert_allclose(shared.covariance - exact.covariance, added, rtol=1e-6, atol=1e-12)
 
 
-def test_an_outlier_among_the_sealed_rows_is_left_out_and_counted(start, offset_rows, offset_seen) -> None:
+def test_an_outlier_among_the_held_out_rows_is_left_out_and_counted(start, offset_rows, offset_seen) -> None:
     rows, first = offset_rows, offset_seen
-    value, row = rows.value.copy(), np.flatnonzero(first.sealed)[4]
+    value, row = rows.value.copy(), np.flatnonzero(first.is_held_out)[4]
     value[row] += 0.5 * value.max()
     second = diagnosis.examine(replace(rows, value=value), start, QUICK)
     assert np.count_nonzero(second.outlier) == np.count_nonzero(first.outlier) + 1
@@ -565,8 +565,8 @@ def test_an_outlier_among_the_sealed_rows_is_left_out_and_counted(start, offset_
     assert second.held_out.closed_pct == pytest.approx(first.held_out.closed_pct, abs=10.0)
 
 
-def test_sealed_loads_that_overfill_what_was_fitted_without_them_are_reported(make_rows, start) -> None:
-    """Short paddles that the lighter loads fill to 0.86 kg of 1.0; the sealed ones hold 1.2 kg."""
+def test_held_out_loads_that_overfill_what_was_fitted_without_them_are_reported(make_rows, start) -> None:
+    """Short paddles that the lighter loads fill to 0.86 kg of 1.0; the held-out ones hold 1.2 kg."""
     machine = replace(Machine(), paddle_length_m=0.0615)
     rows = make_rows(speeds_rpm=(400.0,))
     light = Conditions(rows.plate_angle_rad, rows.elevator_speed_rad_s, mass_flow_kg_s=np.minimum(rows.load, 10.4))

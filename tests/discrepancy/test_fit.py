@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 from scipy.optimize import least_squares
 
-from yieldmon.discrepancy import base_fit, candidates, crossvalidation, fit, gap, noise, observations
+from yieldmon.discrepancy import base_fit, candidates, crossvalidation, fit, lack_of_fit, noise, observations
 from yieldmon.discrepancy.frame import Frame, predictions
 from yieldmon.physics.effects import registry
 from yieldmon.physics.machine import RPM
@@ -59,7 +59,7 @@ def test_covariance_is_that_of_the_scatter_and_widens_with_the_misfit(frame) -> 
     fitted = fit.fit(frame, ("zero_offset",), tolerance=1e-9)
     wide = replace(fitted, parameters=tuple(replace(p, lower=-1e9, upper=1e9) for p in fitted.parameters))
     by_hand = np.linalg.inv(fitted.jacobian.T @ fitted.jacobian)
-    error = fitted.columns_of_error(fitted.learnt_error)
+    error = fitted.columns_of_error(fitted.estimated_error)
     taken_up = (fitted.chi2 - fitted.marginal(error)[0]) / fitted.dof
     for ratio in (0.5, 4.0):
         wider = max(ratio - taken_up, 1.0)
@@ -113,7 +113,7 @@ def test_the_f_ratio_has_its_distribution_where_the_rows_state_unlike_sigmas(mak
         found, _ = noise.estimate(rows)
         cells = observations.cells(rows)
         frame = base_fit.base_frame(cells, found.of_cells(cells), start, "restitution")
-        p_values.append(gap.lack_of_fit(fit.fit(frame, ()), found).p_value)
+        p_values.append(lack_of_fit.lack_of_fit(fit.fit(frame, ()), found).p_value)
     assert stats.kstest(p_values, "uniform").pvalue > 0.01
 
 
@@ -125,7 +125,7 @@ def test_the_f_ratio_has_its_distribution_under_a_full_bootstrap(make_rows, star
         found, odd = noise.estimate(rows)
         cells = observations.cells(rows.take(~odd))
         frame = base_fit.base_frame(cells, found.of_cells(cells), start, "restitution")
-        p_values.append(gap.lack_of_fit(fit.fit(frame, ()), found).p_value)
+        p_values.append(lack_of_fit.lack_of_fit(fit.fit(frame, ()), found).p_value)
     assert stats.kstest(p_values, "uniform").pvalue > 0.01
     assert np.mean(np.array(p_values) < 0.05) <= 0.15
 
@@ -135,7 +135,7 @@ def test_where_finds_the_region_and_its_sign(make_rows, start) -> None:
     found, _ = noise.estimate(rows)
     cells = observations.cells(rows)
     frame = base_fit.base_frame(cells, found.of_cells(cells), start, "restitution")
-    regions = gap.where(base_fit.fit_base(frame), found, np.random.default_rng(0))
+    regions = lack_of_fit.where(base_fit.fit_base(frame), found, np.random.default_rng(0))
     assert regions[0].p_value < 0.01
     assert np.degrees(regions[0].plate_angle_rad) == pytest.approx([70.0, 70.0])
     assert regions[0].mean_error_pct == pytest.approx(8.0, abs=3.5)
@@ -157,7 +157,7 @@ def test_where_shows_the_regime_that_is_wrong_and_not_what_recalibration_makes_o
     cells = observations.cells(rows)
     frame = base_fit.base_frame(cells, found.of_cells(cells), start, "restitution")
     shown = np.zeros(len(cells), dtype=bool)
-    for region in gap.where(base_fit.fit_base(frame), found, np.random.default_rng(0)):
+    for region in lack_of_fit.where(base_fit.fit_base(frame), found, np.random.default_rng(0)):
         shown[list(region.cells)] = True
     truly = wrong(cells.plate_angle_rad, cells.elevator_speed_rad_s, cells.load)
     assert 2.0 * np.count_nonzero(truly & shown) / (truly.sum() + shown.sum()) > 0.9
@@ -170,7 +170,7 @@ def test_where_is_silent_on_clean_data(make_rows, start) -> None:
         found, _ = noise.estimate(rows)
         cells = observations.cells(rows)
         frame = base_fit.base_frame(cells, found.of_cells(cells), start, "restitution")
-        alarms += bool(gap.where(fit.fit(frame, ()), found, np.random.default_rng(seed)))
+        alarms += bool(lack_of_fit.where(fit.fit(frame, ()), found, np.random.default_rng(seed)))
     assert alarms <= 2
 
 

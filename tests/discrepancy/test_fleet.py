@@ -67,8 +67,8 @@ def test_noise_that_visits_of_a_sweep_share_is_no_gap_of_the_model(correlation: 
     found = examine(alike(correlation, np.random.default_rng(7)), np.random.default_rng(1), SEARCH_NOTHING)
     assert found.deviating == ()
     assert found.misfit == pytest.approx(1.0, abs=0.15)
-    assert found.shared.base_gap.f == pytest.approx(1.0, abs=0.3)
-    assert found.shared.base_gap.p_value > 0.01
+    assert found.shared.lack_of_fit_before.f == pytest.approx(1.0, abs=0.3)
+    assert found.shared.lack_of_fit_before.p_value > 0.01
 
 
 @pytest.fixture(scope="module")

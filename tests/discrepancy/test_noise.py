@@ -155,12 +155,12 @@ def test_rows_that_repeat_a_condition_share_a_cell(make_rows) -> None:
 @pytest.mark.parametrize(("how", "share"), [("cells", 0.2), ("trials", 1 / 3), ("plate_angle_deg=60", 1 / 6), ("none", 0.0)])
 def test_sealing(make_rows, how: str, share: float) -> None:
     rows = make_rows()
-    sealed = observations.seal(rows, how, 1)
-    assert np.mean(sealed) == pytest.approx(share, abs=0.03)
-    assert np.array_equal(sealed, observations.seal(rows, how, 1))
+    held_out = observations.hold_out(rows, how, 1)
+    assert np.mean(held_out) == pytest.approx(share, abs=0.03)
+    assert np.array_equal(held_out, observations.hold_out(rows, how, 1))
 
 
 @pytest.mark.parametrize("how", ["everything", "plate_angle_deg=71", "moisture_pct=15", "plate_angle_deg=x"])
 def test_sealing_refuses_what_it_cannot_do(make_rows, how: str) -> None:
     with pytest.raises(ValueError, match="--hold-out"):
-        observations.seal(make_rows(), how, 1)
+        observations.hold_out(make_rows(), how, 1)

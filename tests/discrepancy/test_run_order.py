@@ -12,7 +12,7 @@ from yieldmon.discrepancy import observations
 from yieldmon.discrepancy.choice import Choice, Step
 from yieldmon.discrepancy.diagnosis_notes import of_run_order
 from yieldmon.discrepancy.fit import fit
-from yieldmon.discrepancy.gap import lack_of_fit
+from yieldmon.discrepancy.lack_of_fit import lack_of_fit
 from yieldmon.discrepancy.observations import Rows, with_cells
 from yieldmon.discrepancy.run_order import BETWEEN, DRIFT, blocked_by, blocked_in_each_trial, of_order, speeds_in_turn
 from yieldmon.discrepancy.selection import Search
@@ -46,12 +46,12 @@ def repeated(rows: Rows, how: str) -> Rows:
     return replace(rows, order=order)
 
 
-def against(rows: Rows, start, effect: str) -> str:
+def objection(rows: Rows, start, effect: str) -> str:
     """What speaks against one effect when the rules on what is left are not asked."""
     base, noise = published(rows, start)
     named = fit(base.frame, (effect,), base.values)
     search = Search(base=base, noise=noise, effects=(), rng=np.random.default_rng(1), policy=LAST_RULES)
-    return search.objections.against(named, (Step(effect, (), (), 1.0, effect),))
+    return search.objections.first(named, (Step(effect, (), (), 1.0, effect),))
 
 
 @pytest.mark.parametrize(
@@ -72,10 +72,10 @@ def test_a_drift_over_trials_of_one_sequence_of_speeds_is_no_effect_of_speed(mak
     """Of readings that rise by 12 % over three trials each speed has had a share by its place in the trial."""
     rows = drifting(repeated(make_rows(), "same"), 0.12)
     assert speeds_in_turn(rows)
-    why = against(rows, start, "air_drag-by_time")
+    why = objection(rows, start, "air_drag-by_time")
     assert "explains the rows as well as air_drag" in why
     assert "speed by speed in each trial" in why
-    assert against(replace(rows, order=None), start, "air_drag-by_time") == ""
+    assert objection(replace(rows, order=None), start, "air_drag-by_time") == ""
 
 
 def test_one_speed_is_no_block(make_rows) -> None:
@@ -86,10 +86,10 @@ def test_one_speed_is_no_block(make_rows) -> None:
 @pytest.mark.parametrize("timed", [False, True])
 def test_a_drift_over_speeds_run_one_after_the_other_is_no_effect_of_speed(make_rows, start, timed) -> None:
     rows = drifting(ordered(make_rows(), PLACE, timed=timed), 0.08)
-    why = against(rows, start, "air_drag-by_time")
+    why = objection(rows, start, "air_drag-by_time")
     assert "explains the rows as well as air_drag" in why
     assert ("time_s" in why) == timed
-    assert against(replace(rows, order=None, timed=False), start, "air_drag-by_time") == ""
+    assert objection(replace(rows, order=None, timed=False), start, "air_drag-by_time") == ""
 
 
 def test_readings_high_at_one_speed_may_be_an_error_between_runs(make_rows, start) -> None:
@@ -99,20 +99,20 @@ def test_readings_high_at_one_speed_may_be_an_error_between_runs(make_rows, star
     found = of_order(base, 1.0, COST)
     assert found is not None
     assert found.what in (BETWEEN, DRIFT)
-    assert "explains the rows as well as air_drag" in against(rows, start, "air_drag-by_time")
+    assert "explains the rows as well as air_drag" in objection(rows, start, "air_drag-by_time")
 
 
 @pytest.mark.parametrize("effects", [{"gravity": 9.81}, {"speed_dependent_shape": -1.0}, {"zero_offset": 4.0}], ids=str)
 def test_an_effect_of_another_shape_stands_whatever_the_order(make_rows, start, effects) -> None:
     (effect,) = effects
     for timed, order in ((False, PLACE), (True, PLACE), (True, RANDOM)):
-        assert against(ordered(make_rows(effects), order, timed=timed), start, effect) == ""
+        assert objection(ordered(make_rows(effects), order, timed=timed), start, effect) == ""
 
 
 def test_drag_in_rows_that_were_measured_in_turn_stands(make_rows, start) -> None:
     rows = make_rows({"air_drag": 0.3})
-    assert "air_drag" in against(ordered(rows, PLACE), start, "air_drag-by_time")
-    assert against(ordered(rows, RANDOM, timed=True), start, "air_drag-by_time") == ""
+    assert "air_drag" in objection(ordered(rows, PLACE), start, "air_drag-by_time")
+    assert objection(ordered(rows, RANDOM, timed=True), start, "air_drag-by_time") == ""
 
 
 @pytest.mark.parametrize(
@@ -154,11 +154,11 @@ def test_a_name_that_a_drift_over_sorted_rows_explains_is_noted(make_rows, start
     rows = replace(rows, value=rows.value * (1.0 + warm_up * np.exp(-rows.order / 40.0)))
     base, noise = published(rows, start)
     best = fit(base.frame, ("zero_offset",), base.values)
-    gap = lack_of_fit(best, noise)
+    test = lack_of_fit(best, noise)
     steps = (Step("zero_offset", (), (), 1.0, "zero_offset"),)
-    notes = of_run_order(Choice("effect", base, best, gap, gap, steps, (), 0.0), LAST_RULES)
+    notes = of_run_order(Choice("effect", base, best, test, test, steps, (), 0.0), LAST_RULES)
     assert ["a drift over the run explains them as well as zero_offset" in note for note in notes] == [True] * said
-    assert of_run_order(Choice("unknown", base, best, gap, gap, steps, (), 0.0), LAST_RULES) == []
+    assert of_run_order(Choice("unknown", base, best, test, test, steps, (), 0.0), LAST_RULES) == []
 
 
 def test_a_table_states_its_order(tmp_path) -> None:

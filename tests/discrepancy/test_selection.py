@@ -70,7 +70,7 @@ def test_a_law_that_a_few_steps_leave_behind_another_may_be_the_better_one(monke
 
 
 def test_an_effect_that_leaves_a_gap_gives_way_to_no_pair_that_leaves_more(monkeypatch) -> None:
-    """An even fan by the normal law leaves a gap beside which nothing is found; the best pair without it explains far less."""
+    """An even fan by the normal law leaves a misfit beside which nothing is found; the best pair without it explains far less."""
     monkeypatch.setattr(candidates, "laws", lambda effect: [law for law in laws(effect) if not law.endswith("-even")])
     case = np.random.default_rng([zlib.crc32(b"combine/stream_spread/0"), 377051])
     rows, known, _ = law_cases.rows_of("combine", "stream_spread", case)
@@ -105,7 +105,7 @@ def test_another_form_of_the_same_cause_needs_no_second_effect() -> None:
     options = diagnosis.Options(without=("speed_dependent_friction", "speed_dependent_shape", "gravity", "air_drag"))
     seen = diagnosis.examine(rows, ParameterSet(values=law_cases.START), options)
     assert seen.choice.named == ("paddle_leakage",)
-    assert seen.choice.best_gap.f < 1.3
+    assert seen.choice.lack_of_fit_after.f < 1.3
 
 
 def test_a_shape_that_the_rows_leave_open_costs_little(published) -> None:
@@ -240,7 +240,7 @@ def test_a_pair_hidden_behind_each_other_is_named(make_rows, start) -> None:
     assert choice.verdict == "effect"
     assert any("miss_capture" in c for c in classes)
     assert any("residual_radial_speed" in c for c in classes)
-    assert choice.best_gap.f < 2.0
+    assert choice.lack_of_fit_after.f < 2.0
 
 
 @pytest.mark.parametrize(("left_f", "gain", "enough"), [(3.0, 90.0, True), (3.0, 30.0, False), (1.0, 90.0, False)])
@@ -254,10 +254,12 @@ def test_beside_a_giant_a_further_effect_must_explain_half_of_what_is_left(publi
     assert left_f == 1.0 or 0.25 * (current.chi2 - current.dof) < 60.0 < 0.75 * (current.chi2 - current.dof)
 
 
-@pytest.mark.parametrize(("complete_f", "gap_p", "left"), [(2.0, 0.01, ("zero_offset",)), (0.0, 2.0, None)])
-def test_a_further_effect_with_too_many_ties_is_pruned_unless_the_data_refute_it(published, complete_f, gap_p, left) -> None:
+@pytest.mark.parametrize(("complete_f", "lack_of_fit_p", "left"), [(2.0, 0.01, ("zero_offset",)), (0.0, 2.0, None)])
+def test_a_further_effect_with_too_many_ties_is_pruned_unless_the_data_refute_it(
+    published, complete_f, lack_of_fit_p, left
+) -> None:
     base, noise = published({"zero_offset": 4.0})
-    policy = Policy(tie=1e9, largest_class=2, complete_f=complete_f, gap_p=gap_p, exchanges=3)
+    policy = Policy(tie=1e9, largest_class=2, complete_f=complete_f, lack_of_fit_p=lack_of_fit_p, exchanges=3)
     pair = ("release_angle", "zero_offset")
     current = fit(base.frame, pair, base.values)
     library = ("gravity", "lever_arm", "plate_friction", "release_angle")
@@ -270,7 +272,7 @@ def test_a_further_effect_with_too_many_ties_is_pruned_unless_the_data_refute_it
 
 
 def test_a_bound_that_the_data_do_not_refute_is_no_reason_to_refuse(make_rows, start) -> None:
-    """The law's form takes the share past 1, yet at 1 no gap is left."""
+    """The law's form takes the share past 1, yet at 1 no misfit is left."""
     options = diagnosis.Options(policy=Policy(most_effects=1), hold_out="none")
     choice = diagnosis.examine(make_rows({"secondary_impact": 0.95}), start, options).choice
     (candidate,) = [c for c in choice.looked_at if c.effect == "secondary_impact"]
@@ -289,9 +291,9 @@ def test_a_pair_whose_first_step_misleads_is_found_by_screening(make_rows, start
     assert any("residual_radial_speed" in c for c in classes)
     assert any("secondary_impact" in c for c in classes)
     # The two turn the force against each other, as terms of a series for a third effect would.
-    assert choice.best.undone > 0.9
+    assert choice.best.cancelled > 0.9
     assert choice.verdict == "unknown"
-    assert "undo among themselves" in choice.against
+    assert "cancels out" in choice.objection
 
 
 @pytest.mark.parametrize(
@@ -302,7 +304,7 @@ def test_a_cause_leaves_no_gap_and_a_small_share(published, left_f, excess, says
     base, noise = published({"zero_offset": 4.0})
     current = _scaled(fit(base.frame, ("zero_offset",), base.values), left_f)
     steps = (Step("zero_offset", (), (), 1.0, "zero_offset"),)
-    found = search(base, noise, excess=excess).objections.against(current, steps)
+    found = search(base, noise, excess=excess).objections.first(current, steps)
     assert says in found
     assert bool(found) == bool(says)
 
@@ -315,7 +317,7 @@ def test_one_bad_cell_does_not_refute_a_cause(published, cells, says) -> None:
     residual[list(cells)] = 12.0
     current = replace(sound, residual=residual, chi2=float(residual @ residual))
     steps = (Step("zero_offset", (), (), 1.0, "zero_offset"),)
-    found = search(base, noise, excess=1e5).objections.against(current, steps)
+    found = search(base, noise, excess=1e5).objections.first(current, steps)
     assert says in found
     assert bool(found) == bool(says)
 
@@ -326,4 +328,4 @@ def test_what_effects_undo_among_themselves(published, monkeypatch, sizes, undon
     base, _ = published({"zero_offset": 4.0})
     change = np.outer(sizes, fit(base.frame, ("zero_offset",), base.values).changes[0])
     monkeypatch.setattr(Fit, "changes", change)
-    assert replace(base).undone == pytest.approx(undone, abs=1e-9)
+    assert replace(base).cancelled == pytest.approx(undone, abs=1e-9)

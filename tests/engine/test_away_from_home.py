@@ -11,9 +11,9 @@ import pytest
 from yieldmon.engine.mass.budget import EMPTY
 from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.results import frames_in, records_in
-from yieldmon.engine.self_calibration.anchors import AnchorSource, ReferenceMass
 from yieldmon.engine.self_calibration.load_forces import LoadForces
-from yieldmon.engine.self_calibration.mass_anchors import mass_anchor
+from yieldmon.engine.self_calibration.reference_mass import ReferenceMass, ReferenceSource
+from yieldmon.engine.self_calibration.reference_mass_inputs import weighed_mass
 from yieldmon.engine.self_calibration.ticket_check import departure_of
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.self_calibration.angle_error import NO_ERROR, NODES_RAD, AngleError
@@ -77,7 +77,7 @@ def ticket(forces_n: tuple[float, float]) -> ReferenceMass:
     forces = LoadForces(
         100.0 * column, np.array(forces_n), np.array([HOME_RAD, radians(40.0)]), 400.0 * RPM * column, 15.0 * column
     )
-    return ReferenceMass(AnchorSource.TICKET, 0.0, 200.0, 2000.0, 4.0, 2000.0, True, 1, EMPTY, forces=forces)
+    return ReferenceMass(ReferenceSource.TICKET, 0.0, 200.0, 2000.0, 4.0, 2000.0, True, 1, EMPTY, forces=forces)
 
 
 def test_a_ticket_is_held_against_forces_without_what_sweeps_have_measured() -> None:
@@ -92,8 +92,8 @@ def test_a_ticket_is_held_against_forces_without_what_sweeps_have_measured() -> 
         low, high = np.where(flow < 10.0, middle, low), np.where(flow < 10.0, high, middle)
     seen = ticket((float(low[0]), float(low[1]) * exp(0.2)))
     spans = [(float("inf"), parameters)]
-    assert mass_anchor(seen, model, spans, 0.0).force_n == pytest.approx(seen.forces.force_n, rel=1e-12)
-    assert mass_anchor(seen, model, spans, 0.0, ERROR).force_n == pytest.approx(low, rel=1e-9)
+    assert weighed_mass(seen, model, spans, 0.0).force_n == pytest.approx(seen.forces.force_n, rel=1e-12)
+    assert weighed_mass(seen, model, spans, 0.0, ERROR).force_n == pytest.approx(low, rel=1e-9)
     off, _ = departure_of(seen, loop, 0.0, NO_ERROR)
     right, _ = departure_of(seen, loop, 0.0, ERROR)
     assert off < -0.05

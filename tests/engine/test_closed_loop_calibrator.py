@@ -15,11 +15,11 @@ from yieldmon.engine.calibrator_settings import CalibratorSettings
 from yieldmon.engine.mass.budget import MassBudget
 from yieldmon.engine.mass.load_summary import LoadSummary
 from yieldmon.engine.records import WindowRecord
-from yieldmon.engine.self_calibration.anchors import AnchorSource, ReferenceMass
 from yieldmon.engine.self_calibration.closed_loop_calibrator import ClosedLoopCalibrator
 from yieldmon.engine.self_calibration.curve_states import in_names
 from yieldmon.engine.self_calibration.learning import Learning
 from yieldmon.engine.self_calibration.load_forces import LoadForces, LoadForceSums
+from yieldmon.engine.self_calibration.reference_mass import ReferenceMass, ReferenceSource
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.state import EngineState
 from yieldmon.engine.sweeps.sweep import SweepMachine
@@ -44,7 +44,7 @@ PRIOR = ParameterSet(
     ("friction", "restitution", "density"),
     np.diag([0.04**2, 0.06**2, 110.0**2]),
 )
-EXACT = CalibratorSettings(closed_loop=ClosedLoopSettings(), anchor_error=0.0)
+EXACT = CalibratorSettings(closed_loop=ClosedLoopSettings(), reference_error=0.0)
 
 
 def records(
@@ -99,7 +99,7 @@ def ticket(estimator: OpenLoop, true_flow: float, start_s: float, end_s: float, 
     """A load weighed exactly and measured with the estimator's parameters."""
     force = MODEL.force(Conditions(MACHINE.home_plate_angle_rad, SPEED, mass_flow_kg_s=true_flow), TRUE)
     measured = float(estimator.invert(np.real(force), MACHINE.home_plate_angle_rad, SPEED)) * (end_s - start_s)
-    return ReferenceMass(AnchorSource.TICKET, start_s, end_s, true_flow * (end_s - start_s), sd_kg, measured, True)
+    return ReferenceMass(ReferenceSource.TICKET, start_s, end_s, true_flow * (end_s - start_s), sd_kg, measured, True)
 
 
 def taken_in(
@@ -135,12 +135,12 @@ def test_a_ticket_fixes_what_the_sweep_cannot() -> None:
 
 
 def test_a_ticket_is_no_better_than_its_weighing_and_what_is_not_the_scales_together() -> None:
-    """A scale good to 1 kg in 6000 kg, with an anchor error of 1 % or a scatter of 60 kg in the load's seconds, is worth what a
-    scale good to 60 kg is without."""
+    """A scale good to 1 kg in 6000 kg, with a reference error of 1 % or a scatter of 60 kg in the load's seconds, is worth what
+    a scale good to 60 kg is without."""
     before, found = OpenLoop(MODEL, PRIOR), []
     cases = ((0.01, 1.0, 0.0), (0.0, np.hypot(1.0, 60.0), 0.0), (0.0, 1.0, 0.0), (0.0, 1.0, 60.0), (0.0, 60.0, float("nan")))
-    for anchor_error, sd_kg, noise_kg in cases:
-        calibrator = ClosedLoopCalibrator(MODEL, dataclasses.replace(EXACT, anchor_error=anchor_error))
+    for reference_error, sd_kg, noise_kg in cases:
+        calibrator = ClosedLoopCalibrator(MODEL, dataclasses.replace(EXACT, reference_error=reference_error))
         weighed = dataclasses.replace(ticket(before, 12.0, 0.0, 500.0, sd_kg), budget=MassBudget(noise_kg2=noise_kg**2))
         outcome = calibrator.weigh(records(12.0)[0], (weighed,), before)
         assert outcome.estimator is not None
@@ -155,12 +155,12 @@ def test_a_ticket_updates_between_sweeps_and_counts_once() -> None:
     before = OpenLoop(MODEL, PRIOR)
     calibrator = ClosedLoopCalibrator(MODEL, EXACT)
     now = dataclasses.replace(records(12.0)[0], time_s=700.0)
-    anchors = (ticket(before, 12.0, 0.0, 500.0),)
-    outcome = calibrator.weigh(now, anchors, before)
+    references = (ticket(before, 12.0, 0.0, 500.0),)
+    outcome = calibrator.weigh(now, references, before)
     assert outcome.estimator is not None
     assert abs(home_error_pct(before, 12.0)) > 1.0
     assert abs(home_error_pct(outcome.estimator, 12.0)) < 0.2  # type: ignore[arg-type]
-    assert calibrator.weigh(now, anchors, outcome.estimator).estimator is None
+    assert calibrator.weigh(now, references, outcome.estimator).estimator is None
 
 
 @pytest.mark.parametrize("ratio", [None, 1.6])
@@ -207,7 +207,13 @@ def test_a_total_across_an_update_is_taken_with_the_parameters_that_made_each_pa
     switch_s = 1030.0
     early, late = ticket(before, 12.0, 0.0, switch_s), ticket(first.estimator, 12.0, switch_s, 2000.0)  # type: ignore[arg-type]
     whole = ReferenceMass(
-        AnchorSource.TICKET, 0.0, 2000.0, early.reference_kg + late.reference_kg, 1.0, early.measured_kg + late.measured_kg, True
+        ReferenceSource.TICKET,
+        0.0,
+        2000.0,
+        early.reference_kg + late.reference_kg,
+        1.0,
+        early.measured_kg + late.measured_kg,
+        True,
     )
     second = taken_in(calibrator, records(12.0, start_s=2500.0), (whole,), first.estimator)  # type: ignore[arg-type]
     assert abs(home_error_pct(second, 12.0)) < 0.3
@@ -249,9 +255,9 @@ def test_a_rejected_sweep_updates_nothing_and_undoes_earlier_updates() -> None:
 def test_an_update_by_a_reference_mass_is_not_undone() -> None:
     before = OpenLoop(MODEL, PRIOR)
     calibrator = ClosedLoopCalibrator(MODEL, EXACT)
-    anchored = taken_in(calibrator, records(12.0), (ticket(before, 12.0, 0.0, 500.0),), before)
-    assert anchored is not before
-    assert calibrator.update(records(12.0, start_s=3000.0), anchored, use_sweep=False).estimator is None
+    updated = taken_in(calibrator, records(12.0), (ticket(before, 12.0, 0.0, 500.0),), before)
+    assert updated is not before
+    assert calibrator.update(records(12.0, start_s=3000.0), updated, use_sweep=False).estimator is None
 
 
 def test_a_reference_mass_updates_beside_a_rejected_sweep() -> None:
@@ -461,13 +467,13 @@ NARROW = dataclasses.replace(PRIOR, covariance=np.diag([0.004**2, 0.001**2, 10.0
 def weighings(factors: list[float], flow: float = 12.0) -> tuple[list[str], list[float]]:
     """Tickets one after the other, each a factor of what the true parameters give; reasons, and ln of the scale after each."""
     calibrator, known = ClosedLoopCalibrator(MODEL, CalibratorSettings(closed_loop=ClosedLoopSettings())), OpenLoop(MODEL, NARROW)
-    reasons, scale, anchors = [], [], ()
+    reasons, scale, references = [], [], ()
     for k, factor in enumerate(factors):
         start = 1000.0 * k
         one = ticket(known, flow + 0.5 * k, start, start + 500.0, sd_kg=25.0)
         one = dataclasses.replace(one, reference_kg=factor * one.reference_kg, load_number=k + 1)
-        anchors = (*anchors, one)
-        outcome = calibrator.weigh(dataclasses.replace(records(flow)[0], time_s=start + 600.0), anchors, known)
+        references = (*references, one)
+        outcome = calibrator.weigh(dataclasses.replace(records(flow)[0], time_s=start + 600.0), references, known)
         known = outcome.estimator if outcome.estimator is not None else known
         reasons.append(outcome.reason)
         scale.append(100.0 * float(np.log1p(home_error_pct(known, 12.0) / 100.0)))  # type: ignore[arg-type]
@@ -509,13 +515,13 @@ def test_a_second_ticket_keeps_what_the_first_one_said_of_a_machine_far_from_the
     def error(flow: float) -> float:
         return float(known.invert(np.float64(4.1 * flow), MACHINE.home_plate_angle_rad, SPEED)) / flow - 1.0
 
-    anchors: tuple[ReferenceMass, ...] = ()
+    references: tuple[ReferenceMass, ...] = ()
     for number, flow in enumerate((12.0, 9.0), 1):
         start = 1000.0 * number
         measured = 500.0 * flow * (1.0 + error(flow))
-        load = ReferenceMass(AnchorSource.TICKET, start, start + 500.0, 500.0 * flow, 25.0, measured, True, load_number=number)
-        anchors = (*anchors, load)
-        outcome = calibrator.weigh(dataclasses.replace(records(flow)[0], time_s=start + 600.0), anchors, known)
+        load = ReferenceMass(ReferenceSource.TICKET, start, start + 500.0, 500.0 * flow, 25.0, measured, True, load_number=number)
+        references = (*references, load)
+        outcome = calibrator.weigh(dataclasses.replace(records(flow)[0], time_s=start + 600.0), references, known)
         assert isinstance(outcome.estimator, OpenLoop)
         known = outcome.estimator
     assert abs(error(12.0)) < 0.02
@@ -533,12 +539,12 @@ def test_three_tickets_know_the_scale_and_a_fourth_that_contradicts_them_waits()
 def test_increments_of_the_same_size_on_a_coarse_scale_count_each() -> None:
     """A fourth that contradicts three earlier ones waits, though all of them read the same number of kg."""
     calibrator, known = ClosedLoopCalibrator(MODEL, CalibratorSettings(closed_loop=ClosedLoopSettings())), OpenLoop(MODEL, NARROW)
-    anchors: tuple[ReferenceMass, ...] = ()
+    references: tuple[ReferenceMass, ...] = ()
     for k, seconds in enumerate((500.0, 501.0, 499.0, 420.0)):
         start = 1.76e9 + 1000.0 * k
-        one = dataclasses.replace(ticket(known, 12.0, start, start + seconds), source=AnchorSource.TANK_SCALE)
-        anchors = (*anchors, dataclasses.replace(one, reference_kg=6000.0, std_dev_kg=20.0))
-        outcome = calibrator.weigh(dataclasses.replace(records(12.0)[0], time_s=start + 600.0), anchors, known)
+        one = dataclasses.replace(ticket(known, 12.0, start, start + seconds), source=ReferenceSource.TANK_SCALE)
+        references = (*references, dataclasses.replace(one, reference_kg=6000.0, std_dev_kg=20.0))
+        outcome = calibrator.weigh(dataclasses.replace(records(12.0)[0], time_s=start + 600.0), references, known)
         known = outcome.estimator if isinstance(outcome.estimator, OpenLoop) else known
     assert "6000 kg of 2025-10-09 09:" in outcome.reason
     assert "contradicts the 3 weighed before it" in outcome.reason
@@ -739,7 +745,7 @@ def test_a_ticket_of_another_crop_taken_back_leaves_the_present_one() -> None:
 def tank_mass(estimator: OpenLoop, start_s: float, sd_kg: float, factor: float = 1.1) -> ReferenceMass:
     """By the tank's scale, so much more than was there: another mass each time, as no two readings are alike."""
     mass = ticket(estimator, 12.0, start_s, start_s + 500.0, sd_kg)
-    return dataclasses.replace(mass, source=AnchorSource.TANK_SCALE, reference_kg=factor * mass.reference_kg + 1e-3 * start_s)
+    return dataclasses.replace(mass, source=ReferenceSource.TANK_SCALE, reference_kg=factor * mass.reference_kg + 1e-3 * start_s)
 
 
 def tank_season(*, wrong: bool) -> OpenLoop:
@@ -792,7 +798,7 @@ def curve_ticket(known: OpenLoop, number: int, flow: float, at_ten_n: float = 62
     for _ in range(500):
         sums.add(number, measured / 500.0, 1.0, force_n=force, angle_rad=angle, speed_rad_s=SPEED, moisture_pct=nan)
     load = ReferenceMass(
-        AnchorSource.TICKET,
+        ReferenceSource.TICKET,
         start,
         start + 500.0,
         500.0 * flow,
@@ -819,7 +825,7 @@ def after_four_tickets(*, away: bool, restart: str) -> ParameterSet:
     """What four loads of wheat lead to; away: with barley before the last of them."""
     calibrator = ClosedLoopCalibrator(MODEL, CalibratorSettings(closed_loop=ClosedLoopSettings()))
     known = OpenLoop(MODEL, PRIOR)
-    anchors: tuple[ReferenceMass, ...] = ()
+    references: tuple[ReferenceMass, ...] = ()
     for number, flow in enumerate((5.0, 10.0, 17.0, 8.0), 1):
         if number == 4 and away:
             calibrator.change_grain("wheat", "barley", [], OpenLoop(MODEL, NARROW))
@@ -830,13 +836,13 @@ def after_four_tickets(*, away: bool, restart: str) -> ParameterSet:
             # As the service does: the set that was kept, under a new version.
             kept = dataclasses.replace(known.parameters, version=known.parameters.version + 2)
             known = OpenLoop(MODEL.with_effects(kept.effects), kept)
-            calibrator.change_grain("barley", "wheat", anchors, known)
+            calibrator.change_grain("barley", "wheat", references, known)
             if restart == "after the other crop":
                 calibrator = restarted(calibrator, kept)
-                calibrator.remember(anchors, known)
+                calibrator.remember(references, known)
         record, load = curve_ticket(known, number, flow)
-        anchors = (*anchors, load)
-        outcome = calibrator.weigh(record, anchors, known)
+        references = (*references, load)
+        outcome = calibrator.weigh(record, references, known)
         if outcome.estimator is not None:
             known = outcome.estimator  # type: ignore[assignment]
     return known.parameters
@@ -857,7 +863,7 @@ def away_ticket(number: int, flow: float, factor: float = 1.0) -> ReferenceMass:
     seconds, start_s = np.full(2, 250.0), 1000.0 * number
     forces = LoadForces(seconds, force, angles, np.full(2, SPEED), np.full(2, 15.0))
     return ReferenceMass(
-        AnchorSource.TICKET, start_s, start_s + 500.0, factor * 500.0 * flow, 10.0, 500.0 * flow, True, number, forces=forces
+        ReferenceSource.TICKET, start_s, start_s + 500.0, factor * 500.0 * flow, 10.0, 500.0 * flow, True, number, forces=forces
     )
 
 
@@ -865,14 +871,14 @@ def away_ticket(number: int, flow: float, factor: float = 1.0) -> ReferenceMass:
 def test_loads_weighed_before_a_restart_count_without_the_error_away_from_home_that_was_taken_off(restart: bool) -> None:
     calibrator = ClosedLoopCalibrator(MODEL, CalibratorSettings(closed_loop=ClosedLoopSettings()))
     known = OpenLoop(MODEL, NARROW)
-    anchors: tuple[ReferenceMass, ...] = ()
+    references: tuple[ReferenceMass, ...] = ()
     for number, flow in enumerate((9.0, 10.0, 11.0, 12.0), 1):
         if number == 4 and restart:
             calibrator = restarted(calibrator, known.parameters)
-            calibrator.remember(anchors, known, AWAY)
-        anchors = (*anchors, away_ticket(number, flow, 1.06 if number == 4 else 1.0))
+            calibrator.remember(references, known, AWAY)
+        references = (*references, away_ticket(number, flow, 1.06 if number == 4 else 1.0))
         record = dataclasses.replace(records(flow)[0], time_s=1000.0 * number + 600.0)
-        outcome = calibrator.weigh(record, anchors, known, AWAY)
+        outcome = calibrator.weigh(record, references, known, AWAY)
         known = outcome.estimator or known  # type: ignore[assignment]
     assert "load 4 contradicts the 3 weighed before it by +6.0 %" in outcome.reason
     assert abs(home_error_pct(known, 10.0)) < 1.0
@@ -889,27 +895,27 @@ def test_a_curve_that_tickets_fitted_is_updated_after_another_crop_and_a_restart
 
 def test_a_load_is_held_against_those_of_its_crop_after_a_restart_during_another_one() -> None:
     calibrator = ClosedLoopCalibrator(MODEL, CalibratorSettings(closed_loop=ClosedLoopSettings()))
-    known, anchors = OpenLoop(MODEL, PRIOR), ()
+    known, references = OpenLoop(MODEL, PRIOR), ()
     for number, flow in enumerate((10.0, 11.0, 10.5), 1):
         record, load = curve_ticket(known, number, flow)
-        anchors = (*anchors, load)
-        known = calibrator.weigh(record, anchors, known).estimator or known
+        references = (*references, load)
+        known = calibrator.weigh(record, references, known).estimator or known
     calibrator.change_grain("wheat", "barley", [], OpenLoop(MODEL, NARROW))
     again = restarted(restarted(calibrator, NARROW), NARROW)
-    again.change_grain("barley", "wheat", anchors, known)
+    again.change_grain("barley", "wheat", references, known)
     record, load = curve_ticket(known, 4, 10.4)
     wrong = dataclasses.replace(load, reference_kg=1.2 * load.reference_kg)
-    assert "load 4 contradicts the 3 weighed before it by +2" in again.weigh(record, (*anchors, wrong), known).reason
+    assert "load 4 contradicts the 3 weighed before it by +2" in again.weigh(record, (*references, wrong), known).reason
 
 
 def test_a_ticket_that_turns_the_gain_into_another_form_has_a_step_in_the_new_names() -> None:
     """A gain above 2 is no restitution: k2 carries it, and the time before is measured again all the same."""
     calibrator = ClosedLoopCalibrator(MODEL, CalibratorSettings(closed_loop=ClosedLoopSettings()))
-    known, anchors, steps = OpenLoop(MODEL, PRIOR), (), []
+    known, references, steps = OpenLoop(MODEL, PRIOR), (), []
     for number, flow in enumerate((5.0, 10.0, 17.0), 1):
         record, load = curve_ticket(known, number, flow, at_ten_n=150.0)
-        anchors = (*anchors, load)
-        outcome = calibrator.weigh(record, anchors, known)
+        references = (*references, load)
+        outcome = calibrator.weigh(record, references, known)
         assert outcome.estimator is not None
         known = outcome.estimator
         steps.append(outcome.step)

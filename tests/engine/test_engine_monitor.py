@@ -29,9 +29,9 @@ from yieldmon.engine.faults import FaultCode
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.results import frames_in
 from yieldmon.engine.runs import run_of
-from yieldmon.engine.self_calibration.anchors import ReferenceMass
 from yieldmon.engine.self_calibration.calibrator import CalibrationOutcome
-from yieldmon.engine.settings import AnchorSettings, BudgetSettings, EngineSettings
+from yieldmon.engine.self_calibration.reference_mass import ReferenceMass
+from yieldmon.engine.settings import BudgetSettings, EngineSettings, ReferenceMassSettings
 from yieldmon.engine.state import EngineState
 from yieldmon.estimation.open_loop import FlowEstimate
 from yieldmon.frames import NOT_AVAILABLE, EstimateQuality, Frame, OperatingState
@@ -355,9 +355,9 @@ def test_loads() -> None:
     assert [load.number for load in target.loads] == [1, 2]
     assert target.loads[0].measured_kg == first
     assert target.totals.total_kg > first + second
-    anchor = target.ticket(2, 1234.0, 5.0)
-    assert (anchor.measured_kg, anchor.reference_kg, anchor.complete) == (second, 1234.0, True)
-    assert target.anchors == (anchor,)
+    reference = target.ticket(2, 1234.0, 5.0)
+    assert (reference.measured_kg, reference.reference_kg, reference.complete) == (second, 1234.0, True)
+    assert target.reference_masses == (reference,)
 
 
 @pytest.mark.parametrize(("load", "mass", "std"), [(9, 100.0, 1.0), (1, -1.0, 1.0), (1, float("nan"), 1.0), (1, 5.0, 0.0)])
@@ -384,11 +384,11 @@ def test_tank_scale_gives_reference_masses() -> None:
         Frame(t, bus.TANK_SCALE, {"TankMass": tank(t), "TankScaleStatus": 0 if t < 1006 or t > 1060 else 1})
         for t in np.arange(1004.03, 1070.0).tolist()
     ]
-    target = monitor(replace(EngineSettings(), anchors=AnchorSettings(min_increment_kg=300.0)))
+    target = monitor(replace(EngineSettings(), reference_masses=ReferenceMassSettings(min_increment_kg=300.0)))
     feed(target, run_of(sorted([*replace(STEADY, scatter=0.0).frames(70), *readings], key=lambda f: f.time_s)))
-    (anchor,) = target.anchors
-    assert anchor.measured_kg == pytest.approx(anchor.reference_kg, rel=0.01)
-    assert anchor.complete
+    (reference,) = target.reference_masses
+    assert reference.measured_kg == pytest.approx(reference.reference_kg, rel=0.01)
+    assert reference.complete
 
 
 def test_a_tank_scale_that_stands_still_between_passes_only_gives_reference_masses() -> None:
@@ -399,12 +399,12 @@ def test_a_tank_scale_that_stands_still_between_passes_only_gives_reference_mass
         held_kg = 10.0 * (min(max(time_s - 1025.0, 0.0), 40.0) + min(max(time_s - 1085.0, 0.0), 40.0))
         return Frame(time_s, bus.TANK_SCALE, {"TankMass": held_kg, "TankScaleStatus": 1 if flow(time_s) else 0})
 
-    target = monitor(replace(EngineSettings(), anchors=AnchorSettings(min_increment_kg=700.0)))
+    target = monitor(replace(EngineSettings(), reference_masses=ReferenceMassSettings(min_increment_kg=700.0)))
     frames = replace(STEADY, flow=flow, scatter=0.0).frames(150)
     feed(target, run_of(sorted([*frames, *(tank(1000.5 + i) for i in range(149))], key=lambda f: f.time_s)))
-    (anchor,) = target.anchors
-    assert anchor.complete
-    assert anchor.measured_kg == pytest.approx(anchor.reference_kg, abs=12.0)
+    (reference,) = target.reference_masses
+    assert reference.complete
+    assert reference.measured_kg == pytest.approx(reference.reference_kg, abs=12.0)
     assert FaultCode.NOT_IDENTIFIABLE not in target.faults.active
 
 
@@ -417,8 +417,8 @@ class Scales:
     def update(self, records, estimator, *, use_sweep=True):  # type: ignore[no-untyped-def]
         raise AssertionError("no sweep here")
 
-    def weigh(self, record, anchors, estimator, model_error):  # type: ignore[no-untyped-def]
-        self.weighed.append(tuple(anchors))
+    def weigh(self, record, references, estimator, model_error):  # type: ignore[no-untyped-def]
+        self.weighed.append(tuple(references))
         known = replace(estimator.parameters, version=estimator.parameters.version + 1)
         return CalibrationOutcome(ForceProportional(parameters=known), "weighed", weighed=True)
 
@@ -441,10 +441,10 @@ def test_a_ticket_updates_when_the_window_under_way_ends() -> None:
     frames = replace(STEADY, scatter=0.0).frames(30)
     feed(target, [f for f in frames if f.time_s < 1020.0])
     before = target.estimator.parameters.version
-    anchor = target.ticket(1, 250.0, 2.0)
+    reference = target.ticket(1, 250.0, 2.0)
     assert not scales.weighed
     feed(target, [f for f in frames if f.time_s >= 1020.0])
-    assert scales.weighed == [(anchor,)]
+    assert scales.weighed == [(reference,)]
     assert target.estimator.parameters.version == before + 1
     assert target.outcome is not None
     assert target.outcome.reason == "weighed"

@@ -19,8 +19,8 @@ from yieldmon.engine.mass.gates import GateInputs, HarvestGate
 from yieldmon.engine.mass.totals import Totals, dry_mass
 from yieldmon.engine.results import frames_in
 from yieldmon.engine.sampling.zero import ZeroState
-from yieldmon.engine.self_calibration.anchors import TankScale
-from yieldmon.engine.settings import AnchorSettings, ClockSettings, GateSettings, TotalsSettings
+from yieldmon.engine.self_calibration.tank_scale import TankScale
+from yieldmon.engine.settings import ClockSettings, GateSettings, ReferenceMassSettings, TotalsSettings
 from yieldmon.engine.state import EngineState
 from yieldmon.resources import shipped
 
@@ -225,7 +225,7 @@ SCALE = [
 
 @pytest.mark.parametrize(("readings", "missing", "expected"), SCALE)
 def test_tank_scale(readings: list[tuple[float, float]], missing: set[int], expected: list[tuple[float, float, bool]]) -> None:
-    scale, total = TankScale(AnchorSettings(min_increment_kg=300.0)), 0.0
+    scale, total = TankScale(ReferenceMassSettings(min_increment_kg=300.0)), 0.0
     pending = list(readings)
     for second in range(100):
         if pending and pending[0][0] <= second + 1.0:
@@ -233,10 +233,10 @@ def test_tank_scale(readings: list[tuple[float, float]], missing: set[int], expe
         mass = 0.0 if second in missing else 10.0
         scale.window(float(second), second + 1.0, total, mass, second not in missing)
         total += mass
-    found = [(a.reference_kg, pytest.approx(a.measured_kg), a.complete) for a in scale.anchors]
+    found = [(a.reference_kg, pytest.approx(a.measured_kg), a.complete) for a in scale.masses]
     assert found == expected
     # An increment is the difference of two readings.
-    assert all(a.std_dev_kg == pytest.approx(2.0**0.5 * AnchorSettings().scale_std_dev_kg) for a in scale.anchors)
+    assert all(a.std_dev_kg == pytest.approx(2.0**0.5 * ReferenceMassSettings().scale_std_dev_kg) for a in scale.masses)
 
 
 NEXT_MASS = {
@@ -250,7 +250,7 @@ NEXT_MASS = {
 
 @pytest.mark.parametrize(("masses_kg", "expected"), NEXT_MASS.values(), ids=NEXT_MASS)
 def test_the_next_mass_that_may_be_weighed(masses_kg: list[float], expected: int) -> None:
-    scale = TankScale(AnchorSettings(min_increment_kg=300.0))
+    scale = TankScale(ReferenceMassSettings(min_increment_kg=300.0))
     scale.reading(0.5, 1000.0)
     scale.window(0.0, 1.0, 0.0, 0.0, True)
     assert scale.next_mass(masses_kg) == expected
@@ -258,14 +258,14 @@ def test_the_next_mass_that_may_be_weighed(masses_kg: list[float], expected: int
 
 def test_seconds_in_which_a_zero_was_taken_held_no_grain() -> None:
     def weighed(empty_since_s: float) -> list[bool]:
-        scale = TankScale(AnchorSettings(min_increment_kg=300.0))
+        scale = TankScale(ReferenceMassSettings(min_increment_kg=300.0))
         for second in range(100):
             if second in (4, 60):
                 scale.reading(second + 0.5, 0.0 if second == 4 else 500.0)
             scale.window(float(second), second + 1.0, 10.0 * max(0, second - 10), 10.0 * (second >= 10), second >= 8)
             if second == 7:
                 scale.empty_since(empty_since_s)
-        return [anchor.complete for anchor in scale.anchors]
+        return [reference.complete for reference in scale.masses]
 
     assert weighed(3.0) == [True]
     assert weighed(6.0) == [False]
@@ -299,13 +299,13 @@ def test_spoilt_state_is_refused(spoil) -> None:
 @pytest.mark.parametrize(("at_s", "measured_kg"), [(10.0, 100.0), (10.25, 102.5), (10.5, 105.0), (11.0, 110.0)])
 def test_a_reading_within_a_window_weighs_that_part_of_it(at_s: float, measured_kg: float) -> None:
     """One that comes before its window closes waits for it."""
-    scale = TankScale(AnchorSettings(min_increment_kg=50.0))
+    scale = TankScale(ReferenceMassSettings(min_increment_kg=50.0))
     scale.reading(0.0, 1000.0)
     for second in range(12):
         if second == 9:
             scale.reading(at_s, 1100.0)
         found = scale.window(float(second), second + 1.0, 10.0 * second, 10.0, True)
         assert (found is not None) is (second == (9 if at_s == 10.0 else 10))
-    (anchor,) = scale.anchors
-    assert (anchor.start_s, anchor.end_s, anchor.reference_kg) == (0.0, at_s, 100.0)
-    assert anchor.measured_kg == pytest.approx(measured_kg)
+    (reference,) = scale.masses
+    assert (reference.start_s, reference.end_s, reference.reference_kg) == (0.0, at_s, 100.0)
+    assert reference.measured_kg == pytest.approx(measured_kg)

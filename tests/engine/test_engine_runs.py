@@ -28,8 +28,8 @@ from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.results import Result, events_in, frames_in
 from yieldmon.engine.runs import run_of
 from yieldmon.engine.sampling.windows import WindowBuilder
-from yieldmon.engine.self_calibration.anchors import ReferenceMass
 from yieldmon.engine.self_calibration.calibrator import CalibrationOutcome
+from yieldmon.engine.self_calibration.reference_mass import ReferenceMass
 from yieldmon.engine.settings import EngineSettings, SweepSettings, WindowSettings
 from yieldmon.estimation.self_calibration.angle_error import NO_ERROR, AngleError
 from yieldmon.frames import ERROR, NOT_AVAILABLE, Frame, SweepState
@@ -57,7 +57,11 @@ class SweepCalibrator(NothingBetweenUpdates):
         return CalibrationOutcome(ForceProportional(relative_std_dev=0.03 * (self.updates + 1)), "learnt")
 
     def weigh(
-        self, record: WindowRecord, anchors: Sequence[ReferenceMass], estimator: FlowEstimator, model_error: AngleError = NO_ERROR
+        self,
+        record: WindowRecord,
+        references: Sequence[ReferenceMass],
+        estimator: FlowEstimator,
+        model_error: AngleError = NO_ERROR,
     ) -> CalibrationOutcome:
         return self.update([record], estimator)
 
@@ -89,7 +93,7 @@ def assert_same(one_by_one: Kept, in_runs: Kept, pieces: Iterator[list[Frame]]) 
         in_runs.feed_run(run_of(piece))
     assert repr(in_runs.results) == repr(one_by_one.results)
     assert repr(in_runs.snapshot()) == repr(one_by_one.snapshot())
-    assert in_runs.anchors == one_by_one.anchors
+    assert in_runs.reference_masses == one_by_one.reference_masses
 
 
 ACTUATORS = [

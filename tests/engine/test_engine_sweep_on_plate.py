@@ -25,8 +25,8 @@ from yieldmon.engine.faults import FaultCode
 from yieldmon.engine.flow_estimator import FlowEstimator
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.records import WindowRecord
-from yieldmon.engine.self_calibration.anchors import ReferenceMass
 from yieldmon.engine.self_calibration.calibrator import CalibrationOutcome
+from yieldmon.engine.self_calibration.reference_mass import ReferenceMass
 from yieldmon.engine.settings import EngineSettings, SweepSettings
 from yieldmon.engine.sweeps.sweep_inputs import SweepAbort
 from yieldmon.estimation.self_calibration.angle_error import NO_ERROR, AngleError
@@ -59,7 +59,11 @@ class SweepCalibrator(NothingBetweenUpdates):
         return self.outcome
 
     def weigh(
-        self, record: WindowRecord, anchors: Sequence[ReferenceMass], estimator: FlowEstimator, model_error: AngleError = NO_ERROR
+        self,
+        record: WindowRecord,
+        references: Sequence[ReferenceMass],
+        estimator: FlowEstimator,
+        model_error: AngleError = NO_ERROR,
     ) -> CalibrationOutcome:
         raise AssertionError("nothing was weighed")
 

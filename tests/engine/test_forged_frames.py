@@ -180,7 +180,7 @@ def test_a_second_tank_scale_is_reported_and_weighs_nothing(forged_kg: float, in
     assert begun.time_s <= START_S + 14.8 + 2.2
     assert "tank mass" in begun.detail
     assert target.totals.load_number == 1
-    assert all(anchor.reference_kg < 200.0 for anchor in target.anchors)
+    assert all(reference.reference_kg < 200.0 for reference in target.reference_masses)
     assert target.totals.total_contested_kg == 0.0
 
 

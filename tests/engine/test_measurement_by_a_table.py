@@ -229,7 +229,7 @@ def tank(*readings: tuple[float, float], until_s: float, disputed_s: float = -1.
     return machine.measurement.signs_of_grain
 
 
-RISE_KG = 3.0 * SETTINGS.anchors.scale_std_dev_kg
+RISE_KG = 3.0 * SETTINGS.reference_masses.scale_std_dev_kg
 
 
 @pytest.mark.parametrize(

@@ -9,9 +9,9 @@ from math import inf
 import numpy as np
 import pytest
 
-from yieldmon.engine.self_calibration.anchors import AnchorSource, ReferenceMass
 from yieldmon.engine.self_calibration.parameter_lineage import ParameterLineage
 from yieldmon.engine.self_calibration.prior_states import as_prior_state
+from yieldmon.engine.self_calibration.reference_mass import ReferenceMass, ReferenceSource
 from yieldmon.estimation.parameters import ParameterSet
 
 
@@ -22,7 +22,7 @@ def known(version: int, density: float = 1100.0, sd: float = 50.0) -> ParameterS
 
 def mass(load: int) -> ReferenceMass:
     return ReferenceMass(
-        source=AnchorSource.TICKET,
+        source=ReferenceSource.TICKET,
         start_s=100.0 * load,
         end_s=100.0 * load + 50.0,
         reference_kg=500.0,

@@ -17,8 +17,8 @@ from yieldmon.engine.mass.budget import MassBudget
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.results import frames_in
 from yieldmon.engine.runs import run_of
-from yieldmon.engine.self_calibration.anchors import AnchorSource, ReferenceMass
 from yieldmon.engine.self_calibration.closed_loop_calibrator import ClosedLoopCalibrator
+from yieldmon.engine.self_calibration.reference_mass import ReferenceMass, ReferenceSource
 from yieldmon.engine.self_calibration.scale_alarm import ScaleAlarm, ScaleCheck, as_stated
 from yieldmon.engine.settings import FaultSettings
 from yieldmon.engine.state import EngineState
@@ -99,7 +99,7 @@ def test_a_state_from_before_there_was_one_has_none() -> None:
 
 def mass(measured_kg: float, *, complete: bool = True, budget: MassBudget | None = None) -> ReferenceMass:
     known = MassBudget(0.0, 200.0, 0.0, 0.0) if budget is None else budget
-    return ReferenceMass(AnchorSource.TICKET, 0.0, 500.0, 5000.0, 150.0, measured_kg, complete, 4, known)
+    return ReferenceMass(ReferenceSource.TICKET, 0.0, 500.0, 5000.0, 150.0, measured_kg, complete, 4, known)
 
 
 @pytest.mark.parametrize(

@@ -10,11 +10,12 @@ from engine_bench import ZERO_MV, Bench, feed, monitor
 from yieldmon import frames as bus
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.runs import run_of
-from yieldmon.engine.self_calibration.anchors import ReferenceMass, TankScale
-from yieldmon.engine.settings import AnchorSettings, EngineSettings
+from yieldmon.engine.self_calibration.reference_mass import ReferenceMass
+from yieldmon.engine.self_calibration.tank_scale import TankScale
+from yieldmon.engine.settings import EngineSettings, ReferenceMassSettings
 from yieldmon.frames import Frame
 
-SETTINGS = AnchorSettings(min_increment_kg=50.0, unloading_kg=40.0, scale_std_dev_kg=4.0)
+SETTINGS = ReferenceMassSettings(min_increment_kg=50.0, unloading_kg=40.0, scale_std_dev_kg=4.0)
 
 
 class Tank:
@@ -137,7 +138,7 @@ def test_readings_are_kept_up_to_a_number() -> None:
     tank = Tank()
     for k in range(SETTINGS.keep + 3):
         tank.seconds(6, 1000.0 + 60.0 * k)
-    assert len(tank.scale.anchors) == SETTINGS.keep
+    assert len(tank.scale.masses) == SETTINGS.keep
 
 
 @pytest.mark.parametrize("change", [Monitor.reset_totals, Monitor.undo_zero], ids=["reset", "zero undone"])
@@ -155,15 +156,15 @@ def test_a_total_that_is_changed_between_two_readings_is_no_mass_measured_betwee
         for time_s in (1001.5 + 5.0 * k for k in range(17))
     ]
     frames = sorted([*bench.frames(85), *readings], key=lambda frame: frame.time_s)
-    target = monitor(EngineSettings(anchors=AnchorSettings(min_increment_kg=150.0)))
+    target = monitor(EngineSettings(reference_masses=ReferenceMassSettings(min_increment_kg=150.0)))
     feed(target, run_of([frame for frame in frames if frame.time_s < 1012.0]))
     target.calibrate_zero()
     feed(target, run_of([frame for frame in frames if 1012.0 <= frame.time_s < 1055.0]))
     change(target)
     feed(target, run_of([frame for frame in frames if frame.time_s >= 1055.0]))
-    before = [anchor for anchor in target.anchors if anchor.end_s < 1055.0]
+    before = [reference for reference in target.reference_masses if reference.end_s < 1055.0]
     assert before
-    assert all(anchor.measured_kg == pytest.approx(anchor.reference_kg, rel=0.05) for anchor in before)
-    later = [anchor for anchor in target.anchors if anchor.end_s > 1055.0]
+    assert all(reference.measured_kg == pytest.approx(reference.reference_kg, rel=0.05) for reference in before)
+    later = [reference for reference in target.reference_masses if reference.end_s > 1055.0]
     assert later
-    assert all(anchor.start_s > 1055.0 for anchor in later)
+    assert all(reference.start_s > 1055.0 for reference in later)

@@ -10,9 +10,9 @@ import pytest
 from tests.engine.test_closed_loop_calibrator import MACHINE, MODEL, PRIOR, SPEED, records
 from yieldmon.engine.calibrator_settings import CalibratorSettings
 from yieldmon.engine.mass.budget import MassBudget
-from yieldmon.engine.self_calibration.anchors import AnchorSource, ReferenceMass
 from yieldmon.engine.self_calibration.closed_loop_calibrator import ClosedLoopCalibrator
 from yieldmon.engine.self_calibration.load_forces import LoadForces
+from yieldmon.engine.self_calibration.reference_mass import ReferenceMass, ReferenceSource
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.self_calibration.angle_error import NO_ERROR, NODES_RAD, AngleError
@@ -31,23 +31,23 @@ def ticket(weaker: float, budget: MassBudget, moisture_pct: float = 18.0) -> Ref
     columns = (np.full(10, value) for value in (SECONDS / 10.0, force, home, SPEED, moisture_pct))
     mass = FLOW_KG_S * SECONDS
     return ReferenceMass(
-        AnchorSource.TICKET, 0.0, SECONDS, mass, 0.005 * mass, measured, True, 1, budget, forces=LoadForces(*columns)
+        ReferenceSource.TICKET, 0.0, SECONDS, mass, 0.005 * mass, measured, True, 1, budget, forces=LoadForces(*columns)
     )
 
 
-def learnt(anchor: ReferenceMass, error: AngleError = NO_ERROR) -> ParameterSet:
+def learnt(reference: ReferenceMass, error: AngleError = NO_ERROR) -> ParameterSet:
     """The parameters after it, where loads were stated with this error of the model."""
     settings = CalibratorSettings(steady_per_kilotonne={})
-    outcome = ClosedLoopCalibrator(MODEL, settings).weigh(records(FLOW_KG_S)[0], (anchor,), OpenLoop(MODEL, SURE), error)
+    outcome = ClosedLoopCalibrator(MODEL, settings).weigh(records(FLOW_KG_S)[0], (reference,), OpenLoop(MODEL, SURE), error)
     assert outcome.estimator is not None
     return outcome.estimator.parameters
 
 
-def left(anchor: ReferenceMass, error: AngleError = NO_ERROR) -> tuple[float, float]:
+def left(reference: ReferenceMass, error: AngleError = NO_ERROR) -> tuple[float, float]:
     """Error with which the ticket's own load is measured after it, and its standard deviation, as shares."""
-    assert anchor.forces is not None
-    found = OpenLoop(MODEL, learnt(anchor, error)).estimate(
-        anchor.forces.force_n, anchor.forces.plate_angle_rad, anchor.forces.elevator_speed_rad_s
+    assert reference.forces is not None
+    found = OpenLoop(MODEL, learnt(reference, error)).estimate(
+        reference.forces.force_n, reference.forces.plate_angle_rad, reference.forces.elevator_speed_rad_s
     )
     rate = float(np.mean(found.mass_flow_kg_s))
     return rate / FLOW_KG_S - 1.0, float(np.mean(found.std_dev_kg_s)) / rate
@@ -89,18 +89,18 @@ def test_a_ticket_sets_a_scale_that_the_models_error_has_left_open(weaker: float
 
 
 def test_a_load_away_from_home_says_less_of_the_scale_there() -> None:
-    anchor = ticket(0.04, MassBudget())
-    assert anchor.forces is not None
+    whole = ticket(0.04, MassBudget())
+    assert whole.forces is not None
     angle = np.where(np.arange(10) < 5, HOME_RAD, np.radians(40.0))
     force = np.real(MODEL.force(Conditions(angle, SPEED, mass_flow_kg_s=FLOW_KG_S), SURE.values))
-    half = replace(anchor, forces=replace(anchor.forces, force_n=0.96 * force, plate_angle_rad=angle))
+    half = replace(whole, forces=replace(whole.forces, force_n=0.96 * force, plate_angle_rad=angle))
 
     def sd(reference: ReferenceMass, error: AngleError) -> float:
-        known = OpenLoop(MODEL, learnt(reference, error)).estimate(*(anchor.forces.force_n, HOME_RAD, SPEED))  # type: ignore[union-attr]
+        known = OpenLoop(MODEL, learnt(reference, error)).estimate(*(whole.forces.force_n, HOME_RAD, SPEED))  # type: ignore[union-attr]
         return float(np.mean(known.std_dev_kg_s / known.mass_flow_kg_s))
 
     same, other = one_cause(0.05, 0.05), one_cause(0.05, 0.15)
-    assert sd(anchor, other) == pytest.approx(sd(anchor, same), rel=1e-6)
+    assert sd(whole, other) == pytest.approx(sd(whole, same), rel=1e-6)
     assert sd(half, other) > 3.0 * sd(half, same)
 
 

@@ -11,7 +11,7 @@ from yieldmon.engine.inputs import InputSnapshot
 from yieldmon.engine.mass.unloading import Unloading
 from yieldmon.engine.settings import EngineSettings, TotalsSettings
 
-PLAY_KG = EngineSettings().anchors.unloading_kg
+PLAY_KG = EngineSettings().reference_masses.unloading_kg
 ON, OFF, SILENT = 1.0, 0.0, nan
 LEAST_S = 10.0
 

@@ -12,7 +12,7 @@ from yieldmon import frames as frames_of_bus
 from yieldmon.engine.faults import FaultCode
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.runs import run_of
-from yieldmon.engine.settings import AnchorSettings, EngineSettings
+from yieldmon.engine.settings import EngineSettings, ReferenceMassSettings
 from yieldmon.errors import InputError
 from yieldmon.files import parameter_file
 from yieldmon.frames import Frame
@@ -207,7 +207,7 @@ def test_under_a_wrong_zero_the_tank_scale_keeps_the_mass_and_an_undo_does_not_c
         return Frame(time_s, frames_of_bus.TANK_SCALE, signals)
 
     seconds = 300
-    target = monitor(replace(EngineSettings(), anchors=AnchorSettings(min_increment_kg=500.0)))
+    target = monitor(replace(EngineSettings(), reference_masses=ReferenceMassSettings(min_increment_kg=500.0)))
     frames = sorted([*BENCH.frames(seconds), *(tank(1000.5 + i) for i in range(seconds - 1))], key=lambda f: f.time_s)
     feed(target, run_of([f for f in frames if f.time_s < 1041.0]))
     ask(target, "zero", force=True)
@@ -215,7 +215,7 @@ def test_under_a_wrong_zero_the_tank_scale_keeps_the_mass_and_an_undo_does_not_c
     true_kg = 14.0 * (seconds - 21)
     assert FaultCode.ZERO_DRIFTED in target.faults.active
     assert true_kg - 700.0 < target.totals.load_kg < 1.02 * true_kg
-    assert all(not anchor.complete for anchor in target.anchors if anchor.zero_doubted)
+    assert all(not reference.complete for reference in target.reference_masses if reference.zero_doubted)
     assert not target.loads[-1].complete
     ask(target, "zero-undo")
     assert target.totals.load_kg == pytest.approx(true_kg, rel=0.03)

@@ -8,12 +8,13 @@ import re
 import numpy as np
 import pytest
 
+from yieldmon import api
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
 from yieldmon.estimation.fitting.identifiability import directions, relative_jacobian, report, scaled, sweep_directions
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.self_calibration.closed_loop import learn, self_calibrate, update_from_tickets
-from yieldmon.estimation.self_calibration.closed_loop_inputs import DensityAnchor, MassAnchor, Sweep
+from yieldmon.estimation.self_calibration.closed_loop_inputs import MeasuredDensity, Sweep, WeighedMass
 from yieldmon.estimation.self_calibration.closed_loop_outcome import Outcome
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
@@ -256,29 +257,29 @@ def test_the_mean_of_a_wandering_flow_is_as_uncertain_as_the_windows_noise_makes
     assert outcome.flows[0].log_sd == pytest.approx(noise / elasticity / np.sqrt(count), rel=1e-3)
 
 
-# Anchors
+# Weighed masses and densities
 
 
-def load(reference_flow: float, truth: dict[str, float], sd_kg: float, windows: int = 600) -> MassAnchor:
+def load(reference_flow: float, truth: dict[str, float], sd_kg: float, windows: int = 600) -> WeighedMass:
     flow = reference_flow * (1.0 + 0.3 * np.sin(np.arange(windows) / 40.0))
     force = np.real(MODEL.force(Conditions(np.radians(70.0), SPEED, mass_flow_kg_s=flow), truth))
     ones = np.ones(windows)
-    return MassAnchor.from_windows(float(flow.sum()), sd_kg, ones, force, np.radians(70.0) * ones, SPEED * ones)
+    return WeighedMass.from_windows(float(flow.sum()), sd_kg, ones, force, np.radians(70.0) * ones, SPEED * ones)
 
 
 def test_a_weighed_load_fixes_the_scale() -> None:
     truth = dict(CENTRE, density=1220.0, restitution=0.68, friction=0.23)
     sweeps = [sweep(f, truth, 0.005) for f in (8.0, 14.0)]
     without = self_calibrate(MODEL, prior(), sweeps)
-    anchored = self_calibrate(MODEL, prior(), sweeps, anchors=[load(10.0, truth, 20.0)])
-    assert anchored.consistent
-    assert anchored.scale.observable
-    assert anchored.scale.ratio < 0.3 < without.scale.ratio
-    for flow, true in zip(anchored.flows, (8.0, 14.0), strict=True):
+    with_masses = self_calibrate(MODEL, prior(), sweeps, masses=[load(10.0, truth, 20.0)])
+    assert with_masses.consistent
+    assert with_masses.scale.observable
+    assert with_masses.scale.ratio < 0.3 < without.scale.ratio
+    for flow, true in zip(with_masses.flows, (8.0, 14.0), strict=True):
         assert flow.mass_flow_kg_s == pytest.approx(true, rel=0.01)
     # An open loop with the new parameters weighs the load right.
     test_load = load(10.0, truth, 20.0)
-    measured = test_load.duration_s @ OpenLoop(MODEL, anchored.parameter_set).invert(
+    measured = test_load.duration_s @ OpenLoop(MODEL, with_masses.parameter_set).invert(
         test_load.force_n, test_load.plate_angle_rad, test_load.elevator_speed_rad_s
     )
     assert measured == pytest.approx(test_load.reference_kg, rel=0.004)
@@ -286,24 +287,36 @@ def test_a_weighed_load_fixes_the_scale() -> None:
 
 def test_a_weighed_load_alone_updates_too() -> None:
     truth = dict(CENTRE, restitution=0.70)
-    outcome = self_calibrate(MODEL, prior(), (), anchors=[load(10.0, truth, 10.0)])
+    outcome = self_calibrate(MODEL, prior(), (), masses=[load(10.0, truth, 10.0)])
     assert outcome.updated
     force = np.real(MODEL.force(Conditions(np.radians(70.0), SPEED, mass_flow_kg_s=10.0), truth))
     assert OpenLoop(MODEL, outcome.parameter_set).invert(force, np.radians(70.0), SPEED) == pytest.approx(10.0, rel=0.01)
 
 
+def test_former_names_of_masses_and_densities_still_work() -> None:
+    with pytest.warns(DeprecationWarning, match="MassAnchor is now called WeighedMass"):
+        assert api.MassAnchor is WeighedMass
+    with pytest.warns(DeprecationWarning, match="DensityAnchor is now called MeasuredDensity"):
+        assert api.DensityAnchor is MeasuredDensity
+    with pytest.raises(AttributeError, match="has no attribute"):
+        api.Mass  # noqa: B018
+    mass = load(10.0, dict(CENTRE, restitution=0.70), 10.0)
+    present, former = self_calibrate(MODEL, prior(), (), masses=[mass]), self_calibrate(MODEL, prior(), (), anchors=[mass])
+    assert former.parameter_set == present.parameter_set != prior()
+
+
 @pytest.mark.parametrize("share", [0.5, 0.1, 0.02], ids=lambda share: f"{share:g} of the ticket's")
 def test_a_weighed_load_counts_by_its_own_deviation_however_little_it_says(share: float) -> None:
-    ticket_sd, off, anchor = 0.005, 0.01, load(10.0, CENTRE, 1.0)
+    ticket_sd, off, mass = 0.005, 0.01, load(10.0, CENTRE, 1.0)
 
     def ln_mass(values: dict[str, float]) -> float:
         loop = OpenLoop(MODEL, ParameterSet(values))
-        return float(np.log(anchor.duration_s @ loop.invert(anchor.force_n, anchor.plate_angle_rad, anchor.elevator_speed_rad_s)))
+        return float(np.log(mass.duration_s @ loop.invert(mass.force_n, mass.plate_angle_rad, mass.elevator_speed_rad_s)))
 
     by_restitution = (ln_mass(dict(CENTRE, restitution=0.606)) - ln_mass(CENTRE)) / 0.01
     known = prior(widths=(1e-7, share * ticket_sd / abs(by_restitution), 1e-7))
-    weighed_kg = anchor.reference_kg * (1.0 - off)
-    weighed = dataclasses.replace(anchor, reference_kg=weighed_kg, std_dev_kg=ticket_sd * weighed_kg)
+    weighed_kg = mass.reference_kg * (1.0 - off)
+    weighed = dataclasses.replace(mass, reference_kg=weighed_kg, std_dev_kg=ticket_sd * weighed_kg)
     found = update_from_tickets(MODEL, known, [weighed])
     assert found.updated
     # Bayes' rule for one number, known to `share` of the deviation that it is weighed to.
@@ -322,7 +335,7 @@ def test_deviations_are_doubled_no_further_than_half_of_the_physical_range(
     """Two masses of one force: no parameters explain both, and every doubling is asked for."""
     known = prior(widths=widths)
     windows = [np.array([value]) for value in (100.0, 40.0, MACHINE.home_plate_angle_rad, SPEED)]
-    found = update_from_tickets(MODEL, known, [MassAnchor(500.0, 0.5, *windows), MassAnchor(900.0, 0.5, *windows)])
+    found = update_from_tickets(MODEL, known, [WeighedMass(500.0, 0.5, *windows), WeighedMass(900.0, 0.5, *windows)])
     assert not found.consistent
     assert found.prior_widening == expected
 
@@ -332,7 +345,7 @@ def test_condensed_windows_weigh_what_all_of_them_weigh() -> None:
     flow = rng.uniform(1.0, 22.0, 900)
     force = np.real(MODEL.force(Conditions(np.radians(70.0), SPEED, mass_flow_kg_s=flow), CENTRE))
     ones = np.ones(900)
-    condensed = MassAnchor.from_windows(1.0, 1.0, ones, force, np.radians(70.0) * ones, SPEED * ones)
+    condensed = WeighedMass.from_windows(1.0, 1.0, ones, force, np.radians(70.0) * ones, SPEED * ones)
     assert condensed.force_n.size == 12
     loop = OpenLoop(MODEL, ParameterSet(CENTRE))
     whole = loop.invert(condensed.force_n, condensed.plate_angle_rad, condensed.elevator_speed_rad_s) @ condensed.duration_s
@@ -342,16 +355,16 @@ def test_condensed_windows_weigh_what_all_of_them_weigh() -> None:
 def test_a_known_density_moves_the_answer_along_the_scale() -> None:
     truth = dict(CENTRE, density=1220.0)
     sweeps = [sweep(f, truth, 0.002) for f in (10.0, 18.0)]
-    outcome = self_calibrate(MODEL, prior(), sweeps, density=DensityAnchor(1220.0, 5.0))
+    outcome = self_calibrate(MODEL, prior(), sweeps, density=MeasuredDensity(1220.0, 5.0))
     assert outcome.scale.observable
     assert outcome.flows[0].mass_flow_kg_s == pytest.approx(10.0, rel=0.01)
     assert outcome.flows[0].log_sd < 0.75 * self_calibrate(MODEL, prior(), sweeps).flows[0].log_sd
 
 
 def test_a_test_weight_carries_the_uncertainty_of_its_ratio() -> None:
-    anchor = DensityAnchor.from_test_weight(720.0, 7.2, 1.5, 0.15)
-    assert anchor.density_kg_m3 == pytest.approx(1080.0)
-    assert anchor.std_dev_kg_m3 == pytest.approx(1080.0 * np.hypot(0.01, 0.1))
+    density = MeasuredDensity.from_test_weight(720.0, 7.2, 1.5, 0.15)
+    assert density.density_kg_m3 == pytest.approx(1080.0)
+    assert density.std_dev_kg_m3 == pytest.approx(1080.0 * np.hypot(0.01, 0.1))
 
 
 # Refusals
@@ -437,7 +450,7 @@ def test_a_sweep_that_leads_to_an_end_of_the_range_of_grain_determines_nothing()
     assert found.parameter_set is known
     assert "density to 750 kg/m3 (750 to 2000), to an end of its range" in found.reason
     assert [(p.value, p.sd, p.learned) for p in found.parameters] == [(p.prior, p.prior_sd, False) for p in found.parameters]
-    weighed = self_calibrate(MODEL, known, [sweep(12.0, light)], density=DensityAnchor(600.0, 30.0))
+    weighed = self_calibrate(MODEL, known, [sweep(12.0, light)], density=MeasuredDensity(600.0, 30.0))
     assert weighed.parameter_set.values["density"] == pytest.approx(600.0, abs=60.0)
     put_there = dataclasses.replace(known, values={**CENTRE, "density": 650.0})
     below = self_calibrate(MODEL, put_there, [sweep(12.0, light)]).parameter_set
@@ -457,30 +470,33 @@ def test_the_covariance_after_a_refusal_in_part_is_one() -> None:
         assert np.all(np.diag(outcome.parameter_set.covariance) <= sd**2 * (1.0 + 1e-9))
 
 
-def weighed(anchor: MassAnchor) -> object:
-    return self_calibrate(MODEL, prior(), (), anchors=[anchor])
+def weighed(mass: WeighedMass) -> object:
+    return self_calibrate(MODEL, prior(), (), masses=[mass])
 
 
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: self_calibrate(MODEL, prior(), ()), "neither a sweep nor an anchor"),
+        (lambda: self_calibrate(MODEL, prior(), ()), "neither a sweep nor a weighed mass"),
         (lambda: self_calibrate(MODEL, ParameterSet(CENTRE), [sweep(5.0)]), "no covariance"),
         (lambda: self_calibrate(ForwardModel(MACHINE, ("gravity",)), prior(), [sweep(5.0)]), "effects"),
         (lambda: Sweep(np.zeros(2), ANGLES[:2], np.full(2, SPEED), np.array([1.0, np.nan]), np.ones(2)), "force_n must hold"),
         (lambda: Sweep(np.zeros(2), ANGLES[:2], np.full(2, SPEED), np.ones(2), np.zeros(2)), "above 0"),
         (lambda: Sweep(np.zeros(3), ANGLES[:2], np.full(2, SPEED), np.ones(2), np.ones(2)), "time_s must hold"),
         (lambda: self_calibrate(MODEL, prior(), [dataclasses.replace(sweep(5.0), force_n=np.full(11, 1e5))]), "full paddle"),
-        (lambda: weighed(MassAnchor(900.0, 9.0, np.ones(3), np.ones(2), np.ones(3), np.ones(3))), "duration_s must hold"),
-        (lambda: weighed(MassAnchor(900.0, 0.0, np.ones(3), np.ones(3), np.ones(3), np.ones(3))), "900 kg within 0 kg: expected"),
-        (lambda: weighed(MassAnchor(900.0, 9.0, np.ones(3), np.ones(3), 70.0 * np.ones(3), np.ones(3))), "70: expected radians"),
+        (lambda: weighed(WeighedMass(900.0, 9.0, np.ones(3), np.ones(2), np.ones(3), np.ones(3))), "duration_s must hold"),
+        (
+            lambda: weighed(WeighedMass(900.0, 0.0, np.ones(3), np.ones(3), np.ones(3), np.ones(3))),
+            "900 kg within 0 kg: expected",
+        ),
+        (lambda: weighed(WeighedMass(900.0, 9.0, np.ones(3), np.ones(3), 70.0 * np.ones(3), np.ones(3))), "70: expected radians"),
         (lambda: self_calibrate(MODEL, prior(), [dataclasses.replace(sweep(5.0), plate_angle_rad=np.full(11, 70.0))]), "sweep: "),
         (
-            lambda: self_calibrate(MODEL, prior(), [sweep(5.0)], density=DensityAnchor(-720.0, 10.0)),
+            lambda: self_calibrate(MODEL, prior(), [sweep(5.0)], density=MeasuredDensity(-720.0, 10.0)),
             "density_kg_m3 -720: expected a number above 0",
         ),
         (
-            lambda: self_calibrate(MODEL, prior(), [sweep(5.0)], density=DensityAnchor(720.0, 0.0)),
+            lambda: self_calibrate(MODEL, prior(), [sweep(5.0)], density=MeasuredDensity(720.0, 0.0)),
             "std_dev_kg_m3 0: expected a number above 0",
         ),
         (lambda: ClosedLoopSettings(flow="cubic"), "expected constant, linear or process"),
@@ -522,7 +538,7 @@ def test_lists_of_numbers_are_taken_as_arrays() -> None:
     columns = ("time_s", "plate_angle_rad", "elevator_speed_rad_s", "force_n", "force_std_dev_n")
     lists = Sweep(*(list(getattr(arrays, name)) for name in columns))
     assert all(np.array_equal(getattr(lists, name), getattr(arrays, name)) for name in columns)
-    anchor = MassAnchor(100.0, 1.0, [1.0, 1.0], [20.0, 30.0], [1.2, 1.2], [42.0, 42.0])
-    anchor.require_usable()
+    mass = WeighedMass(100.0, 1.0, [1.0, 1.0], [20.0, 30.0], [1.2, 1.2], [42.0, 42.0])
+    mass.require_usable()
     with pytest.raises(ValueError, match="one finite number for each window"):
         Sweep([0.0, 1.0], [1.0], [42.0], [20.0], [1.0])

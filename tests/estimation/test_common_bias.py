@@ -10,7 +10,7 @@ import pytest
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.self_calibration.closed_loop import update_from_tickets
-from yieldmon.estimation.self_calibration.closed_loop_inputs import MassAnchor
+from yieldmon.estimation.self_calibration.closed_loop_inputs import WeighedMass
 from yieldmon.estimation.self_calibration.steady_drift import DriftingParameters, begin, learn
 from yieldmon.estimation.waveform import common_bias
 from yieldmon.estimation.waveform.common_bias import CommonBias, KernelMeasurement, measurement_of
@@ -77,8 +77,8 @@ def test_many_updates_determine_the_scale_no_better_than_one_exact_one(log_bias:
 def weighed(drifting: DriftingParameters, bias: CommonBias) -> tuple[DriftingParameters, CommonBias]:
     seconds = np.full(9, 100.0)
     mass = float(seconds @ FLOWS)
-    anchor = MassAnchor.from_windows(mass, 0.003 * mass, seconds, forces(TRUE), ANGLE, SPEED)
-    outcome = update_from_tickets(MODEL, drifting.parameters, [anchor])
+    weighed = WeighedMass.from_windows(mass, 0.003 * mass, seconds, forces(TRUE), ANGLE, SPEED)
+    outcome = update_from_tickets(MODEL, drifting.parameters, [weighed])
     after = learn(drifting, outcome.parameter_set, widening=outcome.prior_widening)
     return after, common_bias.followed(bias, drifting, after, widening=outcome.prior_widening)
 

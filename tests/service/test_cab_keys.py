@@ -59,7 +59,7 @@ def test_every_key_does_on_the_daemon_what_it_asks(tmp_path) -> None:
         reported = cab.press("t", *f"2 {1.02 * measured_kg:.4f}kg", "\r", "y")
         alone = "; the first, it sets the scale by itself: weigh a second load"
         assert reported == f"ticket for load 2 taken: +2.0 % against what was measured{alone}"
-        assert [anchor.load_number for anchor in bench.daemon.monitor.anchors] == [2]
+        assert [mass.load_number for mass in bench.daemon.monitor.reference_masses] == [2]
         reported = cab.press("t", *"1 9kg", "\r", "y")
         assert reported == "ticket for load 1: nothing was measured for it; expected a load with a measured mass"
         assert cab.press("w", "y") == "the sweep begins as soon as flow and speed are steady"

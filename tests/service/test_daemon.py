@@ -513,7 +513,7 @@ def test_loads_tickets_and_names(tmp_path, capsys):
         assert first["corrected_mass_kg"] == pytest.approx(1.02 * loads[0]["mass_kg"])
         second = ask(tmp_path, capsys, "ticket", "2", f"{1.02 * loads[1]['mass_kg']}kg")
         assert (second["is_reference"], second["without_ticket"]) == (True, [1])
-        assert [anchor.load_number for anchor in bench.daemon.monitor.anchors] == [2]
+        assert [mass.load_number for mass in bench.daemon.monitor.reference_masses] == [2]
         after = ask(tmp_path, capsys, "load", "list")["loads"]
         assert [load["mass_kg"] for load in after] == [load["mass_kg"] for load in loads]
         assert [load["ticket_id"] for load in after] == [None, 2]

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from yieldmon.errors import InputError
-from yieldmon.service.config.former_keys import FORMER_KEYS, with_present_keys
+from yieldmon.service.config.former_keys import FORMER_KEYS, FORMER_SECTIONS, with_present_keys
 
 
 @pytest.mark.parametrize("content", [None, [1], "text", 3, {}, {"sweep": None}, {"sweep": [1]}, {"zero": {"lying_ratio": 1}}])
@@ -31,3 +31,14 @@ def test_a_key_under_both_names_is_refused(key: tuple[str, str], present: str) -
     section, former = key
     with pytest.raises(InputError, match=f"c.yaml: {section}.{former}: is given together with {section}.{present}"):
         with_present_keys({section: {former: 1, present: 2}}, "c.yaml")
+
+
+@pytest.mark.parametrize(("former", "present"), FORMER_SECTIONS.items())
+def test_a_former_section_is_read_in_its_place(former: str, present: str) -> None:
+    given = {"zero": {}, former: {"keep": 3}, "sweep": {}}
+    found, notes = with_present_keys(given, "c.yaml")
+    assert list(found.items()) == [("zero", {}), (present, {"keep": 3}), ("sweep", {})]
+    assert notes == (f"c.yaml: {former} is now called {present}; the next version reads that alone",)
+    assert former in given, "what was given is as it was"
+    with pytest.raises(InputError, match=f"c.yaml: {former}: is given together with {present}"):
+        with_present_keys({former: {}, present: {}}, "c.yaml")

@@ -16,7 +16,7 @@ from yieldmon.errors import InputError
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
 from yieldmon.estimation.fitting.measurements import as_copies_do, copied_rows
 from yieldmon.estimation.self_calibration.closed_loop import self_calibrate
-from yieldmon.estimation.self_calibration.closed_loop_inputs import DensityAnchor, Sweep
+from yieldmon.estimation.self_calibration.closed_loop_inputs import MeasuredDensity, Sweep
 from yieldmon.estimation.self_calibration.closed_loop_outcome import Outcome
 from yieldmon.files import delimited, parameter_file, table, whole_file
 from yieldmon.physics.machine import Machine
@@ -212,16 +212,16 @@ def _sigma(args: argparse.Namespace, data: table.Table, labels: np.ndarray) -> A
     return np.where(np.isfinite(column), column, spread)
 
 
-def _density(text: str | None) -> DensityAnchor | None:
+def _density(text: str | None) -> MeasuredDensity | None:
     if text is None:
         return None
     value, colon, sd = text.partition(":")
     if not colon:
         raise InputError("--density", f"is {text!r}", "KG_M3:SD")
-    anchor = DensityAnchor(model_options.finite(value, "--density"), model_options.finite(sd, "--density SD"))
-    if anchor.density_kg_m3 <= 0.0 or anchor.std_dev_kg_m3 <= 0.0:
+    measured = MeasuredDensity(model_options.finite(value, "--density"), model_options.finite(sd, "--density SD"))
+    if measured.density_kg_m3 <= 0.0 or measured.std_dev_kg_m3 <= 0.0:
         raise InputError("--density", f"is {text}", "two numbers above 0")
-    return anchor
+    return measured
 
 
 def _document(

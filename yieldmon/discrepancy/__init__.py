@@ -1,1 +1,1 @@
-"""Where model and measurement disagree, which effect is missing, and the proof that adding it helps."""
+"""Where model and measurement disagree, which effect is missing, and the validation that adding it helps."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from yieldmon.documents.diagnose import Verdict
 
 from .fit import Fit
-from .gap import LackOfFit
+from .lack_of_fit import LackOfFit
 from .policy import Policy
 
 
@@ -52,15 +52,15 @@ class Choice:
     verdict: Verdict
     base: Fit
     best: Fit
-    base_gap: LackOfFit
-    best_gap: LackOfFit
+    lack_of_fit_before: LackOfFit
+    lack_of_fit_after: LackOfFit
     steps: tuple[Step, ...]
     looked_at: tuple[Candidate, ...]
     """Candidates of the first step."""
     p_any: float
     """Global p value of the strongest candidate."""
     rivals: tuple[Fit, ...] = field(default=())
-    against: str = ""
+    objection: str = ""
     """Why the steps are candidates and no names, where the verdict is "unknown" in spite of them."""
 
     @property
@@ -70,8 +70,8 @@ class Choice:
 
 
 def withdrawn(choice: Choice, policy: Policy) -> Choice:
-    """The choice whose named effects unseen rows do not confirm: "unknown" where a gap is left, else "none"."""
-    verdict: Verdict = "unknown" if choice.base_gap.p_value < policy.gap_p else "none"
+    """The choice whose named effects the validation does not confirm: "unknown" where a misfit is left, else "none"."""
+    verdict: Verdict = "unknown" if choice.lack_of_fit_before.p_value < policy.lack_of_fit_p else "none"
     return replace(choice, verdict=verdict)
 
 

@@ -59,13 +59,13 @@ def features(choice: Choice) -> list[dict[str, float]]:
         {
             "stability": step.stability,
             "margin": float(np.log1p(min(max(step.margin, 0.0), _FAR))),
-            "misfit": float(np.log(np.clip(choice.best_gap.f, 0.5, 50.0))),
+            "misfit": float(np.log(np.clip(choice.lack_of_fit_after.f, 0.5, 50.0))),
             "left_share": float(np.sqrt(min(left / excess, 1.0))),
             "strength": float(np.log(np.sqrt(excess))),
             "ties": float(len(step.equivalent)),
             "further": float(number > 0),
             "effects": float(len(choice.steps)),
-            "against": float(bool(choice.against)),
+            "against": float(bool(choice.objection)),
         }
         for number, step in enumerate(choice.steps)
     ]

@@ -1,4 +1,5 @@
-"""The whole workflow: seal rows, fit the published model, find the gap, name effects, prove them on the sealed rows, plan."""
+"""The whole workflow: hold rows out, fit the published model, test its lack of fit, name effects, validate them on
+the held-out rows, plan the next experiment."""
 
 from __future__ import annotations
 
@@ -20,13 +21,13 @@ from .diagnosis_result import DEFAULT, Diagnosis, Examination, HeldOut, Measure,
 from .experiment import plan
 from .fit import Fit, fit
 from .frame import Frame
-from .gap import lack_of_fit, noise_floor, row_rms, where
+from .held_out_rows import score_held_out
+from .lack_of_fit import lack_of_fit, noise_floor, row_rms, where
 from .merit import merit, misfit
 from .noise import Noise, estimate
-from .proof import Proof, prove
-from .sealed_rows import open_sealed
 from .selection import Progress, choose
 from .stopgap import correction
+from .validation import Validation, validate
 
 __all__ = ["Diagnosis", "Examination", "HeldOut", "Measure", "Options", "conclude", "diagnose", "diagnose_rows", "examine"]
 
@@ -91,7 +92,7 @@ def conclude(
     leading = _refit(whole, partial.effects, partial, name) if partial is not None else None
     left = lack_of_fit(best_all, noise)
     notes = list(seen.notes)
-    if found.effects and left.p_value < options.policy.gap_p <= chosen.best_gap.p_value:
+    if found.effects and left.p_value < options.policy.lack_of_fit_p <= chosen.lack_of_fit_after.p_value:
         notes.append(diagnosis_notes.of_all_rows(left))
     report("where", 0.9)
     regions = where(base_all, noise, rng)
@@ -112,7 +113,7 @@ def conclude(
         base=base_all,
         best=best_all,
         rows=rows,
-        sealed=seen.sealed,
+        is_held_out=seen.is_held_out,
         before=_measure(base_all, every, noise),
         after=_measure(best_all, every, noise),
         held_out=seen.held_out,
@@ -132,24 +133,24 @@ def conclude(
 def examine(
     rows: obs.Rows, parameters: ParameterSet, options: Options = DEFAULT, progress: Progress | None = None, name: str = "table"
 ) -> Examination:
-    """Seal rows, fit the published model, choose effects; then the unseen rows decide. Raises InputError as `diagnose`."""
+    """Hold rows out, fit the published model, choose effects, validate them on those rows. Raises InputError as `diagnose`."""
     report = progress or (lambda text, share: None)
     rng = np.random.default_rng([options.seed, 2])
-    sealed = obs.seal(rows, options.hold_out, options.seed)
+    is_held_out = obs.hold_out(rows, options.hold_out, options.seed)
     report("noise", 0.0)
-    noise, outlying = estimate(rows.take(~sealed))
+    noise, outlying = estimate(rows.take(~is_held_out))
     outlier = np.zeros(len(rows), dtype=bool)
-    outlier[np.flatnonzero(~sealed)[outlying]] = True
-    training = rows.take(~sealed & ~outlier)
+    outlier[np.flatnonzero(~is_held_out)[outlying]] = True
+    training = rows.take(~is_held_out & ~outlier)
     report("published model", 0.05)
     model = published.fit_published(training, noise, parameters, form=options.form, keep_effects=options.keep_effects, name=name)
     published.check_load(model.base, noise, name)
     searched = library(model.frame, options.without)
     chosen = choose(model.base, noise, searched, rng, options.policy, lambda text, share: report(text, 0.1 + 0.7 * share))
     model, chosen = _in_the_better_form(model, chosen, training, noise, parameters, options, name)
-    report("sealed rows", 0.85)
-    held_out, outlying_sealed = open_sealed(rows, sealed, chosen.base, chosen.best, noise)
-    outlier |= outlying_sealed
+    report("held-out rows", 0.85)
+    held_out, outlying_held_out = score_held_out(rows, is_held_out, chosen.base, chosen.best, noise)
+    outlier |= outlying_held_out
     angles = published.angles_asked(training, model, noise, parameters, keep_effects=options.keep_effects)
     notes = [
         diagnosis_notes.of_noise(noise),
@@ -158,21 +159,21 @@ def examine(
         *model.notes,
         *diagnosis_notes.of_gain(model.base),
         *([angles] if angles else []),
-        *diagnosis_notes.of_overfull(sealed & ~outlier, held_out.rows if held_out is not None else 0),
+        *diagnosis_notes.of_overfull(is_held_out & ~outlier, held_out.rows if held_out is not None else 0),
     ]
-    if chosen.against:
-        notes.append(diagnosis_notes.against(chosen))
-    proof = None
+    if chosen.objection:
+        notes.append(diagnosis_notes.of_objection(chosen))
+    validation = None
     if chosen.steps:
-        proof = prove(chosen.base, chosen.best, held_out.share if held_out is not None else None, rng)
-    chosen, doubts = _confirmed(chosen, proof, noise, rows, options, angles_doubted=bool(angles))
+        validation = validate(chosen.base, chosen.best, held_out.share if held_out is not None else None, rng)
+    chosen, doubts = _confirmed(chosen, validation, noise, rows, options, angles_doubted=bool(angles))
     notes += doubts
     notes += diagnosis_notes.of_own_law(chosen, noise, options.policy)
     notes += diagnosis_notes.of_run_order(chosen, options.policy)
     notes += [*diagnosis_notes.of_one_cell(chosen, noise), *diagnosis_notes.of_repetitions(chosen, noise)]
     if chosen.verdict != "effect" and held_out is not None:
-        held_out, _ = open_sealed(rows, sealed, chosen.base, chosen.base, noise)
-    return Examination(model.form, noise, chosen, held_out, sealed, outlier, tuple(notes), proof)
+        held_out, _ = score_held_out(rows, is_held_out, chosen.base, chosen.base, noise)
+    return Examination(model.form, noise, chosen, held_out, is_held_out, outlier, tuple(notes), validation)
 
 
 def _in_the_better_form(
@@ -202,12 +203,12 @@ def _in_the_better_form(
 
 
 def _confirmed(
-    choice: Choice, proof: Proof | None, noise: Noise, rows: obs.Rows, options: Options, *, angles_doubted: bool
+    choice: Choice, validation: Validation | None, noise: Noise, rows: obs.Rows, options: Options, *, angles_doubted: bool
 ) -> tuple[Choice, list[str]]:
     """The choice with its confidence, no effect named where something outside the search speaks against it; and what does."""
     policy, notes = options.policy, list[str]()
-    if proof is not None and choice.verdict == "effect" and not proof.agrees:
-        notes.append(diagnosis_notes.refuted(choice.named, proof))
+    if validation is not None and choice.verdict == "effect" and not validation.agrees:
+        notes.append(diagnosis_notes.refuted(choice.named, validation))
         choice = withdrawn(choice, policy)
     if choice.verdict == "effect" and angles_doubted:
         choice = withdrawn(choice, policy)
@@ -241,9 +242,9 @@ def _refit(frame: Frame, effects: tuple[str, ...], start: Fit, name: str) -> Fit
 
 
 def _measure(fitted: Fit, rows: obs.Rows, noise: Noise) -> Measure:
-    gap = lack_of_fit(fitted, noise)
+    test = lack_of_fit(fitted, noise)
     rms = row_rms(fitted, rows)
-    return Measure(rms, 100.0 * rms / float(np.max(np.abs(rows.value))), gap.f, gap.p_value)
+    return Measure(rms, 100.0 * rms / float(np.max(np.abs(rows.value))), test.f, test.p_value)
 
 
 def _to_separate(choice: Choice) -> tuple[Fit, list[Fit]]:

@@ -14,7 +14,7 @@ from yieldmon.physics.machine import RPM
 from .choice import Step
 from .diagnosis import Diagnosis, Measure
 from .fit import Fit
-from .gap import Region, fills
+from .lack_of_fit import Region, fills
 from .stopgap import Correction
 
 

@@ -13,13 +13,13 @@ from yieldmon.physics.model import ForwardModel
 
 from .choice import Choice, rows_searched
 from .fit import Fit, fit
-from .gap import LackOfFit, fills, lack_of_fit_but_one, lack_without_pattern
+from .lack_of_fit import LackOfFit, fills, lack_of_fit_but_one, lack_without_pattern
 from .merit import left_by_own_law, merit, misfit
 from .noise import Noise
 from .observations import Rows
 from .policy import DEFAULT, Policy
-from .proof import Proof
 from .run_order import blocked_by, drift
+from .validation import Validation
 
 _SURE = 1e-3
 """p value from which conditions scatter more than repetitions."""
@@ -33,27 +33,27 @@ _NAMED_ROWS = 6
 """Outliers that are named one by one."""
 
 
-def refuted(names: tuple[str, ...], proof: Proof) -> str:
-    """Why the sealed rows speak against the effects that were found."""
-    where = f"; {', '.join(proof.worse)} worse than before" if proof.worse else ""
-    low, high = (100.0 * (proof.crossed.value + s * proof.crossed.sd) for s in (-REACH_95, REACH_95))
+def refuted(names: tuple[str, ...], validation: Validation) -> str:
+    """That the held-out rows do not confirm the effects that were found."""
+    where = f"; {', '.join(validation.worse)} worse than before" if validation.worse else ""
+    low, high = (100.0 * (validation.cross_fitted.value + s * validation.cross_fitted.sd) for s in (-REACH_95, REACH_95))
     return (
         f"{' + '.join(names)} is not named: held-out rows show {low:.0f} to {high:.0f} % of the change that it predicts, where "
         f"more than 50 % is needed{where}"
     )
 
 
-def against(choice: Choice) -> str:
+def of_objection(choice: Choice) -> str:
     """Why the effects that were found are only leading candidates."""
-    return f"{' + '.join(step.added for step in choice.steps)} is not named: {choice.against}"
+    return f"{' + '.join(step.added for step in choice.steps)} is not named: {choice.objection}"
 
 
 def of_one_cell(choice: Choice, noise: Noise) -> list[str]:
-    """The one cell that a named verdict leaves unexplained, where the gap that is left rests on it."""
+    """The one cell that a named verdict leaves unexplained, where the misfit that is left rests on it."""
     if choice.verdict != "effect":
         return []
-    (without, worst), with_it = lack_of_fit_but_one(choice.best, noise), choice.best_gap
-    if with_it.p_value >= DEFAULT.gap_p or without.p_value < DEFAULT.gap_p:
+    (without, worst), with_it = lack_of_fit_but_one(choice.best, noise), choice.lack_of_fit_after
+    if with_it.p_value >= DEFAULT.lack_of_fit_p or without.p_value < DEFAULT.lack_of_fit_p:
         return []
     cells = choice.best.frame.cells
     load = "kg on a paddle" if cells.rows.load_name == "paddle_mass_kg" else "kg/s"
@@ -63,14 +63,14 @@ def of_one_cell(choice: Choice, noise: Noise) -> list[str]:
 
 
 def of_own_law(choice: Choice, noise: Noise, policy: Policy) -> list[str]:
-    """That a named effect leaves a gap which another shape of its law explains."""
+    """That a named effect leaves a misfit which another shape of its law explains."""
     excess = max(choice.base.chi2 - choice.base.dof, 1e-9)
-    large = choice.best_gap.p_value < policy.gap_p or choice.best_gap.f > policy.unexplained_f
+    large = choice.lack_of_fit_after.p_value < policy.lack_of_fit_p or choice.lack_of_fit_after.f > policy.unexplained_f
     if choice.verdict != "effect" or not large or not left_by_own_law(choice.best, choice.steps, noise, excess, policy):
         return []
     left = 100.0 * max(choice.best.chi2 - choice.best.dof, 0.0) / excess
-    f = f"F = {choice.best_gap.f:.2f}, {left:.1f} % of the excess"
-    return [f"{choice.named[0]} leaves a gap ({f}) that another shape of its law explains: its size is uncertain by as much"]
+    f = f"F = {choice.lack_of_fit_after.f:.2f}, {left:.1f} % of the excess"
+    return [f"{choice.named[0]} leaves a misfit ({f}) that another shape of its law explains: its size is uncertain by as much"]
 
 
 def noise_assumed(choice: Choice) -> str:
@@ -156,7 +156,7 @@ def of_outliers(outlying: Rows) -> list[str]:
 
 
 def of_all_rows(left: LackOfFit) -> str:
-    """That all rows together leave a gap which those searched do not show."""
+    """That all rows together leave a misfit which those searched do not show."""
     return (
         f"with these effects all rows together leave F = {left.f:.2f} (p = {left.p_value:.1g}): something else is missing too, "
         "or their laws are not quite these"
@@ -165,13 +165,14 @@ def of_all_rows(left: LackOfFit) -> str:
 
 def of_repetitions(choice: Choice, noise: Noise) -> list[str]:
     """Where conditions scatter more than repetitions do, without a pattern, so that no model could follow them; or less."""
-    if noise.how == "replicates" and scipy.stats.f.cdf(choice.best_gap.f, choice.best.dof, noise.dof) < _SURE:
+    after = choice.lack_of_fit_after.f
+    if noise.how == "replicates" and scipy.stats.f.cdf(after, choice.best.dof, noise.dof) < _SURE:
         return [
-            f"repetitions scatter more than conditions do (F = {choice.best_gap.f:.2f}): trials that differ as a whole (warm-up, "
+            f"repetitions scatter more than conditions do (F = {after:.2f}): trials that differ as a whole (warm-up, "
             "zero) hide what is missing"
         ]
     found = lack_without_pattern(choice.base, noise)
-    if choice.verdict != "unknown" or found.p_value > _SURE or found.f - 1.0 < 0.5 * (choice.base_gap.f - 1.0):
+    if choice.verdict != "unknown" or found.p_value > _SURE or found.f - 1.0 < 0.5 * (choice.lack_of_fit_before.f - 1.0):
         return []
     return [
         f"conditions scatter more than repetitions do, without a pattern (F = {found.f:.2f}, p = {found.p_value:.1g}): "

@@ -12,12 +12,12 @@ from yieldmon.documents.diagnose import Verdict
 from .choice import Choice
 from .experiment import Plan
 from .fit import Fit
-from .gap import Region
+from .lack_of_fit import Region
 from .noise import Noise
 from .observations import Rows
 from .policy import Policy
-from .proof import Proof, Share
 from .stopgap import Correction
+from .validation import Share, Validation
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Options:
     form : {"auto", "restitution", "exchange"}
         Of the impact: one restitution, or k1 and k2.
     hold_out : str
-        Rows that are sealed away until the end: "cells", "trials", "none", or a column and value such as "plate_angle_deg=70".
+        Rows held out of the fit: "cells", "trials", "none", or a column and value such as "plate_angle_deg=70".
     without : tuple of str
         Effects taken out of the library.
     keep_effects : bool
@@ -66,14 +66,14 @@ class Measure:
 
 
 def share_closed_pct(before: float, after: float, floor: float) -> float | None:
-    """Share of a gap (rms before and after, of noise alone) that is closed, %; None where there is none above the noise."""
+    """Share of the misfit (rms before and after, of noise alone) that is removed, %; None where it is within the noise."""
     return 100.0 * (before - after) / (before - floor) if before > floor else None
 
 
 @dataclass(frozen=True)
 class HeldOut:
-    """The sealed rows, opened once: how many, before and after, the noise floor, and 100 (before - after) / (before - floor);
-    None where these rows miss no more than they scatter, so that there is no gap to close."""
+    """Score on the held-out rows: how many, before and after, the noise floor, and 100 (before - after) / (before - floor);
+    None where the misfit of these rows is within their noise."""
 
     rows: int
     before: Measure
@@ -89,16 +89,16 @@ class HeldOut:
 
 @dataclass(frozen=True)
 class Examination:
-    """The verdict and what the sealed rows say of it. sealed, outlier: mark rows, shape (rows,). proof: None without effects."""
+    """The verdict and its validation on held-out rows. is_held_out, outlier: masks (rows,). validation: None without effects."""
 
     form: str
     noise: Noise
     choice: Choice
     held_out: HeldOut | None
-    sealed: NDArray[np.bool_]
+    is_held_out: NDArray[np.bool_]
     outlier: NDArray[np.bool_]
     notes: tuple[str, ...]
-    proof: Proof | None
+    validation: Validation | None
 
 
 @dataclass(frozen=True)
@@ -115,20 +115,20 @@ class Diagnosis:
     outliers : int
         Rows that are left out.
     choice : Choice
-        Steps, candidates and confidence; fitted to the unsealed rows alone.
+        Steps, candidates and confidence; fitted to the other rows alone.
     base, best : Fit
         Without and with the effects that are named; fitted to every row but outliers.
     leading : Fit, optional
         The same with the leading candidates, where the verdict is "unknown" in spite of them.
     rows : Rows
-    sealed : ndarray of bool
+    is_held_out : ndarray of bool
         (n,) rows that were held out.
     before, after : Measure
-        Gap between model and rows without and with the effects.
+        Misfit of the model to the rows without and with the effects.
     with_leading : Measure, optional
         The same with the leading candidates.
     held_out : HeldOut, optional
-        The same on the sealed rows; None where there are none.
+        The same on the held-out rows; None where there are none.
     noise_floor_rms : float
         In the reading's unit.
     regions, remaining : tuple of Region
@@ -140,7 +140,7 @@ class Diagnosis:
     undetectable : tuple of str
         Effects that these rows would not show at any size within physical bounds; none that is named or tied.
     correction : Correction, optional
-        A stopgap for the remaining gap.
+        Empirical correction for the remaining misfit.
     notes : tuple of str
 
     Examples
@@ -156,7 +156,7 @@ class Diagnosis:
     base: Fit
     best: Fit
     rows: Rows
-    sealed: NDArray[np.bool_]
+    is_held_out: NDArray[np.bool_]
     before: Measure
     after: Measure
     held_out: HeldOut | None
@@ -183,7 +183,7 @@ class Diagnosis:
 
     @property
     def closed_pct(self) -> float | None:
-        """Share of the gap closed on held-out rows; on all rows where none were held out. None: no effect, or no gap there."""
+        """Share of the misfit removed on held-out rows, else on all rows. None: no effect, or no misfit there."""
         if self.verdict != "effect":
             return None
         if self.held_out is not None:

@@ -85,13 +85,13 @@ class Fit:
     def covariance(self) -> Array:
         """Covariance of the parameters in the tangent plane, shape (parameters, parameters).
 
-        The model's own error is part of it, with the size that angles and loads left out show (`learnt_error`), and so is what
+        The model's own error is part of it, with the size that angles and loads left out show (`estimated_error`), and so is what
         the laws of the effects may be off. Where chi-square exceeds even that, it is that much wider (Birge's ratio). No
         parameter's sd exceeds the width of its bounds; what is at a bound may lie anywhere between them.
         """
         scale = np.array([p.scale for p in self.parameters])
         scaled = self.jacobian * scale
-        error = self.columns_of_error(self.learnt_error)
+        error = self.columns_of_error(self.estimated_error)
         ratio = max(self.marginal(error)[0] / max(self.dof, 1), 1.0)
         width = np.array([p.upper - p.lower for p in self.parameters])
         inverse = np.linalg.inv(scaled.T @ scaled / ratio + np.diag((scale / width) ** 2))
@@ -114,10 +114,10 @@ class Fit:
     @cached_property
     def shown_error(self) -> float | None:
         """Relative size of the model's own error, from angles and loads left out; None where these say nothing."""
-        return model_error.learnt(self.residual, self.tangent(), 1.0 / self.level, self.frame.groups)
+        return model_error.estimated(self.residual, self.tangent(), 1.0 / self.level, self.frame.groups)
 
     @property
-    def learnt_error(self) -> float:
+    def estimated_error(self) -> float:
         """`shown_error`, at least the floor."""
         return model_error.FLOOR if self.shown_error is None else self.shown_error
 
@@ -162,8 +162,8 @@ class Fit:
         return model_error.orthonormal(self.jacobian[:, :known] * np.array([p.scale for p in self.parameters[:known]]))
 
     @property
-    def undone(self) -> float:
-        """Share, in squares and beyond recalibration, of what the effects change that they undo among themselves; 0 for one."""
+    def cancelled(self) -> float:
+        """Share, in squares and beyond recalibration, of what the effects change that cancels out; 0 for one."""
         beyond = model_error.off(self.changes.T, self.calibrating)
         each, together = float(np.sum(beyond**2)), float(np.sum(np.sum(beyond, axis=1) ** 2))
         return max(1.0 - together / each, 0.0) if each > 0.0 else 0.0

@@ -11,7 +11,7 @@ from yieldmon.estimation.model_error import off, orthonormal
 from .alternatives import FREE_SHAPE, chosen_from_all, of_other_laws
 from .choice import Step
 from .fit import Fit, fit
-from .gap import lack_of_fit
+from .lack_of_fit import lack_of_fit
 from .noise import Noise
 from .policy import Policy
 
@@ -27,15 +27,17 @@ def by_own_error(found: Fit) -> float:
 
 
 def left_by_own_law(found: Fit, steps: Sequence[Step], noise: Noise, excess: float, policy: Policy) -> bool:
-    """Whether one effect, far ahead of all others, leaves a gap by its law as written, a small one that another shape explains.
+    """Whether one effect, far ahead of all others, leaves a small misfit by its law as written that another shape explains.
 
-    What the model's own error makes of the chi-square is no part of the gap.
+    What the model's own error makes of the chi-square is no part of the misfit.
     """
     if not far_ahead(found, steps, policy):
         return False
     small = found.chi2 - found.dof - by_own_error(found) <= policy.own_law_share * excess
     written = lack_of_fit(found, noise, laws=False)
-    return small and written.p_value < policy.gap_p <= lack_of_fit(found, noise, beside=of_other_laws(found, FREE_SHAPE)).p_value
+    if not (small and written.p_value < policy.lack_of_fit_p):
+        return False
+    return lack_of_fit(found, noise, beside=of_other_laws(found, FREE_SHAPE)).p_value >= policy.lack_of_fit_p
 
 
 def misfit(fits: Sequence[Fit]) -> float:

@@ -1,4 +1,4 @@
-"""What speaks against calling the effects that a search found the cause of the gap."""
+"""Objections to naming the effects that a search found as the cause of the misfit."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from yieldmon.physics.effects import family_of
 from .alternatives import chosen_from_all, needed, one_angle_off
 from .choice import Step, rows_searched
 from .fit import Fit, fit
-from .gap import lack_of_fit, lack_of_fit_but_one
+from .lack_of_fit import lack_of_fit, lack_of_fit_but_one
 from .merit import by_own_error, far_ahead, left_by_own_law, merit, misfit
 from .noise import Noise
 from .policy import DEFAULT, Policy
@@ -44,37 +44,37 @@ class Objections:
 
     def incomplete(self, current: Fit) -> bool:
         """Whether the data refute that nothing is missing any more."""
-        gap = lack_of_fit(current, self.noise)
-        return gap.f > self.policy.complete_f and gap.p_value < self.policy.gap_p
+        test = lack_of_fit(current, self.noise)
+        return test.f > self.policy.complete_f and test.p_value < self.policy.lack_of_fit_p
 
     def unexplained(self, current: Fit) -> bool:
-        """Whether what is left is significant, and too much to call the gap explained, whatever the effects' laws are."""
-        gap = lack_of_fit(current, self.noise, laws=False)
+        """Whether what is left is significant, and too much to call the misfit explained, whatever the effects' laws are."""
+        test = lack_of_fit(current, self.noise, laws=False)
         family = lack_of_fit(current, self.noise)
         most = max(self.policy.unexplained_f, self.policy.unexplained_of_f * lack_of_fit(self.base, self.noise).f)
         much = family.f > most or current.chi2 - current.dof > self.policy.unexplained_share * self.excess
-        return gap.p_value < self.policy.gap_p and much
+        return test.p_value < self.policy.lack_of_fit_p and much
 
-    def against(self, current: Fit, steps: Sequence[Step]) -> str:
-        """What speaks against calling the steps of a fit the cause; "" where nothing does."""
+    def first(self, current: Fit, steps: Sequence[Step]) -> str:
+        """The first objection to naming the steps of a fit as the cause; "" where there is none."""
         tied = 1 + len(steps[0].equivalent)
         if tied > self.policy.largest_class:
             return f"{tied} effects explain these rows alike"
-        gap = lack_of_fit(current, self.noise)
+        test = lack_of_fit(current, self.noise)
         # Beside rivals that are hardly worse, an effect has to explain what the model's own error may have made as well.
         owned = by_own_error(current) if far_ahead(current, steps, self.policy) else 0.0
         left = (current.chi2 - current.dof - owned) / self.excess
         searched = rows_searched(current)
         other_law = left_by_own_law(current, steps, self.noise, self.excess, self.policy)
-        refuted = gap.p_value < self.policy.gap_p and not other_law
-        if refuted and lack_of_fit_but_one(current, self.noise)[0].p_value < self.policy.gap_p:
+        refuted = test.p_value < self.policy.lack_of_fit_p and not other_law
+        if refuted and lack_of_fit_but_one(current, self.noise)[0].p_value < self.policy.lack_of_fit_p:
             why = "something else is missing, or stands in its place"
-            return f"F = {gap.f:.2f} is left with it {searched} (p = {gap.p_value:.1g}): {why}"
+            return f"F = {test.f:.2f} is left with it {searched} (p = {test.p_value:.1g}): {why}"
         if left > self.policy.unexplained_share:
             most = 100.0 * self.policy.unexplained_share
             return f"{100.0 * left:.1f} % of the excess is left with it {searched}, more than {most:.0f} %"
         if not other_law and self.unexplained(current):
-            return f"F = {gap.f:.2f} is left with it {searched}, more than what its law may be off explains"
+            return f"F = {test.f:.2f} is left with it {searched}, more than what its law may be off explains"
         return self._other_laws(current) or self._of_one_angle(current) or self._of_order(current)
 
     def _other_laws(self, current: Fit) -> str:
@@ -89,10 +89,10 @@ class Objections:
             return f"another law of the other effects is as likely as {name} (-2 log evidence {weakest.evidence:.1f})"
         least = chosen_from_all(self.policy.per_parameter)
         gain = min(one.gain for one in each)
-        if current.undone > self.policy.most_undone and gain < least:
+        if current.cancelled > self.policy.most_cancelled and gain < least:
             return (
-                f"{100.0 * current.undone:.0f} % of what these effects change they undo among themselves, as terms of a series "
-                f"do, and other laws would serve (chi-square {max(gain, 0.0):.0f} worse, where {least:.0f} are needed)"
+                f"{100.0 * current.cancelled:.0f} % of what these effects change cancels out, as in the terms of a series, "
+                f"and other laws would serve (chi-square {max(gain, 0.0):.0f} worse, where {least:.0f} are needed)"
             )
         return ""
 
@@ -105,7 +105,7 @@ class Objections:
         if alone.merit > merit(current, scale, self.policy) + self.policy.tie:
             return ""
         at = f"{np.degrees(alone.plate_angle_rad):.0f} deg"
-        return f"an error of the rows at {at} alone explains the gap as well"
+        return f"an error of the rows at {at} alone explains the misfit as well"
 
     def _of_order(self, current: Fit) -> str:
         """Why the order in which the rows were measured may be at work in the place of an effect; "" where it may not."""

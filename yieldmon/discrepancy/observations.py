@@ -1,4 +1,4 @@
-"""Measurements as the diagnosis sees them: rows, the cells that repeat one condition, and rows sealed away."""
+"""Measurements as the diagnosis sees them: rows, the cells that repeat one condition, and rows held out."""
 
 from __future__ import annotations
 
@@ -253,12 +253,12 @@ def lay_out(angle: Array, speed: Array, load: Array, moisture: Array) -> Layout:
     return Layout(angle[first, None], speed[first, None], moisture[first, None], table, place)
 
 
-def seal(rows: Rows, how: str, seed: int) -> NDArray[np.bool_]:
-    """Which rows to seal away before anything is fitted.
+def hold_out(rows: Rows, how: str, seed: int) -> NDArray[np.bool_]:
+    """Rows to hold out of the fit.
 
     how: "cells" (a fifth of the conditions at random), "trials" (a third of each condition's repetitions), "none", or a column
     and value such as "plate_angle_deg=70", "elevator_speed_rpm=400", "mass_flow_kg_s=5", "paddle_mass_kg=0.4", "trial=2". Raises
-    InputError for anything else, or when nothing or everything would be sealed.
+    InputError for anything else, or when nothing or everything would be held out.
     """
     rng = np.random.default_rng([seed, 1])
     if how == "none":
@@ -266,7 +266,7 @@ def seal(rows: Rows, how: str, seed: int) -> NDArray[np.bool_]:
     if how == "cells":
         count = int(rows.cell.max()) + 1
         if count < 15:
-            return seal(rows, "trials", seed) if count < len(rows) else np.zeros(len(rows), dtype=bool)
+            return hold_out(rows, "trials", seed) if count < len(rows) else np.zeros(len(rows), dtype=bool)
         chosen = np.zeros(count, dtype=bool)
         chosen[rng.permutation(count)[: count // 5]] = True
         return chosen[rows.cell]

@@ -16,27 +16,27 @@ class Policy:
     """The same for each further effect, where the model so far may be complete."""
     least_confidence: float = 0.2
     """Probability of being right below which the first effect is a leading candidate and no name: so many effects fit such rows
-    that one of them says nothing. A name carries its probability; what separates wrong from right ones is `Search.against`."""
+    that one of them says nothing. A name carries its probability; what separates wrong from right ones is `Objections`."""
     complete_f: float = 2.0
-    """Lack of fit up to which it may be: above, p below `gap_p`, that is refuted, and `first_p` holds for a further effect."""
-    gap_p: float = 0.01
-    """Lack of fit below this is a gap."""
+    """Lack of fit up to which it may be: above it and below `lack_of_fit_p` not, and `first_p` holds for a further effect."""
+    lack_of_fit_p: float = 0.01
+    """Lack of fit with a p value below this is significant."""
     least_share: float = 0.02
     """Share of the original excess chi-square that a further effect must explain, or else"""
     least_of_rest: float = 0.5
     """this share of what is left, where the data refute that nothing is missing any more."""
     unexplained_f: float = 3.5
-    """Lack of fit above which a gap is not called explained, unless it is less than"""
+    """Lack of fit above which the misfit is not called explained, unless it is less than"""
     unexplained_of_f: float = 0.01
     """this share of the published model's: a cause whose law is off by so little is named all the same."""
     unexplained_share: float = 0.15
     """Share of the original excess chi-square that may remain under a named verdict, significant or not."""
     own_law_share: float = 0.05
-    """Share of the original excess up to which a gap may be another shape of the law of one effect, far ahead of others."""
+    """Share of the original excess up to which a misfit may be another shape of the law of one effect, far ahead of others."""
     least_evidence: float = 0.0
     """Twice the log evidence for each of several effects that is needed against another law of the others."""
-    most_undone: float = 0.5
-    """Share of what several effects change that they may undo among themselves: beyond, they are terms of a series and no causes,
+    most_cancelled: float = 0.5
+    """Share of what several effects change that may cancel among themselves: beyond, they are terms of a series and no causes,
     unless other laws of the others could not serve either."""
     tie: float = 6.0
     """Chi-square distance (over the best one's misfit, where above 1) within which the data do not distinguish two effects."""
@@ -53,7 +53,7 @@ class Policy:
     bound_allowance: float = 4.0
     """Chi-square (over the misfit) that leaving a bound may cost an effect that is not refused for it."""
     beam: int = 6
-    """First-step candidates, refused ones too, beside which a second is screened where the first leaves a gap; pairs tried."""
+    """First-step candidates, refused ones too, beside which a second is screened where the first leaves a misfit; pairs tried."""
     pairs: int = 12
     """Pairs refitted, the best by screening."""
     exchanges: int = 8

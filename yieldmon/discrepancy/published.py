@@ -15,7 +15,7 @@ from yieldmon.physics.numerics import Array
 from .base_fit import base_frame, fit_base
 from .fit import Fit
 from .frame import Frame
-from .gap import change_with_load
+from .lack_of_fit import change_with_load
 from .noise import Noise
 from .observations import Rows, cells
 
@@ -49,7 +49,7 @@ def fit_published(
     Parameters
     ----------
     rows : Rows
-        Those that are not sealed.
+        Those that are not held out.
     noise : Noise
         Of the rows.
     parameters : ParameterSet

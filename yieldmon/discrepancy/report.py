@@ -22,7 +22,7 @@ from .choice import Step, rows_searched
 from .diagnosis import Diagnosis, HeldOut, Measure
 from .experiment import Plan
 from .fit import Fit
-from .gap import Region
+from .lack_of_fit import Region
 from .policy import DEFAULT
 
 Intervals = tuple[tuple[float, float], tuple[float, float]]
@@ -98,7 +98,7 @@ def _how_well(diagnosis: Diagnosis) -> str:
     """As well as they repeat, or only as well as models agree."""
     error = f"(error {diagnosis.before.rms_over_max_pct:.1f} % of the largest reading)"
     f, base = diagnosis.before.lack_of_fit_f, diagnosis.base
-    if f is None or base.dof <= 0 or scipy.stats.f.sf(f, base.dof, diagnosis.noise.dof) >= diagnosis.options.policy.gap_p:
+    if f is None or base.dof <= 0 or scipy.stats.f.sf(f, base.dof, diagnosis.noise.dof) >= diagnosis.options.policy.lack_of_fit_p:
         return f"as well as they repeat {error}"
     own = 100.0 * base.frame.model_error
     return f"within the {own:.1g} % by which models of the same physics differ {error}, though they repeat better (F = {f:.2f})"
@@ -285,7 +285,7 @@ def _ranking(diagnosis: Diagnosis) -> bytes:
     sd = np.sqrt(2.0 * (dof + 2.0 * np.maximum(chi2 - dof, 0.0)))
     axes.barh(names[::-1], chi2 / dof, xerr=sd / dof, color="#4a7fa5", ecolor="0.2", capsize=2)
     axes.axvline(1.0, color="0.3", linewidth=1)
-    axes.axvline(diagnosis.choice.base_gap.f, color="0.3", linewidth=1, linestyle="--")
+    axes.axvline(diagnosis.choice.lack_of_fit_before.f, color="0.3", linewidth=1, linestyle="--")
     axes.set_xlim(left=0.0)
     axes.set_xlabel(
         f"lack of fit F {rows_searched(diagnosis.choice.base)}\n"

@@ -1,7 +1,7 @@
 """Which effects to name: forward steps with exchange, a global false-alarm rate, ties, and the right to say "unknown".
 
 An effect is judged as a family of laws: what its own law may be off is integrated out (`Fit.shape_error`), beside the model's own
-error, so neither a tie nor a gap rests on one way to write it.
+error, so neither a tie nor a misfit rests on one way to write it.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from .candidates import (
 from .choice import Candidate, Choice, Step
 from .crossvalidation import grouped_error
 from .fit import Fit, fit
-from .gap import lack_of_fit
+from .lack_of_fit import lack_of_fit
 from .merit import by_weight, left_by_own_law, merit, misfit
 from .noise import Noise
 from .objections import Objections
@@ -96,12 +96,12 @@ class Search:
 
     @property
     def objections(self) -> Objections:
-        """What speaks against the effects found."""
+        """Objections to naming the effects found."""
         return Objections(base=self.base, noise=self.noise, policy=self.policy)
 
     def run(self, report: Progress) -> Choice:
         """The whole search."""
-        base_gap = lack_of_fit(self.base, self.noise)
+        lack_of_fit_before = lack_of_fit(self.base, self.noise)
         current, order, places = self.base, list[str](), Places()
         looked_at: tuple[Candidate, ...] = ()
         p_any = 1.0
@@ -113,7 +113,7 @@ class Search:
                 p_any = min((c.p_value for c in found), default=1.0)
             good = self.admissible(found, current)
             leader = order
-            if number == 1 and lack_of_fit(current, self.noise).p_value < self.policy.gap_p:
+            if number == 1 and lack_of_fit(current, self.noise).p_value < self.policy.lack_of_fit_p:
                 report("step 2: all pairs", 0.45)
                 better = self._better_pair(looked_at, order[0], good[0].fit if good else current)
                 if better is not None:
@@ -124,37 +124,37 @@ class Search:
             if number > 0:
                 report(f"step {number + 1}: exchange", (number + 0.6) / self.policy.most_effects)
                 current, order, places = self._exchange(current, order, places)
-            if lack_of_fit(current, self.noise).p_value < self.policy.gap_p:
+            if lack_of_fit(current, self.noise).p_value < self.policy.lack_of_fit_p:
                 current = refit_from_restarts(current)
         if not order:
-            verdict: Verdict = "unknown" if base_gap.p_value < self.policy.gap_p else "none"
+            verdict: Verdict = "unknown" if lack_of_fit_before.p_value < self.policy.lack_of_fit_p else "none"
             return Choice(
                 verdict=verdict,
                 base=self.base,
                 best=self.base,
-                base_gap=base_gap,
-                best_gap=base_gap,
+                lack_of_fit_before=lack_of_fit_before,
+                lack_of_fit_after=lack_of_fit_before,
                 steps=(),
                 looked_at=looked_at,
                 p_any=p_any,
             )
         named = self.prune_ambiguous(current, order, places, p_any)
-        against = self.objections.against(named.fit, named.steps)
-        if against and (fewer := self.without_unneeded(named.fit, p_any)) is not None:
-            named, against = fewer, ""
-        verdict = "unknown" if against else "effect"
-        gap = lack_of_fit(named.fit, self.noise)
+        objection = self.objections.first(named.fit, named.steps)
+        if objection and (fewer := self.without_unneeded(named.fit, p_any)) is not None:
+            named, objection = fewer, ""
+        verdict = "unknown" if objection else "effect"
+        test = lack_of_fit(named.fit, self.noise)
         return Choice(
             verdict=verdict,
             base=self.base,
             best=named.fit,
-            base_gap=base_gap,
-            best_gap=gap,
+            lack_of_fit_before=lack_of_fit_before,
+            lack_of_fit_after=test,
             steps=named.steps,
             looked_at=looked_at,
             p_any=p_any,
             rivals=named.rivals,
-            against=against,
+            objection=objection,
         )
 
     def candidates(
@@ -177,7 +177,7 @@ class Search:
         for s, added in self._fitted(current, worth, beside):
             gain = current.chi2 - added.chi2
             # A bound that the data do not refute is no evidence against the effect.
-            complete = lack_of_fit(added, self.noise).p_value >= self.policy.gap_p
+            complete = lack_of_fit(added, self.noise).p_value >= self.policy.lack_of_fit_p
             refused = "" if complete else only_at_bound(added, s.effect, self.policy.bound_allowance)
             missed = grouped_error(added, groups)
             unseen = float(np.mean(list(missed.values()) or [np.nan]))
@@ -282,7 +282,7 @@ class Search:
             if not present or both is None:
                 continue
             ends = {leading(e, self.base.frame.unit) for e in pair.effects} & set(both.at_bound)
-            if not ends or lack_of_fit(both, self.noise).p_value >= self.policy.gap_p:
+            if not ends or lack_of_fit(both, self.noise).p_value >= self.policy.lack_of_fit_p:
                 out.append((min(present, key=lambda c: c.fit.chi2), both))
         scale = misfit([f for _, f in out])
         return sorted(out, key=lambda found: merit(found[1], scale, self.policy))
@@ -340,7 +340,7 @@ class Search:
     def prune_ambiguous(self, current: Fit, order: list[str], places: Places, p_any: float) -> Explanation:
         """The fit and its steps, less the further effects that are no name, being tied with too many.
 
-        None is left out whose absence the data refute, or which leaves the gap unexplained, unless another shape of the first
+        None is left out whose absence the data refute, or which leaves the misfit unexplained, unless another shape of the first
         one's law explains it.
         """
         steps, rivals = self._steps(current, by_weight(current, order), places, p_any)
@@ -369,7 +369,7 @@ class Search:
             return None
         fewer, found, places = self._exchange(fewer, kept, {})
         steps, rivals = self._steps(fewer, by_weight(fewer, found), places, p_any)
-        return None if self.objections.against(fewer, steps) else Explanation(fewer, steps, rivals)
+        return None if self.objections.first(fewer, steps) else Explanation(fewer, steps, rivals)
 
     def refined(self, found: Sequence[Candidate], name: str, current: Fit) -> tuple[Candidate, ...]:
         """The candidates for the place of `name`; those that miss a tie by little are fitted from other starts."""

@@ -1,7 +1,7 @@
 """One effect alone as the cause of what many machines' mean shows.
 
 The mean of a fleet is known to a few tenths of a percent, to which no model is true. The forward search tests gains with what
-laws may be off, so it takes what the model's own error makes of such a mean for further effects, or is left with a gap. Here
+laws may be off, so it takes what the model's own error makes of such a mean for further effects, or is left with a misfit. Here
 each effect is asked alone, in every law, by evidence with both errors integrated out and with what is known of the crop's grain
 beforehand (`Frame.prior`): an effect that needs a friction or density which the crop does not have explains less.
 """
@@ -22,7 +22,7 @@ from .candidates import false_alarm, lawful, only_at_bound, polished, refit, sco
 from .choice import Choice, Step
 from .fit import Fit, fit
 from .frame import Frame
-from .gap import LackOfFit, lack_of_fit
+from .lack_of_fit import LackOfFit, lack_of_fit
 from .merit import merit
 from .noise import Noise
 from .policy import Policy
@@ -81,11 +81,11 @@ def of_one_cause(
     beyond = min((one.merit - best.merit for one in others if one.effect not in tied), default=float("inf"))
     far_ahead = beyond >= chosen_from_all(policy.per_parameter)
     agrees = far_ahead or any(best.effect in (step.added, *step.equivalent) for step in found.steps)
-    gap = _beyond_errors(best.fit, noise)
-    if far_ahead and gap.p_value < policy.gap_p:
-        # Beside rivals that are far behind, what the model's own error makes in the mean is no part of the gap.
-        gap = lack_of_fit(best.fit, noise, beside=best.fit.error)
-    clear = p_any < policy.first_p and gap.p_value >= policy.gap_p and 1 + len(tied) <= policy.largest_class
+    test = _beyond_errors(best.fit, noise)
+    if far_ahead and test.p_value < policy.lack_of_fit_p:
+        # Beside rivals that are far behind, what the model's own error makes in the mean is no part of the misfit.
+        test = lack_of_fit(best.fit, noise, beside=best.fit.error)
+    clear = p_any < policy.first_p and test.p_value >= policy.lack_of_fit_p and 1 + len(tied) <= policy.largest_class
     if (
         not (agrees and clear)
         or only_at_bound(best.fit, best.law, policy.bound_allowance)
@@ -93,7 +93,9 @@ def of_one_cause(
     ):
         return found
     step = Step(best.effect, (), tied, 1.0 - p_any, best.law, margin=beyond)
-    return replace(found, verdict="effect", base=base, best=best.fit, best_gap=gap, steps=(step,), p_any=p_any, against="")
+    return replace(
+        found, verdict="effect", base=base, best=best.fit, lack_of_fit_after=test, steps=(step,), p_any=p_any, objection=""
+    )
 
 
 def _alone(base: Fit, effects: tuple[str, ...], policy: Policy) -> Iterator[_Alone]:

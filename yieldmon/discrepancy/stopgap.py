@@ -1,4 +1,4 @@
-"""A correction for a gap that no effect explains: a stop-gap, labelled as one, that holds only where data were taken.
+"""A correction for a misfit that no effect explains: a stop-gap, labelled as one, that holds only where data were taken.
 
 Relative correction of the fitted model as a Gaussian process over plate angle and fill (and speed where it varied), after
 Kennedy and O'Hagan, "Bayesian calibration of computer models", J. R. Stat. Soc. B 63 (2001). Lengths by marginal likelihood.
@@ -14,7 +14,7 @@ import scipy
 from yieldmon.physics.numerics import Array
 
 from .fit import Fit
-from .gap import fills
+from .lack_of_fit import fills
 
 _LENGTHS = (0.25, 0.5, 1.0, 2.0)
 

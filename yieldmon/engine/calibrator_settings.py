@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 class CalibratorSettings:
     """Settings of the self-calibration.
 
-    anchor_error: relative error of a weighed load that is not the scale's (flow spread, model), added in quadrature.
+    reference_error: relative error of a weighed load that is not the scale's (flow spread, model), added in quadrature.
     drift, steady_per_kilotonne: how parameters wander, and the standard deviations of their steady rates (`steady_drift`).
     steady_drift_memory_kt: harvested mass over which a steady rate falls to 1/e, kt.
     moisture_map: moves the prior when the moisture changes; None: moisture is not used.
@@ -32,7 +32,7 @@ class CalibratorSettings:
     drift: DriftRates = field(default_factory=DriftRates)
     steady_per_kilotonne: Mapping[str, float] = field(default_factory=steady_defaults)
     steady_drift_memory_kt: float = STEADY_MEMORY_KT
-    anchor_error: float = 0.005
+    reference_error: float = 0.005
     pattern_sd: float = 0.0
     density_ratio: float | None = None
     density_ratio_std_dev: float = 0.1

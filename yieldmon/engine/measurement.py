@@ -98,7 +98,7 @@ class Measurement:
         self._jumps = 0
         self._since_jump = _NEVER
         self._started_s: float = _NAN
-        self._tank = TankRise(settings.anchors.scale_std_dev_kg)
+        self._tank = TankRise(settings.reference_masses.scale_std_dev_kg)
         self._last: tuple[Window, float] | None = None
 
     @property

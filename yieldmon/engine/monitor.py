@@ -24,8 +24,8 @@ from yieldmon.engine.restart import remember_tickets, restore, snapshot, take_ov
 from yieldmon.engine.results import Result
 from yieldmon.engine.runs import FrameRun
 from yieldmon.engine.sampling.since_zero import KeptSecond
-from yieldmon.engine.self_calibration.anchors import ReferenceMass, Weighing
 from yieldmon.engine.self_calibration.calibrator import SelfCalibrator
+from yieldmon.engine.self_calibration.reference_mass import ReferenceMass, Weighing
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.sources import DEFAULT_SOURCES, Sources
 from yieldmon.engine.state import EngineState, TicketState

@@ -7,8 +7,8 @@ from yieldmon.engine.health import FaultBook
 from yieldmon.engine.mass.load_summary import LoadSummary
 from yieldmon.engine.mass.totals import Totals
 from yieldmon.engine.parts import Parts
-from yieldmon.engine.self_calibration.anchors import ReferenceMass
 from yieldmon.engine.self_calibration.calibrator import CalibrationOutcome
+from yieldmon.engine.self_calibration.reference_mass import ReferenceMass
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.sources import Sources
 from yieldmon.engine.sweeps.disagreement import Disagreement
@@ -67,7 +67,7 @@ class MonitorView:
         return self._parts.learning.disagreement
 
     @property
-    def anchors(self) -> tuple[ReferenceMass, ...]:
+    def reference_masses(self) -> tuple[ReferenceMass, ...]:
         """Reference masses kept, by time."""
         return self._parts.learning.masses.kept
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from yieldmon.engine.parts import Parts
-from yieldmon.engine.self_calibration.anchors import ReferenceMass
+from yieldmon.engine.self_calibration.reference_mass import ReferenceMass
 from yieldmon.engine.state import EngineState, TicketState, ZeroUndo
 
 

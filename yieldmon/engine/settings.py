@@ -246,7 +246,7 @@ class DisagreementSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class AnchorSettings:
+class ReferenceMassSettings:
     """Reference masses from a tank scale."""
 
     min_increment_kg: float = 1000.0
@@ -332,5 +332,5 @@ class EngineSettings:
     sweep: SweepSettings = field(default_factory=SweepSettings)
     faults: FaultSettings = field(default_factory=FaultSettings)
     disagreement: DisagreementSettings = field(default_factory=DisagreementSettings)
-    anchors: AnchorSettings = field(default_factory=AnchorSettings)
+    reference_masses: ReferenceMassSettings = field(default_factory=ReferenceMassSettings)
     waveform: WaveformSettings = field(default_factory=WaveformSettings)

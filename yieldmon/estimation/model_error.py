@@ -101,7 +101,7 @@ def expected_left_out(tangent: Array, group: NDArray[np.int64]) -> float:
     return total / len(tangent)
 
 
-def learnt(residual: Array, tangent: Array, relative_sd: Array, groups: Sequence[NDArray[np.int64]]) -> float | None:
+def estimated(residual: Array, tangent: Array, relative_sd: Array, groups: Sequence[NDArray[np.int64]]) -> float | None:
     """Size of the model's error, from how far angles and loads are missed that a fit has not seen; at least `FLOOR`, None where
     no way of leaving out says anything.
 
@@ -116,7 +116,7 @@ def learnt(residual: Array, tangent: Array, relative_sd: Array, groups: Sequence
 
 
 def stated(size: float | None) -> float | None:
-    """What `learnt` has found as a parameter set holds it: 0 at FLOOR."""
+    """What `estimated` has found as a parameter set holds it: 0 at FLOOR."""
     return size if size is None or size > FLOOR else 0.0
 
 

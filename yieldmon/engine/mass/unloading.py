@@ -22,7 +22,7 @@ class Unloading:
         follow = {"switch": self._by_switch, "tank_scale": self._by_scale}
         self._follow = follow.get(settings.totals.new_load)
         self._least_s = settings.totals.unloading_s
-        self._play_kg = settings.anchors.unloading_kg
+        self._play_kg = settings.reference_masses.unloading_kg
         self._on_s = 0.0
         self._over_s = 0.0
         self._highest_kg = float("-inf")

@@ -8,8 +8,8 @@ from typing import Protocol
 
 from yieldmon.engine.flow_estimator import FlowEstimator
 from yieldmon.engine.records import WindowRecord
-from yieldmon.engine.self_calibration.anchors import ReferenceMass
 from yieldmon.engine.self_calibration.calibrator_state import CalibratorState
+from yieldmon.engine.self_calibration.reference_mass import ReferenceMass
 from yieldmon.engine.self_calibration.scale_alarm import ScaleCheck
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.self_calibration.angle_error import NO_ERROR, AngleError
@@ -69,11 +69,11 @@ class SelfCalibrator(Protocol):
     def weigh(
         self,
         record: WindowRecord,
-        anchors: Sequence[ReferenceMass],
+        references: Sequence[ReferenceMass],
         estimator: FlowEstimator,
         model_error: AngleError = NO_ERROR,
     ) -> CalibrationOutcome:
-        """What reference masses change. record: the last window; anchors: all reference masses kept; model_error: that their
+        """What reference masses change. record: the last window; references: all reference masses kept; model_error: that their
         loads are stated with."""
 
     def update_from_kernels(

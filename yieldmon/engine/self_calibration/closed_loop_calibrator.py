@@ -15,17 +15,17 @@ import numpy as np
 from yieldmon.engine.calibrator_settings import CalibratorSettings
 from yieldmon.engine.flow_estimator import FlowEstimator
 from yieldmon.engine.records import WindowRecord
-from yieldmon.engine.self_calibration.anchors import ReferenceMass
 from yieldmon.engine.self_calibration.calibrator import CalibrationOutcome, CalibrationStep
 from yieldmon.engine.self_calibration.calibrator_state import CalibratorState
 from yieldmon.engine.self_calibration.curve_states import aligned
 from yieldmon.engine.self_calibration.load_update import LoadUpdate
-from yieldmon.engine.self_calibration.mass_anchors import moisture_sd, with_angle_error
 from yieldmon.engine.self_calibration.parameter_knowledge import KERNEL_NOISE, Carried, Instant, ParameterKnowledge
 from yieldmon.engine.self_calibration.parameter_lineage import ParameterLineage
+from yieldmon.engine.self_calibration.reference_mass import ReferenceMass
+from yieldmon.engine.self_calibration.reference_mass_inputs import moisture_sd, with_angle_error
 from yieldmon.engine.self_calibration.scale_alarm import name_of
 from yieldmon.engine.self_calibration.weighed_masses import Spans, WeighedMasses
-from yieldmon.engine.sweeps.sweep_records import density_anchor, median_moisture_pct, sweep_of
+from yieldmon.engine.sweeps.sweep_records import measured_density, median_moisture_pct, sweep_of
 from yieldmon.estimation.admission import allowing_for, refusal
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import SCALE, WEIGHED, ParameterSet
@@ -54,7 +54,7 @@ class ClosedLoopCalibrator:
         self._model = model.with_effects((*model.effects, EFFECT)) if looks else model
         self._knowledge = ParameterKnowledge(self._settings)
         self._lineage = ParameterLineage()
-        self._masses = WeighedMasses(self._settings.anchor_error)
+        self._masses = WeighedMasses(self._settings.reference_error)
         self._model_error = NO_ERROR
         """By which forces over weighed masses were taken last."""
         self._before: CalibratorState | None = None
@@ -70,7 +70,7 @@ class ClosedLoopCalibrator:
         at = Instant(records[-1].time_s, records[-1].total_kg, median_moisture_pct(records))
         carried = self._knowledge.now(used, at)
         prior = carried.drifting.parameters
-        density = density_anchor(records, prior, self._settings)
+        density = measured_density(records, prior, self._settings)
         self._lineage.swept(used)
         if density is not None:
             self._lineage.forget_given()
@@ -96,7 +96,7 @@ class ClosedLoopCalibrator:
     def weigh(
         self,
         record: WindowRecord,
-        anchors: Sequence[ReferenceMass],
+        references: Sequence[ReferenceMass],
         estimator: FlowEstimator,
         model_error: AngleError = NO_ERROR,
     ) -> CalibrationOutcome:
@@ -104,7 +104,7 @@ class ClosedLoopCalibrator:
         used = self._in_use(estimator)
         self._lineage.weighed(used)
         self._model_error = model_error
-        found = self._masses.new(anchors, self._model, self._spans(used), model_error)
+        found = self._masses.new(references, self._model, self._spans(used), model_error)
         at = self._weighed_at(self._at(record), used, [reference.end_s for reference, _ in found])
         drifting, step = self._knowledge.now(used, at)
         stated = self._knowledge.stated(used, Carried(drifting, step), at.total_kg)
@@ -123,10 +123,10 @@ class ClosedLoopCalibrator:
             masses, doubt = self._masses.take(found, self._model, prior, stated)
         except ValueError as error:
             # A load that no parameters near these explain would be refused again with each mass that follows.
-            self._masses.handed_over(anchors)
+            self._masses.handed_over(references)
             return CalibrationOutcome(None, f"{error}; the parameters stay", identifiable=False, weighed=True, checks=checks)
         if doubt and not masses:
-            self._masses.handed_over(anchors)
+            self._masses.handed_over(references)
             return CalibrationOutcome(None, doubt, identifiable=False, weighed=True, checks=checks)
         if not masses:
             # Nothing was to be determined.
@@ -144,7 +144,7 @@ class ClosedLoopCalibrator:
             outcome = replace(outcome, parameter_set=replace(found_set, provenance=facts))
         self.last = outcome
         taken = self._taken(outcome, Carried(drifting, step), used, at, now_s=record.time_s)
-        self._masses.handed_over(anchors)
+        self._masses.handed_over(references)
         return replace(taken, reason=f"{taken.reason}; {doubt}" if doubt else taken.reason, weighed=True, checks=checks)
 
     def update_from_kernels(

@@ -11,8 +11,8 @@ import numpy as np
 from yieldmon.engine.flow_estimator import FlowEstimator
 from yieldmon.engine.mass.load_summary import LoadSummary
 from yieldmon.engine.records import WindowRecord
-from yieldmon.engine.self_calibration.anchors import ReferenceMass, Weighing
 from yieldmon.engine.self_calibration.calibrator import CalibrationOutcome, CalibrationStep, SelfCalibrator
+from yieldmon.engine.self_calibration.reference_mass import ReferenceMass, Weighing
 from yieldmon.engine.self_calibration.reference_masses import ReferenceMasses
 from yieldmon.engine.self_calibration.scale_alarm import ScaleAlarm, name_of
 from yieldmon.engine.self_calibration.ticket_check import departure_of
@@ -68,7 +68,7 @@ class Learning:
         self.outcome: CalibrationOutcome | None = None
         """What the last whole sweep or weighed mass changed; None once that is taken back or of another crop."""
         self.scale_alarm = ScaleAlarm(settings.faults)
-        self.masses = ReferenceMasses(settings.anchors)
+        self.masses = ReferenceMasses(settings.reference_masses)
         self._sweep_windows = SweepWindows(self.disagreement, machine.home_plate_angle_rad)
 
     @property
@@ -109,9 +109,9 @@ class Learning:
         Raises ValueError as `ticket`.
         """
         tickets = self.masses.tickets
-        anchors, kept = ([tickets.ticket(*one, loads=loads, now_s=now_s) for one in weighings] for weighings in (again, stay))
-        gone = load_numbers | {anchor.load_number for anchor in (*anchors, *kept)}
-        left = tickets.take_back(gone, anchors, crop, kept)
+        references, kept = ([tickets.ticket(*one, loads=loads, now_s=now_s) for one in weighings] for weighings in (again, stay))
+        gone = load_numbers | {reference.load_number for reference in (*references, *kept)}
+        left = tickets.take_back(gone, references, crop, kept)
         counted = None
         if learnt is not None and not crop:
             self.outcome = None
@@ -200,9 +200,9 @@ class Learning:
         common_kg: float = 0.0,
     ) -> ReferenceMass:
         """A scale ticket for a load; see `Monitor.ticket`."""
-        anchor = self.masses.tickets.ticket(load_number, mass_kg, std_dev_kg, common_kg, loads=loads, now_s=now_s)
-        self.masses.enter(anchor, crop)
-        return anchor
+        reference = self.masses.tickets.ticket(load_number, mass_kg, std_dev_kg, common_kg, loads=loads, now_s=now_s)
+        self.masses.enter(reference, crop)
+        return reference
 
     def departure(
         self,
@@ -214,8 +214,8 @@ class Learning:
         of_crop: FlowEstimator | None = None,
     ) -> tuple[float, float] | None:
         """See `Monitor.ticket_departure`."""
-        anchor = self.masses.tickets.ticket(load_number, mass_kg, std_dev_kg, loads=loads, now_s=now_s)
-        return departure_of(anchor, of_crop or self.estimator, self.drift_sd, self.model_error)
+        reference = self.masses.tickets.ticket(load_number, mass_kg, std_dev_kg, loads=loads, now_s=now_s)
+        return departure_of(reference, of_crop or self.estimator, self.drift_sd, self.model_error)
 
     def remember_tickets(self, tickets: Sequence[ReferenceMass], waiting: Sequence[ReferenceMass]) -> None:
         """After a restart or a reload: tickets entered before it; `waiting` are those among them that have not been used."""
@@ -290,8 +290,8 @@ class Learning:
         if self.calibrator is None:
             self.scale_alarm.see(self.masses.compare())
             return ()
-        handed, anchors = self.masses.hand_over()
-        changed = self._take(self.calibrator.weigh(record, anchors, self.estimator, self.load_error))
+        handed, kept = self.masses.hand_over()
+        changed = self._take(self.calibrator.weigh(record, kept, self.estimator, self.load_error))
         references = tuple((ticket.load_number, ticket.reference_kg) for ticket in handed)
         return tuple(replace(change, references=references) for change in changed)
 
@@ -319,8 +319,8 @@ class Learning:
 
     def _weighed_moisture_pct(self) -> float:
         """Of the grain that was weighed last, mean over its time; nan where it is not known."""
-        anchors = self.masses.kept
-        forces = anchors[-1].forces if anchors else None
+        references = self.masses.kept
+        forces = references[-1].forces if references else None
         if forces is None:
             return nan
         return float(np.average(forces.moisture_pct, weights=forces.duration_s))

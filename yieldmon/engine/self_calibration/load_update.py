@@ -16,7 +16,7 @@ from yieldmon.estimation.load_pattern import EFFECT as LOAD_PATTERN
 from yieldmon.estimation.other_monitor import with_bias, with_new_bias
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.self_calibration.closed_loop import update_from_tickets
-from yieldmon.estimation.self_calibration.closed_loop_inputs import MassAnchor
+from yieldmon.estimation.self_calibration.closed_loop_inputs import WeighedMass
 from yieldmon.estimation.self_calibration.closed_loop_outcome import Outcome, ScaleReport
 from yieldmon.estimation.self_calibration.steady_drift import DriftingParameters
 from yieldmon.estimation.weighing.density_and_gain import in_form_of, widened
@@ -59,7 +59,7 @@ class LoadUpdate:
     origin: ParameterSet | None
 
     def of(
-        self, drifting: DriftingParameters, masses: Sequence[MassAnchor], names: Container[str]
+        self, drifting: DriftingParameters, masses: Sequence[WeighedMass], names: Container[str]
     ) -> tuple[Outcome, DriftingParameters]:
         """The parameters after weighed masses of these names, and the prior as they leave it: wider where they contradict it.
 

@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from yieldmon.engine.self_calibration.anchors import ReferenceMass
 from yieldmon.engine.self_calibration.calibrator_state import PriorState
 from yieldmon.engine.self_calibration.crop_weighings import Origin
 from yieldmon.engine.self_calibration.prior_states import as_prior_state, as_set, says_as
+from yieldmon.engine.self_calibration.reference_mass import ReferenceMass
 from yieldmon.estimation.load_pattern import EFFECT as LOAD_PATTERN
 from yieldmon.estimation.parameters import ParameterSet
 

@@ -8,10 +8,11 @@ from yieldmon.engine.flow import Flow
 from yieldmon.engine.inputs import InputSnapshot
 from yieldmon.engine.mass.budget import MassBudget
 from yieldmon.engine.sampling.windows import Window
-from yieldmon.engine.self_calibration.anchors import ReferenceMass, TankScale
+from yieldmon.engine.self_calibration.reference_mass import ReferenceMass
 from yieldmon.engine.self_calibration.scale_alarm import ScaleCheck, as_stated, name_of
+from yieldmon.engine.self_calibration.tank_scale import TankScale
 from yieldmon.engine.self_calibration.ticket_book import TicketBook
-from yieldmon.engine.settings import AnchorSettings
+from yieldmon.engine.settings import ReferenceMassSettings
 from yieldmon.frames import EstimateQuality
 
 
@@ -20,14 +21,14 @@ class ReferenceMasses:
 
     Parameters
     ----------
-    settings : AnchorSettings
+    settings : ReferenceMassSettings
 
     Attributes
     ----------
     tickets : TicketBook
     """
 
-    def __init__(self, settings: AnchorSettings) -> None:
+    def __init__(self, settings: ReferenceMassSettings) -> None:
         self.tickets = TicketBook(settings.keep)
         self._scale = TankScale(settings)
         self._weighed_s = float("-inf")
@@ -43,12 +44,12 @@ class ReferenceMasses:
     @property
     def kept(self) -> tuple[ReferenceMass, ...]:
         """All that are kept, by time."""
-        return tuple(sorted((*self._scale.anchors, *self.tickets.kept), key=lambda mass: mass.end_s))
+        return tuple(sorted((*self._scale.masses, *self.tickets.kept), key=lambda mass: mass.end_s))
 
     @property
     def of_scale(self) -> tuple[ReferenceMass, ...]:
         """Those of the tank scale."""
-        return tuple(self._scale.anchors)
+        return tuple(self._scale.masses)
 
     def loads_named(self, names: frozenset[str]) -> frozenset[int]:
         """Loads of these names that have a ticket, of any crop."""
@@ -145,14 +146,14 @@ class ReferenceMasses:
 
     def wait_again(self, *, scale: bool) -> None:
         """Tickets wait again after others were taken back; scale: so do masses of the tank scale that had been used."""
-        scale_waits = scale or (self._wait and bool(self._scale.anchors))
+        scale_waits = scale or (self._wait and bool(self._scale.masses))
         self._wait = bool(self.tickets.waiting) or scale_waits
 
     def change_crop(self, before: str, now: str) -> list[ReferenceMass]:
         """Another crop from now on; returns its masses that were handed over before."""
         used = self.tickets.change_crop(before, now)
         self._scale.forget()
-        self._scale.anchors.clear()
+        self._scale.masses.clear()
         self._wait = bool(self.tickets.waiting)
         return used
 

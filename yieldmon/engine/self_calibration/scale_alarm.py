@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from math import erfc, hypot, isfinite, sqrt
 
 from yieldmon import utc
-from yieldmon.engine.self_calibration.anchors import ReferenceMass
+from yieldmon.engine.self_calibration.reference_mass import ReferenceMass
 from yieldmon.engine.settings import FaultSettings
 
 

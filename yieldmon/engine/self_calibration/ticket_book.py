@@ -10,8 +10,8 @@ from yieldmon.engine.flow import Flow
 from yieldmon.engine.mass.load_summary import LoadSummary
 from yieldmon.engine.measurement import Reading
 from yieldmon.engine.sampling.since_zero import KeptSecond
-from yieldmon.engine.self_calibration.anchors import AnchorSource, ReferenceMass
 from yieldmon.engine.self_calibration.load_forces import LoadForces, LoadForceSums
+from yieldmon.engine.self_calibration.reference_mass import ReferenceMass, ReferenceSource
 from yieldmon.engine.state import TicketState
 
 _KEPT_TICKETS = 12
@@ -49,7 +49,7 @@ class TicketBook:
     @property
     def of_any_crop(self) -> tuple[ReferenceMass, ...]:
         """Those kept of every crop."""
-        return (*self._tickets, *(anchor for kept, _ in self._of_crop.values() for anchor in kept))
+        return (*self._tickets, *(reference for kept, _ in self._of_crop.values() for reference in kept))
 
     @property
     def waiting(self) -> tuple[ReferenceMass, ...]:
@@ -224,15 +224,15 @@ class TicketBook:
 def _after_first_ticket(waiting: Sequence[ReferenceMass]) -> list[ReferenceMass]:
     """Those of later tickets: one for several loads shares its mass out over them by what was measured."""
     for place in range(1, len(waiting)):
-        last, anchor = waiting[place - 1], waiting[place]
-        same = isclose(anchor.reference_kg * last.measured_kg, last.reference_kg * anchor.measured_kg, rel_tol=1e-9)
-        if not (same and anchor.load_number == last.load_number + 1):
+        last, reference = waiting[place - 1], waiting[place]
+        same = isclose(reference.reference_kg * last.measured_kg, last.reference_kg * reference.measured_kg, rel_tol=1e-9)
+        if not (same and reference.load_number == last.load_number + 1):
             return list(waiting[place:])
     return []
 
 
-def _without(anchors: Iterable[ReferenceMass], load_numbers: frozenset[int]) -> list[ReferenceMass]:
-    return [anchor for anchor in anchors if anchor.load_number not in load_numbers]
+def _without(references: Iterable[ReferenceMass], load_numbers: frozenset[int]) -> list[ReferenceMass]:
+    return [reference for reference in references if reference.load_number not in load_numbers]
 
 
 def _ticket(
@@ -240,7 +240,7 @@ def _ticket(
 ) -> ReferenceMass:
     end_s = load.end_s if isfinite(load.end_s) else now_s
     return ReferenceMass(
-        source=AnchorSource.TICKET,
+        source=ReferenceSource.TICKET,
         start_s=load.start_s,
         end_s=end_s,
         reference_kg=mass_kg,

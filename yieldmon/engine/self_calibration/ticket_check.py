@@ -5,21 +5,21 @@ from __future__ import annotations
 from math import hypot, inf, isfinite, log1p
 
 from yieldmon.engine.flow_estimator import FlowEstimator
-from yieldmon.engine.self_calibration.anchors import ReferenceMass
-from yieldmon.engine.self_calibration.mass_anchors import mass_anchor, weighed
+from yieldmon.engine.self_calibration.reference_mass import ReferenceMass
+from yieldmon.engine.self_calibration.reference_mass_inputs import weighed, weighed_mass
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.self_calibration.angle_error import AngleError
 from yieldmon.estimation.weighing.load_departures import departure
 
 
 def departure_of(
-    anchor: ReferenceMass, estimator: FlowEstimator, drift_sd: float, model_error: AngleError
+    reference: ReferenceMass, estimator: FlowEstimator, drift_sd: float, model_error: AngleError
 ) -> tuple[float, float] | None:
     """How far a weighed mass is from its load's.
 
     Parameters
     ----------
-    anchor : ReferenceMass
+    reference : ReferenceMass
         The ticket's share of the load.
     estimator : FlowEstimator
         With the parameters in use.
@@ -33,11 +33,11 @@ def departure_of(
     (float, float) or None
         ln of the weighed mass over the load's by these parameters, and its standard deviation; None where there is no number.
     """
-    if not isinstance(estimator, OpenLoop) or anchor.forces is None or not anchor.complete:
+    if not isinstance(estimator, OpenLoop) or reference.forces is None or not reference.complete:
         return None
     parameters, model = estimator.parameters, estimator.model
     try:
-        load = weighed(anchor, mass_anchor(anchor, model, [(inf, parameters)], 0.0, model_error))
+        load = weighed(reference, weighed_mass(reference, model, [(inf, parameters)], 0.0, model_error))
         error, std_dev = departure(model, parameters, load)
     except ValueError:
         return None

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 
-from yieldmon.engine.self_calibration.anchors import ReferenceMass
 from yieldmon.engine.self_calibration.crop_weighings import CropWeighings
-from yieldmon.engine.self_calibration.mass_anchors import checked, mass_anchor, weighed
+from yieldmon.engine.self_calibration.reference_mass import ReferenceMass
+from yieldmon.engine.self_calibration.reference_mass_inputs import checked, weighed, weighed_mass
 from yieldmon.engine.self_calibration.scale_alarm import ScaleCheck, name_of
 from yieldmon.engine.self_calibration.weighings import KEPT_LOADS
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.self_calibration.angle_error import AngleError
-from yieldmon.estimation.self_calibration.closed_loop_inputs import MassAnchor
+from yieldmon.estimation.self_calibration.closed_loop_inputs import WeighedMass
 from yieldmon.estimation.weighing.load_inputs import LoadSettings
 from yieldmon.estimation.weighing.wrong_tickets import known_slip
 from yieldmon.physics.model import ForwardModel
@@ -19,7 +19,7 @@ from yieldmon.physics.model import ForwardModel
 _LEAST_LOAD_ERROR = 1e-4
 """Of a weighed load's measured mass."""
 
-Found = tuple[ReferenceMass, MassAnchor]
+Found = tuple[ReferenceMass, WeighedMass]
 """A reference mass with the forces over it."""
 Spans = Sequence[tuple[float, ParameterSet]]
 """Bus time, s, until which parameters were in use, and these in the model's effects, in order; the last ones to inf."""
@@ -30,7 +30,7 @@ class WeighedMasses:
 
     Parameters
     ----------
-    anchor_error : float
+    reference_error : float
         Relative standard deviation of a reference mass beside its own.
 
     Attributes
@@ -43,9 +43,9 @@ class WeighedMasses:
         Handed over before.
     """
 
-    def __init__(self, anchor_error: float) -> None:
-        self._anchor_error = anchor_error
-        self.settings = LoadSettings(load_error=max(anchor_error, _LEAST_LOAD_ERROR))
+    def __init__(self, reference_error: float) -> None:
+        self._reference_error = reference_error
+        self.settings = LoadSettings(load_error=max(reference_error, _LEAST_LOAD_ERROR))
         self.crops = CropWeighings(self.settings)
         self.used: frozenset[ReferenceMass] = frozenset()
         self._checked: frozenset[ReferenceMass] = frozenset()
@@ -75,13 +75,13 @@ class WeighedMasses:
     def new(self, masses: Sequence[ReferenceMass], model: ForwardModel, spans: Spans, model_error: AngleError) -> list[Found]:
         """Those that were measured whole and have not been handed over, each with the forces over it.
 
-        model_error: as `mass_anchor` has it, also of the methods below.
+        model_error: as `weighed_mass` has it, also of the methods below.
         """
         found = []
         for mass in masses:
             if not mass.complete or mass in self.used or mass.measured_kg <= 0.0 or mass.end_s - mass.start_s <= 0.0:
                 continue
-            found.append((mass, mass_anchor(mass, model, spans, self._anchor_error, model_error)))
+            found.append((mass, weighed_mass(mass, model, spans, self._reference_error, model_error)))
         return found
 
     def checks(
@@ -89,7 +89,7 @@ class WeighedMasses:
     ) -> tuple[ScaleCheck, ...]:
         """New masses held against what is stated now; each mass once, although a refused update may come again.
 
-        moisture_pct, model_error: as `mass_anchors.checked` has them.
+        moisture_pct, model_error: as `reference_mass_inputs.checked` has them.
         """
         fresh = [pair for pair in found if pair[0] not in self._checked]
         self._checked = frozenset((*self.used, *(reference for reference, _ in found)))
@@ -98,7 +98,7 @@ class WeighedMasses:
 
     def take(
         self, found: Sequence[Found], model: ForwardModel, prior: ParameterSet, stated: ParameterSet
-    ) -> tuple[list[MassAnchor], str]:
+    ) -> tuple[list[WeighedMass], str]:
         """The masses to update from, and one sentence about one that the loads before it contradict ("" where there is none).
 
         prior: what is known now; stated: with all that drift may have added to it. Raises ValueError as `Weighings.take`.
@@ -136,7 +136,7 @@ class WeighedMasses:
         # Of two tickets for one load the newer counts.
         known = {name_of(mass): mass for mass in masses}
         found = {
-            name: weighed(mass, mass_anchor(mass, model, spans, self._anchor_error, model_error))
+            name: weighed(mass, weighed_mass(mass, model, spans, self._reference_error, model_error))
             for name, mass in known.items()
             if name in (*names, doubted)
         }

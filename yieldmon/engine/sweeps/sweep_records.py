@@ -11,7 +11,7 @@ import numpy as np
 from yieldmon.engine.calibrator_settings import CalibratorSettings
 from yieldmon.engine.records import WindowRecord
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.estimation.self_calibration.closed_loop_inputs import DensityAnchor, Sweep
+from yieldmon.estimation.self_calibration.closed_loop_inputs import MeasuredDensity, Sweep
 
 
 def sweep_of(records: Sequence[WindowRecord]) -> Sweep:
@@ -40,12 +40,14 @@ def median_moisture_pct(records: Sequence[WindowRecord]) -> float:
     return _median(r.moisture_pct for r in records)
 
 
-def density_anchor(records: Sequence[WindowRecord], prior: ParameterSet, settings: CalibratorSettings) -> DensityAnchor | None:
+def measured_density(
+    records: Sequence[WindowRecord], prior: ParameterSet, settings: CalibratorSettings
+) -> MeasuredDensity | None:
     """Paddle density by the records' median test weight; None where it is not measured or not to be learnt."""
     weight = _median(r.test_weight_kg_m3 for r in records)
     if settings.density_ratio is None or not isfinite(weight) or "density" not in prior.covariance_names:
         return None
-    return DensityAnchor.from_test_weight(
+    return MeasuredDensity.from_test_weight(
         weight,
         settings.test_weight_std_dev_kg_m3,
         settings.density_ratio,

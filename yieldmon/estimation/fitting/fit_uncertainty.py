@@ -56,7 +56,7 @@ def fit_uncertainty(
         information = weighted.T @ weighted / (unsure * factor) + problem.prior_white.T @ problem.prior_white
     inverse = _bounded_inverse(information, most) if np.any(singular) else _inverse(information, problem.unit)[0]
     covariance = _spread_out(inverse, unlike)
-    size = _learnt_error(problem, predicted - problem.data.momentum, cell_slopes, noise, problem.bound_sides(theta) == 0)
+    size = _estimated_error(problem, predicted - problem.data.momentum, cell_slopes, noise, problem.bound_sides(theta) == 0)
     if size is not None:
         covariance = _with_model_error(problem, covariance, inverse, size, predicted, weighted, noise)
     covariance = _within(covariance, most)
@@ -108,7 +108,7 @@ def _with_model_error(
     return np.asarray(covariance + moved @ moved.T)
 
 
-def _learnt_error(
+def _estimated_error(
     problem: CalibrationProblem, error: Array, slopes: Array, fitted: Noise, inside: NDArray[np.bool_]
 ) -> float | None:
     """Relative size of the model's own error, from angles and loads left out; None where it is not known.
@@ -150,7 +150,7 @@ def _learnt_error(
     if problem.spread is not None or unexplained > 0.0:
         # As a fit leaves it that weighs the cells by their noise.
         residual = residual - basis @ (basis.T @ residual)
-    size = model_error.learnt(residual, basis, noise / level, model_error.groups_of(angle, load))
+    size = model_error.estimated(residual, basis, noise / level, model_error.groups_of(angle, load))
     if size is None:
         return None
     if known_noise:

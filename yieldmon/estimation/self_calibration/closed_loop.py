@@ -30,7 +30,7 @@ from yieldmon.physics.grain import GRAIN, at_search_end
 from yieldmon.physics.model import ForwardModel, refuse_impossible
 from yieldmon.physics.numerics import Array
 
-from .closed_loop_inputs import DensityAnchor, MassAnchor, Sweep
+from .closed_loop_inputs import MeasuredDensity, Sweep, WeighedMass
 from .closed_loop_outcome import NO_SCALE, FlowPosterior, Learning, Outcome, ScaleReport
 from .closed_loop_problem import ClosedLoopProblem, Solution
 from .partial_update import determined_part
@@ -49,9 +49,10 @@ def self_calibrate(
     prior: ParameterSet,
     sweeps: Sequence[Sweep],
     *,
-    anchors: Sequence[MassAnchor] = (),
-    density: DensityAnchor | None = None,
+    masses: Sequence[WeighedMass] = (),
+    density: MeasuredDensity | None = None,
     settings: ClosedLoopSettings | None = None,
+    anchors: Sequence[WeighedMass] = (),
 ) -> Outcome:
     """Flows of sweeps and updated parameters.
 
@@ -61,11 +62,13 @@ def self_calibrate(
     prior : ParameterSet
         Prior parameters; those with a variance are updated.
     sweeps : sequence of Sweep
-    anchors : sequence of MassAnchor
+    masses : sequence of WeighedMass
         Weighed masses.
-    density : DensityAnchor, optional
+    density : MeasuredDensity, optional
         An independent measurement of the density.
     settings : ClosedLoopSettings, optional
+    anchors : sequence of WeighedMass
+        Former name of `masses`, until the next version.
 
     Returns
     -------
@@ -79,7 +82,7 @@ def self_calibrate(
     ------
     ValueError
         When there is nothing to go by, the prior has no covariance, no flow can explain a sweep, an angle or a speed is outside
-        its range (`Conditions`), or an anchor or the density is not usable.
+        its range (`Conditions`), or a weighed mass or the density is not usable.
 
     References
     ----------
@@ -96,9 +99,10 @@ def self_calibrate(
     >>> round(found.flows[0].mass_flow_kg_s, 1)
     12.0
     """
+    masses = (*masses, *anchors)
     read = allowing_for(ClosedLoopSettings() if settings is None else settings, prior)
-    found = learn(model, prior, sweeps, anchors=anchors, density=density, settings=read)
-    if not anchors and density is None and (ends := at_search_end(found.parameter_set.values, found.learned())):
+    found = learn(model, prior, sweeps, masses=masses, density=density, settings=read)
+    if not masses and density is None and (ends := at_search_end(found.parameter_set.values, found.learned())):
         found = _not_determined(found, prior, ends)
     if found.consistent or not sweeps:
         return found
@@ -107,7 +111,7 @@ def self_calibrate(
     wrong = found
     for _ in range(_HALVINGS):
         error = 0.5 * (low + high)
-        wrong = learn(model, prior, sweeps, anchors=anchors, density=density, settings=replace(read, model_error=error))
+        wrong = learn(model, prior, sweeps, masses=masses, density=density, settings=replace(read, model_error=error))
         low, high = (error, high) if wrong.chi2 > wrong.dof else (low, error)
     return replace(found, flows=tuple(map(_with_difference, found.flows, wrong.flows)))
 
@@ -142,15 +146,15 @@ def learn(
     prior: ParameterSet,
     sweeps: Sequence[Sweep],
     *,
-    anchors: Sequence[MassAnchor] = (),
-    density: DensityAnchor | None = None,
+    masses: Sequence[WeighedMass] = (),
+    density: MeasuredDensity | None = None,
     settings: ClosedLoopSettings,
 ) -> Outcome:
     """`self_calibrate` for the parameters alone, in one fit: the deviations of the flows do not allow for windows that disagree.
 
     Parameters
     ----------
-    model, prior, sweeps, anchors, density, settings
+    model, prior, sweeps, masses, density, settings
         As in `self_calibrate`.
 
     Returns
@@ -164,17 +168,17 @@ def learn(
     """
     for sweep in sweeps:
         refuse_impossible("sweep", sweep.plate_angle_rad, sweep.elevator_speed_rad_s)
-    for anchor in (*anchors, *(() if density is None else (density,))):
-        anchor.require_usable()
-    problem = ClosedLoopProblem(model, prior, sweeps, anchors, density, settings)
+    for mass in (*masses, *(() if density is None else (density,))):
+        mass.require_usable()
+    problem = ClosedLoopProblem(model, prior, sweeps, masses, density, settings)
     return _outcome(problem, problem.solve())
 
 
 def update_from_tickets(
     model: ForwardModel,
     prior: ParameterSet,
-    anchors: Sequence[MassAnchor],
-    density: DensityAnchor | None = None,
+    masses: Sequence[WeighedMass],
+    density: MeasuredDensity | None = None,
     settings: ClosedLoopSettings | None = None,
 ) -> Outcome:
     """`self_calibrate` from weighed masses alone. A scale counts: where it contradicts the parameters, they were less
@@ -184,13 +188,13 @@ def update_from_tickets(
     """
     widening = 1.0
     settings = replace(ClosedLoopSettings() if settings is None else settings, learned_information=_ALL, kept_ratio=1.0 - _ALL)
-    outcome = learn(model, prior, (), anchors=anchors, density=density, settings=settings)
+    outcome = learn(model, prior, (), masses=masses, density=density, settings=settings)
     for _ in range(_WIDENINGS):
         wide = replace(prior, covariance=widened(prior.covariance, prior.covariance_names, 4.0 * widening))
         if outcome.consistent or _beyond_physics(wide):
             break
         widening *= 4.0
-        outcome = learn(model, wide, (), anchors=anchors, density=density, settings=settings)
+        outcome = learn(model, wide, (), masses=masses, density=density, settings=settings)
     return replace(outcome, prior_widening=widening)
 
 
@@ -207,7 +211,7 @@ def _outcome(problem: ClosedLoopProblem, solution: Solution) -> Outcome:
     width, settings = len(problem.names), problem.settings
     theta, residual = solution.unknown[:width], solution.residual
     chi2 = float(residual @ residual)
-    known = problem.windows + len(problem.anchors) + (problem.density is not None)
+    known = problem.windows + len(problem.masses) + (problem.density is not None)
     dof = max(known - len(problem.sweeps), 1)
     p_value = float(chdtrc(dof, chi2))
     consistent = p_value >= settings.consistent_p
@@ -297,7 +301,7 @@ def _scale(problem: ClosedLoopProblem, solution: Solution) -> ScaleReport:
     posterior_sd = float(np.sqrt(row @ posterior @ row))
     shift = float(row @ (theta - problem.prior.mean))
     found = _null_directions(problem, solution.jacobian, values)
-    breaks = bool(problem.anchors) or problem.density is not None or not any(d.is_scale for d in found)
+    breaks = bool(problem.masses) or problem.density is not None or not any(d.is_scale for d in found)
     return ScaleReport(prior_sd, posterior_sd, shift, breaks, found)
 
 

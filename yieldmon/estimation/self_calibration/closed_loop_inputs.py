@@ -13,10 +13,10 @@ from yieldmon.physics.numerics import Array
 _LEAST_NOISE = 1e-9
 """Of the largest force; what is surer drowns all else in rounding."""
 _SWEEP = ("time_s", "plate_angle_rad", "elevator_speed_rad_s", "force_n", "force_std_dev_n")
-_ANCHOR = ("duration_s", "force_n", "plate_angle_rad", "elevator_speed_rad_s")
+_WEIGHED = ("duration_s", "force_n", "plate_angle_rad", "elevator_speed_rad_s")
 
 
-def _as_arrays(windows: Sweep | MassAnchor, names: tuple[str, ...]) -> None:
+def _as_arrays(windows: Sweep | WeighedMass, names: tuple[str, ...]) -> None:
     """Lists of numbers become arrays."""
     for name in (*names, "moisture_pct"):
         value = getattr(windows, name)
@@ -24,7 +24,7 @@ def _as_arrays(windows: Sweep | MassAnchor, names: tuple[str, ...]) -> None:
             object.__setattr__(windows, name, np.asarray(value, dtype=float))
 
 
-def _refuse_uneven(windows: Sweep | MassAnchor, what: str, names: tuple[str, ...]) -> None:
+def _refuse_uneven(windows: Sweep | WeighedMass, what: str, names: tuple[str, ...]) -> None:
     shape = windows.force_n.shape
     for name in names:
         value = getattr(windows, name)
@@ -79,7 +79,7 @@ class Sweep:
 
 
 @dataclass(frozen=True)
-class MassAnchor:
+class WeighedMass:
     """A weighed mass and the windows in which it was harvested.
 
     Parameters
@@ -98,7 +98,7 @@ class MassAnchor:
     Examples
     --------
     >>> seconds = np.ones(3000)
-    >>> load = api.MassAnchor.from_windows(9000.0, 45.0, seconds, 28.0 * seconds, 1.22 * seconds, 41.9 * seconds)
+    >>> load = api.WeighedMass.from_windows(9000.0, 45.0, seconds, 28.0 * seconds, 1.22 * seconds, 41.9 * seconds)
     >>> float(load.duration_s.sum())
     3000.0
     """
@@ -113,7 +113,7 @@ class MassAnchor:
     common_kg: float = 0.0
 
     def __post_init__(self) -> None:
-        _as_arrays(self, _ANCHOR)
+        _as_arrays(self, _WEIGHED)
 
     def require_usable(self) -> None:
         """Refuse what nothing can be learnt from.
@@ -124,11 +124,11 @@ class MassAnchor:
             For shapes that differ, values that are not finite, a standard deviation that is not above 0, and an angle or a speed
             outside its range.
         """
-        _refuse_uneven(self, "mass anchor", _ANCHOR)
-        refuse_impossible("mass anchor", self.plate_angle_rad, self.elevator_speed_rad_s)
+        _refuse_uneven(self, "weighed mass", _WEIGHED)
+        refuse_impossible("weighed mass", self.plate_angle_rad, self.elevator_speed_rad_s)
         if not (np.isfinite(self.reference_kg) and 0.0 <= self.common_kg < self.std_dev_kg < np.inf):
             known = f"{self.reference_kg:g} kg within {self.std_dev_kg:g} kg"
-            raise ValueError(f"mass anchor: {known}: expected a mass, and a standard deviation above 0 and common_kg")
+            raise ValueError(f"weighed mass: {known}: expected a mass, and a standard deviation above 0 and common_kg")
 
     @classmethod
     def from_windows(
@@ -141,19 +141,19 @@ class MassAnchor:
         elevator_speed_rad_s: Array,
         *,
         groups: int = 12,
-    ) -> MassAnchor:
+    ) -> WeighedMass:
         """Many windows condensed: at each plate angle, windows of like force are replaced by their mean.
 
         Parameters
         ----------
         reference_kg, std_dev_kg, duration_s, force_n, plate_angle_rad, elevator_speed_rad_s
-            As in `MassAnchor`.
+            As in `WeighedMass`.
         groups : int
             Groups at each plate angle.
 
         Returns
         -------
-        MassAnchor
+        WeighedMass
         """
         bins = np.round(plate_angle_rad / np.radians(2.0)).astype(int)
         parts = []
@@ -187,7 +187,7 @@ class MassAnchor:
         mass_flow_kg_s: float,
         plate_angle_rad: float,
         elevator_speed_rad_s: float,
-    ) -> MassAnchor:
+    ) -> WeighedMass:
         """From a measured total alone.
 
         Parameters
@@ -204,7 +204,7 @@ class MassAnchor:
 
         Returns
         -------
-        MassAnchor
+        WeighedMass
         """
         conditions = Conditions(plate_angle_rad, elevator_speed_rad_s, mass_flow_kg_s=mass_flow_kg_s)
         force = np.atleast_1d(np.real(model.force(conditions, parameters.values)))
@@ -219,7 +219,7 @@ class MassAnchor:
 
 
 @dataclass(frozen=True, slots=True)
-class DensityAnchor:
+class MeasuredDensity:
     """An independent measurement of the density.
 
     Parameters
@@ -229,7 +229,7 @@ class DensityAnchor:
 
     Examples
     --------
-    >>> api.DensityAnchor.from_test_weight(720.0, 10.0, 1.5, 0.06).density_kg_m3
+    >>> api.MeasuredDensity.from_test_weight(720.0, 10.0, 1.5, 0.06).density_kg_m3
     1080.0
     """
 
@@ -246,12 +246,12 @@ class DensityAnchor:
         """
         for name in ("density_kg_m3", "std_dev_kg_m3"):
             if not 0.0 < getattr(self, name) < np.inf:
-                raise ValueError(f"density anchor: {name} {getattr(self, name):g}: expected a number above 0")
+                raise ValueError(f"density: {name} {getattr(self, name):g}: expected a number above 0")
 
     @classmethod
     def from_test_weight(
         cls, test_weight_kg_m3: float, std_dev_kg_m3: float, ratio: float, ratio_std_dev: float
-    ) -> DensityAnchor:
+    ) -> MeasuredDensity:
         """From a test weight. The fitted density is no test weight: it stands for the heap on a paddle.
 
         Parameters
@@ -263,7 +263,7 @@ class DensityAnchor:
 
         Returns
         -------
-        DensityAnchor
+        MeasuredDensity
         """
         relative = np.hypot(std_dev_kg_m3 / test_weight_kg_m3, ratio_std_dev / ratio)
         return cls(ratio * test_weight_kg_m3, float(ratio * test_weight_kg_m3 * relative))

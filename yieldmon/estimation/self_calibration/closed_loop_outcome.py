@@ -61,7 +61,7 @@ class ScaleReport:
     """The direction (mass flow, density, impact gain) -> (a, a, 1/a).
 
     prior_sd, posterior_sd of ln a; shift: ln a from the prior to the answer. observable: whether something other than the prior
-    (an anchor, an effect that breaks the symmetry) speaks of it.
+    (a weighed mass, an effect that breaks the symmetry) speaks of it.
     """
 
     prior_sd: float

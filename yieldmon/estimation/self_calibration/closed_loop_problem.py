@@ -1,4 +1,4 @@
-"""The closed loop as a least-squares problem: parameters, one flow a sweep, and what windows, prior and anchors say of them.
+"""The closed loop as a least-squares problem: parameters, one flow a sweep, and what windows, prior and masses say of them.
 
 The unknown is one vector: parameters (n), logarithm of each sweep's flow (S), and slope of each (S) where the flow is a line.
 """
@@ -24,7 +24,7 @@ from yieldmon.physics.machine import SAME_ANGLE_RAD
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.numerics import Array
 
-from .closed_loop_inputs import DensityAnchor, MassAnchor, Sweep
+from .closed_loop_inputs import MeasuredDensity, Sweep, WeighedMass
 from .flow_process import correlation, process_sd
 
 _LEAST_FLOW_KG_S, _LARGEST_FLOW_KG_S = 1e-3, 1e3
@@ -48,7 +48,7 @@ class _Forces:
 
 
 @dataclass(frozen=True, slots=True)
-class _AnchorFlows:
+class _WeighedFlows:
     """Flows (A,) that explain the forces of the weighed loads' windows with some parameters (n,), and by_theta (A, n) there."""
 
     flow: Array
@@ -73,7 +73,7 @@ class Solution:
 
 
 class ClosedLoopProblem:
-    """Sweeps, anchors and prior, as residuals of one unknown vector.
+    """Sweeps, masses and prior, as residuals of one unknown vector.
 
     Attributes
     ----------
@@ -100,38 +100,38 @@ class ClosedLoopProblem:
         model: ForwardModel,
         prior: ParameterSet,
         sweeps: Sequence[Sweep],
-        anchors: Sequence[MassAnchor],
-        density: DensityAnchor | None,
+        masses: Sequence[WeighedMass],
+        density: MeasuredDensity | None,
         settings: ClosedLoopSettings,
     ) -> None:
         if set(prior.effects) != set(model.effects):
             raise ValueError(f"the parameters name the effects {prior.effects}; the model has {model.effects}")
-        if not sweeps and not anchors and density is None:
-            raise ValueError("neither a sweep nor an anchor to learn from")
-        self.model, self.prior_set, self.sweeps, self.anchors = model, prior, tuple(sweeps), tuple(anchors)
+        if not sweeps and not masses and density is None:
+            raise ValueError("neither a sweep nor a weighed mass to learn from")
+        self.model, self.prior_set, self.sweeps, self.masses = model, prior, tuple(sweeps), tuple(masses)
         self.settings = settings
         self.prior = Prior.of(prior)
         self.names = self.prior.names
         if not self.names:
             raise ValueError("the parameters have no covariance: every one of them counts as exactly known")
         if density is not None and "density" not in self.names:
-            raise ValueError("a density anchor needs density among the parameters with a variance")
+            raise ValueError("a measured density needs density among the parameters with a variance")
         self.density = density
         self.white, _ = self.prior.whitening(self.names)
         self.fixed = {k: v for k, v in prior.values.items() if k not in self.names}
-        weighed = bool(anchors) or density is not None
+        weighed = bool(masses) or density is not None
         bounds = [self._bounds(n, float(m), weighed=weighed) for n, m in zip(self.names, self.prior.mean, strict=True)]
         self.lower, self.upper = (np.array(ends) for ends in zip(*bounds, strict=True))
         self.rows = MomentumBatch(model, self._conditions(), self.names, self.fixed)
-        forces = [s.force_n for s in self.sweeps] + [a.force_n for a in self.anchors]
+        forces = [s.force_n for s in self.sweeps] + [a.force_n for a in self.masses]
         self.force: Array = np.concatenate(forces) if forces else np.zeros(0)
         self.sweep_rows = _slices([s.force_n.size for s in self.sweeps])
         self.windows = sum(s.force_n.size for s in self.sweeps)
-        self.anchor_rows = _slices([a.force_n.size for a in self.anchors], self.windows)
+        self.weighed_rows = _slices([a.force_n.size for a in self.masses], self.windows)
         self.slopes = len(self.sweeps) if settings.flow == "linear" else 0
         self.clocks = [s.time_s - s.time_s.mean() for s in self.sweeps]
         self.flow_covariances: list[Array] = []
-        self._near = _AnchorFlows(np.zeros(0), np.zeros((0, len(self.names))), self.prior.mean)
+        self._near = _WeighedFlows(np.zeros(0), np.zeros((0, len(self.names))), self.prior.mean)
         """Where the weighed loads were evaluated last."""
         self._last: tuple[bytes, _Forces] | None = None
 
@@ -145,7 +145,7 @@ class ClosedLoopProblem:
         return min(low, mean), max(high, mean)
 
     def _conditions(self) -> Conditions:
-        parts: tuple[Sweep | MassAnchor, ...] = (*self.sweeps, *self.anchors)
+        parts: tuple[Sweep | WeighedMass, ...] = (*self.sweeps, *self.masses)
         if not parts:
             home = self.model.machine
             return Conditions(home.home_plate_angle_rad, home.nominal_elevator_speed_rad_s, mass_flow_kg_s=np.ones(1))
@@ -161,8 +161,8 @@ class ClosedLoopProblem:
     def solve(self) -> Solution:
         """The likeliest unknown. Raises ValueError where no flow can explain a sweep or a weighed load."""
         count, width = len(self.sweeps), len(self.names)
-        flows, anchor_flows = self._first_flows()
-        self._near = _AnchorFlows(anchor_flows, np.zeros((anchor_flows.size, width)), self.prior.mean)
+        flows, weighed_flows = self._first_flows()
+        self._near = _WeighedFlows(weighed_flows, np.zeros((weighed_flows.size, width)), self.prior.mean)
         unknown = np.concatenate((self.prior.mean, np.log(flows), np.zeros(self.slopes)))
         low = np.concatenate((self.lower, np.full(count, np.log(_LEAST_FLOW_KG_S)), np.full(self.slopes, -1.0)))
         high = np.concatenate((self.upper, np.full(count, np.log(_LARGEST_FLOW_KG_S)), np.full(self.slopes, 1.0)))
@@ -179,8 +179,8 @@ class ClosedLoopProblem:
                 scale=unit,
                 iterations=40,
                 tolerance=1e-4,
-                least_gain=_LEAST_GAIN if self.anchors else 0.0,
-                learns_curvature=bool(self.anchors),
+                least_gain=_LEAST_GAIN if self.masses else 0.0,
+                learns_curvature=bool(self.masses),
             )
             if not np.isfinite(found.cost[0]):
                 raise ValueError("no flow below a full paddle explains a sweep with the prior's parameters")
@@ -206,13 +206,13 @@ class ClosedLoopProblem:
             if not each.size:
                 raise ValueError("no flow below a full paddle explains a sweep with the prior's parameters")
             flows[i] = np.median(each)
-        anchor_flows = [loop.invert(a.force_n, a.plate_angle_rad, a.elevator_speed_rad_s, a.moisture_pct) for a in self.anchors]
-        together = np.concatenate(anchor_flows) if anchor_flows else np.zeros(0)
+        weighed_flows = [loop.invert(a.force_n, a.plate_angle_rad, a.elevator_speed_rad_s, a.moisture_pct) for a in self.masses]
+        together = np.concatenate(weighed_flows) if weighed_flows else np.zeros(0)
         if not np.all(np.isfinite(together)):
             raise ValueError("a weighed load holds more force than a full paddle gives with the prior's parameters")
         return flows, np.maximum(together, 1e-3)
 
-    def _loads(self, unknown: Array, anchor_flows: Array) -> Array:
+    def _loads(self, unknown: Array, weighed_flows: Array) -> Array:
         width, count = len(self.names), len(self.sweeps)
         level = unknown[width : width + count]
         slope = unknown[width + count :]
@@ -220,28 +220,28 @@ class ClosedLoopProblem:
             np.exp(level[i] + (slope[i] * self.clocks[i] if self.slopes else 0.0)) * np.ones(s.force_n.size)
             for i, s in enumerate(self.sweeps)
         ]
-        return np.concatenate([*parts, anchor_flows]) if parts or anchor_flows.size else np.ones(1)
+        return np.concatenate([*parts, weighed_flows]) if parts or weighed_flows.size else np.ones(1)
 
     def _forces(self, unknown: Array) -> _Forces:
         """With the weighed loads at flows that explain their forces; these are followed from one evaluation to the next."""
         width, place = len(self.names), unknown.tobytes()
         if self._last is not None and self._last[0] == place:
             return self._last[1]
-        if not self.sweeps and not self.anchors:
+        if not self.sweeps and not self.masses:
             return _Forces(np.zeros(0), np.zeros((0, width)), np.zeros(0), np.ones(1))
         theta, rows, passes = unknown[:width], slice(self.windows, None), self.rows.passes_per_s
         for _ in range(_NEWTON_STEPS):
             load = self._loads(unknown, self._near.at(theta))
             value, jacobian, by_load = self.rows.at_load(theta, load)
             found = _Forces(value * passes, jacobian * passes[:, None], by_load * passes, load)
-            if not self.anchors:
+            if not self.masses:
                 break
             change = (self.force[rows] - found.force[rows]) / found.by_load[rows]
             if not np.all(np.isfinite(change)):
                 # More than a full paddle: nothing to follow.
                 return found
             flow = np.clip(load[rows] + change, 0.5 * load[rows], 2.0 * load[rows])
-            self._near = _AnchorFlows(flow, -found.by_theta[rows] / found.by_load[rows, None], theta)
+            self._near = _WeighedFlows(flow, -found.by_theta[rows] / found.by_load[rows, None], theta)
             if np.max(np.abs(change)) <= _FOLLOWED * np.mean(flow):
                 break
         self._last = place, found
@@ -281,7 +281,7 @@ class ClosedLoopProblem:
         return self._residuals(unknown[0], whiteners)
 
     def _residuals(self, unknown: Array, whiteners: Sequence[Array]) -> tuple[Array, Array]:
-        """(1, m) and (1, m, n + S + slopes): windows, prior, slopes' prior, anchors; whitened."""
+        """(1, m) and (1, m, n + S + slopes): windows, prior, slopes' prior, masses; whitened."""
         width, count = len(self.names), len(self.sweeps)
         found = self._forces(unknown)
         force, by_theta, by_load, loads = found.force, found.by_theta, found.by_load, found.load
@@ -304,17 +304,17 @@ class ClosedLoopProblem:
             slope_jacobian[:, width + count :] = np.eye(self.slopes) / self.settings.flow_slope_sd_per_s
             residuals.append(unknown[width + count :] / self.settings.flow_slope_sd_per_s)
             jacobians.append(slope_jacobian)
-        for anchor, rows in zip(self.anchors, self.anchor_rows, strict=True):
+        for mass, rows in zip(self.masses, self.weighed_rows, strict=True):
             # The last of the Newton steps to the flows that explain the forces.
             flow = loads[rows] + (self.force[rows] - force[rows]) / by_load[rows]
-            error_kg, sd_kg = float(anchor.duration_s @ flow - anchor.reference_kg), anchor.std_dev_kg
+            error_kg, sd_kg = float(mass.duration_s @ flow - mass.reference_kg), mass.std_dev_kg
             by = np.zeros((1, unknown.size))
-            by[0, :width] = -(anchor.duration_s / by_load[rows]) @ by_theta[rows]
-            if anchor.common_kg > 0.0 and BIAS in self.names:
+            by[0, :width] = -(mass.duration_s / by_load[rows]) @ by_theta[rows]
+            if mass.common_kg > 0.0 and BIAS in self.names:
                 place = self.names.index(BIAS)
-                error_kg -= anchor.common_kg * unknown[place]
-                by[0, place] -= anchor.common_kg
-                sd_kg = (sd_kg**2 - anchor.common_kg**2) ** 0.5
+                error_kg -= mass.common_kg * unknown[place]
+                by[0, place] -= mass.common_kg
+                sd_kg = (sd_kg**2 - mass.common_kg**2) ** 0.5
             residuals.append(np.array([error_kg / sd_kg]))
             jacobians.append(by / sd_kg)
         if self.density is not None:

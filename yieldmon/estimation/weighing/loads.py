@@ -23,7 +23,7 @@ from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
 from yieldmon.estimation.load_pattern import EFFECT
 from yieldmon.estimation.parameters import CalibratedRange, ParameterSet
 from yieldmon.estimation.self_calibration.closed_loop import learn
-from yieldmon.estimation.self_calibration.closed_loop_inputs import MassAnchor, Sweep
+from yieldmon.estimation.self_calibration.closed_loop_inputs import Sweep, WeighedMass
 from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array, span
 
@@ -340,8 +340,8 @@ def _together(
     problem: LoadProblem, near: LoadFit, sweeps: Sequence[Sweep], active: NDArray[np.bool_], settings: ClosedLoopSettings
 ) -> ParameterSet | None:
     """Sweeps and loads in one fit that begins where the loads alone lead; None where it learns nothing."""
-    anchors = [
-        MassAnchor(
+    masses = [
+        WeighedMass(
             reference_kg=load.weighed_kg,
             std_dev_kg=float(sd) * load.weighed_kg,
             duration_s=load.duration_s,
@@ -355,7 +355,7 @@ def _together(
         if ok
     ]
     centre = moved(problem.start, *map(float, near.step))
-    outcome = learn(problem.model, centre, sweeps, anchors=anchors, settings=settings)
+    outcome = learn(problem.model, centre, sweeps, masses=masses, settings=settings)
     if not outcome.updated:
         return None
     return replace(outcome.parameter_set, version=problem.given.version + 1)

@@ -89,10 +89,10 @@ class Sweep(Section):
     )
 
 
-_A = _ENGINE.anchors
+_A = _ENGINE.reference_masses
 
 
-class Anchors(Section):
+class ReferenceMasses(Section):
     """Reference masses from a tank scale."""
 
     min_increment_kg: float = quantity(_A.min_increment_kg, 10.0, 1e5, "kg", "smallest gain of tank mass that is a reference")
@@ -146,8 +146,8 @@ class Learning(Section):
         "1",
         "relative model error away from home that sweeps separate from the grain parameters; 0: none",
     )
-    anchor_error: float = quantity(
-        _L.anchor_error, 0.0, 0.5, "1", "relative error of a weighed load in addition to the scale's own"
+    reference_error: float = quantity(
+        _L.reference_error, 0.0, 0.5, "1", "relative error of a weighed load in addition to the scale's own"
     )
     density_ratio: float | None = quantity(
         _L.density_ratio, 0.1, 10.0, "1", "density in the paddles over test weight, if known; null: test weight is not used"

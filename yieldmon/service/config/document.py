@@ -7,13 +7,13 @@ from typing import Any, Literal
 from pydantic import Field
 
 from yieldmon.service.config.calibration_sections import (
-    Anchors,
     Disagreement,
     DriftLimit,
     DriftPerRootHour,
     DriftPerRootKilotonne,
     Learning,
     Plate,
+    ReferenceMasses,
     SteadyDriftPerKilotonne,
     Sweep,
 )
@@ -69,7 +69,7 @@ class Document(Section):
     plate: Plate = Plate()
     sweep: Sweep = Sweep()
     faults: Faults = Faults()
-    anchors: Anchors = Anchors()
+    reference_masses: ReferenceMasses = ReferenceMasses()
     disagreement: Disagreement = Disagreement()
     waveform: Waveform = Waveform()
     learning: Learning = Learning()
@@ -81,6 +81,6 @@ class Document(Section):
 
 #: Sections that hand their keys to the engine's settings of the same name.
 ENGINE_SECTIONS = (
-    "clock", "windows", "inputs", "zero", "gate", "totals", "budget", "flow_filter", "plate", "sweep", "faults", "anchors",
-    "disagreement", "waveform",
+    "clock", "windows", "inputs", "zero", "gate", "totals", "budget", "flow_filter", "plate", "sweep", "faults",
+    "reference_masses", "disagreement", "waveform",
 )  # fmt: skip

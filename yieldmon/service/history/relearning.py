@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from yieldmon.documents.undo import CalibrationUndone, NotUpdated, TicketUndone
 from yieldmon.engine.monitor import Monitor
-from yieldmon.engine.self_calibration.anchors import Weighing
+from yieldmon.engine.self_calibration.reference_mass import Weighing
 from yieldmon.errors import InputError
 from yieldmon.estimation.estimators import estimator_of
 from yieldmon.service.assembly import calibration_age_s

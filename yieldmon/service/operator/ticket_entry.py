@@ -10,7 +10,7 @@ from statistics import fmean
 
 from yieldmon.documents.tickets import TicketEntered
 from yieldmon.engine.flow_estimator import FlowEstimator
-from yieldmon.engine.self_calibration.anchors import Weighing
+from yieldmon.engine.self_calibration.reference_mass import Weighing
 from yieldmon.errors import InputError
 from yieldmon.estimation.estimators import estimator_of
 from yieldmon.files import ticket_file

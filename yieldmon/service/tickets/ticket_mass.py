@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import sqrt
 
-from yieldmon.engine.self_calibration.anchors import Weighing
+from yieldmon.engine.self_calibration.reference_mass import Weighing
 from yieldmon.service.storage.batch import Load
 
 

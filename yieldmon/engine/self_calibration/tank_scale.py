@@ -1,62 +1,20 @@
-"""Reference masses: what a scale weighed against what was measured over the same grain."""
+"""Reference masses from a tank scale: what it gained between two stable readings."""
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
-from enum import StrEnum
-from typing import NamedTuple
+from dataclasses import dataclass, replace
 
 from yieldmon.engine.mass.budget import EMPTY, MassBudget
 from yieldmon.engine.rivals import tank_leaps
-from yieldmon.engine.self_calibration.load_forces import LoadForces
-from yieldmon.engine.settings import AnchorSettings
+from yieldmon.engine.self_calibration.reference_mass import ReferenceMass, ReferenceSource
+from yieldmon.engine.settings import ReferenceMassSettings
 
 _AS_BEFORE_SDS = 4.0
 """Standard deviations of the scale within which two readings are of the same mass."""
 _LACKING_SHARE = 0.5
 """Of the mass measured between two readings, what no calibration is wrong by: the rest was unloaded."""
-
-
-class Weighing(NamedTuple):
-    """Of a load: its number, mass and standard deviation, and the part of the latter by another combine's monitor, kg."""
-
-    load_number: int
-    mass_kg: float
-    std_dev_kg: float
-    common_kg: float = 0.0
-
-
-class AnchorSource(StrEnum):
-    """Where a reference mass came from."""
-
-    TANK_SCALE = "tank scale"
-    TICKET = "ticket"
-
-
-@dataclass(frozen=True, slots=True)
-class ReferenceMass:
-    """A weighed mass and the mass measured over the same time, kg; times are bus time, s.
-
-    complete: every second in between was measured. load_number is 0 where the weighing belongs to no load. budget: standard
-    deviations of measured_kg. forces: measured over the load, None where they were not kept. common_kg: the part of std_dev_kg by
-    another combine's monitor, the same error in all masses that have one.
-    """
-
-    source: AnchorSource
-    start_s: float
-    end_s: float
-    reference_kg: float
-    std_dev_kg: float
-    measured_kg: float
-    complete: bool
-    load_number: int = 0
-    budget: MassBudget = EMPTY
-    zero_doubted: bool = False
-    """Whether part of measured_kg rests on a zero that is doubted."""
-    forces: LoadForces | None = field(default=None, compare=False, repr=False)
-    common_kg: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,14 +28,14 @@ class _Weighing:
 class TankScale:
     """Increments of a tank scale between stable readings."""
 
-    def __init__(self, settings: AnchorSettings) -> None:
+    def __init__(self, settings: ReferenceMassSettings) -> None:
         self._settings = settings
         self._pending: tuple[float, float] | None = None
         self._start: _Weighing | None = None
         self._last: _Weighing | None = None
         self._complete = True
         self._zero_doubted = False
-        self.anchors: deque[ReferenceMass] = deque(maxlen=settings.keep)
+        self.masses: deque[ReferenceMass] = deque(maxlen=settings.keep)
 
     def reading(self, time_s: float, mass_kg: float) -> None:
         """A stable reading; it is matched with the measured total when the window around it closes."""
@@ -142,9 +100,9 @@ class TankScale:
             return None
         if increment < self._settings.min_increment_kg:
             return None
-        self.anchors.append(
+        self.masses.append(
             ReferenceMass(
-                source=AnchorSource.TANK_SCALE,
+                source=ReferenceSource.TANK_SCALE,
                 start_s=start.time_s,
                 end_s=now.time_s,
                 reference_kg=increment,
@@ -156,7 +114,7 @@ class TankScale:
             )
         )
         self._start, self._complete, self._zero_doubted = now, True, False
-        return self.anchors[-1]
+        return self.masses[-1]
 
     def _interrupted(self, last: _Weighing, now: _Weighing) -> bool:
         """Whether more than grain coming changed two stable readings: another scale speaks or it was reset, the tank weighs less,

@@ -8,13 +8,13 @@ from math import hypot, isfinite, sqrt
 
 import numpy as np
 
-from yieldmon.engine.self_calibration.anchors import ReferenceMass
+from yieldmon.engine.self_calibration.reference_mass import ReferenceMass
 from yieldmon.engine.self_calibration.scale_alarm import ScaleCheck, as_stated, name_of
 from yieldmon.estimation.load_pattern import following
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.self_calibration.angle_error import NO_ERROR, NODES_RAD, AngleError, node_shares
-from yieldmon.estimation.self_calibration.closed_loop_inputs import MassAnchor
+from yieldmon.estimation.self_calibration.closed_loop_inputs import WeighedMass
 from yieldmon.estimation.weighing.load_inputs import WeighedLoad
 from yieldmon.physics.machine import SAME_ANGLE_RAD
 from yieldmon.physics.model import ForwardModel
@@ -23,48 +23,48 @@ _STEP = 1e-3
 """Relative, of the force, for the derivative of a mass."""
 
 
-def mass_anchor(
-    anchor: ReferenceMass,
+def weighed_mass(
+    reference: ReferenceMass,
     model: ForwardModel,
     spans: Iterable[tuple[float, ParameterSet]],
-    anchor_error: float,
+    reference_error: float,
     error: AngleError = NO_ERROR,
-) -> MassAnchor:
+) -> WeighedMass:
     """The forces over the mass where they were kept, else the total in pieces, each with the parameters that made it.
 
     spans: the bus time, s, until which parameters were in use, and these, in the model's effects; the last ones to inf.
-    anchor_error: relative standard deviation of a reference mass beside its own. error: of the model's force, of which what
+    reference_error: relative standard deviation of a reference mass beside its own. error: of the model's force, of which what
     sweeps have measured away from home is taken off the forces there.
     """
-    machine, span_s = model.machine, anchor.end_s - anchor.start_s
-    zero_kg = anchor.budget.zero_kg if isfinite(anchor.budget.zero_kg) else 0.0
-    sd = hypot(anchor.std_dev_kg, anchor_error * anchor.reference_kg, _noise_kg(anchor), zero_kg)
-    forces = anchor.forces
+    machine, span_s = model.machine, reference.end_s - reference.start_s
+    zero_kg = reference.budget.zero_kg if isfinite(reference.budget.zero_kg) else 0.0
+    sd = hypot(reference.std_dev_kg, reference_error * reference.reference_kg, _noise_kg(reference), zero_kg)
+    forces = reference.forces
     if forces is not None and (not model.needs_moisture or np.all(np.isfinite(forces.moisture_pct))):
         moisture = forces.moisture_pct if model.needs_moisture else None
-        return MassAnchor(
-            reference_kg=anchor.reference_kg,
+        return WeighedMass(
+            reference_kg=reference.reference_kg,
             std_dev_kg=sd,
             duration_s=forces.duration_s,
             force_n=forces.force_n * np.exp([error.away_at(angle_rad) for angle_rad in forces.plate_angle_rad.tolist()]),
             plate_angle_rad=forces.plate_angle_rad,
             elevator_speed_rad_s=forces.elevator_speed_rad_s,
             moisture_pct=moisture,
-            common_kg=anchor.common_kg,
+            common_kg=reference.common_kg,
         )
-    pieces: list[MassAnchor] = []
-    begin = anchor.start_s
+    pieces: list[WeighedMass] = []
+    begin = reference.start_s
     for until_s, parameters in spans:
-        end = min(until_s, anchor.end_s)
+        end = min(until_s, reference.end_s)
         if end <= begin:
             continue
         share = (end - begin) / span_s
-        flow = max(anchor.measured_kg / span_s, 1.0)
+        flow = max(reference.measured_kg / span_s, 1.0)
         pieces.append(
-            MassAnchor.from_total(
-                anchor.reference_kg,
-                anchor.std_dev_kg,
-                share * anchor.measured_kg,
+            WeighedMass.from_total(
+                reference.reference_kg,
+                reference.std_dev_kg,
+                share * reference.measured_kg,
                 model=following(model, parameters),
                 parameters=parameters,
                 mass_flow_kg_s=flow,
@@ -77,26 +77,26 @@ def mass_anchor(
         np.concatenate([getattr(p, name) for p in pieces])
         for name in ("duration_s", "force_n", "plate_angle_rad", "elevator_speed_rad_s")
     )
-    return MassAnchor(anchor.reference_kg, sd, duration_s, force_n, angle_rad, speed_rad_s, common_kg=anchor.common_kg)
+    return WeighedMass(reference.reference_kg, sd, duration_s, force_n, angle_rad, speed_rad_s, common_kg=reference.common_kg)
 
 
-def _noise_kg(anchor: ReferenceMass) -> float:
+def _noise_kg(reference: ReferenceMass) -> float:
     """Standard deviation of the measured mass by the windows' scatter; 0 where it is not known."""
-    return sqrt(anchor.budget.noise_kg2) if isfinite(anchor.budget.noise_kg2) else 0.0
+    return sqrt(reference.budget.noise_kg2) if isfinite(reference.budget.noise_kg2) else 0.0
 
 
-def moisture_sd(anchors: Iterable[ReferenceMass]) -> float:
+def moisture_sd(references: Iterable[ReferenceMass]) -> float:
     """Relative standard deviation of the flow, the largest of these masses', by grain of another measured moisture than that for
     which the parameters in use hold."""
     found = [0.0]
-    for anchor in anchors:
-        known = anchor.forces is not None and bool(np.all(np.isfinite(anchor.forces.moisture_pct)))
-        if known and isfinite(anchor.budget.moisture_kg):
-            found.append(anchor.budget.moisture_kg / anchor.measured_kg)
+    for reference in references:
+        known = reference.forces is not None and bool(np.all(np.isfinite(reference.forces.moisture_pct)))
+        if known and isfinite(reference.budget.moisture_kg):
+            found.append(reference.budget.moisture_kg / reference.measured_kg)
     return max(found)
 
 
-def with_angle_error(mass: MassAnchor, model: ForwardModel, parameters: ParameterSet, error: AngleError) -> MassAnchor:
+def with_angle_error(mass: WeighedMass, model: ForwardModel, parameters: ParameterSet, error: AngleError) -> WeighedMass:
     """The same where the force away from home may be off otherwise than at home, by a model's error that the gain has at home.
 
     What a load that holds a sweep weighs says the less of the scale at home.
@@ -117,25 +117,25 @@ def with_angle_error(mass: MassAnchor, model: ForwardModel, parameters: Paramete
     return replace(mass, std_dev_kg=hypot(mass.std_dev_kg, beside.of_sum(at_nodes.tolist())))
 
 
-def weighed(anchor: ReferenceMass, mass: MassAnchor) -> WeighedLoad:
-    """A mass anchor under its reference mass's name, with that one's own standard deviations."""
+def weighed(reference: ReferenceMass, mass: WeighedMass) -> WeighedLoad:
+    """A weighed mass under its reference mass's name, with that one's own standard deviations."""
     return WeighedLoad(
-        name=name_of(anchor),
+        name=name_of(reference),
         weighed_kg=mass.reference_kg,
-        std_dev_kg=anchor.std_dev_kg,
+        std_dev_kg=reference.std_dev_kg,
         duration_s=mass.duration_s,
         force_n=mass.force_n,
         plate_angle_rad=mass.plate_angle_rad,
         elevator_speed_rad_s=mass.elevator_speed_rad_s,
         moisture_pct=mass.moisture_pct,
-        noise_sd=_noise_kg(anchor) / anchor.measured_kg,
-        common_kg=anchor.common_kg,
+        noise_sd=_noise_kg(reference) / reference.measured_kg,
+        common_kg=reference.common_kg,
     )
 
 
 def checked(
     reference: ReferenceMass,
-    mass: MassAnchor,
+    mass: WeighedMass,
     model: ForwardModel,
     known: ParameterSet,
     *,

@@ -1,4 +1,4 @@
-"""The sealed rows of a diagnosis, opened: how far the model is from them with and without the effects that were found."""
+"""Score of the held-out rows: how far the model is from them with and without the effects that were found."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .diagnosis_result import HeldOut, Measure, share_closed_pct
 from .fit import Fit
 from .noise import Noise
 from .observations import Rows
-from .proof import Share, mean_square_interval, share
+from .validation import Share, mean_square_interval, share
 
 _FAR_SD = 8.0
 """Standard deviations from both models beyond which a row may be an outlier."""
@@ -24,17 +24,17 @@ _REPLICATES = 3
 """Repetitions from which the median of a condition tells an outlier."""
 
 
-def open_sealed(
-    rows: Rows, sealed: NDArray[np.bool_], base: Fit, best: Fit, noise: Noise
+def score_held_out(
+    rows: Rows, is_held_out: NDArray[np.bool_], base: Fit, best: Fit, noise: Noise
 ) -> tuple[HeldOut | None, NDArray[np.bool_]]:
-    """Judge two fits by rows that neither has seen.
+    """Score two fits on rows that neither was fitted to.
 
     Parameters
     ----------
     rows : Rows
         All rows.
-    sealed : ndarray of bool
-        (rows,) those that were held out.
+    is_held_out : ndarray of bool
+        (rows,) True: held out.
     base, best : Fit
         Without and with the effects that were found, fitted to the other rows.
     noise : Noise
@@ -43,19 +43,19 @@ def open_sealed(
     Returns
     -------
     held_out : HeldOut or None
-        None where no sealed row can be used.
+        None where no held-out row can be used.
     outlying : ndarray of bool
-        (rows,) sealed rows that are left out as outliers.
+        (rows,) held-out rows that are left out as outliers.
     """
     outlying = np.zeros(len(rows), dtype=bool)
-    if not np.any(sealed):
+    if not np.any(is_held_out):
         return None, outlying
-    kept = rows.take(sealed)
+    kept = rows.take(is_held_out)
     before, after = base.predict(kept), best.predict(kept)
     sd = noise.of_rows(kept, after)
     contradicted = _contradicted(kept, before, after, sd)
     usable = np.isfinite(before) & np.isfinite(after) & ~contradicted
-    outlying[np.flatnonzero(sealed)[contradicted]] = True
+    outlying[np.flatnonzero(is_held_out)[contradicted]] = True
     if not np.any(usable):
         return None, outlying
     top = float(np.max(np.abs(rows.value)))
@@ -95,7 +95,7 @@ def _contradicted(kept: Rows, before: Array, after: Array, sd: Array) -> NDArray
 
 
 def _closed_interval_pct(found: Share, square_before: float, count: int) -> tuple[float, float] | None:
-    """95 % interval of the share of the gap that is closed; square_before: mean square of the whitened residuals before."""
+    """95 % interval of the share of the misfit that is removed; square_before: mean square of the whitened residuals before."""
     if not (found.power > 0.0 and square_before > 1.0):
         return None
     low, high = (

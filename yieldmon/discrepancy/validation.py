@@ -1,8 +1,8 @@
-"""Whether rows that a fit has not seen agree with what it names; their answer decides.
+"""Validation of the named effects on rows that were not fitted; only confirmed effects are named.
 
 Along the line from the published model's prediction (share 0) to that with the named effects (share 1) the unseen readings lie at
-some share, with a standard deviation from noise and from the model's own error. Above one half the effects close part of the gap.
-The rows are those sealed before the search, and the others, each left out in turn (cross-fitting; Chernozhukov et al.,
+some share, with a standard deviation from noise and from the model's own error. Above one half the effects remove part of the
+misfit. The rows are those held out before the search, and the others, each left out in turn (cross-fitting; Chernozhukov et al.,
 Econometrics Journal 21, 2018).
 """
 
@@ -21,8 +21,8 @@ from .fit import Fit
 
 FOLDS = 5
 _ONE_SIDED = 1.645
-_SEALED = 1.282
-"""Standard deviations that the sealed rows alone must lie above a share of 0."""
+_HELD_OUT = 1.282
+"""Standard deviations that the held-out rows alone must lie above a share of 0."""
 _REGION = 3.0
 """Standard deviations below one half from which a region is worse than before."""
 
@@ -37,15 +37,15 @@ class Share:
 
 
 @dataclass(frozen=True, slots=True)
-class Proof:
-    """What unseen rows say of named effects.
+class Validation:
+    """Result on rows that were not fitted.
 
-    sealed: by the rows set aside (None: none). crossed: by all rows, each unseen by the fit that judges it. worse: names
+    held_out: on the rows held out (None: none). cross_fitted: on all rows, each by a fit without it. worse: names
     of regions that are worse with the effects. agrees: the verdict.
     """
 
-    sealed: Share | None
-    crossed: Share
+    held_out: Share | None
+    cross_fitted: Share
     worse: tuple[str, ...]
     agrees: bool
 
@@ -75,13 +75,13 @@ def pooled(parts: list[Share]) -> Share:
     return Share(value, float(np.sqrt(np.sum((weight[known] * np.array([p.sd for p in parts])[known]) ** 2))), power)
 
 
-def prove(base: Fit, best: Fit, sealed: Share | None, rng: np.random.Generator) -> Proof:
-    """Judge `best` against `base`; both fitted to the unsealed rows."""
+def validate(base: Fit, best: Fit, held_out: Share | None, rng: np.random.Generator) -> Validation:
+    """Compare `best` with `base`; both fitted to the other rows."""
     cells = len(base.residual)
     fold = rng.permutation(np.arange(cells) % min(FOLDS, cells))
     before, after = (model_error.left_out(f.residual, f.tangent(), fold) for f in (base, best))
     open_rows = share(before, after, best.own_error)
-    crossed = pooled([open_rows, *([sealed] if sealed is not None else [])])
+    cross_fitted = pooled([open_rows, *([held_out] if held_out is not None else [])])
     worse = []
     for name, numbers in base.frame.cells.groups().items():
         for number in range(int(numbers.max()) + 1):
@@ -89,10 +89,10 @@ def prove(base: Fit, best: Fit, sealed: Share | None, rng: np.random.Generator) 
             here = share(before[inside], after[inside], best.error[inside])
             if here.value + _REGION * here.sd < 0.5:
                 worse.append(f"{name} {number + 1}")
-    agrees = crossed.value - _ONE_SIDED * crossed.sd > 0.5 and not worse
-    if sealed is not None and sealed.power > 1.0:
-        agrees = agrees and sealed.value - _SEALED * sealed.sd > 0.0
-    return Proof(sealed, crossed, tuple(worse), bool(agrees))
+    agrees = cross_fitted.value - _ONE_SIDED * cross_fitted.sd > 0.5 and not worse
+    if held_out is not None and held_out.power > 1.0:
+        agrees = agrees and held_out.value - _HELD_OUT * held_out.sd > 0.0
+    return Validation(held_out, cross_fitted, tuple(worse), bool(agrees))
 
 
 def mean_square_interval(mean_square: float, rows: int) -> tuple[float, float]:

@@ -9,7 +9,7 @@ import pytest
 
 from yieldmon.discrepancy import diagnosis
 from yieldmon.discrepancy.policy import Policy
-from yieldmon.discrepancy.proof import mean_square_interval, pooled, share
+from yieldmon.discrepancy.validation import mean_square_interval, pooled, share
 from yieldmon.estimation import model_error
 from yieldmon.estimation.parameters import ParameterSet
 
@@ -67,10 +67,10 @@ def test_the_size_of_the_models_error_is_learnt_from_angles_and_loads_left_out(s
     for _ in range(60):
         relative = size * columns @ rng.standard_normal(columns.shape[1]) + sd * rng.standard_normal(angle.size)
         residual = model_error.off(relative / sd, tangent)
-        found.append(model_error.learnt(residual, tangent, np.full(angle.size, sd), model_error.groups_of(angle, load)))
+        found.append(model_error.estimated(residual, tangent, np.full(angle.size, sd), model_error.groups_of(angle, load)))
     assert 0.6 * size < np.median(found) < 1.7 * size
     noise = model_error.off(rng.standard_normal(angle.size), tangent)
-    assert model_error.learnt(noise, tangent, np.full(angle.size, sd), model_error.groups_of(angle, load)) < 0.003
+    assert model_error.estimated(noise, tangent, np.full(angle.size, sd), model_error.groups_of(angle, load)) < 0.003
 
 
 def test_a_smooth_error_of_a_fifth_of_a_percent_is_not_named(make_rows, start: ParameterSet) -> None:
@@ -82,13 +82,13 @@ def test_a_smooth_error_of_a_fifth_of_a_percent_is_not_named(make_rows, start: P
 
 
 def test_an_effect_that_unseen_rows_contradict_is_not_named(make_rows, start: ParameterSet) -> None:
-    """Sealed rows from a machine without the effect: the fitted rows name it, the sealed ones do not agree."""
+    """Held-out rows from a machine without the effect: the fitted rows name it, the held-out ones do not agree."""
     rows, clean = make_rows({"zero_offset": 4.0}), make_rows()
     first = diagnosis.examine(rows, start, QUICK)
     assert first.choice.named == ("zero_offset",)
-    assert first.proof is not None
-    assert first.proof.agrees
-    spoilt = replace(rows, value=np.where(first.sealed, clean.value, rows.value))
+    assert first.validation is not None
+    assert first.validation.agrees
+    spoilt = replace(rows, value=np.where(first.is_held_out, clean.value, rows.value))
     second = diagnosis.examine(spoilt, start, QUICK)
     assert second.choice.named == ()
     assert second.choice.verdict == "unknown"

@@ -1,0 +1,50 @@
+"""Reference masses: what a scale weighed and what was measured of the same grain."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import NamedTuple
+
+from yieldmon.engine.mass.budget import EMPTY, MassBudget
+from yieldmon.engine.self_calibration.load_forces import LoadForces
+
+
+class Weighing(NamedTuple):
+    """Of a load: its number, mass and standard deviation, and the part of the latter by another combine's monitor, kg."""
+
+    load_number: int
+    mass_kg: float
+    std_dev_kg: float
+    common_kg: float = 0.0
+
+
+class ReferenceSource(StrEnum):
+    """Where a reference mass came from."""
+
+    TANK_SCALE = "tank scale"
+    TICKET = "ticket"
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceMass:
+    """A weighed mass and the mass measured over the same time, kg; times are bus time, s.
+
+    complete: every second in between was measured. load_number is 0 where the weighing belongs to no load. budget: standard
+    deviations of measured_kg. forces: measured over the load, None where they were not kept. common_kg: the part of std_dev_kg by
+    another combine's monitor, the same error in all masses that have one.
+    """
+
+    source: ReferenceSource
+    start_s: float
+    end_s: float
+    reference_kg: float
+    std_dev_kg: float
+    measured_kg: float
+    complete: bool
+    load_number: int = 0
+    budget: MassBudget = EMPTY
+    zero_doubted: bool = False
+    """Whether part of measured_kg rests on a zero that is doubted."""
+    forces: LoadForces | None = field(default=None, compare=False, repr=False)
+    common_kg: float = 0.0
