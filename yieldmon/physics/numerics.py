@@ -43,7 +43,7 @@ def span(values: Array) -> tuple[float, float]:
 
 
 def median(values: Array) -> float:
-    """Median of values (n,), n >= 1, as `np.median` to the last bit in an eighth of its time for a hundred values; nan for a nan."""
+    """Median of values (n,), n >= 1, as `np.median` to the last bit in an eighth of its time for a hundred; nan for a nan."""
     ordered = np.sort(values)
     half = ordered.size // 2
     if ordered[-1] != ordered[-1]:
