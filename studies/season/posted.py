@@ -2,7 +2,7 @@
 
 What differs from `study.Keeper`: sweeps and tickets go to `engine.self_calibration.closed_loop_calibrator` as window records and
 reference masses, the steps between updates through their documents in the store, and the loads are measured again by
-`service.history.posting`. A night of 14 hours lies between two days of harvest.
+`service.history.remeasuring`. A night of 14 hours lies between two days of harvest.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.plant.scenario import Scenario
-from yieldmon.service.history import posting
+from yieldmon.service.history import remeasuring
 from yieldmon.service.history.update_steps import step_document
 from yieldmon.service.logs.weighed_loads import loads_of
 from yieldmon.service.storage.batch import Step
@@ -157,10 +157,10 @@ class DaemonKeeper(Keeper):
         """As the daemon does it with its store's rows."""
         begin, last = int(self.season.loads.start[self.ticketed]), int(self.season.loads.end[end - 1])
         new = [second_row(i, record) for i, record in enumerate(self._records(np.arange(begin, last)), begin + 1)]
-        known, now_s = posting.timeline(self.steps, self.parameters), new[-1].time_s
-        self.seconds = posting.whole([*self.seconds, *new], now_s - posting.SPAN_S, None, 1)
-        whole = posting.whole(self.seconds, posting.begins(known, now_s), None, 1)
-        found = posting.factors(loads_of(whole, self.versions), known, self.machine)
+        known, now_s = remeasuring.timeline(self.steps, self.parameters), new[-1].time_s
+        self.seconds = remeasuring.whole([*self.seconds, *new], now_s - remeasuring.SPAN_S, None, 1)
+        whole = remeasuring.whole(self.seconds, remeasuring.begins(known, now_s), None, 1)
+        found = remeasuring.factors(loads_of(whole, self.versions), known, self.machine)
         for name, factor in found.items():
             windows = slice(int(self.season.loads.start[name - 1]), int(self.season.loads.end[name - 1]))
             self.posted_kg[name - 1] = factor * float(np.nansum(self.flow[windows]))

@@ -41,11 +41,11 @@ from yieldmon.plant.effects import MoistureDependence
 from yieldmon.plant.scenario import Crop, Scenario
 from yieldmon.service.config.configuration import calibrator_settings
 from yieldmon.service.config.document import Document
-from yieldmon.service.history import posting
+from yieldmon.service.history import remeasuring
 from yieldmon.units import S_PER_DAY
 
 Array = NDArray[np.float64]
-_POSTED_DAYS = posting.SPAN_S / S_PER_DAY
+_POSTED_DAYS = remeasuring.SPAN_S / S_PER_DAY
 """Days of harvest that a ticket's posting reaches back over, as the daemon's."""
 
 

@@ -36,9 +36,9 @@ OF_A_DAEMON = ("status", "load", "ticket", "zero", "sweep")
 PARSED = {
     "install --rollback": "tests/service/test_installation.py",
     "totals": "tests/service",
-    "calibrations": "tests/service/test_posting.py",
-    "ticket list": "tests/service/test_posting.py",
-    "ticket undo": "tests/service/test_posting.py",
+    "calibrations": "tests/service/test_remeasuring.py",
+    "ticket list": "tests/service/test_remeasuring.py",
+    "ticket undo": "tests/service/test_remeasuring.py",
     "load correct": "tests/service/test_load_names.py",
     "map": "tests/field",
     "run --config": "tests/service/test_run.py",

@@ -346,7 +346,7 @@ def test_loads_that_a_store_has_corrected_are_so_in_its_map(tmp_path: Path, caps
     tickets = (Ticket(0.0, 1, 2, 1.1 * (masses[0] + masses[1]), masses[0] + masses[1]),)
     actions = (
         Action(1, 0.0, ledger.TICKET, "root", {"ticket": 1, "std_dev_kg": 30.0}),
-        Action(2, 0.0, ledger.POSTING, "", {"version": 2, "tickets": [1], "factors": {"3": 1.05}}),
+        Action(2, 0.0, ledger.REMEASURED, "", {"version": 2, "tickets": [1], "factors": {"3": 1.05}}),
     )
     with Store(path) as store:
         store.commit([Batch(1, rows[-1].time_s, {}, tuple(rows), tuple(loads), tickets=tickets, actions=actions)])

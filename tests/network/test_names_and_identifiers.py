@@ -102,7 +102,7 @@ def test_address_follows_its_name() -> None:
         (254, joystick, None, None),
     ]
     for address, name, gps_at, joystick_at in steps:
-        table.hear(0x18EEFF00 | address, name.data)
+        table.receive(0x18EEFF00 | address, name.data)
         assert (table.address_of(gps), table.address_of(joystick)) == (gps_at, joystick_at)
 
 

@@ -404,7 +404,9 @@ MENDS = {
     "waiting on monotonic time": mend((3,), waits, lambda: mock.patch.object(waiting, "receive", can.BusABC.recv)),
     "counters that come again": mend((8,), contradicted, _counters_alone),
     "frames closer than a sensor sends": mend((8,), crowded, lambda: mock.patch.object(sample_frames, "_CROWDED_FRAMES", 1e9)),
-    "rivals of speed and angle": mend((8,), forged, lambda: mock.patch("yieldmon.engine.rivals.RivalWatch.take", _no_rivals)),
+    "rivals of speed and angle": mend(
+        (8,), forged, lambda: mock.patch("yieldmon.engine.duplicate_senders.DuplicateSenderWatch.take", _no_rivals),
+    ),
     "contested mass apart": mend(
         (8,), forged, lambda: mock.patch("yieldmon.engine.sampling.windows.Window.contested", property(lambda window: False)),
     ),

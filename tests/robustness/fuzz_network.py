@@ -172,7 +172,7 @@ def main(arguments: Sequence[str]) -> int:
                 escapes += wrong
             out += link.poll(now_s)
             if link.concerns(message):
-                out += link.hear(message, now_s)
+                out += link.receive(message, now_s)
             side_frames += len(side.frames(message, None))
             if number % 500 == 0:
                 out += link.report_trouble(draw.sample(list(FaultCode), draw.randrange(6)), now_s)

@@ -6,7 +6,7 @@ from yieldmon.engine.self_calibration.learning import ParametersChanged
 from yieldmon.files import parameter_file
 from yieldmon.service.storage import ledger
 from yieldmon.service.storage.batch import Ticket
-from yieldmon.service.storage.ledger import LOAD_NAMES, PARAMETERS, PARAMETERS_UNDO, POSTING
+from yieldmon.service.storage.ledger import LOAD_NAMES, PARAMETERS, PARAMETERS_UNDO, REMEASURED
 from yieldmon.service.tickets.action_log import ActionLog
 
 
@@ -34,16 +34,16 @@ def updated(log: ActionLog, version: int) -> None:
 
 
 def test_a_ticket_taken_back_while_loads_are_measured_again_leaves_those_of_the_others_to_be_measured_again() -> None:
-    """A posting that names a ticket that is gone does not stand, nor what it says of the loads of other tickets."""
+    """Factors of a ticket that is gone do not stand, nor what it says of the loads of other tickets."""
     log = weighed(3)
     updated(log, 1)
     assert log.take_to_measure(1) == ((1, 2, 3), 1)
     log.undo_ticket(1, "somebody", 6.0)
     assert log.unfinished == (2, 3)
-    log.posted((1, 2, 3), 1, {2: 1.1, 3: 1.2})
+    log.remeasured((1, 2, 3), 1, {2: 1.1, 3: 1.2})
     assert (log.unfinished, log.history.ledger.factors) == ((2, 3), {})
     assert log.take_to_measure(1) == ((2, 3), 1)
-    log.posted((2, 3), 1, {2: 1.1, 3: 1.2})
+    log.remeasured((2, 3), 1, {2: 1.1, 3: 1.2})
     assert (log.unfinished, log.history.ledger.factors) == ((), {2: 1.1, 3: 1.2})
 
 
@@ -90,19 +90,19 @@ def test_a_load_given_another_crop_while_it_is_measured_again_keeps_what_that_cr
     log.add(LOAD_NAMES, "somebody", corrected)
     updated(log, 1)
     log.take_to_measure(1)
-    log.posted((1,), 1, {1: 1.1, 2: 1.2, 3: 1.3})
+    log.remeasured((1,), 1, {1: 1.1, 2: 1.2, 3: 1.3})
     assert log.history.ledger.factors == {1: 1.1, 2: 1.2, 3: 1.3}, "a correction from before it began is known to it"
     assert next_taken(log, 2) == ((2,), 2)
     log.add(LOAD_NAMES, "somebody", corrected | {"before": [{"load": 2, "field": "", "crop": "corn"}]})
     log.add(LOAD_NAMES, "somebody", {"field": "south", "crop": None, "before": [{"load": 3, "field": "", "crop": "corn"}]})
-    log.posted_by_crop({2: 0.9}, 6.0)
-    log.posted((2,), 2, {1: 1.15, 2: 1.25, 3: 1.35})
+    log.remeasured_by_crop({2: 0.9}, 6.0)
+    log.remeasured((2,), 2, {1: 1.15, 2: 1.25, 3: 1.35})
     assert log.history.ledger.factors == {1: 1.15, 2: 0.9, 3: 1.35}
     assert next_taken(log, 3) == ((3,), 3)
     log.add(LOAD_NAMES, "somebody", corrected | {"before": [{"load": 3, "field": "", "crop": "corn"}]})
-    count = sum(action.kind == POSTING for action in log)
-    log.posted((3,), 3, {3: 1.4})
-    assert sum(action.kind == POSTING for action in log) == count, "a posting of no load is none"
+    count = sum(action.kind == REMEASURED for action in log)
+    log.remeasured((3,), 3, {3: 1.4})
+    assert sum(action.kind == REMEASURED for action in log) == count, "a factor for no load is no action"
 
 
 def next_taken(log: ActionLog, version: int) -> tuple[tuple[int, ...], int]:
@@ -127,7 +127,7 @@ def test_what_was_measured_again_after_a_ticket_is_measured_once_more_where_it_w
     log = weighed(1)
     updated(log, 2)
     assert next_taken(log, 3) == ((1, 2), 3)
-    log.posted((1, 2), 3, {1: 1.1})
+    log.remeasured((1, 2), 3, {1: 1.1})
     log.measure_lost_again()
     assert not log.measuring_waits
     log.add(PARAMETERS_UNDO, "", {"version": 3, "versions": [3]})

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from tests.service.test_posting import known, rows
+from tests.service.test_remeasuring import known, rows
 from yieldmon.cli import ticket
 from yieldmon.cli.main import main
 from yieldmon.engine.mass.totals import Totals

@@ -24,7 +24,7 @@ STEPS = st.lists(
         st.tuples(st.just(ledger.TICKET), NUMBERS, st.integers(0, 2), st.sampled_from([0.8, 1.1, 1.2])),
         st.tuples(st.just(ledger.TICKET_UNDO), NUMBERS),
         st.tuples(
-            st.just(ledger.POSTING), st.lists(NUMBERS, max_size=2), st.integers(0, 5),
+            st.just(ledger.REMEASURED), st.lists(NUMBERS, max_size=2), st.integers(0, 5),
             st.dictionaries(NUMBERS, st.sampled_from([0.9, 1.05, 1.3]), min_size=1, max_size=3),
         ),
         st.tuples(st.just(ledger.PARAMETERS_UNDO), VERSIONS, st.one_of(st.none(), st.lists(VERSIONS, max_size=3))),
@@ -47,7 +47,7 @@ def entered(steps: list) -> tuple[list[Ticket], list[Action]]:  # type: ignore[t
             document = {"ticket": len(tickets), "reference": True}
         elif kind == ledger.TICKET_UNDO:
             document = {"ticket": rest[0]}
-        elif kind == ledger.POSTING:
+        elif kind == ledger.REMEASURED:
             document = {"tickets": rest[0], "version": rest[1], "factors": {str(n): f for n, f in rest[2].items()}}
         elif kind == ledger.PARAMETERS_UNDO:
             document = {"version": rest[0], **({} if rest[1] is None else {"versions": [rest[0], *rest[1]]})}

@@ -240,7 +240,7 @@ class PlateNode:
 
     def _obey(self, bench: Bench, time_s: float) -> None:
         daemon = bench.daemon
-        wait_for(lambda: (daemon.heard_bus_s or 0.0) >= time_s, "the engine")
+        wait_for(lambda: (daemon.newest_bus_s or 0.0) >= time_s, "the engine")
         wait_for(lambda: not daemon.transmitter.waiting, "its commands")
         while (received := bench.peer.recv(0)) is not None:
             bench.seen.append(received)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.service.test_posting import MACHINE, known, rows
+from tests.service.test_remeasuring import MACHINE, known, rows
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.effects import get_effect, registry
 from yieldmon.service.history.load_factor import load_factor

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from tests.service.bench import running
-from tests.service.test_relearning import enter, settle
 from tests.service.test_tickets_after_restart import Season, ask
+from tests.service.test_undo_updates import enter, settle
 from yieldmon.cli import main as cli
 
 LOADS = ((5, 40.0), (4, 80.0), (5, 110.0))

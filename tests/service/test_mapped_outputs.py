@@ -151,7 +151,7 @@ def play(bench: Bench, drive: Drive, duration_s: float, force_mv: float) -> None
 
 
 def listen(bench: Bench, drive: Drive, last: Frame) -> None:
-    wait_for(lambda: (bench.daemon.heard_bus_s or 0.0) >= last.time_s, "the engine")
+    wait_for(lambda: (bench.daemon.newest_bus_s or 0.0) >= last.time_s, "the engine")
     wait_for(lambda: not bench.daemon.transmitter.waiting, "its commands")
     while (received := bench.peer.recv(0)) is not None:
         bench.seen.append(received)

@@ -332,7 +332,7 @@ def test_a_task_controller_gets_the_device_of_another_header(tmp_path: Path) -> 
                 for message in [to_server.pop(0) for _ in range(len(to_server))]:
                     hear(message)
                 for frame in [to_us.pop(0) for _ in range(len(to_us))]:
-                    to_server.extend(link.hear(can.Message(arbitration_id=frame.identifier, data=frame.data), now_s))
+                    to_server.extend(link.receive(can.Message(arbitration_id=frame.identifier, data=frame.data), now_s))
         assert (link.status()["task_controller"] or {})["state"] == "connected"
         pool = parse_pool(server.stored, server.version).values()
         return [values["value"] for table, values in pool if table == "DPT" and values["ddi"] == 67]

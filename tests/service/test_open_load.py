@@ -110,9 +110,9 @@ def test_the_first_closed_load_is_taken_and_the_newest_of_what_it_is_measured_by
     log = ActionLog([Ticket(START_S, 1, 1, 10.0, 10.0, "")], [], START_S, open_loads={7: Remeasuring((1,), 3)})
     assert log.closed_load(7) is None
     assert log.closed_load(None) == (7, Remeasuring((1,), 3))
-    log.posted((), 5, {}, open_load=7)
-    log.posted((), 5, {}, open_load=8)
+    log.remeasured((), 5, {}, open_load=7)
+    log.remeasured((), 5, {}, open_load=8)
     assert log.closed_load(8) == (7, Remeasuring((), 5))
-    log.posted((), 6, {7: 1.1}, open_load=8, closed_load=7)
+    log.remeasured((), 6, {7: 1.1}, open_load=8, closed_load=7)
     assert log.open_loads == {8: Remeasuring((), 5)}
     assert log.history.ledger.factors == {7: 1.1}

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from tests.service.test_posting import known
+from tests.service.test_remeasuring import known
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import parameter_file

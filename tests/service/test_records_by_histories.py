@@ -29,8 +29,8 @@ from yieldmon.errors import InputError
 from yieldmon.files import parameter_file
 from yieldmon.frames import Frame
 from yieldmon.service.config import configuration
-from yieldmon.service.history.poster import Poster
 from yieldmon.service.history.recovery import remembered
+from yieldmon.service.history.remeasuring_thread import RemeasuringThread
 from yieldmon.service.logs import recorded
 from yieldmon.service.measuring import Measuring
 from yieldmon.service.operator.command_loads import CommandLoads
@@ -95,7 +95,7 @@ class Desk:
     def begin(self) -> None:
         self.store, self.let_go = Store(self.path), threading.Event()
         self.measuring = Measuring(self.configured(), remembered(self.store))
-        self.poster = Poster(self.path, self.let_go.wait)
+        self.remeasuring = RemeasuringThread(self.path, self.let_go.wait)
         if not self.held:
             self.let_go.set()
 
@@ -125,9 +125,9 @@ class Desk:
         """As the daemon does once a second."""
         if self.let_go.is_set():
             measured()
-        if self.poster.take_into(self.actions):
+        if self.remeasuring.take_into(self.actions):
             self.commit()
-        self.poster.start_next(self.measuring.journal, self.monitor)
+        self.remeasuring.start_next(self.measuring.journal, self.monitor)
 
     def ask(self, command: str, **request: Any) -> dict[str, Any]:
         asked = {"command": command, "who": "anna", **request}
@@ -161,7 +161,7 @@ class Desk:
             self.play(1, 0.0)
             totals, actions = self.monitor.totals, self.actions
             closed = actions.closed_load(totals.load_number if totals.load_open else None)
-            if not (self.monitor.masses_wait or actions.unfinished or actions.restored or closed or self.poster.busy):
+            if not (self.monitor.masses_wait or actions.unfinished or actions.restored or closed or self.remeasuring.busy):
                 return
         raise AssertionError(f"waits for ever: {actions.unfinished}, {actions.restored}, {closed}")
 
@@ -239,7 +239,7 @@ class Desk:
 
 def measured() -> None:
     """Until no loads are being measured again."""
-    while any(thread.name == "posting" for thread in threading.enumerate()):
+    while any(thread.name == "remeasuring" for thread in threading.enumerate()):
         time.sleep(0.001)
 
 
@@ -484,7 +484,7 @@ def test_loads_are_measured_again_once_a_slow_disk_has_what_was_handed_to_it(tmp
     desk = Desk(tmp_path / "a")
     desk.play(14, 0.0)
     written: list[bool] = []
-    desk.poster = Poster(desk.path, lambda _: bool(written))
+    desk.remeasuring = RemeasuringThread(desk.path, lambda _: bool(written))
     for step in (*HARVESTED, weighing(1, 3, 1.02, wrong=True), seconds(3), weighing(2, 5), seconds(4)):
         desk.do(step)
     assert desk.actions.unfinished == (1, 2)

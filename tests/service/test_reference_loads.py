@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from tests.service.test_posting import MACHINE, known, rows
+from tests.service.test_remeasuring import MACHINE, known, rows
 from yieldmon.engine.mass.budget import MassBudget
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.files import parameter_file

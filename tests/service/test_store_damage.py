@@ -26,7 +26,7 @@ from yieldmon.service.storage.checksums import row_checksum
 from yieldmon.service.storage.retention import Retention
 from yieldmon.service.storage.store import Store
 from yieldmon.service.storage.store_errors import StoreDamagedError, StoreDetachedError
-from yieldmon.service.storage.store_file import read_only, witness
+from yieldmon.service.storage.store_file import note_commit, read_only
 from yieldmon.service.storage.store_names import parts
 from yieldmon.service.storage.writer import StoreWriter
 
@@ -74,7 +74,7 @@ def test_a_journal_without_its_store_is_not_thrown_away(tmp_path: Path, path: Pa
         for n in range(41, 44):
             store.commit([batch(n, state=state(n))])
         shutil.copyfile(parts(path)[1], parts(orphan)[1])
-    witness(orphan, 43)
+    note_commit(orphan, 43)
     if empty:
         orphan.touch()
     kept = parts(orphan)[1].read_bytes()
@@ -374,10 +374,10 @@ def test_a_store_of_another_machine_put_there_while_closed_is_set_aside(path, tm
 
 @pytest.mark.parametrize(("more", "reported"), [(60, False), (61, True)])
 def test_a_start_on_a_store_with_more_commits_than_were_made_here_says_so(path, more, reported):
-    witness(path, 40)
+    note_commit(path, 40)
     with Store(path) as store:
         store.commit([batch(40 + more, state=state(40 + more))])
-    witness(path, 40)
+    note_commit(path, 40)
     recovery = recover(path, Retention(), lambda: Store(path))
     assert recovery.last_batch == 40 + more
     assert (f"{more} commits more" in recovery.note) is reported

@@ -16,7 +16,7 @@ from yieldmon.service.storage.batch import ParameterVersion
 from yieldmon.service.storage.identity import NONE, this_computer
 from yieldmon.service.storage.retention import Retention
 from yieldmon.service.storage.store import Store
-from yieldmon.service.storage.store_file import witness, witnessed, witnessed_store
+from yieldmon.service.storage.store_file import last_noted_batch, last_noted_store, note_commit
 from yieldmon.service.storage.store_names import parts
 
 ENDS = ("", "-wal", ".last")
@@ -91,7 +91,7 @@ def test_what_is_rescued_stays_the_same_store(tmp_path: Path) -> None:
     assert "set aside" in found.note
     assert "another store" not in found.note
     with Store(tmp_path / "placed.sqlite") as store:
-        assert store.identity() == witnessed_store(tmp_path / "placed.sqlite") > 0
+        assert store.identity() == last_noted_store(tmp_path / "placed.sqlite") > 0
 
 
 def test_a_store_and_a_note_from_before_identities_grow_up(tmp_path: Path) -> None:
@@ -102,24 +102,24 @@ def test_a_store_and_a_note_from_before_identities_grow_up(tmp_path: Path) -> No
         database.execute("DELETE FROM mark WHERE name = 'identity'")
     note = path.with_name("s.sqlite.last")
     note.write_bytes(b" ".join(note.read_bytes().split()[:2]).ljust(64))
-    assert (witnessed(path), witnessed_store(path)) == (3, 0)
+    assert (last_noted_batch(path), last_noted_store(path)) == (3, 0)
     found = recover(path, Retention(), lambda: Store(path))
     assert (total_kg(found), found.note) == (30.0, "")
     with Store(path) as store:
         commit(store, range(4, 5))
-        assert store.identity() == witnessed_store(path) > 0
+        assert store.identity() == last_noted_store(path) > 0
     assert not parts(path)[1].exists()
 
 
 @pytest.mark.parametrize("at", range(0, 40, 3))
 def test_a_note_with_a_changed_digit_is_none(tmp_path: Path, at: int) -> None:
     path = tmp_path / "s.sqlite"
-    witness(path, 12345678, 987654321)
+    note_commit(path, 12345678, 987654321)
     note = path.with_name("s.sqlite.last")
     content = bytearray(note.read_bytes())
     content[at] = ord("3") if content[at] != ord("3") else ord("4")
     note.write_bytes(content)
-    assert (witnessed(path), witnessed_store(path)) == (0, 0)
+    assert (last_noted_batch(path), last_noted_store(path)) == (0, 0)
 
 
 def test_all_files_of_another_computers_store_are_reported_once(tmp_path: Path) -> None:

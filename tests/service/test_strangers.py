@@ -13,7 +13,7 @@ from yieldmon.service.history.recovery import recover
 from yieldmon.service.storage.batch import Batch
 from yieldmon.service.storage.retention import Retention
 from yieldmon.service.storage.store import Store
-from yieldmon.service.storage.store_file import refuse_stranger, unmounted_above, witnessed
+from yieldmon.service.storage.store_file import last_noted_batch, refuse_foreign_file, unmounted_above
 
 
 def start(path: Path) -> None:
@@ -58,7 +58,7 @@ def test_a_pipe_where_commits_are_noted_makes_way(tmp_path):
     start(path)
     with Store(path) as store:
         store.commit([Batch(1, 1.0, {})])
-    assert witnessed(path) == 1
+    assert last_noted_batch(path) == 1
 
 
 def test_a_folder_in_the_place_of_the_journal_stops_no_measuring(tmp_path):
@@ -74,7 +74,7 @@ def test_a_new_or_empty_store_is_none_of_theirs(tmp_path, content):
     path = tmp_path / "yieldmon.sqlite"
     if content is not None:
         path.write_bytes(content)
-    refuse_stranger(path, tmp_path / "none")
+    refuse_foreign_file(path, tmp_path / "none")
     assert path.exists() is (content is not None)
 
 
@@ -87,4 +87,4 @@ def test_a_store_below_a_medium_that_is_not_mounted_is_refused(tmp_path):
     assert unmounted_above(tmp_path / "other.sqlite", fstab) is None
     assert unmounted_above(store, tmp_path / "no such file") is None
     with pytest.raises(InputError, match=r"usb stick is not mounted; expected its medium"):
-        refuse_stranger(store, fstab)
+        refuse_foreign_file(store, fstab)

@@ -15,7 +15,7 @@ from tests.service.bench import PATIENCE_S, Bench, running, wait_for
 from yieldmon.files import parameter_file
 from yieldmon.files.machine_file import load as load_machine
 from yieldmon.service import metrics, supervision
-from yieldmon.service.history.poster import Poster, Posting
+from yieldmon.service.history.remeasuring_thread import RemeasuringJob, RemeasuringThread
 from yieldmon.service.operator import command_loads, control
 from yieldmon.service.operator.control import ControlServer
 from yieldmon.service.operator.control_client import ask
@@ -226,9 +226,9 @@ def test_without_room_for_a_thread_no_load_is_measured_again_and_nothing_ends(
     def full(_: threading.Thread) -> None:
         raise RuntimeError("can't start new thread")
 
-    poster = Poster(tmp_path / "s.sqlite", lambda _: True)
+    thread = RemeasuringThread(tmp_path / "s.sqlite", lambda _: True)
     with monkeypatch.context() as patch:
         patch.setattr(threading.Thread, "start", full)
-        poster.start(load_machine(), Posting((1,), parameter_file.load().version, None, 0.0))
-    assert (poster.busy, poster.take()) == (False, None)
+        thread.start(load_machine(), RemeasuringJob((1,), parameter_file.load().version, None, 0.0))
+    assert (thread.busy, thread.take()) == (False, None)
     assert "can't start new thread" in caplog.text

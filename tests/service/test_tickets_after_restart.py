@@ -164,7 +164,7 @@ def test_loads_are_measured_again_though_the_daemon_was_killed_meanwhile() -> No
     assert log.unfinished == (1,), "while they are measured"
     after = ActionLog(tickets, tuple(log), 0.0, log.unfinished)
     assert (after.waiting, after.take_to_measure(2)) == ((), ((1,), 2))
-    log.posted((1,), 2, {})
+    log.remeasured((1,), 2, {})
     assert log.unfinished == ()
     assert ActionLog([], [], 0.0, (1,)).waiting == (), "a ticket that the store lost"
 
@@ -191,7 +191,7 @@ def test_tickets_of_a_crop_that_is_left_before_they_update_wait_for_its_return()
     log.ticket(Ticket(2.0, 2, 2, 100.0, 90.0, ""), is_reference=True)
     led_to(log, 5)
     assert log.take_to_measure(5) == ((2,), 5)
-    log.posted((2,), 5, {})
+    log.remeasured((2,), 5, {})
     tickets = [Ticket(1.0, number, number, 100.0, 90.0, "") for number in (1, 2)]
     after = ActionLog(tickets, tuple(log), 0.0, log.unfinished, log.unfinished_of_crop)
     after.change_crop("corn", "wheat")
@@ -228,7 +228,7 @@ def test_loads_are_measured_again_with_the_crop_that_their_ticket_updated_though
     log.ticket(Ticket(2.0, 3, 3, 100.0, 90.0, ""), is_reference=True)
     led_to(log, 5)
     assert log.take_to_measure(5) == ((1, 2), 2)
-    log.posted((1, 2), 2, {})
+    log.remeasured((1, 2), 2, {})
     assert log.take_to_measure(5) == ((3,), 5)
     assert not log.measuring_waits
 

@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 
-from tests.service.test_posting import MACHINE, known, rows
+from tests.service.test_remeasuring import MACHINE, known, rows
 from yieldmon.cli.main import main
 from yieldmon.errors import InputError
 from yieldmon.files import parameter_file

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from tests.service.test_posting import MACHINE, known, rows
+from tests.service.test_remeasuring import MACHINE, known, rows
 from yieldmon.errors import InputError
 from yieldmon.files.ticket_file import WeighedTicket
 from yieldmon.service.logs.weighed_loads import loads_of, match

@@ -36,7 +36,7 @@ def sent(
         after_s = 0.05 * step
         now_s = START_S + after_s
         for at_s in [at_s for at_s in heard if at_s <= after_s + 1e-9]:
-            found += [(after_s, message) for message in link.hear(heard.pop(at_s), now_s)]
+            found += [(after_s, message) for message in link.receive(heard.pop(at_s), now_s)]
         for at_s in [at_s for at_s in seconds if at_s <= after_s + 1e-9]:
             message = link.addressed(second(seconds.pop(at_s)), now_s if waits else None)
             found += [(after_s, message)] if message is not None else []

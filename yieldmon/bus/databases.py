@@ -116,13 +116,14 @@ def load_messages(path: Path | str) -> dict[str, MessageBits]:
         raise InputError(where, "names no message", "a DBC file")
     alike = set(repeated(message.name for message in database.messages))
     names = [
-        told_apart(message.name, message.frame_id) if message.name in alike else message.name for message in database.messages
+        with_identifier(message.name, message.frame_id) if message.name in alike else message.name
+        for message in database.messages
     ]
     twice = set(repeated(names))
     return {name: _message(message, name, twice=name in twice) for name, message in zip(names, database.messages, strict=True)}
 
 
-def told_apart(name: str, frame_id: int) -> str:
+def with_identifier(name: str, frame_id: int) -> str:
     """A message's name where others have the same."""
     return f"{name} 0x{frame_id:X}"
 

@@ -92,11 +92,11 @@ def _held_against(
         return None, notes, [InputError(*problem) for problem in problems]
     # These run the engine, which a check without a recording does not.
     from yieldmon.cli._log_progress import log_progress
-    from yieldmon.service.logs import foretold, mapping_check, quantities_seen
+    from yieldmon.service.logs import log_faults, mapping_check, quantities_seen
 
     with log_progress(2) as progress:
         found, incomplete = quantities_seen.seen_in(loaded, log, progress)
-        faults = foretold.faults_on(loaded, log, progress)
+        faults = log_faults.faults_on(loaded, log, progress)
     if incomplete:
         notes.append(f"{incomplete} incomplete messages of several frames are not used")
     problems += mapping_check.problems(loaded, found, log)

@@ -68,7 +68,7 @@ def parameters(args: argparse.Namespace) -> ParameterSet:
     return with_values(parameter_file.load(path), assignments(args.set, "--set"))
 
 
-def say_unknown_error(known: ParameterSet) -> None:
+def note_unknown_error(known: ParameterSet) -> None:
     """On standard error, that the set does not say how far the model itself is off."""
     if known.curve is None and known.model_error is None and known.own_error > 0.0:
         _notes.note(

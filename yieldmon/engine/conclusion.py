@@ -67,7 +67,7 @@ class Conclusion:
             self._samples.look()
         learning, loads, sweep, bus_s = parts.learning, parts.loads, parts.plate.sweep, parts.clock.bus_time(window.end_s)
         self.windows += 1
-        learning.grow_older(window.end_s - window.start_s)
+        learning.add_age(window.end_s - window.start_s)
         estimator = learning.estimator
         measured = self._measured(reading, estimate, estimator)
         # As the sweep before has measured the force, so that what is known of it ends none.

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from yieldmon.engine.rivals import TankWatch
+from yieldmon.engine.duplicate_senders import TankWatch
 from yieldmon.engine.runs import FrameRun, SignalRun
 from yieldmon.engine.settings import InputSettings
 from yieldmon.engine.sources import CONDITIONS, DEFAULT_SOURCES, PAIRS, QUANTITIES, InputSource, Sources

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from yieldmon.engine.rivals import RivalWatch
+from yieldmon.engine.duplicate_senders import DuplicateSenderWatch
 from yieldmon.engine.sampling.segments import Counts, bounds_at
 from yieldmon.physics.numerics import Array
 
@@ -34,7 +34,7 @@ class Knots:
 class InterpolatedSignal:
     """Measured values of a signal that wait for their window, and the value carried into it."""
 
-    def __init__(self, carried: float, rivals: RivalWatch) -> None:
+    def __init__(self, carried: float, rivals: DuplicateSenderWatch) -> None:
         """carried: the value before the first that is measured; nan: not known. rivals: judges whether two nodes send it."""
         self._carried = carried
         self._rivals = rivals

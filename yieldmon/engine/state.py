@@ -12,7 +12,7 @@ from yieldmon.engine.mass.shared_error import ClosedLoadState
 from yieldmon.engine.mass.totals import Totals
 from yieldmon.engine.sampling.zero import ZeroState
 from yieldmon.engine.self_calibration.calibrator_state import CalibratorState, GrainState, PriorState
-from yieldmon.engine.self_calibration.learnt_before import LearntBefore
+from yieldmon.engine.self_calibration.earlier_parameters import EarlierParameters
 from yieldmon.engine.self_calibration.scale_alarm import ScaleAlarmState, ScaleCheck
 from yieldmon.engine.sweeps.disagreement import DisagreementState, SweepPattern
 
@@ -156,7 +156,7 @@ def _calibrator(data: Mapping[str, Any]) -> CalibratorState:
         "origin": _prior_or_none(data.get("origin")),
         "grains": grains,
         "spread": _rows(data.get("spread", ())),
-        "past": tuple(LearntBefore.from_dict(place) for place in data.get("past", ())),
+        "past": tuple(EarlierParameters.from_dict(place) for place in data.get("past", ())),
     }
     state = CalibratorState(**{**data, **lists, **parts})
     count = len(state.drifting)

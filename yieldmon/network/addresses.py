@@ -18,7 +18,7 @@ class AddressTable:
         self._names: dict[int, Name] = {}
         self._addresses: dict[int, int] = {}
 
-    def hear(self, identifier: int, data: bytes) -> Name | None:
+    def receive(self, identifier: int, data: bytes) -> Name | None:
         """Takes in a frame; the claiming NAME where it is an address claim, else None."""
         parts = Identifier.of(identifier)
         if parts.group != ADDRESS_CLAIMED or len(data) != 8:

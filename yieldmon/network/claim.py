@@ -129,7 +129,7 @@ class AddressClaim:
             out += self._send(now_s)
         return out
 
-    def hear_claim(self, address: int, name: Name, now_s: float) -> list[RawFrame]:
+    def on_claim(self, address: int, name: Name, now_s: float) -> list[RawFrame]:
         """Another node has claimed an address. Echoes of our own claims are not for here."""
         number = int(name)
         if number == self._number:
@@ -144,7 +144,7 @@ class AddressClaim:
         self._lost_here.add(address)
         return self._claim_another(now_s)
 
-    def hear_request(self, now_s: float) -> list[RawFrame]:
+    def on_request(self, now_s: float) -> list[RawFrame]:
         """Somebody asks for our address claim, or everybody's."""
         if self._state is ClaimState.CANNOT_CLAIM:
             self._send_due_s = min(self._send_due_s, now_s + self._delay_s)
@@ -153,7 +153,7 @@ class AddressClaim:
             return self._send_soon(now_s)
         return []
 
-    def hear_from_our_address(self, now_s: float) -> list[RawFrame]:
+    def on_frame_from_our_address(self, now_s: float) -> list[RawFrame]:
         """Another node has sent something else than a claim from our address: claim it again, every 5 s at most."""
         if self._state is not ClaimState.CLAIMED:
             return []

@@ -72,7 +72,7 @@ class NodeSettings:
 
 
 @dataclass(slots=True)
-class Heard:
+class NodeOutput:
     """What a frame led to: frames to send now, and parameter groups of several frames that it completed."""
 
     frames: list[RawFrame] = field(default_factory=list)
@@ -162,27 +162,27 @@ class Node:
             return out
         return out + aborts + self._sender.poll(address, now_s) + self._trouble.due(address, now_s)
 
-    def feed(self, identifier: int, data: bytes, now_s: float) -> Heard:
+    def feed(self, identifier: int, data: bytes, now_s: float) -> NodeOutput:
         """Take a frame of another node."""
-        heard = Heard(self.poll(now_s) if now_s >= self.due_s else [])
+        out = NodeOutput(self.poll(now_s) if now_s >= self.due_s else [])
         parts = Identifier.of(identifier)
         group = parts.group
         if group == ADDRESS_CLAIMED:
-            self._hear_claim(identifier, data, now_s, heard)
-            return heard
+            self._on_claim(identifier, data, now_s, out)
+            return out
         if parts.source == self.address:
             self._violations.take(now_s)
-            heard.frames += self._claim.hear_from_our_address(now_s)
-            return heard
+            out.frames += self._claim.on_frame_from_our_address(now_s)
+            return out
         if group == REQUEST:
-            self._hear_request(parts, data, now_s, heard)
+            self._on_request(parts, data, now_s, out)
         elif group in (TRANSPORT_CONNECTION, TRANSPORT_DATA):
-            self._hear_transport(parts, data, now_s, heard)
+            self._on_transport(parts, data, now_s, out)
         elif group in FAST_PACKET_GROUPS:
             payload = self._fast.feed(parts, data, now_s)
             if payload is not None:
-                heard.payloads.append(payload)
-        return heard
+                out.payloads.append(payload)
+        return out
 
     def send(
         self, group: int, data: bytes, now_s: float, destination: int = GLOBAL_ADDRESS, priority: int = DEFAULT_PRIORITY
@@ -234,7 +234,7 @@ class Node:
             found.append(f"transport sessions that never end ({self._receiver.abandoned + self._receiver.refused})")
         return tuple(found)
 
-    def _hear_claim(self, identifier: int, data: bytes, now_s: float, heard: Heard) -> None:
+    def _on_claim(self, identifier: int, data: bytes, now_s: float, out: NodeOutput) -> None:
         if len(data) != 8:
             return
         address, name = identifier & 0xFF, Name.of_bytes(data)
@@ -243,7 +243,7 @@ class Node:
         if int(name) != int(self.settings.name):
             left = self._left_address(address, name, now_s)
             self.addresses.claimed(address, name)
-        heard.frames += self._claim.hear_claim(address, name, now_s)
+        out.frames += self._claim.on_claim(address, name, now_s)
         after = self._claim.counters()
         if after.contested > before.contested:
             self._claims.take(now_s)
@@ -254,7 +254,7 @@ class Node:
         self._follow_address()
         # After the claim, which may have cost us our own address.
         if left is not None and self.address is not None:
-            heard.frames.append(request_frame(ADDRESS_CLAIMED, self.address, left))
+            out.frames.append(request_frame(ADDRESS_CLAIMED, self.address, left))
 
     def _left_address(self, address: int, name: Name, now_s: float) -> int | None:
         """The address that a NAME has left with a claim, where it is to be asked for its claim."""
@@ -268,18 +268,18 @@ class Node:
             self._sender.clear()
             self._receiver.forget_ours()
 
-    def _hear_request(self, parts: Identifier, data: bytes, now_s: float, heard: Heard) -> None:
+    def _on_request(self, parts: Identifier, data: bytes, now_s: float, out: NodeOutput) -> None:
         request = request_in(parts, data, self.address)
         if request is None:
             return
         if request.group == ADDRESS_CLAIMED:
-            heard.frames += self._claim.hear_request(now_s)
+            out.frames += self._claim.on_request(now_s)
             return
         address = self.address
         if address is None or not (request.directed or self._can_answer(request.group)):
             return
         if self._requests.take(now_s):
-            heard.frames += self._answer(request, address, now_s)
+            out.frames += self._answer(request, address, now_s)
 
     def _can_answer(self, group: int) -> bool:
         return group in self._answers or group in (diagnostics.DM1, diagnostics.DM2) or group in _NOT_WANTED
@@ -307,22 +307,22 @@ class Node:
             return diagnostics.message(self._trouble.memory.previous)
         return self._answers.get(group)
 
-    def _hear_transport(self, parts: Identifier, data: bytes, now_s: float, heard: Heard) -> None:
+    def _on_transport(self, parts: Identifier, data: bytes, now_s: float, out: NodeOutput) -> None:
         address, lost = self.address, self._receiver.refused + self._receiver.abandoned
         received = self._receiver.feed(parts, data, now_s, address)
-        heard.frames += received.frames
+        out.frames += received.frames
         if self._receiver.refused + self._receiver.abandoned > lost:
             self._sessions.take(now_s)
         if address is not None:
-            heard.frames += self._sender.feed(parts, data, address, now_s)
+            out.frames += self._sender.feed(parts, data, address, now_s)
         payload = received.payload
         if payload is None:
             return
-        heard.payloads.append(payload)
+        out.payloads.append(payload)
         if payload.group == COMMANDED_ADDRESS and len(payload.data) == _COMMAND_BYTES:
-            self._obey(payload.data, now_s, heard)
+            self._on_commanded_address(payload.data, now_s, out)
 
-    def _obey(self, data: bytes, now_s: float, heard: Heard) -> None:
+    def _on_commanded_address(self, data: bytes, now_s: float, out: NodeOutput) -> None:
         if self.settings.obeys_commanded_address and data[:8] == self.settings.name.data:
-            heard.frames += self._claim.command(data[8], now_s)
+            out.frames += self._claim.command(data[8], now_s)
             self._follow_address()

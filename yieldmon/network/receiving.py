@@ -1,4 +1,4 @@
-"""Transport protocol of SAE J1939-21, the receiving side: broadcasts (BAM), and connections (RTS/CTS) to us or overheard."""
+"""Transport protocol of SAE J1939-21, the receiving side: broadcasts (BAM), and connections (RTS/CTS) to us or to others."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ _NOTHING = Received()
 
 
 class TransportReceiver:
-    """Reassembles every session that it hears, and answers those addressed to us.
+    """Reassembles every session that it receives, and answers those addressed to us.
 
     One session for each pair of sender and destination; a new one replaces it, as the sender has begun anew. At most
     `max_sessions` are open: beyond them a connection to us is refused and others are passed over.

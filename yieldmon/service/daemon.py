@@ -23,7 +23,7 @@ from yieldmon.engine.results import Result
 from yieldmon.service.config.configuration import Configuration
 from yieldmon.service.config.reload_check import at_next_start, usable_now
 from yieldmon.service.history.late_store import without_sweeps_for
-from yieldmon.service.history.poster import Poster
+from yieldmon.service.history.remeasuring_thread import RemeasuringThread
 from yieldmon.service.history.run_store import RunStore
 from yieldmon.service.measuring import Measuring
 from yieldmon.service.metrics import MetricsFile
@@ -89,7 +89,7 @@ class Daemon:
         self._answered_s = monotonic()
         self._store = RunStore(configuration, patience)
         self._writer = self._store.writer
-        self._poster = Poster(configuration.store_path, self._writer.wait_until_written)
+        self._remeasuring = RemeasuringThread(configuration.store_path, self._writer.wait_until_written)
         self._supervisors: list[Supervisor] = []
 
     @property
@@ -113,7 +113,7 @@ class Daemon:
         return self._writer
 
     @property
-    def heard_bus_s(self) -> float | None:
+    def newest_bus_s(self) -> float | None:
         """Bus time of the last frame that the engine has taken, s; None before the first."""
         return self._bus.time.last_s
 
@@ -231,15 +231,15 @@ class Daemon:
     def _round(self) -> None:
         items, empty_until_s = self._bus.items()
         windows = 0
-        heard_bus_s: float | None = None
+        newest_bus_s: float | None = None
         for item in items:
             if isinstance(item, BusEvent):
                 self._bus.take_event(item)
             else:
                 windows += self._take_message(item)
-                heard_bus_s = item.timestamp
-        if heard_bus_s is not None:
-            self._bus.time.heard(heard_bus_s, monotonic())
+                newest_bus_s = item.timestamp
+        if newest_bus_s is not None:
+            self._bus.time.frame_came(newest_bus_s, monotonic())
         silent_until_s = self._bus.silent_until_s(empty_until_s)
         if silent_until_s is not None:
             windows += self._feed(silent_until_s)
@@ -271,7 +271,7 @@ class Daemon:
 
     def _take_message(self, message: can.Message) -> int:
         """One message; returns how many windows it closed."""
-        return sum(self._feed(frame) for frame in self._bus.hear(message))
+        return sum(self._feed(frame) for frame in self._bus.receive(message))
 
     def _feed(self, item: frames.Frame | float) -> int:
         """A frame, or a bus time up to which there is none; returns how many windows that closed."""
@@ -295,7 +295,7 @@ class Daemon:
         self._bus.report_second(self._measuring.record, self.monitor.faults.active, self.monitor.totals)
         self._commit()
         if self._bus.lives:
-            # A daemon that hears or says nothing any more is one to start anew.
+            # A daemon that receives or sends nothing any more is one to start anew.
             self._manager.alive()
         for supervisor in self._supervisors:
             supervisor.look(monotonic())
@@ -365,9 +365,9 @@ class Daemon:
     def _post(self) -> None:
         """Measure loads again where tickets or an undo ask for it; what comes of it goes to the store."""
         journal = self._measuring.journal
-        if self._poster.take_into(journal.actions):
+        if self._remeasuring.take_into(journal.actions):
             self._commit()
-        self._poster.start_next(journal, self.monitor)
+        self._remeasuring.start_next(journal, self.monitor)
 
     def _do_reload(self) -> None:
         self._reloads.take(self._use)

@@ -6,7 +6,7 @@ import difflib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
-from yieldmon.bus.databases import SOUND_MESSAGE, MessageBits, told_apart
+from yieldmon.bus.databases import SOUND_MESSAGE, MessageBits, with_identifier
 from yieldmon.engine.sources import QUANTITIES
 from yieldmon.errors import InputError
 from yieldmon.network.name import NameMatch
@@ -78,7 +78,7 @@ def named_message(
     """
     message, named = messages.get(name), dbc or "the shipped DBC"
     if message is None:
-        alike = [other.name for other in messages.values() if told_apart(name, other.frame_id) == other.name]
+        alike = [other.name for other in messages.values() if with_identifier(name, other.frame_id) == other.name]
         near = alike or difflib.get_close_matches(name, messages, n=3) or sorted(messages)[:5]
         raise refuse("message", f"{name} is not in {named}", f"one of its messages, such as {', '.join(near)}")
     if message.contradiction:

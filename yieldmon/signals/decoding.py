@@ -120,7 +120,7 @@ class MapDecoder:
             known = tuple(d for d in self._groups if key & d.match.mask == d.match.identity), self._long.takes(key)
             self._of_identifier[key] = known
         if self._by_name and key & (GROUP_MASK | EXTENDED_FLAG) == ADDRESS_CLAIM | EXTENDED_FLAG:
-            self._table.hear(identifier, data)
+            self._table.receive(identifier, data)
         decoders, of_long = known
         found, too_short = self._decoded(decoders, time_s, identifier, data) if decoders else ([], False)
         whole = self._long.feed(time_s, key, data) if of_long else None

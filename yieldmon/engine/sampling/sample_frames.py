@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from yieldmon.engine.rivals import Crowding
+from yieldmon.engine.duplicate_senders import Crowding
 from yieldmon.engine.sampling import segments
 from yieldmon.engine.sampling.segments import Counts
 from yieldmon.engine.sources import SampleSource

@@ -15,9 +15,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from yieldmon.engine.duplicate_senders import DuplicateSenderWatch, angle_limits, speed_limits
 from yieldmon.engine.interpolation import InterpolatedSignal, Knots
 from yieldmon.engine.quick import maker_of
-from yieldmon.engine.rivals import RivalWatch, angle_limits, speed_limits
 from yieldmon.engine.sampling import segments
 from yieldmon.engine.sampling.cut_off import cut_off
 from yieldmon.engine.sampling.sample_frames import SampleBuffer, SampleFrames
@@ -146,9 +146,9 @@ class WindowBuilder:
         self.samples = SampleBuffer(source, machine.sensor.full_scale_mv, settings.plausible_full_scales)
         self.speed = InterpolatedSignal(
             machine.nominal_elevator_speed_rad_s if speed_rad_s is None else speed_rad_s,
-            RivalWatch(speed_limits(machine, speed_interval_s)),
+            DuplicateSenderWatch(speed_limits(machine, speed_interval_s)),
         )
-        self.angle = InterpolatedSignal(angle_rad, RivalWatch(angle_limits(angle_interval_s)))
+        self.angle = InterpolatedSignal(angle_rad, DuplicateSenderWatch(angle_limits(angle_interval_s)))
         self._traces = traces
         self._max_ramp_s = settings.max_ramp_s
         self._turns_per_rad = machine.sprocket_pitch_radius_m / machine.pattern_length_m

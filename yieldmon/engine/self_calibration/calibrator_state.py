@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from yieldmon.engine.self_calibration.learnt_before import Places
+from yieldmon.engine.self_calibration.earlier_parameters import Places
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,7 +33,7 @@ from yieldmon.estimation.self_calibration.angle_error import NO_ERROR, AngleErro
 from yieldmon.estimation.self_calibration.angle_pattern import EFFECT
 from yieldmon.estimation.self_calibration.closed_loop import learn, update_from_tickets
 from yieldmon.estimation.self_calibration.closed_loop_outcome import Outcome
-from yieldmon.estimation.self_calibration.steady_drift import unsure_of_gain
+from yieldmon.estimation.self_calibration.steady_drift import with_gain_error
 from yieldmon.estimation.self_calibration.sweep_worth import OtherChannels, SweepPlan, SweepWorth, sweep_worth, window_times_s
 from yieldmon.estimation.waveform import common_bias
 from yieldmon.estimation.waveform.common_bias import KernelMeasurement
@@ -115,8 +115,8 @@ class ClosedLoopCalibrator:
             moisture_pct=self._knowledge.moisture_pct,
             model_error=self._settings.closed_loop.model_error,
         )
-        drifting, step = unsure_of_gain(drifting, step, moisture_sd(reference for reference, _ in found))
-        drifting, step = unsure_of_gain(drifting, step, model_error.home, all_along=True)
+        drifting, step = with_gain_error(drifting, step, moisture_sd(reference for reference, _ in found))
+        drifting, step = with_gain_error(drifting, step, model_error.home, all_along=True)
         prior = drifting.parameters
         found = [(reference, with_angle_error(mass, self._model, prior, model_error)) for reference, mass in found]
         try:

@@ -184,7 +184,7 @@ class Learning:
         """After a restart: time since the parameters were calibrated, s; None where it is not known."""
         self.calibration_age_s = calibration_age_s
 
-    def grow_older(self, seconds: float) -> None:
+    def add_age(self, seconds: float) -> None:
         """Time passes since the calibration."""
         if self.calibration_age_s is not None:
             self.calibration_age_s += seconds

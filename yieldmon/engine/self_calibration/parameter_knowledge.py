@@ -16,7 +16,7 @@ from yieldmon.engine.calibrator_settings import CalibratorSettings
 from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.self_calibration.calibrator_state import CalibratorState
 from yieldmon.engine.self_calibration.drift_deviation import DriftDeviation, RateSpread, after_update, as_stated, force_deviation
-from yieldmon.engine.self_calibration.learnt_before import Places, moved, place_of, remembered
+from yieldmon.engine.self_calibration.earlier_parameters import Places, moved, place_of, remembered
 from yieldmon.engine.self_calibration.prior_states import as_tuples
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.self_calibration import drift_spread

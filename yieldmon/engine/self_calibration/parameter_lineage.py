@@ -10,7 +10,7 @@ import numpy as np
 
 from yieldmon.engine.self_calibration.calibrator_state import PriorState
 from yieldmon.engine.self_calibration.crop_weighings import Origin
-from yieldmon.engine.self_calibration.prior_states import as_prior_state, as_set, says_as
+from yieldmon.engine.self_calibration.prior_states import agrees_with, as_prior_state, as_set
 from yieldmon.engine.self_calibration.reference_mass import ReferenceMass
 from yieldmon.estimation.load_pattern import EFFECT as LOAD_PATTERN
 from yieldmon.estimation.parameters import ParameterSet
@@ -128,7 +128,7 @@ class ParameterLineage:
 
     def return_to_crop(self, origin: Origin | None, back: ParameterSet) -> None:
         """The crop of these parameters is back; origin: as `leave_crop` returned it."""
-        if origin is not None and says_as(back, origin[1]):
+        if origin is not None and agrees_with(back, origin[1]):
             self._origin, self._restored = as_set(origin[0], back), back
 
     def snapshot(self) -> PriorState | None:

@@ -26,7 +26,7 @@ def as_set(state: PriorState, like: ParameterSet) -> ParameterSet:
     return replace(like, values=dict(state.values), covariance_names=state.covariance_names, covariance=covariance)
 
 
-def says_as(known: ParameterSet, state: PriorState) -> bool:
+def agrees_with(known: ParameterSet, state: PriorState) -> bool:
     """Whether a set is that of a state, whatever its version and provenance."""
     values = dict(state.values)
     if known.values.keys() != values.keys() or known.covariance_names != state.covariance_names:

@@ -6,8 +6,8 @@ from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
+from yieldmon.engine.duplicate_senders import tank_leaps
 from yieldmon.engine.mass.budget import EMPTY, MassBudget
-from yieldmon.engine.rivals import tank_leaps
 from yieldmon.engine.self_calibration.reference_mass import ReferenceMass, ReferenceSource
 from yieldmon.engine.settings import ReferenceMassSettings
 

@@ -163,7 +163,7 @@ def forgotten(
     return added
 
 
-def unsure_of_gain(
+def with_gain_error(
     known: DriftingParameters, step: Advance, relative: float, *, all_along: bool = False
 ) -> tuple[DriftingParameters, Advance]:
     """The same where the impact gain is less sure besides, as by grain of a moisture that the parameters do not follow.

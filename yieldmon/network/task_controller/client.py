@@ -174,22 +174,22 @@ class TaskControllerClient:
     def feed(self, group: int, source: int, data: bytes, now_s: float) -> list[Outgoing]:
         """Take a message from another node, addressed to us or to all."""
         if group == ACKNOWLEDGEMENT:
-            self._hear_refusal(source, data, now_s)
+            self._on_refusal(source, data, now_s)
             return []
         if group != PROCESS_DATA or len(data) < _BYTES:
             return []
         command = data[0] & 0xF
         if command == Command.SERVER_STATUS:
-            return self._hear_status(source, data, now_s)
-        return self._hear_server(command, data, now_s) if source == self._server else []
+            return self._on_status(source, data, now_s)
+        return self._on_server(command, data, now_s) if source == self._server else []
 
-    def _hear_server(self, command: int, data: bytes, now_s: float) -> list[Outgoing]:
+    def _on_server(self, command: int, data: bytes, now_s: float) -> list[Outgoing]:
         if command == Command.TECHNICAL:
-            return self._hear_technical(data, now_s)
+            return self._on_technical(data, now_s)
         if command == Command.DEVICE_DESCRIPTOR:
-            return self._hear_descriptor(data, now_s)
+            return self._on_descriptor(data, now_s)
         asked = read(data)
-        return self._hear_command(asked, now_s) if asked is not None and self._state is ClientState.CONNECTED else []
+        return self._on_command(asked, now_s) if asked is not None and self._state is ClientState.CONNECTED else []
 
     # Connecting
 
@@ -210,7 +210,7 @@ class TaskControllerClient:
             self._problem = f"no answer while {self._state.value}"
             self._rest(now_s, REST_S)
 
-    def _hear_status(self, source: int, data: bytes, now_s: float) -> list[Outgoing]:
+    def _on_status(self, source: int, data: bytes, now_s: float) -> list[Outgoing]:
         if self._state is ClientState.WAITING_FOR_SERVER:
             self._server, self._heard_s = source, now_s
             self._task_due_s = now_s + TASK_INTERVAL_S
@@ -233,13 +233,13 @@ class TaskControllerClient:
         keys = [(combine.YIELD_ELEMENT, ddi) for ddi in combine.TOTALS]
         return [self._value(key) for key in keys if key in self._shown()]
 
-    def _hear_refusal(self, source: int, data: bytes, now_s: float) -> None:
+    def _on_refusal(self, source: int, data: bytes, now_s: float) -> None:
         about = int.from_bytes(data[5:8], "little")
         if source == self._server and len(data) == _BYTES and data[0] == _NOT_ACKNOWLEDGED and about == PROCESS_DATA:
             self._problem = "the server refuses our messages"
             self._rest(now_s, REST_S)
 
-    def _hear_technical(self, data: bytes, now_s: float) -> list[Outgoing]:
+    def _on_technical(self, data: bytes, now_s: float) -> list[Outgoing]:
         kind = data[0] >> 4
         if kind == 0:
             # Documentation is all that we support: no booms, sections or channels to control.
@@ -250,7 +250,7 @@ class TaskControllerClient:
             return [self._say(Command.DEVICE_DESCRIPTOR, Descriptor.STRUCTURE)]
         return []
 
-    def _hear_descriptor(self, data: bytes, now_s: float) -> list[Outgoing]:
+    def _on_descriptor(self, data: bytes, now_s: float) -> list[Outgoing]:
         kind = data[0] >> 4
         expected = {
             ClientState.STRUCTURE: Descriptor.STRUCTURE_ANSWER,
@@ -267,7 +267,7 @@ class TaskControllerClient:
         if self._state is ClientState.DELETING:
             # The standard leaves open what a failure looks like; the upload shows.
             return self._ask_to_send(now_s)
-        return self._hear_upload(data, now_s)
+        return self._on_upload(data, now_s)
 
     def _compare_label(self, label: bytes, now_s: float) -> list[Outgoing]:
         structure = self._state is ClientState.STRUCTURE
@@ -287,7 +287,7 @@ class TaskControllerClient:
         head = bytes([Command.DEVICE_DESCRIPTOR | Descriptor.ASK << 4])
         return [self._send(head + size.to_bytes(4, "little") + b"\xff\xff\xff")]
 
-    def _hear_upload(self, data: bytes, now_s: float) -> list[Outgoing]:
+    def _on_upload(self, data: bytes, now_s: float) -> list[Outgoing]:
         refused = data[1]
         if self._state is ClientState.ASKING_TO_SEND:
             if refused:
@@ -329,7 +329,7 @@ class TaskControllerClient:
 
     # Connected
 
-    def _hear_command(self, asked: ProcessData, now_s: float) -> list[Outgoing]:
+    def _on_command(self, asked: ProcessData, now_s: float) -> list[Outgoing]:
         key = (asked.element, asked.ddi)
         if asked.command is Command.REQUEST_VALUE:
             return self._requested(asked, key, now_s)

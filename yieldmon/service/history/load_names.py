@@ -17,7 +17,7 @@ from yieldmon.engine.settings import TotalsSettings
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files.crops import find_crop
-from yieldmon.service.history import relearning
+from yieldmon.service.history import undo
 from yieldmon.service.history.journal import Journal
 from yieldmon.service.history.load_factor import load_factor
 from yieldmon.service.history.reference_loads import StoredLoad
@@ -43,7 +43,7 @@ class CropCorrected:
 
     measured_again: tuple[int, ...]
     not_measured_again: Mapping[int, str]
-    updating: relearning.Updating
+    updating: undo.Updating
     taken_back: Sequence[TicketUndone]
 
 
@@ -60,7 +60,7 @@ def correct(wanted: Correction, context: RequestContext) -> CropCorrected | None
         )
     tickets = _tickets_of(others, journal)
     before = [{"load": load.number, "field": load.field, "crop": load.crop} for load in wanted.loads]
-    back = relearning.without_updates(list(tickets), context)
+    back = undo.without_updates(list(tickets), context)
     document = {"first_load": first, "last_load": last, "field": wanted.field, "crop": wanted.crop, "before": before}
     journal.actions.add(ledger.LOAD_NAMES, context.who, document, now_s)
     for load in wanted.loads:
@@ -85,10 +85,10 @@ def correct(wanted: Correction, context: RequestContext) -> CropCorrected | None
             factors[load.number] = found
     if factors:
         # By no version that an undo takes back: the loads are of this crop whatever becomes of it.
-        journal.actions.posted_by_crop(factors, now_s)
-    updating = relearning.Updating((), dict.fromkeys(tickets, f"nothing is known of {crop}"))
+        journal.actions.remeasured_by_crop(factors, now_s)
+    updating = undo.Updating((), dict.fromkeys(tickets, f"nothing is known of {crop}"))
     if parameters is not None:
-        updating = relearning.update_crop(list(tickets), crop, context)
+        updating = undo.update_crop(list(tickets), crop, context)
     return CropCorrected(tuple(sorted(factors)), why_not, updating, back)
 
 

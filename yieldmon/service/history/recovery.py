@@ -23,7 +23,7 @@ from yieldmon.service.storage.rows import SecondRow
 from yieldmon.service.storage.spare_copy import spare_copy
 from yieldmon.service.storage.store import Store
 from yieldmon.service.storage.store_errors import StoreDamagedError, StoreError, StoreUnreadableError
-from yieldmon.service.storage.store_file import note_beginning, refuse_stranger, set_aside, witnessed, witnessed_store
+from yieldmon.service.storage.store_file import last_noted_batch, last_noted_store, note_beginning, refuse_foreign_file, set_aside
 from yieldmon.service.storage.store_names import beside, parts
 
 _log = logging.getLogger(__name__)
@@ -61,10 +61,10 @@ def recover(path: Path, retention: Retention, open_store: Callable[[], Store], c
 
     A medium that is full, takes no writing, or does not read all that is on it need not stop the measuring: what it holds can be
     read all the same, and where it holds nothing the store can be made later. A store of which nothing can be read, at two tries,
-    is set aside. Raises StoreError when that cannot be done, InputError as `store_file.refuse_stranger`, OccupiedError as
+    is set aside. Raises StoreError when that cannot be done, InputError as `store_file.refuse_foreign_file`, OccupiedError as
     `detach_hard_links`.
     """
-    refuse_stranger(path)
+    refuse_foreign_file(path)
     notes = _made_ready(path)
     for without in rescue.GIVEN_UP:
         try:
@@ -75,12 +75,12 @@ def recover(path: Path, retention: Retention, open_store: Callable[[], Store], c
         if found is None:
             continue
         memory, last_batch = found.memory, found.memory.last_batch
-        missing = witnessed(path) - last_batch
+        missing = last_noted_batch(path) - last_batch
         notes += _doubts(last_batch, missing)
         if missing > 0:
             # Numbers go on, or an older copy put back later would look like the newer one.
             memory = replace(memory, last_batch=last_batch + missing)
-        if are_two(found.identity, witnessed_store(path)):
+        if are_two(found.identity, last_noted_store(path)):
             notes.append(f"it is another store than was written here: {_ANOTHERS}")
         if are_two(computer, found.computer):
             notes.append(f"it was last written on another computer: {_ANOTHERS}")

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from yieldmon.documents.check_config import SeenDocument
-from yieldmon.engine.rivals import RivalLimits, RivalWatch, angle_limits, speed_limits
+from yieldmon.engine.duplicate_senders import DuplicateSenderWatch, SignalLimits, angle_limits, speed_limits
 from yieldmon.engine.sources import QUANTITIES, SampleSource
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.numerics import Array
@@ -89,12 +89,12 @@ def seen_in(
     return found, incomplete
 
 
-def _rival_limits(machine: Machine) -> dict[str, tuple[RivalLimits, float]]:
+def _rival_limits(machine: Machine) -> dict[str, tuple[SignalLimits, float]]:
     """By quantity, what one sender's values do, and the unit of these in that of the mapping."""
     return {"elevator_speed": (speed_limits(machine, np.nan), RPM), "plate_angle": (angle_limits(np.nan), radians(1.0))}
 
 
-def _leaping_share(parts: list[tuple[Array, Array, Array]], limits: RivalLimits, unit: float) -> float:
+def _leaping_share(parts: list[tuple[Array, Array, Array]], limits: SignalLimits, unit: float) -> float:
     times, values, _ = (np.concatenate(column) for column in zip(*parts, strict=True))
     known = np.isfinite(values)
     times, values = times[known], values[known] * unit
@@ -102,7 +102,7 @@ def _leaping_share(parts: list[tuple[Array, Array, Array]], limits: RivalLimits,
         return 0.0
     edges = np.arange(times[0], times[-1] + 1.0)
     bounds = np.searchsorted(np.maximum.accumulate(times), edges)
-    return float(np.mean(RivalWatch(limits).take(times, values, bounds, edges) > 0))
+    return float(np.mean(DuplicateSenderWatch(limits).take(times, values, bounds, edges) > 0))
 
 
 def impact_name(number: int) -> str:

@@ -17,7 +17,7 @@ from yieldmon.errors import InputError
 from yieldmon.estimation.estimators import estimator_of
 from yieldmon.files.crops import crops, find_crop, misspelt, shipped_name
 from yieldmon.service.assembly import calibration_age_s
-from yieldmon.service.history import load_names, relearning
+from yieldmon.service.history import load_names, undo
 from yieldmon.service.history.journal import Journal
 from yieldmon.service.history.reference_loads import StoredLoad
 from yieldmon.service.operator.control_protocol import Answer
@@ -197,7 +197,7 @@ def _tickets(order: Order) -> Tickets:
 
 def _ticket_undo(order: Order) -> TicketUndone:
     number = order.request.number_of("ticket", "ticket")
-    return relearning.without_ticket(number, order)
+    return undo.without_ticket(number, order)
 
 
 def _calibrations(order: Order) -> Calibrations:
@@ -206,7 +206,7 @@ def _calibrations(order: Order) -> Calibrations:
 
 def _calibration_undo(order: Order) -> CalibrationUndone:
     version = order.request.number_of("version", "version")
-    return relearning.without_version(version, order)
+    return undo.without_version(version, order)
 
 
 def _zero(order: Order) -> ZeroStarted:

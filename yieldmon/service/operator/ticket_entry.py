@@ -15,7 +15,7 @@ from yieldmon.errors import InputError
 from yieldmon.estimation.estimators import estimator_of
 from yieldmon.files import ticket_file
 from yieldmon.files.crops import shipped_name
-from yieldmon.service.history.relearning import why_no_reference, without_replaced
+from yieldmon.service.history.undo import why_no_reference, without_replaced
 from yieldmon.service.operator.control_protocol import TICKET_KG
 from yieldmon.service.operator.order import Order, covered_loads
 from yieldmon.service.operator.requests import Request

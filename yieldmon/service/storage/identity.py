@@ -15,7 +15,7 @@ from time import time
 
 from yieldmon.bounded_sqlite import address
 from yieldmon.service.storage.checksums import row_checksum
-from yieldmon.service.storage.store_file import has_journal, prepared, unwritten, witnessed_store
+from yieldmon.service.storage.store_file import has_journal, last_noted_store, prepared, unwritten
 from yieldmon.service.storage.store_names import parts
 
 MARK = "identity"
@@ -78,7 +78,7 @@ def detach_foreign_journal(path: Path) -> str:
     is to be said, empty where nothing was done. Raises OSError."""
     if not has_journal(path) or not path.exists() or not path.stat().st_size:
         return ""
-    noted = witnessed_store(path)
+    noted = last_noted_store(path)
     alone, together = _identities(path, journal=False), _identities(path, journal=True)
     strange = are_two(*together) or are_two(noted, together[0])
     if not strange or alone[0] == NONE or are_two(*alone) or are_two(noted, alone[0]):

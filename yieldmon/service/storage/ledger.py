@@ -1,4 +1,4 @@
-"""What stands of tickets, postings and calibrations, after all that took something back."""
+"""What stands of tickets, loads measured again and calibrations, after all that took something back."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from yieldmon.service.storage.batch import Action, Load, Ticket
 
 TICKET, TICKET_UNDO, ZERO, ZERO_UNDO = "ticket", "ticket-undo", "zero", "zero-undo"
-PARAMETERS, PARAMETERS_UNDO, POSTING, TOTALS_RESET = "parameters", "parameters-undo", "posting", "totals-reset"
+PARAMETERS, PARAMETERS_UNDO, REMEASURED, TOTALS_RESET = "parameters", "parameters-undo", "posting", "totals-reset"
 LOAD_NAMES = "load-names"
 """Another field or crop for loads."""
 CROP, UNDO = "crop", "undo"
@@ -85,8 +85,8 @@ class Ledger:
 
     def _row(self, load: Load, found: tuple[int, Ticket] | None, scale: float) -> ListedLoad:
         """scale: corrected mass over what the load holds as measured again, or as measured."""
-        posted = self.factors.get(load.number)
-        factor = scale * (1.0 if posted is None else posted)
+        again = self.factors.get(load.number)
+        factor = scale * (1.0 if again is None else again)
         return {
             "number": load.number,
             "field": load.field,
@@ -96,7 +96,7 @@ class Ledger:
             "mass_kg": load.mass_kg,
             "dry_mass_kg": load.dry_mass_kg,
             "area_m2": load.area_m2,
-            "posted_mass_kg": None if posted is None else load.mass_kg * posted,
+            "posted_mass_kg": None if again is None else load.mass_kg * again,
             "ticket_mass_kg": None if found is None else found[1].weighed_mass_kg,
             "corrected_mass_kg": load.mass_kg * factor,
             "corrected_dry_mass_kg": None if load.dry_mass_kg is None else load.dry_mass_kg * factor,
@@ -159,7 +159,7 @@ def ledger(tickets: Sequence[Ticket], actions: Iterable[Action]) -> Ledger:
     undone = undone_versions(known)
     factors: dict[int, float] = {}
     for action in known:
-        stands = action.kind == POSTING and action.document["version"] not in undone
+        stands = action.kind == REMEASURED and action.document["version"] not in undone
         if stands and not gone.intersection(action.document["tickets"]):
             factors.update({int(number): float(factor) for number, factor in action.document["factors"].items()})
     return Ledger({n: t for n, t in enumerate(tickets, 1) if n not in gone}, factors)

@@ -40,10 +40,10 @@ from yieldmon.service.storage.store_file import (
     in_memory,
     is_orphaned,
     looks_like_a_store,
+    note_commit,
     prepared,
     read_only,
     unwritten,
-    witness,
 )
 from yieldmon.service.storage.store_names import parts
 from yieldmon.service.storage.store_sql import statements, write, write_in_part, write_mark
@@ -58,7 +58,7 @@ _GONE = frozenset({errno.ENOENT, errno.ENOTDIR, errno.ELOOP})
 _WAIT_S = 2.0
 #: Rows taken away at a time, so that making room never holds up a second's commit for long.
 _PRUNE_ROWS = 2000
-#: Updates that a posting may reach back over.
+#: Updates that measuring again may reach back over.
 _KEPT_STEPS = 5000
 #: To which SQLite shortens a journal that was longer, when it begins it anew.
 _JOURNAL_BYTES = 4 * 1024 * 1024
@@ -243,7 +243,7 @@ class Store(StoredRows):
             yield self.last_batch(), identity
 
     def _committed(self, last: int, identity: int) -> None:
-        witness(self.path, last, identity)
+        note_commit(self.path, last, identity)
         for part in parts(self.path)[:2]:
             with suppress(OSError):
                 self._sizes[part] = min(part.stat().st_size, _JOURNAL_BYTES if part != self.path else sys.maxsize)

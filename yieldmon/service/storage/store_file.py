@@ -19,14 +19,14 @@ from yieldmon.service.folders import where_sqlite_writes
 from yieldmon.service.storage import schema
 from yieldmon.service.storage.checksums import row_checksum
 from yieldmon.service.storage.store_errors import StoreError
-from yieldmon.service.storage.store_names import SQLITE_MAGIC, file_state, parts, witness_path
+from yieldmon.service.storage.store_names import SQLITE_MAGIC, commit_note_path, file_state, parts
 
 _LARGEST_VALUE_BYTES = 16 * 1024 * 1024
 _DEFENSIVE = 1010
 """sqlite3.SQLITE_DBCONFIG_DEFENSIVE, from Python 3.12 on"""
 #: Processor time that reading a store which somebody else made may take, s: a part, and so much for each megabyte of it.
 _READING_S, _READING_S_PER_MB = 10.0, 1.0
-_WITNESS_BYTES = 64
+_NOTE_BYTES = 64
 _NOT_WAITING = os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOFOLLOW
 """Opening a pipe would wait for its other end."""
 _NO_INDEX = (8, 10, 14)
@@ -100,39 +100,39 @@ def header_problem(path: Path) -> str | None:
     return None
 
 
-def witness(path: Path, batch: int, identity: int = 0) -> None:
+def note_commit(path: Path, batch: int, identity: int = 0) -> None:
     """Note beside the store that a batch was committed, and to which store. A journal that is cut short, or a store put back from
     a copy, looks like a sound one: this says how far it had come. What cannot be noted is not."""
     line = f"{batch} {row_checksum('witness', batch)} {identity} {row_checksum('witness', batch, identity)}\n".encode()
     with suppress(OSError):
-        descriptor = os.open(witness_path(path), os.O_WRONLY | os.O_CREAT | _NOT_WAITING, 0o600)
+        descriptor = os.open(commit_note_path(path), os.O_WRONLY | os.O_CREAT | _NOT_WAITING, 0o600)
         try:
-            os.pwrite(descriptor, line.ljust(_WITNESS_BYTES), 0)
+            os.pwrite(descriptor, line.ljust(_NOTE_BYTES), 0)
         finally:
             os.close(descriptor)
 
 
 def note_beginning(path: Path) -> None:
     """Note that a store is kept here, before its first commit: whatever becomes of its file, it is ours to repair."""
-    if not os.path.lexists(witness_path(path)):
-        witness(path, 0)
+    if not os.path.lexists(commit_note_path(path)):
+        note_commit(path, 0)
 
 
-def witnessed(path: Path) -> int:
-    """The last batch that `witness` noted, 0 where there is no such note or it is damaged."""
+def last_noted_batch(path: Path) -> int:
+    """The last batch that `note_commit` noted, 0 where there is no such note or it is damaged."""
     return _noted(path)[0]
 
 
-def witnessed_store(path: Path) -> int:
-    """The identity of the store that `witness` noted the last batch of, 0 where it is not known."""
+def last_noted_store(path: Path) -> int:
+    """The identity of the store that `note_commit` noted the last batch of, 0 where it is not known."""
     return _noted(path)[1]
 
 
 def _noted(path: Path) -> tuple[int, int]:
     try:
-        descriptor = os.open(witness_path(path), os.O_RDONLY | _NOT_WAITING)
+        descriptor = os.open(commit_note_path(path), os.O_RDONLY | _NOT_WAITING)
         try:
-            words = os.read(descriptor, _WITNESS_BYTES).split()
+            words = os.read(descriptor, _NOTE_BYTES).split()
         finally:
             os.close(descriptor)
         # A note of an earlier version has no identity.
@@ -265,7 +265,7 @@ def set_aside(path: Path, label: str) -> Path:
     return aside
 
 
-def refuse_stranger(path: Path, fstab: Path = Path("/etc/fstab")) -> None:
+def refuse_foreign_file(path: Path, fstab: Path = Path("/etc/fstab")) -> None:
     """To be asked before a daemon makes or repairs its store: nothing of somebody else's is touched.
 
     Raises InputError for a file that is no store and never was one, and for a path below a mount point of `fstab` where nothing
@@ -282,7 +282,7 @@ def refuse_stranger(path: Path, fstab: Path = Path("/etc/fstab")) -> None:
             begin = file.read(64)
     except OSError:
         return
-    a_store_was_here = begin.startswith(SQLITE_MAGIC) or not begin.strip(b"\0") or os.path.lexists(witness_path(path))
+    a_store_was_here = begin.startswith(SQLITE_MAGIC) or not begin.strip(b"\0") or os.path.lexists(commit_note_path(path))
     if not a_store_was_here:
         raise InputError(
             str(path), "is not a store; it is left as it is", "a store, or the name of a file that does not exist yet"

@@ -18,7 +18,7 @@ def rollback_path(path: Path) -> Path:
     return path.with_name(f"{path.name}-journal")
 
 
-def witness_path(path: Path) -> Path:
+def commit_note_path(path: Path) -> Path:
     """The note of the last batch that was committed."""
     return path.with_name(f"{path.name}.last")
 
@@ -51,16 +51,16 @@ def file_state(path: Path) -> tuple[int, int]:
 
 def beside(path: Path) -> tuple[Path, ...]:
     """The files that are made beside a store while it is in use."""
-    return (*parts(path)[1:], witness_path(path))
+    return (*parts(path)[1:], commit_note_path(path))
 
 
 def names_beside(path: Path) -> tuple[Path, ...]:
     """Every name beside a store's that the service or SQLite gives to a file, but for those set aside, which have a time."""
     made = (being_made_path(path), repaired_path(path))
     of_sqlite = [part for file in (path, *made) for part in (*parts(file)[1:], rollback_path(file))]
-    return (*made, *of_sqlite, lock_path(path), witness_path(path), ready_path(path))
+    return (*made, *of_sqlite, lock_path(path), commit_note_path(path), ready_path(path))
 
 
 def kept(path: Path) -> tuple[Path, ...]:
     """The files of a store that cannot be made from others."""
-    return (*parts(path)[:2], witness_path(path))
+    return (*parts(path)[:2], commit_note_path(path))

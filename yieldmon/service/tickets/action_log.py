@@ -97,19 +97,19 @@ class ActionLog:
         self.wait_no_more([number])
         return ticket
 
-    def post_again(self, number: int) -> None:
+    def remeasure_again(self, number: int) -> None:
         """A ticket of an earlier parameter file, that was replaced, stands again: so does what loads were measured again with by
         what went with it, as nothing learns it anew."""
         for tickets, factors in self._history.factors_with(number).items():
             self._post(tickets, 0, factors)
 
-    def posted_by_crop(self, factors: Mapping[int, float], now_s: float) -> None:
+    def remeasured_by_crop(self, factors: Mapping[int, float], now_s: float) -> None:
         """Loads that are of another crop than they were measured with were measured again with its parameters."""
         self._post((), 0, factors, now_s)
 
     def _post(self, tickets: Sequence[int], version: int, factors: Mapping[int, float], now_s: float | None = None) -> None:
         by_load = {str(load): factor for load, factor in sorted(factors.items())}
-        self.add(ledgers.POSTING, "", {"tickets": list(tickets), "version": version, "factors": by_load}, now_s)
+        self.add(ledgers.REMEASURED, "", {"tickets": list(tickets), "version": version, "factors": by_load}, now_s)
 
     # Tickets that are to update the parameters
 
@@ -202,7 +202,7 @@ class ActionLog:
         """As `RemeasuringQueue` has it."""
         return self._remeasuring.closed_load(open_load, self._history)
 
-    def posted(
+    def remeasured(
         self,
         tickets: Sequence[int],
         version: int,

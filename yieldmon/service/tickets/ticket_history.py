@@ -36,7 +36,7 @@ class TicketHistory:
 
     @cached_property
     def ledger(self) -> ledgers.Ledger:
-        """Tickets and postings that stand."""
+        """Tickets and factors of loads measured again, that stand."""
         return ledgers.ledger(self.tickets, self.actions)
 
     @cached_property
@@ -170,8 +170,10 @@ class TicketHistory:
     def lost_measurements(self) -> tuple[int, ...]:
         """Numbers of the standing tickets that updated the parameters in use, of whose loads no measurement after them stands."""
         undone, standing = self.undone_versions, self.ledger.tickets
-        posted = (a.document for a in self.actions if a.kind == ledgers.POSTING and a.document["version"] not in undone)
-        measured = {number for document in posted if set(document["tickets"]) <= set(standing) for number in document["tickets"]}
+        remeasured = (a.document for a in self.actions if a.kind == ledgers.REMEASURED and a.document["version"] not in undone)
+        measured = {
+            number for document in remeasured if set(document["tickets"]) <= set(standing) for number in document["tickets"]
+        }
         learnt = self.newest_version.items()
         return tuple(sorted(n for n, v in learnt if n in standing and n not in measured and v > self.calibrated_version))
 
@@ -204,7 +206,7 @@ class TicketHistory:
         found = dict[int, tuple[float, tuple[int, ...]]]()
         for action in self.actions:
             document = action.document
-            if action.kind != ledgers.POSTING or not self.counting.issuperset(document["tickets"]):
+            if action.kind != ledgers.REMEASURED or not self.counting.issuperset(document["tickets"]):
                 continue
             again, stands = document["version"] in versions, document["version"] not in self.undone_versions
             for load, factor in document["factors"].items() if again or stands else ():

@@ -138,33 +138,33 @@ class BusNode:
         if event.kind is BusEventKind.INTERFACE_RESTORED:
             self.claim_address()
 
-    def hear(self, message: can.Message) -> Sequence[Frame]:
+    def receive(self, message: can.Message) -> Sequence[Frame]:
         """The frames for the engine that a message brings; the network's are answered, and another node's of ours reported."""
-        heard: Sequence[Frame] = ()
+        received: Sequence[Frame] = ()
         published: Sequence[str] = ()
         try:
-            heard, published = self._inputs.heard(message)
+            received, published = self._inputs.receive(message)
         except FrameError as error:
             # To the network it may still be a frame, the last one of a message that is too short for the mapping.
             self._malformed += 1
             if self._malformed == 1:
                 _log.warning("%s", error)
-        if not heard and not published:
+        if not received and not published:
             published = self._of_a_rival(message)
         concerned = self._link.concerns(message)
         mapped = self._outputs.name_of(message, self._link.address) if self._outputs.sends else None
         if (concerned or published or mapped) and self.transmitter.is_echo(message):
             return ()
         if concerned:
-            self._sender.send(self._link.hear(message, self._clock()))
-        if heard:
-            self.time.ours_s = heard[-1].time_s
+            self._sender.send(self._link.receive(message, self._clock()))
+        if received:
+            self.time.ours_s = received[-1].time_s
         if published and self._configuration.outputs.shipped:
             for name in published:
                 self.faults.conflict(name, monotonic())
         if mapped:
             self.faults.conflict(mapped, monotonic())
-        return heard
+        return received
 
     def _of_a_rival(self, message: can.Message) -> Sequence[str]:
         """The name of a frame that another monitor sends from an address of its own."""

@@ -23,7 +23,7 @@ class BusTime:
         """Bus time of the last frame, whoever sent it; None before the first."""
         return None if self._last is None else self._last[0]
 
-    def heard(self, bus_s: float, now_s: float) -> None:
+    def frame_came(self, bus_s: float, now_s: float) -> None:
         """A frame with this time stamp has come, at this monotonic time."""
         self._last = (bus_s, now_s)
 

@@ -15,7 +15,7 @@ from yieldmon.signals.mapping import SignalMap
 
 
 class InputFrames:
-    """One bus as one engine hears it."""
+    """One bus as one engine receives it."""
 
     def __init__(self, codec: Codec, signals: SignalMap) -> None:
         self._codec = codec
@@ -33,9 +33,9 @@ class InputFrames:
 
     def frames(self, message: can.Message) -> list[Frame]:
         """The frames for the engine that a message brings, usually none or one. Raises FrameError for one of the wrong length."""
-        return self.heard(message)[0]
+        return self.receive(message)[0]
 
-    def heard(self, message: can.Message) -> tuple[list[Frame], Sequence[str]]:
+    def receive(self, message: can.Message) -> tuple[list[Frame], Sequence[str]]:
         """The same, and the names of frames in it that only a yield monitor sends."""
         if message.is_error_frame or message.is_remote_frame:
             return [], ()

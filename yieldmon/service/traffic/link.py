@@ -36,10 +36,10 @@ class Link(Protocol):
         """Whether an address is being claimed, for which poll() is to be called every few milliseconds."""
 
     def filters(self) -> list[CanFilter]:
-        """What the link wants to hear."""
+        """What the link receives."""
 
     def concerns(self, message: can.Message) -> bool:
-        """Whether hear() has a use for a message."""
+        """Whether receive() has a use for a message."""
 
     def is_rival(self, address: int) -> bool:
         """Whether another monitor of the same kind, by its NAME, has claimed this address."""
@@ -47,7 +47,7 @@ class Link(Protocol):
     def start(self, now_s: float) -> list[can.Message]:
         """Begin, anew when the bus has come back."""
 
-    def hear(self, message: can.Message, now_s: float) -> list[can.Message]:
+    def receive(self, message: can.Message, now_s: float) -> list[can.Message]:
         """Take a message of another node; what is to be sent for it."""
 
     def poll(self, now_s: float) -> list[can.Message]:
@@ -121,7 +121,7 @@ class FixedLink:
         """See Link."""
         return []
 
-    def hear(self, message: can.Message, now_s: float) -> list[can.Message]:
+    def receive(self, message: can.Message, now_s: float) -> list[can.Message]:
         """See Link."""
         return []
 

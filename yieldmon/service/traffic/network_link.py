@@ -145,14 +145,14 @@ class NetworkLink:
         """See Link."""
         return self._followed(self._node.start(now_s), now_s)
 
-    def hear(self, message: can.Message, now_s: float) -> list[can.Message]:
+    def receive(self, message: can.Message, now_s: float) -> list[can.Message]:
         """See Link."""
         identifier, data = message.arbitration_id, bytes(message.data)
-        heard = self._node.feed(identifier, data, now_s)
-        out = self._followed(heard.frames, now_s)
+        answer = self._node.feed(identifier, data, now_s)
+        out = self._followed(answer.frames, now_s)
         parts = Identifier.of(identifier)
         if self._client is not None and self._client_at is not None:
-            received = [(p.group, p.source, p.destination, p.data) for p in heard.payloads]
+            received = [(p.group, p.source, p.destination, p.data) for p in answer.payloads]
             if parts.group in (PROCESS_DATA, ACKNOWLEDGEMENT):
                 received.append((parts.group, parts.source, parts.destination, data))
             for group, source, destination, content in received:

@@ -87,7 +87,7 @@ class SideInputs:
         """When a source that the DBC does not have last spoke."""
 
     def filters(self) -> list[CanFilter]:
-        """What this wants to hear."""
+        """Identifiers that this receives."""
         entries = [(group << 8, GROUP_MASK) for group in sorted(GROUPS)]
         for identities, mask in ((self._factory_broadcast, IDENTITY_MASK), (self._factory_addressed, _ADDRESSED_MASK)):
             entries += [(identity, mask) for identity in identities.tolist()]
@@ -109,23 +109,23 @@ class SideInputs:
         """The same for a whole block of a log, the blocks in order."""
         others, native = self._rows(block)
         silent = not others.size and (not len(block) or abs(float(block.time_s[0]) - self._other_s) > TIMEOUT_S)
-        heard, ignored = self._readings_of(block, others, native)
+        received, ignored = self._readings_of(block, others, native)
         if silent and not ignored:
-            self._remember(heard, block)
+            self._remember(received, block)
             return decoded
         parts: dict[str, list[MessageColumns]] = {VEHICLE_POSITION: [], VEHICLE_DIRECTION_SPEED: []}
         for name, group in zip(parts, _IN_THE_DBC, strict=True):
             if name in decoded.messages:
-                parts[name].append(self._unless_superseded_block(decoded.messages[name], group, heard, ignored))
+                parts[name].append(self._unless_superseded_block(decoded.messages[name], group, received, ignored))
         known = np.concatenate([decoded.messages[name].rows for name in parts if name in decoded.messages] or [others[:0]])
-        for columns in self._navigation_columns(heard, known):
+        for columns in self._navigation_columns(received, known):
             parts[columns.name].append(columns)
         factory = [
             (row, frame)
             for row in self._factory_rows(block, others).tolist()
             for frame in self._frames(int(block.can_id[row]) & ~EXTENDED_FLAG, _data(block, row), float(block.time_s[row]), None)
         ]
-        self._remember(heard, block)
+        self._remember(received, block)
         found = {name: merged(columns) for name, columns in parts.items() if any(part.rows.size for part in columns)}
         if factory:
             found[FACTORY_MONITOR] = _columns(FACTORY_MONITOR, factory)
@@ -157,7 +157,7 @@ class SideInputs:
         """What a block says of position, speed and course, and what further senders of a group say."""
         rows = np.sort(np.concatenate((others, native)))
         groups = _groups(block.can_id[rows])
-        heard: BlockReadings = {}
+        received: BlockReadings = {}
         reports: list[FixReport] = []
         latest = -1
         for group in np.unique(groups).tolist():
@@ -165,28 +165,28 @@ class SideInputs:
             if group not in GROUPS:
                 continue
             if group in FAST_PACKET_GROUPS:
-                here = self._fast_packets(block, here, heard, reports)
+                here = self._fast_packets(block, here, received, reports)
             else:
-                heard |= read_block(group, here, block.time_s[here], block.payload[here], block.length[here])
+                received |= read_block(group, here, block.time_s[here], block.payload[here], block.length[here])
             if group not in _IN_THE_DBC and here.size:
                 latest = max(latest, int(here[-1]))
         if latest >= 0:
             self._other_s = float(block.time_s[latest])
         ignored: _Ignored = {}
-        for key in [key for key in heard if key[1] == POSITION_RAPID]:
-            column = heard[key]
+        for key in [key for key in received if key[1] == POSITION_RAPID]:
+            column = received[key]
             sources = block.can_id[column.rows] & np.uint32(SOURCE_MASK)
-            heard[key] = taken_column(column, with_fix(self._navigation, column, sources, reports))
+            received[key] = taken_column(column, with_fix(self._navigation, column, sources, reports))
         for report in reports:
             self._navigation.note_fix(report.source, report.time_s, report.has_fix)
-        for key, column in heard.items():
+        for key, column in received.items():
             counts = of_first_sender(self._navigation, *key, column, block.can_id[column.rows] & np.uint32(SOURCE_MASK))
             if not counts.all():
-                ignored[key], heard[key] = column.rows[~counts], taken_column(column, counts)
-        return heard, ignored
+                ignored[key], received[key] = column.rows[~counts], taken_column(column, counts)
+        return received, ignored
 
     def _fast_packets(
-        self, block: FrameBlock, rows: NDArray[np.intp], heard: BlockReadings, reports: list[FixReport]
+        self, block: FrameBlock, rows: NDArray[np.intp], received: BlockReadings, reports: list[FixReport]
     ) -> NDArray[np.intp]:
         """Adds what fast packets in these rows say; returns the rows with which one was whole."""
         whole = []
@@ -202,19 +202,19 @@ class SideInputs:
                     found.setdefault((reading.quantity, reading.group), []).append((row, reading.value))
         for key, readings in found.items():
             at = np.array([row for row, _ in readings], np.intp)
-            heard[key] = Column(at, block.time_s[at], np.array([value for _, value in readings]))
+            received[key] = Column(at, block.time_s[at], np.array([value for _, value in readings]))
         return np.array(whole, np.intp)
 
-    def _remember(self, heard: BlockReadings, block: FrameBlock) -> None:
+    def _remember(self, received: BlockReadings, block: FrameBlock) -> None:
         """The block is over: its last readings are what the next one begins with."""
-        for (quantity, group), column in heard.items():
+        for (quantity, group), column in received.items():
             if column.rows.size:
                 row = int(column.rows[-1])
                 source = int(block.can_id[row]) & 0xFF
                 self._navigation.remember(Reading(float(column.time_s[-1]), quantity, float(column.values[-1]), group, source))
 
     def _unless_superseded_block(
-        self, columns: MessageColumns, group: int, heard: BlockReadings, ignored: _Ignored
+        self, columns: MessageColumns, group: int, received: BlockReadings, ignored: _Ignored
     ) -> MessageColumns:
         """The DBC's frames without the signals for which a better source speaks, and without those of which nothing is left."""
         signals: dict[str, SignalColumn] = {}
@@ -224,7 +224,7 @@ class SideInputs:
             if quantity is None:
                 signals[name], left = column, np.ones_like(left)
                 continue
-            best = best_groups(self._navigation, heard, quantity, columns.rows, columns.time_s)
+            best = best_groups(self._navigation, received, quantity, columns.rows, columns.time_s)
             kept = (best == 0) | (best == group)
             if (quantity, group) in ignored:
                 kept &= ~np.isin(columns.rows, ignored[quantity, group])
@@ -234,11 +234,11 @@ class SideInputs:
                 signals[name] = SignalColumn(np.where(kept, column.values, np.nan), status)
         return taken(MessageColumns(columns.name, columns.rows, columns.time_s, signals), left)
 
-    def _navigation_columns(self, heard: BlockReadings, decoded: NDArray[np.intp]) -> Iterator[MessageColumns]:
+    def _navigation_columns(self, received: BlockReadings, decoded: NDArray[np.intp]) -> Iterator[MessageColumns]:
         """Frames for the readings of the best sources, those of decoded frames apart."""
         best = {
-            key: taken_column(column, best_groups(self._navigation, heard, key[0], column.rows, column.time_s) == key[1])
-            for key, column in heard.items()
+            key: taken_column(column, best_groups(self._navigation, received, key[0], column.rows, column.time_s) == key[1])
+            for key, column in received.items()
             if key[0] in _USED
         }
         for group in dict.fromkeys(group for _, group in best):

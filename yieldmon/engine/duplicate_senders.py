@@ -27,7 +27,7 @@ _TANK_LONGEST_LEAP_S, _TANK_MEMORY_S = 1.5, 3.0
 
 
 @dataclass(frozen=True, slots=True)
-class RivalLimits:
+class SignalLimits:
     """What one sender of an input does: a value every interval_s (nan: not known), none further from the one before it than step
     and rate times the time between them. step, rate: in the input's unit, and that per second."""
 
@@ -36,15 +36,15 @@ class RivalLimits:
     rate: float
 
 
-def speed_limits(machine: Machine, interval_s: float) -> RivalLimits:
+def speed_limits(machine: Machine, interval_s: float) -> SignalLimits:
     """Of the elevator's speed, rad/s."""
     nominal = machine.nominal_elevator_speed_rad_s
-    return RivalLimits(interval_s, _SPEED_STEP * nominal, _SPEED_RATE_PER_S * nominal)
+    return SignalLimits(interval_s, _SPEED_STEP * nominal, _SPEED_RATE_PER_S * nominal)
 
 
-def angle_limits(interval_s: float) -> RivalLimits:
+def angle_limits(interval_s: float) -> SignalLimits:
     """Of the plate's angle, rad."""
-    return RivalLimits(interval_s, radians(_ANGLE_STEP_DEG), radians(_ANGLE_RATE_DEG_S))
+    return SignalLimits(interval_s, radians(_ANGLE_STEP_DEG), radians(_ANGLE_RATE_DEG_S))
 
 
 class Crowding:
@@ -72,10 +72,10 @@ class Crowding:
         return np.floor(np.maximum(arrived - possible, 0.0)).astype(np.intp)
 
 
-class RivalWatch:
+class DuplicateSenderWatch:
     """Judges the values of one input, window by window; a leap up counts with one down in the same window or the one before."""
 
-    def __init__(self, limits: RivalLimits) -> None:
+    def __init__(self, limits: SignalLimits) -> None:
         self._limits = limits
         self._last_time_s = self._last_value = float("nan")
         self._before = (0, 0)

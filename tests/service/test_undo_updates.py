@@ -16,7 +16,7 @@ from tests.service.test_tickets_after_restart import TRUE, Season, ask
 from yieldmon.cli import main as cli
 from yieldmon.cli._records import back, taken_back
 from yieldmon.files import parameter_file
-from yieldmon.service.history import poster
+from yieldmon.service.history import remeasuring_thread
 from yieldmon.service.logs import recorded
 from yieldmon.service.storage.store import Store
 
@@ -50,7 +50,7 @@ def settle(season: Season, bench) -> None:
         bench.play(1, 0.0)
         bench.played()
         # In as few seconds as it takes: what comes of each is in the store before the next.
-        wait_for(lambda: all(thread.name != "posting" for thread in threading.enumerate()), "loads that are measured again")
+        wait_for(lambda: all(thread.name != "remeasuring" for thread in threading.enumerate()), "loads that are measured again")
         wait_for(lambda: last_second(season) >= bench.rows[-1]["time_s"], "the second's record")
         with Store(season.folder / "yieldmon.sqlite") as store:
             return not bench.daemon.monitor.masses_wait and not store.state()["unfinished_tickets"]
@@ -251,8 +251,8 @@ def test_a_ticket_whose_loads_are_being_measured_again_counts_once_after_an_undo
     undo: str, never, tmp_path, monkeypatch
 ) -> None:
     """The next one's version names it as well, though its own stands: it updated the parameters a second time."""
-    season, held, of_store = Season(tmp_path / "a"), threading.Event(), poster.of_store
-    monkeypatch.setattr(poster, "of_store", lambda *args, **more: of_store(*args, **more) if held.wait(60.0) else {})
+    season, held, of_store = Season(tmp_path / "a"), threading.Event(), remeasuring_thread.of_store
+    monkeypatch.setattr(remeasuring_thread, "of_store", lambda *args, **more: of_store(*args, **more) if held.wait(60.0) else {})
     with running(season.folder) as bench:
         season.harvest(bench)
         enter(season, bench, [*RIGHT, (5, 1.01 * TRUE)])

@@ -9,16 +9,23 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from yieldmon.engine.rivals import RivalLimits, RivalWatch, TankWatch, angle_limits, speed_limits, tank_leaps
+from yieldmon.engine.duplicate_senders import (
+    DuplicateSenderWatch,
+    SignalLimits,
+    TankWatch,
+    angle_limits,
+    speed_limits,
+    tank_leaps,
+)
 from yieldmon.physics.machine import Machine
 
-LIMITS = RivalLimits(interval_s=0.1, step=5.0, rate=10.0)
+LIMITS = SignalLimits(interval_s=0.1, step=5.0, rate=10.0)
 """Ten values a second, none 6 from the one a tenth of a second before it."""
 
 
-def judged(windows: list[list[float]], limits: RivalLimits = LIMITS, at_once: bool = True) -> list[int]:
+def judged(windows: list[list[float]], limits: SignalLimits = LIMITS, at_once: bool = True) -> list[int]:
     """Values of each second that a second sender accounts for; a window's values are spread over it."""
-    watch, found = RivalWatch(limits), list[int]()
+    watch, found = DuplicateSenderWatch(limits), list[int]()
     groups = [range(len(windows))] if at_once else [[k] for k in range(len(windows))]
     for group in groups:
         times = [k + (n + 0.5) / max(1, len(windows[k])) for k in group for n in range(len(windows[k]))]
@@ -46,7 +53,7 @@ def test_more_values_than_one_sender_has(counts: list[int], expected: list[int],
 
 
 def test_without_a_known_cycle_there_are_never_too_many() -> None:
-    assert judged([[50.0] * 10, [50.0] * 200], RivalLimits(nan, 5.0, 10.0)) == [0, 0]
+    assert judged([[50.0] * 10, [50.0] * 200], SignalLimits(nan, 5.0, 10.0)) == [0, 0]
 
 
 STEADY = [50.0] * 10
@@ -83,7 +90,7 @@ def test_values_that_leap_both_ways(windows: list[list[float]], expected: list[i
 )  # fmt: skip
 def test_a_leap_is_more_than_step_and_rate_within_half_a_second(step_s: float, change: float, leaps: bool) -> None:
     """In numbers that binary fractions hold: 5 and 10 a second are met exactly, and missed by an eighth."""
-    watch = RivalWatch(RivalLimits(nan, 5.0, 10.0))
+    watch = DuplicateSenderWatch(SignalLimits(nan, 5.0, 10.0))
     times = np.array([1.0, 1.0 + step_s, 1.0 + step_s + max(0.0, step_s)])
     found = watch.take(times, np.array([50.0, 50.0 + change, 50.0]), np.array([0, 3]), np.array([0.0, 3.0]))
     assert found.tolist() == [2 * leaps]
@@ -109,7 +116,7 @@ NOMINAL = Machine().nominal_elevator_speed_rad_s
     ],
     ids=["a clutch", "faster than a clutch", "a plate", "faster than a plate"],
 )
-def test_the_machine_is_no_faster_than_that(limits: RivalLimits, value: float, change: float, leaps: bool) -> None:
+def test_the_machine_is_no_faster_than_that(limits: SignalLimits, value: float, change: float, leaps: bool) -> None:
     """In a tenth of a second: a seventh of the nominal speed and all of it in a second; 1.5 degrees and 40 in a second."""
     assert judged([[value] * 4 + [value + change] + [value] * 5], limits) == [2 * leaps]
 

@@ -140,7 +140,7 @@ def _without(number: int, context: RequestContext, *, stands: Sequence[int], rep
     else:
         actions.undo_ticket(number, context.who, context.now_s)
         for older in of_file_before:
-            actions.post_again(older)
+            actions.remeasure_again(older)
     after = actions.history
     undone = after.undone_versions - undone_before
     # Those that it replaced update again, each before the tickets after it.

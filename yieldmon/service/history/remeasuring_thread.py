@@ -1,4 +1,4 @@
-"""Postings on a thread of their own: which loads are to be measured again, and what came of it."""
+"""Measures loads again on a thread of its own, and takes over the result."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 from yieldmon.engine.monitor_view import MonitorView
 from yieldmon.physics.machine import Machine
 from yieldmon.service.history.journal import Journal
-from yieldmon.service.history.posting import at_its_end, of_store
+from yieldmon.service.history.remeasuring import at_its_end, of_store
 from yieldmon.service.tickets.action_log import ActionLog
 
 _log = logging.getLogger(__name__)
@@ -21,7 +21,7 @@ _WRITING_S = 10.0
 
 
 @dataclass(frozen=True)
-class Posting:
+class RemeasuringJob:
     """Loads that are to be measured again.
 
     Parameters
@@ -49,16 +49,16 @@ class Posting:
 
 
 @dataclass(frozen=True)
-class Posted:
-    """What came of a posting. version: of the parameters that its loads were measured with; factors: by load, none where they
+class RemeasuringResult:
+    """The result of a job. version: of the parameters that its loads were measured with; factors: by load, none where they
     could not be measured again, None where the store did not hold yet what was handed to it."""
 
-    asked: Posting
+    asked: RemeasuringJob
     version: int
     factors: Mapping[int, float] | None
 
 
-class Poster:
+class RemeasuringThread:
     """Measures loads again on a thread of its own, one job at a time."""
 
     def __init__(self, path: Path, written: Callable[[float], bool]) -> None:
@@ -66,16 +66,16 @@ class Poster:
         self._path = path
         self._written = written
         self._thread: threading.Thread | None = None
-        self._done: Posted | None = None
+        self._done: RemeasuringResult | None = None
 
     @property
     def busy(self) -> bool:
         """Whether a job is under way, or its result not taken yet."""
         return self._thread is not None
 
-    def start(self, machine: Machine, posting: Posting) -> None:
+    def start(self, machine: Machine, job: RemeasuringJob) -> None:
         """Begin a job; not while busy. Without room for a thread there is none, which is said."""
-        thread = threading.Thread(target=self._work, args=(machine, posting), name="posting", daemon=True)
+        thread = threading.Thread(target=self._work, args=(machine, job), name="remeasuring", daemon=True)
         try:
             thread.start()
         except RuntimeError as error:
@@ -97,52 +97,54 @@ class Poster:
         if actions.restored_waits or actions.measuring_waits:
             # First what an undo brought back: what tickets change after it counts.
             taken = actions.take_restored() if actions.restored_waits else actions.take_to_measure(in_use.version)
-            asked = Posting(*taken, open_load, now_s)
+            asked = RemeasuringJob(*taken, open_load, now_s)
         elif (closed := actions.closed_load(open_load)) is not None:
             number, by = closed
-            asked = Posting(by.tickets, by.version, open_load, now_s, number)
+            asked = RemeasuringJob(by.tickets, by.version, open_load, now_s, number)
         else:
             return
         self.start(machine, replace(asked, crop=journal.parameters.crop_of_version(asked.version, in_use, journal.crop)))
 
     def take_into(self, actions: ActionLog) -> bool:
         """Enter what came of the job, once; whether it brought factors, which are to be written before another job reads them."""
-        posted = self.take()
-        if posted is None:
+        result = self.take()
+        if result is None:
             return False
-        if posted.factors is None:
+        if result.factors is None:
             actions.not_measured()
             return False
-        asked = posted.asked
-        actions.posted(asked.tickets, posted.version, posted.factors, open_load=asked.open_load, closed_load=asked.closed_load)
-        return bool(posted.factors)
+        asked = result.asked
+        actions.remeasured(
+            asked.tickets, result.version, result.factors, open_load=asked.open_load, closed_load=asked.closed_load
+        )
+        return bool(result.factors)
 
-    def take(self) -> Posted | None:
+    def take(self) -> RemeasuringResult | None:
         """What came of the job, once."""
         if self._thread is None or self._thread.is_alive():
             return None
         self._thread, done, self._done = None, self._done, None
         return done
 
-    def _work(self, machine: Machine, posting: Posting) -> None:
-        found, version = dict[int, float](), posting.version
+    def _work(self, machine: Machine, job: RemeasuringJob) -> None:
+        found, version = dict[int, float](), job.version
         try:
             if not self._written(_WRITING_S):
-                self._done = Posted(posting, version, None)
+                self._done = RemeasuringResult(job, version, None)
                 return
-            if posting.closed_load is not None:
-                version = at_its_end(self._path, posting.closed_load, version)
-            undone, only = not posting.tickets, posting.closed_load
+            if job.closed_load is not None:
+                version = at_its_end(self._path, job.closed_load, version)
+            undone, only = not job.tickets, job.closed_load
             found = of_store(
                 self._path,
                 machine,
                 version,
-                posting.open_load,
-                posting.now_s,
+                job.open_load,
+                job.now_s,
                 undone_only=undone,
                 only=only,
-                crop=posting.crop,
+                crop=job.crop,
             )
         except Exception as error:  # noqa: BLE001 - what was measured stays, and measuring goes on
             _log.error("the loads could not be measured again: %s", error)
-        self._done = Posted(posting, version, found)
+        self._done = RemeasuringResult(job, version, found)

@@ -12,7 +12,7 @@ _KEPT = 16
 
 
 @dataclass(frozen=True, slots=True)
-class LearntBefore:
+class EarlierParameters:
     """values: of the parameters, by name. at_s, at_kg: bus time, s, and total, kg, at which they were learnt."""
 
     values: tuple[tuple[str, float], ...]
@@ -20,13 +20,13 @@ class LearntBefore:
     at_kg: float
 
     @classmethod
-    def from_dict(cls, data: Mapping[str, object]) -> LearntBefore:
+    def from_dict(cls, data: Mapping[str, object]) -> EarlierParameters:
         """Inverse of `dataclasses.asdict`. Raises TypeError, KeyError or ValueError."""
         values = tuple((str(name), float(value)) for name, value in data["values"])  # type: ignore[attr-defined] # from JSON
         return cls(values, float(data["at_s"]), float(data["at_kg"]))  # type: ignore[arg-type] # from JSON
 
 
-Places = tuple[LearntBefore, ...]
+Places = tuple[EarlierParameters, ...]
 """By time, the newest last."""
 
 
@@ -36,10 +36,10 @@ def remembered(places: Places, parameters: ParameterSet, at_s: float, at_kg: flo
         return places
     values = tuple(sorted((name, float(value)) for name, value in parameters.values.items()))
     others = [place for place in places if place.values != values]
-    return (*others[1 - _KEPT :], LearntBefore(values, at_s, at_kg))
+    return (*others[1 - _KEPT :], EarlierParameters(values, at_s, at_kg))
 
 
-def place_of(places: Sequence[LearntBefore], parameters: ParameterSet) -> LearntBefore | None:
+def place_of(places: Sequence[EarlierParameters], parameters: ParameterSet) -> EarlierParameters | None:
     """Of parameters with these values; None where they are not known."""
     values = tuple(sorted((name, float(value)) for name, value in parameters.values.items()))
     return next((place for place in reversed(places) if place.values == values), None)

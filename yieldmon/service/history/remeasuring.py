@@ -1,10 +1,10 @@
-"""Posting: loads of the last days measured again with what was learnt after them.
+"""RemeasuringJob: loads of the last days measured again with what was learnt after them.
 
 A ticket in the evening also says something of the hours and days before it: a day whose one ticket is of a load at low flow
 learns from the next evening's what its grain was at high flow. The updates' steps, kept in the store, are taken without those of
 sweeps (`estimation.self_calibration.drift_updates`) and smoothed (`estimation.self_calibration.steady_drift.smoothed`), and each
 load's seconds are measured again with the parameters as the weighed masses together have them at its time. What was measured at
-first stays as it is: a posting is a factor for each load.
+first stays as it is: the result is a factor for each load.
 """
 
 from __future__ import annotations

@@ -37,13 +37,13 @@ def faults_on(configuration: Configuration, log: str, progress: Progress | None 
         windows += 1
         seconds.update((row.faults or "").split())
 
-    def hear(results: Sequence[Result]) -> None:
+    def collect(results: Sequence[Result]) -> None:
         for event in events_in(results):
             if isinstance(event, FaultEvent) and event.active:
                 said.setdefault(event.code.value, event.detail)
 
     try:
-        measure([log], configuration, take, take_results=hear, progress=progress)
+        measure([log], configuration, take, take_results=collect, progress=progress)
     except InputError:
         return []
     return [
