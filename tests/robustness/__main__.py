@@ -20,6 +20,7 @@ RUNS = {
     "monitor-load": "the live monitor on a saturated bus",
     "replay-timing": "how well a replay keeps time",
     "request-times": "requests to a daemon that measures, by the clock; none to others is answered",
+    "start-times": "starts of commands that are called often, and how much of them is importing",
     "store-damage": "random damage to the store and its journal; the daemon starts, and nothing is silently other",
     "signals": "signals in bursts at a running daemon: alive, and SIGTERM ends it",
     "fuzz-readers": "mutated logs, tables, stores and requests through every reader",
