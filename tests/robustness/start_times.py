@@ -2,7 +2,7 @@
 
     python -m tests.robustness start-times [--starts N]
 
-Every command runs in a process of its own, once to compile the modules that it imports, as pip does for a wheel, and then N times.
+Every command runs in a process of its own, once to compile the modules that it imports, as pip does for a wheel, then N times.
 Prints one JSON document, seconds by the clock: median and least of the starts, and the least sum of all imports of three more
 (`python -X importtime`); exit code 1 where imports take 0.4 s or more. A time taken on a busy machine is no figure.
 """
@@ -62,7 +62,8 @@ def measured(starts: int) -> dict[str, dict[str, float]]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run from the command line; 0: the imports of every command take less than 0.4 s."""
-    parser = argparse.ArgumentParser(prog="start-times", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    raw = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(prog="start-times", description=__doc__, formatter_class=raw)
     parser.add_argument("--starts", type=int, default=9, metavar="N", help="of each command (default 9)")
     args = parser.parse_args(argv)
     found = measured(args.starts)
