@@ -138,7 +138,7 @@ def test_pulses_that_are_no_count_that_goes_on_are_told(counted, interval_s: flo
     log = log_of(tmp_path, *cell, *((100.0 + interval_s * k, 258, bytes([counted(k), 0])) for k in range(60)))
     seen, _ = seen_in(config, log)
     told = [*remarks(config, seen), *(expected for _, _, expected in problems(config, seen, str(log)))]
-    found = [line for line in told if "pulses" in line]
+    found = [line for line in told if "pulses " in line]
     assert len(found) == len(said)
     assert all(part in line for part, line in zip(said, found, strict=True))
 
@@ -233,7 +233,7 @@ def test_values_that_an_input_cannot_have_are_said(decoded: tuple[float, float],
     seen["elevator_speed"] = QuantitySeen("rpm", 9, 0, 10.0, None, None, None, (), decoded)
     ((where, problem, expected),) = problems(config, seen, "a.log")
     assert (where, problem) == ("a.log: elevator_speed", told)
-    assert expected == "values that it can have; look at signal, unit, scale and range"
+    assert expected == "values that it can have; look at signal, unit, scale, ratio, pulses_per_turn and range"
 
 
 @pytest.mark.parametrize(

@@ -207,6 +207,41 @@ OWN_NUMBERS = (
 )
 
 
+PARTS = (
+    HEAD
+    + """BO_ 512 Inputs: 8 Node
+ SG_ BatteryVoltage : 0|16@1+ (0.1,0) [0|6553.5] "mV" Node
+ SG_ GrainForce : 16|16@1+ (0.1,0) [0|6553.5] "mV" Node
+BO_ 513 Speeds: 8 Node
+ SG_ TailingsElevatorSpeed : 0|16@1+ (0.1,0) [0|6553.5] "rpm" Node
+ SG_ CleanGrainElevatorSpeed : 16|16@1+ (0.1,0) [0|6553.5] "rpm" Node
+ SG_ RotorSpeed : 32|16@1+ (0.1,0) [0|6553.5] "rpm" Node
+BO_ 514 Angles: 8 Node
+ SG_ ChopperPlateAngle : 0|16@1+ (0.1,0) [0|6553.5] "deg" Node
+ SG_ ImpactPlateAngle : 16|16@1+ (0.1,0) [0|6553.5] "deg" Node
+"""
+)
+"""A combine's other shafts, plates and voltages before its elevator's."""
+PERIOD = (
+    HEAD
+    + """BO_ 513 Counter: 4 Node
+ SG_ CyclePeriod : 0|16@1+ (0.1,0) [0|6553.5] "ms" Node
+ SG_ PulsePeriod : 16|16@1+ (0.1,0) [0|6553.5] "ms" Node
+"""
+)
+TWO_CELLS = (
+    HEAD
+    + """BO_ 512 CellLeft: 2 Node
+ SG_ Cell : 0|16@1+ (0.1,0) [0|6553.5] "mV" Node
+BO_ 513 CellRight: 2 Node
+ SG_ Cell : 0|16@1+ (0.1,0) [0|6553.5] "mV" Node
+BO_ 514 Shafts: 4 Node
+ SG_ SpeedA : 0|16@1+ (0.1,0) [0|6553.5] "rpm" Node
+ SG_ SpeedB : 16|16@1+ (0.1,0) [0|6553.5] "rpm" Node
+"""
+)
+
+
 AMPLIFIER = (
     HEAD
     + "BO_ 512 Amplifier: 8 Node\n"
@@ -286,6 +321,49 @@ def test_channels_of_one_frame_are_one_proposal(unit: str, moves: int, first: st
             [(512, words(2900.0 + place % 2, 500.0 + 3 * (place % 90))) for place in range(200)],
             ["signal: A2, rate_hz: 100}"],
             id="values that cannot be one sensor's",
+        ),
+        pytest.param(
+            PARTS,
+            [
+                (
+                    512 + place % 3,
+                    (words(1300 + 80 * (place % 7), 20 + place % 90, 0, 0), words(380, 400, 900, 0), words(50, 70, 0, 0))[
+                        place % 3
+                    ],
+                )
+                for place in range(300)
+            ],
+            [
+                "  impact_voltage: {dbc: node.dbc, message: Inputs, signal: GrainForce",
+                "  elevator_speed: {dbc: node.dbc, message: Speeds, signal: CleanGrainElevatorSpeed}",
+                "# or elevator_speed: {dbc: node.dbc, message: Speeds, signal: TailingsElevatorSpeed, ratio: 0.2}",
+                "# or elevator_speed: {dbc: node.dbc, message: Speeds, signal: RotorSpeed, ratio: 0.2}",
+                "  plate_angle: {dbc: node.dbc, message: Angles, signal: ImpactPlateAngle}",
+            ],
+            id="other parts of the machine",
+        ),
+        pytest.param(
+            PERIOD,
+            [(513, words(20.0, 37.5))] * 50,
+            [
+                "# pulses_per_turn is a guess",
+                "  elevator_speed: {dbc: node.dbc, message: Counter, signal: PulsePeriod, pulses_per_turn: 1}",
+                "# plate_angle: nothing on this bus looks like it",
+            ],
+            id="the time between pulses",
+        ),
+        pytest.param(
+            TWO_CELLS,
+            [
+                (512 + place % 3, (words(50 + place % 40), words(50 + place % 40), words(400, 390))[place % 3])
+                for place in range(300)
+            ],
+            [
+                "# CellLeft.Cell and CellRight.Cell fit alike: the first is a guess.",
+                "# Two cells under one plate: map both, in a list; they are added.",
+                "# Shafts.SpeedA and Shafts.SpeedB fit alike: the first is a guess.",
+            ],
+            id="two of each that look alike",
         ),
         pytest.param(
             ELSEWHERE,

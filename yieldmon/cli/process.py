@@ -11,6 +11,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
+from math import degrees
 from pathlib import Path
 
 from yieldmon.bus.log_order import in_time_order
@@ -262,7 +263,7 @@ def _one_record(
     progress: Progress | None,
     zero_mv: float | None,
 ) -> ProcessSummary:
-    factory, check = FactoryComparison(), RecordCheck(loaded.engine.zero.first_pulse_limit_mv)
+    factory, check = FactoryComparison(), RecordCheck(loaded.engine.zero.first_pulse_limit_mv, _home_deg(loaded))
     with open_table(out, f".{kind}" if kind else None) as table:
 
         def take(row: SecondRow) -> None:
@@ -278,11 +279,19 @@ def _one_record(
     }  # fmt: skip
     if check.frames_lost_share:
         document["frames_lost_share"] = check.frames_lost_share
+    if check.away_share and not document["zero_known"]:
+        document["plate_away_share"] = check.away_share
     if check.before_zero and document["zero_known"]:
         document["before_zero_s"] = check.before_zero
     if factory.document is not None:
         document["factory"] = factory.document
     return document
+
+
+def _home_deg(loaded: configuration.Configuration) -> tuple[float, float]:
+    """Angles from and to which the plate rests at home, where a zero can be taken."""
+    home_deg, rest_deg = degrees(loaded.machine.home_plate_angle_rad), 2.0 * loaded.engine.plate.at_target_tolerance_deg
+    return home_deg - rest_deg, home_deg + rest_deg
 
 
 @contextmanager
@@ -317,26 +326,32 @@ def _line(document: ProcessSummary, units: Units) -> str:
 def _why_no_mass(document: ProcessSummary) -> str:
     """What there is to say where nothing could be measured; "" where something was, or where there may have been no grain."""
     shown = "run `yieldmon check-config CONFIG --log LOG`"
-    missing = document.get("missing", {})
     if not document["windows"]:
         return "the frames' times span less than a second: recorder without a clock, or candump -td"
     if document["zero_known"]:
         turned = not document["total_mass_kg"] and FaultCode.ZERO_DRIFTED in document["faults"]
         return f"the zero drifted (ZeroDrifted): if there was grain, check the sensor's sign; {shown}" if turned else ""
-    if missing.get("elevator speed", 0.0) > _MOSTLY:
-        return f"no frame reports the elevator speed, which the zero needs; {shown}"
-    if missing.get("plate angle", 0.0) > _MOSTLY:
-        return (
-            "no frame reports the plate angle, which the zero needs; for a plate at a fixed angle set "
-            f"plate.fixed_angle_deg; {shown}"
-        )
-    if document.get("frames_lost_share", 0.0) > _MOSTLY:
-        return (
-            "every second lacks samples (FramesLost), so there is no zero: frames are lost, or two nodes or channels send them; "
-            f"{shown}"
-        )
+    if why := _why_no_zero(document):
+        return f"{why}; {shown}"
     return (
         "the elevator never runs empty in the log, so there is no zero; give one with --zero-mv, from the table of an earlier "
         "log or `yieldmon status`; if the log begins empty, run `yieldmon check-config CONFIG --log LOG`: it tests whether the "
         "samples can be a force"
     )
+
+
+def _why_no_zero(document: ProcessSummary) -> str:
+    """What most of the seconds lack for a zero; "" where it is none of this."""
+    missing = document.get("missing", {})
+    if missing.get("elevator speed", 0.0) > _MOSTLY:
+        return "no frame reports the elevator speed, which the zero needs"
+    if missing.get("plate angle", 0.0) > _MOSTLY:
+        return "no frame reports the plate angle, which the zero needs; for a plate at a fixed angle set plate.fixed_angle_deg"
+    if document.get("plate_away_share", 0.0) > _MOSTLY:
+        return (
+            "the plate is away from home by its reported angle, and the zero needs it there: check unit, scale and offset of "
+            "plate_angle, and home_plate_angle_deg of the machine file"
+        )
+    if document.get("frames_lost_share", 0.0) > _MOSTLY:
+        return "every second lacks samples (FramesLost), so there is no zero: frames are lost, or two nodes or channels send them"
+    return ""

@@ -40,8 +40,9 @@ class ProcessSummary(Harvested):
 
     faults: how often each came; damages: places of the logs that were skipped; gaps: stretches without samples, gap_s long in
     all; overlap_s: seconds of times that were read already, with overlap_kg; missing: share of the seconds without an input, by
-    its name; frames_lost_share: of the seconds, those under FramesLost; contested_kg: mass in no total, as more frames came than
-    one node sends; before_zero_s: seconds of grain before the first zero.
+    its name; frames_lost_share: of the seconds, those under FramesLost; plate_away_share: of the seconds, those with the plate
+    away from home, where there is no zero; contested_kg: mass in no total, as more frames came than one node sends;
+    before_zero_s: seconds of grain before the first zero.
     """
 
     frames: int
@@ -60,6 +61,7 @@ class ProcessSummary(Harvested):
     overlap_kg: NotRequired[float]
     missing: NotRequired[dict[str, float]]
     frames_lost_share: NotRequired[float]
+    plate_away_share: NotRequired[float]
     contested_kg: NotRequired[float]
     before_zero_s: NotRequired[int]
     factory: NotRequired[FactoryComparisonSummary]

@@ -11,13 +11,16 @@ from yieldmon.signals.survey import (
     BARE,
     CHANNELS,
     FAST_HZ,
-    SHAFTS_ELSEWHERE,
+    STANDS_OUT,
     Candidate,
     Survey,
+    fit_alike,
     force_unit,
     is_makers_own,
     is_of_pulses,
+    of_another_shaft,
 )
+from yieldmon.signals.units import period_s
 
 _RATIO, _PULSES, _COUNTS, _EXCITATION = "ratio: 0.2", "pulses_per_turn: 1", "scale: 0.1", "scale: 5"
 _GUESSES = {
@@ -27,10 +30,16 @@ _GUESSES = {
     _EXCITATION: "The scale is a guess: volts that feed the bridge.",
 }
 """Keys of an entry that the bus does not show -> what is said of them."""
-_STANDS_OUT = 1.5
-"""A channel that moves so many times as much as the next one is likelier the impact sensor's."""
+_NEEDED = {
+    "elevator_speed": "see docs/guide/wiring.md",
+    "plate_angle": "a position in other units takes `unit: deg`, `scale` and `offset`; for a plate at a fixed angle set "
+    "`plate: {fixed_angle_deg: 70}`",
+}
+"""Quantities without which nothing is measured, beside the impact sensor's -> what to do where a bus has nothing like them."""
 _MOST_CHANNELS = 8
 """Of one frame that are named."""
+_MOST_ALIKE = 4
+"""Signals that fit a quantity alike that are named."""
 _MOST_NAMELESS = 6
 """So many frames without a DBC that may be an impact sensor's are named."""
 TELLING = ("manufacturer_code", "function", "function_instance", "ecu_instance", "identity_number")
@@ -64,7 +73,11 @@ def mapping_text(survey: Survey, paths: Mapping[str, str]) -> str:
             used.update((free[0].message, signal) for signal in _samples(free[0], candidates))
             lines.append(f"  {quantity}: {entries.pop(0)}")
         lines += [f"  # or {quantity}: {entry}" for entry in entries]
+        lines += [f"  # {said}" for said in _alike(shown, candidates)]
         lines += [f"  # {said}" for alike in channels for said in _which_channel(alike)]
+    lines += [
+        f"  # {name}: nothing on this bus looks like it; {mend}" for name, mend in _NEEDED.items() if name not in candidates
+    ]
     return "\n".join(lines if any(line[2:3] != "#" for line in lines[3:]) else [*lines[:2], "signals: {}", *lines[3:]]) + "\n"
 
 
@@ -110,12 +123,40 @@ def _which_channel(alike: Sequence[Candidate]) -> tuple[str, str]:
     """What is said of the channels of one frame, of which one is the impact sensor's. alike: the likeliest first."""
     ranges = ", ".join(f"{one.signal} {one.span[0]:.5g} to {one.span[1]:.5g}" for one in alike[:_MOST_CHANNELS])
     first, second = (one.span[1] - one.span[0] for one in alike[:2])
-    found = f"{alike[0].signal} moved most" if first > _STANDS_OUT * second else "all moved alike, so the first is a guess"
+    found = f"{alike[0].signal} moved most" if first > STANDS_OUT * second else "all moved alike, so the first is a guess"
     unit = f" {alike[0].unit}" if alike[0].unit else ""
     return (
         f"Channels of {alike[0].message}: {ranges}{unit}; {found}.",
         "Strike the plate while recording: the channel that moves is the impact sensor's.",
     )
+
+
+def _alike(shown: Sequence[Candidate], candidates: Mapping[str, Sequence[Candidate]]) -> list[str]:
+    """What is said where other signals fit a quantity as well as the first. shown: one for each frame of channels."""
+    named, samples = list[str](), set[tuple[object, ...]]()
+    for one in shown:
+        frame = one.dbc, one.message, one.mux, one.source
+        if fit_alike(shown[0], one) and (*frame, one.signal) not in samples:
+            named.append(_called(one))
+            samples.update((*frame, signal) for signal in _samples(one, candidates))
+    named = list(dict.fromkeys(named))[:_MOST_ALIKE]
+    if len(named) < 2:
+        return []
+    said = [f"{' and '.join(named)} fit alike: the first is a guess."]
+    if shown[0].quantity in IMPACT:
+        said.append("Two cells under one plate: map both, in a list; they are added. One cell in two messages or pages: map one.")
+    return said
+
+
+def _called(one: Candidate) -> str:
+    of = [] if one.mux is None else [f"mux {one.mux}"]
+    of += [] if one.source is None else [f"source {one.source}"]
+    return f"{one.message}.{one.signal}" + (f" ({', '.join(of)})" if of else "")
+
+
+def _is_pulsed(found: Candidate) -> bool:
+    """Whether a speed comes as a frequency of pulses or as the time between two."""
+    return is_of_pulses(found.unit, found.span[1]) or period_s(found.unit) is not None
 
 
 def _overlap(one: tuple[float, float], other: tuple[float, float]) -> bool:
@@ -146,14 +187,14 @@ def _entries(found: Candidate, paths: Mapping[str, str], candidates: Mapping[str
         keys.append(_EXCITATION)
     if found.quantity == "impact_force" and (weighs := force_unit(found.unit)) is not None:
         keys.append(f"unit: {weighs}")
-    if found.quantity == "elevator_speed" and (not found.unit or is_of_pulses(found.unit, found.span[1])):
+    if found.quantity == "elevator_speed" and (not found.unit or _is_pulsed(found)):
         keys.append(_PULSES)
     if found.not_available:
         keys.append(f"not_available: {list(found.not_available)}")
     if found.values:
         keys.append(f"values: {{{', '.join(f'{raw}: {code}' for raw, code in found.values)}}}")
     keys += _frames(found)
-    if found.quantity == "elevator_speed" and SHAFTS_ELSEWHERE.search(found.signal):
+    if found.quantity == "elevator_speed" and of_another_shaft(found.message, found.signal):
         keys.append(_RATIO)
     sources = [] if found.source is None or found.moved else [f"source: {found.source}"]
     if found.node is not None:

@@ -22,7 +22,7 @@ from yieldmon.signals.extraction import Extraction, named_no_value
 from yieldmon.signals.group_names import group_name
 from yieldmon.signals.long_messages import LongMessages, Numbers, Whole, numbers
 from yieldmon.signals.state_names import codes_by_name
-from yieldmon.signals.units import factor, zero
+from yieldmon.signals.units import factor, period_s, zero
 from yieldmon.units import KG_PER_LB
 
 _MOST_IDENTIFIERS = 10_000
@@ -36,7 +36,7 @@ _HINTS: Mapping[str, str] = {
     "impact_voltage": r"impact|sample|bridge|strain|force|load.?cell|volt|count|analog|ain",
     "impact_force": r"impact|force|load",
     "elevator_speed": r"elev|shaft|speed|rpm|rev",
-    "plate_angle": r"plate|angle|tilt|actuator|position",
+    "plate_angle": r"plate|angle|tilt|incl(?!u)|actuator|position",
     "actuator_state": r"actuator.*(state|status)|plate.*(state|status)",
     "moisture": r"moist",
     "grain_temperature": r"(grain|crop).?temp",
@@ -62,6 +62,8 @@ _VALID, _MOST_OF_A_FLAG = re.compile(r"(?<!in)valid", re.IGNORECASE), 2
 """Names and bits of signals that say by 1 whether others of the message are valid."""
 _FREQUENCY = re.compile(rf"{_PULSES.pattern}|hertz|freq", re.IGNORECASE)
 """Names of their frequency."""
+_LONGEST_PERIOD_S = 2.0
+"""Between two pulses of an elevator's shaft."""
 _MOST_TURNS_HZ = 15.0
 """More than an elevator's shaft makes."""
 _BETWEEN_NAMED_AND_ELSEWHERE = 1.75
@@ -70,6 +72,8 @@ _LEAST_BITS = 8
 """Of a sample that is named so, or a counter."""
 FAST_HZ, _LEAST_BITS_OF_A_NUMBER = 9.0, 10
 """Rate from which on frames of a maker's own may be an impact sensor's, and bits of a sample without a name or a unit."""
+STANDS_OUT = 1.5
+"""A signal that moves so many times as much as the next one is likelier the impact sensor's."""
 BARE = ("", "%")
 """Units of such a sample."""
 _GAUGE_HZ = 50.0
@@ -83,8 +87,29 @@ _COUNTER, _MOST_OF_A_COUNTER = re.compile(r"cnt|ctr|roll", re.IGNORECASE), 8
 """Names and bits of counters of messages, where longer signals with such names may be a converter's counts."""
 CHANNELS = re.compile(r"(input|chan(nel)?|ch|ain|port)_?\d+", re.IGNORECASE)
 """Numbered signals of one frame that are sensors of their own, not samples of one."""
-SHAFTS_ELSEWHERE = re.compile(r"engine|pto|front|rear|feeder", re.IGNORECASE)
-"""Names of shafts that are not the elevator's."""
+_ELEVATOR, _SHAFTS_ELSEWHERE = (
+    re.compile(r"elev", re.IGNORECASE),
+    re.compile(
+        r"engine|pto|front|rear|feeder|tailing|return|rotor|drum|cylinder|thresh|beater|fan|blower|chopper|spreader|straw|header|reel"
+        r"|knife|auger|sieve|shoe|conveyor|wheel",
+        re.IGNORECASE,
+    ),
+)
+"""Names of the elevator's shaft, and of shafts that are not that of the clean grain elevator."""
+_OF_ANOTHER_ELEVATOR = re.compile(r"tailing|return", re.IGNORECASE)
+_IMPACT_PLATE, _ANGLES_ELSEWHERE = (
+    re.compile(r"impact", re.IGNORECASE),
+    re.compile(
+        r"steer|header|reel|chopper|spreader|straw|deflector|sieve|concave|hitch|spout|auger|unload|feeder|wheel|slope",
+        re.IGNORECASE,
+    ),
+)
+"""Names of the impact plate, and of parts that are none."""
+_VOLTAGES_ELSEWHERE = re.compile(r"batter|supply|ignition|refer|vref|lamp|loss", re.IGNORECASE)
+"""Names of voltages that are not the impact sensor's; a grain loss sensor's are much alike."""
+_NAMED_BETTER = 0.2
+_FITS_ALIKE = 0.02
+"""Scores of two signals of which nothing says which fits better: they move, or come, a little more often."""
 
 
 @dataclass(frozen=True)
@@ -403,7 +428,7 @@ def _score(quantity: str, message: MessageSeen, signal: SignalSeen, rate_hz: flo
         return _impact_score(quantity, message, signal, rate_hz, 1.0 * named + 0.5 * message_named)
     if QUANTITIES[quantity].unit == "":
         return 2.0 if named and signal.bits.unit == "" and signal.bits.bits <= 8 else 0.0
-    return _slow_score(quantity, rate_hz, signal, named, message_named)
+    return _slow_score(quantity, message.name or "", rate_hz, signal, named, message_named)
 
 
 def _valid(message: MessageSeen) -> str | None:
@@ -467,14 +492,17 @@ def _impact_score(quantity: str, message: MessageSeen, signal: SignalSeen, rate_
     bare = bits.unit in BARE and quantity == "impact_voltage" and bits.bits >= _LEAST_BITS_OF_A_NUMBER
     if bare and not plain and rate_hz >= FAST_HZ and is_makers_own(message.group) and signal.high > signal.low:
         return _WEAK * (0.9 + 0.1 * min(moves, 1.0))
-    return 2.0 * fits + named + 0.25 * (moves > 0.0) + 0.01 * moves + rate_hz * 1e-6 if fits or plain else 0.0
+    if not (fits or plain):
+        return 0.0
+    if _VOLTAGES_ELSEWHERE.search(bits.name):
+        return _WEAK * 0.5
+    return 2.0 * fits + named + 0.25 * (moves > 0.0) + 0.01 * moves + rate_hz * 1e-6
 
 
-def _slow_score(quantity: str, rate_hz: float, signal: SignalSeen, named: bool, message_named: bool) -> float:
-    if quantity == "elevator_speed" and counts_pulses(signal.bits):
-        return _BETWEEN_NAMED_AND_ELSEWHERE if signal.high > signal.low else 0.0
-    if quantity == "elevator_speed" and is_of_pulses(signal.bits.unit, signal.high):
-        return _BETWEEN_NAMED_AND_ELSEWHERE if _FREQUENCY.search(signal.bits.name) else _WEAK
+def _slow_score(quantity: str, message: str, rate_hz: float, signal: SignalSeen, named: bool, message_named: bool) -> float:
+    speed = quantity == "elevator_speed"
+    if speed and (of_pulses := _pulses_score(signal)) is not None:
+        return of_pulses
     found = factor(QUANTITIES[quantity].unit, signal.bits.unit) if signal.bits.unit else None
     if found is None or not QUANTITIES[quantity].usable(signal.last * found + zero(QUANTITIES[quantity].unit, signal.bits.unit)):
         return 0.0
@@ -485,5 +513,50 @@ def _slow_score(quantity: str, rate_hz: float, signal: SignalSeen, named: bool, 
         return 0.0
     if not (named or message_named):
         return _WEAK if quantity in _BY_UNIT and not elsewhere else 0.0
-    shaft = quantity == "elevator_speed" and SHAFTS_ELSEWHERE.search(signal.bits.name) is not None
-    return 1.0 + named - 0.5 * shaft + min(rate_hz, 100.0) * 1e-6
+    if quantity == "plate_angle" and _names(_ANGLES_ELSEWHERE, _IMPACT_PLATE, message, signal.bits.name):
+        return _WEAK
+    shaft = speed and of_another_shaft(message, signal.bits.name)
+    own = {"elevator_speed": _ELEVATOR, "plate_angle": _IMPACT_PLATE}.get(quantity)
+    better = own is not None and not shaft and own.search(f"{message} {signal.bits.name}") is not None
+    return 1.0 + named - 0.5 * shaft + _NAMED_BETTER * better + min(rate_hz, 100.0) * 1e-6
+
+
+def _pulses_score(signal: SignalSeen) -> float | None:
+    """Of a count, a frequency or a period of a shaft's pulses; None for a signal that is none of these."""
+    bits = signal.bits
+    if counts_pulses(bits):
+        return _BETWEEN_NAMED_AND_ELSEWHERE if signal.high > signal.low else 0.0
+    if is_of_pulses(bits.unit, signal.high):
+        return _BETWEEN_NAMED_AND_ELSEWHERE if _FREQUENCY.search(bits.name) else _WEAK
+    if (unit_s := period_s(bits.unit)) is None:
+        return None
+    named = _PULSES.search(bits.name) is not None or _ELEVATOR.search(bits.name) is not None
+    return _BETWEEN_NAMED_AND_ELSEWHERE if named and 0.0 < signal.last * unit_s < _LONGEST_PERIOD_S else 0.0
+
+
+def of_another_shaft(message: str, signal: str) -> bool:
+    """Whether a speed is named like that of a shaft which is not the clean grain elevator's.
+
+    >>> [of_another_shaft(*names) for names in (("Speeds", "TailingsElevatorSpeed"), ("Rotor", "Speed"), ("Speeds", "Shaft"))]
+    [True, True, False]
+    """
+    if _OF_ANOTHER_ELEVATOR.search(signal):
+        return True
+    return _names(_SHAFTS_ELSEWHERE, _ELEVATOR, message, signal)
+
+
+def _names(others: re.Pattern[str], own: re.Pattern[str], message: str, signal: str) -> bool:
+    """Whether a signal, or else its message, is named like one of another part of the machine, and not as what is looked for."""
+    if own.search(signal):
+        return False
+    return others.search(signal) is not None or (others.search(message) is not None and not own.search(message))
+
+
+def fit_alike(one: Candidate, other: Candidate) -> bool:
+    """Whether nothing says which of two candidates for a quantity is the likelier, the first or the other."""
+    if one.weak or other.weak or one.score - other.score > _FITS_ALIKE:
+        return False
+    if one.quantity not in IMPACT:
+        return True
+    moved, less = (candidate.span[1] - candidate.span[0] for candidate in (one, other))
+    return moved < STANDS_OUT * less

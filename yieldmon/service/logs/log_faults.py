@@ -5,13 +5,16 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 
-from yieldmon.engine.faults import FAULTS
+from yieldmon.engine.faults import FAULTS, FaultCode
 from yieldmon.engine.health import FaultEvent
 from yieldmon.engine.results import Result, events_in
 from yieldmon.errors import InputError
 from yieldmon.service.config.configuration import Configuration
 from yieldmon.service.logs.log_record import Progress, measure
 from yieldmon.service.storage.rows import SecondRow
+
+_MENDS = {FaultCode.ZERO_DRIFTED: "; if that was grain, the sensor's sign is wrong: negative scale"}
+"""Of a new sensor, beside what a fault says."""
 
 
 def faults_on(configuration: Configuration, log: str, progress: Progress | None = None) -> list[str]:
@@ -48,7 +51,7 @@ def faults_on(configuration: Configuration, log: str, progress: Progress | None 
         return []
     return [
         f"on this recording the daemon shows {code.value} in {seconds[code.value]} of {windows} s: "
-        f"{said.get(code.value) or definition.remedy}"
+        f"{said.get(code.value) or definition.remedy}{_MENDS.get(code, '') if said.get(code.value) else ''}"
         for code, definition in FAULTS.items()
         if seconds[code.value]
     ]

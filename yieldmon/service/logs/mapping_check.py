@@ -33,6 +33,9 @@ _MOSTLY = 0.5
 _DESTINATIONS_NAMED = 3
 _SHORTEST_BITS = 8
 _IMPACT_SIGNAL = re.compile(r"impact(\d+)\.\d+")
+_ALSO = {"elevator_speed": ", ratio, pulses_per_turn"}
+_INSTEAD = {"plate_angle": ", or plate.fixed_angle_deg for a plate at a fixed angle"}
+"""Quantity -> what else may be wrong, or done, where its values or frames are not there."""
 _COUNTED_ANEW = "; pulses that each frame counts anew are a frequency: unit Hz, `scale` the frames per second"
 
 
@@ -46,9 +49,9 @@ def problems(configuration: Configuration, seen: dict[str, QuantitySeen], log: s
             instead = _instead(configuration, name, log) if not entry.values else None
             if entry.values and entry.decoded is not None:
                 instead = "it decodes to " + " to ".join(f"{end:.6g}" for end in dict.fromkeys(entry.decoded)) + f" {entry.unit}"
-            expected = (
-                "values that it can have; look at signal, unit, scale and range" if entry.values else "frames that are mapped"
-            )
+            expected = f"values that it can have; look at signal, unit, scale{_ALSO.get(name, '')} and range"
+            if not entry.values:
+                expected = f"frames that are mapped{_INSTEAD.get(name, '')}"
             found.append((f"{log}: {name}", f"{what}: {instead}".rstrip() if instead else what, expected))
     found += _angle_problems(configuration.machine, seen, log)
     counted = _speed_is_counted(configuration)
@@ -99,7 +102,7 @@ def remarks(configuration: Configuration, seen: dict[str, QuantitySeen]) -> list
     if speed is not None and speed.low is not None and speed.high is not None and (speed.high < least or speed.low > most):
         found.append(
             f"elevator_speed is never between {least:.0f} and {most:.0f} rpm, where flow is measured: if the machine harvested, "
-            f"look at unit, scale and ratio{_COUNTED_ANEW if _speed_is_counted(configuration) else ''}"
+            f"look at unit, scale, ratio and pulses_per_turn{_COUNTED_ANEW if _speed_is_counted(configuration) else ''}"
         )
     if moisture is not None and moisture.high is not None and moisture.high < _LEAST_MOISTURE_PCT:
         found.append(f'moisture is never above {moisture.high:.3g} %: if it comes as a share of 1, unit: "1" makes it per cent')

@@ -26,12 +26,18 @@ _INPUTS = {
 
 @dataclass
 class RecordCheck:
-    """Counts over the seconds taken so far. pulse_limit_mv: larger pulses are grain before any zero is known. seconds: those with
-    samples; gaps: stretches without; before_zero: seconds of grain before the first zero, which have no mass."""
+    """Counts over the seconds taken so far.
+
+    pulse_limit_mv: larger pulses are grain before any zero is known; home_deg: least and largest angle of a plate at home.
+    seconds: those with samples; gaps: stretches without; before_zero: seconds of grain before the first zero, which have no
+    mass; away: seconds with the plate elsewhere than at home.
+    """
 
     pulse_limit_mv: float = inf
+    home_deg: tuple[float, float] = (-inf, inf)
     seconds: int = 0
     before_zero: int = 0
+    away: int = 0
     gaps: int = 0
     gap_s: float = 0.0
     overlap_s: float = 0.0
@@ -71,6 +77,8 @@ class RecordCheck:
             return
         self.seconds += 1
         self.before_zero += row.zero_mv is None and row.pulse_mv is not None and row.pulse_mv > self.pulse_limit_mv
+        angle_deg = row.plate_angle_deg
+        self.away += angle_deg is not None and not self.home_deg[0] <= angle_deg <= self.home_deg[1]
         self._frames_lost += FaultCode.FRAMES_LOST in (row.faults or "").split()
         for name in _INPUTS:
             # In stores and tables of version 0.1.0 such a second has the nominal speed.
@@ -94,6 +102,11 @@ class RecordCheck:
     def frames_lost_share(self) -> float:
         """Of the seconds with samples, those under FramesLost."""
         return self._frames_lost / self.seconds if self.seconds else 0.0
+
+    @property
+    def away_share(self) -> float:
+        """Of the seconds with samples, those with the plate elsewhere than at home."""
+        return self.away / self.seconds if self.seconds else 0.0
 
     @property
     def missing(self) -> dict[str, float]:
