@@ -13,14 +13,21 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from yieldmon.estimation.fitting.scatter_law import fit_variances, rounding_sd, scatter_law, usual_deviation
+from yieldmon.estimation.fitting.scatter_law import (
+    LEAST_PURE_DOF,
+    OUTLIER_SDS,
+    either_form,
+    fit_variances,
+    medians,
+    rounding_sd,
+    scatter_law,
+    usual_deviation,
+)
 from yieldmon.estimation.gaussian import SD_PER_MAD
 from yieldmon.physics.numerics import Array
 
 from .observations import Cells, Rows, cells
 
-_OUTLIER_SD = 5.0
-_MIN_REPLICATE_DOF = 8
 _LEAST_REPLICATE_DOF = 3
 """Enough where the rows are too few for a smooth surface."""
 _STATED_DOF = 1e6
@@ -68,7 +75,7 @@ def estimate(rows: Rows) -> tuple[Noise, NDArray[np.bool_]]:
         times, dof = _beyond_stated(rows)
         return Noise(*scatter_law(rows.value, times * rows.sigma), dof, "stated", times=times), np.zeros(len(rows), dtype=bool)
     count = np.bincount(rows.cell)
-    if len(rows) - len(count) >= _MIN_REPLICATE_DOF:
+    if len(rows) - len(count) >= LEAST_PURE_DOF:
         return _from_replicates(rows)
     return _from_smooth_surface(rows)
 
@@ -78,14 +85,14 @@ def _beyond_stated(rows: Rows) -> tuple[float, float]:
     chance explains it, and where few repeat. Those that lie far off have no say."""
     count = np.bincount(rows.cell)
     dof = len(rows) - len(count)
-    if dof < _MIN_REPLICATE_DOF:
+    if dof < LEAST_PURE_DOF:
         return 1.0, _STATED_DOF
     weight = rows.sigma**-2.0
     mean = (np.bincount(rows.cell, weight * rows.value) / np.bincount(rows.cell, weight))[rows.cell]
     repeated = (count > 1)[rows.cell]
     off = (np.abs(rows.value - mean) / rows.sigma)[repeated]
     alike = off / np.sqrt(1.0 - 1.0 / count[rows.cell][repeated])
-    kept = alike <= _OUTLIER_SD * max(usual_deviation(alike), 1.0)
+    kept = alike <= OUTLIER_SDS * max(usual_deviation(alike), 1.0)
     left, square = dof * float(np.mean(kept)), float(np.sum(off[kept] ** 2))
     refuted = left > 0.0 and scipy.special.chdtrc(left, square) < _REFUTED
     return (float(np.sqrt(square / left)), left) if refuted else (1.0, _STATED_DOF)
@@ -94,17 +101,16 @@ def _beyond_stated(rows: Rows) -> tuple[float, float]:
 def _from_replicates(rows: Rows) -> tuple[Noise, NDArray[np.bool_]]:
     count = np.bincount(rows.cell)[rows.cell]
     repeated = count > 1
-    median = np.array([np.median(rows.value[rows.cell == c]) for c in range(rows.cell.max() + 1)])[rows.cell]
+    median = medians(rows.value, rows.cell)[rows.cell]
     deviation = np.abs(rows.value - median) / np.sqrt(1.0 - 1.0 / np.maximum(count, 2))
-    # A form that is right for either kind of noise to a factor, and a median that is blind to the outliers it is to find.
-    form = 0.15 * float(np.max(np.abs(median))) + np.abs(median)
+    form = either_form(median)
     robust, rounding = usual_deviation((deviation / form)[repeated]), rounding_sd(rows.value)
     sd = np.maximum(2.0 * max(robust, 1e-12) * form, rounding)
-    outlier = _outliers_of_cells(rows, repeated & (deviation > _OUTLIER_SD * sd), sd)
+    outlier = _outliers_of_cells(rows, repeated & (deviation > OUTLIER_SDS * sd), sd)
     noise = _rounded(_variance_model(cells(rows.take(~outlier)), robust * float(form.mean())), rounding)
     for _ in range(4):
         sd = np.maximum(noise.sd(median), 1e-300)
-        found = _outliers_of_cells(rows, repeated & (deviation > _OUTLIER_SD * sd), sd)
+        found = _outliers_of_cells(rows, repeated & (deviation > OUTLIER_SDS * sd), sd)
         if np.array_equal(found, outlier):
             break
         outlier = found
@@ -140,7 +146,7 @@ def _outliers_of_cells(rows: Rows, suspect: NDArray[np.bool_], sd: Array) -> NDA
         off = np.abs(rows.value[places] - surface[places])
         middle = np.argsort(rows.value[places])[(len(places) - 1) // 2]
         trusted = places[middle if len(places) > 2 and off.min() > 0.2 * off[middle] else np.argmin(off)]
-        out[places] = np.abs(rows.value[places] - rows.value[trusted]) > _OUTLIER_SD * np.sqrt(2.0) * sd[places]
+        out[places] = np.abs(rows.value[places] - rows.value[trusted]) > OUTLIER_SDS * np.sqrt(2.0) * sd[places]
     return out
 
 
@@ -178,7 +184,7 @@ def _from_smooth_surface(rows: Rows) -> tuple[Noise, NDArray[np.bool_]]:
         a2, b2 = fit_variances(variance, np.full(variance.shape, spread), rows.value[keep] ** 2, pooled)
         noise = _rounded(Noise(float(np.sqrt(a2)), float(np.sqrt(b2)), float(dof), "smooth"), rounding_sd(rows.value))
         robust = SD_PER_MAD * float(np.median(np.abs(residual[keep]) / noise.sd(rows.value[keep]))) / np.sqrt(spread)
-        good = np.abs(residual) <= _OUTLIER_SD * max(min(robust, 1.0), 0.3) * noise.sd(rows.value)
+        good = np.abs(residual) <= OUTLIER_SDS * max(min(robust, 1.0), 0.3) * noise.sd(rows.value)
         if np.array_equal(good, keep):
             break
         keep = good

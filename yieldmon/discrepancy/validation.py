@@ -15,12 +15,12 @@ import scipy
 from numpy.typing import NDArray
 
 from yieldmon.estimation import model_error
+from yieldmon.estimation.gaussian import REACH_90
 from yieldmon.physics.numerics import Array
 
 from .fit import Fit
 
 FOLDS = 5
-_ONE_SIDED = 1.645
 _HELD_OUT = 1.282
 """Standard deviations that the held-out rows alone must lie above a share of 0."""
 _REGION = 3.0
@@ -89,7 +89,7 @@ def validate(base: Fit, best: Fit, held_out: Share | None, rng: np.random.Genera
             here = share(before[inside], after[inside], best.error[inside])
             if here.value + _REGION * here.sd < 0.5:
                 worse.append(f"{name} {number + 1}")
-    agrees = cross_fitted.value - _ONE_SIDED * cross_fitted.sd > 0.5 and not worse
+    agrees = cross_fitted.value - REACH_90 * cross_fitted.sd > 0.5 and not worse
     if held_out is not None and held_out.power > 1.0:
         agrees = agrees and held_out.value - _HELD_OUT * held_out.sd > 0.0
     return Validation(held_out, cross_fitted, tuple(worse), bool(agrees))

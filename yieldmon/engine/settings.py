@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from yieldmon.engine.flow_filter import FlowFilterSettings
 from yieldmon.physics.grain import FLOW_PER_MOISTURE_PCT
+from yieldmon.units import S_PER_DAY
 
 if TYPE_CHECKING:
     from yieldmon.estimation.waveform.arrival_law import ArrivalLaw
@@ -218,7 +219,7 @@ class FaultSettings:
 
     stuck_windows: int = 5
     """Windows with every sample equal before the sensor counts as stuck."""
-    calibration_old_s: float = 30.0 * 24.0 * 3600.0
+    calibration_old_s: float = 30.0 * S_PER_DAY
     zero_missing_s: float = 60.0
     """Time with the elevator running, the plate at home and no first zero after which that is a fault."""
     clock_jump_hold_windows: int = 10

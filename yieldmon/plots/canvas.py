@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from yieldmon.errors import InputError
+from yieldmon.estimation.gaussian import REACH_90
 from yieldmon.files.whole_file import scratch_for
 from yieldmon.physics.numerics import Array
 
@@ -63,4 +64,4 @@ def legend_above(axes: Axes) -> None:
 
 def band(axes: Axes, x: Array, y: Array, std_dev: Array, **how: Any) -> None:
     """The 90 % interval around y."""
-    axes.fill_between(x, y - 1.645 * std_dev, y + 1.645 * std_dev, alpha=0.25, lw=0, **how)
+    axes.fill_between(x, y - REACH_90 * std_dev, y + REACH_90 * std_dev, alpha=0.25, lw=0, **how)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from yieldmon.estimation.gaussian import REACH_90
 from yieldmon.plots import canvas
 
 from .accuracy import RATED_FROM_KG_S, Accuracy
@@ -18,7 +19,7 @@ def draw(accuracy: Accuracy, path: Path) -> None:
     figure = Figure(figsize=(11, 7), layout="constrained")
     flow, error = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
     t, true, measured = accuracy.time_s, accuracy.true_kg_s, accuracy.measured_kg_s
-    band = 1.645 * accuracy.std_dev_kg_s
+    band = REACH_90 * accuracy.std_dev_kg_s
     flow.fill_between(t, measured - band, measured + band, color="tab:orange", alpha=0.25, lw=0, label="90 % interval")
     flow.plot(t, true, color="black", lw=1.5, label="true")
     flow.plot(t, measured, color="tab:orange", lw=1.2, marker=".", ms=3, label="measured, 1 Hz")

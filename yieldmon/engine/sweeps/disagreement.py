@@ -13,6 +13,7 @@ from yieldmon.engine.settings import DisagreementSettings
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.self_calibration.angle_error import NO_ERROR, AngleError
 from yieldmon.estimation.self_calibration.angle_pattern import without_pattern
+from yieldmon.estimation.self_calibration.closed_loop_inputs import SWEEP_COLUMNS
 from yieldmon.estimation.self_calibration.misfit import (
     NO_MISFIT,
     Misfit,
@@ -25,8 +26,6 @@ from yieldmon.estimation.self_calibration.sweep_model_error import model_error, 
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array
-
-_COLUMNS = ("time_s", "plate_angle_rad", "elevator_speed_rad_s", "force_n", "force_std_dev_n", "moisture_pct")
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,7 +149,7 @@ class Disagreement:
         return model_error(self._model(parameters), parameters, sweeps, tolerance=self._settings.tolerance)
 
     def _pattern(self, records: Sequence[WindowRecord], parameters: ParameterSet) -> SweepPattern | None:
-        columns = {name: np.array([getattr(record, name) for record in records]) for name in _COLUMNS}
+        columns = {name: np.array([getattr(record, name) for record in records]) for name in SWEEP_COLUMNS}
         parameters = without_pattern(parameters)
         reduced = reduce_sweep(self._model(parameters), parameters, **columns) if records else None
         return None if reduced is None else SweepPattern.of(float(records[-1].time_s), reduced)

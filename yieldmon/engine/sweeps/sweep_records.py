@@ -11,7 +11,7 @@ import numpy as np
 from yieldmon.engine.calibrator_settings import CalibratorSettings
 from yieldmon.engine.records import WindowRecord
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.estimation.self_calibration.closed_loop_inputs import MeasuredDensity, Sweep
+from yieldmon.estimation.self_calibration.closed_loop_inputs import SWEEP_COLUMNS, MeasuredDensity, Sweep
 
 
 def sweep_of(records: Sequence[WindowRecord]) -> Sweep:
@@ -25,10 +25,7 @@ def sweep_of(records: Sequence[WindowRecord]) -> Sweep:
     ]
     if not rows:
         raise ValueError("the sweep has no window with force, angle and speed")
-    column = {
-        name: np.array([getattr(r, name) for r in rows])
-        for name in ("time_s", "plate_angle_rad", "elevator_speed_rad_s", "force_n", "force_std_dev_n", "moisture_pct")
-    }
+    column = {name: np.array([getattr(r, name) for r in rows]) for name in SWEEP_COLUMNS}
     moisture = column.pop("moisture_pct")
     # Within a sweep the grain stays the same; what its reading scatters by would count as friction.
     same = np.full(moisture.shape, np.mean(moisture)) if np.all(np.isfinite(moisture)) else None

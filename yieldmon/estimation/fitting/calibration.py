@@ -23,9 +23,8 @@ from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array, span
 
 from . import angle_lines, multistart, profile_likelihood
-from .calibration_problem import LEAST_PURE_DOF, CalibrationProblem, data_scale, residual_moments
+from .calibration_problem import CalibrationProblem, data_scale, residual_moments
 from .calibration_result import (
-    OUTLIER_SDS,
     Basin,
     Calibration,
     FittedParameter,
@@ -36,6 +35,7 @@ from .calibration_result import (
 )
 from .fit_uncertainty import FitUncertainty, fit_uncertainty, wald_intervals
 from .measurements import Measurements
+from .scatter_law import LEAST_PURE_DOF, OUTLIER_SDS
 
 _NO_NOISE = (
     "there are no more rows than parameters, so that they do not show their noise: it is taken for 1 % of the largest reading; "

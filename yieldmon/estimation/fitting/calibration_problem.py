@@ -15,12 +15,9 @@ from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array
 
 from .batch import MomentumBatch
-from .calibration_result import OUTLIER_SDS
 from .measurements import Measurements
-from .scatter_law import fit_variances, usual_deviation
+from .scatter_law import LEAST_PURE_DOF, OUTLIER_SDS, either_form, fit_variances, medians, usual_deviation
 
-LEAST_PURE_DOF = 8
-"""Degrees of freedom of the replicates from which they part noise from the model's own error, and determine its law."""
 ROBUST_SCALE = 1.5
 """Residuals beyond this many noise standard deviations lose weight (soft L1)."""
 
@@ -135,7 +132,7 @@ class CalibrationProblem:
         if not self.robust:
             return self.scatter(), dof
         y = self.data.momentum
-        middle = np.array([np.median(y[self.cell == i]) for i in range(counts.size)])
+        middle = medians(y, self.cell)
         repeated = counts[self.cell] > 1
         spread = np.abs(y - middle[self.cell])[repeated] * np.sqrt(np.count_nonzero(repeated) / dof)
         return usual_deviation(spread), dof
@@ -144,10 +141,9 @@ class CalibrationProblem:
         if self.given_sigma or self.pure_dof < LEAST_PURE_DOF or not self.pure_sd > 0.0:
             return None
         y = self.data.momentum
-        middle = np.array([np.median(y[self.cell == i]) for i in range(int(self.cell.max()) + 1)])
+        middle = medians(y, self.cell)
         repeated = np.bincount(self.cell)[self.cell] > 1
-        # A form that is right for either kind of noise to a factor, and a median that is blind to outliers.
-        relative = np.abs(y - middle[self.cell]) / (0.15 * float(np.max(np.abs(middle))) + np.abs(middle[self.cell]))
+        relative = np.abs(y - middle[self.cell]) / either_form(middle)[self.cell]
         usual = usual_deviation(relative[repeated])
         good = repeated & (relative <= OUTLIER_SDS * np.sqrt(2.0) * usual) if usual > 0.0 else repeated
         count = np.bincount(self.cell[good], minlength=middle.size)

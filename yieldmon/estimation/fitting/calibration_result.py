@@ -11,9 +11,9 @@ from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.priors import at_bound_sentence
 from yieldmon.physics.numerics import Array
 
+from .scatter_law import OUTLIER_SDS
+
 CONFIDENCE = 0.95
-OUTLIER_SDS = 5.0
-"""Residual, in robust standard deviations, from which a row is named as an outlier."""
 
 _CERTAIN_P, _LIKELY_P = 0.001, 0.01
 """Probabilities of a larger lack of fit by noise alone, below which an effect is missing, and may be."""

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from yieldmon.estimation import model_error
 from yieldmon.physics.numerics import Array
 
-from .calibration_problem import LEAST_PURE_DOF, CalibrationProblem, Noise
+from .calibration_problem import CalibrationProblem, Noise
 from .calibration_result import CONFIDENCE
+from .scatter_law import LEAST_PURE_DOF
 
 _CLOSE = 0.05
 """Share of the width between bounds within which a value counts as at one of them."""

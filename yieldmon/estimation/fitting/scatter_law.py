@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from yieldmon.estimation.gaussian import SD_PER_MAD
 from yieldmon.physics.numerics import Array
 
+OUTLIER_SDS = 5.0
+"""Robust standard deviations from which a row is an outlier."""
+LEAST_PURE_DOF = 8
+"""Degrees of freedom of repeated rows from which they part noise from the model's own error, and determine its law."""
 _MOST_OUTLIERS = 0.1
 """Share of the rows."""
 _LEAST_CONSTANT = 0.01
@@ -56,6 +61,17 @@ def rounding_sd(readings: Array) -> float:
     step = float(np.diff(distinct).min())
     steps = (distinct - distinct[0]) / step
     return step / float(np.sqrt(12.0)) if np.all(np.abs(steps - np.round(steps)) < _SAME_STEP) else 0.0
+
+
+def medians(values: Array, group: NDArray[np.int64]) -> Array:
+    """Median of the values (n,) in each group; group (n,): numbers from 0 without a gap."""
+    return np.array([np.median(values[group == number]) for number in range(int(group.max()) + 1)])
+
+
+def either_form(level: Array) -> Array:
+    """Standard deviations at a level (n,) but for a common factor, nearly right for constant and for proportional noise alike: by
+    them outliers are found before the law is known."""
+    return np.asarray(0.15 * float(np.max(np.abs(level))) + np.abs(level))
 
 
 def usual_deviation(relative: Array) -> float:

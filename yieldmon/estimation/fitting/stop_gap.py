@@ -27,8 +27,9 @@ from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import span
 
 from .calibration import calibrate
-from .calibration_problem import LEAST_PURE_DOF, CalibrationProblem
+from .calibration_problem import CalibrationProblem
 from .measurements import Measurements
+from .scatter_law import LEAST_PURE_DOF
 
 _WEIGHTS = tuple(f"{EFFECT}.{weight_name(i, j)}" for i, j in POWERS)
 _BEYOND = (f"{EFFECT}.beyond_angle", f"{EFFECT}.beyond_load")

@@ -13,6 +13,8 @@ from yieldmon.physics.numerics import Array
 _LEAST_NOISE = 1e-9
 """Of the largest force; what is surer drowns all else in rounding."""
 _SWEEP = ("time_s", "plate_angle_rad", "elevator_speed_rad_s", "force_n", "force_std_dev_n")
+SWEEP_COLUMNS = (*_SWEEP, "moisture_pct")
+"""Columns of a sweep's windows, also those that may be missing."""
 _WEIGHED = ("duration_s", "force_n", "plate_angle_rad", "elevator_speed_rad_s")
 
 

@@ -20,7 +20,8 @@ SLOWEST, FASTEST = 0.5, 4.5
 """Over the rates' likely sizes: those of two seasons, friction by 15 % in 60 h and density by up to 15 % in 480 t."""
 _MEAN_SQUARE = (FASTEST**2 - SLOWEST**2) / (2.0 * log(FASTEST / SLOWEST))
 """Of a size that is as likely in each octave between the two."""
-_SINGULAR = 1e-12
+SINGULAR = 1e-12
+"""Of the largest eigenvalue of a correlation matrix: smaller ones are none."""
 
 
 def begin(covariance: Array, rates: int) -> Array:
@@ -52,7 +53,7 @@ def by_update(before: Array, after: Array) -> Array:
     For an update that weighs by the covariance before: what is left of an error is after / before.
     """
     scale = np.sqrt(np.maximum(np.diag(before), 1e-300))
-    inverse = np.linalg.pinv(before / np.outer(scale, scale), rcond=_SINGULAR, hermitian=True)
+    inverse = np.linalg.pinv(before / np.outer(scale, scale), rcond=SINGULAR, hermitian=True)
     return np.asarray((after / scale) @ inverse / scale)
 
 

@@ -19,12 +19,11 @@ import numpy as np
 
 from yieldmon.physics.numerics import Array
 
+from .drift_spread import SINGULAR
 from .steady_drift import Advance, DriftingParameters, widened
 
 _ROUNDING = 1e-6
 """Share of a variance by which an update may miss its prior."""
-_SINGULAR = 1e-12
-"""Of the largest eigenvalue of a correlation matrix."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,13 +136,13 @@ def _readings(update: DriftUpdate) -> _Readings | None:
     prior = update.widened(update.advance.covariance_after)
     scale = np.sqrt(np.maximum(np.diag(prior), 1e-300))
     sizes, axes = np.linalg.eigh(prior / np.outer(scale, scale))
-    used = sizes > _SINGULAR * sizes[-1]
+    used = sizes > SINGULAR * sizes[-1]
     white = (axes[:, used] / np.sqrt(sizes[used])).T / scale
     left, turned = np.linalg.eigh(white @ update.covariance @ white.T)
     if left[-1] > 1.0 + _ROUNDING:
         return None
     informed = left < 1.0 - _ROUNDING
-    left = np.maximum(left[informed], _SINGULAR)
+    left = np.maximum(left[informed], SINGULAR)
     rows = turned[:, informed].T @ white
     # A reading z of a unit prior variance moves by (1 - left) (z - prior).
     values = rows @ update.advance.after + rows @ (update.state - update.advance.after) / (1.0 - left)

@@ -179,28 +179,18 @@ def _calibration(
         posterior, after = together, problem.mass(together)
         errors = _left_out_together(problem, fit, sweeps, active, sweep_settings)
         next_sd, level_sd = problem.spread(posterior, active)
-    before = problem.mass(problem.given)
-    judges, rms_before, rms_after = _judged(problem, before, errors, active, learnt)
-    expected = _expected_rms(np.log(after / problem.weighed)[judges], errors[judges])
-    refused = bool(active.sum() > 1 and expected > rms_before and not _by_other_monitor(problem, active, directions))
-    chosen, after = (problem.given, before) if refused else (posterior, after)
-    results = _results(problem, before, after, errors, active)
-    moving = _moved_names(problem.given, chosen)
-    return LoadCalibration(
-        parameter_set=chosen,
-        names=moving,
-        held=tuple(n for n in chosen.values if n not in moving),
-        loads=results,
-        scale=float(after[active].sum() / before[active].sum()),
+    judged = _judged(problem, errors, active, learnt)
+    error = np.log(after / problem.weighed)
+    refused = judged.is_worse(error) and not _by_other_monitor(problem, active, directions)
+    found_alone = replace(
+        _outcome(problem, active, judged, posterior, after, refused=refused),
         scale_sd=level_sd,
         load_dependence=directions == 2 and not refused,
         next_load_sd=next_sd,
-        rms_before=rms_before,
-        rms_left_out=rms_after,
-        refused=refused,
-        sweeps_used=0 if together is None else len(sweeps),
-        contradiction=_contradiction(problem, errors) if (against or not active.all()) and together is None else None,
     )
+    if together is not None:
+        return replace(found_alone, sweeps_used=len(sweeps))
+    return replace(found_alone, contradiction=_contradiction(problem, errors) if against or not active.all() else None)
 
 
 def _by_other_monitor(problem: LoadProblem, active: NDArray[np.bool_], directions: int) -> bool:
@@ -208,14 +198,57 @@ def _by_other_monitor(problem: LoadProblem, active: NDArray[np.bool_], direction
     return bool(np.any(problem.common) and _rms(problem.left_out(active, directions).away[active]) <= _CONTRADICTED)
 
 
-def _judged(
-    problem: LoadProblem, before: Array, errors: Array, active: NDArray[np.bool_], learnt: Container[str]
-) -> tuple[NDArray[np.bool_], float, float]:
-    """Loads (n,) that judge a calibration, those that the prior has not learnt from where there are any, and rms ln error of
-    their masses before it and left out of it."""
+@dataclass(frozen=True)
+class _Judged:
+    """What judges a calibration. before: masses of the loads before it, kg; errors: ln error of each load left out of it; judges:
+    loads that count; all (n,). rms_before, rms_left_out: ln errors of these. several: more than one load is active."""
+
+    before: Array
+    errors: Array
+    judges: NDArray[np.bool_]
+    rms_before: float
+    rms_left_out: float
+    several: bool
+
+    def is_worse(self, error: Array) -> bool:
+        """Whether a further load is expected to be measured worse than before. error: ln error of each load, (n,)."""
+        return self.several and _expected_rms(error[self.judges], self.errors[self.judges]) > self.rms_before
+
+
+def _judged(problem: LoadProblem, errors: Array, active: NDArray[np.bool_], learnt: Container[str]) -> _Judged:
+    """By the loads that the prior has not learnt from, where there are any."""
+    before = problem.mass(problem.given)
     unseen = active & np.array([load.name not in learnt for load in problem.loads])
     judges = unseen if np.any(unseen) else active
-    return judges, _rms(np.log(before / problem.weighed)[judges]), _rms(errors[judges])
+    return _Judged(
+        before, errors, judges, _rms(np.log(before / problem.weighed)[judges]), _rms(errors[judges]), bool(active.sum() > 1)
+    )
+
+
+def _outcome(
+    problem: LoadProblem, active: NDArray[np.bool_], judged: _Judged, posterior: ParameterSet, after: Array, *, refused: bool
+) -> LoadCalibration:
+    """The calibration, with the set given where it is refused; what depends on the way it was made is left at nothing known.
+
+    after: masses of the loads by `posterior`, kg, (n,).
+    """
+    before = judged.before
+    chosen, after = (problem.given, before) if refused else (posterior, after)
+    moving = _moved_names(problem.given, chosen)
+    return LoadCalibration(
+        parameter_set=chosen,
+        names=moving,
+        held=tuple(n for n in chosen.values if n not in moving),
+        loads=_results(problem, before, after, judged.errors, active),
+        scale=float(after[active].sum() / before[active].sum()),
+        scale_sd=float("nan"),
+        load_dependence=False,
+        next_load_sd=float("nan"),
+        rms_before=judged.rms_before,
+        rms_left_out=judged.rms_left_out,
+        refused=refused,
+        sweeps_used=0,
+    )
 
 
 def _results(
@@ -242,31 +275,17 @@ def _by_another_law(
 ) -> LoadCalibration:
     """The calibration where the force may follow another curve over the flow than the model's."""
     errors, away = left_out(law, active, found.step)
-    after = problem.weighed * np.exp(found.error)
-    before = problem.mass(problem.given)
-    judges, rms_before, rms_after = _judged(problem, before, errors, active, learnt)
-    expected = _expected_rms(found.error[judges], errors[judges])
+    judged = _judged(problem, errors, active, learnt)
     # A load that another curve may well put there says nothing against the calibration, however far it is.
-    refused = bool(active.sum() > 1 and expected > rms_before and _rms(away[judges]) > _CONTRADICTED)
-    chosen = problem.given if refused else _as_law_set(law, active, found)
-    after = before if refused else after
+    refused = judged.is_worse(found.error) and _rms(away[judged.judges]) > _CONTRADICTED
+    posterior = problem.given if refused else _as_law_set(law, active, found)
     information = problem.information(LoadFit(found.step[:2], found.error, found.by_step[:, :2]), active)
     mean = np.column_stack((found.by_held, found.by_step))[active].mean(axis=0)
-    results = _results(problem, before, after, errors, active)
-    moving = _moved_names(problem.given, chosen)
-    return LoadCalibration(
-        parameter_set=chosen,
-        names=moving,
-        held=tuple(n for n in chosen.values if n not in moving),
-        loads=results,
-        scale=float(after[active].sum() / before[active].sum()),
+    return replace(
+        _outcome(problem, active, judged, posterior, problem.weighed * np.exp(found.error), refused=refused),
         scale_sd=float(np.sqrt(mean @ found.covariance @ mean)),
         load_dependence=bool(not refused and np.all(information >= problem.settings.least_information)),
         next_load_sd=_next_sd(problem, active, found),
-        rms_before=rms_before,
-        rms_left_out=rms_after,
-        refused=refused,
-        sweeps_used=0,
         another_law=AnotherLaw(found.law, found.scatter, found.scatters),
     )
 

@@ -62,8 +62,7 @@ def _jet_gradual(jet: Jet, values: Values, setting: Setting) -> Jet:
 
 @where_restitution
 def _arrival_gradual(arrival: Arrival, values: Values, setting: Setting) -> Arrival:
-    reach = setting.shape_ratio * (1.0 - arrival.jet.inner_radius)
-    return blur_low_edge(arrival, KERNEL_M * _gradual(values)(reach, values["rate_per_rad"]))
+    return _blurred(arrival, values, setting, _gradual(values))
 
 
 def _freed(
@@ -94,13 +93,16 @@ def _freed(
 
 
 def _arrival(arrival: Arrival, values: Values, setting: Setting) -> Arrival:
-    reach = setting.shape_ratio * (1.0 - arrival.jet.inner_radius)
-    return blur_low_edge(arrival, KERNEL_M * _free_share(reach, values["rate_per_rad"]))
+    return _blurred(arrival, values, setting, _free_share)
 
 
 def _arrival_beyond_reach(arrival: Arrival, values: Values, setting: Setting) -> Arrival:
+    return _blurred(arrival, values, setting, _beyond_reach)
+
+
+def _blurred(arrival: Arrival, values: Values, setting: Setting, law: Callable[[AnyArray, AnyArray], AnyArray]) -> Arrival:
     reach = setting.shape_ratio * (1.0 - arrival.jet.inner_radius)
-    return blur_low_edge(arrival, KERNEL_M * _beyond_reach(reach, values["rate_per_rad"]))
+    return blur_low_edge(arrival, KERNEL_M * law(reach, values["rate_per_rad"]))
 
 
 EFFECT = Effect(
