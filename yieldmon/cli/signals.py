@@ -30,8 +30,9 @@ from yieldmon.files import whole_file
 from yieldmon.finite import finite
 from yieldmon.network.name import Name
 from yieldmon.resources import shipped
+from yieldmon.signals.candidates import Candidate, candidates_of
 from yieldmon.signals.mapping_draft import TELLING, mapping_text
-from yieldmon.signals.survey import Candidate, MessageSeen, Survey
+from yieldmon.signals.survey import MessageSeen, Survey
 
 _SHIPPED = ("dbc/yieldmon.dbc", "dbc/j1939.dbc")
 _BLOCK_S = 0.5
@@ -142,7 +143,7 @@ def _document(survey: Survey) -> SurveyDocument:
             {"address": address, "name": f"0x{int(name):016X}" if name is not None else None} for address, name in survey.nodes
         ],
         "candidates": {
-            quantity: [_candidate(found) for found in candidates] for quantity, candidates in survey.candidates.items()
+            quantity: [_candidate(found) for found in candidates] for quantity, candidates in candidates_of(survey).items()
         },
     }
 
@@ -192,7 +193,8 @@ def _show(survey: Survey) -> None:
                 print(f"{'':44}{signal} {seen.low:g} to {seen.high:g} {seen.bits.unit}")
     for address, name in survey.nodes:
         print(f"node {address}: " + ("no NAME received" if name is None else f"NAME 0x{name}, {_fields(name)}"))
-    for quantity, found in survey.candidates.items():
+    candidates = candidates_of(survey)
+    for quantity, found in candidates.items():
         print(f"{quantity}: " + ", ".join(f"{c.message}.{c.signal} ({c.rate_hz:.1f} Hz)" for c in found[:4]))
-    if not survey.candidates:
+    if not candidates:
         print("no signal matches a quantity; give the manufacturer's DBC with --dbc")

@@ -7,19 +7,18 @@ from collections.abc import Mapping, Sequence
 
 from yieldmon.engine.sources import QUANTITIES
 from yieldmon.signals.binding import IMPACT
-from yieldmon.signals.survey import (
+from yieldmon.signals.candidates import Candidate, candidates_of, fit_alike
+from yieldmon.signals.signal_fit import (
     BARE,
     CHANNELS,
     FAST_HZ,
     STANDS_OUT,
-    Candidate,
-    Survey,
-    fit_alike,
     force_unit,
     is_makers_own,
     is_of_pulses,
     of_another_shaft,
 )
+from yieldmon.signals.survey import Survey
 from yieldmon.signals.units import period_s
 
 _RATIO, _PULSES, _COUNTS, _EXCITATION = "ratio: 0.2", "pulses_per_turn: 1", "scale: 0.1", "scale: 5"
@@ -53,7 +52,7 @@ def mapping_text(survey: Survey, paths: Mapping[str, str]) -> str:
         "# `yieldmon check-config THIS --log RECORDING`. Quantities that are left out keep the shipped DBC's messages.",
         "signals:",
     ]
-    candidates = survey.candidates
+    candidates = candidates_of(survey)
     impact = sorted((name for name in IMPACT if name in candidates), key=lambda name: -candidates[name][0].score)
     wanted = [*impact[:1], *(name for name in QUANTITIES if name in candidates)]
     if not impact:
