@@ -19,7 +19,7 @@ from yieldmon.errors import InputError
 from yieldmon.fleet import scheduling
 from yieldmon.fleet.dataset import Dataset
 from yieldmon.fleet.identity import parameters_sha256, software
-from yieldmon.fleet.manifest import Partition
+from yieldmon.fleet.partition import Partition
 from yieldmon.fleet.scheduling import Cluster, run_all
 from yieldmon.fleet.worker import DONE, FAILED, SKIPPED, Outcome, Task, work
 from yieldmon.resources import shipped

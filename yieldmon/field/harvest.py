@@ -11,7 +11,8 @@ from yieldmon.estimation.gaussian import REACH_95
 from yieldmon.files.ticket_file import WeighedTicket
 from yieldmon.units import KG_PER_LB, M2_PER_ACRE, S_PER_DAY, Units, UnitSystem
 
-from .cleaning import Cleaned, Context, clean, mass_by_reason, much_left_out
+from .cleaning import Cleaned, clean, mass_by_reason, much_left_out
+from .cleaning_rules import Context
 from .delay import Decision, Delay
 from .header_place import HeaderPlace, at_header
 from .loads import LoadResult, correct

@@ -17,7 +17,7 @@ from typing import Any
 
 from yieldmon.errors import of_the_computer
 from yieldmon.fleet.filesystem import filesystem_of, storage_failures
-from yieldmon.fleet.manifest import Partition
+from yieldmon.fleet.partition import Partition
 
 _HEAD_BYTES = 4096
 """Of the content. Logs that differ in it are no copies; the others are read whole."""

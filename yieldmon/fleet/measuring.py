@@ -31,9 +31,9 @@ from yieldmon.files.ticket_parts import with_parts_added
 from yieldmon.finite import finite
 from yieldmon.fleet import tables
 from yieldmon.fleet.identity import Identity
-from yieldmon.fleet.manifest import Partition
 from yieldmon.fleet.overlaps import within
 from yieldmon.fleet.own_tickets import own_tickets
+from yieldmon.fleet.partition import Partition
 from yieldmon.service.config.configuration import Configuration
 from yieldmon.service.logs import log_record
 from yieldmon.service.logs.bulk_processing import EndOfLog, Stretch

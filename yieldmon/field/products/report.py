@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from yieldmon.field.cleaning import KEPT, LOCAL, NO_PLACE, RULES
+from yieldmon.field.cleaning import KEPT, LOCAL, NO_PLACE
+from yieldmon.field.cleaning_rules import RULES
 from yieldmon.field.delay import Decision
 from yieldmon.field.grid import Grid, block_means
 from yieldmon.field.harvest import KG_M2_TO_T_HA, HarvestMap
