@@ -241,7 +241,8 @@ def test_a_log_that_lacks_samples_in_each_second_says_so(capsys, tmp_path, logs)
         ),
         (
             "plate_angle: {message: PlateActuatorFeedback, signal: PlateAngle, scale: -1, offset: 90}",
-            "no mass: the plate is away from home by its reported angle, and the zero needs it there: check unit, scale and offset",
+            "no mass: the plate is away from home by its reported angle, and the zero needs it there: "
+            "check unit, scale and offset",
         ),
         (
             "elevator_speed: {message: ElevatorSpeed, signal: ElevatorSpeed, range: [1, 2]}",

@@ -1,4 +1,4 @@
-"""The rules by which points are left out of a map: functions from a context to flags; thresholds come from the same source and crop.
+"""The rules by which points are left out of a map: functions from a context to flags, with thresholds from the same source.
 
 To add a rule, write it and list it in RULES; each can be switched off by its name.
 
