@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+from contextlib import nullcontext
 from pathlib import Path
 
 import can
@@ -127,11 +128,13 @@ def test_cut_off_gzip(tmp_path: Path, cut: float) -> None:
     assert notes.damaged_places == 1
 
 
-@pytest.mark.parametrize("mark", [b"\xef\xbb\xbf", b"\xff\xfe"])
-def test_byte_order_marks(tmp_path: Path, mark: bytes) -> None:
+@pytest.mark.parametrize(("mark", "refused"), [(b"\xef\xbb\xbf", False), (b"\xff\xfe", True)], ids=["UTF-8", "UTF-16"])
+def test_byte_order_marks(tmp_path: Path, mark: bytes, refused: bool) -> None:
     path = tmp_path / "drive.log"
     path.write_bytes(mark + drive(10))
     assert_same(path, 100)
+    with pytest.raises(InputError, match="UTF-16") if refused else nullcontext():
+        assert len(load_frames(path)) == 10
 
 
 @pytest.mark.parametrize("suffix", [".asc", ".csv", ".trc", ".blf", ".db"])
@@ -141,6 +144,7 @@ def test_other_formats(tmp_path: Path, suffix: str) -> None:
         for k in range(50):
             writer.on_message_received(can.Message(timestamp=START_S + k / 1000, arbitration_id=k, data=bytes(k % 9)))
     assert_same(path, 1000)
+    assert len(load_frames(path)) == 50
 
 
 def test_missing_log(tmp_path: Path) -> None:

@@ -86,6 +86,7 @@ def test_predict_csv_has_the_same_numbers(capsys: pytest.CaptureFixture[str]) ->
     words = ("predict", "--mass-flow", "2,25", "--plate-angle", "70", *PUBLISHED)
     rows = document(capsys, *words)["rows"]
     lines = list(csv.DictReader(io.StringIO(run(capsys, *words))))
+    assert [float(line["mass_flow_kg_s"]) for line in lines] == [2.0, 25.0]
     for line, row in zip(lines, rows, strict=True):
         assert {k: float(v) for k, v in line.items()} == pytest.approx(row, rel=1e-9)
 

@@ -24,7 +24,9 @@ def test_a_sample_of_damaged_files() -> None:
 
 
 def test_whole_ones_are_maps(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for path in base_files(tmp_path):
+    whole = base_files(tmp_path)
+    assert len(whole) == 10
+    for path in whole:
         code = cli.main(["map", str(path), "--out", str(tmp_path / "out"), "--products", "none", "--json"])
         reported = capsys.readouterr()
         assert code == 0, reported.err

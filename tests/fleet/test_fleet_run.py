@@ -223,7 +223,9 @@ def test_a_ticket_over_logs_of_the_same_time_is_held_against_their_mass_once(tmp
             times = (f"({float(line[1:18]) - epoch_s:017.6f})" for line in lines)
             (day / log).write_text("".join(time + line[19:] for time, line in zip(times, lines, strict=True)))
         (day / "tickets.csv").write_text("load,weighed_kg\n1-2,24\n")
-    for task in tasks(tmp_path / "tree", tmp_path / "out"):
+    both = tasks(tmp_path / "tree", tmp_path / "out")
+    assert [task.partition.day for task in both] == ["dated", "from 0"]
+    for task in both:
         assert work(task).status == DONE
         rows = pq.ParquetFile(tmp_path / "out" / task.partition.name / "loads.parquet").read().to_pylist()
         of = {row["name"]: row["measured_kg"] for row in rows if row["kind"] != "load"}

@@ -71,8 +71,9 @@ def test_frames_come_at_their_rates_in_time_order_with_a_counter(combine):
 
 
 def test_every_frame_packs_into_the_dbc_and_back(combine):
-    codec = Codec()
-    for frame in all_frames(combine(frames={"position": True, "harvest_state": True}, duration_s=4)):
+    codec, sent = Codec(), all_frames(combine(frames={"position": True, "harvest_state": True}, duration_s=4))
+    assert {"ImpactSensorSamples", "VehiclePosition", "HarvestState"} <= {frame.message for frame in sent}
+    for frame in sent:
         again = codec.decode(codec.encode(frame))
         assert again.message == frame.message
         for name, value in frame.signals.items():
