@@ -129,13 +129,13 @@ def test_the_first_ticket_says_that_it_decides_alone_and_the_second_that_the_fir
             bench.played()
             return capsys.readouterr().err
 
-        assert "the first ticket, it sets the scale by itself (" in enter(2, 1.4)
+        assert "the first ticket, it alone sets the scale (" in enter(2, 1.4)
         assert (
             "by one ticket alone: if it is wrong by 10 %, so is every load, until a second shows it"
             in bench.daemon.monitor.outcome.reason
         )
         second = enter(3, 1.0)
-        assert "sets the scale by itself" not in second
+        assert "alone sets the scale" not in second
         assert "or ticket 1, the only one before it, is the wrong one (`yieldmon ticket undo 1`)" in second
         assert "by one ticket alone" not in bench.daemon.monitor.outcome.reason
         # Another crop's tickets say nothing of the machine in this one.
@@ -152,10 +152,10 @@ def test_the_first_ticket_says_that_it_decides_alone_and_the_second_that_the_fir
             season.masses[wheat[-1]["number"]] = wheat[-1]["mass_kg"]
         capsys.readouterr()
         first = enter(wheat[0]["number"], 0.88 / TRUE)
-        assert "the first ticket, it sets the scale by itself (" in first
+        assert "the first ticket, it alone sets the scale (" in first
         assert "known to hold" not in first
         second = enter(wheat[1]["number"], 1.1 / TRUE)
-        assert "sets the scale by itself" not in second
+        assert "alone sets the scale" not in second
         assert "or ticket 3, the only one before it, is the wrong one (`yieldmon ticket undo 3`)" in second
 
 
@@ -181,5 +181,5 @@ def test_where_a_tank_scale_has_updated_no_ticket_is_said_to_decide_alone(tmp_pa
         capsys.readouterr()
         assert cli.main(["ticket", "2", f"{weighed_kg:.0f}kg", "--socket", str(tmp_path / "yieldmon.sock")]) == 0
         told = capsys.readouterr().err
-        assert "sets the scale by itself" not in told
+        assert "alone sets the scale" not in told
         assert "% more than the" in told

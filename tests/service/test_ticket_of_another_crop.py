@@ -87,7 +87,7 @@ def test_a_ticket_that_comes_after_its_crop_updates_it_when_it_returns(restart: 
         assert "a reference for wheat" in told
         assert "it updates the parameters of wheat" in told
         assert "`yieldmon load start --crop wheat`" in told
-        assert "the first ticket, it sets the scale by itself" in warned
+        assert "the first ticket, it alone sets the scale" in warned
         bench.play(3, 0.0)
         bench.played()
         assert dict(bench.daemon.monitor.estimator.parameters.values) == barley
@@ -127,7 +127,7 @@ def test_late_tickets_that_contradict_each_other_are_asked_about(tmp_path: Path)
         masses = wheat_then_barley(tmp_path, bench)
         harvest(tmp_path, bench, "barley", 3, 50.0)
         _, warned = said(tmp_path, "ticket", "2", f"{TRUE * masses[2]:.3f}kg")
-        assert "it sets the scale by itself" in warned
+        assert "it alone sets the scale" in warned
         _, warned = said(tmp_path, "ticket", "3", f"{1.2 * TRUE * masses[3]:.3f}kg")
         assert "20.0 % more than" in warned
         assert "or ticket 1, the only one before it, is the wrong one (`yieldmon ticket undo 1`)" in warned

@@ -20,7 +20,7 @@ def base_frame(cells: Cells, sd: Array, parameters: ParameterSet, form: str, *, 
     """Frame for the published model in `form` ("restitution" or "exchange"); friction and density free, the shape ratio fixed.
 
 
-    keep_effects: effects that the parameters speak of belong to the model, at their values. Bounds and starts are the registry's.
+    keep_effects: effects with parameters in the set belong to the model, at their values. Bounds and starts are the registry's.
     """
     top = float(np.max(np.abs(cells.mean)))
     force = top if cells.rows.of == "force" else top * float(np.median(_passes(cells)))

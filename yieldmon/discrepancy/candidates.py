@@ -53,7 +53,7 @@ class Score:
 
 
 def library(frame: Frame, without: Iterable[str] = ()) -> tuple[str, ...]:
-    """Effects that these cells could speak of: all but those in `without`, in the model, measured, or without their input."""
+    """Effects that these cells could show: all but those in `without`, in the model, measured, or without their input."""
     out = [name for name, effect in registry().items() if name not in {*without, *frame.known} and not effect.measured]
     if not np.all(np.isfinite(frame.cells.moisture_pct)):
         out = [name for name in out if registry()[name].stage != "crop"]
@@ -104,7 +104,7 @@ def score(current: Fit, drawn: Signature) -> Score:
     for i, (n2, a) in enumerate(zip(norm2, along, strict=True)):
         if n2 <= 1e-12 or a <= 0.0:
             continue
-        # A signature bends with size; beyond 1.5 times its own the next point speaks.
+        # A signature bends with size; beyond 1.5 times its own the next point counts.
         amplitude = min(a / n2, 1.5)
         gain = 2.0 * amplitude * a - amplitude**2 * n2
         if gain > best_gain:
@@ -236,7 +236,7 @@ def errors(current: Fit, noise: Noise, rng: np.random.Generator, draws: int) -> 
 def second(current: Fit) -> bool:
     """Whether what is added to `current` is a second effect: one whose gain is tested beside the law of the first.
 
-    A third has two laws to mend, and three causes at once are rare, so that it is held against all that these laws may make.
+    A third has two laws to mend, and three causes at once are rare, so that it is compared with all that these laws may make.
     """
     return len(current.effects) == 1
 

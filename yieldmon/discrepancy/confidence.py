@@ -1,6 +1,6 @@
 """Confidence as a probability: how often a name that looks like this one was right, on cases with known answers.
 
-A logistic map from what a search says of a name to the share of such names that were right. It was learnt on the cases of
+A logistic map from what a search says of a name to the share of such names that were right. It was fitted to the cases of
 `studies/hidden_effects`, whose generators share no law with the library; the file says which, how many, and at which commit.
 """
 
@@ -37,7 +37,7 @@ class Logistic:
 
     def __call__(self, rows: Array) -> Array:
         """Probabilities, (n,), of features, (n, features)."""
-        # No further out than the cases reach that it was learnt on.
+        # No further out than the cases reach that it was fitted to.
         z = self.bias + np.clip((rows - self.centre) / self.scale, -_REACH, _REACH) @ self.weights
         return np.asarray(1.0 / (1.0 + np.exp(-z)))
 

@@ -100,10 +100,10 @@ def conclude(
     report("next experiment", 0.95)
     effects = library(whole, options.without)
     signatures = [signature(base_all, effect) for effect in effects]
-    spoken_of = {*map(family_of, found.effects), *(e for step in chosen.steps for e in step.equivalent)}
+    named_or_tied = {*map(family_of, found.effects), *(e for step in chosen.steps for e in step.equivalent)}
     other_laws = [signature(base_all, law) for effect in effects for law in laws(effect)[1:]]
     shown = {family_of(s.effect) for s in (*signatures, *other_laws) if _shows(s)}
-    undetectable = tuple(s.effect for s in signatures if s.effect not in spoken_of | shown)
+    undetectable = tuple(s.effect for s in signatures if s.effect not in named_or_tied | shown)
     return Diagnosis(
         options=options,
         form=seen.form,
@@ -187,7 +187,7 @@ def _in_the_better_form(
 ) -> tuple[published.Published, Choice]:
     """The published model and what was chosen beside it: those with k1 and k2 where 1 + restitution is hardly more than 1, unless
     what was chosen beside that explains the rows better by more than a tie; by anything at all where the restitution is grain's
-    again with the effects, so that nothing but evidence speaks for k1 and k2."""
+    again with the effects, so that evidence alone decides for k1 and k2."""
     if options.form != "auto":
         return model, chosen
     other = published.exchange_instead(model, rows, noise, parameters, keep_effects=options.keep_effects, name=name)
@@ -205,7 +205,7 @@ def _in_the_better_form(
 def _confirmed(
     choice: Choice, validation: Validation | None, noise: Noise, rows: obs.Rows, options: Options, *, angles_doubted: bool
 ) -> tuple[Choice, list[str]]:
-    """The choice with its confidence, no effect named where something outside the search speaks against it; and what does."""
+    """The choice with its confidence, no effect named where something outside the search objects; and the notes on it."""
     policy, notes = options.policy, list[str]()
     if validation is not None and choice.verdict == "effect" and not validation.agrees:
         notes.append(diagnosis_notes.refuted(choice.named, validation))

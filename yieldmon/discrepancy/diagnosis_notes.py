@@ -1,4 +1,4 @@
-"""What a diagnosis says beside its verdict, a sentence each."""
+"""Notes of a diagnosis beside its verdict, a sentence each."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ def of_scatter(noise: Noise, rows: Rows, outliers: int) -> list[str]:
     if scatter > MOST_SCATTER:
         out.append(
             f"rows of one condition scatter by {100.0 * scatter:.0f} % of the median reading, far more than the cases on which "
-            "confidence was learnt (1 to 3 %), so nothing is named: is a column shuffled, or a condition not recorded?"
+            "confidence was fitted (1 to 3 %), so nothing is named: is a column shuffled, or a condition not recorded?"
         )
     if outliers > _MANY * len(rows):
         out.append(f"{outliers} outliers of {len(rows)} rows are many: do the columns of a row belong together?")
@@ -183,7 +183,7 @@ def of_repetitions(choice: Choice, noise: Noise) -> list[str]:
 def of_run_order(choice: Choice, policy: Policy) -> list[str]:
     """Named effects that a drift over the run explains as well, where rows lie load by load, or angle by angle.
 
-    A note and no reason against a name: tables are commonly sorted so after measuring in turn.
+    A note and no objection to a name: tables are commonly sorted so after measuring in turn.
     """
     found = choice.best
     rows = found.frame.cells.rows

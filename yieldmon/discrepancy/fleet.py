@@ -1,8 +1,8 @@
-"""What many machines' sweeps say together: what all show is the model's, what one shows beside the others its own.
+"""What many machines' sweeps show together: what all show is the model's, what one shows beside the others its own.
 
-A machine is held against the others: its forces over theirs, at equal force at home, angle and speed. That needs no model, so
+A machine is compared with the others: its forces over theirs, at equal force at home, angle and speed. That needs no model, so
 that what the model lacks for all does not count against one. Machines that cut one crop share its grain; how much friction and
-density differ between them is learnt from them all (empirical Bayes), and is the prior of each machine's own. What an effect
+density differ between them is estimated from them all (empirical Bayes), and is the prior of each machine's own. What an effect
 would show is the model's change by it, loads following, with grain free within that prior.
 """
 

@@ -114,7 +114,7 @@ def visible_size(drawn: ForceChange, length: Array, needed: float) -> Visible:
     step = np.abs(drawn.points[alone, 0] - leading.start)
     size = float("inf")
     if step.size:
-        # A change bends with size: the point nearest to its own answer speaks.
+        # A change bends with size: the point nearest to its own answer counts.
         answers = step * needed / length[alone]
         size = float(answers[np.argmin(np.abs(np.log(answers / step)))])
     physical = size <= max(leading.upper - leading.start, leading.start - leading.lower)

@@ -1,4 +1,4 @@
-"""How much the grain of one crop differs between machines, learnt from all of them (empirical Bayes)."""
+"""How much the grain of one crop differs between machines, estimated from all of them (empirical Bayes)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from yieldmon.physics.numerics import Array
 
 GRAIN_SD = 0.1
-"""In steps that matter (`physics.grain`): scale of how far grain of one crop differs between machines, before that is learnt."""
+"""In steps that matter (`physics.grain`): scale of how far grain of a crop differs between machines, before it is estimated."""
 _GRID = np.concatenate(([0.0], np.geomspace(0.01, 4.0, 40)))
 _SWEEPS = 3
 

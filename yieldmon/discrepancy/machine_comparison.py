@@ -195,7 +195,7 @@ class Comparison:
         judge, drawn = self._judge(i, state), self._drawn[i] / np.sqrt(state.misfit)
         away = drawn - judge.columns @ (judge.inner @ (judge.columns.T @ drawn))
         norm2, along = np.einsum("ij,ij->j", away, drawn), away.T @ judge.residual
-        # A change bends with size; beyond a quarter more than its own the next point speaks.
+        # A change bends with size; beyond a quarter more than its own the next point counts.
         share = np.clip(np.divide(along, norm2, out=np.zeros(along.shape), where=norm2 > 1e-12), 0.0, 1.25)
         return 2.0 * share * along - share**2 * norm2, share
 

@@ -82,7 +82,7 @@ def estimate(rows: Rows) -> tuple[Noise, NDArray[np.bool_]]:
 
 def _beyond_stated(rows: Rows) -> tuple[float, float]:
     """What repetitions scatter by over the standard deviations that rows state, and the degrees of freedom behind it; 1 where
-    chance explains it, and where few repeat. Those that lie far off have no say."""
+    chance explains it, and where few repeat. Outliers among them do not count."""
     count = np.bincount(rows.cell)
     dof = len(rows) - len(count)
     if dof < LEAST_PURE_DOF:

@@ -56,7 +56,7 @@ def blocked_in_each_trial(rows: Rows) -> bool:
 
 
 def is_asked(rows: Rows) -> bool:
-    """Whether the order of rows can speak against a name: times are stated, or speeds were run one after the other, once or in
+    """Whether the order of rows can be an objection: times are stated, or speeds were run one after the other, once or in
     each trial."""
     return rows.order is not None and (rows.timed or not speeds_in_turn(rows) or blocked_in_each_trial(rows))
 

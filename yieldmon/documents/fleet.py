@@ -209,7 +209,7 @@ class DensityAndGain(TypedDict):
 
 
 class PriorMachine(TypedDict):
-    """A machine that it was learnt from, and how it differs from the crop's mean."""
+    """A machine that it was estimated from, and how it differs from the crop's mean."""
 
     loads: int
     density_pct: float

@@ -39,7 +39,7 @@ class UpdatedParameter(TypedDict):
 
 
 class ScaleDocument(TypedDict):
-    """The direction that no sweep determines by itself. prior_sd: of ln a before; ratio: after over before; shift: of ln a."""
+    """The direction that no sweep determines alone. prior_sd: of ln a before; ratio: after over before; shift: of ln a."""
 
     direction: str
     observable: bool

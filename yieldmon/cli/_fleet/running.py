@@ -96,7 +96,7 @@ def _check_options(args: argparse.Namespace) -> None:
     if meant := misspelt(args.crop):
         raise InputError("--crop", f"is {args.crop!r}", meant)
     if args.scheduler and args.adaptive:
-        raise InputError("--adaptive", "is given together with --scheduler", "only one; a cluster adapts by itself")
+        raise InputError("--adaptive", "is given together with --scheduler", "only one; a cluster adapts on its own")
 
 
 def _tasks(

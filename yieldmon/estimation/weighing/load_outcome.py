@@ -231,7 +231,7 @@ def curve_sentence(found: LoadCalibration) -> str:
     if found.another_law.probability > LIKELY_ANOTHER:
         return (
             f"the force follows another curve over the flow than the model's (probability {chance}): beside it goes a power of "
-            f"the flow, {exponent:+.2f} (sd {std_dev:.2f}), learnt with density and impact gain (effect load_pattern)."
+            f"the flow, {exponent:+.2f} (sd {std_dev:.2f}), fitted with density and impact gain (effect load_pattern)."
         )
     return (
         "these loads do not show whether the force follows the model's curve over the flow (probability of another one "

@@ -222,7 +222,7 @@ function answerOf(name, answer) {
     const off = 100 * (answer.weighed_mass_kg / (answer.known_mass_kg ?? answer.measured_mass_kg) - 1);
     const asked = answer.question || (Math.abs(off) > UNLIKELY_PCT ? "That is a lot" : "");
     const doubt = asked ? ` ${asked}; if it is a slip, enter the right mass as another ticket.` : "";
-    const first = answer.sets_scale_pct == null ? "" : " It is the first and sets the scale by itself: weigh a second load.";
+    const first = answer.sets_scale_pct == null ? "" : " It is the first and alone sets the scale: weigh a second load.";
     const replaced = answer.replaces?.length ? ` ${named("Ticket", answer.replaces)} stood for it; the newer one counts (of a load weighed in parts enter the sum).` : "";
     const left = answer.without_ticket?.length ? ` ${named("Load", answer.without_ticket)} ${answer.without_ticket.length > 1 ? "have" : "has"} no ticket any more.` : "";
     const of = answer.waits_for_crop;
