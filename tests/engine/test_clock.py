@@ -55,6 +55,19 @@ def test_a_pause_long_after_a_step_is_a_pause():
     assert clock.jumps == 1
 
 
+@pytest.mark.parametrize(("step_s", "jumps"), [(30.0, 0), (1800.0, 0), (-1800.0, 1)])
+def test_a_pause_between_two_logs_is_no_jump(step_s, jumps):
+    clock = clock_at()
+    clock.begin_log()
+    before_s = clock.now_s
+    clock.engine_time(1000.0 + step_s)
+    assert (clock.jumps, clock.resumed) == (jumps, step_s > 60.0)
+    assert clock.now_s == pytest.approx(before_s + (step_s if step_s == 30.0 else 0.0))
+    # Within that log a long step is one again.
+    clock.engine_time(clock.bus_time(clock.now_s) + 1800.0)
+    assert clock.jumps == jumps + 1
+
+
 @pytest.mark.parametrize("bus_s", [float("nan"), float("inf"), -1e12, 2e11])
 def test_a_time_that_is_none_is_counted_and_not_used(bus_s):
     clock = clock_at()

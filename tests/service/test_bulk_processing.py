@@ -152,6 +152,20 @@ def test_several_logs_are_one_record(log, tmp_path):
 
 
 @pytest.mark.parametrize("process", [process_logs, process_in_bulk])
+def test_a_pause_between_two_logs_is_no_fault(process, tmp_path):
+    """Each day with a break had ClockJumped and FramesLost, as where the logger's clock fails and the bus is overloaded."""
+    paths = []
+    for start_s in (1.79e9, 1.79e9 + 1801.0):
+        paths.append(tmp_path / f"{start_s:.0f}.log")
+        with can.Logger(str(paths[-1])) as writer:
+            for frame in traffic(start_s, 13.0, 0.0):
+                writer.on_message_received(CODEC.encode(frame))
+    rows, summary = rows_of(process, paths)
+    assert summary.windows == len(rows) == 25
+    assert not any("ClockJumped" in row.faults or "FramesLost" in row.faults for row in rows)
+
+
+@pytest.mark.parametrize("process", [process_logs, process_in_bulk])
 def test_what_two_loggers_recorded_of_one_bus_counts_once(process, log, tmp_path):
     """The second one from the middle on, by a clock that is 3 ms late."""
     early, late = messages(), messages()

@@ -2,7 +2,8 @@
 
 Engine time never runs back and never jumps. A step of the bus's clock changes the offset between the two and nothing else, so
 windows, time-outs and totals go on as if the clock had not been touched. Right behind a step a pause is another step: time stamps
-that go to and fro (a log of two recorders, line by line) would otherwise make a minute of silence of each.
+that go to and fro (a log of two recorders, line by line) would otherwise make a minute of silence of each. A long step forward
+from one log to the next is a pause of the recorder and no jump of the clock; engine time is continuous there too.
 """
 
 from __future__ import annotations
@@ -31,6 +32,13 @@ class BusClock:
         self.jumps = 0
         self.unusable = 0
         self._to_settle = 0
+        self._between_logs = False
+        self.resumed = False
+        """Whether a recording went on after a pause; for whoever looks to set back."""
+
+    def begin_log(self) -> None:
+        """The next frame is the first of another log."""
+        self._between_logs = self.now_s is not None
 
     def engine_time(self, bus_time_s: float) -> float | None:
         """Engine time of a frame and advance to it; None when the time stamp is not a usable number.
@@ -46,12 +54,16 @@ class BusClock:
             self.now_s = time_s
             return time_s
         step = time_s - now
+        between_logs, self._between_logs = self._between_logs, False
         settling = self._to_settle > 0
         if settling:
             self._to_settle -= 1
         if step >= 0.0:
             if step > (_LONGEST_PAUSE_S if settling else self._settings.max_gap_s):
                 self._absorb(bus_time_s, now)
+                if between_logs:
+                    self.jumps -= 1
+                    self.resumed = True
                 return now
             self.now_s = time_s
             return time_s
@@ -70,6 +82,7 @@ class BusClock:
     def passed(self, now_s: float) -> None:
         """A block of times that `regular` admits has passed; now_s: the last of them, engine time."""
         self.now_s = now_s
+        self._between_logs = False
 
     def bus_time(self, engine_time_s: float) -> float:
         """Bus time stamp for something that happens at an engine time."""

@@ -119,6 +119,13 @@ class Monitor(MonitorView):
         """
         return self._timeline.tick(time_s)
 
+    def begin_log(self) -> None:
+        """The next frame is the first of another log of the same bus.
+
+        If it comes long after the last one (`clock.max_gap_s`), the recorder paused: no clock jumped, and no frames were lost.
+        """
+        self._timeline.begin_log()
+
     def completed(self, results: Sequence[Result]) -> list[Result]:
         """The results last returned, with the shape of their windows' samples evaluated; for `waveform_later`.
 

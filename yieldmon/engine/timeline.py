@@ -36,7 +36,7 @@ class Timeline:
     def take(self, frame: Frame) -> list[Result]:
         """One frame; see `Monitor.feed`."""
         parts = self._parts
-        now = parts.clock.engine_time(frame.time_s)
+        now = self._engine_time(frame.time_s)
         if now is None:
             return []
         results = self.advance(now) if now >= parts.schedule.next_s else []
@@ -46,8 +46,20 @@ class Timeline:
 
     def tick(self, time_s: float) -> list[Result]:
         """Bus time without a frame; see `Monitor.tick`."""
-        now = self._parts.clock.engine_time(time_s)
+        now = self._engine_time(time_s)
         return [] if now is None else self.advance(now)
+
+    def begin_log(self) -> None:
+        """See `Monitor.begin_log`."""
+        self._parts.clock.begin_log()
+
+    def _engine_time(self, time_s: float) -> float | None:
+        clock = self._parts.clock
+        now = clock.engine_time(time_s)
+        if clock.resumed:
+            clock.resumed = False
+            self._parts.sensors.resume()
+        return now
 
     def _take_inputs(self, frame: Frame, now: float) -> None:
         inputs = self._parts.inputs
@@ -83,7 +95,7 @@ class Timeline:
             if place not in rows:
                 results += self.take(frame) if frame is not None else self.tick(time_s)
                 continue
-            now = self._parts.clock.engine_time(time_s)
+            now = self._engine_time(time_s)
             if now is not None:
                 results += self.advance(now) if now >= self._parts.schedule.next_s else []
                 sensor, row = rows[place]

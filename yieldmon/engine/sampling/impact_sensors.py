@@ -73,6 +73,11 @@ class ImpactSensors:
             else:
                 builder.angle.add(now_s, value * DEGREE)
 
+    def resume(self) -> None:
+        """What comes next was recorded after a pause."""
+        for _, builder in self._sensors:
+            builder.samples.resume()
+
     def forget_angle(self) -> None:
         """The last plate angle no longer holds; a fixed one always does."""
         if not self._angle_fixed:

@@ -80,6 +80,8 @@ class SampleBuffer:
         self._interval_s = source.interval_s * len(source.signals)
         self._last_s = float("nan")
         self._last_counter = float("nan")
+        self._resumes = list[int]()
+        """Places among the rows that wait of those before which the recording paused: what the counter went on by is not lost."""
         self._crowding = Crowding(_CROWDED_SHARE, _CROWDED_FRAMES, self._interval_s)
 
     def add_block(self, rows: Array) -> None:
@@ -90,12 +92,19 @@ class SampleBuffer:
         if rows.shape[0]:
             self._blocks.append(rows)
 
+    def resume(self) -> None:
+        """The rows that follow were recorded after a pause."""
+        self._resumes.append(len(self.rows) + sum(block.shape[0] for block in self._blocks))
+
     def take(self, edges: Array) -> SampleFrames:
         """The frames of the windows between edges (w + 1,), engine time; they are used up."""
         table = self._table()
         bounds = segments.bounds_at(table[:, 0], edges)
         last_frame_s = np.concatenate(([self._last_s], table[:, 0]))[bounds[1:]]
         steps = self._steps(table[:, 0], table[:, 1])
+        if self._resumes:
+            steps[[place for place in self._resumes if place < table.shape[0]]] = 1.0
+            self._resumes = [0] if self._resumes[-1] == table.shape[0] else []
         if table.shape[0]:
             self._last_s, self._last_counter = float(table[-1, 0]), float(table[-1, 1])
         new = steps != 0.0

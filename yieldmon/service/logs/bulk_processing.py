@@ -102,6 +102,7 @@ def process_in_bulk(
             if isinstance(stretch, EndOfLog):
                 summary.damages += stretch.damages
                 summary.channels |= stretch.channels
+                monitor.begin_log()
             else:
                 summary.frames += stretch.frames
                 summary.ours += stretch.ours

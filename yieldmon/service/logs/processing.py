@@ -114,6 +114,7 @@ def process_logs(
     for path in paths:
         notes = LogNotes()
         again_until_s, again = recorded.begin(str(path))
+        monitor.begin_log()
         for message in read_log(path, notes):
             channel = channel_name(message)
             summary.channels.add(channel)
