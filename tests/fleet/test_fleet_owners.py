@@ -82,7 +82,7 @@ def test_one_line_a_machine_not_a_day(tree: Path, tmp_path: Path, capsys: pytest
     assert main(["fleet", "run", str(tree), "--out", str(tmp_path / "out"), "--workers", "0"]) == 1
     said = [line for line in capsys.readouterr().err.splitlines() if "config.yaml" in line]
     assert len(said) == 1
-    assert said[0].startswith("poisoned: machine=m0 (2 days): m0/config.yaml")
+    assert said[0].startswith("not measured: machine=m0 (2 days): m0/config.yaml")
 
 
 @pytest.mark.parametrize("harm", ["configuration", "name"])
@@ -325,3 +325,37 @@ def test_interrupted(tmp_path: Path, when: str) -> None:
     assert {path.name for path in out.glob("*")} <= {"_run", "machine=m0", "machine=m1"}
     for day in out.glob("machine=*/*"):
         assert (day / MARK).is_file()
+
+
+@pytest.mark.parametrize("kind", ["absent", "a folder", "damaged"])
+def test_a_day_is_measured_whatever_becomes_of_its_tickets(kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Tickets that cannot be read lost the mass of the day, damaged ones did not."""
+    logs.write(tmp_path / "a.log", 60.0)
+    (tmp_path / "m.csv").write_text("machine,day,log,tickets\nm,d,a.log,weighed.csv\n")
+    if kind == "a folder":
+        (tmp_path / "weighed.csv").mkdir()
+    elif kind == "damaged":
+        (tmp_path / "weighed.csv").write_bytes(b"\xff\xfe\x00")
+    code, document, _ = fleet_run(tmp_path / "m.csv", tmp_path / "out", capsys)
+    assert (code, document["done"], document["failed"]) == (1, 1, 0)
+    [left_out] = document["poisoned"]
+    assert left_out["where"] == "weighed.csv"
+    assert str(tmp_path) not in left_out["problem"]
+    assert main(["fleet", "report", str(tmp_path / "out"), "--json"]) == 0
+    printed = capsys.readouterr()
+    assert json.loads(printed.out)["totals"]["mass_kg"] > 10.0
+    assert printed.err.startswith("left out: m d: weighed.csv: ")
+    if kind == "a folder":
+        (tmp_path / "weighed.csv").rmdir()
+    (tmp_path / "weighed.csv").write_text("load,weighed_kg\na.log,20\n")
+    code, document, _ = fleet_run(tmp_path / "m.csv", tmp_path / "out", capsys)
+    assert (code, document["done"], document["poisoned"]) == (0, 1, [])
+
+
+def test_machines_that_differ_in_capitals_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    logs.write(tmp_path / "a.log", 60.0)
+    logs.write(tmp_path / "b.log", 70.0)
+    (tmp_path / "m.csv").write_text("machine,day,log\nNorth,d,a.log\nnorth,d,b.log\n")
+    code, document, said = fleet_run(tmp_path / "m.csv", tmp_path / "out", capsys)
+    assert (code, document["done"]) == (0, 2)
+    assert "North and north differ only in capitals and count as 2 machines; one machine takes one name" in said

@@ -84,6 +84,45 @@ def test_report(season: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert "@media print{.scroll{max-height:none;" in text
 
 
+def test_days_of_one_machine_measured_with_other_parameters_are_named_and_not_called_drift(
+    season: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As after a run with new parameters that was interrupted."""
+    mixed, day = tmp_path / "mixed", "machine=m0/day=2026-10-02"
+    shutil.copytree(season / "first", mixed)
+    shutil.rmtree(mixed / day)
+    shutil.copytree(season / "second" / day, mixed / day)
+    assert main(["fleet", "report", str(mixed), "--json", "--html", str(tmp_path / "r.html")]) == 0
+    printed = capsys.readouterr()
+    found = json.loads(printed.out)
+    assert problems(found, "fleet-report") == []
+    [doubtful] = [item for item in found["doubtful"] if "other parameters" in item["problem"]]
+    assert (doubtful["machine"], doubtful["day"]) == ("m0", "2026-10-02")
+    assert doubtful["problem"].startswith("this day was measured with other parameters or settings than 2026-10-01")
+    parameters = {machine["machine"]: machine["parameters"] for machine in found["machines"]}
+    assert parameters["m0"]["friction"]["first"] != parameters["m0"]["friction"]["last"]
+    assert parameters["m0"]["friction"]["change_pct"] is None
+    assert parameters["m1"]["friction"]["change_pct"] == 0.0
+    assert "2 configurations" in (tmp_path / "r.html").read_text()
+
+
+def test_tickets_of_a_machine_that_are_all_far_from_what_was_measured_are_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Kilograms in a column of tonnes gave a mean error of -99.9 %, without a word."""
+    for machine, table in (("kg", "load,weighed_t\na.log,20\n"), ("t", "load,weighed_t\na.log,0.02\n")):
+        logs.write(tmp_path / "tree" / machine / "d" / "a.log", 60.0 if machine == "t" else 61.0)
+        (tmp_path / "tree" / machine / "d" / "tickets.csv").write_text(table)
+    assert measure(tmp_path / "tree", str(tmp_path / "out")) == 0
+    capsys.readouterr()
+    assert main(["fleet", "report", str(tmp_path / "out")]) == 0
+    printed = capsys.readouterr()
+    slip = "as where kilograms were taken for tonnes"
+    said = rf"doubtful: kg d: the machine's tickets weigh [\d.e+]+ times what was measured, {slip}\n"
+    assert re.fullmatch(said, printed.err)
+    assert "2 machines, 2 days, " in printed.out
+
+
 def test_report_names_damaged_logs_and_those_counted_twice(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     source, out = tmp_path / "tree", str(tmp_path / "out")
     whole = logs.text(60.0)
@@ -122,7 +161,8 @@ def test_report_names_logs_of_a_machine_that_overlap(tmp_path: Path, capsys: pyt
     masses = {(day["machine"], day["day"]): day["mass_kg"] for day in found["days"]}
     packed, later = found["doubtful"]
     assert re.search(r"a\.parquet: up to \S+ it holds the frames of a\.log again \(\+0 ms\); left out", packed["problem"])
-    assert later["problem"].endswith("at times that d1 a.log has too; the sums leave them out")
+    why = "as of a second recorder, or of a clock that was set back"
+    assert later["problem"].endswith(f"at times that d1 a.log has too, {why}; the sums leave them out")
     twice = {(day["machine"], day["day"]): day["counted_again_kg"] for day in found["days"]}
     # Forces of 60 and 65 mV for as long: once each.
     assert masses["m0", "d1"] == pytest.approx(masses["m1", "d1"] * 60.0 / 65.0, rel=0.02)

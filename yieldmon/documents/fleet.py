@@ -80,7 +80,8 @@ class MachineFault(TypedDict):
 
 
 class ParameterDrift(TypedDict):
-    """A parameter at the end of the first and last day, and of each. std_dev: of the last."""
+    """A parameter at the end of the first and last day, and of each. std_dev: of the last; change_pct: null also where the days
+    did not begin with the same value."""
 
     first: float
     last: float

@@ -6,7 +6,7 @@ import errno
 import functools
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -63,10 +63,8 @@ def filesystem_of(address: str) -> tuple[Any, str]:
 
 @contextmanager
 def local_copies(addresses: tuple[str, ...], folder: Path) -> Iterator[tuple[str, ...]]:
-    """Paths under which the files can be read here; what is remote is fetched into the folder for as long.
-
-    Raises InputError for a file that is not there.
-    """
+    """Paths under which the files can be read here; what is remote is fetched into the folder for as long. Of one that is not
+    there the path leads to no file."""
     made = folder / "inputs"
     paths = []
     try:
@@ -77,10 +75,8 @@ def local_copies(addresses: tuple[str, ...], folder: Path) -> Iterator[tuple[str
             files, path = filesystem_of(address)
             target = made / str(number) / path.rpartition("/")[2]
             target.parent.mkdir(parents=True)
-            try:
+            with suppress(FileNotFoundError):
                 files.get_file(path, str(target))
-            except FileNotFoundError as error:
-                raise InputError(address, "no such file", "a log that is there") from error
             paths.append(str(target))
         yield tuple(paths)
     finally:

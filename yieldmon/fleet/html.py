@@ -25,9 +25,9 @@ def page(summary: FleetReportDocument) -> str:
     """The page's text."""
     totals = summary["totals"]
     head = (
-        f"{totals['machines']} machines, {totals['machine_days']} machine-days, {totals['hours']:.1f} h, "
+        f"{counted(totals['machines'], 'machine')}, {counted(totals['machine_days'], 'machine-day')}, {totals['hours']:.1f} h, "
         f"{totals['mass_kg'] / 1000.0:.1f} t; yieldmon {', '.join(totals['software'])}; "
-        f"{totals['parameter_hashes']} different configurations"
+        f"{counted(totals['parameter_hashes'], 'configuration')}"
     )
     parts = [
         f"<h1>Fleet: {escape(summary['dataset'])}</h1><p>{escape(head)}</p>",
@@ -44,8 +44,17 @@ def page(summary: FleetReportDocument) -> str:
     )
 
 
+def counted(number: int, what: str) -> str:
+    """A number of things.
+
+    >>> counted(1, "machine"), counted(3, "machine")
+    ('1 machine', '3 machines')
+    """
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"
+
+
 def _problems(summary: FleetReportDocument) -> str:
-    parts = ("Not measured", (*summary["failed"], *summary["poisoned"])), ("Doubtful", summary["doubtful"])
+    parts = ("Not measured", summary["failed"]), ("Left out", summary["poisoned"]), ("Doubtful", summary["doubtful"])
     return "".join(_listed(title, items) for title, items in parts if items)
 
 
@@ -102,9 +111,13 @@ def _drift(machines: Sequence[MachineSummary]) -> str:
         row = [escape(machine["machine"])]
         for name in moved:
             entry = machine["parameters"].get(name)
-            row.append("" if entry is None else f"{_line(list(entry['by_day'].values()))} {_signed(entry['change_pct'])} %")
+            row.append("" if entry is None else f"{_line(list(entry['by_day'].values()))} {_change(entry)}")
         cells.append(row)
     return _raw_table(("machine", *moved), cells)
+
+
+def _change(entry: ParameterDrift) -> str:
+    return "" if entry["change_pct"] is None else f"{_signed(entry['change_pct'])} %"
 
 
 def _moves(entry: ParameterDrift | None) -> bool:

@@ -191,7 +191,7 @@ def measure(
     covered, unmatched = _ticket_rows(rows, tickets, list(names.values()), taken.rows, partition)
     tables.write(tables.LOADS, [*_load_rows(monitor), *rows, *covered], folder / "loads.parquet")
     start_s = taken.rows[0][0] if taken.rows else float("nan")
-    first = _parameter_rows(configured.parameters, start_s, "file", "as configured")
+    first = _parameter_rows(configured.parameters, start_s, tables.FILE, "as configured")
     tables.write(tables.PARAMETERS, [*first, *taken.parameters], folder / "parameters.parquet")
     tables.write(tables.SWEEPS, taken.sweeps, folder / "sweeps.parquet")
     tables.write(tables.FAULTS, taken.faults, folder / "faults.parquet")

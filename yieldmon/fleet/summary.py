@@ -21,13 +21,13 @@ from yieldmon.documents.fleet import (
 )
 from yieldmon.engine.faults import FaultCode
 from yieldmon.errors import InputError
-from yieldmon.estimation.weighing.unlike_others import unlike_the_others
+from yieldmon.estimation.weighing.unlike_others import LEAST_OFF_OF_MACHINES, unlike_the_others
 from yieldmon.fleet import tables
 from yieldmon.fleet.names import LATEST_DATE_S, in_order, off_by_days
 from yieldmon.fleet.overlaps import Overlap, overlaps
 from yieldmon.fleet.querying import Query, opened
 from yieldmon.fleet.repeats import Log, Repeats, logs_of, samples_of
-from yieldmon.fleet.unlike_tickets import in_words
+from yieldmon.fleet.unlike_tickets import in_words, in_words_of_measured
 from yieldmon.utc import EARLIEST_BUS_TIME_S
 
 Rows = list[dict[str, Any]]
@@ -51,9 +51,10 @@ GROUP BY ALL ORDER BY machine, day, code
 """
 """A fault that the day ends with lasts to the day's end; where the clock stepped meanwhile, no longer than the day."""
 _SWEEPS = "SELECT machine, state, count(*) AS count FROM sweeps GROUP BY ALL ORDER BY ALL"
-_PARAMETERS = """
+_PARAMETERS = f"""
 SELECT machine, name, day, arg_max(value, (coalesce(time_s, 0), version)) AS value,
-  arg_max(std_dev, (coalesce(time_s, 0), version)) AS std_dev FROM parameters GROUP BY ALL ORDER BY machine, name, day
+  arg_max(std_dev, (coalesce(time_s, 0), version)) AS std_dev,
+  any_value(value) FILTER (WHERE origin = '{tables.FILE}') AS configured FROM parameters GROUP BY ALL ORDER BY machine, name, day
 """
 _LOG_MASSES = f"SELECT machine, day, name, measured_kg FROM loads WHERE kind = '{tables.LOG}'"
 _TICKETS = """
@@ -96,7 +97,7 @@ def summarise(address: str) -> FleetReportDocument:
         overlapping = overlaps(query, places)
         measured_kg = {(row["machine"], row["day"], row["name"]): row["measured_kg"] for row in query.rows(_LOG_MASSES)}
     doubtful, repeated = _doubtful(days, overlapping.pairs, samples_of(query), address)
-    doubtful += _unlike_tickets(tickets)
+    doubtful += _of_other_configurations(days) + _unlike_tickets(tickets)
     _leave_out(days, {**overlapping.again_kg, **{log: measured_kg.get(log) or 0.0 for log in repeated}})
     by_day: dict[tuple[str, str], dict[str, int]] = {}
     for row in faults:
@@ -174,7 +175,8 @@ def _doubtful(
         if own is None or own != other:
             with_ = each.other_log if each.other_day == each.day else f"{each.other_day} {each.other_log}"
             same = f"{each.seconds} s with {each.mass_kg:.1f} kg"
-            problem = f"{each.log} has {same} at times that {with_} has too; the sums leave them out"
+            why = "as of a second recorder, or of a clock that was set back"
+            problem = f"{each.log} has {same} at times that {with_} has too, {why}; the sums leave them out"
             found.append({"machine": each.machine, "day": each.day, "problem": problem})
     return found, repeated
 
@@ -237,7 +239,8 @@ def _machine(name: str, days: Rows, faults: Rows, sweeps: Rows, parameters: Rows
 
 
 def _drift(rows: Rows) -> dict[str, ParameterDrift]:
-    """First and last value of each parameter at the end of a day, its change, and its value by day."""
+    """First and last value of each parameter at the end of a day, its change, and its value by day. What days began with that
+    somebody changed has not drifted."""
     found: dict[str, Rows] = {}
     for row in rows:
         found.setdefault(row["name"], []).append(row)
@@ -247,10 +250,27 @@ def _drift(rows: Rows) -> dict[str, ParameterDrift]:
             "by_day": {row["day"]: row["value"] for row in values},
             "last": values[-1]["value"],
             "std_dev": values[-1]["std_dev"],
-            "change_pct": 100.0 * (values[-1]["value"] / values[0]["value"] - 1.0) if values[0]["value"] else None,
+            "change_pct": 100.0 * (values[-1]["value"] / values[0]["value"] - 1.0) if _comparable(values) else None,
         }
         for name, values in found.items()
     }
+
+
+def _comparable(values: Rows) -> bool:
+    """Whether a parameter's last value may be held against its first: both are of days that began with the same."""
+    return bool(values[0]["value"]) and len({row["configured"] for row in values if row["configured"] is not None}) < 2
+
+
+def _of_other_configurations(days: Rows) -> list[DayProblem]:
+    """Machines whose days were measured with several configurations or parameters, as after an interrupted run with others."""
+    found: list[DayProblem] = []
+    for rows in _by_machine(days).values():
+        others = [row for row in rows if row["parameters_sha256"] != rows[0]["parameters_sha256"]]
+        if others:
+            more = f" (and {len(others) - 1} more)" if len(others) > 1 else ""
+            problem = f"this day{more} was measured with other parameters or settings than {rows[0]['day']}"
+            found.append(_problem(others[0], f"{problem}; `fleet run` of all its logs measures them alike"))
+    return found
 
 
 def _errors(rows: Rows) -> TicketErrors:
@@ -267,13 +287,17 @@ def _errors(rows: Rows) -> TicketErrors:
 
 
 def _unlike_tickets(tickets: Rows) -> list[DayProblem]:
-    """Tickets that none of the machine's others bears out, and those of loads of which nothing was measured."""
+    """Tickets that none of the machine's others bears out, those of loads of which nothing was measured, and machines with all
+    tickets far from what was measured."""
     found: list[DayProblem] = []
     for rows in _by_machine(tickets).values():
         ratios = np.array([row["measured_kg"] / row["weighed_kg"] for row in rows])
         with np.errstate(divide="ignore"):
             unlike = unlike_the_others(np.log(ratios)) | (ratios <= 0.0)
         usual = float(np.median(ratios[~unlike])) if not unlike.all() else 1.0
+        off = -float(np.log(usual))
+        if abs(off) > LEAST_OFF_OF_MACHINES:
+            found.append(_problem(rows[0], in_words_of_measured(off)))
         for row, ratio in zip(itertools.compress(rows, unlike), ratios[unlike], strict=True):
             weighed_kg = row["weighed_kg"]
             nothing = f"weighs {weighed_kg:.0f} kg, and nothing was measured"

@@ -5,7 +5,13 @@ from __future__ import annotations
 from math import exp
 
 from yieldmon.estimation.weighing.ticket_slips import UNIT_SLIPS
+from yieldmon.units import KG_PER_T
 
+_SLIPS = (
+    *UNIT_SLIPS,
+    (KG_PER_T, "kilograms were taken for tonnes"),
+    (1.0 / KG_PER_T, "tonnes were taken for kilograms"),
+)
 _NEAR = 1.15
 """Within which a factor may be that of a slip, beside how machines differ."""
 
@@ -44,7 +50,21 @@ def in_words_of_all(machine: str, log_times: float) -> str:
     "m2: its tickets weigh 2.23 times what the other machines' say of its loads, as where pounds were taken for kilograms"
     """
     times = exp(log_times)
-    slip = next((what for factor, what in UNIT_SLIPS if 1.0 / _NEAR < times / factor < _NEAR), "")
-    return f"{machine}: its tickets weigh {times:.3g} times what the other machines' say of its loads" + (
-        f", as where {slip}" if slip else ""
-    )
+    return f"{machine}: its tickets weigh {times:.3g} times what the other machines' say of its loads{_as_where(times)}"
+
+
+def in_words_of_measured(log_times: float) -> str:
+    """A machine whose tickets weigh exp(log_times) times what was measured of its loads.
+
+    Examples
+    --------
+    >>> in_words_of_measured(6.9)
+    "the machine's tickets weigh 992 times what was measured, as where kilograms were taken for tonnes"
+    """
+    times = exp(log_times)
+    return f"the machine's tickets weigh {times:.3g} times what was measured{_as_where(times)}"
+
+
+def _as_where(times: float) -> str:
+    slip = next((what for factor, what in _SLIPS if 1.0 / _NEAR < times / factor < _NEAR), "")
+    return f", as where {slip}" if slip else ""

@@ -123,8 +123,8 @@ def there(task: Task) -> Outcome | None:
 @dataclass(frozen=True)
 class _Inputs:
     """What a partition is to be measured from, on this machine. folder: to work in; names: of all logs, by path; hashes: name and
-    SHA-256 of those that are measured, usable: their paths; unreadable: name and reason; states: of each file, by path, before
-    it was read."""
+    SHA-256 of those that are measured, usable: their paths; unreadable: name and reason, of logs or tickets; tickets: "" where
+    there are none to read; states: of each file, by path, before it was read."""
 
     folder: Path
     names: dict[str, str]
@@ -156,10 +156,17 @@ def _inputs(task: Task, dataset: Dataset) -> Iterator[_Inputs]:
         states = [(names[p], _COPY if log in repeated else _state(p)) for p, log in zip(logs, partition.logs, strict=True)]
         hashes = [(name, state) for name, state in states if isinstance(state, str) and state != _COPY]
         unreadable = [(name, state) for name, state in states if isinstance(state, InputError)]
+        of_tickets = _state(tickets) if tickets else ""
+        if isinstance(of_tickets, InputError):
+            # The day is measured without, as where its tickets are damaged.
+            called = Path(partition.tickets).name
+            reason = InputError(by_name(of_tickets.where, {tickets: called}), of_tickets.problem, of_tickets.expected)
+            unreadable.append((called, reason))
+            tickets, of_tickets = "", _UNREADABLE
         measurable = {name for name, _ in hashes}
         inputs = inputs_sha256(
             [(name, state if isinstance(state, str) else _UNREADABLE) for name, state in states],
-            digests.of_file(tickets) if tickets else "",
+            of_tickets,
             partition.crop,
             partition.sharing,
         )

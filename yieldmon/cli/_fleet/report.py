@@ -9,7 +9,7 @@ from yieldmon.cli._json import print_document
 from yieldmon.documents.fleet import FleetReportDocument
 from yieldmon.files import whole_file
 from yieldmon.files.plain_text import plain
-from yieldmon.fleet.html import page
+from yieldmon.fleet.html import counted, page
 from yieldmon.fleet.summary import summarise
 
 
@@ -19,10 +19,9 @@ def run(args: argparse.Namespace) -> int:
     if args.html is not None:
         whole_file.write(args.html, page(summary))
     print_document(summary, _text, as_json=args.json)
-    for item in (*summary["failed"], *summary["poisoned"]):
-        print(plain(f"not measured: {item['machine']} {item['day']}: {item['problem']}"), file=sys.stderr)
-    for item in summary["doubtful"]:
-        print(plain(f"doubtful: {item['machine']} {item['day']}: {item['problem']}"), file=sys.stderr)
+    for what, items in ("not measured", summary["failed"]), ("left out", summary["poisoned"]), ("doubtful", summary["doubtful"]):
+        for item in items:
+            print(plain(f"{what}: {item['machine']} {item['day']}: {item['problem']}"), file=sys.stderr)
     return 0
 
 
@@ -33,14 +32,16 @@ def _text(summary: FleetReportDocument) -> str:
     for name, m in zip(names, summary["machines"], strict=True):
         faults = sum(int(f["count"]) for f in m["faults"].values())
         error = m["tickets"]["mean_error_pct"]
-        drift = max((p["change_pct"] or 0.0 for p in m["parameters"].values()), key=abs, default=0.0)
+        changes = [p["change_pct"] for p in m["parameters"].values() if p["change_pct"] is not None]
+        drift = max(changes, key=abs) if changes else None
         lines.append(
             f"{name:<{wide}}{m['days']:>5}{m['hours']:>9.1f}{m['mass_kg'] / 1000.0:>10.1f}{faults:>8}"
             f"{len(m['model_disagrees']):>10}{m['tickets']['count']:>8}"
             + (f"{error:>+9.2f}" if error is not None else f"{'-':>9}")
-            + f"{drift:>+9.2f}"
+            + (f"{drift:>+9.2f}" if drift is not None else f"{'-':>9}")
         )
     totals = summary["totals"]
     sums = f"{totals['hours']:.1f} h, {totals['mass_kg'] / 1000.0:.1f} t"
-    lines.append(f"{totals['machines']} machines, {totals['machine_days']} days, {sums}")
+    machines, days = counted(totals["machines"], "machine"), counted(totals["machine_days"], "day")
+    lines.append(f"{machines}, {days}, {sums}")
     return "\n".join(lines)

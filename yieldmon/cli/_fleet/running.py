@@ -48,6 +48,7 @@ def run(args: argparse.Namespace) -> int:
         _say(f"{path}: left out, {_why_left_out(path)}")
     if (more := len(found.left_out) - _MOST_LEFT_OUT) > 0:
         _say(f"{more} more left out, hold no log of a day (`left_out` of --json has them)")
+    _say_alike(found.partitions)
     dataset = Dataset(args.out)
     configurations = _configurations(found.partitions, args)
     unusable = [*found.refused, *(each for each in configurations.values() if isinstance(each, InputError))]
@@ -132,6 +133,16 @@ def _with_copies(partitions: tuple[Partition, ...]) -> tuple[Partition, ...]:
         for log, same in partition.copies:
             _say(f"{log}: left out, holds the same as {same}")
     return found
+
+
+def _say_alike(partitions: Sequence[Partition]) -> None:
+    """Machines whose names differ in capitals alone, which some computers take for one folder."""
+    alike: dict[str, dict[str, None]] = {}
+    for partition in partitions:
+        alike.setdefault(partition.machine.casefold(), {})[partition.machine] = None
+    for names in alike.values():
+        if len(names) > 1:
+            _say(f"{' and '.join(names)} differ only in capitals and count as {len(names)} machines; one machine takes one name")
 
 
 def _say_what_is_left(dataset: Dataset, partitions: Sequence[Partition]) -> None:
@@ -221,7 +232,10 @@ def _document(out: str, outcomes: Sequence[Outcome], partitions: Sequence[Partit
 
 
 def _lines_of(document: FleetRunDocument) -> list[str]:
-    lines = [*_by_machine("poisoned", document["poisoned"]), *_by_machine("left to the next run", document["why_left"])]
+    failed = [item for item in document["poisoned"] if item["where"] == item["partition"]]
+    parts = [item for item in document["poisoned"] if item["where"] != item["partition"]]
+    lines = [*_by_machine("not measured", failed), *_by_machine("left out", parts)]
+    lines += [*_by_machine("left to the next run", document["why_left"])]
     lines += [f"doubtful: {item['partition']}: {item['problem']}" for item in document["doubtful"]]
     lines.append(
         f"{document['dataset']}: {document['done']} measured, {document['skipped']} already there, {document['failed']} failed"

@@ -14,7 +14,7 @@ LEAST_MACHINES = 5
 """Below which it is not known how machines scatter."""
 _LEAST_OFF, _TIMES_SCATTER = 0.2, 6.0
 """ln, and robust standard deviations of the others, by which a load is off."""
-_LEAST_OFF_OF_MACHINES = 0.4
+LEAST_OFF_OF_MACHINES = 0.4
 """ln, of a machine's: two standard deviations of the gain of one that was never calibrated."""
 
 _DENSITIES_OFF = 1.0
@@ -61,7 +61,7 @@ def unlike_the_other_machines(log_errors: Array) -> NDArray[np.bool_]:
     >>> unlike_the_other_machines(np.log([1.01, 0.45, 0.99, 1.0, 1.03])).tolist()
     [False, True, False, False, False]
     """
-    return _off(log_errors, LEAST_MACHINES, _LEAST_OFF_OF_MACHINES)
+    return _off(log_errors, LEAST_MACHINES, LEAST_OFF_OF_MACHINES)
 
 
 def unlike_the_other_densities(log_densities: Array) -> int | None:
