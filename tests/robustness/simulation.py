@@ -574,7 +574,7 @@ MENDS = {
     "checksums": _mend((1,), _no_checksums),
     "rescue": _mend((1,), _patched("yieldmon.service.history.recovery.rescue.rescue", _nothing_set_aside)),
     "removed files": _mend((6,), _patched("yieldmon.service.storage.store.Store.require_attached", lambda store: None)),
-    "witness of commits": _mend((1,), _patched("yieldmon.service.history.recovery.witnessed", lambda path: 0)),
+    "witness of commits": _mend((1,), _patched("yieldmon.service.history.recovery.last_noted_batch", lambda path: 0)),
     "looking after files while closed": _mend(
         (6,), _patched("yieldmon.service.storage.writer.StoreWriter._opened", lambda writer: writer._open_store())
     ),
