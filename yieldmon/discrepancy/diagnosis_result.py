@@ -1,4 +1,4 @@
-"""What a diagnosis is asked, and what it finds."""
+"""Options and result of a diagnosis."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from .validation import Share, Validation
 
 @dataclass(frozen=True)
 class Options:
-    """How `diagnose` works.
+    """Options of `diagnose`.
 
     Parameters
     ----------
@@ -35,8 +35,9 @@ class Options:
     keep_effects : bool
         The model has the effects that the parameters name, at their values, instead of none.
     seed : int
+        Of the random numbers.
     policy : Policy
-        When an effect is named.
+        Thresholds for naming an effect.
 
     Examples
     --------
@@ -103,7 +104,7 @@ class Examination:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """All that `diagnose` found.
+    """The result of `diagnose`.
 
     Parameters
     ----------
@@ -121,8 +122,9 @@ class Diagnosis:
     leading : Fit, optional
         The same with the leading candidates, where the verdict is "unknown" in spite of them.
     rows : Rows
+        All n rows of the table.
     is_held_out : ndarray of bool
-        (n,) rows that were held out.
+        (n,) True for rows that were held out.
     before, after : Measure
         Misfit of the model to the rows without and with the effects.
     with_leading : Measure, optional
@@ -132,7 +134,7 @@ class Diagnosis:
     noise_floor_rms : float
         In the reading's unit.
     regions, remaining : tuple of Region
-        Where the model misses, before and after.
+        Where model and rows differ, without and with the effects.
     plan : Plan
         The next experiment.
     minimum_detectable : dict of str to float

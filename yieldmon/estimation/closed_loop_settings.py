@@ -1,4 +1,4 @@
-"""How a sweep is read: the settings of `closed_loop`, which a configuration holds without the solver."""
+"""Settings of `closed_loop`, apart from the solver so that a configuration can hold them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from math import inf
 
 @dataclass(frozen=True, slots=True)
 class ClosedLoopSettings:
-    """How a sweep is read.
+    """Settings of `self_calibrate`.
 
     Parameters
     ----------
@@ -24,12 +24,12 @@ class ClosedLoopSettings:
     model_error : float
         Relative standard deviation of the model's own error, one draw for each plate angle of a sweep.
     learned_information : float
-        Data over prior information along a direction of parameter space; below it nothing is taken from the data: many
-        small contributions would add up to a certainty that the model's error does not allow.
+        Least ratio of data to prior information along a direction of parameter space for an update along it: many smaller
+        updates would add up to a certainty that the model's error does not allow.
     kept_ratio : float
-        A parameter whose width shrinks to no less than this share of the prior's keeps its value and variance.
+        A parameter that keeps at least this share of its prior standard deviation is not updated.
     consistent_p : float
-        Probability of so large a misfit below which a sweep updates nothing.
+        p-value of the misfit below which a sweep updates nothing.
 
     Raises
     ------

@@ -203,7 +203,7 @@ class OpenLoop:
     Parameters
     ----------
     model : ForwardModel
-        With the effects that the parameters speak of; `load_pattern`, which weighed loads add to a set, is added to it.
+        With the effects that the parameters name; `load_pattern`, which weighed loads add to a set, is added to it.
     parameters : ParameterSet
         Their covariance and own_error enter the standard deviation of the flow.
 

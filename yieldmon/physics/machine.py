@@ -39,7 +39,7 @@ class ImpactSensor:
 
 @dataclass(frozen=True, slots=True)
 class Implement:
-    """The combine around the elevator, as a task controller learns of it; None: not known.
+    """The combine around the elevator, as described to a task controller; None: not known.
 
     working_width_m: of the header. header_offset_m: its cutting edge ahead of the connector. connector_type: ISO 11783-11
     DDI 157, 0 is unknown. grain_delay_s: from the cutting edge to the impact plate.
@@ -75,7 +75,7 @@ class Machine:
     sensor : ImpactSensor
         The force cell behind the plate: N per mV, full scale in mV, response time in s.
     implement : Implement
-        The combine around it, as a task controller learns of it.
+        The combine around it, as described to a task controller.
     plate_travel_m : tuple of float
         How far the plate can be moved level from its pivot: towards the elevator (at most 0) and away from it (at least 0), m.
 

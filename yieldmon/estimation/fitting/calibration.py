@@ -62,7 +62,7 @@ def calibrate(
     response_unit: str = "N",
     progress: Callable[[float], None] | None = None,
 ) -> Calibration:
-    """Least squares of momentum over the free parameters.
+    """Fit the free parameters to the momentum of rows of known load, by least squares.
 
     Parameters
     ----------
@@ -207,7 +207,7 @@ def profile_curves(
 def default_start(
     model: ForwardModel, data: Measurements, impact: Sequence[str], known: Mapping[str, float] | None = None
 ) -> dict[str, float]:
-    """Values from which to search.
+    """Start values for `calibrate`.
 
     Parameters
     ----------

@@ -31,7 +31,7 @@ from yieldmon.physics.model import ForwardModel, refuse_impossible
 from yieldmon.physics.numerics import Array
 
 from .closed_loop_inputs import MeasuredDensity, Sweep, WeighedMass
-from .closed_loop_outcome import NO_SCALE, FlowPosterior, Learning, Outcome, ScaleReport
+from .closed_loop_outcome import NO_SCALE, FlowPosterior, Outcome, ParameterUpdate, ScaleReport
 from .closed_loop_problem import ClosedLoopProblem, Solution
 from .partial_update import determined_part
 from .steady_drift import widened
@@ -54,7 +54,7 @@ def self_calibrate(
     settings: ClosedLoopSettings | None = None,
     anchors: Sequence[WeighedMass] = (),
 ) -> Outcome:
-    """Flows of sweeps and updated parameters.
+    """Estimate the flows of sweeps and update the parameters.
 
     Parameters
     ----------
@@ -240,12 +240,12 @@ def _outcome(problem: ClosedLoopProblem, solution: Solution) -> Outcome:
     )
 
 
-def _learning(problem: ClosedLoopProblem, mean: Array, covariance: Array, consistent: bool) -> tuple[Learning, ...]:
+def _learning(problem: ClosedLoopProblem, mean: Array, covariance: Array, consistent: bool) -> tuple[ParameterUpdate, ...]:
     """What became of each parameter; nothing where the data contradict the model."""
     prior, prior_sds = problem.prior.mean, problem.prior.standard_deviation
     sds = np.sqrt(np.diag(covariance))
     return tuple(
-        Learning(
+        ParameterUpdate(
             name,
             float(prior[i]),
             float(prior_sds[i]),
@@ -341,7 +341,7 @@ def _reason(
     *,
     updated: bool,
     consistent: bool,
-    learning: Sequence[Learning],
+    learning: Sequence[ParameterUpdate],
     p_value: float,
     residuals: Sequence[Array],
     scale: ScaleReport,

@@ -33,8 +33,8 @@ class FlowPosterior:
 
 
 @dataclass(frozen=True, slots=True)
-class Learning:
-    """What became of one parameter. ratio: posterior over prior standard deviation. learned: value and variance moved."""
+class ParameterUpdate:
+    """Prior and posterior of one parameter. learned: whether value and variance were updated."""
 
     name: str
     prior: float
@@ -45,7 +45,7 @@ class Learning:
 
     @property
     def ratio(self) -> float:
-        """Posterior over prior width."""
+        """Posterior over prior standard deviation."""
         return self.sd / self.prior_sd
 
     def interval(self, level: float = 0.9) -> tuple[float, float]:
@@ -99,10 +99,10 @@ class Outcome:
     flows : tuple of FlowPosterior
         Mean mass flow of each sweep, kg/s, with its deviation; where it is not consistent, that which as large an error of the
         model as makes it so, one draw an angle, leaves and moves it by.
-    parameters : tuple of Learning
+    parameters : tuple of ParameterUpdate
         Prior and posterior of each parameter that was updated.
     scale : ScaleReport
-        What became of the scale that no sweep determines.
+        Prior and posterior of the scale, which no sweep determines alone.
     chi2, dof, p_value : float, int, float
         Misfit, its degrees of freedom, and the probability of so large a misfit by chance.
     residuals : tuple of ndarray
@@ -121,7 +121,7 @@ class Outcome:
     reason: str
     region: str
     flows: tuple[FlowPosterior, ...]
-    parameters: tuple[Learning, ...]
+    parameters: tuple[ParameterUpdate, ...]
     scale: ScaleReport
     chi2: float
     dof: int

@@ -22,26 +22,26 @@ from yieldmon.signals.mapping import SignalMap, default_map
 
 @dataclass
 class Summary:
-    """What a pass over logs met.
+    """Counts of a run of `process_logs`.
 
     Parameters
     ----------
     frames : int
-        All in the logs.
+        Frames in the logs.
     ours : int
-        Those that the engine was fed.
+        Frames fed to the engine.
     samples : int
-        Those among them that bring an impact sensor's samples.
+        Of these, frames with samples of an impact sensor.
     malformed : int
-        Of wrong length.
+        Frames of a wrong length.
     incomplete : int
-        Messages of several frames that lack one.
+        Messages of several frames of which one is missing.
     windows : int
-        That closed.
+        One-second windows.
     damages : list of str
         Damaged places of the logs.
     channels : set of str
-        Of the logs, chosen or not.
+        Channels in the logs, chosen or not.
 
     Examples
     --------
