@@ -107,3 +107,22 @@ def test_a_load_away_from_home_says_less_of_the_scale_there() -> None:
 def test_parameters_say_that_a_weighed_mass_has_set_their_scale() -> None:
     assert not SURE.is_weighed
     assert learnt(ticket(0.04, MassBudget())).is_weighed
+
+
+def test_a_clock_set_back_in_a_load_leaves_its_ticket_a_reference() -> None:
+    """A computer without a clock of its own begins with a time that is months ahead, until its first fix."""
+    weighed = ticket(0.02, MassBudget())
+    set_back = replace(weighed, start_s=weighed.start_s + 5e6)
+    assert left(set_back) == pytest.approx(left(weighed))
+
+
+@pytest.mark.parametrize(("changes", "comparable"), [
+    ({}, True),
+    ({"start_s": 600.0}, True),
+    ({"forces": None}, True),
+    ({"forces": None, "start_s": 600.0}, False),
+    ({"complete": False}, False),
+    ({"measured_kg": 0.0}, False),
+])  # fmt: skip
+def test_a_mass_is_comparable_by_its_forces_or_its_time(changes: dict[str, object], comparable: bool) -> None:
+    assert replace(ticket(0.0, MassBudget()), **changes).comparable is comparable

@@ -11,6 +11,7 @@ from tests.service.test_remeasuring import known, rows
 from yieldmon.cli import ticket
 from yieldmon.cli.main import main
 from yieldmon.engine.mass.totals import Totals
+from yieldmon.engine.self_calibration.reference_mass import ReferenceMass, ReferenceSource
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.errors import InputError
 from yieldmon.files import parameter_file
@@ -53,9 +54,14 @@ class Told:
     def ticket_departure(self, load: int, mass_kg: float, std_dev_kg: float, of_crop: object = None) -> None:
         """Not known."""
 
-    def ticket(self, load: int, mass_kg: float, std_dev_kg: float, crop: str = "", common_kg: float = 0.0) -> None:
+    clock_set_back = False
+    """In the loads, whose forces were not kept."""
+
+    def ticket(self, load: int, mass_kg: float, std_dev_kg: float, crop: str = "", common_kg: float = 0.0) -> ReferenceMass:
         self.tickets.append((load, mass_kg, std_dev_kg))
         self.for_crops.append(crop)
+        start_s = 900.0 if self.clock_set_back else 0.0
+        return ReferenceMass(ReferenceSource.TICKET, start_s, 600.0, mass_kg, std_dev_kg, mass_kg, True, load)
 
 
 def journal(*tickets: Ticket) -> Journal:
@@ -73,6 +79,15 @@ def test_a_ticket_for_several_loads_is_shared_out_by_mass_and_its_uncertainty_by
     assert answer["is_reference"] is True
     assert monitor.tickets == [(1, pytest.approx(3300.0), pytest.approx(20.0 * 0.75**0.5)), (2, pytest.approx(1100.0), 10.0)]
     assert sum(sd**2 for _, _, sd in monitor.tickets) == pytest.approx(20.0**2)
+
+
+def test_a_load_in_which_the_clock_was_set_back_and_no_forces_were_kept_is_no_reference() -> None:
+    monitor = Told({1: True, 2: True})
+    assert ask(monitor, first_load=1, last_load=1, mass_kg=3100.0)["is_reference"]
+    monitor.clock_set_back = True
+    answer = ask(monitor, first_load=1, last_load=1, mass_kg=3100.0)
+    assert not answer["is_reference"]
+    assert answer["why_no_reference"].startswith("the clock was set back while it was measured")
 
 
 @pytest.mark.parametrize("complete", [{2: True}, {1: False, 2: True}], ids=["before the start", "not measured whole"])

@@ -48,3 +48,11 @@ class ReferenceMass:
     """Whether part of measured_kg rests on a zero that is doubted."""
     forces: LoadForces | None = field(default=None, compare=False, repr=False)
     common_kg: float = 0.0
+
+    @property
+    def comparable(self) -> bool:
+        """Whether it can be compared with the model: by the forces over it, else by its time.
+
+        The time is not known where the clock was set back.
+        """
+        return self.complete and self.measured_kg > 0.0 and (self.forces is not None or self.end_s > self.start_s)

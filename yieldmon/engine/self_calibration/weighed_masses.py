@@ -79,7 +79,7 @@ class WeighedMasses:
         """
         found = []
         for mass in masses:
-            if not mass.complete or mass in self.used or mass.measured_kg <= 0.0 or mass.end_s - mass.start_s <= 0.0:
+            if not mass.comparable or mass in self.used:
                 continue
             found.append((mass, weighed_mass(mass, model, spans, self._reference_error, model_error)))
         return found

@@ -25,6 +25,7 @@ from yieldmon.service.storage.ledger import SharedTruck
 from yieldmon.service.tickets import ticket_doubt
 from yieldmon.service.tickets.ticket_mass import TicketMass
 
+_CLOCK_SET_BACK = "the clock was set back while it was measured, and the forces over it were not kept"
 _EXACT = 1e-3
 """Relative standard deviation of a mass that adds nothing to that of what was measured."""
 _WEIGHED_SD = 0.03
@@ -77,8 +78,10 @@ def enter_ticket(order: Order) -> TicketEntered:
     waits = journal.actions.unfinished_of_crop.get(crop) if crop else journal.actions.waiting
     first_moves = exp(departs.ln) - 1.0 if departs is not None and departs.first and not waits else None
     if not why_not:
-        for load_number, mass_kg, share_std_dev_kg, common_kg in shares:
-            monitor.ticket(load_number, mass_kg, share_std_dev_kg, crop, common_kg)
+        taken = [
+            monitor.ticket(number, mass_kg, std_dev_kg, crop, common_kg) for number, mass_kg, std_dev_kg, common_kg in shares
+        ]
+        why_not = "" if any(mass.comparable for mass in taken) else _CLOCK_SET_BACK
     number = journal.actions.ticket(ticket, order.who, own.std_dev_kg, is_reference=not why_not, crop=crop, truck=truck)
     after = journal.actions.history
     return {
