@@ -13,7 +13,7 @@ from yieldmon.cli._json import print_document
 from yieldmon.cli._limits import above_0
 from yieldmon.documents.self_calibrate import SelfCalibrationDocument, SweepFlow, UpdateDocument
 from yieldmon.errors import InputError
-from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
+from yieldmon.estimation.closed_loop_settings import FLOW_MODELS, ClosedLoopSettings
 from yieldmon.estimation.fitting.measurements import as_copies_do, copied_rows
 from yieldmon.estimation.self_calibration.closed_loop import self_calibrate
 from yieldmon.estimation.self_calibration.closed_loop_inputs import MeasuredDensity, Sweep
@@ -58,7 +58,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     parser.add_argument(
         "--flow",
-        choices=("constant", "linear", "process"),
+        choices=FLOW_MODELS,
         default="constant",
         help="assumed change of flow within a sweep",
     )

@@ -13,6 +13,7 @@ from yieldmon.cli._json import print_document
 from yieldmon.cli._setup import derive, session
 from yieldmon.cli._setup.questions import QUESTIONS, bolted
 from yieldmon.documents.setup import SetupDocument, SetupRecord
+from yieldmon.engine.settings import SweepSettings
 from yieldmon.errors import InputError
 from yieldmon.files import machine_file, parameter_file, strict_yaml, whole_file
 from yieldmon.files.whole_file import READABLE, readable_folder
@@ -177,8 +178,7 @@ def _sweep_angles(answers: dict[str, Any]) -> list[float]:
     low, high = answers["min_plate_angle_deg"], answers["max_plate_angle_deg"]
     if high - low < 15.0:
         return []
-    wanted = [40.0, 40.0, 40.0, 40.0, 50.0, 60.0, 80.0, 90.0, 90.0, 90.0]
-    return [min(max(angle, low), high) for angle in wanted]
+    return [min(max(angle, low), high) for angle in SweepSettings().angles_deg]
 
 
 def text(document: SetupDocument) -> str:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import inf
 
+FLOW_MODELS = ("constant", "linear", "process")
+
 
 @dataclass(frozen=True, slots=True)
 class ClosedLoopSettings:
@@ -52,8 +54,8 @@ class ClosedLoopSettings:
     consistent_p: float = 1e-3
 
     def __post_init__(self) -> None:
-        if self.flow not in ("constant", "linear", "process"):
-            raise ValueError(f"flow model {self.flow!r}; expected constant, linear or process")
+        if self.flow not in FLOW_MODELS:
+            raise ValueError(f"flow model {self.flow!r}; expected {', '.join(FLOW_MODELS[:-1])} or {FLOW_MODELS[-1]}")
         for name in ("flow_slope_sd_per_s", "flow_process_time_s"):
             if not 0.0 < getattr(self, name) < inf:
                 raise ValueError(f"{name} is {getattr(self, name)}; expected a number above 0")

@@ -11,7 +11,7 @@ from yieldmon.physics.numerics import Array
 from .beyond_range import error_beyond, moisture_error_beyond
 from .parameters import ParameterSet
 
-_STEP = 1e-3
+SD_STEP = 1e-3
 """Of a standard deviation, for the derivatives by the parameters."""
 
 
@@ -38,7 +38,7 @@ def force_std_dev(model: ForwardModel, known: ParameterSet, conditions: Conditio
     here = force(values)
     slopes = np.zeros((*here.shape, len(known.covariance_names)))
     for k, name in enumerate(known.covariance_names):
-        step = _STEP * known.standard_deviation(name)
+        step = SD_STEP * known.standard_deviation(name)
         if step > 0.0:
             slopes[..., k] = (force({**values, name: values[name] + step}) - here) / step
     variance = np.einsum("...i,ij,...j->...", slopes, known.covariance, slopes)

@@ -14,7 +14,7 @@ from yieldmon.estimation.load_pattern import following
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.self_calibration.angle_error import NO_ERROR, NODES_RAD, AngleError, node_shares
-from yieldmon.estimation.self_calibration.closed_loop_inputs import WeighedMass
+from yieldmon.estimation.self_calibration.closed_loop_inputs import WeighedMass, joined
 from yieldmon.estimation.weighing.load_inputs import WeighedLoad
 from yieldmon.physics.machine import SAME_ANGLE_RAD
 from yieldmon.physics.model import ForwardModel
@@ -73,10 +73,7 @@ def weighed_mass(
             )
         )
         begin = end
-    duration_s, force_n, angle_rad, speed_rad_s = (
-        np.concatenate([getattr(p, name) for p in pieces])
-        for name in ("duration_s", "force_n", "plate_angle_rad", "elevator_speed_rad_s")
-    )
+    duration_s, force_n, angle_rad, speed_rad_s = joined(pieces)
     return WeighedMass(reference.reference_kg, sd, duration_s, force_n, angle_rad, speed_rad_s, common_kg=reference.common_kg)
 
 

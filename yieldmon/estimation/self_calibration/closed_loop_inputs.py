@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +16,14 @@ _LEAST_NOISE = 1e-9
 _SWEEP = ("time_s", "plate_angle_rad", "elevator_speed_rad_s", "force_n", "force_std_dev_n")
 SWEEP_COLUMNS = (*_SWEEP, "moisture_pct")
 """Columns of a sweep's windows, also those that may be missing."""
-_WEIGHED = ("duration_s", "force_n", "plate_angle_rad", "elevator_speed_rad_s")
+WEIGHED_COLUMNS = ("duration_s", "force_n", "plate_angle_rad", "elevator_speed_rad_s")
+"""Columns of the windows of a weighed mass or load."""
+
+
+def joined(weighed: Sequence[object]) -> tuple[Array, Array, Array, Array]:
+    """`WEIGHED_COLUMNS` of several weighed masses or loads, one after the other."""
+    duration, force, angle, speed = (np.concatenate([getattr(one, name) for one in weighed]) for name in WEIGHED_COLUMNS)
+    return duration, force, angle, speed
 
 
 def _as_arrays(windows: Sweep | WeighedMass, names: tuple[str, ...]) -> None:
@@ -115,7 +123,7 @@ class WeighedMass:
     common_kg: float = 0.0
 
     def __post_init__(self) -> None:
-        _as_arrays(self, _WEIGHED)
+        _as_arrays(self, WEIGHED_COLUMNS)
 
     def require_usable(self) -> None:
         """Refuse what nothing can be learnt from.
@@ -126,7 +134,7 @@ class WeighedMass:
             For shapes that differ, values that are not finite, a standard deviation that is not above 0, and an angle or a speed
             outside its range.
         """
-        _refuse_uneven(self, "weighed mass", _WEIGHED)
+        _refuse_uneven(self, "weighed mass", WEIGHED_COLUMNS)
         refuse_impossible("weighed mass", self.plate_angle_rad, self.elevator_speed_rad_s)
         if not (np.isfinite(self.reference_kg) and 0.0 <= self.common_kg < self.std_dev_kg < np.inf):
             known = f"{self.reference_kg:g} kg within {self.std_dev_kg:g} kg"

@@ -20,6 +20,7 @@ from functools import lru_cache
 import numpy as np
 
 from yieldmon.estimation.clusters import cluster
+from yieldmon.estimation.force_deviation import SD_STEP
 from yieldmon.estimation.parameters import CalibratedRange, ParameterSet
 from yieldmon.physics.effects import Effect, registry
 from yieldmon.physics.machine import RPM, SAME_ANGLE_RAD, Machine
@@ -34,8 +35,6 @@ _NONE = 0.5
 """Probability, before any sweep, that no effect is missing."""
 _TAKEN_OFF = 0.5
 """Probability that no effect is missing, below which what sweeps have measured away from home is taken off the flow there."""
-_STEP = 1e-3
-"""Of a standard deviation, for the derivatives by the parameters."""
 _LAW_ERROR = 0.1
 """By which a law of the library misses the effect that it stands for, as a share of it."""
 _LEAST_PATTERN = 0.5
@@ -317,7 +316,7 @@ def _pattern(model: ForwardModel, parameters: ParameterSet, sweep: ReducedSweep)
     here = log_force(values)
     slopes = np.zeros((here.size, len(parameters.covariance_names)))
     for k, name in enumerate(parameters.covariance_names):
-        step = _STEP * parameters.standard_deviation(name)
+        step = SD_STEP * parameters.standard_deviation(name)
         if step > 0.0:
             with np.errstate(invalid="ignore"):
                 slopes[:, k] = (log_force({**values, name: values[name] + step}) - here) / step

@@ -30,6 +30,7 @@ from scipy.stats import t as student_t
 
 from yieldmon.estimation.open_loop import invert_force
 from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.self_calibration.closed_loop_inputs import joined
 from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array
 
@@ -183,10 +184,7 @@ def _fitted(machines: Sequence[_Linear], before: Array) -> _Common:
 
 def _masses_kg(model: ForwardModel, known: ParameterSet, loads: Sequence[WeighedLoad]) -> Array:
     """Measured mass of each load (n,); all in one inversion, most of whose time goes by the call."""
-    force, angle, speed, duration = (
-        np.concatenate([getattr(load, name) for load in loads])
-        for name in ("force_n", "plate_angle_rad", "elevator_speed_rad_s", "duration_s")
-    )
+    duration, force, angle, speed = joined(loads)
     moisture = np.concatenate(
         [np.full(load.force_n.shape, np.nan) if load.moisture_pct is None else load.moisture_pct for load in loads]
     )

@@ -17,6 +17,7 @@ from yieldmon.estimation.open_loop import invert_force
 from yieldmon.estimation.other_monitor import with_bias, with_new_bias
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.recent import Recent
+from yieldmon.estimation.self_calibration.closed_loop_inputs import joined
 from yieldmon.physics.effects.other_monitor import BIAS
 from yieldmon.physics.grain import FLOW_PER_MOISTURE_PCT
 from yieldmon.physics.model import Conditions, ForwardModel
@@ -80,10 +81,7 @@ class LoadProblem:
         """(n,) the part of sd by another combine's monitor, the same error in all."""
         self.apart = np.where(self.common > 0.0, np.sqrt(np.maximum(self.sd**2 - self.common**2, 0.0)), self.sd)
         """(n,) the other part."""
-        self.force, self.angle, self.speed, self.duration = (
-            np.concatenate([getattr(load, name) for load in loads])
-            for name in ("force_n", "plate_angle_rad", "elevator_speed_rad_s", "duration_s")
-        )
+        self.duration, self.force, self.angle, self.speed = joined(loads)
         self.moist = np.zeros(len(loads)) if self.model.needs_moisture else _by_moisture(loads)
         """(n,) ln error of each load's mass by grain wetter than the loads' mean, one standard deviation of an error of which the
         model knows nothing: the same slope in all."""

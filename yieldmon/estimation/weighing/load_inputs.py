@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from yieldmon.estimation.self_calibration.closed_loop_inputs import WEIGHED_COLUMNS
 from yieldmon.physics.numerics import Array
 
 _GROUPS = 12
@@ -65,7 +66,7 @@ class WeighedLoad:
             raise ValueError(f"load {self.name}: common_kg {self.common_kg}; expected 0 to its sd, {self.std_dev_kg} kg")
         if not 0.0 <= self.noise_sd < np.inf:
             raise ValueError(f"load {self.name}: noise_sd {self.noise_sd}; expected 0 or above")
-        for name in ("duration_s", "force_n", "plate_angle_rad", "elevator_speed_rad_s"):
+        for name in WEIGHED_COLUMNS:
             value = getattr(self, name)
             if value.shape != self.force_n.shape or value.ndim != 1 or not value.size or not np.all(np.isfinite(value)):
                 raise ValueError(f"load {self.name}: {name} must hold one finite number for each window")
