@@ -16,9 +16,9 @@ from yieldmon.errors import InputError, reading
 
 LONGEST_LINE = 16 * 1024 * 1024
 """Characters of a line of a table. Lines of real tables have some hundred."""
-PATIENCE_S = 5.0
+TIMEOUT_S = 5.0
 """For a pipe or a terminal that gives nothing: a reload waits for it."""
-_PIPE_PATIENCE_S = 60.0
+_PIPE_TIMEOUT_S = 60.0
 """For a table or DBC that a command is handed through a pipe."""
 _STEP_BYTES = 1024 * 1024
 _KINDS = {
@@ -74,16 +74,16 @@ def opened(path: Path) -> BinaryIO:
     OSError
         As the system has it.
     InputError
-        A pipe gives nothing within `PATIENCE_S`.
+        A pipe gives nothing within `TIMEOUT_S`.
     """
     if not is_pipe(path):
         return path.open("rb")
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     waiting = select.poll()
     waiting.register(descriptor, select.POLLIN)
-    if not waiting.poll(1000.0 * PATIENCE_S):
+    if not waiting.poll(1000.0 * TIMEOUT_S):
         os.close(descriptor)
-        raise InputError(str(path), f"is a pipe that gives nothing within {PATIENCE_S:.0f} s", "a file, or a pipe with a writer")
+        raise InputError(str(path), f"is a pipe that gives nothing within {TIMEOUT_S:.0f} s", "a file, or a pipe with a writer")
     os.set_blocking(descriptor, True)
     return os.fdopen(descriptor, "rb")
 
@@ -100,7 +100,7 @@ def why_no_file(path: str | Path) -> str:
         return "no such file"
 
 
-def content(path: str, most_bytes: int, patience_s: float) -> bytes:
+def content(path: str, most_bytes: int, timeout_s: float) -> bytes:
     """A file's first bytes, or a pipe's.
 
     Parameters
@@ -108,7 +108,7 @@ def content(path: str, most_bytes: int, patience_s: float) -> bytes:
     path : str
     most_bytes : int
         Whatever follows is left unread.
-    patience_s : float
+    timeout_s : float
         For a pipe or a terminal to come to an end.
 
     Raises
@@ -118,7 +118,7 @@ def content(path: str, most_bytes: int, patience_s: float) -> bytes:
     InputError
         A pipe or a terminal did not come to an end.
     """
-    end_s = time.monotonic() + patience_s
+    end_s = time.monotonic() + timeout_s
     # A pipe without a writer is empty; opening it the usual way would wait for ever, and so would reading a terminal.
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     try:
@@ -134,7 +134,7 @@ def content(path: str, most_bytes: int, patience_s: float) -> bytes:
                 continue
             left_s = end_s - time.monotonic()
             if left_s <= 0.0:
-                raise InputError(path, f"does not end within {patience_s:.0f} s", "a file")
+                raise InputError(path, f"does not end within {timeout_s:.0f} s", "a file")
             waiting.poll(1000.0 * left_s)
         return bytes(found)
     finally:
@@ -161,7 +161,7 @@ def read_whole(path: str | Path, expected: str, most_bytes: int) -> bytes:
         It cannot be read, is longer, or is a pipe that does not end within a minute.
     """
     with reading(path, expected):
-        found = content(str(path), most_bytes + 1, _PIPE_PATIENCE_S)
+        found = content(str(path), most_bytes + 1, _PIPE_TIMEOUT_S)
     if len(found) > most_bytes:
         raise InputError(str(path), f"is longer than {most_bytes / 1e6:.0f} MB", expected)
     return found

@@ -21,7 +21,7 @@ from yieldmon.frames import Frame
 from yieldmon.plant.combine import VirtualCombine
 from yieldmon.service.config import configuration
 from yieldmon.service.daemon import Daemon
-from yieldmon.service.patience import Patience
+from yieldmon.service.timeouts import Timeouts
 
 _PATIENCE_S = 60.0
 
@@ -106,8 +106,8 @@ class _CountingDaemon(Daemon):
         environment: Mapping[str, str],
         bus_factory: Callable[[], can.BusABC],
     ) -> None:
-        patience = Patience(silence_s=math.inf)
-        super().__init__(configured, reload, environment=environment, bus_factory=bus_factory, patience=patience)
+        timeouts = Timeouts(silence_s=math.inf)
+        super().__init__(configured, reload, environment=environment, bus_factory=bus_factory, timeouts=timeouts)
         self.taken = 0
         self.submitted = 0
         self.reload_count = 0

@@ -73,7 +73,7 @@ NAMED = (
         "quick_check without loads", "yieldmon/service/storage/store.py",
         "for table in _NEEDED + _EVENTS:\n", 'for table in [t for t in _NEEDED + _EVENTS if t != "load"]:\n',
     ),
-    Named("patience with a peer", "yieldmon/service/operator/control.py", "patience_s: float = 5.0", "patience_s: float = 500.0"),
+    Named("timeout of a peer", "yieldmon/service/operator/control.py", "timeout_s: float = 5.0", "timeout_s: float = 500.0"),
     Named(
         "size of a request", "yieldmon/service/operator/control_protocol.py",
         "MAX_REQUEST_BYTES = 64 * 1024\n", "MAX_REQUEST_BYTES = 64 * 1024 * 1024\n",

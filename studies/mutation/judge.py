@@ -138,8 +138,8 @@ def _followed(child: int, reading: int, trial: Trial) -> Verdict:
     text = b""
     while True:
         current = begun[-1] if begun else ""
-        patience_s = max(STALL_S, STALL_TIMES * trial.cpu_s.get(current, 0.0))
-        if not select.select([reading], [], [], patience_s)[0]:
+        timeout_s = max(STALL_S, STALL_TIMES * trial.cpu_s.get(current, 0.0))
+        if not select.select([reading], [], [], timeout_s)[0]:
             return Verdict("endless", current, len(begun))
         data = os.read(reading, 65536)
         if not data:

@@ -92,7 +92,7 @@ def endless(request, tmp_path):
 
 @pytest.mark.parametrize("suffix", [*SUFFIXES, ".log.gz", ".blf.gz"])
 def test_a_log_is_a_file_or_a_pipe_that_gives_something(suffix, endless, monkeypatch):
-    monkeypatch.setattr(bounded, "PATIENCE_S", 0.01)
+    monkeypatch.setattr(bounded, "TIMEOUT_S", 0.01)
     path, kind = endless(f"x{suffix}")
     text = suffix.removesuffix(".gz") in text_logs.TEXT_SUFFIXES
     said = f"x{suffix}: is a {kind}; expected a CAN log that is a file{' or a pipe' if text else ''}$"

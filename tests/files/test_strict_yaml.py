@@ -154,7 +154,7 @@ def test_what_gives_nothing_and_does_not_end_is_refused(
     tmp_path: Path, make: Callable[[Path], list[int]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A reload would wait for it, and the measuring with it."""
-    monkeypatch.setattr(strict_yaml, "PATIENCE_S", 0.2)
+    monkeypatch.setattr(strict_yaml, "TIMEOUT_S", 0.2)
     ends = make(tmp_path / "c.yaml")
     with pytest.raises(InputError, match=r"c\.yaml: does not end within 0 s; expected a file"):
         strict_yaml.load(tmp_path / "c.yaml")

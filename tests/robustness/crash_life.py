@@ -25,9 +25,9 @@ import can  # noqa: E402
 from tests.service.bench import CODEC, START_S, traffic  # noqa: E402
 from yieldmon.service.config import configuration  # noqa: E402
 from yieldmon.service.daemon import Daemon  # noqa: E402
-from yieldmon.service.patience import Patience  # noqa: E402
 from yieldmon.service.storage.batch import Batch  # noqa: E402
 from yieldmon.service.storage.store import Store  # noqa: E402
+from yieldmon.service.timeouts import Timeouts  # noqa: E402
 
 #: As long as a slow drive takes for a transaction, so that kills fall between the two.
 BETWEEN_S = 0.02
@@ -92,7 +92,7 @@ def live(folder: Path, seconds: int, broken: str = "") -> None:
         loaded,
         environment=environment,
         bus_factory=lambda: can.Bus(interface="virtual", channel="life"),
-        patience=Patience(silence_s=float("inf")),
+        timeouts=Timeouts(silence_s=float("inf")),
     )
     daemon._store.open = lambda: TellingStore(loaded.store_path, loaded.retention)  # type: ignore[method-assign]
     daemon.writer._open_store = daemon._store.open

@@ -52,8 +52,8 @@ from yieldmon.service.operator import control
 from yieldmon.service.operator.control import ControlServer
 from yieldmon.service.operator.control_client import ask
 from yieldmon.service.operator.control_protocol import ControlError
-from yieldmon.service.patience import Patience
-from yieldmon.service.quiet_log import QuietLog
+from yieldmon.service.rate_limited_log import RateLimitedLog
+from yieldmon.service.timeouts import Timeouts
 
 _PATIENCE_S = 120.0
 _channels = itertools.count()
@@ -274,7 +274,7 @@ def _logged(clock: Callable[[], float]) -> Iterator[io.StringIO]:
     """What the control server logs, as a daemon's service manager gets it."""
     lines, log, disabled = io.StringIO(), logging.getLogger(control.__name__), logging.root.manager.disable
     handler = logging.StreamHandler(lines)
-    handler.addFilter(QuietLog(clock))
+    handler.addFilter(RateLimitedLog(clock))
     logging.disable(logging.NOTSET)
     log.addHandler(handler)
     try:
@@ -314,7 +314,7 @@ def journal_fails(rng: random.Random) -> None:
         def bus() -> can.BusABC:
             return can.Bus(interface="virtual", channel=channel)
 
-        made = Daemon(configuration.load(folder / "c.yaml"), bus_factory=bus, patience=Patience(silence_s=float("inf")))
+        made = Daemon(configuration.load(folder / "c.yaml"), bus_factory=bus, timeouts=Timeouts(silence_s=float("inf")))
         peer = can.Bus(interface="virtual", channel=channel, preserve_timestamps=True)
         sent = [encoded(frame) for frame in traffic(START_S, rng.randint(7, 10), 0.0)]
 
@@ -479,7 +479,7 @@ MENDS = {
     "a hangup while it reloads": mend((4,), signalled, _cleared_after_the_reload),
     "whole-request deadlines": mend((12,), asks, _patience_anew_with_each_byte),
     "a bounded pool": mend((12,), asks, lambda: mock.patch.object(control, "_ANSWERS_AT_ONCE", 10**6)),
-    "a few lines a minute": mend((12,), asks, lambda: mock.patch(f"{__name__}.QuietLog", _Loud)),
+    "a few lines a minute": mend((12,), asks, lambda: mock.patch(f"{__name__}.RateLimitedLog", _Loud)),
     "each step of a stop": mend((15,), journal_fails, lambda: mock.patch.object(Daemon, "_end", _end_in_one_go)),
     "only configuration errors end for good": mend(
         (20,), binds, lambda: mock.patch.object(control_socket, "_WRONG_PATH", frozenset(errno.errorcode)),

@@ -100,8 +100,8 @@ def _in_use(folder: Path, number: int) -> bool:
     return False
 
 
-def _status(folder: Path, patience_s: float) -> dict[str, Any]:
-    end_s = time.monotonic() + patience_s
+def _status(folder: Path, timeout_s: float) -> dict[str, Any]:
+    end_s = time.monotonic() + timeout_s
     while True:
         try:
             return ask(folder / "yieldmon.sock", {"command": "status"})

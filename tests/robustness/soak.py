@@ -33,10 +33,10 @@ from tests.robustness.soak_machine import CYCLE_S, EXPECTED_FAULTS, STUCK_EVERY,
 from yieldmon.service.config import configuration
 from yieldmon.service.daemon import Daemon
 from yieldmon.service.operator.control_client import ask
-from yieldmon.service.patience import Patience
 from yieldmon.service.storage.batch import Batch
 from yieldmon.service.storage.retention import Retention
 from yieldmon.service.storage.store import Store
+from yieldmon.service.timeouts import Timeouts
 
 LIMIT_MB = 5.0
 #: Room is made about once a minute, and in a hurry less often.
@@ -148,7 +148,7 @@ def live(folder: Path, hours: float, real_time: bool) -> dict[str, object]:
         load,
         environment=environment,
         bus_factory=machine.open_bus,
-        patience=Patience() if real_time else Patience(silence_s=math.inf),
+        timeouts=Timeouts() if real_time else Timeouts(silence_s=math.inf),
     )
     machine.backlog = lambda: daemon.receiver.waiting + 20 * daemon.writer.health().pending
     witness = Witness()

@@ -26,7 +26,7 @@ from yieldmon.cli import main as cli
 from yieldmon.frames import NOT_AVAILABLE, Frame
 from yieldmon.service.config import configuration
 from yieldmon.service.daemon import Daemon
-from yieldmon.service.patience import Patience
+from yieldmon.service.timeouts import Timeouts
 
 CODEC = Codec()
 START_S = 1_760_000_000.0
@@ -34,7 +34,7 @@ ZERO_MV = 120.0
 PATIENCE_S = 120.0
 EMPTY_MV, GRAIN_MV = 0.0, 60.0
 """Above the zero: an empty elevator, and grain."""
-UNHURRIED = Patience(
+UNHURRIED = Timeouts(
     silence_s=math.inf,
     listen_s=0.01,
     store_s=PATIENCE_S,
@@ -257,11 +257,11 @@ def running(
     start_s: float = START_S,
     socketcan: str | None = None,
     state: Path | None = None,
-    **patience: float,
+    **timeouts: float,
 ) -> Iterator[Bench]:
     """A running daemon whose state lies in `state` or `folder`, with the configuration `text` in folder/c.yaml.
 
-    On a virtual bus, or on the SocketCAN interface that its configuration then has to name. patience: where it is another than
+    On a virtual bus, or on the SocketCAN interface that its configuration then has to name. timeouts: where it is another than
     `UNHURRIED`.
     """
     channel = socketcan or f"service-{next(_channels)}"
@@ -281,7 +281,7 @@ def running(
         bus_factory=None if socketcan else lambda: can.Bus(interface="virtual", channel=channel),
         # A claim takes half a second.
         network_clock=time.monotonic if socketcan else lambda: 20.0 * time.monotonic(),
-        patience=dataclasses.replace(UNHURRIED, **patience),
+        timeouts=dataclasses.replace(UNHURRIED, **timeouts),
     )
     if socketcan:
         peer = can.Bus(interface="socketcan", channel=channel)

@@ -25,7 +25,7 @@ from yieldmon.service.operator.control import PACE, ControlServer, Pace
 from yieldmon.service.operator.control_client import ask
 from yieldmon.service.operator.control_protocol import MAX_REQUEST_BYTES, ControlError
 
-SOON = Pace(patience_s=0.5, look_every_s=0.1, crowded_pause_s=0.001)
+SOON = Pace(timeout_s=0.5, look_every_s=0.1, crowded_pause_s=0.001)
 """For what a daemon takes a few seconds over."""
 
 
@@ -259,7 +259,7 @@ def test_many_that_only_connect_keep_nobody_waiting(tmp_path, monkeypatch):
 
     monkeypatch.setattr("yieldmon.service.operator.control.sleep", rest)
     path = tmp_path / "s.sock"
-    server = ControlServer(path, None, answer, pace=Pace(patience_s=60.0, crowded_pause_s=0.25))
+    server = ControlServer(path, None, answer, pace=Pace(timeout_s=60.0, crowded_pause_s=0.25))
     server.start()
     with ExitStack() as open_peers:
         try:
@@ -284,7 +284,7 @@ def test_half_a_request_is_refused_with_a_line(path):
         with connection.makefile("rb") as file:
             answered = json.loads(file.read())
     assert answered == {"ok": False, "error": "request: no line feed in 0.5 s; expected one line; nothing was done"}
-    assert PACE.patience_s == 5.0, "a daemon's"
+    assert PACE.timeout_s == 5.0, "a daemon's"
 
 
 def test_out_of_descriptors_the_reason_is_one_line_and_answers_follow_later(tmp_path, caplog, monkeypatch):

@@ -40,9 +40,9 @@ from yieldmon.service.config import configuration
 from yieldmon.service.history.journal import Journal
 from yieldmon.service.operator.command_queue import CommandQueue
 from yieldmon.service.operator.control_protocol import ControlError
-from yieldmon.service.patience import Patience
 from yieldmon.service.storage.store import Store
 from yieldmon.service.storage.writer import StoreWriter
+from yieldmon.service.timeouts import Timeouts
 
 
 def test_measures_publishes_and_stores(tmp_path):
@@ -108,7 +108,7 @@ def test_faults_on_the_bus_in_status_and_in_the_store(tmp_path):
 
 
 def test_a_silent_bus_is_reported(tmp_path):
-    with running(tmp_path, "bus: {idle_after_s: 0.5}", silence_s=Patience().silence_s) as bench:
+    with running(tmp_path, "bus: {idle_after_s: 0.5}", silence_s=Timeouts().silence_s) as bench:
         wait_for(lambda: any(s["SensorMissing"] for s in bench.published(frames.YIELD_MONITOR_STATUS)), "SensorMissing")
         assert {flow["EstimateQuality"] for flow in bench.published(frames.MASS_FLOW)} == {EstimateQuality.NOT_AVAILABLE}
 
@@ -192,7 +192,7 @@ def test_a_stop_writes_everything_whatever_cannot_be_taken_away(tmp_path, monkey
 
 def test_a_command_that_was_not_answered_is_not_carried_out_later():
     """The operator gives it again after this answer."""
-    queued = CommandQueue(patience_s=0.01)
+    queued = CommandQueue(timeout_s=0.01)
     with pytest.raises(ControlError, match="did not answer in time; nothing was done"):
         queued.ask({"command": "load-start"})
     assert list(queued.take()) == []
@@ -200,7 +200,7 @@ def test_a_command_that_was_not_answered_is_not_carried_out_later():
 
 def test_a_command_is_not_carried_out_once_who_asked_has_gone(tmp_path: Path) -> None:
     """The disk has held the reading of the store up for as long as a client waits, who gives the command again."""
-    with running(tmp_path, answer_s=Patience().written_s) as bench:
+    with running(tmp_path, answer_s=Timeouts().written_s) as bench:
         before = bench.daemon.monitor.totals.load_number
         with pytest.raises(ControlError, match="reading the store took too long; nothing was done"):
             bench.daemon.command({"command": "load-start"})

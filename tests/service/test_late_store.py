@@ -111,7 +111,7 @@ def test_frames_of_a_start_that_waits_for_the_disk_are_measured_afterwards(folde
     path = folder / "c.yaml"
     environment = {"STATE_DIRECTORY": str(folder), "RUNTIME_DIRECTORY": str(folder)}
     made = Daemon(
-        configuration.load(path, environment), environment=environment, bus_factory=bus, patience=UNHURRIED,
+        configuration.load(path, environment), environment=environment, bus_factory=bus, timeouts=UNHURRIED,
     )  # fmt: skip
     peer, thread = bus(), threading.Thread(target=made.run)
     thread.start()
@@ -210,7 +210,7 @@ def test_a_stop_while_the_start_waits_for_the_disk_ends_it(folder, disk):
     environment = {"STATE_DIRECTORY": str(folder), "RUNTIME_DIRECTORY": str(folder)}
     made = Daemon(
         configuration.load(folder / "c.yaml", environment), environment=environment,
-        bus_factory=lambda: can.Bus(interface="virtual", channel="late-stop"), patience=UNHURRIED,
+        bus_factory=lambda: can.Bus(interface="virtual", channel="late-stop"), timeouts=UNHURRIED,
     )  # fmt: skip
     codes: list[int] = []
     thread = threading.Thread(target=lambda: codes.append(made.run()))

@@ -97,7 +97,7 @@ def test_two_daemons_on_one_bus_both_say_so(tmp_path):
             loaded,
             environment=environment,
             bus_factory=lambda: can.Bus(interface="virtual", channel=first.peer.channel_id),
-            patience=UNHURRIED,
+            timeouts=UNHURRIED,
         )
         other = Bench(second, can.Bus(interface="virtual", channel="nobody listens"))
         other.start()

@@ -11,8 +11,8 @@ from tests.service.bench import PATIENCE_S, running, wait_for
 from yieldmon.errors import InputError
 from yieldmon.service import reloading
 from yieldmon.service.config import configuration
-from yieldmon.service.patience import Patience
 from yieldmon.service.reloading import Reloading
+from yieldmon.service.timeouts import Timeouts
 
 
 class HangingDisk:
@@ -91,7 +91,7 @@ def test_a_reading_may_take_twenty_seconds(later_s, due, monkeypatch):
     now_s = 100.0
     monkeypatch.setattr(reloading, "monotonic", lambda: now_s)
     released = threading.Event()
-    of_disk = Reloading(lambda: released.wait(PATIENCE_S), limit_s=Patience().reload_s)
+    of_disk = Reloading(lambda: released.wait(PATIENCE_S), limit_s=Timeouts().reload_s)
     assert (of_disk.under_way, of_disk.due()) == (False, False)
     of_disk.begin()
     now_s += later_s

@@ -363,7 +363,7 @@ def test_a_job_that_is_under_way_has_nothing_to_take_and_stays_under_way(tmp_pat
     go_on = threading.Event()
     with Store(tmp_path / "s.sqlite"):
         pass
-    thread = RemeasuringThread(tmp_path / "s.sqlite", lambda patience_s: go_on.wait(60.0))
+    thread = RemeasuringThread(tmp_path / "s.sqlite", lambda timeout_s: go_on.wait(60.0))
     assert (thread.busy, thread.take()) == (False, None)
     thread.start(MACHINE, RemeasuringJob((4,), 2, None, 0.0))
     assert (thread.busy, thread.take(), thread.busy) == (True, None, True)

@@ -12,10 +12,10 @@ import can
 import pytest
 
 from tests.service.bench import PATIENCE_S, Bench, running, wait_for
-from yieldmon.service import metrics, quiet_log
+from yieldmon.service import metrics, rate_limited_log
 from yieldmon.service.history.journal import Journal
-from yieldmon.service.patience import Patience
 from yieldmon.service.storage.store import Store
+from yieldmon.service.timeouts import Timeouts
 from yieldmon.service.traffic.transmit import Transmitter
 
 
@@ -170,7 +170,7 @@ def test_a_store_that_is_removed_is_reported_and_written_anew_from_memory(tmp_pa
 
 def test_a_log_says_each_thing_a_few_times_a_minute():
     now_s = [0.0]
-    quiet = quiet_log.QuietLog(lambda: now_s[0])
+    quiet = rate_limited_log.RateLimitedLog(lambda: now_s[0])
 
     def records(count: int) -> list[bool]:
         import logging
@@ -231,7 +231,7 @@ def test_the_time_limit_of_a_stop_is_kept_by_a_disk_that_hangs(tmp_path: Path, m
         gate.wait(PATIENCE_S)
         commit(store, batches)
 
-    with running(tmp_path, stop_s=Patience().stop_s) as bench:
+    with running(tmp_path, stop_s=Timeouts().stop_s) as bench:
         bench.play(2, 0.0)
         bench.played()
         monkeypatch.setattr(Store, "commit", hang)

@@ -14,7 +14,7 @@ from yieldmon import frames
 from yieldmon.frames import Frame
 from yieldmon.service.config import configuration
 from yieldmon.service.daemon import Daemon
-from yieldmon.service.patience import Patience
+from yieldmon.service.timeouts import Timeouts
 
 
 class StarvedBus(can.BusABC):
@@ -48,7 +48,7 @@ def test_a_stall_of_the_receiver_is_no_jump_of_the_clock(tmp_path: Path):
     (tmp_path / "c.yaml").write_text("sweep: {enabled: false}")
     environment = {"STATE_DIRECTORY": str(tmp_path), "RUNTIME_DIRECTORY": str(tmp_path)}
     loaded = configuration.load(tmp_path / "c.yaml", environment)
-    bus = StarvedBus(script[:-1], stall_s=4 * Patience().silence_s)
+    bus = StarvedBus(script[:-1], stall_s=4 * Timeouts().silence_s)
     daemon = Daemon(loaded, environment=environment, bus_factory=lambda: bus)
     thread = threading.Thread(target=daemon.run)
     thread.start()
@@ -66,7 +66,7 @@ def test_other_nodes_frames_alone_keep_time_going(tmp_path: Path):
     forged = {"MassFlowRate": 9.0, "MassFlowStdDev": 0.1, "EstimateQuality": 0, "WindowCounter": 3}
     enough = threading.Event()
 
-    with running(tmp_path, silence_s=Patience().silence_s) as bench:
+    with running(tmp_path, silence_s=Timeouts().silence_s) as bench:
 
         def babble() -> None:
             # More often than the engine's thread looks at an empty queue.

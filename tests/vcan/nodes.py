@@ -70,9 +70,9 @@ class Command:
         self.process.terminate()
         self.finished()
 
-    def finished(self, patience_s: float = PATIENCE_S) -> None:
+    def finished(self, timeout_s: float = PATIENCE_S) -> None:
         """Waits for its own end; fails when it does not end well."""
-        self.process.join(patience_s)
+        self.process.join(timeout_s)
         if self.process.is_alive():
             self.process.kill()
         printed = self.output.read_text()

@@ -111,8 +111,8 @@ def test_an_interface_pulled_and_put_back_50_times(pulled: str, tmp_path: Path, 
             back_s = time.monotonic()
             with open_bus("socketcan", pulled, filters=CODEC.filters([frames.MASS_FLOW])) as witness:
                 # The guest reads what a return needs from its disk the first time.
-                patience_s = RECOVERY_S if cycle >= 0 else PATIENCE_S
-                assert witness.recv(patience_s) is not None, f"cycle {cycle}: nothing heard of it\n{node.printed}"
+                timeout_s = RECOVERY_S if cycle >= 0 else PATIENCE_S
+                assert witness.recv(timeout_s) is not None, f"cycle {cycle}: nothing heard of it\n{node.printed}"
             if cycle >= 0:
                 took_s.append(time.monotonic() - back_s)
         assert "BusError" in node.faults

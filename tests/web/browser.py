@@ -48,9 +48,9 @@ class Watched:
         self.page.on("console", lambda message: self.complaints.append(message.text) if message.type == "error" else None)
         self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
 
-    def wait(self, condition: str, patience_s: float = 60.0) -> None:
+    def wait(self, condition: str, timeout_s: float = 60.0) -> None:
         """Until an expression holds; playwright's own waiting evaluates text, which the page's policy forbids."""
-        end_s, rest_ms = time.monotonic() + patience_s, 25.0
+        end_s, rest_ms = time.monotonic() + timeout_s, 25.0
         while not self._holds(condition):
             assert time.monotonic() < end_s, f"still waiting for {condition}; {self.complaints}"
             self.page.wait_for_timeout(rest_ms)

@@ -457,7 +457,7 @@ def test_at_120_times_the_pace_no_second_is_missed(browser: Browser, tmp_path: P
                 heap = "(gc(), performance.memory.usedJSHeapSize)"
                 watched.wait("Number(document.body.dataset.last) >= 3700")
                 before = watched.page.evaluate(heap)
-                watched.wait("Number(document.body.dataset.last) >= 4200", patience_s=60.0)
+                watched.wait("Number(document.body.dataset.last) >= 4200", timeout_s=60.0)
                 after = watched.page.evaluate(heap)
             finally:
                 stop.set()

@@ -20,9 +20,9 @@ from tests.web.standin import StandIn, page, standing_in
 
 pytest.importorskip("uvicorn")
 from yieldmon.cli.main import main
-from yieldmon.web.protocol import CONNECTIONS, PATIENCE_S, BoundedProtocol
+from yieldmon.web.protocol import CONNECTIONS, TIMEOUT_S, BoundedProtocol
 
-PATIENT_S = 3 * PATIENCE_S
+PATIENT_S = 3 * TIMEOUT_S
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +50,7 @@ def address(daemon: StandIn) -> Iterator[tuple[str, int]]:
 #: The same with a second's patience for a request and for the taking of an answer.
 IMPATIENT = """
 from yieldmon.web import protocol, serving
-protocol.BoundedProtocol.patience_s = serving.PATIENCE_S = 1.0
+protocol.BoundedProtocol.timeout_s = serving.TIMEOUT_S = 1.0
 """
 
 
@@ -61,7 +61,7 @@ def impatient(daemon: StandIn) -> Iterator[tuple[str, int]]:
 
 
 def test_a_peer_has_five_seconds() -> None:
-    assert PATIENCE_S == BoundedProtocol.patience_s == 5.0
+    assert TIMEOUT_S == BoundedProtocol.timeout_s == 5.0
 
 
 def status(address: tuple[str, int], path: str = "/api/page", **headers: str) -> int:

@@ -150,12 +150,12 @@ class Receiver:
         self._thread = threading.Thread(target=self._run, name="can-receiver", daemon=True)
         self._thread.start()
 
-    def stop(self, patience_s: float = _STOP_S) -> None:
+    def stop(self, timeout_s: float = _STOP_S) -> None:
         """Ends the thread and closes the bus; what has been received can still be fetched. A thread that does not end within
-        patience_s seconds is left to itself."""
+        timeout_s seconds is left to itself."""
         self._stopping.set()
         if self._thread is not None:
-            self._thread.join(patience_s)
+            self._thread.join(timeout_s)
         self._close_bus()
         with self._changed:
             self._changed.notify_all()

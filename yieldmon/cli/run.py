@@ -13,7 +13,7 @@ from yieldmon.resources import shipped
 from yieldmon.service.config import configuration
 from yieldmon.service.daemon import Daemon
 from yieldmon.service.journal_lines import JournalLines
-from yieldmon.service.quiet_log import QuietLog
+from yieldmon.service.rate_limited_log import RateLimitedLog
 from yieldmon.service.storage.ownership import OccupiedError
 from yieldmon.service.storage.store_errors import StoreError
 
@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
         loaded = configuration.load(path)
     # Under a service manager the journal has the time and takes the level from the prefix.
     lines = JournalLines()
-    lines.addFilter(QuietLog())
+    lines.addFilter(RateLimitedLog())
     logging.basicConfig(handlers=[lines], format="%(levelname)s %(name)s: %(message)s", level=logging.WARNING)
     logging.getLogger("yieldmon").setLevel(loaded.document.logging.level.upper())
     daemon = Daemon(loaded, reload=lambda: configuration.load(path))

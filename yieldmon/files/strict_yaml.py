@@ -20,7 +20,7 @@ from yaml.composer import Composer
 from yaml.constructor import SafeConstructor
 from yaml.resolver import Resolver
 
-from yieldmon.bounded import PATIENCE_S, content
+from yieldmon.bounded import TIMEOUT_S, content
 from yieldmon.errors import InputError, reason
 from yieldmon.files.yaml_slips import in_plain_words
 
@@ -194,7 +194,7 @@ def load(path: Path | str) -> Any:
 def read(path: Path | str) -> str:
     """The text of the file at `path`, no more of it than parse() refuses. Raises InputError when it cannot be read."""
     try:
-        return content(str(path), MAX_BYTES + 1, PATIENCE_S).decode("utf-8")
+        return content(str(path), MAX_BYTES + 1, TIMEOUT_S).decode("utf-8")
     except OSError as error:
         if error.errno in _PASSING:
             # A read's error does not name its file.

@@ -32,7 +32,7 @@ _IN_FLIGHT = 256
 _FORKSERVER, _PREFORK = "forkserver", "yieldmon.fleet.prefork"
 _QUIET = logging.CRITICAL
 """Of Dask's own lines, here and in the workers: what goes wrong is said by what comes back."""
-_PATIENCE_S = 60.0
+_TIMEOUT_S = 60.0
 """How long a scheduler that is gone is waited for."""
 
 
@@ -71,7 +71,7 @@ def run_all(tasks: Sequence[Task], cluster: Cluster, take: Callable[[Outcome], N
     left = {task.partition.name: task for task in tasks}
     lost = _lost()
     met = False
-    deadline = time.monotonic() + (_PATIENCE_S if cluster.scheduler else 0.0)
+    deadline = time.monotonic() + (_TIMEOUT_S if cluster.scheduler else 0.0)
     while left:
         answered = len(left)
         try:
@@ -85,7 +85,7 @@ def run_all(tasks: Sequence[Task], cluster: Cluster, take: Callable[[Outcome], N
             if not cluster.scheduler:
                 raise
             if len(left) < answered:
-                deadline = time.monotonic() + _PATIENCE_S
+                deadline = time.monotonic() + _TIMEOUT_S
             if time.monotonic() > deadline:
                 if met:
                     raise OSError(f"the scheduler {cluster.scheduler} is gone; run again, what is finished stays") from error

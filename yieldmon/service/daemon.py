@@ -34,12 +34,12 @@ from yieldmon.service.operator.command_queue import CommandQueue
 from yieldmon.service.operator.control import ControlServer
 from yieldmon.service.operator.control_protocol import Answer, ControlError
 from yieldmon.service.operator.snapshot import snapshot
-from yieldmon.service.patience import DEFAULT, Patience
 from yieldmon.service.preloading import preload
 from yieldmon.service.reloading import Reloading
 from yieldmon.service.reloads import Reloads
 from yieldmon.service.storage.writer import StoreWriter
 from yieldmon.service.supervision import Supervisor, ended, require_alive
+from yieldmon.service.timeouts import DEFAULT, Timeouts
 from yieldmon.service.traffic.bus_node import BusNode
 from yieldmon.service.traffic.transmit import Transmitter
 
@@ -60,7 +60,7 @@ class Daemon:
         environment: Mapping[str, str] = os.environ,
         bus_factory: Callable[[], can.BusABC] | None = None,
         network_clock: Callable[[], float] = monotonic,
-        patience: Patience = DEFAULT,
+        timeouts: Timeouts = DEFAULT,
     ) -> None:
         """reload: reads the configuration anew, on a thread of its own; raises InputError when it cannot be used. bus_factory:
         opens the bus, by default the configured one. network_clock: times the address claim and what else the network's protocols
@@ -68,26 +68,26 @@ class Daemon:
         self.configuration = configuration
         self._at_start = configuration
         self._manager = ServiceManager(environment)
-        self._reloads = Reloads(Reloading(reload, patience.reload_s))
+        self._reloads = Reloads(Reloading(reload, timeouts.reload_s))
         self._bus = BusNode(
             configuration,
             bus_factory=bus_factory,
-            silence_s=patience.silence_s,
-            listen_s=patience.listen_s,
+            silence_s=timeouts.silence_s,
+            listen_s=timeouts.listen_s,
             clock=network_clock,
         )
         self._receiver, self._transmitter = self._bus.receiver, self._bus.transmitter
-        self._patience = patience
+        self._timeouts = timeouts
         self.started = threading.Event()
         """Set once frames are taken and commands answered."""
         # Plain flags: a signal handler runs between any two instructions of this thread, where it may hold any lock.
         self._stop_wanted = self._reload_wanted = False
-        self._commands = CommandQueue(patience.command_s, self._receiver.wake)
-        self._command_loads = CommandLoads(patience.written_s)
+        self._commands = CommandQueue(timeouts.command_s, self._receiver.wake)
+        self._command_loads = CommandLoads(timeouts.written_s)
         self._started_s = monotonic()
         self._answer: Answer = {}
         self._answered_s = monotonic()
-        self._store = RunStore(configuration, patience)
+        self._store = RunStore(configuration, timeouts)
         self._writer = self._store.writer
         self._remeasuring = RemeasuringThread(configuration.store_path, self._writer.wait_until_written)
         self._supervisors: list[Supervisor] = []
@@ -186,7 +186,7 @@ class Daemon:
             if not self._store.known:
                 lost_kg = self.monitor.totals.total_kg
                 _log.error("the disk has not answered since the start; %.1f kg measured since then are in no store", lost_kg)
-            elif not self._writer.stop(self._patience.stop_s):
+            elif not self._writer.stop(self._timeouts.stop_s):
                 _log.error("the disk hangs; %d batches are not written", self._writer.health().pending)
             elif self._fill_new_store():
                 # The last batches went into a new store, which lacks what an earlier one was given.
@@ -347,9 +347,9 @@ class Daemon:
         begun_s = monotonic()
         stored = self._command_loads.of(request, self.configuration.store_path)
         # Who has gone would find it done after all, and ask a second time.
-        left_s = begun_s + self._patience.answer_s - self._patience.written_s - monotonic()
+        left_s = begun_s + self._timeouts.answer_s - self._timeouts.written_s - monotonic()
         answer = self._commands.ask(request, stored, left_s)
-        if request["command"] not in commands.QUERIES and not self._writer.wait_until_written(self._patience.written_s):
+        if request["command"] not in commands.QUERIES and not self._writer.wait_until_written(self._timeouts.written_s):
             _log.warning("%s: done, and not in the store yet", request["command"])
         return answer
 

@@ -46,10 +46,10 @@ class JournalLines(logging.Handler):
             self._lines.append(line)
             self._changed.notify_all()
 
-    def finish(self, patience_s: float = 1.0) -> bool:
-        """Wait until all is written; False when that takes longer than patience_s seconds."""
+    def finish(self, timeout_s: float = 1.0) -> bool:
+        """Wait until all is written; False when that takes longer than timeout_s seconds."""
         with self._changed:
-            return self._changed.wait_for(lambda: not self._lines and not self._busy, patience_s)
+            return self._changed.wait_for(lambda: not self._lines and not self._busy, timeout_s)
 
     def _begin(self) -> None:
         thread = threading.Thread(target=self._run, name="journal-lines", daemon=True)

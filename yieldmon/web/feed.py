@@ -37,7 +37,7 @@ HEARTBEAT_S = 2.0
 #: A look at daemon and store that takes longer is reported; the daemon's answer is awaited for less.
 _HANGS_S = 8.0
 #: How long seconds that the daemon has shown to be missing are awaited from its store.
-_STORE_PATIENCE_S = 5.0
+_STORE_TIMEOUT_S = 5.0
 _SHOWN = ("version", "uptime_s", "age_s", "stale", "state", "load", "total", "sweep", "parameters", "faults", "zero_mv")
 _SHOWN_OF = {"bus": ("interface", "channel", "frames_per_s", "dropped", "kernel_drops"), "store": ("failing", "note", "pending")}
 
@@ -209,7 +209,7 @@ class Feed:
     def _waits_for_the_store(self) -> bool:
         if self._missing_since_s is None:
             self._missing_since_s = self._clock()
-        return self._clock() - self._missing_since_s < _STORE_PATIENCE_S
+        return self._clock() - self._missing_since_s < _STORE_TIMEOUT_S
 
     def _stored(self, first: int) -> list[Row]:
         if self.store is None:

@@ -1,7 +1,7 @@
 """HTTP connections that no peer can hold open without use.
 
 uvicorn gives a request as long as it likes to arrive and an answer as long as it likes to be taken. Here a request has to be
-whole, and what was sent has to be taken, within PATIENCE_S; of more than CONNECTIONS the one that has asked nothing for longest
+whole, and what was sent has to be taken, within TIMEOUT_S; of more than CONNECTIONS the one that has asked nothing for longest
 is cut off.
 """
 
@@ -12,14 +12,14 @@ from typing import Any
 
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-PATIENCE_S = 5.0
+TIMEOUT_S = 5.0
 CONNECTIONS = 64
 
 
 class BoundedProtocol(H11Protocol):
     """uvicorn's protocol with limits; see the module's docstring."""
 
-    patience_s = PATIENCE_S
+    timeout_s = TIMEOUT_S
     most_connections = CONNECTIONS
 
     def __init__(self, *args: Any, **keywords: Any) -> None:
@@ -63,7 +63,7 @@ class BoundedProtocol(H11Protocol):
     def pause_writing(self) -> None:
         """The peer takes nothing for the time being."""
         super().pause_writing()
-        self._answer_timer = self.loop.call_later(self.patience_s, self.cut_off)
+        self._answer_timer = self.loop.call_later(self.timeout_s, self.cut_off)
 
     def resume_writing(self) -> None:
         """The peer takes what is sent."""
@@ -89,7 +89,7 @@ class BoundedProtocol(H11Protocol):
 
     def _await_request(self) -> None:
         _stop(self._request_timer)
-        self._request_timer = self.loop.call_later(self.patience_s, self.cut_off)
+        self._request_timer = self.loop.call_later(self.timeout_s, self.cut_off)
 
 
 def _stop(timer: asyncio.TimerHandle | None) -> None:

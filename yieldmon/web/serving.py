@@ -16,7 +16,7 @@ import uvicorn
 from yieldmon.errors import InputError
 from yieldmon.web.addresses import Listen
 from yieldmon.web.guard import Access, Guard
-from yieldmon.web.protocol import PATIENCE_S, BoundedProtocol
+from yieldmon.web.protocol import TIMEOUT_S, BoundedProtocol
 
 _BACKLOG = 128
 _HEADER_BYTES = 16 * 1024
@@ -102,7 +102,7 @@ def serve(access: Access, build: Callable[[Access], Guard], ready: Callable[[str
             server_header=False,
             date_header=False,
             proxy_headers=False,
-            timeout_keep_alive=int(PATIENCE_S),
+            timeout_keep_alive=int(TIMEOUT_S),
             timeout_graceful_shutdown=_STOP_S,
             h11_max_incomplete_event_size=_HEADER_BYTES,
         )

@@ -272,8 +272,8 @@ def _fitted(settings: EngineSettings, document: Document, mapping: SignalMap) ->
         settings = _without_sweeps(settings)
     if "sensor_timeout_s" not in document.inputs.model_fields_set:
         slowest_s = max(source.interval_s * len(source.signals) for source in mapping.sources.impact)
-        patience_s = max(settings.inputs.sensor_timeout_s, 10.0 * slowest_s)
-        settings = dataclasses.replace(settings, inputs=dataclasses.replace(settings.inputs, sensor_timeout_s=patience_s))
+        timeout_s = max(settings.inputs.sensor_timeout_s, 10.0 * slowest_s)
+        settings = dataclasses.replace(settings, inputs=dataclasses.replace(settings.inputs, sensor_timeout_s=timeout_s))
     return settings
 
 

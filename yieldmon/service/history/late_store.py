@@ -51,9 +51,9 @@ class StoreReading:
         """Since its begin, s."""
         return monotonic() - self._begun_s
 
-    def wait(self, patience_s: float, given_up: Callable[[], bool]) -> bool:
-        """Until the disk answers, patience_s seconds at most, and no longer than given_up() is false; whether it has."""
-        end_s = monotonic() + patience_s
+    def wait(self, timeout_s: float, given_up: Callable[[], bool]) -> bool:
+        """Until the disk answers, timeout_s seconds at most, and no longer than given_up() is false; whether it has."""
+        end_s = monotonic() + timeout_s
         while not self._reading.done():
             left_s = end_s - monotonic()
             if left_s <= 0.0 or given_up():

@@ -10,12 +10,12 @@ from yieldmon.service.config.configuration import Configuration
 from yieldmon.service.history.late_store import KeptInput, StoreReading
 from yieldmon.service.history.memory import Memory
 from yieldmon.service.history.recovery import Recovery, recover
-from yieldmon.service.patience import Patience
 from yieldmon.service.storage.batch import Batch
 from yieldmon.service.storage.identity import this_computer
 from yieldmon.service.storage.ownership import Ownership
 from yieldmon.service.storage.store import Store
 from yieldmon.service.storage.writer import StoreWriter
+from yieldmon.service.timeouts import Timeouts
 
 _log = logging.getLogger(__name__)
 
@@ -29,7 +29,7 @@ class RunStore:
     Parameters
     ----------
     configuration : Configuration
-    patience : Patience
+    timeouts : Timeouts
 
     Attributes
     ----------
@@ -38,22 +38,22 @@ class RunStore:
     writer : StoreWriter
     """
 
-    def __init__(self, configuration: Configuration, patience: Patience) -> None:
+    def __init__(self, configuration: Configuration, timeouts: Timeouts) -> None:
         self.path = configuration.store_path
         self._retention = configuration.retention
-        self._patience = patience
+        self._timeouts = timeouts
         self._computer = this_computer()
         self._ownership = Ownership(self.path)
         self.note = ""
         self.writer = StoreWriter(
             self.open,
             configuration.document.store.pending_seconds,
-            patience.retry_s,
+            timeouts.retry_s,
             path=self.path,
             keep=self._ownership.keep,
         )
         self._reading: StoreReading | None = None
-        self._kept = KeptInput(patience.kept_frames)
+        self._kept = KeptInput(timeouts.kept_frames)
         self._replacements = 0
 
     def open(self) -> Store:
@@ -81,7 +81,7 @@ class RunStore:
         """
         # On a thread of its own: the disk may hang.
         self._reading = reading = StoreReading(self._recover)
-        reading.wait(self._patience.store_s, given_up)
+        reading.wait(self._timeouts.store_s, given_up)
         if not reading.done and given_up():
             _log.error("%s: the disk has not answered since the start", self.path)
             return False

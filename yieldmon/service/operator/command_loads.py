@@ -24,12 +24,12 @@ class CommandLoads:
 
     Parameters
     ----------
-    patience_s : float
+    timeout_s : float
         How long a command waits for others that read.
     """
 
-    def __init__(self, patience_s: float) -> None:
-        self._patience_s = patience_s
+    def __init__(self, timeout_s: float) -> None:
+        self._timeout_s = timeout_s
         self._reading = threading.BoundedSemaphore(_READ_AT_ONCE)
 
     def of(self, request: Mapping[str, Any], path: Path) -> Sequence[StoredLoad]:
@@ -40,7 +40,7 @@ class CommandLoads:
         numbers, updates_again = commands.ticketed_loads(request), request["command"] in commands.UPDATE_AGAIN
         if not numbers and not updates_again:
             return ()
-        if not self._reading.acquire(timeout=self._patience_s):
+        if not self._reading.acquire(timeout=self._timeout_s):
             raise ControlError("the disk does not answer; nothing was done")
         try:
             return of_standing_tickets(path, numbers) if updates_again else of_new_ticket(path, numbers)

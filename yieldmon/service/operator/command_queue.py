@@ -26,11 +26,11 @@ class Job:
 class CommandQueue:
     """`ask` is called on any thread, `carry_out` on the engine's."""
 
-    def __init__(self, patience_s: float, wake: Callable[[], None] = lambda: None) -> None:
-        """patience_s: how long a command waits for the engine. wake: ends what the engine's thread waits for."""
+    def __init__(self, timeout_s: float, wake: Callable[[], None] = lambda: None) -> None:
+        """timeout_s: how long a command waits for the engine. wake: ends what the engine's thread waits for."""
         self._wake = wake
         self._jobs: queue.SimpleQueue[Job] = queue.SimpleQueue()
-        self._patience_s = patience_s
+        self._timeout_s = timeout_s
 
     def ask(self, request: Mapping[str, Any], stored: Sequence[StoredLoad] = (), left_s: float = inf) -> Answer:
         """Waits for the answer, no longer than left_s. Raises InputError for a request that is refused, ControlError where the
@@ -41,7 +41,7 @@ class CommandQueue:
         self._jobs.put(job)
         self._wake()
         try:
-            return job.answer.result(min(self._patience_s, left_s))
+            return job.answer.result(min(self._timeout_s, left_s))
         except TimeoutError:
             # What was said to have failed must not be done later.
             if not job.answer.cancel():

@@ -40,7 +40,7 @@ class Pace:
 
     Parameters
     ----------
-    patience_s : float
+    timeout_s : float
         A peer that takes longer for its whole request, or for taking the answer, is cut off.
     look_every_s : float
         Between two looks whether the socket's file is still there.
@@ -48,7 +48,7 @@ class Pace:
         Rest between two looks at many connections.
     """
 
-    patience_s: float = 5.0
+    timeout_s: float = 5.0
     look_every_s: float = 2.0
     crowded_pause_s: float = 0.02
 
@@ -121,7 +121,7 @@ class _Asking:
 class _Server:
     """One thread collects the requests of all connections, a few others answer those that are whole.
 
-    A request has to be whole within `Pace.patience_s` of the connection, whatever comes meanwhile, and so has the taking of the
+    A request has to be whole within `Pace.timeout_s` of the connection, whatever comes meanwhile, and so has the taking of the
     answer.
     Beyond _CONNECTIONS the one that has waited longest is cut off, so idle peers keep no other out. A socket whose file has been
     removed, or that fails, is made anew.
@@ -212,7 +212,7 @@ class _Server:
                         listening = self.listening = self._listen_again(selector, listening)
                     for asking in [a for a in self._asking.values() if a.until_s <= now_s]:
                         if asking.request:
-                            _refuse(asking.connection, _cut(self._pace.patience_s))
+                            _refuse(asking.connection, _cut(self._pace.timeout_s))
                         self._drop(selector, asking)
                     if len(self._asking) >= _CROWDED:
                         # Peers that come and speak without end get this many looks and not the processor.
@@ -260,7 +260,7 @@ class _Server:
             _log.warning("control: more than %d connections; the one that has asked nothing for longest is cut off", _CONNECTIONS)
             self._drop(selector, min(self._asking.values(), key=lambda asking: asking.until_s))
         connection.setblocking(False)
-        asking = self._asking[connection.fileno()] = _Asking(connection, monotonic() + self._pace.patience_s)
+        asking = self._asking[connection.fileno()] = _Asking(connection, monotonic() + self._pace.timeout_s)
         selector.register(connection, selectors.EVENT_READ, asking)
         self._read(selector, asking)
 
@@ -299,7 +299,7 @@ class _Server:
         try:
             with asking.connection:
                 answer = self._answer_to(bytes(asking.request).partition(b"\n")[0], _user(asking.connection))
-                asking.connection.settimeout(self._pace.patience_s)
+                asking.connection.settimeout(self._pace.timeout_s)
                 asking.connection.sendall(json.dumps(answer, allow_nan=False).encode() + b"\n")
         except OSError as error:
             _log.debug("control connection: %s", error)
@@ -315,8 +315,8 @@ class _Server:
             return {"ok": False, "error": str(error)}
 
 
-def _cut(patience_s: float) -> bytes:
-    text = f"request: no line feed in {patience_s:g} s; expected one line; nothing was done"
+def _cut(timeout_s: float) -> bytes:
+    text = f"request: no line feed in {timeout_s:g} s; expected one line; nothing was done"
     return json.dumps({"ok": False, "error": text}).encode() + b"\n"
 
 

@@ -122,13 +122,13 @@ class StoreWriter:
         with self._changed:
             return self._changed.wait_for(lambda: not self._pending, timeout_s)
 
-    def stop(self, patience_s: float | None = None) -> bool:
-        """Write what is pending, once more if the disk fails, and end the thread; False when it did not end within patience_s
+    def stop(self, timeout_s: float | None = None) -> bool:
+        """Write what is pending, once more if the disk fails, and end the thread; False when it did not end within timeout_s
         seconds, as on a disk that hangs."""
         with self._changed:
             self._stopping = True
             self._changed.notify_all()
-        self._thread.join(patience_s)
+        self._thread.join(timeout_s)
         return not self._thread.is_alive()
 
     def _run(self) -> None:

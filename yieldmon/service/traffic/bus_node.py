@@ -67,7 +67,7 @@ class BusNode:
         listen_s: float,
         clock: Callable[[], float],
     ) -> None:
-        """bus_factory: opens the bus, by default the configured one. silence_s, listen_s: see `Patience`. clock: times the
+        """bus_factory: opens the bus, by default the configured one. silence_s, listen_s: see `Timeouts`. clock: times the
         network's protocols."""
         settings = configuration.document.bus
         codec = Codec()

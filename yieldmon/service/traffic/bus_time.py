@@ -10,7 +10,7 @@ class BusTime:
     """When the last frame came, and how far the engine's time may go on without one."""
 
     def __init__(self, silence_s: float, idle_after_s: float, now_s: float) -> None:
-        """silence_s: see `Patience`. idle_after_s: a bus without any frame since the start counts as idle after this time. now_s:
+        """silence_s: see `Timeouts`. idle_after_s: a bus without any frame since the start counts as idle after this time. now_s:
         monotonic time."""
         self._silence_s = silence_s
         self._idle_from_s = now_s + idle_after_s

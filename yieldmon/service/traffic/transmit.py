@@ -94,17 +94,17 @@ class Transmitter:
                 self._queue.append((self._clock(), message))
             self._changed.notify_all()
 
-    def wait_until_sent(self, patience_s: float) -> bool:
-        """Let the thread send all that waits; False when some still waits after patience_s seconds."""
+    def wait_until_sent(self, timeout_s: float) -> bool:
+        """Let the thread send all that waits; False when some still waits after timeout_s seconds."""
         with self._changed:
-            return self._changed.wait_for(lambda: not self._queue and self._busy_since_s is None, patience_s)
+            return self._changed.wait_for(lambda: not self._queue and self._busy_since_s is None, timeout_s)
 
-    def stop(self, patience_s: float = _STOP_S) -> bool:
-        """Send what is still fresh and end the thread; False when it did not end within patience_s seconds."""
+    def stop(self, timeout_s: float = _STOP_S) -> bool:
+        """Send what is still fresh and end the thread; False when it did not end within timeout_s seconds."""
         with self._changed:
             self._stopping = True
             self._changed.notify_all()
-        self._thread.join(patience_s)
+        self._thread.join(timeout_s)
         return not self._thread.is_alive()
 
     def hangs_s(self) -> float:

@@ -1,4 +1,4 @@
-"""How long the daemon waits for what may never come."""
+"""Time limits of the daemon."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from yieldmon.service.storage.writer import RETRY_S
 
 
 @dataclass(frozen=True, kw_only=True)
-class Patience:
-    """Times are seconds.
+class Timeouts:
+    """How long the daemon waits, s.
 
     Parameters
     ----------
@@ -49,4 +49,4 @@ class Patience:
     stop_s: float = 1.5
 
 
-DEFAULT = Patience()
+DEFAULT = Timeouts()

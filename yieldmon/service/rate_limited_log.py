@@ -10,7 +10,7 @@ INTERVAL_S = 60.0
 _AT_ONCE = 3
 
 
-class QuietLog(logging.Filter):
+class RateLimitedLog(logging.Filter):
     """Lets through a few messages a minute from each line of the program, and the next minute says how many it kept back."""
 
     def __init__(self, clock: Callable[[], float] = monotonic) -> None:
