@@ -97,6 +97,25 @@ def test_what_is_said_of_all_machines(
     assert (document["shared"], len(document["model"]), len(document["candidates"])) == (shared, len(model), len(candidates))
 
 
+@pytest.mark.parametrize(
+    ("verdicts", "said"),
+    [
+        (("none", "effect"), "1 of 2 machines show no effect of their own"),
+        (("none", "none", "has 0 visits"), "2 of 2 compared machines show no effect of their own"),
+        (("has 0 visits", "has 0 visits"), None),
+    ],
+)
+def test_machines_that_were_not_compared_are_not_counted(
+    verdicts: tuple[str, ...], said: str | None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = FleetDiagnosis("none", (), (), tuple(MachineVerdict(f"m{i}", verdict) for i, verdict in enumerate(verdicts)))
+    monkeypatch.setattr("yieldmon.cli._fleet.diagnose.sweeps_of", lambda _dataset: ())
+    monkeypatch.setattr("yieldmon.cli._fleet.diagnose.diagnose", lambda _machines, each: found)
+    main(["fleet", "diagnose", "season", "--workers", "1"])
+    shown = [line for line in capsys.readouterr().out.splitlines() if "of their own" in line]
+    assert shown == ([said] if said else [])
+
+
 def test_a_gain_that_the_tickets_know_is_no_effect() -> None:
     """Half the machines' cells show a tenth more, and their parameters say so."""
     fleet = []

@@ -11,6 +11,9 @@ from yieldmon.documents.fleet import FleetDiagnosisDocument, FleetEffect, Machin
 from yieldmon.errors import InputError
 from yieldmon.fleet.diagnosis import POLICY, FleetDiagnosis, MachineVerdict, Named, diagnose, sweeps_of
 
+_JUDGED = ("none", "effect", "unknown")
+"""Verdicts on machines that could be compared; any other says why one could not."""
+
 
 def run(args: argparse.Namespace) -> int:
     """Exit code 0 when all machines were diagnosed, 1 when one could not be."""
@@ -56,8 +59,11 @@ def _text(document: FleetDiagnosisDocument) -> str:
             continue
         names = ", ".join(_words(named) for named in item["effects"])
         lines.append(f"{item['machine']}: " + (names if item["verdict"] == "effect" else f"{item['verdict']} {names}".rstrip()))
-    alike = sum(item["verdict"] == "none" for item in document["machines"])
-    lines.append(f"{alike} of {len(document['machines'])} machines show no effect of their own")
+    verdicts = [item["verdict"] for item in document["machines"]]
+    compared = sum(verdict in _JUDGED for verdict in verdicts)
+    if compared:
+        which = "machines" if compared == len(verdicts) else "compared machines"
+        lines.append(f"{verdicts.count('none')} of {compared} {which} show no effect of their own")
     return "\n".join([*lines, *_visible_lines(document["visible_from"])])
 
 
