@@ -12,6 +12,7 @@ _SLIPS = (
     (KG_PER_T, "kilograms were taken for tonnes"),
     (1.0 / KG_PER_T, "tonnes were taken for kilograms"),
 )
+_MANY = 1000.0
 _NEAR = 1.15
 """Within which a factor may be that of a slip, beside how machines differ."""
 
@@ -62,7 +63,8 @@ def in_words_of_measured(log_times: float) -> str:
     "the machine's tickets weigh 992 times what was measured, as where kilograms were taken for tonnes"
     """
     times = exp(log_times)
-    return f"the machine's tickets weigh {times:.3g} times what was measured{_as_where(times)}"
+    shown = f"{times:.3g}" if times < _MANY else f"{times:.0f}"
+    return f"the machine's tickets weigh {shown} times what was measured{_as_where(times)}"
 
 
 def _as_where(times: float) -> str:

@@ -6,7 +6,7 @@ import argparse
 import sys
 
 from yieldmon.cli._json import print_document
-from yieldmon.documents.fleet import FleetReportDocument
+from yieldmon.documents.fleet import FleetReportDocument, MachineSummary
 from yieldmon.files import whole_file
 from yieldmon.files.plain_text import plain
 from yieldmon.fleet.html import counted, page
@@ -25,6 +25,14 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
+def _drift(machine: MachineSummary) -> float | None:
+    """The largest change of a parameter, %; None where one of them was changed by somebody."""
+    parameters = machine["parameters"].values()
+    if any(p["change_pct"] is None and len({*p["by_day"].values()}) > 1 for p in parameters):
+        return None
+    return max((p["change_pct"] or 0.0 for p in parameters), key=abs, default=0.0)
+
+
 def _text(summary: FleetReportDocument) -> str:
     names = [plain(m["machine"]) for m in summary["machines"]]
     wide = max([15, *map(len, names)]) + 1
@@ -32,8 +40,7 @@ def _text(summary: FleetReportDocument) -> str:
     for name, m in zip(names, summary["machines"], strict=True):
         faults = sum(int(f["count"]) for f in m["faults"].values())
         error = m["tickets"]["mean_error_pct"]
-        changes = [p["change_pct"] for p in m["parameters"].values() if p["change_pct"] is not None]
-        drift = max(changes, key=abs) if changes else None
+        drift = _drift(m)
         lines.append(
             f"{name:<{wide}}{m['days']:>5}{m['hours']:>9.1f}{m['mass_kg'] / 1000.0:>10.1f}{faults:>8}"
             f"{len(m['model_disagrees']):>10}{m['tickets']['count']:>8}"
