@@ -408,7 +408,11 @@ def test_channels_of_one_frame_are_one_proposal(unit: str, moves: int, first: st
         pytest.param(
             RATIO,
             [(512, words(1000.0 + 10.0 * (place % 40))) for place in range(100)],
-            ["# The scale is a guess: volts", "impact_voltage: {dbc: node.dbc, message: Bridge, signal: Strain", "scale: 5}"],
+            [
+                "# The scale is a guess: volts that feed the bridge, 1 if `setup` was given mV/V.",
+                "impact_voltage: {dbc: node.dbc, message: Bridge, signal: Strain",
+                "scale: 5}",
+            ],
             id="a bridge's ratio",
         ),
         pytest.param(
@@ -491,6 +495,27 @@ def test_what_is_proposed(
     assert text.count("moisture:") == 0
     main(["check-config", str(tmp_path / "map.yaml"), "--json"])
     assert json.loads(capsys.readouterr().out)["problems"] == []
+
+
+@pytest.mark.parametrize(
+    ("dbc", "first", "second", "guesses"),
+    [
+        (TWO_CELLS, words(50.0), words(51.0), ["elevator_speed", "impact_voltage"]),
+        (INPUTS, words(50.0, 51.0), words(52.0, 53.0), ["impact_voltage"]),
+        (INPUTS, words(50.0, 51.0), words(52.0, 91.0), []),
+        (NAMELESS.replace("513 Werte", "512 Werte"), words(400.0, 60.0), words(410.0, 60.0), ["elevator_speed"]),
+        (RATIO, words(50.0), words(51.0), []),
+    ],
+)
+def test_guesses_are_told(dbc: str, first: bytes, second: bytes, guesses: list[str], tmp_path: Path, capsys) -> None:
+    frames = [(512 + place % 2 * ("513 Cell" in dbc), (first, second)[place // 2 % 2]) for place in range(400)]
+    frames += [(514, words(400.0, 390.0))] * 100 if "514" in dbc else []
+    written(tmp_path, dbc, frames, capsys)
+    words_of = [str(tmp_path / "node.log"), "--dbc", str(tmp_path / "node.dbc")]
+    assert survey(capsys, *words_of)["guesses"] == guesses
+    assert main(["signals", *words_of]) == 0
+    said = capsys.readouterr().out
+    assert re.findall(r"^(\w+) \(the first is a guess\): ", said, re.MULTILINE) == guesses
 
 
 @pytest.mark.parametrize(("kind", "frames"), [("J1939PG", 50), ("ExtendedCAN", 0)])

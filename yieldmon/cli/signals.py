@@ -31,7 +31,7 @@ from yieldmon.finite import finite
 from yieldmon.network.name import Name
 from yieldmon.resources import shipped
 from yieldmon.signals.candidates import Candidate, candidates_of
-from yieldmon.signals.mapping_draft import TELLING, mapping_text
+from yieldmon.signals.mapping_draft import TELLING, guesses, mapping_text
 from yieldmon.signals.survey import MessageSeen, Survey
 
 _SHIPPED = ("dbc/yieldmon.dbc", "dbc/j1939.dbc")
@@ -137,14 +137,14 @@ def _bus_blocks(args: argparse.Namespace) -> Iterator[FrameBlock]:
 
 
 def _document(survey: Survey) -> SurveyDocument:
+    candidates = candidates_of(survey)
     return {
         "messages": [_message(message) for message in survey.messages],
         "nodes": [
             {"address": address, "name": f"0x{int(name):016X}" if name is not None else None} for address, name in survey.nodes
         ],
-        "candidates": {
-            quantity: [_candidate(found) for found in candidates] for quantity, candidates in candidates_of(survey).items()
-        },
+        "candidates": {quantity: [_candidate(one) for one in found] for quantity, found in candidates.items()},
+        "guesses": guesses(candidates),
     }
 
 
@@ -194,7 +194,9 @@ def _show(survey: Survey) -> None:
     for address, name in survey.nodes:
         print(f"node {address}: " + ("no NAME received" if name is None else f"NAME 0x{name}, {_fields(name)}"))
     candidates = candidates_of(survey)
+    uncertain = guesses(candidates)
     for quantity, found in candidates.items():
-        print(f"{quantity}: " + ", ".join(f"{c.message}.{c.signal} ({c.rate_hz:.1f} Hz)" for c in found[:4]))
+        said = " (the first is a guess)" if quantity in uncertain else ""
+        print(f"{quantity}{said}: " + ", ".join(f"{c.message}.{c.signal} ({c.rate_hz:.1f} Hz)" for c in found[:4]))
     if not candidates:
         print("no signal matches a quantity; give the manufacturer's DBC with --dbc")

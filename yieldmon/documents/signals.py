@@ -49,8 +49,10 @@ class CandidateDocument(TypedDict):
 
 
 class SurveyDocument(TypedDict):
-    """`yieldmon signals --json`."""
+    """`yieldmon signals --json`. guesses: quantities for whose first candidate only its unit or rate speaks, or beside which
+    another fits as well."""
 
     messages: list[MessageDocument]
     nodes: list[NodeDocument]
     candidates: dict[str, list[CandidateDocument]]
+    guesses: list[str]

@@ -25,8 +25,8 @@ _RATIO, _PULSES, _COUNTS, _EXCITATION = "ratio: 0.2", "pulses_per_turn: 1", "sca
 _GUESSES = {
     _RATIO: "The ratio is a guess: turns of the elevator's upper shaft per turn of the measured one.",
     _PULSES: "pulses_per_turn is a guess: magnets or teeth of the elevator's upper shaft.",
-    _COUNTS: "The scale is a guess: mV per count; with `offset` where counts fall as the force rises.",
-    _EXCITATION: "The scale is a guess: volts that feed the bridge.",
+    _COUNTS: "The scale is a guess: mV per count, 1 if `setup` was given counts; with `offset` where counts fall with the force.",
+    _EXCITATION: "The scale is a guess: volts that feed the bridge, 1 if `setup` was given mV/V.",
 }
 """Keys of an entry that the bus does not show -> what is said of them."""
 _NEEDED = {
@@ -80,6 +80,20 @@ def mapping_text(survey: Survey, paths: Mapping[str, str]) -> str:
     return "\n".join(lines if any(line[2:3] != "#" for line in lines[3:]) else [*lines[:2], "signals: {}", *lines[3:]]) + "\n"
 
 
+def guesses(candidates: Mapping[str, Sequence[Candidate]]) -> list[str]:
+    """Quantities for whose first candidate nothing but its unit or rate speaks, or beside which another fits as well."""
+    found = []
+    for quantity, every in candidates.items():
+        shown, channels = _by_frame(every)
+        if (
+            every[0].weak
+            or _alike(shown, candidates)
+            or any(not _stands_out(alike) for alike in channels if alike[0] is every[0])
+        ):
+            found.append(quantity)
+    return found
+
+
 def _no_impact(survey: Survey) -> list[str]:
     """Comments on where an impact sensor may be: frames of no DBC and of no group of J1939 with a name of its own."""
     lines = ["  # impact_voltage: nothing on this bus looks like an impact sensor; see docs/guide/wiring.md"]
@@ -121,13 +135,18 @@ def _by_frame(candidates: Sequence[Candidate]) -> tuple[list[Candidate], list[li
 def _which_channel(alike: Sequence[Candidate]) -> tuple[str, str]:
     """What is said of the channels of one frame, of which one is the impact sensor's. alike: the likeliest first."""
     ranges = ", ".join(f"{one.signal} {one.span[0]:.5g} to {one.span[1]:.5g}" for one in alike[:_MOST_CHANNELS])
-    first, second = (one.span[1] - one.span[0] for one in alike[:2])
-    found = f"{alike[0].signal} moved most" if first > STANDS_OUT * second else "all moved alike, so the first is a guess"
+    found = f"{alike[0].signal} moved most" if _stands_out(alike) else "all moved alike, so the first is a guess"
     unit = f" {alike[0].unit}" if alike[0].unit else ""
     return (
         f"Channels of {alike[0].message}: {ranges}{unit}; {found}.",
         "Strike the plate while recording: the channel that moves is the impact sensor's.",
     )
+
+
+def _stands_out(alike: Sequence[Candidate]) -> bool:
+    """Whether the first of several channels moved more than the next one."""
+    first, second = (one.span[1] - one.span[0] for one in alike[:2])
+    return first > STANDS_OUT * second
 
 
 def _alike(shown: Sequence[Candidate], candidates: Mapping[str, Sequence[Candidate]]) -> list[str]:
