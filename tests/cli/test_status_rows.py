@@ -65,3 +65,18 @@ def test_the_total_is_shown_with_its_standard_deviation(
         server.stop()
     row = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("total"))
     assert " ".join(row.split()) == said
+
+
+@pytest.mark.parametrize(("scale_error", "said"), [(0.45, True), (0.0, False)])
+def test_parameters_of_no_calibration_are_said_to_be_that(
+    document: dict[str, Any], scale_error: float, said: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert document["parameters"]["scale_error"] == 0.45, "the shipped corn, as the daemon began"
+    parameters = {**document["parameters"], "scale_error": scale_error}
+    server = ControlServer(tmp_path / "yieldmon.sock", None, lambda _: {**document, "parameters": parameters})
+    server.start()
+    try:
+        assert cli.main(["status", "--socket", str(tmp_path / "yieldmon.sock")]) == 0
+    finally:
+        server.stop()
+    assert ("not calibrated on this machine: its force is known to 45 %" in " ".join(capsys.readouterr().out.split())) is said

@@ -14,7 +14,7 @@ from yieldmon.engine.self_calibration.closed_loop_calibrator import ClosedLoopCa
 from yieldmon.engine.self_calibration.load_forces import LoadForces
 from yieldmon.engine.self_calibration.reference_mass import ReferenceMass, ReferenceSource
 from yieldmon.estimation.open_loop import OpenLoop
-from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.parameters import NOT_CALIBRATED, SCALE, ParameterSet
 from yieldmon.estimation.self_calibration.angle_error import NO_ERROR, NODES_RAD, AngleError
 from yieldmon.physics.model import Conditions
 
@@ -126,3 +126,25 @@ def test_a_clock_set_back_in_a_load_leaves_its_ticket_a_reference() -> None:
 ])  # fmt: skip
 def test_a_mass_is_comparable_by_its_forces_or_its_time(changes: dict[str, object], comparable: bool) -> None:
     assert replace(ticket(0.0, MassBudget()), **changes).comparable is comparable
+
+
+@pytest.mark.parametrize("weaker", [0.01, 0.35])
+def test_the_first_ticket_ends_what_a_machine_without_calibration_states(weaker: float) -> None:
+    """Also one that agrees: at its own flow the load is known then, and at others only as far as one load tells of the curve."""
+    bare = replace(SURE, provenance={SCALE: NOT_CALIBRATED})
+
+    def stated(known: ParameterSet, flow_kg_s: float) -> float:
+        force = np.real(MODEL.force(Conditions(HOME_RAD, SPEED, mass_flow_kg_s=flow_kg_s), SURE.values))
+        found = OpenLoop(MODEL, known).estimate((1.0 - weaker) * force, HOME_RAD, SPEED)
+        return float(found.std_dev_kg_s / found.mass_flow_kg_s)
+
+    settings = CalibratorSettings(steady_per_kilotonne={})
+    anchor = ticket(weaker, MassBudget())
+    outcome = ClosedLoopCalibrator(MODEL, settings).weigh(records(FLOW_KG_S)[0], (anchor,), OpenLoop(MODEL, bare))
+    assert outcome.estimator is not None
+    known = outcome.estimator.parameters
+    assert known.is_weighed
+    assert stated(bare, FLOW_KG_S) > 0.3
+    assert stated(known, FLOW_KG_S) < 0.02
+    assert stated(known, 0.5 * FLOW_KG_S) > 0.03
+    assert [check.p_value > 0.05 for check in outcome.checks] == [True], "what is known to 45 % contradicts no ticket"

@@ -260,3 +260,14 @@ def test_a_slip_of_a_finger_is_no_crop(typed: str, meant: str) -> None:
 def test_another_crop_is_no_slip(name: str) -> None:
     monitor, journal = started()
     assert commands.execute({"command": "load-start", "crop": name}, monitor, journal, 1.7e9)["crop"] == name
+
+
+def test_a_crop_of_which_nothing_is_known_is_not_measured_as_surely_as_the_one_that_was_weighed() -> None:
+    """It begins with the other's parameters, whose grain was on the scale."""
+    known = replace(parameter_file.load(), provenance={"scale": "weighed", "crop": "corn"})
+    monitor, journal = started(known)
+    assert monitor.estimator.parameters.scale_error == 0.0
+    load(monitor, journal, "lupin")
+    assert monitor.estimator.parameters.scale_error > 0.3
+    load(monitor, journal, "corn")
+    assert monitor.estimator.parameters.scale_error == 0.0

@@ -23,7 +23,7 @@ from yieldmon.files import parameter_file
 from yieldmon.service.history.load_book import LoadBook
 from yieldmon.service.history.memory import Memory, choose_parameters
 from yieldmon.service.history.recovery import remembered
-from yieldmon.service.storage.batch import Action, Batch, Load, ParameterVersion
+from yieldmon.service.storage.batch import Action, Batch, Load, ParameterVersion, Ticket
 from yieldmon.service.storage.store import Store
 
 
@@ -120,6 +120,14 @@ def test_learnt_parameters_go_on_for_as_long_as_their_file_is_the_same() -> None
     assert chosen(Memory(parameters=learnt, parameter_digest=digest, last_version=7)) == (7, "store")
     assert chosen(Memory(parameters=learnt, parameter_digest="another", last_version=7)) == (8, "file")
     assert chosen(Memory(parameter_digest=digest)) == (configured.version, "file")
+
+
+def test_parameters_that_no_ticket_has_updated_are_no_calibration_in_a_store_that_does_not_say_so() -> None:
+    learnt, configured = parameter_file.load(), parameter_file.on_a_machine(parameter_file.load())
+    memory = Memory(parameters=learnt, parameter_digest=parameter_file.digest(learnt), last_version=1)
+    assert choose_parameters(memory, configured)[0].scale_error == configured.scale_error > 0.0
+    weighed = replace(memory, tickets=(Ticket(1.7e9, 1, 1, 5000.0, 4000.0),))
+    assert choose_parameters(weighed, configured)[0].scale_error == 0.0
 
 
 SUMMARY = LoadSummary(3, 10.0, 20.0, 1000.0, 850.0, 0.0, complete=True, area_m2=500.0)

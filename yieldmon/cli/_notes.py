@@ -31,6 +31,14 @@ def note(text: str, before: str = "yieldmon") -> None:
         lines.append(line)
 
 
+def not_calibrated(scale_error: float) -> str:
+    """Of parameters that are not this machine's. scale_error: see `ParameterSet.scale_error`."""
+    return (
+        f"the parameters are not calibrated on this machine: its force is known to {100.0 * scale_error:g} % "
+        "(standard deviation) until a load is weighed (`yieldmon ticket`, `yieldmon calibrate --loads`)"
+    )
+
+
 @contextmanager
 def held() -> Iterator[list[str]]:
     """Around a command's work: notes wait for its end, and go where it raises InputError. Gives their lines."""

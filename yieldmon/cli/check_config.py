@@ -7,7 +7,7 @@ import grp
 import sys
 from contextlib import suppress
 
-from yieldmon.cli import _channels
+from yieldmon.cli import _channels, _notes
 from yieldmon.cli._json import print_json
 from yieldmon.documents.check_config import CheckDocument, SeenDocument
 from yieldmon.errors import InputError
@@ -88,6 +88,8 @@ def _held_against(
 
         notes += waveform_needs.notes(loaded)
     problems = plausible.implausible(loaded)
+    if loaded.parameters.scale_error > 0.0 and not problems:
+        notes.append(_notes.not_calibrated(loaded.parameters.scale_error))
     if log is None:
         return None, notes, [InputError(*problem) for problem in problems]
     # These run the engine, which a check without a recording does not.

@@ -23,6 +23,7 @@ from yieldmon.cli._units import add_units
 from yieldmon.documents.process import ProcessSummary, ReprocessSummary
 from yieldmon.engine.faults import FaultCode
 from yieldmon.errors import InputError
+from yieldmon.files import parameter_file
 from yieldmon.files.units import units_of
 from yieldmon.files.whole_file import real_path
 from yieldmon.repeats import repeated
@@ -103,7 +104,16 @@ def run(args: argparse.Namespace) -> int:
         raise InputError("--delay", "does not apply to a log", "a store; with the table of a log `yieldmon export --flow-delay`")
     refuse_copies(args.logs)
     if args.separate:
-        return _separately(args, config, units)
+        _separately(args, config, units)
+    else:
+        _together(args, loaded, units)
+    if loaded.parameters.scale_error > 0.0:
+        _notes.note(_notes.not_calibrated(loaded.parameters.scale_error), "note")
+    return 0
+
+
+def _together(args: argparse.Namespace, loaded: configuration.Configuration, units: Units) -> None:
+    """The logs as one record."""
     with log_progress(len(args.logs)) as progress, _says_what_is_kept(args.out):
         logs = in_time_order(args.logs)
         document = _one_record(
@@ -113,7 +123,6 @@ def run(args: argparse.Namespace) -> int:
         print_json(document)
     else:
         print(_line(document, units), file=sys.stderr)
-    return 0
 
 
 def _configured(
@@ -122,7 +131,7 @@ def _configured(
     """The configuration with what --params, --estimator and --channel put in its place."""
     loaded = _channels.with_channels(configuration.load(config), channels)
     if params is not None:
-        loaded = replace(loaded, parameters=_named_files.parameters(params))
+        loaded = replace(loaded, parameters=parameter_file.on_a_machine(_named_files.parameters(params)))
     if estimator is not None:
         loaded = configuration.with_estimator(loaded, estimator)
     return loaded
@@ -182,7 +191,7 @@ def _store_again(args: argparse.Namespace, loaded: configuration.Configuration, 
     return 0
 
 
-def _separately(args: argparse.Namespace, config: str | Path, units: Units) -> int:
+def _separately(args: argparse.Namespace, config: str | Path, units: Units) -> None:
     if args.out == "-":
         raise InputError("--out", "is standard output", "a folder, with --separate")
     folder, kind = Path(args.out), args.format or "csv"
@@ -220,7 +229,6 @@ def _separately(args: argparse.Namespace, config: str | Path, units: Units) -> i
                 print(f"{log}: {_line(document, units)}", file=sys.stderr)
     if args.json:
         print_json(documents)
-    return 0
 
 
 def _separate_record(

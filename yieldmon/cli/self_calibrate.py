@@ -15,6 +15,7 @@ from yieldmon.documents.self_calibrate import SelfCalibrationDocument, SweepFlow
 from yieldmon.errors import InputError
 from yieldmon.estimation.closed_loop_settings import FLOW_MODELS, ClosedLoopSettings
 from yieldmon.estimation.fitting.measurements import as_copies_do, copied_rows
+from yieldmon.estimation.parameters import NOT_CALIBRATED, SCALE
 from yieldmon.estimation.self_calibration.closed_loop import self_calibrate
 from yieldmon.estimation.self_calibration.closed_loop_inputs import MeasuredDensity, Sweep
 from yieldmon.estimation.self_calibration.closed_loop_outcome import Outcome
@@ -107,6 +108,8 @@ def run(args: argparse.Namespace) -> int:
     document = _document(data, machine, outcomes, names, true, sweeps)
     if args.out is not None:
         facts = {**prior.provenance, "method": "closed loop", **_provenance.of_table(data), "parent_version": str(prior.version)}
+        if prior.scale_error > 0.0:
+            facts[SCALE] = NOT_CALIBRATED
         parameter_file.save(replace(outcomes[0].parameter_set, provenance=facts), args.out)
         document["written"] = args.out
     print_document(document, _text, as_json=args.json, indent=1)

@@ -11,6 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from yieldmon import units as read
+from yieldmon.cli import _notes
 from yieldmon.cli._daemon import add_daemon_arguments, ask_daemon
 from yieldmon.cli._json import print_json
 from yieldmon.cli._units import add_units
@@ -95,6 +96,8 @@ def _facts(status: Status, units: Units) -> Iterator[tuple[str, str]]:
         yield name, units.in_text(text)
     yield from _waveform(status["waveform"], units)
     yield "parameters", _parameters(status["parameters"])
+    if scale_error := status["parameters"].get("scale_error"):
+        yield "", _notes.not_calibrated(scale_error)
     dropped = bus["dropped"] + bus["kernel_drops"]
     yield (
         "bus",

@@ -118,12 +118,14 @@ class ValueWithStdDev(TypedDict):
 
 
 class StatusParameters(TypedDict):
-    """Parameters in use, by name; age_s since they were calibrated or updated. estimator: "physical", "alpha_beta", "table"."""
+    """Parameters in use, by name; age_s since they were calibrated or updated. estimator: "physical", "alpha_beta", "table".
+    scale_error: relative standard deviation of the force where no load of this machine set the scale, else 0."""
 
     version: int
     age_s: Number
     estimator: str
     values: dict[str, ValueWithStdDev]
+    scale_error: float
     provenance: dict[str, str]
 
 

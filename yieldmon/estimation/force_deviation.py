@@ -45,6 +45,7 @@ def force_std_dev(model: ForwardModel, known: ParameterSet, conditions: Conditio
     speed = np.broadcast_to(conditions.elevator_speed_rad_s, here.shape)
     angle = np.broadcast_to(conditions.plate_angle_rad, here.shape)
     own = np.hypot(known.own_error, error_beyond(known, _flow(model.machine, conditions, speed), angle, speed))
+    own = np.hypot(own, known.scale_error)
     if conditions.moisture_pct is not None:
         # Of the flow, to which the force is proportional or less.
         own = np.hypot(own, moisture_error_beyond(known, np.broadcast_to(conditions.moisture_pct, here.shape)))

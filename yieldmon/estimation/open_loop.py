@@ -205,7 +205,7 @@ class OpenLoop:
     model : ForwardModel
         With the effects that the parameters name; `load_pattern`, which weighed loads add to a set, is added to it.
     parameters : ParameterSet
-        Their covariance and own_error enter the standard deviation of the flow.
+        Their covariance, own_error and scale_error enter the standard deviation of the flow.
 
     Attributes
     ----------
@@ -304,6 +304,7 @@ class OpenLoop:
         flow, gain = self._inverted(force, angle, speed, moist, varied)
         spread = np.hypot(noise, self._parameter_force_sd(flow, varied))
         own = np.hypot(self.parameters.own_error, error_beyond(self.parameters, flow, angle, speed))
+        own = np.hypot(own, self.parameters.scale_error)
         spread = np.hypot(spread, own * np.abs(force))
         with np.errstate(divide="ignore", invalid="ignore"):
             sd, noise_sd = spread / np.abs(gain), noise / np.abs(gain)

@@ -25,8 +25,13 @@ if TYPE_CHECKING:
 
 SPEED_MARGIN = 0.05
 """Relative change of the elevator speed that a calibration at one speed covers."""
-SCALE, WEIGHED = "scale", "weighed"
-"""Key and value of the provenance of parameters whose scale weighed masses have set."""
+SCALE, WEIGHED, BY_KERNELS, NOT_CALIBRATED = "scale", "weighed", "kernel noise", "not calibrated"
+"""Key of the provenance, and its values for parameters whose scale weighed masses or kernel noise have set, and for those of
+another machine."""
+METHOD, PUBLISHED = "method", "published properties"
+"""Key and value of the provenance of a crop's parameters from the literature."""
+UNCALIBRATED_SD = 0.45
+"""Relative standard deviation of the force on a machine that nothing was calibrated on: docs/internals/standard-deviations.md."""
 
 _LARGEST_CORRELATION = 1.0 + 1e-6
 _ROUNDING = 1e-9
@@ -189,6 +194,13 @@ class ParameterSet:
             return self.model_error
         stated = self.covariance_names or self.calibrated != CalibratedRange()
         return 0.0 if stated or self.is_weighed else UNKNOWN
+
+    @property
+    def scale_error(self) -> float:
+        """Relative standard deviation of the force, alike at all angles and flows, where the parameters are not this machine's:
+        from published properties or calibrated on another machine, until weighed masses or kernel noise set the scale; else 0."""
+        scale = self.provenance.get(SCALE, NOT_CALIBRATED if self.provenance.get(METHOD) == PUBLISHED else "")
+        return UNCALIBRATED_SD if scale == NOT_CALIBRATED and self.curve is None else 0.0
 
     def standard_deviation(self, name: str) -> float:
         """Standard deviation of one parameter.

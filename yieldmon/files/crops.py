@@ -11,7 +11,7 @@ from types import MappingProxyType
 import numpy as np
 
 from yieldmon.errors import InputError
-from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.parameters import METHOD, PUBLISHED, ParameterSet
 from yieldmon.physics.stages import GRAVITY_M_S2
 from yieldmon.resources import shipped
 from yieldmon.units import KG_PER_LB
@@ -97,7 +97,7 @@ class Crop:
             },
             ("friction", "density", "restitution"),
             np.diag([self.friction_sd**2, (DENSITY_SD * density) ** 2, self.restitution_sd**2]),
-            provenance={"crop": self.name, "method": "published properties", "sources": f"config/crops.yaml: {self.sources}"},
+            provenance={"crop": self.name, METHOD: PUBLISHED, "sources": f"config/crops.yaml: {self.sources}"},
         )
 
 

@@ -8,6 +8,8 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
+from dataclasses import replace
+from functools import cache
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -16,7 +18,7 @@ import numpy as np
 
 from yieldmon.errors import InputError
 from yieldmon.estimation.model_error import LARGEST as LARGEST_MODEL_ERROR
-from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.parameters import NOT_CALIBRATED, SCALE, ParameterSet
 from yieldmon.physics.effects import effect_parameter, get_effect
 from yieldmon.physics.grain import GRAIN
 from yieldmon.resources import shipped
@@ -75,9 +77,27 @@ def load(path: str | Path | None = None) -> ParameterSet:
 
 
 def digest(parameters: ParameterSet) -> str:
-    """Identifies a parameter file's content."""
-    text = json.dumps(to_document(parameters), sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()
+    """Identifies a parameter file's content, whether or not it is marked as `on_a_machine` does."""
+    document = to_document(parameters)
+    if document["provenance"].get(SCALE) == NOT_CALIBRATED:
+        del document["provenance"][SCALE]
+    return hashlib.sha256(json.dumps(document, sort_keys=True).encode()).hexdigest()
+
+
+def on_a_machine(known: ParameterSet) -> ParameterSet:
+    """The parameters as they hold on a machine: the shipped corn, which was calibrated on the virtual test facility, is marked as
+    not calibrated there (see `ParameterSet.scale_error`); others as they are."""
+    return not_calibrated(known) if SCALE not in known.provenance and digest(known) == _shipped_digest() else known
+
+
+def not_calibrated(known: ParameterSet) -> ParameterSet:
+    """The parameters, marked as calibrated on another machine than where they are used."""
+    return replace(known, provenance={**known.provenance, SCALE: NOT_CALIBRATED})
+
+
+@cache
+def _shipped_digest() -> str:
+    return digest(load())
 
 
 def from_document(document: Mapping[str, Any], where: str) -> ParameterSet:

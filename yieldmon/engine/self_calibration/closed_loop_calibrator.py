@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from math import isfinite, nan
+from math import hypot, isfinite, nan
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from yieldmon.engine.self_calibration.weighed_masses import Spans, WeighedMasses
 from yieldmon.engine.sweeps.sweep_records import measured_density, median_moisture_pct, sweep_of
 from yieldmon.estimation.admission import allowing_for, refusal
 from yieldmon.estimation.open_loop import OpenLoop
-from yieldmon.estimation.parameters import SCALE, WEIGHED, ParameterSet
+from yieldmon.estimation.parameters import BY_KERNELS, SCALE, WEIGHED, ParameterSet
 from yieldmon.estimation.self_calibration.angle_error import NO_ERROR, AngleError
 from yieldmon.estimation.self_calibration.angle_pattern import EFFECT
 from yieldmon.estimation.self_calibration.closed_loop import learn, update_from_tickets
@@ -116,7 +116,7 @@ class ClosedLoopCalibrator:
             model_error=self._settings.closed_loop.model_error,
         )
         drifting, step = with_gain_error(drifting, step, moisture_sd(reference for reference, _ in found))
-        drifting, step = with_gain_error(drifting, step, model_error.home, all_along=True)
+        drifting, step = with_gain_error(drifting, step, hypot(model_error.home, used.scale_error), all_along=True)
         prior = drifting.parameters
         found = [(reference, with_angle_error(mass, self._model, prior, model_error)) for reference, mass in found]
         try:
@@ -153,7 +153,7 @@ class ClosedLoopCalibrator:
         """See calibrator.SelfCalibrator."""
         used = self._in_use(estimator)
         at = self._at(record)
-        carried = self._knowledge.now(used, at)
+        carried = Carried(*with_gain_error(*self._knowledge.now(used, at), used.scale_error, all_along=True))
         bias = self._knowledge.bias(used, carried.step, record.total_kg)
         if bias is None:
             if KERNEL_NOISE in used.provenance:
@@ -171,6 +171,8 @@ class ClosedLoopCalibrator:
             off = f"kernel noise and mean force differ by {100.0 * updated.difference:+.0f} %"
             return CalibrationOutcome(None, f"{off}; {refused or 'the parameters stay'}")
         facts = {**used.provenance, KERNEL_NOISE: "taught"}
+        if used.scale_error > 0.0:
+            facts[SCALE] = BY_KERNELS
         known = replace(updated.drifting.parameters, version=used.version + 1, provenance=facts)
         self._lineage.forget_given()
         self._knowledge.take_kernel_update(updated, used, known, at, carried)

@@ -152,7 +152,7 @@ class Learning:
         unseen = self._leaves_home and not self.disagreement.seen
         disagreement, angles_deg = self.disagreement, self._sweeps.angles_deg
         found = disagreement.unswept_error(parameters, angles_deg) if unseen else disagreement.model_error(parameters)
-        beyond = max(found.home**2 - parameters.own_error**2, 0.0) ** 0.5
+        beyond = max(found.home**2 - parameters.own_error**2 - parameters.scale_error**2, 0.0) ** 0.5
         self.model_error = found.with_home(0.0 if unseen or self._weighed else beyond, self._home_rad)
         """By what sweeps show, away from home before the first one by what it may show; at home beyond the parameters'
         own_error, and none once a weighed mass has set the scale."""

@@ -11,7 +11,7 @@ from yieldmon.engine.mass.missed_mass import NO_LOAD
 from yieldmon.engine.sampling.since_zero import KEPT_S, KeptSecond
 from yieldmon.engine.state import EngineState
 from yieldmon.errors import InputError
-from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.parameters import SCALE, ParameterSet
 from yieldmon.files import parameter_file
 from yieldmon.service.history.reference_loads import StoredLoad, of_store
 from yieldmon.service.storage import ledger as ledgers
@@ -153,7 +153,10 @@ def choose_parameters(memory: Memory, configured: ParameterSet) -> tuple[Paramet
     What was learnt since goes on for as long as the configured file is the one it began with; another file wins.
     """
     if memory.parameters is not None and memory.parameter_digest == parameter_file.digest(configured):
-        return memory.parameters, "store"
+        known = memory.parameters
+        # Stores before 0.2.0 do not say so.
+        unmarked = configured.scale_error > 0.0 and SCALE not in known.provenance and not memory.tickets
+        return parameter_file.not_calibrated(known) if unmarked else known, "store"
     if memory.last_version:
         return replace(configured, version=memory.last_version + 1), "file"
     return configured, "file"

@@ -8,7 +8,7 @@ from dataclasses import replace
 from yieldmon.documents.calibrations import CalibrationRow
 from yieldmon.engine.self_calibration.calibrator import CalibrationStep
 from yieldmon.errors import InputError
-from yieldmon.estimation.parameters import SCALE, ParameterSet
+from yieldmon.estimation.parameters import NOT_CALIBRATED, SCALE, ParameterSet
 from yieldmon.files import parameter_file
 from yieldmon.files.crops import SHIPPED_CROP, crops
 from yieldmon.service.history.memory import KEPT_VERSIONS, Memory
@@ -55,8 +55,8 @@ class ParameterHistory:
         self.use(kept, ledgers.CROP, who, f"what is known of {before} is kept", last_load=last_load)
         if known is None:
             # What was weighed was grain of the crop before.
-            facts = {key: text for key, text in in_use.provenance.items() if key != SCALE}
-            chosen = replace(in_use, version=self.version + 1, provenance={**facts, "crop": crop})
+            facts = {**in_use.provenance, SCALE: NOT_CALIBRATED, "crop": crop}
+            chosen = replace(in_use, version=self.version + 1, provenance=facts)
             self.use(chosen, ledgers.CROP, who, f"{crop} begins with what is known of {before}")
             return chosen
         chosen = replace(known, version=self.version + 1)

@@ -172,6 +172,7 @@ def _parameters(parameters: ParameterSet, engine: EngineState) -> StatusParamete
         "age_s": engine.calibration_age_s,
         "estimator": parameters.curve.law.kind if parameters.curve is not None else "physical",
         "values": _values(parameters),
+        "scale_error": parameters.scale_error,
         "provenance": dict(parameters.provenance),
     }
 
