@@ -166,6 +166,20 @@ def test_a_pause_between_two_logs_is_no_fault(process, tmp_path):
 
 
 @pytest.mark.parametrize("process", [process_logs, process_in_bulk])
+def test_a_zero_grows_older_between_two_logs(process, log, tmp_path):
+    """Grain ten hours after the zero had the deviation of grain ten seconds after it."""
+    deviations = []
+    for pause_s in (100.0, 36_000.0):
+        later = [CODEC.encode(frame) for frame in traffic(START_S + DURATION_S + pause_s, 6.0, 60.0)]
+        for message in later:
+            message.channel = "can0"
+        rows, _ = rows_of(process, [log, write(tmp_path / f"{pause_s:.0f}.log", later)])
+        deviations.append(rows[-1].std_dev_kg_s)
+    near, far = deviations
+    assert 1.01 * near < far < 3.0 * near
+
+
+@pytest.mark.parametrize("process", [process_logs, process_in_bulk])
 def test_what_two_loggers_recorded_of_one_bus_counts_once(process, log, tmp_path):
     """The second one from the middle on, by a clock that is 3 ms late."""
     early, late = messages(), messages()

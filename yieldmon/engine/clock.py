@@ -33,8 +33,8 @@ class BusClock:
         self.unusable = 0
         self._to_settle = 0
         self._between_logs = False
-        self.resumed = False
-        """Whether a recording went on after a pause; for whoever looks to set back."""
+        self.paused_s = 0.0
+        """How long the recorder had paused when the recording went on; for whoever looks to set back to 0."""
 
     def begin_log(self) -> None:
         """The next frame is the first of another log."""
@@ -63,7 +63,7 @@ class BusClock:
                 self._absorb(bus_time_s, now)
                 if between_logs:
                     self.jumps -= 1
-                    self.resumed = True
+                    self.paused_s = step
                 return now
             self.now_s = time_s
             return time_s

@@ -96,6 +96,8 @@ class Measurement:
         self._scatter = PaddleScatter(settings.windows)
         self._sampled = False
         self._jumps = 0
+        self._paused = 0.0, 0.0
+        """When the recording last went on after a pause, and how long it had paused since the zero was known, s."""
         self._since_jump = _NEVER
         self._started_s: float = _NAN
         self._tank = TankRise(settings.reference_masses.scale_std_dev_kg)
@@ -135,6 +137,19 @@ class Measurement:
             signs.append(rise)
         return " and ".join(signs)
 
+    def resume(self, now_s: float, paused_s: float) -> None:
+        """The recording goes on after a pause, in which the zero grew older and engine time did not."""
+        self._paused = now_s, self._paused_since_zero_s + paused_s
+
+    @property
+    def _zero_known_s(self) -> float:
+        return self.zero.known_s if self.zero.known_s is not None else self._started_s
+
+    @property
+    def _paused_since_zero_s(self) -> float:
+        at_s, paused_s = self._paused
+        return 0.0 if at_s < self._zero_known_s else paused_s
+
     def read(self, window: Window, inputs: InputSnapshot, clock_jumps: int) -> Reading:
         """The reading of the next window. inputs: held at its end. clock_jumps: jumps of the bus's clock so far."""
         settings, machine = self._settings, self._machine
@@ -158,7 +173,7 @@ class Measurement:
         self._jumps = clock_jumps
         speed = window.speed_rad_s if speed_was_known else _NAN
         zero = self.zero
-        zero_age_s = window.end_s - (zero.known_s if zero.known_s is not None else self._started_s)
+        zero_age_s = window.end_s - self._zero_known_s + self._paused_since_zero_s
         return _reading(
             window, inputs, quality, force, noise, speed, inputs.speed_known, in_range, self._stuck_s, self._struck_s, still,
             at_home, self._gate.harvesting, zero.state, zero.drift, zero.calibrating, sampled_before, self._since_jump, taken,

@@ -56,9 +56,10 @@ class Timeline:
     def _engine_time(self, time_s: float) -> float | None:
         clock = self._parts.clock
         now = clock.engine_time(time_s)
-        if clock.resumed:
-            clock.resumed = False
+        if now is not None and clock.paused_s > 0.0:
             self._parts.sensors.resume()
+            self._parts.measurement.resume(now, clock.paused_s)
+            clock.paused_s = 0.0
         return now
 
     def _take_inputs(self, frame: Frame, now: float) -> None:

@@ -9,6 +9,7 @@ from yieldmon.documents.fleet import FleetCompareDocument
 from yieldmon.fleet.comparison import compare
 
 _SHOWN = 20
+_COLUMNS_SHOWN = 6
 _CAUSES = {"inputs_sha256": "logs, tickets or crop", "parameters_sha256": "parameters", "software": "software"}
 
 
@@ -36,7 +37,9 @@ def _text(found: FleetCompareDocument) -> str:
     worst = sorted(found["different"], key=lambda item: -abs(item["mass_change_pct"] or 0.0))
     for item in worst[:_SHOWN]:
         change = f"{item['mass_change_pct']:+.3f} %" if item["mass_change_pct"] is not None else "no mass in A"
-        columns = ", ".join(f"{name} {entry['seconds']} s" for name, entry in list(item["columns"].items())[:6])
+        columns = ", ".join(f"{name} {entry['seconds']} s" for name, entry in list(item["columns"].items())[:_COLUMNS_SHOWN])
+        if (more := len(item["columns"]) - _COLUMNS_SHOWN) > 0:
+            columns += f" and {more} more"
         lines.append(f"{item['machine']} {item['day']}: mass {change}; {columns or ', '.join(item['tables'])}")
     if len(worst) > _SHOWN:
         lines.append(f"and {len(worst) - _SHOWN} more; --json has them all")
