@@ -96,4 +96,4 @@ def test_where_no_sensor_is_named_the_frames_that_could_be_one_are(tmp_path: Pat
     assert main(words) == 0
     text = (tmp_path / "n.yaml").read_text()
     assert "could be one" not in text
-    assert "# The scale is a guess: mV per count, 1 if `setup` was given counts;" in text
+    assert "# The scale is a guess: mV per count (if `setup` was given counts: unit: mV, no scale);" in text

@@ -409,7 +409,7 @@ def test_channels_of_one_frame_are_one_proposal(unit: str, moves: int, first: st
             RATIO,
             [(512, words(1000.0 + 10.0 * (place % 40))) for place in range(100)],
             [
-                "# The scale is a guess: volts that feed the bridge, 1 if `setup` was given mV/V.",
+                "# The scale is a guess: volts that feed the bridge (if `setup` was given mV/V: unit: mV, no scale).",
                 "impact_voltage: {dbc: node.dbc, message: Bridge, signal: Strain",
                 "scale: 5}",
             ],

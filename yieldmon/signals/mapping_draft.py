@@ -25,8 +25,8 @@ _RATIO, _PULSES, _COUNTS, _EXCITATION = "ratio: 0.2", "pulses_per_turn: 1", "sca
 _GUESSES = {
     _RATIO: "The ratio is a guess: turns of the elevator's upper shaft per turn of the measured one.",
     _PULSES: "pulses_per_turn is a guess: magnets or teeth of the elevator's upper shaft.",
-    _COUNTS: "The scale is a guess: mV per count, 1 if `setup` was given counts; with `offset` where counts fall with the force.",
-    _EXCITATION: "The scale is a guess: volts that feed the bridge, 1 if `setup` was given mV/V.",
+    _COUNTS: "The scale is a guess: mV per count (if `setup` was given counts: unit: mV, no scale); `offset` if counts fall.",
+    _EXCITATION: "The scale is a guess: volts that feed the bridge (if `setup` was given mV/V: unit: mV, no scale).",
 }
 """Keys of an entry that the bus does not show -> what is said of them."""
 _NEEDED = {
