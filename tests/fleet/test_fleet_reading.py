@@ -313,6 +313,16 @@ def test_a_clock_that_is_off_by_years_is_named_and_orders_nothing(tmp_path: Path
     assert [day["day"] for day in found["days"]] == ["2026-10-01", "2026-10-02", "20261003", "2026-10-01"]
 
 
+def test_any_log_of_a_day_whose_clock_is_off_by_years_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Only the first log of a day was looked at: one of another year, put into the wrong folder, counted without a word."""
+    for number, years in enumerate((0, 2, 3)):
+        start_s = logs.START_S + years * 365.25 * 86400.0
+        logs.write(tmp_path / "tree" / "m" / "2026-10-01" / f"{number}.log", 50.0 + number, start_s)
+    assert measure(tmp_path / "tree", str(tmp_path / "out")) == 0
+    [doubtful] = summarise(str(tmp_path / "out"))["doubtful"]
+    assert doubtful["problem"] == "1.log begins on 2028-09-30 by its clock (and 1 more off)"
+
+
 def test_names_from_files_cannot_break_the_page(season: Path) -> None:
     summary = summarise(str(season / "first"))
     summary["dataset"] = "<img src=x>"

@@ -35,11 +35,12 @@ _TABLES = (tables.PROVENANCE, tables.FAULTS, tables.SWEEPS, tables.PARAMETERS, t
 
 _DAYS = f"""
 WITH first AS (
-  SELECT machine, day, arg_min(start_s, first_number) AS start_s, arg_min(name, first_number) AS log FROM loads
+  SELECT machine, day, arg_min(start_s, first_number) AS start_s, list(start_s ORDER BY first_number) AS starts_s,
+    list(name ORDER BY first_number) AS names FROM loads
   WHERE kind = '{tables.LOG}' GROUP BY ALL
 )
 SELECT machine, day, seconds, frames, total_mass_kg, crop, software_version, source_sha256, parameters_sha256, zero_known,
-  logs, damages, first.start_s AS start_s, first.log AS first_log
+  logs, damages, first.start_s AS start_s, first.starts_s AS starts_s, first.names AS names
 FROM provenance LEFT JOIN first USING (machine, day) ORDER BY machine, day
 """
 _FAULTS = f"""
@@ -198,9 +199,12 @@ def _of_one_day(row: Mapping[str, Any], damages: Sequence[str]) -> Iterator[str]
     if damaged := [text for text in damages if not text.endswith(LEFT_OUT)]:
         more = f" (and {len(damaged) - 1} more)" if len(damaged) > 1 else ""
         yield f"damaged: {damaged[0]}{more}"
-    if off_by_days(row["day"], row["start_s"]):
-        begin = datetime.fromtimestamp(min(row["start_s"], LATEST_DATE_S), UTC).date().isoformat()
-        yield f"{row['first_log']} begins on {begin} by its clock"
+    of_logs = zip(row["names"] or (), row["starts_s"] or (), strict=True)
+    if off := [(name, start_s) for name, start_s in of_logs if off_by_days(row["day"], start_s)]:
+        name, start_s = off[0]
+        begin = datetime.fromtimestamp(min(start_s, LATEST_DATE_S), UTC).date().isoformat()
+        more = f" (and {len(off) - 1} more off)" if len(off) > 1 else ""
+        yield f"{name} begins on {begin} by its clock{more}"
     if row["seconds"] and not row["zero_known"]:
         yield f"no zero of the sensor is known, so none of the {row['seconds']} s has a flow"
 
