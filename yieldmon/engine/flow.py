@@ -14,6 +14,7 @@ from yieldmon.engine.flow_filter import FlowFilter
 from yieldmon.engine.mass.budget import NO_BUDGET, FlowBudget, MoistureReference, zero_std_dev_mv
 from yieldmon.engine.measurement import Reading
 from yieldmon.engine.quick import maker_of
+from yieldmon.engine.sampling.hidden_force import hidden_share
 from yieldmon.engine.sampling.windows import Window
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.estimation.beyond_range import angle_error_beyond
@@ -98,6 +99,7 @@ class FlowMeter:
     def __init__(self, settings: EngineSettings, machine: Machine) -> None:
         self._settings = settings
         self._gain_n_per_mv = machine.sensor.gain_n_per_mv
+        self._full_scale_mv = machine.sensor.full_scale_mv
         self._home_rad = machine.home_plate_angle_rad
         self._filter = FlowFilter(settings.flow_filter)
         self._angle_rad = _NAN
@@ -110,8 +112,9 @@ class FlowMeter:
             assert reading.quality is not None, "without an estimate the reading says why"
             return Flow(_NAN, _NAN, reading.quality, reading.force_n, reading.force_std_dev_n)
         rate, std_dev, status, own = estimate
+        excess = 0.0
         if status is FlowStatus.SATURATED:
-            rate, std_dev = _full_paddle(reading, estimator)
+            (rate, std_dev, _, own), excess = _full_paddle(reading, estimator)
         if not (isfinite(rate) and isfinite(std_dev)) or rate < 0.0:
             return Flow(_NAN, _NAN, EstimateQuality.NOT_AVAILABLE, reading.force_n, reading.force_std_dev_n)
         if reading.inputs.angle_stale:
@@ -122,6 +125,8 @@ class FlowMeter:
         saturated = status is FlowStatus.SATURATED or reading.window.saturated_share >= self._settings.windows.saturated_share
         outside = status is FlowStatus.OUTSIDE_CALIBRATION
         quality = self._quality(reading, saturated, outside, circumstances)
+        if saturated and rate > 0.0:
+            std_dev = hypot(std_dev, rate * excess + self._hidden_kg_s(reading, rate, own))
         budget = self._budget(reading, rate, std_dev, own, estimator, circumstances)
         return _flow(rate, budget.std_dev_kg_s, quality, reading.force_n, reading.force_std_dev_n, outside, saturated, budget)
 
@@ -189,6 +194,14 @@ class FlowMeter:
         shared = hypot(parameters_kg_s, error * per_error)
         return _flow_budget(noise, shared, zero_n * per_n, relative * rate, parameters_kg_s, per_error, motion, 0.0)
 
+    def _hidden_kg_s(self, reading: Reading, rate: float, own: float | None) -> float:
+        """What samples at the end of the sensor's range hide. own: as in `_budget`."""
+        window, zero_mv = reading.window, 0.0 if reading.zero is None else reading.zero.zero_mv
+        limit_mv = window.ceiling_mv or self._full_scale_mv
+        hidden = hidden_share(window.mean_mv - zero_mv, limit_mv - zero_mv, window.saturated_share)
+        per_n = _noise(rate, own, reading) / reading.force_std_dev_n if reading.force_std_dev_n > 0.0 else 0.0
+        return hidden * max(rate, reading.force_n * per_n)
+
     def _quality(self, reading: Reading, saturated: bool, outside: bool, circumstances: Circumstances) -> EstimateQuality:
         if saturated:
             return EstimateQuality.SATURATED
@@ -244,23 +257,24 @@ def _noise(rate: float, own: float | None, reading: Reading) -> float:
     return rate * reading.force_std_dev_n / reading.force_n if reading.force_n > 0.0 else _NAN
 
 
-def _full_paddle(reading: Reading, estimator: FlowEstimator) -> tuple[float, float]:
-    """Largest flow that the model knows at a window's angle and speed: what a force above it says at least."""
+def _full_paddle(reading: Reading, estimator: FlowEstimator) -> tuple[Estimate, float]:
+    """Largest flow that the model knows at a window's angle and speed: what a force above it says at least; and by how much the
+    force is above it, relative, which the model cannot explain."""
     low, high = 0.0, reading.force_n
-    rate, std_dev = _NAN, _NAN
+    largest = Estimate(_NAN, _NAN, FlowStatus.SATURATED, None)
     for _ in range(12):
         middle = 0.5 * (low + high)
         found = _ask(reading, estimator, middle, reading.window.plate_angle_rad)
         if found.status is FlowStatus.SATURATED:
             high = middle
         else:
-            low = middle
-            rate, std_dev = found.rate_kg_s, found.std_dev_kg_s
-    return rate, std_dev
+            low, largest = middle, found
+    return largest, reading.force_n / low - 1.0 if low > 0.0 else 0.0
 
 
 def _ask(reading: Reading, estimator: FlowEstimator, force_n: float, angle_rad: float) -> Estimate:
     """The estimator's word on a window with another force or angle."""
     moisture_pct = reading.inputs.fresh["moisture"]
     found = estimator.estimate(force_n, angle_rad, reading.window.speed_rad_s, reading.force_std_dev_n, moisture_pct)
-    return Estimate(float(found.mass_flow_kg_s), float(found.std_dev_kg_s), FlowStatus(int(found.status)), None)
+    noise = None if found.noise_std_dev_kg_s is None else float(found.noise_std_dev_kg_s)
+    return Estimate(float(found.mass_flow_kg_s), float(found.std_dev_kg_s), FlowStatus(int(found.status)), noise)
