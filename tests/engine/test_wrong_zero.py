@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
-from engine_bench import Bench, feed, monitor
+from engine_bench import ZERO_MV, Bench, feed, monitor
 
 from yieldmon import frames as frames_of_bus
 from yieldmon.engine.faults import FaultCode
@@ -254,3 +254,37 @@ def test_operating_states_of_a_day() -> None:
     shown = [state for number, state in enumerate(states) if number == 0 or state != states[number - 1]]
     assert shown == ["ZEROING", "NOT_HARVESTING", "HARVESTING", "NOT_HARVESTING", "ZEROING", "NOT_HARVESTING"]
     assert states[29:].count("ZEROING") in {9, 10}
+
+
+NEW_SENSOR = Bench(
+    zero=lambda t: ZERO_MV if t < 1020.0 else ZERO_MV + 100.0, flow=lambda t: 14.0 if t >= 1060.0 else 0.0, noise_mv=2.0
+)
+
+
+def test_a_new_sensor_with_another_zero_is_a_fault_also_in_the_grain_and_its_error_is_stated() -> None:
+    target = monitor()
+    feed(target, run_of(NEW_SENSOR.frames(120)))
+    rows = target.records  # type: ignore[attr-defined]
+    in_grain = [row for row in rows if row.time_s > 1065.0]
+    assert in_grain[0].mass_flow_kg_s > 1.5 * 14.0
+    assert all(abs(row.mass_flow_kg_s - 14.0) < 1.2 * row.std_dev_kg_s for row in in_grain)
+    assert all(FaultCode.ZERO_DRIFTED in row.faults for row in in_grain)
+    # What counted as grain until the elevator was seen to be empty is in no load as if it were known.
+    phantom_kg = sum(row.mass_kg for row in rows if row.time_s < 1060.0)
+    before = next(row for row in reversed(rows) if row.time_s < 1060.0)
+    assert phantom_kg > 5.0
+    assert before.load_std_dev_kg > 0.9 * phantom_kg
+
+
+def test_the_zero_of_a_new_sensor_is_taken_by_force_and_is_not_suspect() -> None:
+    frames, target = NEW_SENSOR.frames(120), monitor()
+    feed(target, run_of([f for f in frames if f.time_s < 1045.0]))
+    with pytest.raises(InputError, match=r"zero: the force on the plate is .* N, without the paddle pulses of grain; expected"):
+        ask(target, "zero")
+    before = target.totals.total_kg
+    ask(target, "zero", force=True)
+    feed(target, run_of([f for f in frames if 1045.0 <= f.time_s < 1059.0]))
+    assert target.totals.total_kg == before
+    feed(target, run_of([f for f in frames if f.time_s >= 1059.0]))
+    assert FaultCode.ZERO_DRIFTED not in target.faults.active
+    assert target.totals.total_kg - before == pytest.approx(14.0 * 60.0, rel=0.03)

@@ -52,6 +52,10 @@ class Model:
     against: bool = False
     despite: bool = False
     suspect: bool = False
+    far_mv: float = 0.0
+    """How far the empty elevator read from the zero when it was seen last, where that is too far to follow."""
+    looked_empty: bool = False
+    """As a calibration despite signs of grain began."""
     known_s: float | None = None
     taken_from_s: float = inf
     refusal: tuple[float, tuple[float, float] | None] | None = None
@@ -65,11 +69,13 @@ class Model:
         goes_on = self.suspect and self.before is not None
         if not goes_on:
             self.before = self.zero
+        self.looked_empty = despite and self.looks_empty
         self.calibrating, self.despite, self.against, self.row = True, despite, against or goes_on, []
         return goes_on
 
     def undo(self) -> None:
         self.zero, self.before, self.calibrating, self.suspect, self.row = self.before, None, False, False, []
+        self.far_mv = 0.0
 
     def signs(self, text: str) -> bool:
         if not self.calibrating or not text:
@@ -107,7 +113,7 @@ class Model:
     def calibration(self) -> None:
         if len(self.row) < SETTLE:
             return
-        self.zero, self.calibrating = self.learnt(self.last), False
+        self.zero, self.calibrating, self.far_mv = self.learnt(self.last), False, 0.0
         changed = 0.0 if self.before is None else abs(self.zero.mv - self.before.mv)
         self.suspect = self.against and changed > 4.0
         self.known_s, self.taken_from_s = self.row[-1].end_s, self.last[0].end_s - 1.0
@@ -139,9 +145,16 @@ class Model:
     def follow(self, zero: Zero, shown: Shown) -> None:
         away = self.last[0].level_mv - zero.mv
         if self.looks_empty and abs(away) <= 16.0:
-            self.known_s = shown.end_s
+            self.known_s, self.far_mv = shown.end_s, 0.0
             step = max(-0.25, min(0.25, away / 16.0))
             self.zero = Zero(zero.mv + step, zero.first_mv, zero.speed, zero.pulse_mv, zero.beat_mv)
+        elif self.looks_empty:
+            self.far_mv = self.away_mv(zero)
+
+    def away_mv(self, zero: Zero) -> float:
+        """Of the newest window, where that is too far to follow."""
+        away = self.row[-1].level_mv - zero.mv
+        return away if abs(away) > 16.0 else 0.0
 
     def departure(self) -> tuple[float, float] | None:
         """By how much the beat is off what vibration makes, and its margin; None where that cannot be said."""
@@ -169,8 +182,8 @@ class Model:
     def drifted(self) -> bool:
         if self.zero is None:
             return False
-        far = self.looks_empty and abs(self.row[-1].level_mv - self.zero.mv) > 16.0
-        return self.suspect or abs(self.zero.mv - self.zero.first_mv) > 32.0 or self.below_empty or far
+        far_mv = self.away_mv(self.zero) if self.looks_empty else self.far_mv
+        return self.suspect or abs(self.zero.mv - self.zero.first_mv) > 32.0 or self.below_empty or far_mv != 0.0
 
     @property
     def progress(self) -> tuple[int, int]:
@@ -244,3 +257,5 @@ def compare(tracker: ZeroTracker, model: Model) -> None:
     assert (tracker.known_s, tracker.taken_from_s, tracker.progress) == (model.known_s, model.taken_from_s, model.progress)
     assert (tracker.looks_empty, tracker.looks_loaded) == (model.looks_empty, model.looks_loaded)
     assert (tracker.below_empty, tracker.drifted) == (model.below_empty, model.drifted)
+    assert (tracker.far_mv if zero is not None else 0.0) == (model.far_mv if zero is not None else 0.0)
+    assert tracker.level_says_nothing == (model.looked_empty if model.calibrating else model.looks_empty)

@@ -10,6 +10,7 @@ import pytest
 from tests.service.test_remeasuring import known, rows
 from yieldmon.cli import ticket
 from yieldmon.cli.main import main
+from yieldmon.engine.mass.budget import MassBudget
 from yieldmon.engine.mass.totals import Totals
 from yieldmon.engine.self_calibration.reference_mass import ReferenceMass, ReferenceSource
 from yieldmon.engine.settings import EngineSettings
@@ -136,6 +137,17 @@ def test_a_load_of_an_earlier_run_updates_as_the_store_has_it(
     answer = commands.execute({"command": "ticket", "first_load": 1, "mass_kg": 51.0}, monitor, log, 1.7e9, [stored])
     assert (got_to_know, answer["why_no_reference"], answer["is_reference"]) == (learnt, why, not why)
     assert [number for number, _, _ in monitor.tickets] == [1] * (not why)
+
+
+@pytest.mark.parametrize(("zero_kg", "updates"), [(299.0, True), (301.0, False)])
+def test_a_load_whose_zero_may_be_far_off_is_no_reference(zero_kg: float, updates: bool) -> None:
+    monitor = Told({1: True})
+    load = replace(LOADS[0], budget=MassBudget(noise_kg2=1.0, parameters_kg=500.0, zero_kg=zero_kg))
+    log = Journal(Memory(loads=(load,)), parameter_file.load(), now_s=0.0)
+    answer = commands.execute({"command": "ticket", "first_load": 1, "mass_kg": 2800.0}, monitor, log, 1.7e9)
+    assert (answer["is_reference"], len(monitor.tickets)) == (updates, int(updates))
+    why = "the zero was wrong or too old for load 1: its mass may be off by 10 % for that"
+    assert answer["why_no_reference"] == ("" if updates else why)
 
 
 def test_a_ticket_for_another_crop_than_the_one_in_use_waits_for_its_return() -> None:

@@ -31,6 +31,8 @@ from yieldmon.units import Units
 _SHOWN_SECONDS = 5
 _LARGE_SHARE = 0.02
 """Of a load's mass, as its standard deviation."""
+_CORRECTED = 0.001
+"""Share of a load's mass from which its correction is shown."""
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -85,6 +87,8 @@ def _facts(status: Status, units: Units) -> Iterator[tuple[str, str]]:
         yield "zero", f"waits for {units.in_text(status['zero_waits_for'])}"
     yield "now", _now(status["now"], units)
     yield from _load(status["load"], status["crop"], units)
+    if corrected := _corrected(status, units):
+        yield "", corrected
     if _grain_without_load(status):
         yield "", "no load is open: until `yieldmon load start`, grain counts only in the total"
     total = status["total"]
@@ -165,6 +169,15 @@ def _load(load: StatusLoad, crop: StatusCrop, units: Units) -> Iterator[tuple[st
         dry_yield = load["dry_yield_kg_m2"]
         text = f"{units.area(load['area_m2'])}, {units.crop_yield(load['yield_kg_m2'])} wet"
         yield "", text + (f", {units.crop_yield(dry_yield)} dry" if dry_yield is not None else "")
+
+
+def _corrected(status: Status, units: Units) -> str:
+    """What tickets or another crop have made of the load's mass; "" where they have not."""
+    load = status["load"]
+    known = next((row for row in status["loads"] if row["number"] == load["number"]), None)
+    if load["open"] or known is None or abs(known["corrected_mass_kg"] - load["mass_kg"]) <= _CORRECTED * load["mass_kg"]:
+        return ""
+    return f"corrected since: {units.mass_with_bushels(known['corrected_mass_kg'])} (`yieldmon load list`)"
 
 
 def _by_calibration(load: StatusLoad) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
 from math import isfinite, nan
@@ -53,6 +54,10 @@ class Conclusion:
         self.publishing = True
         self._zero_mv = nan
         """With which the next window is measured; nan where that is not known yet."""
+        self._counted_kg: deque[float] = deque(maxlen=parts.settings.zero.settle_windows + parts.settings.gate.off_windows)
+        """Mass of the seconds in which an elevator that looks empty can have counted as harvesting."""
+        self._far = False
+        """Whether the empty plate reads so far from the zero that it does not follow."""
         self.begun_with: LoadEvents = ()
         """Loads that began before the first window; they come with it."""
 
@@ -154,6 +159,11 @@ class Conclusion:
         """Hold the window's mass against the tank scale, which keeps the mass while the zero is doubted."""
         loads, learning, doubted = self._parts.loads, self._parts.learning, self._parts.measurement.zero.suspect
         totals = loads.totals
+        self._counted_kg.append(mass_kg)
+        if reading.zero_far_mv and not self._far:
+            # All of these seconds looked empty.
+            loads.widen(sum(self._counted_kg))
+        self._far = reading.zero_far_mv != 0.0
         missed_kg = learning.masses.match_tank_scale(
             reading.window,
             reading.inputs,

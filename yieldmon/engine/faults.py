@@ -246,8 +246,8 @@ _TABLE = (
     ),
     FaultDefinition(
         _C.ZERO_DRIFTED, 520193, 13, _W, 3, 10,
-        "The zero-load voltage is far from its first value, was taken despite signs of grain, or the plate reads below empty.",
-        "Drift is corrected. A zero taken with grain on the plate makes flow and mass too small.",
+        "The zero-load voltage is far from its first value or from the empty plate, or was taken despite signs of grain.",
+        "Slow drift is corrected. A zero far from the empty plate makes flow and mass wrong, one taken with grain too small.",
         "Undo a wrong zero (yieldmon zero --undo). Otherwise clean the plate and run yieldmon zero with the elevator empty. "
         "If the sensor is new, check its sign (negative scale).",
         lambda o: o.reading.zero_drift or None,

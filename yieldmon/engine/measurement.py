@@ -42,7 +42,8 @@ class Reading:
     stand. still: the plate rested. sampled_before: the window before had samples.
     windows_since_jump: closed since the bus's clock jumped. zero_taken: a zero was learnt with this window. zero_age_s: since the
     zero was last taken or followed, or since the start. zero_away_mv: how far the empty plate was seen from it since, in spells
-    too short to take another. zero_drift: what is wrong with it, "" for nothing.
+    too short to take another; zero_far_mv: where it looked empty for long and that is too far to follow.
+    zero_drift: what is wrong with it, "" for nothing.
     zero_refusal: why there is no first zero.
     """
 
@@ -67,6 +68,7 @@ class Reading:
     zero_taken: bool
     zero_age_s: float
     zero_away_mv: float
+    zero_far_mv: float
     zero_refusal: ZeroRefusal | None
 
 
@@ -124,6 +126,15 @@ class Measurement:
     @property
     def signs_of_grain(self) -> str:
         """What speaks against an empty elevator, "" where nothing does."""
+        return self._signs(by_level=True)
+
+    @property
+    def signs_against_zero(self) -> str:
+        """What speaks against an operator's zero: `signs_of_grain` without the level of an elevator that looks empty by its
+        pulses. A new sensor, or something wedged behind the plate, shifts the level alone."""
+        return self._signs(by_level=not self.zero.level_says_nothing)
+
+    def _signs(self, *, by_level: bool) -> str:
         signs = []
         if self._last is not None:
             window, force_n = self._last
@@ -131,7 +142,7 @@ class Measurement:
                 signs.append(f"the paddle pulses have an amplitude of {window.pulse_mv:.0f} mV")
             elif self._gate.harvesting or self.zero.looks_loaded:
                 signs.append("grain was measured in the last seconds")
-            if isfinite(force_n) and force_n > self._settings.gate.grain_on_n:
+            if by_level and isfinite(force_n) and force_n > self._settings.gate.grain_on_n:
                 signs.append(f"the force on the plate is {force_n:.1f} N")
         if rise := self._tank.sign_of_grain:
             signs.append(rise)
@@ -177,7 +188,7 @@ class Measurement:
         return _reading(
             window, inputs, quality, force, noise, speed, inputs.speed_known, in_range, self._stuck_s, self._struck_s, still,
             at_home, self._gate.harvesting, zero.state, zero.drift, zero.calibrating, sampled_before, self._since_jump, taken,
-            zero_age_s, self._zero_away_mv(window), zero.refusal,
+            zero_age_s, self._zero_away_mv(window), zero.far_mv, zero.refusal,
         )  # fmt: skip
 
     def _gated(self, window: Window, usable: bool, in_range: bool, idle_s: float) -> tuple[EstimateQuality | None, float, float]:
@@ -188,7 +199,8 @@ class Measurement:
             return quality.NOT_AVAILABLE, _NAN, _NAN
         force = (window.mean_mv - zero.zero_mv) * self._machine.sensor.gain_n_per_mv
         noise = self._force_std_dev(window, force)
-        gate = _gate_inputs(force, self.zero.pulses(window), self.zero.looks_empty, self.zero.looks_loaded, in_range, idle_s)
+        empty = self.zero.looks_empty or self.zero.level_says_nothing
+        gate = _gate_inputs(force, self.zero.pulses(window), empty, self.zero.looks_loaded, in_range, idle_s)
         grain = self._gate.grain(gate)
         if not self._gate.see(gate):
             return quality.NOT_AVAILABLE if grain and not in_range else quality.NOT_HARVESTING, force, noise
@@ -245,7 +257,7 @@ class Measurement:
         if inputs.fresh["header_down"] == HeaderDown.DOWN and inputs.fresh["work_state"] != WorkState.NOT_WORKING:
             self._cutting_s = window.end_s
         self._obstacle = self._zero_obstacle(window, inputs, elevator_runs, plate_rests_at_home)
-        if not self._obstacle and self.zero.calibrating and self.zero.waits_for_grain_to_pass(signs := self.signs_of_grain):
+        if not self._obstacle and self.zero.calibrating and self.zero.waits_for_grain_to_pass(signs := self.signs_against_zero):
             self._obstacle = f"an elevator that runs empty: {signs}; stop taking in crop"
         self._look_at_empty(window, usable=not self._obstacle)
         if self._obstacle:
@@ -277,7 +289,8 @@ class Measurement:
         zero = self.zero.state
         if zero is None:
             return 0.0
-        return self._empty_spells.departure_mv(zero.zero_mv, self.zero.known_s, self.zero.unseen_pulse_mv(window))
+        seen_mv = self._empty_spells.departure_mv(zero.zero_mv, self.zero.known_s, self.zero.unseen_pulse_mv(window))
+        return max(seen_mv, abs(self.zero.far_mv))
 
     def _is_level(self, window: Window) -> bool:
         """Whether a window's samples give its level: all of them, or most of them of a sensor that loses some all the time. One

@@ -231,11 +231,14 @@ class Monitor(MonitorView):
         harvested_kg : float
             Grain since then, kg, by which drift widens what is stated. Parameters that were in use before keep their own.
         """
+        self._use(estimator, calibration_age_s, harvested_kg)
+        self._parts.loads.scale_is_set()
+
+    def _use(self, estimator: FlowEstimator, calibration_age_s: float | None, harvested_kg: float = 0.0) -> None:
         if dict(estimator.parameters.values) != dict(self._parts.learning.estimator.parameters.values):
             self._parts.flow_meter.moisture.forget()
         self._parts.learning.use(estimator, calibration_age_s, harvested_kg)
         self._parts.learning.scale_alarm.accept()
-        self._parts.loads.scale_is_set()
 
     def change_crop(self, estimator: FlowEstimator, calibration_age_s: float | None, before: str, now: str) -> None:
         """Parameters of another crop. Tickets of the crop before wait for its return, and a sweep under way ends.
@@ -249,7 +252,8 @@ class Monitor(MonitorView):
         """
         self.abort_sweep()
         self._parts.learning.change_grain(before, now, estimator)
-        self.set_estimator(estimator, calibration_age_s)
+        self._use(estimator, calibration_age_s)
+        self._parts.loads.change_crop(before, now)
 
     # Zero
 

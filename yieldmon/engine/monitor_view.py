@@ -107,6 +107,11 @@ class MonitorView:
         return self._parts.measurement.signs_of_grain
 
     @property
+    def signs_against_zero(self) -> str:
+        """`signs_of_grain` without a force that comes without the paddles' pulses: what makes an operator's zero suspect."""
+        return self._parts.measurement.signs_against_zero
+
+    @property
     def waveform(self) -> WaveformReading | None:
         """Shape and kernel noise of the last window's samples; None where they are not evaluated."""
         return self._parts.waveform.last if self._parts.waveform is not None else None

@@ -9,7 +9,7 @@ from yieldmon.engine.parts import Parts
 
 def calibrate(parts: Parts, *, despite_signs: bool) -> bool:
     """See `Monitor.calibrate_zero`."""
-    zero, against = parts.measurement.zero, bool(parts.measurement.signs_of_grain)
+    zero, against = parts.measurement.zero, bool(parts.measurement.signs_against_zero)
     goes_on = zero.calibrate(against_signs=against, despite_signs=despite_signs)
     if not goes_on:
         parts.since_zero.clear()

@@ -25,12 +25,14 @@ class LoadErrors:
         """Of loads that the parameters in use have measured, by number."""
         self._of_scale: dict[int, float] = {}
         """Mass, kg, measured since the parameters' scale was set last, by load."""
+        self._of_crop: dict[str, dict[int, float]] = {}
+        """The same of crops harvested before, with their own parameters."""
         self._off: dict[tuple[int, int], float] = {}
         """What of a load's deviation, kg, is there because the scale was found to be off, by load and by the load weighed."""
 
     def clear(self) -> None:
         """Nothing is known of any load."""
-        self._shared, self._of_scale, self._off = {}, {}, {}
+        self._shared, self._of_scale, self._of_crop, self._off = {}, {}, {}, {}
 
     def keep(self, numbers: Container[int]) -> None:
         """Only these loads can be stated anew."""
@@ -45,6 +47,11 @@ class LoadErrors:
     def scale_is_set(self) -> None:
         """From now on the parameters have another scale: by a weighed mass, or from outside."""
         self._of_scale = {}
+
+    def change_crop(self, before: str, now: str) -> None:
+        """From now on another crop is measured with the parameters that it had when it was harvested last."""
+        self._of_crop[before] = self._of_scale
+        self._of_scale = self._of_crop.pop(now, {})
 
     def measured(
         self, number: int, mass_kg: float, flow: Flow, budget: MassBudget, version: int, plate_angle_rad: float, error: AngleError

@@ -162,6 +162,10 @@ class Loads:
         """From now on the parameters have another scale: by a weighed mass, or from outside."""
         self._errors.scale_is_set()
 
+    def change_crop(self, before: str, now: str) -> None:
+        """From now on another crop is measured with the parameters that it had when it was harvested last."""
+        self._errors.change_crop(before, now)
+
     def _budget_of(self, number: int) -> MassBudget | None:
         if self.totals.load_open and number == self.totals.load_number:
             return self.totals.load_budget
@@ -190,6 +194,9 @@ class Loads:
         if number >= totals.first_load:
             more_kg = parameters_kg - before.parameters_kg
             self.totals = replace(totals, total_budget=totals.total_budget.with_parameters(more_kg))
+        if number == totals.load_number:
+            # The last load, which is shown until the next one begins.
+            self.totals = replace(self.totals, load_budget=budget)
         changed = abs(budget.std_dev_kg - before.std_dev_kg) > _RESTATED * before.std_dev_kg
         if place is None:
             self._before[number] = budget
@@ -247,12 +254,12 @@ class Loads:
         for number, found in missed.items():
             self._errors.forget_parameters(number)
             totals = self.totals
-            here = totals.load_open and number == totals.load_number
+            here = number == totals.load_number
             taken = max(found.kg, -totals.load_kg) if here else found.kg
             if number == NO_LOAD or number >= totals.first_load:
                 self.totals = totals.with_missed(replace(found, kg=taken), in_load=here)
             for place, load in enumerate(self._closed):
-                if load.number == number and not here:
+                if load.number == number:
                     self._closed[place] = load.with_missed(found)
                     events.append(LoadClosed(self._closed[place]))
         return tuple(events)

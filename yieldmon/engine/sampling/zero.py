@@ -81,6 +81,10 @@ class ZeroTracker:
         """Engine time at which the zero was last taken or followed; None before."""
         self.taken_from_s = float("inf")
         """Engine time from which on the windows were that the zero was last taken from."""
+        self.far_mv = 0.0
+        """How far from the zero the elevator read when it last looked empty, where that is too far to follow."""
+        self.level_is_empty = False
+        """Whether the elevator looked empty, by its pulses, when an operator's calibration despite its level began."""
 
     def calibrate(self, *, against_signs: bool = False, despite_signs: bool = True) -> bool:
         """Operator's zero calibration: the next windows are empty by the operator's word; learn zero and vibration from them.
@@ -94,6 +98,7 @@ class ZeroTracker:
         # What looks empty under a suspect zero need not be.
         self._against_signs = against_signs or goes_on
         self._before = self._before if goes_on else self._state
+        self.level_is_empty = despite_signs and self.looks_empty
         self.interrupt()
         return goes_on
 
@@ -109,7 +114,7 @@ class ZeroTracker:
 
     def restore(self, state: ZeroState | None) -> None:
         """After a restart: the zero that was in use."""
-        self._state = state
+        self._state, self.far_mv = state, 0.0
 
     def resume(self, before: ZeroState, *, suspect: bool) -> None:
         """After a restart: what an undo brings back, and whether the zero in use is suspect."""
@@ -119,6 +124,7 @@ class ZeroTracker:
         """The zero before the operator's last calibration again."""
         self._state, self._before = self._before, None
         self._calibrating = self.suspect = False
+        self.far_mv = 0.0
         self.interrupt()
 
     @property
@@ -130,6 +136,7 @@ class ZeroTracker:
         """A calibration by the operator that another tracker has under way is this one's, from its first window."""
         if before._calibrating:
             self.calibrate(against_signs=before._against_signs, despite_signs=before._despite_signs)
+            self.level_is_empty = before.level_is_empty
 
     def waits_for_grain_to_pass(self, signs: str) -> bool:
         """Whether a zero calibration is to leave out the windows now, which show such signs of grain ("" for none).
@@ -162,6 +169,11 @@ class ZeroTracker:
         return len(self._recent) == self._settings.settle_windows and self._excess(below=True) is False
 
     @property
+    def level_says_nothing(self) -> bool:
+        """Whether the elevator looks empty, or did so when the operator's calibration under way began."""
+        return self.level_is_empty if self._calibrating else self.looks_empty
+
+    @property
     def looks_loaded(self) -> bool:
         """Whether the last windows hold paddle pulses beyond the vibration; False also while that cannot be said."""
         return len(self._recent) == self._settings.settle_windows and self._excess(below=False) is True
@@ -173,8 +185,14 @@ class ZeroTracker:
         if state is None:
             return False
         away = self.suspect or abs(state.zero_mv - state.first_zero_mv) > self._settings.drift_limit_mv
-        too_far = self.looks_empty and abs(self._recent[-1].mean_mv - state.zero_mv) > self._settings.max_step_mv
-        return away or self.below_empty or too_far
+        return away or self.below_empty or self._far_mv(state) != 0.0
+
+    def _far_mv(self, state: ZeroState) -> float:
+        """How far the empty level is from the zero, or was when it was seen last; 0 where it is near enough to follow."""
+        if not self.looks_empty:
+            return self.far_mv
+        away_mv = self._recent[-1].mean_mv - state.zero_mv
+        return away_mv if abs(away_mv) > self._settings.max_step_mv else 0.0
 
     @property
     def drift(self) -> str:
@@ -189,7 +207,7 @@ class ZeroTracker:
         away_mv = state.zero_mv - state.first_zero_mv
         if abs(away_mv) > self._settings.drift_limit_mv:
             return f"the zero is {away_mv:+.0f} mV from its first value"
-        return f"the empty elevator reads {self._recent[-1].mean_mv - state.zero_mv:+.0f} mV from the zero"
+        return f"the empty elevator reads {self._far_mv(state):+.0f} mV from the zero"
 
     @property
     def below_empty(self) -> bool:
@@ -245,7 +263,7 @@ class ZeroTracker:
         if self._calibrating:
             if len(self._recent) == self._settings.settle_windows:
                 self._state = self._learnt(list(self._recent))
-                self._calibrating = False
+                self._calibrating, self.far_mv = False, 0.0
                 away_mv = abs(self._state.zero_mv - self._before.zero_mv) if self._before is not None else 0.0
                 self.suspect = self._against_signs and away_mv > self._settings.level_range_mv
                 self.known_s, self.taken_from_s = window.end_s, self._recent[0].start_s
@@ -286,9 +304,12 @@ class ZeroTracker:
         settings = self._settings
         # The oldest window's level: at the onset of a trickle the newest are loaded before their mean amplitude shows it.
         step = self._recent[0].mean_mv - state.zero_mv
-        if not self.looks_empty or abs(step) > settings.max_step_mv:
+        if not self.looks_empty:
             return
-        self.known_s = window.end_s
+        if abs(step) > settings.max_step_mv:
+            self.far_mv = self._far_mv(state)
+            return
+        self.known_s, self.far_mv = window.end_s, 0.0
         seconds = window.end_s - window.start_s
         limit = settings.max_rate_mv_s * seconds
         change = min(limit, max(-limit, seconds / settings.follow_time_s * step))

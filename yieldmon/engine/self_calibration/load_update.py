@@ -95,7 +95,8 @@ class LoadUpdate:
         scale = ScaleReport(
             found.scale_sd, found.scale_sd, float(np.log(found.scale)), observable=True, unobservable_directions=()
         )
-        outcome = replace(outcome, updated=not found.refused, reason=_reason(found, len(counted)), scale=scale, dof=len(counted))
+        outcome = replace(outcome, updated=not found.refused, reason=self._reason(found, prior, names), scale=scale)
+        outcome = replace(outcome, dof=len(counted))
         return outcome, self._widened(drifting, outcome.parameter_set.covariance_names)
 
     def _widened(self, drifting: DriftingParameters, names: tuple[str, ...]) -> DriftingParameters:
@@ -116,12 +117,31 @@ class LoadUpdate:
         error of each by the prior."""
         if not outcome.updated:
             return outcome
-        now = [float(errors_of(self.model, outcome.parameter_set, [load])[0]) for load in self._of(names)]
-        each = np.log1p([before, now])
-        moved = float(np.expm1(np.mean(each[1] - each[0]))) if now else np.nan
+        moved = self._moved(outcome.parameter_set, before, names)
         if not np.isfinite(moved):
             return outcome
         return replace(outcome, reason=f"weighed loads moved the scale by {100.0 * moved:+.1f} %; {outcome.reason}")
+
+    def _moved(self, now: ParameterSet, before: Sequence[float], names: Container[str]) -> float:
+        """By how much, as a share, parameters change the mass of the loads of these names; nan for none. before: as above."""
+        errors = [float(errors_of(self.model, now, [load])[0]) for load in self._of(names)]
+        each = np.log1p([before, errors])
+        return float(np.expm1(np.mean(each[1] - each[0]))) if errors else np.nan
+
+    def _reason(self, found: LoadCalibration, prior: ParameterSet, names: Container[str]) -> str:
+        """What is said of a calibration by all weighed loads; those of these names are new. prior: until now."""
+        if found.refused:
+            return " ".join(found.sentences)
+        before = [float(errors_of(self.model, prior, [load])[0]) for load in self._of(names)]
+        moved = self._moved(found.parameter_set, before, names)
+        scale = moved if np.isfinite(moved) else found.scale - 1.0
+        said = (
+            f"weighed loads moved the scale by {100.0 * scale:+.1f} %; a next load is expected within "
+            f"{100.0 * found.next_load_sd:.1f} %"
+        )
+        alone = "by one ticket alone: if it is wrong by 10 %, so is every load, until a second shows it"
+        curve = curve_sentence(found) if _is_another(found) else ""
+        return "; ".join(filter(None, (said, alone if len(self.counted) == 1 else "", curve, wrong_ticket_sentence(found))))
 
     def _is_drift(self, widening: float, prior: ParameterSet, names: Container[str]) -> bool:
         """Whether a covariance that is multiplied by `widening` is no wider than drift makes it."""
@@ -154,19 +174,6 @@ def _alike(loads: Sequence[WeighedLoad]) -> list[list[WeighedLoad]]:
     """Those with moisture and those without."""
     groups = ([load for load in loads if (load.moisture_pct is None) is without] for without in (False, True))
     return [group for group in groups if group]
-
-
-def _reason(found: LoadCalibration, loads: int) -> str:
-    """What is said of a calibration by so many weighed loads."""
-    if found.refused:
-        return " ".join(found.sentences)
-    moved = (
-        f"weighed loads moved the scale by {100.0 * (found.scale - 1.0):+.1f} %; a next load is expected within "
-        f"{100.0 * found.next_load_sd:.1f} %"
-    )
-    alone = "by one ticket alone: if it is wrong by 10 %, so is every load, until a second shows it" if loads == 1 else ""
-    curve = curve_sentence(found) if _is_another(found) else ""
-    return "; ".join(filter(None, (moved, alone, curve, wrong_ticket_sentence(found))))
 
 
 def _in_order_of(prior: ParameterSet, known: ParameterSet) -> ParameterSet:

@@ -19,6 +19,8 @@ from yieldmon.service.tickets.ticket_history import TicketHistory
 
 _NOT_WEIGHED = frozenset({"sweep", "kernels"})
 """Origins of parameters that nothing updates again."""
+_UNKNOWN_ZERO = 0.1
+"""Share of a load's mass by which its zero may be off, from which the load says nothing of the scale."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -283,4 +285,9 @@ def why_no_reference(covered: Sequence[Load], context: RequestContext, crop: str
     whole = {load.number: load.complete for load in monitor.earlier_loads if load.number not in earlier} | whole
     if not all(whole.get(load.number, False) for load in covered):
         return "not every second of it was measured"
+    for part in covered:
+        off_kg = 0.0 if part.budget is None else part.budget.zero_kg
+        if off_kg > _UNKNOWN_ZERO * part.mass_kg:
+            share = 100.0 * off_kg / part.mass_kg
+            return f"the zero was wrong or too old for load {part.number}: its mass may be off by {share:.0f} % for that"
     return ""

@@ -211,12 +211,15 @@ def _calibration_undo(order: Order) -> CalibrationUndone:
 
 def _zero(order: Order) -> ZeroStarted:
     monitor = order.monitor
-    signs = monitor.signs_of_grain
+    signs, against = monitor.signs_of_grain, monitor.signs_against_zero
     force = order.request.flag("force")
+    if against and not force:
+        raise InputError("zero", f"there is grain: {against}", "the elevator running empty; --force if it does")
     if signs and not force:
-        raise InputError("zero", f"there is grain: {signs}", "the elevator running empty; --force if it does")
+        expected = "nothing on the plate; --force if it is clean, as after a change of the sensor"
+        raise InputError("zero", f"{signs}, without the paddle pulses of grain", expected)
     goes_on = monitor.calibrate_zero(despite_signs=force)
-    order.journal.zero(order.who, signs, order.now_s, goes_on=goes_on)
+    order.journal.zero(order.who, against, order.now_s, goes_on=goes_on)
     return {"zero": "started; keep the elevator running empty"}
 
 
