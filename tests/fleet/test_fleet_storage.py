@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import resource
 import shutil
 import subprocess
 import tempfile
+import time
 import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -207,3 +209,23 @@ def test_a_dataset_in_a_storage_leaves_those_whose_names_its_own_is_a_pattern_fo
     files.rm_file("/fleet/season1/_run")
     assert own == {f"machine=m/day={day}/{file}" for day in "de" for file in ("records.parquet", "_COMMITTED")}
     assert {path: after[path] for path in before} == before
+
+
+def test_a_storage_that_does_not_answer_is_named_while_it_is_tried(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The library for S3 tries for seven minutes, and nothing was said."""
+    from fsspec.implementations.memory import MemoryFileSystem
+
+    def silent(*_: object, **__: object) -> None:
+        time.sleep(0.5)
+        raise TimeoutError(errno.ETIMEDOUT, "Read timeout")
+
+    monkeypatch.setattr("yieldmon.fleet.filesystem.SLOW_S", 0.1)
+    for name in ("ls", "find", "exists", "isdir", "info", "cat_file", "open"):
+        monkeypatch.setattr(MemoryFileSystem, name, silent)
+    assert main(["fleet", "report", "memory://season"]) == 1
+    first, second = capsys.readouterr().err.splitlines()
+    assert first == "yieldmon: memory://season: no answer for 0 s; still trying"
+    assert "Read timeout" in second
+    assert "run again" not in second

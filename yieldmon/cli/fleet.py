@@ -6,6 +6,7 @@ The dataset is a folder or an object store (s3://bucket/name), with a partition 
 from __future__ import annotations
 
 import argparse
+import sys
 from importlib import import_module
 
 from yieldmon.cli._fleet import arguments
@@ -19,6 +20,7 @@ _WORDS = {
     "diagnose": (arguments.diagnose, "diagnose"),
 }
 
+_MEND = {"run": "; run again, what is finished stays"}
 _ADDRESSES = "source", "out", "dataset", "first", "second"
 
 
@@ -37,10 +39,13 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     """Exit code of the word. Raises OSError with the storage's address where that fails, which says little of itself."""
+    from yieldmon.fleet.filesystem import slow_storage
+
     try:
-        return int(import_module(f"yieldmon.cli._fleet.{_WORDS[args.word][1]}").run(args))
+        with slow_storage(lambda line: print(f"yieldmon: {line}", file=sys.stderr)):
+            return int(import_module(f"yieldmon.cli._fleet.{_WORDS[args.word][1]}").run(args))
     except OSError as error:
         storages = [value for name in _ADDRESSES if "://" in (value := str(getattr(args, name, "")))]
         if not storages or error.filename is not None or any(address in str(error) for address in storages):
             raise
-        raise OSError(f"{', '.join(storages)}: {error.strerror or error}; run again, what is finished stays") from error
+        raise OSError(f"{', '.join(storages)}: {error.strerror or error}{_MEND.get(args.word, '')}") from error

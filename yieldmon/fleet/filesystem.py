@@ -5,13 +5,18 @@ from __future__ import annotations
 import errno
 import functools
 import shutil
-from collections.abc import Iterator
+import threading
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from yieldmon.errors import InputError, brief
 
+SLOW_S = 15.0
+"""Without a first answer of a storage, after which that is said."""
+_WITHOUT_THE_STORAGE = frozenset({"invalidate_cache", "unstrip_protocol"})
+"""What fsspec does by itself."""
 _NOT_OF_A_STORAGE = ("builtins", "yieldmon", "zlib")
 
 
@@ -26,11 +31,27 @@ def storage_failures() -> Iterator[None]:
         raise OSError(errno.EHOSTUNREACH, f"{type(error).__name__}: {brief(error)}") from error
 
 
-class Storage:
-    """A file system of fsspec's all of whose failures are OSErrors. raw: as fsspec made it."""
+@contextmanager
+def slow_storage(say: Callable[[str], None]) -> Iterator[None]:
+    """Have a storage named that does not answer at first; libraries try some minutes before they give up."""
+    before, Storage.say_slow = Storage.say_slow, say
+    try:
+        yield
+    finally:
+        Storage.say_slow = before
 
-    def __init__(self, raw: Any) -> None:
-        self.raw = raw
+
+class Storage:
+    """A file system of fsspec's all of whose failures are OSErrors. raw: as fsspec made it; address: by which it was named.
+
+    say_slow: for all of them, called with a line when one does not answer at first.
+    """
+
+    say_slow: ClassVar[Callable[[str], None] | None] = None
+
+    def __init__(self, raw: Any, address: str = "") -> None:
+        self.raw, self.address = raw, address
+        self._answered = False
 
     def __getattr__(self, name: str) -> Any:
         value = getattr(self.raw, name)
@@ -39,10 +60,24 @@ class Storage:
 
         @functools.wraps(value)
         def called(*args: Any, **kwargs: Any) -> Any:
-            with storage_failures():
+            with storage_failures(), self._waiting(asked=name not in _WITHOUT_THE_STORAGE):
                 return value(*args, **kwargs)
 
         return called
+
+    @contextmanager
+    def _waiting(self, *, asked: bool) -> Iterator[None]:
+        if not asked or self._answered or Storage.say_slow is None:
+            yield
+            return
+        timer = threading.Timer(SLOW_S, Storage.say_slow, (f"{self.address}: no answer for {SLOW_S:.0f} s; still trying",))
+        timer.daemon = True
+        timer.start()
+        try:
+            yield
+            self._answered = True
+        finally:
+            timer.cancel()
 
 
 def is_remote(address: str) -> bool:
@@ -58,7 +93,7 @@ def filesystem_of(address: str) -> tuple[Any, str]:
         files, path = fsspec.core.url_to_fs(address if is_remote(address) else str(Path(address).absolute()))
     except (ValueError, ImportError) as error:
         raise InputError(address, str(error), "a path, or the address of a storage that fsspec knows") from error
-    return Storage(files) if is_remote(address) else files, path.rstrip("/")
+    return Storage(files, address) if is_remote(address) else files, path.rstrip("/")
 
 
 @contextmanager
