@@ -44,7 +44,12 @@ def test_a_table_of_seconds_is_read_as_the_store_with_the_same_seconds(tmp_path:
 
 def test_grain_between_a_loads_end_and_the_next_ones_begin_is_no_part_of_it(tmp_path: Path) -> None:
     """Its seconds carry the ended load's number; in the daemon's lists they count in the total alone."""
-    rows = [replace(row, load_number=1 if row.number <= 40 else 2) for row in harvest()]
+    rows = [
+        replace(row, load_number=1, load_kg=min(row.load_kg, 250.0))
+        if row.number <= 40
+        else replace(row, load_number=2, load_kg=row.load_kg - 400.0)
+        for row in harvest()
+    ]
     with Store(tmp_path / "s.sqlite") as store:
         loads = (
             Load(1, "north", "corn", 1.7e9, 1.7e9 + 25.0, 250.0, None),

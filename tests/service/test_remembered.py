@@ -27,8 +27,8 @@ from yieldmon.service.storage.batch import Action, Batch, Load, ParameterVersion
 from yieldmon.service.storage.store import Store
 
 
-def stored(path: Path, loads: list[int]) -> None:
-    """A second of 10 kg for each load number."""
+def stored(path: Path, loads: list[int], load_kg: list[float] | None = None) -> None:
+    """A second of 10 kg for each load number. load_kg: of the load until then, 10 kg by default."""
     parameters = parameter_file.to_document(parameter_file.load())
     with Store(path) as store:
         for number, load in enumerate(loads, start=1):
@@ -37,7 +37,10 @@ def stored(path: Path, loads: list[int]) -> None:
                 "last_second": number, "parameter_digest": "", "field": "", "crop": "", "faults": [],
             }  # fmt: skip
             versions = (ParameterVersion(1, 1.0, "file", parameters),) if number == 1 else ()
-            row = second(number, mass_kg=10.0, total_kg=10.0 * number, load_number=load, load_kg=10.0, force_n=float(number))
+            of_load_kg = 10.0 if load_kg is None else load_kg[number - 1]
+            row = second(
+                number, mass_kg=10.0, total_kg=10.0 * number, load_number=load, load_kg=of_load_kg, force_n=float(number)
+            )
             store.commit([Batch(number, 1.0, state, seconds=(row,), parameter_versions=versions)])
 
 
@@ -91,7 +94,7 @@ def test_the_seconds_of_a_load_are_all_of_it_and_no_others(tmp_path: Path, loads
 )
 def test_seconds_after_a_loads_end_are_of_no_load(tmp_path: Path, first_load: int, expected: list[tuple[int, int]]) -> None:
     path = tmp_path / "s.sqlite"
-    stored(path, [1, 1, 1, 1, 1, 2])
+    stored(path, [1, 1, 1, 1, 1, 2], [10.0, 20.0, 30.0, 30.0, 30.0, 10.0])
     zero = ZeroState(150.0, 150.0, 41.9, 3.0)
     engine = EngineState(Totals(load_number=2, first_load=first_load), zero=zero, zero_undo=ZeroUndo(zero, suspect=True))
     state = {

@@ -18,7 +18,7 @@ from yieldmon.files.crops import find_crop
 from yieldmon.service.logs import recorded
 from yieldmon.service.storage.empty_loads import empty_loads, not_listed
 from yieldmon.service.storage.ledger import LoadRecord
-from yieldmon.service.storage.load_ends import load_ends_s
+from yieldmon.service.storage.load_ends import between_loads
 from yieldmon.service.storage.rows import SecondRow
 
 ENDINGS = {
@@ -104,7 +104,7 @@ def run(args: argparse.Namespace) -> int:
 def _export_points(args: argparse.Namespace, kind: str, out: Path, rows: Sequence[SecondRow]) -> None:
     """Write yield points of seconds, and say what they are without."""
     loads = recorded.read_loads(args.record) if recorded.is_store(args.record) else []
-    settings = _settings(args, loads)
+    settings = _settings(args, rows, loads)
     points = yield_points(rows, settings, args.record)
     if not points:
         expected = "flow, and a position --flow-delay before it"
@@ -156,7 +156,7 @@ def _write_points(
         taskdata.write(out, points, fields.pop() if len(fields) == 1 else _FIELD, settings.reference_of)
 
 
-def _settings(args: argparse.Namespace, loads: Sequence[LoadRecord]) -> PointSettings:
+def _settings(args: argparse.Namespace, rows: Sequence[SecondRow], loads: Sequence[LoadRecord]) -> PointSettings:
     given_pct = args.reference_moisture
     if args.swath is None:
         raise InputError("--swath", "is missing", "the working width in m, for yield by area")
@@ -175,7 +175,7 @@ def _settings(args: argparse.Namespace, loads: Sequence[LoadRecord]) -> PointSet
         start_pass_delay_s=args.start_delay,
         end_pass_delay_s=args.end_delay,
         reference_moisture_pct=CORN_MARKET_MOISTURE_PCT if given_pct is None else given_pct,
-        load_ends_s=load_ends_s(loads),
+        between_loads=between_loads(rows, loads),
         reference_by_load={load.number: _market_moisture_pct(load.crop) for load in loads} if given_pct is None else {},
     )
 

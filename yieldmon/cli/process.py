@@ -166,14 +166,14 @@ def _store_again(args: argparse.Namespace, loaded: configuration.Configuration, 
     parameters = loaded.parameters
     if args.params is None and args.estimator is None:
         parameters = recorded.last_parameters(Path(args.logs[0]))
-    ends_s = recorded.load_ends(Path(args.logs[0]))
+    between = recorded.seconds_between_loads(Path(args.logs[0]), rows)
     found = measured_again(
-        rows, loaded.machine, parameters, loaded.engine, zero_mv=args.zero_mv, delay_s=args.delay, load_ends_s=ends_s
+        rows, loaded.machine, parameters, loaded.engine, zero_mv=args.zero_mv, delay_s=args.delay, between=between
     )
     with open_table(args.out, f".{args.format}" if args.format else None) as table:
         for row in found.rows:
             table.write(row)
-    loads = loads_of_rows(rows, found.rows, ends_s)
+    loads = loads_of_rows(rows, found.rows, between)
     if args.json:
         document: ReprocessSummary = {
             "windows": len(rows), "before_mass_kg": found.before_kg, "total_mass_kg": found.after_kg, "loads": loads,

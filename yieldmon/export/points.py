@@ -29,7 +29,7 @@ _HALF_S = 0.5 + 1e-6
 class PointSettings:
     """swath_m: working width. pass_gap_s: a pause of the position's flow this long ends a pass. min_speed_m_s: below it the yield
     of a place is not defined. reference_moisture_pct: of dry mass; reference_by_load: of the loads whose crop is known.
-    load_ends_s: of the loads that have ended, Unix time."""
+    between_loads: numbers of the seconds that belong to no load."""
 
     swath_m: float
     flow_delay_s: float = 12.0
@@ -39,7 +39,7 @@ class PointSettings:
     min_speed_m_s: float = 0.3
     reference_moisture_pct: float = 15.5
     reference_by_load: Mapping[int, float] = field(default_factory=dict)
-    load_ends_s: Mapping[int, float] = field(default_factory=dict)
+    between_loads: frozenset[int] = frozenset()
 
     def reference_of(self, load_number: int | None) -> float:
         """Moisture of a load's dry mass, %; of grain between loads where these have one and the same."""
@@ -125,7 +125,7 @@ def _point(place: SecondRow, row: SecondRow, settings: PointSettings, number: in
     assert place.ground_speed_m_s is not None, "the caller chose places"
     distance = place.ground_speed_m_s * row.duration_s
     area = distance * settings.swath_m
-    load_number = load_of(row, settings.load_ends_s)
+    load_number = load_of(row, settings.between_loads)
     totals = TotalsSettings(moisture_reference_pct=settings.reference_of(load_number))
     dry = dry_mass(row.mass_kg, _NAN if row.moisture_pct is None else row.moisture_pct, totals)
     return YieldPoint(

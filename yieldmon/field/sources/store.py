@@ -15,7 +15,7 @@ from yieldmon.field.table import DEFAULT_FLOW_S, UNKNOWN_SCALE_SD, Array, Harves
 from yieldmon.frames import EstimateQuality
 from yieldmon.service.logs import recorded
 from yieldmon.service.storage.batch import Load
-from yieldmon.service.storage.load_ends import load_ends_s, load_of
+from yieldmon.service.storage.load_ends import between_loads, load_of
 from yieldmon.service.storage.rows import SecondRow
 from yieldmon.service.storage.store import Store
 from yieldmon.service.storage.store_names import SQLITE_MAGIC
@@ -136,9 +136,9 @@ def table_of(rows: list[SecondRow], loads: Mapping[int, Load], path: Path, kind:
     fields = [loads[row.load_number].field if row.load_number in loads else "" for row in rows]
     crops = [loads[row.load_number].crop if row.load_number in loads else "" for row in rows]
     crop_of_row, of_crop = crop_names(Label.of(crops), options.crop)
-    ends_s = load_ends_s(loads.values())
+    between = between_loads(rows, loads.values())
     labels = {
-        "load": Label.of(["" if (number := load_of(row, ends_s)) is None else str(number) for row in rows]),
+        "load": Label.of(["" if (number := load_of(row, between)) is None else str(number) for row in rows]),
         "field": Label.constant(options.field, count) if options.field else Label.of(fields),
         "crop": crop_of_row,
     }

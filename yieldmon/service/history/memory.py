@@ -16,7 +16,7 @@ from yieldmon.files import parameter_file
 from yieldmon.service.history.reference_loads import StoredLoad, of_store
 from yieldmon.service.storage import ledger as ledgers
 from yieldmon.service.storage.batch import Action, Load, ParameterVersion, Ticket
-from yieldmon.service.storage.load_ends import load_ends_s, load_of
+from yieldmon.service.storage.load_ends import between_loads, load_of
 from yieldmon.service.storage.rows import kept_second
 from yieldmon.service.storage.store import Store
 from yieldmon.service.storage.store_errors import StoreDamagedError
@@ -128,9 +128,10 @@ def _since_zero(store: Store, actions: Sequence[Action], first_load: int) -> tup
     newest, recorded = store.last_second(), int(last.document["second"])
     first = max(recorded + 1, (newest.number if newest is not None else 0) - KEPT_S)
     kept, zero_mv = [], None
-    ends_s = load_ends_s(store.loads())
-    for row in store.seconds(first - 1, on_damage=lambda number: None):
-        of_load = load_of(row, ends_s) is not None
+    rows = list(store.seconds(first - 1, on_damage=lambda number: None))
+    between = between_loads(rows, store.loads())
+    for row in rows:
+        of_load = load_of(row, between) is not None
         if row.number >= first and (of_load or row.load_number >= first_load):
             second = replace(kept_second(row), load_number=row.load_number if of_load else NO_LOAD)
             kept.append(second if zero_mv is None else replace(second, zero_mv=zero_mv))

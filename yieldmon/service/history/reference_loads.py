@@ -25,7 +25,7 @@ from yieldmon.service.logs.recorded import opened
 from yieldmon.service.logs.unmeasured import is_available, unmeasured
 from yieldmon.service.storage import ledger
 from yieldmon.service.storage.batch import Action, Load
-from yieldmon.service.storage.load_ends import load_ends_s, load_of
+from yieldmon.service.storage.load_ends import between_loads, load_of
 from yieldmon.service.storage.rows import SecondRow, kept_second
 from yieldmon.service.storage.store import Store
 
@@ -79,11 +79,12 @@ def of_store(store: Store, numbers: Collection[int]) -> tuple[StoredLoad, ...]:
     if not loads:
         return ()
     actions = store.actions()
-    ends_s = load_ends_s(loads)
     documents = {v.version: v.document for v in store.parameter_versions()}
     found = []
     for load in loads:
-        seconds = [s for s in store.seconds_of_load(load.number) if load_of(s, ends_s) is not None]
+        numbered = tuple(store.seconds_of_load(load.number))
+        between = between_loads(numbered, (load,))
+        seconds = [s for s in numbered if load_of(s, between) is not None]
         versions = {s.parameter_version for s in seconds if s.mass_kg > 0.0}
         if seconds and versions <= set(documents):
             sets = {v: parameter_file.from_document(documents[v], str(store.path)) for v in versions}

@@ -21,7 +21,7 @@ from yieldmon.errors import InputError, brief
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import parameter_file
 from yieldmon.service.storage.ledger import LoadRecord
-from yieldmon.service.storage.load_ends import load_ends_s
+from yieldmon.service.storage.load_ends import between_loads
 from yieldmon.service.storage.rows import SecondRow
 from yieldmon.service.storage.store import Store
 from yieldmon.service.storage.store_errors import StoreDamagedError, StoreError
@@ -179,10 +179,10 @@ def parameter_sets(store: Store) -> dict[int, ParameterSet]:
     }
 
 
-def load_ends(path: Path) -> dict[int, float]:
-    """When the loads ended that have, Unix time, by number. Raises InputError."""
+def seconds_between_loads(path: Path, rows: Iterable[SecondRow]) -> frozenset[int]:
+    """Numbers of those of a store's seconds that belong to no load. Raises InputError."""
     with opened(path) as store:
-        return load_ends_s(store.loads())
+        return between_loads(rows, store.loads())
 
 
 def last_parameters(path: Path) -> ParameterSet:

@@ -6,7 +6,7 @@ without grain has none, unless another zero says otherwise.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -44,12 +44,12 @@ def measured_again(
     *,
     zero_mv: float | None = None,
     delay_s: int = 0,
-    load_ends_s: Mapping[int, float] | None = None,
+    between: Container[int] = (),
 ) -> Reprocessed:
     """The rows with flow, mass and totals of these parameters.
 
     zero_mv: for all seconds; None: each its own. delay_s: place and speed of so many seconds earlier belong to a second's grain.
-    load_ends_s: of the loads that have ended; what comes later counts in the total alone.
+    between: numbers of the seconds that belong to no load and count in the total alone.
     """
     force, zero = column(rows, "force_n"), column(rows, "zero_mv")
     counted = np.array([row.mass_kg > 0.0 for row in rows], dtype=bool)
@@ -60,14 +60,13 @@ def measured_again(
         counted = covered & (force > settings.gate.grain_on_n)
     flow, std_dev = _flows(rows, machine, parameters, force, counted)
     out: list[SecondRow] = []
-    ends_s = load_ends_s or {}
     total_kg, load_kg, load, unusable = 0.0, 0.0, -1, 0
     for i, row in enumerate(rows):
         known = bool(np.isfinite(flow[i]))
         kept = bool(counted[i]) and not known
         unusable += kept
         mass_kg = row.mass_kg if kept else float(flow[i]) * _seconds(row, settings.windows.min_coverage) if known else 0.0
-        load_kg = (0.0 if row.load_number != load else load_kg) + (mass_kg if load_of(row, ends_s) is not None else 0.0)
+        load_kg = (0.0 if row.load_number != load else load_kg) + (mass_kg if load_of(row, between) is not None else 0.0)
         total_kg, load = total_kg + mass_kg, row.load_number
         changed = {
             "mass_kg": mass_kg, "load_kg": load_kg, "total_kg": total_kg, "load_std_dev_kg": None, "total_std_dev_kg": None,
@@ -103,13 +102,11 @@ def _flows(
     return flow, std_dev
 
 
-def loads_of_rows(
-    before: Sequence[SecondRow], after: Sequence[SecondRow], load_ends_s: Mapping[int, float] | None = None
-) -> list[ReprocessedLoad]:
-    """Each load's mass as measured and as measured again; load_ends_s as in `measured_again`."""
+def loads_of_rows(before: Sequence[SecondRow], after: Sequence[SecondRow], between: Container[int] = ()) -> list[ReprocessedLoad]:
+    """Each load's mass as measured and as measured again; between as in `measured_again`."""
     masses: dict[int, list[float]] = {}
     for one, other in zip(before, after, strict=True):
-        if (one.mass_kg or other.mass_kg) and load_of(one, load_ends_s or {}) is not None:
+        if (one.mass_kg or other.mass_kg) and load_of(one, between) is not None:
             sums = masses.setdefault(one.load_number, [0.0, 0.0])
             sums[0] += one.mass_kg
             sums[1] += other.mass_kg

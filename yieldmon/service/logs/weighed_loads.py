@@ -31,7 +31,7 @@ from yieldmon.service.logs.log_copies import refuse_copies
 from yieldmon.service.logs.recorded import is_store_not_log, opened, parameter_sets
 from yieldmon.service.logs.unmeasured import unmeasured
 from yieldmon.service.storage.batch import Load
-from yieldmon.service.storage.load_ends import load_ends_s, load_of
+from yieldmon.service.storage.load_ends import between_loads, load_of
 from yieldmon.service.storage.rows import SecondRow
 
 LEAST_KNOWN_SHARE = 0.9
@@ -149,8 +149,9 @@ def _why_no_mass(rows: Sequence[SecondRow]) -> str:
 
 def of_loads(rows: Iterable[SecondRow], loads: Iterable[Load]) -> list[SecondRow]:
     """The seconds that belong to loads; grain between loads counts in the total alone."""
-    ends_s = load_ends_s(loads)
-    return [row for row in rows if load_of(row, ends_s) is not None]
+    rows = list(rows)
+    between = between_loads(rows, loads)
+    return [row for row in rows if load_of(row, between) is not None]
 
 
 def loads_of(rows: Iterable[SecondRow], versions: Mapping[int, ParameterSet]) -> tuple[MeasuredLoad, ...]:
