@@ -288,3 +288,18 @@ def test_the_zero_of_a_new_sensor_is_taken_by_force_and_is_not_suspect() -> None
     feed(target, run_of([f for f in frames if f.time_s >= 1059.0]))
     assert FaultCode.ZERO_DRIFTED not in target.faults.active
     assert target.totals.total_kg - before == pytest.approx(14.0 * 60.0, rel=0.03)
+
+
+def test_grain_that_a_zero_far_above_the_empty_plate_hides_was_not_measured() -> None:
+    bench = replace(
+        NEW_SENSOR, zero=lambda t: ZERO_MV if t < 1020.0 else ZERO_MV - 100.0, flow=lambda t: 5.0 if t >= 1060.0 else 0.0
+    )
+    frames, target = bench.frames(90), monitor()
+    feed(target, run_of([f for f in frames if f.time_s < 1059.0]))
+    target.start_load()
+    feed(target, run_of([f for f in frames if f.time_s >= 1059.0]))
+    in_grain = [row for row in target.records if row.time_s > 1065.0]  # type: ignore[attr-defined]
+    assert {row.quality for row in in_grain} == {frames_of_bus.EstimateQuality.NOT_AVAILABLE}
+    assert FaultCode.ZERO_DRIFTED in target.faults.active
+    assert target.open_load is not None
+    assert not target.open_load.complete

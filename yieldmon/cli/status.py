@@ -113,7 +113,9 @@ def _facts(status: Status, units: Units) -> Iterator[tuple[str, str]]:
     for note in status["signals"]["notes"]:
         yield "signals", note
     waiting = f", {store['pending']} s of records not yet written" if store["pending"] else ""
-    yield "store", f"{store['file']}: {store['failing'] or store['note'] or 'writing'}{waiting}"
+    dropped_s = store["records_dropped"]
+    lost = f", {dropped_s} s of records dropped (their mass counts)" if dropped_s else ""
+    yield "store", f"{store['file']}: {store['failing'] or store['note'] or 'writing'}{waiting}{lost}"
     yield "configuration", f"{configuration['file']}; reload: {configuration['reload']}"
 
 

@@ -203,7 +203,9 @@ class Measurement:
         gate = _gate_inputs(force, self.zero.pulses(window), empty, self.zero.looks_loaded, in_range, idle_s)
         grain = self._gate.grain(gate)
         if not self._gate.see(gate):
-            return quality.NOT_AVAILABLE if grain and not in_range else quality.NOT_HARVESTING, force, noise
+            # Grain on a plate that reads below empty came with a wrong zero.
+            hidden = gate.pulses and force < -self._settings.gate.certain_force_n
+            return quality.NOT_AVAILABLE if hidden or (grain and not in_range) else quality.NOT_HARVESTING, force, noise
         held_long = window.held_s > 0.5 * self._settings.windows.window_s and abs(force) > self._settings.gate.grain_on_n
         if held_long:
             return quality.NOT_AVAILABLE, force, noise

@@ -345,6 +345,10 @@ class Daemon:
         if not self._store.known:
             raise ControlError("the disk has not answered since the start, so the store is not known yet; nothing was done")
         begun_s = monotonic()
+        if commands.measures_again(request) and not self._writer.wait_until_written(self._timeouts.written_s):
+            raise ControlError(
+                "the store cannot be written, so it lacks seconds of these loads (`yieldmon status`); nothing was done"
+            )
         stored = self._command_loads.of(request, self.configuration.store_path)
         # Who has gone would find it done after all, and ask a second time.
         left_s = begun_s + self._timeouts.answer_s - self._timeouts.written_s - monotonic()

@@ -60,6 +60,11 @@ def ticketed_loads(request: Mapping[str, Any]) -> range:
     return range(first, last + 1) if 0 <= first <= last <= first + _MOST_LOADS else range(0)
 
 
+def measures_again(request: Mapping[str, Any]) -> bool:
+    """Whether a request measures loads again by the seconds in the store, at once."""
+    return request.get("command") == "load-correct" and request.get("crop") is not None
+
+
 def summary(status: Mapping[str, Any]) -> str:
     """One line for the service manager."""
     last = status["windows"][-1] if status["windows"] else None

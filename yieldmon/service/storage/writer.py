@@ -136,10 +136,23 @@ class StoreWriter:
         while self._wait_for_work():
             if not self.work():
                 if last_try:
-                    _log.error("%d batches could not be written", self.health().pending)
+                    _log.error("%s", self._lost())
                     break
                 last_try = self._wait_before_retry()
         self.close()
+
+    def _lost(self) -> str:
+        """What a stop leaves unwritten."""
+        with self._changed:
+            rows, problem = [row for batch in self._pending for row in batch.seconds], self._health.failing
+            batches = len(self._pending)
+        if not rows:
+            return f"{batches} batches could not be written: {problem}"
+        last, mass_kg = rows[-1], sum(row.mass_kg for row in rows)
+        return (
+            f"the last {len(rows)} s could not be written and are lost, with {mass_kg:.1f} kg: {problem}; the total was "
+            f"{last.total_kg:.1f} kg, load {last.load_number} held {last.load_kg:.1f} kg"
+        )
 
     def work(self) -> bool:
         """Write what is pending, on the caller's thread; False when the disk failed and another try needs a pause."""
