@@ -39,7 +39,6 @@ from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.results import events_in, frames_in, records_in
 from yieldmon.engine.sweeps.plate import SweepEnded
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.files import parameter_file
 from yieldmon.frames import SweepState
 from yieldmon.physics.machine import RPM
 from yieldmon.plant.combine import VirtualCombine
@@ -266,11 +265,6 @@ def harvest(loaded: configuration.Configuration, parameters: ParameterSet, sizes
     return Harvest(records, loads, posted, total, combine, delay_s, known_s, alarm)
 
 
-def calibrated(loaded: configuration.Configuration) -> configuration.Configuration:
-    """The configuration of a machine of the virtual combine, on which the shipped parameters are calibrated."""
-    return replace(loaded, parameters=parameter_file.load())
-
-
 def drawn(case: Case, loaded: configuration.Configuration, seed: int, *, fixed: bool = False) -> tuple[Sizes, ParameterSet]:
     """What the machine of a seed does, and its parameters. fixed: the shipped ones and the case's fixed sizes."""
     rng = np.random.default_rng((seed, 16, crc32(case.name.encode())))
@@ -282,7 +276,7 @@ def drawn(case: Case, loaded: configuration.Configuration, seed: int, *, fixed: 
 
 def one(case: Case, duration_s: float, seed: int, *, fixed: bool) -> Found:
     """One run with the shipped configuration. fixed: as in `drawn`."""
-    loaded = calibrated(configuration.load(shipped("config/yieldmon.yaml")))
+    loaded = configuration.load(shipped("config/yieldmon.yaml"))
     sizes, parameters = drawn(case, loaded, seed, fixed=fixed)
     run = harvest(loaded, parameters, sizes, duration_s, seed)
     time_s = np.array([r.time_s for r in run.records])

@@ -39,7 +39,7 @@ def table(case: study.Case, duration_s: float, seeds: range) -> str:
 
 def causes(case: study.Case, duration_s: float, seed: int) -> list[tuple[tuple[float, ...], tuple[float, ...]]]:
     """Of each load of one machine what is stated, by STATED, and its error, by ERRORS; % of the load."""
-    loaded = study.calibrated(configuration.load(shipped("config/yieldmon.yaml")))
+    loaded = configuration.load(shipped("config/yieldmon.yaml"))
     sizes, parameters = study.drawn(case, loaded, seed)
     run = study.harvest(loaded, parameters, sizes, duration_s, seed)
     quiet = study.harvest(loaded, loaded.parameters, replace(sizes, scatter_pct=0.0, noise_mv=0.0), duration_s, seed)

@@ -71,7 +71,7 @@ def test_the_total_is_shown_with_its_standard_deviation(
 def test_parameters_of_no_calibration_are_said_to_be_that(
     document: dict[str, Any], scale_error: float, said: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert document["parameters"]["scale_error"] == 0.45, "the shipped corn, as the daemon began"
+    assert document["parameters"]["scale_error"] == 0.0, "the shipped corn on the shipped machine"
     parameters = {**document["parameters"], "scale_error": scale_error}
     server = ControlServer(tmp_path / "yieldmon.sock", None, lambda _: {**document, "parameters": parameters})
     server.start()

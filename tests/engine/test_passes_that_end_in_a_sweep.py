@@ -17,13 +17,13 @@ HOLES = [EMPTY, *({"kind": "steady", "duration_s": s, "flow_kg_s": f} for _ in r
 
 
 def harvested(tmp_path: Any, pieces: list[dict[str, Any]], seed: int) -> list[WindowRecord]:
-    """The seconds of a calibrated combine that follows the model, with a sweep as often as there can be one."""
+    """The seconds of a combine that follows the model, with a sweep as often as there can be one."""
     scenario, configuration = tmp_path / "scenario.yaml", tmp_path / "c.yaml"
     frames = {"grain_condition": True, "position": False, "harvest_state": False}
     scenario.write_text(yaml.safe_dump({"duration_s": 300, "flow": {"variation_pct": 3.0, "pieces": pieces}, "frames": frames}))
     configuration.write_text("sweep: {first_after_s: 60, interval_s: 60, backoff_s: 5}\n")
     loaded = api.load_configuration(configuration)
-    monitor = api.build_monitor(loaded.engine, loaded.machine, api.load_parameters(), loaded.calibrator)
+    monitor = api.build_monitor(loaded.engine, loaded.machine, loaded.parameters, loaded.calibrator)
     combine = api.VirtualCombine(api.load_scenario(scenario), loaded.machine, seed)
     records = []
     for frame in combine.frames_until(300.0):

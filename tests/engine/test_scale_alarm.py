@@ -24,7 +24,6 @@ from yieldmon.engine.settings import FaultSettings
 from yieldmon.engine.state import EngineState
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.files import parameter_file
 from yieldmon.physics.model import ForwardModel
 from yieldmon.plant.combine import VirtualCombine
 from yieldmon.plant.effects import ChainSlip, Effects
@@ -167,13 +166,13 @@ def monitor_record():  # type: ignore[no-untyped-def]
 
 
 def slipping(share: float) -> tuple[list[str], list[str]]:
-    """Faults' details by ticket, first and second load, of a calibrated virtual combine whose chain slips."""
+    """Faults' details by ticket, first and second load, of a virtual combine whose chain slips, with the shipped settings."""
     pieces = [(8.0, 0.0), (20.0, 12.0), (6.0, 0.0), (15.0, 12.0), (6.0, 0.0)]
     flow = FlowProfile(pieces=[Steady(kind="steady", duration_s=s, flow_kg_s=f) for s, f in pieces], variation_pct=1.5)
     effects = Effects(**{**Scenario().effects.model_dump(), "chain_slip": ChainSlip(share=share)} if share else {})
     settings = configuration.load(shipped("config/yieldmon.yaml"))
     combine = VirtualCombine(Scenario(duration_s=60.0, effects=effects, flow=flow), settings.machine, 7)
-    target = build_monitor(settings.engine, settings.machine, parameter_file.load(), settings.calibrator)
+    target = build_monitor(settings.engine, settings.machine, settings.parameters, settings.calibrator)
 
     def until(time_s: float) -> None:
         for frame in combine.frames_until(time_s):

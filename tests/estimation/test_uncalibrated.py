@@ -67,11 +67,14 @@ def test_a_predicted_force_is_as_unsure() -> None:
     assert np.all(force_std_dev(model, known, conditions) < 0.01 * force)
 
 
-def test_the_shipped_corn_is_another_machines_wherever_it_is_read_for_one() -> None:
-    known = parameter_file.load()
-    marked = parameter_file.on_a_machine(known)
+def test_the_shipped_corn_is_calibrated_on_the_shipped_geometry_alone() -> None:
+    known, other = parameter_file.load(), replace(MACHINE, paddle_width_m=0.2)
+    assert parameter_file.on_a_machine(known, MACHINE) == known
+    fixed = replace(MACHINE, name="bolted", min_plate_angle_rad=HOME_RAD, max_plate_angle_rad=HOME_RAD)
+    assert parameter_file.on_a_machine(known, fixed) == known
+    marked = parameter_file.on_a_machine(known, other)
     assert marked.scale_error > 0.0
     assert parameter_file.digest(marked) == parameter_file.digest(known), "a store goes on with what it has learnt"
     own = replace(known, values={**known.values, "friction": 0.25}, provenance={"data": "facility.csv"})
-    assert parameter_file.on_a_machine(own) == own
-    assert parameter_file.on_a_machine(crop("rice").parameters()) == crop("rice").parameters()
+    assert parameter_file.on_a_machine(own, other) == own
+    assert parameter_file.on_a_machine(crop("rice").parameters(), other) == crop("rice").parameters()

@@ -16,7 +16,7 @@ from yieldmon.engine.calibrator_settings import CalibratorSettings
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.errors import InputError
 from yieldmon.estimation.self_calibration.drift_rates import DriftRates
-from yieldmon.files import parameter_file
+from yieldmon.files import machine_file, parameter_file
 from yieldmon.resources import shipped
 from yieldmon.service.config import configuration, document_text
 from yieldmon.service.config.configuration import ConfigurationError
@@ -370,15 +370,18 @@ def test_lists_have_so_many_items(written, key):
     assert fewest == 0 or refused(fewest - 1)
 
 
-def test_the_shipped_corn_is_no_calibration_of_the_machine(written, tmp_path, capsys):
+def test_the_shipped_corn_is_no_calibration_of_another_machine(written, tmp_path, capsys):
     """It states 0.4 % of the flow by its own covariance; 24 machines with laws of their own were 33 % off."""
-    plain = written("{}")
+    assert configuration.load(written("{}")).parameters.scale_error == 0.0
+    other = dataclasses.replace(machine_file.load(), paddle_width_m=0.2)
+    (tmp_path / "machine.yaml").write_text(yaml.safe_dump(machine_file.to_document(other)))
+    plain = written("machine_file: machine.yaml")
     assert configuration.load(plain).parameters.scale_error > 0.3
     assert cli.main(["check-config", str(plain)]) == 0
     assert "note: the parameters are not calibrated on this machine: its force is known to 45 %" in capsys.readouterr().out
     own = dataclasses.replace(parameter_file.load(), provenance={"data": "facility.csv"})
     parameter_file.save(own, tmp_path / "own.yaml")
-    calibrated = written("parameter_file: own.yaml")
+    calibrated = written("machine_file: machine.yaml\nparameter_file: own.yaml")
     assert configuration.load(calibrated).parameters == own
     assert cli.main(["check-config", str(calibrated)]) == 0
     assert "not calibrated" not in capsys.readouterr().out

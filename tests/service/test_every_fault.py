@@ -349,7 +349,7 @@ PROVOKED: dict[FaultCode, tuple[Case, ...]] = {
     C.SCALE_FAULT: (Case(fail_the_scale), Case(silence_the_scale)),
     C.NETWORK_FAULT: (Case(contest_the_address), Case(flood_with_requests), Case(begin_sessions), Case(speak_as_we_do)),
     C.MASS_NEAR_END: (Case(harvest_a_lifetime),),
-    C.SCALE_DISAGREES: (Case(weigh_a_third_too_much, "parameter_file: calibrated.yaml"),),
+    C.SCALE_DISAGREES: (Case(weigh_a_third_too_much),),
     C.WAVEFORM_CONTRADICTS: (Case(widen_the_pulses, "waveform: {enabled: true, contradiction_windows: 5}"),),
 }
 CASES = [pytest.param(code, case, id=f"{code.value}-{n}") for code, cases in PROVOKED.items() for n, case in enumerate(cases)]
@@ -362,11 +362,10 @@ def test_no_fault_is_left_out():
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """With the parameter files that cases name."""
+    """With the parameter file that a case names."""
     nearly_an_hour_ago = datetime.now(UTC) - timedelta(seconds=3540)
     nearly_old = replace(SHIPPED, provenance={**SHIPPED.provenance, "date": nearly_an_hour_ago.isoformat()})
     parameter_file.save(nearly_old, tmp_path / "nearly_old.yaml")
-    parameter_file.save(replace(SHIPPED, provenance={"data": "facility.csv"}), tmp_path / "calibrated.yaml")
     return tmp_path
 
 

@@ -20,6 +20,7 @@ from yieldmon.engine.state import EngineState, ZeroUndo
 from yieldmon.engine.sweeps.disagreement import SweepPattern
 from yieldmon.estimation.self_calibration.misfit import ReducedSweep
 from yieldmon.files import parameter_file
+from yieldmon.physics.machine import Machine
 from yieldmon.service.history.load_book import LoadBook
 from yieldmon.service.history.memory import Memory, choose_parameters
 from yieldmon.service.history.recovery import remembered
@@ -126,7 +127,7 @@ def test_learnt_parameters_go_on_for_as_long_as_their_file_is_the_same() -> None
 
 
 def test_parameters_that_no_ticket_has_updated_are_no_calibration_in_a_store_that_does_not_say_so() -> None:
-    learnt, configured = parameter_file.load(), parameter_file.on_a_machine(parameter_file.load())
+    learnt, configured = parameter_file.load(), parameter_file.on_a_machine(parameter_file.load(), Machine(plate_length_m=0.2))
     memory = Memory(parameters=learnt, parameter_digest=parameter_file.digest(learnt), last_version=1)
     assert choose_parameters(memory, configured)[0].scale_error == configured.scale_error > 0.0
     weighed = replace(memory, tickets=(Ticket(1.7e9, 1, 1, 5000.0, 4000.0),))

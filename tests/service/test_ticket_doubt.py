@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from math import log
 
 import numpy as np
@@ -11,7 +10,7 @@ import pytest
 from tests.service.bench import START_S, encoded, running
 from tests.service.test_tickets_after_restart import TRUE, Season, ask
 from yieldmon.cli import main as cli
-from yieldmon.files import machine_file, parameter_file
+from yieldmon.files import machine_file
 from yieldmon.plant.combine import VirtualCombine
 from yieldmon.plant.scenario import from_mapping
 from yieldmon.resources import shipped
@@ -165,9 +164,7 @@ def test_where_a_tank_scale_has_updated_no_ticket_is_said_to_decide_alone(tmp_pa
     pieces = [{"kind": "steady", "duration_s": 20, "flow_kg_s": 0}, {**passes, "duration_s": 180}]
     scenario = {"duration_s": 200, "effects": {"gravity": "on"}, "flow": {"pieces": pieces}}
     combine = VirtualCombine(from_mapping(scenario, "test"), machine_file.load(shipped("config/machines/sprocket-8.yaml")), 1)
-    parameter_file.save(replace(parameter_file.load(), provenance={"data": "facility.csv"}), tmp_path / "own.yaml")
-    config = "bus: {transmit_max_age_s: 60}\nsweep: {enabled: false}\nparameter_file: own.yaml"
-    with running(tmp_path, config) as bench:
+    with running(tmp_path, "bus: {transmit_max_age_s: 60}\nsweep: {enabled: false}") as bench:
 
         def harvest(until_s: float) -> None:
             for frame in combine.frames_until(until_s):

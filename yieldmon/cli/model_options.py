@@ -65,7 +65,7 @@ def machine(args: argparse.Namespace) -> Machine:
 def parameters(args: argparse.Namespace) -> ParameterSet:
     """The parameters that the arguments name, as they hold on a machine, with --set applied."""
     path = _named_files.parameters_path(args.params) if args.params else shipped(parameter_file.DEFAULT)
-    return with_values(parameter_file.on_a_machine(parameter_file.load(path)), assignments(args.set, "--set"))
+    return with_values(parameter_file.on_a_machine(parameter_file.load(path), machine(args)), assignments(args.set, "--set"))
 
 
 def note_unknown_error(known: ParameterSet) -> None:

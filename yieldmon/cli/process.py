@@ -131,7 +131,7 @@ def _configured(
     """The configuration with what --params, --estimator and --channel put in its place."""
     loaded = _channels.with_channels(configuration.load(config), channels)
     if params is not None:
-        loaded = replace(loaded, parameters=parameter_file.on_a_machine(_named_files.parameters(params)))
+        loaded = replace(loaded, parameters=parameter_file.on_a_machine(_named_files.parameters(params), loaded.machine))
     if estimator is not None:
         loaded = configuration.with_estimator(loaded, estimator)
     return loaded

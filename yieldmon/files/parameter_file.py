@@ -21,6 +21,7 @@ from yieldmon.estimation.model_error import LARGEST as LARGEST_MODEL_ERROR
 from yieldmon.estimation.parameters import NOT_CALIBRATED, SCALE, ParameterSet
 from yieldmon.physics.effects import effect_parameter, get_effect
 from yieldmon.physics.grain import GRAIN
+from yieldmon.physics.machine import Machine
 from yieldmon.resources import shipped
 
 from . import flow_curve_file, strict_yaml, whole_file
@@ -84,10 +85,15 @@ def digest(parameters: ParameterSet) -> str:
     return hashlib.sha256(json.dumps(document, sort_keys=True).encode()).hexdigest()
 
 
-def on_a_machine(known: ParameterSet) -> ParameterSet:
-    """The parameters as they hold on a machine: the shipped corn, which was calibrated on the virtual test facility, is marked as
-    not calibrated there (see `ParameterSet.scale_error`); others as they are."""
-    return not_calibrated(known) if SCALE not in known.provenance and digest(known) == _shipped_digest() else known
+def on_a_machine(known: ParameterSet, machine: Machine) -> ParameterSet:
+    """The parameters as they hold on a machine.
+
+    The shipped corn was calibrated on the virtual test facility, which has the shipped machine: on one of another geometry it is
+    marked as not calibrated (see `ParameterSet.scale_error`). Others are left as they are.
+    """
+    if machine.geometry_m == Machine().geometry_m or SCALE in known.provenance or digest(known) != _shipped_digest():
+        return known
+    return not_calibrated(known)
 
 
 def not_calibrated(known: ParameterSet) -> ParameterSet:

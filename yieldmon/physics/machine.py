@@ -163,6 +163,12 @@ class Machine:
         return replace(self, plate_pivot_x_m=self.plate_pivot_x_m + plate_position_m, plate_travel_m=travel)
 
     @property
+    def geometry_m(self) -> tuple[float, ...]:
+        """Lengths that decide how its grain strikes the plate, m: two machines with the same ones share a calibration."""
+        plate = self.plate_pivot_x_m, self.plate_pivot_y_m, self.plate_length_m
+        return (self.sprocket_pitch_radius_m, self.paddle_length_m, self.paddle_width_m, *plate, *self.paddle_spacings_m)
+
+    @property
     def paddle_spacing_m(self) -> float:
         """Mean distance between paddles, m."""
         return sum(self.paddle_spacings_m) / len(self.paddle_spacings_m)

@@ -148,7 +148,7 @@ def build(content: Any, path: Path, environment: Mapping[str, str] = os.environ)
     if problems:
         raise ConfigurationError(problems)
     machine = _with_fixed_plate(machine, document.plate.fixed_angle_deg)
-    parameters = parameter_file.on_a_machine(load_named(path, "parameter_file", _in_newtons, named.parameter_path))
+    parameters = parameter_file.on_a_machine(load_named(path, "parameter_file", _in_newtons, named.parameter_path), machine)
     if curve is not None:
         parameters = with_curve(parameters, curve)
         check_curve_angle(curve, machine, str(named.curve_path))
