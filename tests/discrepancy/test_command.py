@@ -8,16 +8,18 @@ import re
 import subprocess
 import sys
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from tests.golden import kept
 from yieldmon.cli.main import main
-from yieldmon.discrepancy import diagnosis, report
+from yieldmon.discrepancy import adoption, diagnosis, report
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.files import parameter_file
+from yieldmon.files import parameter_file, table
 from yieldmon.files.table import Table
 from yieldmon.physics.machine import Machine
 
@@ -56,7 +58,7 @@ def diagnosed_once(diagnoses: dict[str, diagnosis.Diagnosis], monkeypatch: pytes
     """One diagnosis of the same table, parameters and options for all tests that are about what comes of it."""
     real = diagnosis.diagnose
 
-    def once(table: Table, machine: Machine, known: ParameterSet, options: diagnosis.Options, progress: object) -> object:
+    def once(table: Table, machine: Machine, known: ParameterSet, options: diagnosis.Options, progress: Any = None) -> object:
         key = repr((table.sha256, machine, dict(known.values), known.covariance.tolist(), options))
         if key not in diagnoses:
             diagnoses[key] = real(table, machine, known, options, progress)
@@ -90,6 +92,19 @@ def test_published_tables(name: str, f_before: float, f_after: float) -> None:
     assert any("comes from one cell, plate 50 deg and 0.3 kg" in note for note in found["notes"]) == (name == "bench")
     assert found["next_experiment"]["rows"]
     assert set(found["next_experiment"]["rows"][0]) == {"plate_angle_deg", "mass_flow_kg_s", "elevator_speed_rpm"}
+
+
+@pytest.mark.usefixtures("diagnosed_once")
+def test_loads_of_a_table_calibrate_a_machine_and_sweeps_do_not(offset_table: Path, tmp_path: Path) -> None:
+    """scale_sd: of the flows that a store's sweeps are given, which no load of a table has."""
+    parent, path = parameter_file.not_calibrated(parameter_file.load()), tmp_path / "p.yaml"
+    parameter_file.save(parent, path)
+    found = diagnosis.diagnose(table.load(offset_table), Machine(), parent, diagnosis.Options())
+    for scale_sd, calibrated in ((0.0, True), (0.08, False)):
+        out = tmp_path / f"{scale_sd}.yaml"
+        data, now = ("data", "0" * 64), datetime(2026, 7, 1, tzinfo=UTC)
+        adoption.adopt(found, parent, parent_path=path, out=out, data=data, now=now, scale_sd=scale_sd)
+        assert (parameter_file.load(out).scale_error == 0.0) is calibrated
 
 
 @pytest.mark.usefixtures("diagnosed_once")

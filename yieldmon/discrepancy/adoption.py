@@ -13,7 +13,7 @@ from yieldmon import utc
 from yieldmon.errors import InputError, reading
 from yieldmon.estimation import model_error
 from yieldmon.estimation.fitting.identifiability import scale_tangent
-from yieldmon.estimation.parameters import SCALE, WEIGHED, CalibratedRange, ParameterSet
+from yieldmon.estimation.parameters import NOT_CALIBRATED, SCALE, WEIGHED, CalibratedRange, ParameterSet
 from yieldmon.files import parameter_file, whole_file
 from yieldmon.physics.numerics import span
 
@@ -94,6 +94,9 @@ def adopt(
     if parent.is_weighed:
         # What is adopted leaves the flow at home as it is.
         provenance[SCALE] = WEIGHED
+    elif parent.scale_error > 0.0 and scale_sd > 0.0:
+        # Sweeps do not show the scale, as loads of a table do.
+        provenance[SCALE] = NOT_CALIBRATED
     if diagnosis.held_out is not None and diagnosis.held_out.closed_pct is not None:
         provenance["held_out_closed_pct"] = f"{diagnosis.held_out.closed_pct:.4g}"
     _replace(copy, text)
