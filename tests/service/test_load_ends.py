@@ -55,3 +55,10 @@ def test_a_load_without_an_end_goes_on() -> None:
 def test_a_second_after_missing_ones_is_told_by_time() -> None:
     seconds, load = recorded(9, 0.0)
     assert sorted(between_loads([*seconds[:3], *seconds[6:]], [load])) == [7, 8]
+
+
+def test_a_correction_of_the_load_does_not_move_its_end() -> None:
+    """Mass that a wrong zero had missed joins the last load, also once it has ended."""
+    seconds, load = recorded(9, 0.0)
+    corrected = [replace(second, load_kg=second.load_kg + (7.0 if second.number >= 7 else 0.0)) for second in seconds]
+    assert sorted(between_loads(corrected, [load])) == [*AFTER]

@@ -6,12 +6,13 @@ What comes between a load's end and the next one's begin carries the ended one's
 from __future__ import annotations
 
 from collections.abc import Container, Iterable
+from math import isclose
 
 from yieldmon.service.storage.batch import Load
 from yieldmon.service.storage.ledger import LoadRecord
 from yieldmon.service.storage.rows import SecondRow
 
-_ROUNDING = 1e-9
+_ROUNDING = 1e-6
 
 
 def between_loads(seconds: Iterable[SecondRow], loads: Iterable[Load | LoadRecord]) -> frozenset[int]:
@@ -44,10 +45,12 @@ def between_loads(seconds: Iterable[SecondRow], loads: Iterable[Load | LoadRecor
 def _is_between(second: SecondRow, before: SecondRow | None, ended_s: float) -> bool:
     """Whether a second came after the end of the load whose number it has. before: the second read before it."""
     if second.mass_kg > 0.0 and second.load_kg > 0.0:
-        if abs(second.load_kg - second.mass_kg) <= _ROUNDING * second.mass_kg:
-            return False  # The load's first mass.
-        if before is not None and (before.number, before.load_number) == (second.number - 1, second.load_number):
-            return bool(second.load_kg == before.load_kg)
+        follows = before is not None and (before.number, before.load_number) == (second.number - 1, second.load_number)
+        before_kg = before.load_kg if before is not None and follows else 0.0
+        if isclose(second.load_kg - before_kg, second.mass_kg, rel_tol=_ROUNDING):
+            return False
+        if follows and second.load_kg == before_kg:
+            return True
     return bool(second.time_s > ended_s)
 
 
