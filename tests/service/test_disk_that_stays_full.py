@@ -55,19 +55,24 @@ def test_status_says_how_many_records_were_dropped(tmp_path: Path, monkeypatch: 
         assert f"{dropped} s of records dropped (their mass counts)" in " ".join(said(tmp_path, "status")[0].split())
 
 
+@pytest.mark.parametrize("pending_seconds", [3600, 10], ids=["all wait", "records dropped"])
 def test_a_stop_on_a_full_disk_says_what_is_lost(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    pending_seconds: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    with running(tmp_path, retry_s=0.05, written_s=0.2) as bench:
+    text = f"{{bus: {{transmit_max_age_s: 60}}, store: {{pending_seconds: {pending_seconds}}}}}"
+    with running(tmp_path, text, retry_s=0.05, written_s=0.2) as bench:
         bench.play(14, 0.0)
+        bench.play(6, 60.0)
         bench.played()
         wait_for(lambda: bench.daemon.writer.health().pending == 0, "the seconds before")
+        before_kg = bench.status["total"]["mass_kg"]
         monkeypatch.setattr(Store, "commit", no_room)
-        bench.play(10, 60.0)
+        bench.play(20, 60.0)
         bench.played()
         total_kg = bench.status["total"]["mass_kg"]
-        assert total_kg > 5.0
+        assert total_kg > before_kg + 5.0
+        assert (bench.daemon.writer.health().records_dropped > 0) is (pending_seconds == 10)
     lost = [record.getMessage() for record in caplog.records if "are lost" in record.getMessage()]
     assert len(lost) == 1
-    assert f"the total was {total_kg:.1f} kg, load 1 held {total_kg:.1f} kg" in lost[0]
-    assert f"could not be written and are lost, with {total_kg:.1f} kg" in lost[0]
+    assert lost[0].startswith(f"the last 20 s could not be written and are lost, with {total_kg - before_kg:.1f} kg: ")
+    assert lost[0].endswith(f"the total was {total_kg:.1f} kg, load 1 held {total_kg:.1f} kg")

@@ -75,6 +75,8 @@ class StoreWriter:
         self._store: Store | None = None
         self._last_committed = 0
         self._last_submitted = 0
+        self._written: tuple[float, float] | None = None
+        """Time of the last second that was written, s, and the total then, kg."""
         self._there = False
         """There is a store already: a file that is missing has been removed."""
         self._repaired_s = float("-inf")
@@ -144,15 +146,19 @@ class StoreWriter:
     def _lost(self) -> str:
         """What a stop leaves unwritten."""
         with self._changed:
-            rows, problem = [row for batch in self._pending for row in batch.seconds], self._health.failing
-            batches = len(self._pending)
+            rows, problem, batches = (
+                [r for batch in self._pending for r in batch.seconds],
+                self._health.failing,
+                len(self._pending),
+            )
         if not rows:
             return f"{batches} batches could not be written: {problem}"
-        last, mass_kg = rows[-1], sum(row.mass_kg for row in rows)
-        return (
-            f"the last {len(rows)} s could not be written and are lost, with {mass_kg:.1f} kg: {problem}; the total was "
-            f"{last.total_kg:.1f} kg, load {last.load_number} held {last.load_kg:.1f} kg"
+        last, (time_s, total_kg) = (
+            rows[-1],
+            self._written or (rows[0].time_s - rows[0].duration_s, rows[0].total_kg - rows[0].mass_kg),
         )
+        lost_kg = max(last.total_kg - total_kg, 0.0)
+        return f"the last {last.time_s - time_s:.0f} s could not be written and are lost, with {lost_kg:.1f} kg: {problem}; the total was {last.total_kg:.1f} kg, load {last.load_number} held {last.load_kg:.1f} kg"
 
     def work(self) -> bool:
         """Write what is pending, on the caller's thread; False when the disk failed and another try needs a pause."""
@@ -263,6 +269,8 @@ class StoreWriter:
             store.require_attached()
             for done, refused in self._commits(store, batches):  # noqa: B007 - counted however the loop ends
                 self._last_committed = batches[done - 1].number
+                if batches[done - 1].seconds:
+                    self._written = batches[done - 1].seconds[-1].time_s, batches[done - 1].seconds[-1].total_kg
         finally:
             with self._changed:
                 self._in_flight = 0
