@@ -146,19 +146,17 @@ class StoreWriter:
     def _lost(self) -> str:
         """What a stop leaves unwritten."""
         with self._changed:
-            rows, problem, batches = (
-                [r for batch in self._pending for r in batch.seconds],
-                self._health.failing,
-                len(self._pending),
-            )
+            batches, problem = tuple(self._pending), self._health.failing
+        rows = [row for batch in batches for row in batch.seconds]
         if not rows:
-            return f"{batches} batches could not be written: {problem}"
-        last, (time_s, total_kg) = (
-            rows[-1],
-            self._written or (rows[0].time_s - rows[0].duration_s, rows[0].total_kg - rows[0].mass_kg),
+            return f"{len(batches)} batches could not be written: {problem}"
+        first, last = rows[0], rows[-1]
+        since_s, before_kg = self._written or (first.time_s - first.duration_s, first.total_kg - first.mass_kg)
+        lost_kg = max(last.total_kg - before_kg, 0.0)
+        return (
+            f"the last {last.time_s - since_s:.0f} s could not be written and are lost, with {lost_kg:.1f} kg: {problem}; "
+            f"the total was {last.total_kg:.1f} kg, load {last.load_number} held {last.load_kg:.1f} kg"
         )
-        lost_kg = max(last.total_kg - total_kg, 0.0)
-        return f"the last {last.time_s - time_s:.0f} s could not be written and are lost, with {lost_kg:.1f} kg: {problem}; the total was {last.total_kg:.1f} kg, load {last.load_number} held {last.load_kg:.1f} kg"
 
     def work(self) -> bool:
         """Write what is pending, on the caller's thread; False when the disk failed and another try needs a pause."""
