@@ -423,6 +423,34 @@ def test_a_point_may_part_thousands_where_that_is_nearer_to_what_was_measured(
         assert said == f"yieldmon: {option}: {problem}; expected {refused}\n"
 
 
+@pytest.mark.parametrize(
+    ("text", "refused"),
+    [
+        ("9.12", "9.12t or 9.12kg"),
+        ("9", "9t or 9kg"),
+        ("5.1+4.02", "5.1t+4.02t or 5.1kg+4.02kg"),
+        ("4.4", ""),
+        ("18.1", ""),
+        ("9.12kg", ""),
+        ("9.12t", ""),
+        ("9120", ""),
+    ],
+)
+def test_a_number_without_unit_that_is_the_loads_mass_in_tonnes_is_refused(text, refused, monkeypatch, capsys):
+    """Else the load would be corrected to 9 kg."""
+    answer = {"factor": 1.0, "measured_mass_kg": 1.0, "weighed_mass_kg": 1.0, "is_reference": True, "why_no_reference": ""}
+    answer["loads"] = [{"number": 7, "mass_kg": 5000.0}, {"number": 8, "mass_kg": 4000.0}, {"number": 9, "mass_kg": 1e6}]
+    asked = []
+    monkeypatch.setattr(ticket, "ask_daemon", lambda args, request: asked.append(request["command"]) or answer)
+    assert main(["ticket", "7-8", text]) == (2 if refused else 0)
+    assert ("ticket" in asked) is not bool(refused)
+    if refused:
+        said = capsys.readouterr().err
+        kg = {"9.12": 9.12, "9": 9, "5.1+4.02": 9.12}[text]
+        problem = f"{text!r} is without its unit, and {kg:g} kg where 9,000 kg were measured"
+        assert said == f"yieldmon: MASS: {problem}; expected {refused}\n"
+
+
 def test_points_between_thousands_are_no_number(tmp_path, capsys):
     assert main(["ticket", "--socket", str(tmp_path / "none.sock"), "7", "1.020.106lb"]) == 2
     assert capsys.readouterr().err == "yieldmon: mass: '1.020.106lb' has points between thousands; expected 1020106lb\n"

@@ -72,6 +72,7 @@ def run(args: argparse.Namespace) -> int:
             request[key] = mass(text, option)
     _require_units(args)
     _require_decimals(args, first, last)
+    _require_no_tonnes(args, first, last)
     answer = ask_daemon(args, request)
     which = f"load {first}" if first == last else f"loads {first} to {last}"
     change_pct = 100.0 * (answer["factor"] - 1.0)
@@ -162,6 +163,20 @@ def _require_decimals(args: argparse.Namespace, first: int, last: int) -> None:
             may_be, as_kg = "+".join(thousands), "+".join(f"{mass(part):g}kg" for part in parts)
             problem = f"{'+'.join(parts)!r} may be {may_be} or a thousandth of that, where {measured_kg:,.0f} kg were measured"
             raise InputError(where, problem, f"{may_be}, or {as_kg}")
+
+
+def _require_no_tonnes(args: argparse.Namespace, first: int, last: int) -> None:
+    """Raises InputError for a mass without its unit, such as 9.12, that as tonnes is about what was measured."""
+    parts = _parts(args.mass)
+    if not all(part[-1:].isdigit() for part in parts) or any(map(in_thousands, parts)):
+        return
+    kg = sum(map(mass, parts))
+    loads = ask_daemon(args, {"command": "loads"}).get("loads", ())
+    measured_kg = sum(load["mass_kg"] for load in loads if first <= load["number"] <= last)
+    if 0.5 * measured_kg < 1000.0 * kg < 2.0 * measured_kg:
+        problem = f"{args.mass!r} is without its unit, and {kg:g} kg where {measured_kg:,.0f} kg were measured"
+        tonnes, kilograms = ("+".join(part + unit for part in parts) for unit in ("t", "kg"))
+        raise InputError("MASS", problem, f"{tonnes} or {kilograms}")
 
 
 def _listed(args: argparse.Namespace) -> int:
