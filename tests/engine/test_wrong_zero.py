@@ -303,3 +303,17 @@ def test_grain_that_a_zero_far_above_the_empty_plate_hides_was_not_measured() ->
     assert FaultCode.ZERO_DRIFTED in target.faults.active
     assert target.open_load is not None
     assert not target.open_load.complete
+
+
+def test_an_undo_after_a_stop_is_in_the_last_load_that_is_shown() -> None:
+    frames, target = BENCH.frames(120), monitor()
+    feed(target, run_of([f for f in frames if f.time_s < 1040.0]))
+    ask(target, "zero", force=True)
+    feed(target, run_of([f for f in frames if 1040.0 <= f.time_s < 1080.0]))
+    target.stop_load()
+    before = target.totals
+    restored_kg = ask(target, "zero-undo")["restored_kg"]
+    assert restored_kg > 100.0
+    assert target.totals.load_kg == pytest.approx(before.load_kg + restored_kg)
+    assert target.totals.total_kg == pytest.approx(before.total_kg + restored_kg)
+    assert target.loads[-1].measured_kg == pytest.approx(target.totals.load_kg)
