@@ -247,7 +247,9 @@ def test_what_a_late_ticket_is_told(browser: Browser, tmp_path: Path) -> None:
                 return watched.page.inner_text("#answer")
 
             late = told("Ticket", "Correct the loads", first_load="2", last_load="2", mass=f"{1.05 * masses[2]:.2f}")
-            assert "a reference for wheat, which learns once it is harvested again. It is the first and alone sets the scale" in late
+            assert (
+                "a reference for wheat, which learns once it is harvested again. It is the first and alone sets the scale" in late
+            )
             both = told("Ticket", "Correct the loads", first_load="2", last_load="3", mass=f"{masses[2] + masses[3]:.2f}")
             assert (
                 "no reference for the calibration: loads of corn and wheat on one ticket update the parameters of none; "
