@@ -100,6 +100,13 @@ WRONG = {
 }
 
 
+def with_own_file(season: Season) -> str:
+    """A configuration with another parameter file, which lies beside it."""
+    known = parameter_file.load()
+    parameter_file.save(replace(known, values={**known.values, "density": 900.0}), season.folder / "own.yaml")
+    return "bus: {transmit_max_age_s: 60}\nparameter_file: own.yaml\n"
+
+
 @pytest.mark.parametrize("restart", [False, True], ids=["", "after a restart"])
 @pytest.mark.parametrize(("tickets", "undone"), WRONG.values(), ids=list(WRONG))
 def test_an_undo_leaves_what_never_having_entered_the_ticket_does(tickets, undone, restart, never, tmp_path) -> None:
@@ -190,9 +197,7 @@ def test_a_ticket_from_before_a_new_parameter_file_leaves_that_file(tmp_path) ->
         enter(season, bench, RIGHT[:2])
         assert set(left(season, bench)["again"]) == {2, 3, 4, 5}
         season.now_s = bench.now_s
-    own = replace(parameter_file.load(), values={**parameter_file.load().values, "density": 900.0})
-    parameter_file.save(own, season.folder / "own.yaml")
-    configured = "bus: {transmit_max_age_s: 60}\nparameter_file: own.yaml\n"
+    configured = with_own_file(season)
     with running(season.folder, configured, start_s=season.now_s + 60.0) as bench:
         bench.play(3, 0.0)
         bench.played()
@@ -288,9 +293,7 @@ def test_a_parameter_file_undone_gives_the_tickets_after_it_to_the_one_before(tm
         season.harvest(bench)
         enter(season, bench, RIGHT[:1])
         season.now_s = bench.now_s
-    own = replace(parameter_file.load(), values={**parameter_file.load().values, "density": 900.0})
-    parameter_file.save(own, season.folder / "own.yaml")
-    configured = "bus: {transmit_max_age_s: 60}\nparameter_file: own.yaml\n"
+    configured = with_own_file(season)
     with running(season.folder, configured, start_s=season.now_s + 60.0) as bench:
         bench.play(14, 0.0)
         bench.played()
