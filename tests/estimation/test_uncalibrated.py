@@ -8,11 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
+from yieldmon.cli.main import main
 from yieldmon.estimation.force_deviation import force_std_dev
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import NOT_CALIBRATED, SCALE, WEIGHED, ParameterSet
-from yieldmon.files import parameter_file
+from yieldmon.files import machine_file, parameter_file
 from yieldmon.files.crops import crop
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
@@ -78,3 +80,16 @@ def test_the_shipped_corn_is_calibrated_on_the_shipped_geometry_alone() -> None:
     own = replace(known, values={**known.values, "friction": 0.25}, provenance={"data": "facility.csv"})
     assert parameter_file.on_a_machine(own, other) == own
     assert parameter_file.on_a_machine(crop("rice").parameters(), other) == crop("rice").parameters()
+
+
+@pytest.mark.parametrize("command", [["predict", "--mass-flow", "10"], ["estimate", "forces.csv"]])
+@pytest.mark.parametrize(("width_m", "said"), [(0.21, False), (0.25, True)])
+def test_an_uncalibrated_machine_is_said_to_be_one(
+    command: list[str], width_m: float, said: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
+) -> None:
+    """With the shipped corn, whose calibration holds for the shipped geometry alone."""
+    monkeypatch.chdir(tmp_path)
+    Path("forces.csv").write_text("force_n,plate_angle_deg,elevator_speed_rpm\n80,70,400\n")
+    Path("machine.yaml").write_text(yaml.safe_dump(machine_file.to_document(replace(Machine(), paddle_width_m=width_m))))
+    assert main([*command, "--machine", "machine.yaml"]) == 0
+    assert ("not calibrated on this machine" in capsys.readouterr().err) is said

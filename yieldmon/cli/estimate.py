@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
     machine = data.at_one_position(machine)
     known = model_options.in_unit_of(data, known, args)
     data.check_doubled(machine)
-    model_options.note_unknown_error(known)
+    model_options.note_unknown_errors(known)
     for note in data.notes:
         _notes.note(note)
     speed = data.speed_rad_s(machine)

@@ -68,8 +68,10 @@ def parameters(args: argparse.Namespace) -> ParameterSet:
     return with_values(parameter_file.on_a_machine(parameter_file.load(path), machine(args)), assignments(args.set, "--set"))
 
 
-def note_unknown_error(known: ParameterSet) -> None:
-    """On standard error, that the set does not say how far the model itself is off."""
+def note_unknown_errors(known: ParameterSet) -> None:
+    """On standard error, what of the parameters' error is assumed: the scale's, or the model's own."""
+    if known.scale_error > 0.0:
+        _notes.note(_notes.not_calibrated(known.scale_error))
     if known.curve is None and known.model_error is None and known.own_error > 0.0:
         _notes.note(
             "the parameters do not state the model's own error (model_error): "

@@ -72,7 +72,7 @@ def run(args: argparse.Namespace) -> int:
     std_dev = force_std_dev(model, known, conditions) if known.covariance_names or known.model_error != 0.0 else None
     if known.response_unit != "N":
         _notes.note(f"momentum and force are in the unit {known.response_unit!r} of the parameters, not in kg m/s and N")
-    model_options.note_unknown_error(known)
+    model_options.note_unknown_errors(known)
     _say_outside(known, points, args.moisture)
     passes = machine.passes_per_s(points.elevator_speed_rpm * RPM)
     rows = [_row(points, i, passes[i], momentum[i], args.moisture, std_dev) for i in range(points.mass_flow_kg_s.size)]
