@@ -24,8 +24,8 @@ from yieldmon.frames import Frame
 from yieldmon.plant import scenario
 from yieldmon.plant.combine import VirtualCombine
 from yieldmon.service.assembly import build_monitor
-from yieldmon.service.config.configuration import engine_settings
 from yieldmon.service.config.document import Document
+from yieldmon.service.config.engine_sections import engine_settings
 
 RATES_HZ = (10, 20, 50, 100, 200, 500, 1000)
 SPEEDS_RPM = (300.0, 400.0, 500.0)

@@ -16,8 +16,8 @@ from yieldmon.plant import scenario
 from yieldmon.plant.combine import VirtualCombine
 from yieldmon.resources import shipped
 from yieldmon.service.assembly import build_monitor
-from yieldmon.service.config.configuration import engine_settings
 from yieldmon.service.config.document import Document
+from yieldmon.service.config.engine_sections import engine_settings
 
 SECONDS = 24
 SHIPPED = load_messages(shipped("dbc/yieldmon.dbc"))

@@ -12,6 +12,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import exp, isfinite, log, sqrt
 
+from yieldmon.setting_keys import choice, quantity
+
 # A jump is over within some seconds, and a steady flow is left more often than a trend, whose slope is worth keeping.
 _STEADY = (0.85, 0.03, 0.12)
 _JUMP = (0.20, 0.01, 0.79)
@@ -28,19 +30,17 @@ _Matrix = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class FlowFilterSettings:
-    """Rates are shares of the flow per window."""
+    """Smoothing of the published flow; totals are not smoothed.
 
-    enabled: bool = True
-    steady_walk: float = 0.008
-    """Standard deviation of the change from window to window while the flow is steady."""
-    trend_change: float = 0.002
-    """The same of the change of the trend while the flow rises or falls steadily."""
-    jump: float = 0.18
-    """Standard deviation of a jump."""
-    stay: float = 0.95
-    """Probability that a flow that rises or falls goes on so from one window to the next."""
-    min_flow_kg_s: float = 0.3
-    """Below this a window stands for itself."""
+    Rates are shares of the flow per window.
+    """
+
+    enabled: bool = choice(True, "false: no smoothing")
+    steady_walk: float = quantity(0.008, 1e-6, 1.0, "1/s", "relative change of a steady flow from second to second")
+    trend_change: float = quantity(0.002, 1e-6, 1.0, "1/s", "the same for the trend of a rising or falling flow")
+    jump: float = quantity(0.18, 1e-3, 10.0, "1", "relative standard deviation of a jump")
+    stay: float = quantity(0.95, 0.34, 0.9999, "1", "probability that a flow keeps rising or falling")
+    min_flow_kg_s: float = quantity(0.3, 0.01, 25.0, "kg/s", "no smoothing below this")
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,165 +1,168 @@
 """Every number the engine uses, as frozen dataclasses with units in the names.
 
-The defaults are those of the shipped configuration; `service.config.configuration` builds these from YAML after it has checked
-ranges.
+They are the sections of the configuration file: `service.config.engine_sections` makes its keys from them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import Literal
 
 from yieldmon.engine.flow_filter import FlowFilterSettings
+from yieldmon.engine.sources import THOUSAND_KERNELS_G
+from yieldmon.estimation.waveform.arrival_law import ArrivalLaw
 from yieldmon.physics.grain import FLOW_PER_MOISTURE_PCT
+from yieldmon.setting_keys import by_name, choice, quantities, quantity
 from yieldmon.units import S_PER_DAY
-
-if TYPE_CHECKING:
-    from yieldmon.estimation.waveform.arrival_law import ArrivalLaw
 
 
 @dataclass(frozen=True, slots=True)
 class ClockSettings:
-    """Which time stamps of the bus are plausible."""
+    """Checks of the frames' time stamps."""
 
-    max_gap_s: float = 60.0
-    """A longer forward step between two frames is a clock jump (or a hole in a log), not a silent bus."""
-    backstep_tolerance_s: float = 0.1
-    """A smaller backward step is frames out of order; a larger one is a clock set back."""
+    max_gap_s: float = quantity(
+        60.0, 2.0, 3600.0, "s", "a longer step forward between frames means that the clock was set forward"
+    )
+    backstep_tolerance_s: float = quantity(
+        0.1, 0.0, 1.0, "s", "a longer step back means that the clock was set back, a shorter one frames out of order"
+    )
 
 
 @dataclass(frozen=True, slots=True)
 class WindowSettings:
-    """Forming of the one-second results."""
+    """The one-second results."""
 
+    grid_offset_s: float = quantity(
+        0.1, 0.0, 0.9, "s", "windows end this long after each full second, for the delay of bus and sensor"
+    )
+    """In whole command intervals: half a paddle pattern and the sensor's delay at rated speed, so that a result belongs to the
+    full second before it."""
+    max_ramp_s: float = quantity(0.5, 0.1, 0.5, "s", "longest weighted edge of a window")
+    """Below the speed at which one paddle pattern takes this long the edge is a ramp of this length."""
+    min_coverage: float = quantity(0.2, 0.05, 1.0, "1", "a window with less sample coverage has no result")
+    """What was measured still counts in the totals."""
+    full_coverage: float = quantity(0.98, 0.5, 1.0, "1", "a window with less sample coverage is degraded")
+    saturated_share: float = quantity(0.01, 0.0, 1.0, "1", "share of samples at the range limit from which a window is saturated")
+    plausible_full_scales: float = quantity(4.0, 1.0, 100.0, "full scales", "samples beyond this are ignored as impossible")
+    paddle_scatter: float = quantity(0.07, 0.0, 1.0, "1", "expected relative scatter of the paddles' momentum")
+    scatter_prior_patterns: float = quantity(
+        6.0, 0.0, 1000.0, "patterns", "weight of that expectation, in repeats of the paddle pattern"
+    )
+    scatter_memory_patterns: float = quantity(
+        300.0, 50.0, 1e5, "patterns", "repeats of the pattern over which the scatter is estimated"
+    )
+    min_force_std_dev_n: float = quantity(0.05, 0.0, 10.0, "N", "minimum standard deviation of a window's mean force")
+    """By electrical noise and zero."""
     window_s: float = 1.0
     """Fixed: MassFlow is a 1 Hz message."""
-    grid_offset_s: float = 0.1
-    """Windows end this long after each full second of bus time, in whole command intervals: half a paddle pattern and the
-    sensor's own delay at rated speed, so that a result belongs to the full second before it."""
-    max_ramp_s: float = 0.5
-    """Longest window edge. Below the speed at which one paddle pattern takes this long the edge is a ramp of this length."""
-    min_coverage: float = 0.2
-    """Below this share of a window's weight its mean is not published; what was measured still counts in the totals."""
-    full_coverage: float = 0.98
-    """Below this share the result is marked as degraded."""
-    saturated_share: float = 0.01
-    """Share of a window's samples at the end of the sensor's range from which the window counts as saturated."""
-    plausible_full_scales: float = 4.0
-    """A sample beyond this many full scales is no voltage the sensor can give; it is not used."""
-    paddle_scatter: float = 0.07
-    """Prior for the standard deviation of one paddle's momentum, as a share of its mean."""
-    scatter_prior_patterns: float = 6.0
-    """Weight of that prior, in paddle patterns, against the scatter seen within the window."""
-    scatter_memory_patterns: float = 300.0
-    """Paddle patterns over which the scatter is learnt: the windows of about a minute."""
-    min_force_std_dev_n: float = 0.05
-    """Floor for the standard deviation of a window's mean force, N (electrical noise, zero)."""
 
 
 @dataclass(frozen=True, slots=True)
 class InputSettings:
-    """How long an input's last value may be used: ten of its periods."""
+    """How long the last value of an input may be used.
 
-    sensor_timeout_s: float = 0.04
-    speed_timeout_s: float = 1.0
-    feedback_timeout_s: float = 0.5
-    condition_timeout_s: float = 10.0
-    scale_timeout_s: float = 10.0
-    vehicle_timeout_s: float = 2.0
-    held_angle_std_dev_deg: float = 1.0
-    """Uncertainty of the last known plate angle while the feedback is silent and the plate was at rest, deg."""
+    By default ten of its periods.
+    """
+
+    sensor_timeout_s: float = quantity(0.04, 0.01, 1.0, "s", "impact samples")
+    speed_timeout_s: float = quantity(1.0, 0.1, 10.0, "s", "elevator speed")
+    feedback_timeout_s: float = quantity(0.5, 0.1, 10.0, "s", "plate angle and actuator state")
+    condition_timeout_s: float = quantity(10.0, 1.0, 600.0, "s", "moisture, temperature and test weight")
+    scale_timeout_s: float = quantity(10.0, 1.0, 600.0, "s", "tank mass and its status")
+    vehicle_timeout_s: float = quantity(2.0, 0.2, 600.0, "s", "position, course, speed, states of the machine")
+    held_angle_std_dev_deg: float = quantity(
+        1.0, 0.0, 30.0, "deg", "standard deviation of a resting plate's angle while its feedback is missing"
+    )
 
 
 @dataclass(frozen=True, slots=True)
 class ZeroSettings:
-    """Zero-load voltage. The elevator is taken to run empty while the paddle-synchronous signal is no more than vibration."""
+    """Zero-load voltage of the impact sensor.
 
-    first_zero_windows: int = 3
-    """Windows averaged for the first zero."""
-    first_pulse_limit_mv: float = 12.0
-    """Largest paddle-synchronous amplitude taken for vibration before any has been learnt, mV."""
-    level_range_mv: float = 3.0
-    """Largest range of the windows' means in learning a zero, mV."""
-    settle_windows: int = 10
-    """Windows over which pulses are averaged coherently, and empty windows in a row before the zero follows."""
-    pulse_margin_mv: float = 0.8
-    """Departure of a pattern harmonic from the learnt vibration that speaks of grain, over settle_windows, mV."""
-    pulse_margin: float = 0.12
-    """The same as a share of the learnt vibration; the larger of the two margins holds."""
-    window_pulse_margin_mv: float = 1.5
-    """Excess of one window's pulses over the largest seen empty that speaks of grain, mV."""
-    window_pulse_margin: float = 1.25
-    """The same as a factor; the larger of the two holds."""
-    follow_time_s: float = 20.0
-    """Time constant of the following."""
-    max_rate_mv_s: float = 0.2
-    """Fastest change of the zero, mV/s."""
-    max_step_mv: float = 20.0
-    """An empty window further than this from the zero moves nothing: something other than drift has happened."""
-    drift_limit_mv: float = 40.0
-    """Distance from the first zero from which the fault ZeroDrifted is raised, mV."""
+    The elevator is taken to run empty while the paddle-synchronous signal is no more than vibration.
+    """
+
+    first_zero_windows: int = quantity(3, 1, 60, "s", "empty seconds averaged for the first zero and by `yieldmon zero`")
+    first_pulse_limit_mv: float = quantity(12.0, 0.1, 1000.0, "mV", "largest pulses accepted as vibration before the first zero")
+    level_range_mv: float = quantity(3.0, 0.0, 1000.0, "mV", "largest range of the seconds' means for a zero")
+    settle_windows: int = quantity(
+        10, 1, 600, "s", "empty seconds before the zero follows slow drift; also the averaging time of the pulses"
+    )
+    pulse_margin_mv: float = quantity(0.8, 0.0, 1000.0, "mV", "averaged pulses that differ more from the vibration mean grain")
+    """Of each harmonic of the paddle pattern, averaged over settle_windows."""
+    pulse_margin: float = quantity(0.12, 0.0, 100.0, "1", "the same relative to the vibration; the larger limit applies")
+    window_pulse_margin_mv: float = quantity(
+        1.5, 0.0, 1000.0, "mV", "one second's pulses that exceed the empty ones by more mean grain"
+    )
+    window_pulse_margin: float = quantity(1.25, 1.0, 100.0, "1", "the same as a factor; the larger limit applies")
+    follow_time_s: float = quantity(20.0, 1.0, 3600.0, "s", "time constant of following")
+    max_rate_mv_s: float = quantity(0.2, 0.0, 100.0, "mV/s", "fastest change of the zero")
+    max_step_mv: float = quantity(20.0, 0.1, 4000.0, "mV", "empty seconds further off are ignored")
+    """Something other than drift has happened."""
+    drift_limit_mv: float = quantity(40.0, 0.1, 4000.0, "mV", "difference from the first zero that sets ZeroDrifted")
 
 
 @dataclass(frozen=True, slots=True)
 class GateSettings:
-    """When flow is measured and when the machine is not harvesting."""
+    """Detection of grain and harvest."""
 
-    grain_on_n: float = 1.0
-    """Mean force from which, with paddle pulses, grain is present, N."""
-    grain_off_n: float = 0.5
-    """Mean force below which grain is gone, N."""
-    certain_force_n: float = 10.0
-    """Mean force that means grain even before pulses have been seen, N."""
-    off_windows: int = 3
-    """Windows without grain before the state changes to not harvesting."""
-    emptying_s: float = 20.0
-    """With the header up or the machine standing for this long, what is left of a signal is not harvest."""
-    min_ground_speed_m_s: float = 0.3
-    min_turning_rpm: float = 50.0
-    """Below this the elevator stands."""
+    grain_on_n: float = quantity(1.0, 0.01, 1000.0, "N", "mean force, with pulses, from which grain is present")
+    grain_off_n: float = quantity(0.5, 0.0, 1000.0, "N", "mean force below which grain is absent")
+    certain_force_n: float = quantity(10.0, 0.1, 1000.0, "N", "mean force that means grain even without pulses")
+    off_windows: int = quantity(3, 1, 600, "s", "seconds without grain before the state is not harvesting")
+    emptying_s: float = quantity(20.0, 0.0, 600.0, "s", "not harvesting after this long with header up or machine stopped")
+    min_ground_speed_m_s: float = quantity(0.3, 0.0, 10.0, "m/s", "a slower machine is stopped")
+    min_turning_rpm: float = quantity(50.0, 0.0, 250.0, "rpm", "a slower elevator is stopped")
 
 
 @dataclass(frozen=True, slots=True)
 class TotalsSettings:
     """Load and total mass."""
 
-    moisture_reference_pct: float | None = None
-    """Market moisture for dry mass, % wet basis (corn)."""
-    credit_below_reference: bool = False
-    """True: grain drier than the reference counts as more than its wet mass; False: its dry mass is its wet mass."""
-    new_load: str = "switch"
-    """What ends a load and begins the next, beside the command: "switch", the input `unloading`; "tank_scale", a stable tank mass
-    that has fallen to half or less; "command", nothing."""
-    unloading_s: float = 10.0
-    """Unloading shorter than this ends no load; it is over when it has not gone on for this long, s."""
+    moisture_reference_pct: float | None = quantity(
+        None, 0.0, 40.0, "%", "market moisture for dry mass, wet basis; null: the crop's (no crop: corn's)"
+    )
+    credit_below_reference: bool = choice(False, "drier grain counts as more than its wet mass; false: as its wet mass")
+    new_load: Literal["switch", "tank_scale", "command"] = choice(
+        "switch", "what else begins a load: input unloading (switch), tank mass stable at half (tank_scale), nothing (command)"
+    )
+    unloading_s: float = quantity(10.0, 1.0, 600.0, "s", "shorter unloading ends no load; shorter pauses do not end unloading")
 
 
 @dataclass(frozen=True, slots=True)
 class BudgetSettings:
-    """What the standard deviations of flow and mass include beside the windows' noise and the parameters' covariance."""
+    """Further errors in the standard deviations of flow and mass, besides noise and parameters."""
 
-    zero_mv: float = 0.2
-    """Standard deviation of a zero when it is taken or followed, mV."""
-    zero_drift_mv_per_root_h: float = 1.0
-    """Its growth while the elevator never runs empty, mV per square root of an hour."""
-    moisture_per_pct: float = FLOW_PER_MOISTURE_PCT
+    zero_mv: float = quantity(0.2, 0.0, 100.0, "mV", "standard deviation of a new or followed zero")
+    zero_drift_mv_per_root_h: float = quantity(
+        1.0, 0.0, 100.0, "mV per root hour", "its growth until the elevator runs empty again"
+    )
+    moisture_per_pct: float = quantity(
+        FLOW_PER_MOISTURE_PCT,
+        0.0,
+        0.2,
+        "per percentage point",
+        "relative error of flow from a moisture that the model does not include",
+    )
     """Relative standard deviation of flow per percentage point of moisture that the calibration does not follow: published slopes
     of friction, density and restitution (config/crops.yaml) through the model at 10 kg/s give 1.6 (rice) to 3.0 (wheat), corn
     2.0 %."""
-    unmeasured_moisture_pct: float = 2.0
-    """Standard deviation of a moisture that is not measured, percentage points."""
+    unmeasured_moisture_pct: float = quantity(2.0, 0.0, 20.0, "percentage points", "standard deviation of an unmeasured moisture")
 
 
 @dataclass(frozen=True, slots=True)
 class PlateSettings:
-    """Limits of plate commands. The range itself is the machine's."""
+    """Limits of plate commands, inside the range of the machine file."""
 
-    fixed_angle_deg: float | None = None
-    """Of a plate that is bolted on; None: the plate turns."""
-    max_rate_deg_s: float = 20.0
-    command_interval_s: float = 0.1
-    at_target_tolerance_deg: float = 0.5
+    fixed_angle_deg: float | None = quantity(
+        None, 10.0, 170.0, "deg", "angle of a fixed plate: no feedback needed, no sweeps; null: the plate moves"
+    )
+    max_rate_deg_s: float = quantity(20.0, 0.5, 90.0, "deg/s", "fastest change of the target")
+    command_interval_s: float = quantity(0.1, 0.02, 1.0, "s", "interval of commands while the plate moves")
+    at_target_tolerance_deg: float = quantity(
+        0.5, 0.05, 5.0, "deg", "largest difference from the target angle that counts as reached"
+    )
     command_counter_modulus: int = 256
 
 
@@ -167,171 +170,152 @@ class PlateSettings:
 class SweepSettings:
     """Self-calibration sweeps of the plate."""
 
-    enabled: bool = True
-    when: str = "interval"
-    """`interval`: whenever that has passed; `information`: only where the flow is then better known than by harvesting on."""
-    worth_ratio: float = 1.05
-    """The flow's standard deviation after as long at home over that after the sweep, from which a sweep is worth making."""
-    interval_s: float = 1800.0
-    first_after_s: float = 600.0
-    """Time from the start to the first sweep."""
-    angles_deg: tuple[float, ...] = (40.0, 40.0, 40.0, 40.0, 50.0, 60.0, 80.0, 90.0, 90.0, 90.0)
+    enabled: bool = choice(True, "allow sweeps; false: the plate never moves")
+    when: Literal["interval", "information"] = choice(
+        "interval", "sweep after each interval, or only if it improves the flow more than harvesting on"
+    )
+    worth_ratio: float = quantity(
+        1.05, 1.0, 10.0, "1", "information: least ratio of the flow's standard deviation without to that with a sweep"
+    )
+    interval_s: float = quantity(1800.0, 60.0, 1e6, "s", "interval of sweeps")
+    first_after_s: float = quantity(600.0, 0.0, 1e6, "s", "harvesting time before the first sweep")
+    angles_deg: tuple[float, ...] = quantities(
+        (40.0, 40.0, 40.0, 40.0, 50.0, 60.0, 80.0, 90.0, 90.0, 90.0), 50, "deg", "angles to visit, in the machine's range"
+    )
     """Most of the time at the ends, where the information is; the middle shows whether the model holds (studies/sweep_design)."""
-    home_every: int = 2
-    """The plate returns home after this many angles, so that home windows bracket the flow."""
-    windows_per_step: int = 2
-    min_flow_kg_s: float = 4.0
-    steady_windows: int = 8
-    """Windows over which the flow must have been steady before a sweep starts."""
-    steady_cv: float = 0.08
-    """Largest standard deviation over mean of those windows."""
-    flow_change: float = 0.25
-    """Change of the home-angle flow against the start of the sweep that ends it."""
-    flow_change_away: float = 0.6
-    """The same at other angles, where the estimate leans on the parameters under test."""
-    speed_change: float = 0.06
-    move_margin_s: float = 3.0
-    """Time beyond travel / rate after which the actuator is not following."""
-    settle_s: float = 0.5
-    """Time the feedback must stay on target."""
-    settle_timeout_s: float = 6.0
-    measure_timeout_s: float = 12.0
-    signal_trend: float = 5.0
-    """A window whose first and second half differ by more standard errors than this has not settled."""
-    return_timeout_s: float = 10.0
-    home_rest_s: float = 3.0
-    """Time the plate may rest away from home undriven before it is taken home."""
-    home_retry_s: float = 20.0
-    """Wait before the plate is taken home again after it did not get there."""
-    backoff_s: float = 60.0
-    """Wait after an aborted sweep; doubles with each abort in a row, up to the interval."""
-    feedback_plausibility_flow_spread: float = 0.08
-    """Spread of ln(flow) over a whole sweep from which it is asked whether the plate moved at all."""
-    feedback_plausibility_force_ratio: float = 0.5
-    """The plate did not move if the force itself spreads less than this share of that."""
-    max_std_dev_factor: float = 1.0
-    """Widening of the standard deviation of flow measured away from home, beside what the plate's motion adds."""
+    home_every: int = quantity(2, 1, 50, "angles", "the plate returns home after this many")
+    """So that home windows bracket the flow."""
+    windows_per_step: int = quantity(2, 1, 60, "s", "seconds measured at each angle")
+    min_flow_kg_s: float = quantity(4.0, 0.1, 25.0, "kg/s", "minimum flow for a sweep")
+    steady_windows: int = quantity(8, 2, 600, "s", "seconds of steady flow before a sweep")
+    steady_cv: float = quantity(0.08, 0.001, 1.0, "1", "largest standard deviation over mean in these seconds")
+    flow_change: float = quantity(0.25, 0.01, 1.0, "1", "change of flow at home that ends a sweep")
+    flow_change_away: float = quantity(0.6, 0.01, 10.0, "1", "the same at other angles")
+    """Larger because the estimate leans on the parameters under test."""
+    speed_change: float = quantity(0.06, 0.001, 1.0, "1", "change of elevator speed that ends a sweep")
+    move_margin_s: float = quantity(3.0, 0.1, 60.0, "s", "time beyond travel / rate that sets PlateNotFollowing")
+    settle_s: float = quantity(0.5, 0.0, 60.0, "s", "time on target before measuring")
+    settle_timeout_s: float = quantity(6.0, 0.5, 120.0, "s", "longest wait for the plate to settle")
+    measure_timeout_s: float = quantity(12.0, 1.0, 600.0, "s", "longest time at one angle")
+    signal_trend: float = quantity(
+        5.0, 0.5, 100.0, "standard errors", "difference between a window's halves that means not settled"
+    )
+    return_timeout_s: float = quantity(10.0, 0.5, 120.0, "s", "longest time for the return home")
+    home_rest_s: float = quantity(3.0, 0.0, 600.0, "s", "rest away from home before the plate is driven home")
+    home_retry_s: float = quantity(20.0, 1.0, 1e5, "s", "wait before the plate is driven home again after a failure")
+    backoff_s: float = quantity(60.0, 1.0, 1e5, "s", "wait after an aborted sweep; doubles up to the interval")
+    feedback_plausibility_flow_spread: float = quantity(
+        0.08, 0.0, 5.0, "1", "spread of ln(flow) over a sweep from which the angle feedback is checked"
+    )
+    feedback_plausibility_force_ratio: float = quantity(
+        0.5, 0.0, 1.0, "1", "the plate did not move if the spread of force is below this share of it"
+    )
+    max_std_dev_factor: float = quantity(1.0, 1.0, 10.0, "1", "factor on the flow's standard deviation away from home")
+    """Beside what the plate's motion adds."""
 
 
 @dataclass(frozen=True, slots=True)
 class FaultSettings:
-    """Hysteresis that is more than a count of windows, and limits that belong to no other part."""
+    """Limits of faults without a section of their own."""
 
-    stuck_windows: int = 5
-    """Windows with every sample equal before the sensor counts as stuck."""
-    calibration_old_s: float = 30.0 * S_PER_DAY
-    zero_missing_s: float = 60.0
-    """Time with the elevator running, the plate at home and no first zero after which that is a fault."""
-    clock_jump_hold_windows: int = 10
-    mass_near_end: float = 0.95
-    """Share of the largest mass that a signal carries from which that is a fault."""
-    scale_disagrees_p: float = 0.001
-    """Probability of so large a difference by chance below which a weighed mass contradicts the calibration."""
-    scale_agrees_p: float = 0.05
-    """Probability from which a weighed mass agrees again."""
-
-
-@dataclass(frozen=True, slots=True)
-class DisagreementSettings:
-    """When the residual pattern that sweeps share is the model's."""
-
-    keep_sweeps: int = 16
-    """Newest sweeps that are looked at together."""
-    least_sweeps: int = 4
-    tolerance: float = 0.005
-    """Tolerated relative error of the model at one plate angle (standard deviation)."""
-    begin_p: float = 0.001
-    """Probability of so strong a pattern by chance below which the model is said to disagree."""
-    end_p: float = 0.05
-    """Probability above which it no longer is."""
+    stuck_windows: int = quantity(5, 1, 600, "s", "seconds of equal samples that set SensorStuck")
+    calibration_old_s: float = quantity(30.0 * S_PER_DAY, 3600.0, 1e9, "s", "age of the calibration that sets CalibrationOld")
+    mass_near_end: float = quantity(0.95, 0.1, 1.0, "1", "share of a mass signal's range that sets MassNearEnd")
+    clock_jump_hold_windows: int = quantity(10, 1, 3600, "s", "duration of ClockJumped")
+    scale_disagrees_p: float = quantity(0.001, 1e-9, 0.05, "1", "p-value below which a weighed mass contradicts the calibration")
+    scale_agrees_p: float = quantity(0.05, 1e-6, 0.5, "1", "p-value from which a weighed mass agrees with the calibration again")
+    zero_missing_s: float = quantity(60.0, 5.0, 3600.0, "s", "running time without a zero that sets ZeroMissing")
+    """With the plate at home."""
 
 
 @dataclass(frozen=True, slots=True)
 class ReferenceMassSettings:
     """Reference masses from a tank scale."""
 
-    min_increment_kg: float = 1000.0
-    scale_std_dev_kg: float = 20.0
-    unloading_kg: float = 50.0
-    """A fall of the tank mass by this much is unloading."""
-    keep: int = 64
+    min_increment_kg: float = quantity(1000.0, 10.0, 1e5, "kg", "smallest gain of tank mass that is a reference")
+    scale_std_dev_kg: float = quantity(20.0, 0.1, 1e4, "kg", "standard deviation of the scale")
+    unloading_kg: float = quantity(50.0, 1.0, 1e4, "kg", "fall of the tank mass that means unloading")
+    keep: int = quantity(64, 1, 10_000, "references", "number of newest references to keep")
+
+
+@dataclass(frozen=True, slots=True)
+class DisagreementSettings:
+    """The fault ModelDisagrees: residuals of several sweeps show that the model lacks an effect."""
+
+    keep_sweeps: int = quantity(16, 2, 200, "sweeps", "number of newest sweeps to test together")
+    least_sweeps: int = quantity(4, 2, 200, "sweeps", "minimum number of sweeps for a verdict")
+    tolerance: float = quantity(0.005, 0.0, 0.5, "1", "tolerated relative model error at a plate angle")
+    begin_p: float = quantity(0.001, 0.0, 0.5, "1", "p-value below which the fault begins")
+    """The probability of so strong a pattern by chance."""
+    end_p: float = quantity(0.05, 0.0, 1.0, "1", "p-value above which the fault ends")
 
 
 @dataclass(frozen=True, slots=True)
 class WaveformSettings:
-    """Flow from the pulses' shape and from kernel noise, beside the mean force (docs/internals/waveform.md)."""
+    """Flow from pulse shape and kernel noise, in addition to the mean force.
 
-    enabled: bool = False
-    combine: bool = False
-    """Publish and count mean force, shape and kernel noise together, by their covariance."""
-    update_parameters: bool = False
-    """Let kernel noise update the parameters, with one bias common to all its updates; then it corrects nothing published."""
-    update_windows: int = 1800
-    """Seconds of grain with a flow by kernel noise from one update to the next."""
-    harmonics: int = 20
-    """Harmonics of the paddle pattern that are fitted."""
-    model_error: float = 0.1
-    """The pulse model's own error, relative, standard deviation."""
-    friction_sd: float = 0.3
-    """Relative standard deviation of friction beside the shape."""
-    shape_ratio_sd: float = 0.1
-    """Relative standard deviation of the heap's shape ratio."""
-    stretch: float = 1.0
-    """Time over which a load arrives, over that of straight paths; 1.2 to 1.5 in discrete elements. From weighed loads."""
-    stretch_sd: float = 0.2
-    """Its relative standard deviation; 0.03 once it has been calibrated on the machine."""
-    tail_s: float = 0.002
-    """Mean time for which grain goes on pushing once it has struck; 3 to 8 ms in discrete elements."""
-    tail_sd: float = 1.0
-    """Standard deviation of its logarithm."""
-    shape_terms: bool = False
-    """Stretch and tail by the terms of `shape`, with its covariance, in place of the four above."""
+    See docs/internals/waveform.md.
+    """
+
+    enabled: bool = choice(False, "evaluate single samples")
+    combine: bool = choice(False, "publish the flow of mean force, shape and kernels combined")
+    """By their covariance; then mass is counted from it as well."""
+    update_parameters: bool = choice(False, "let kernel noise update the parameters")
+    """With one bias common to all its updates; then it corrects nothing published."""
+    update_windows: int = quantity(1800, 60, 100_000, "s", "time with grain between updates")
+    harmonics: int = quantity(20, 4, 21, "harmonics", "harmonics of the paddle pattern")
+    model_error: float = quantity(0.1, 0.001, 0.5, "1", "relative error of the pulse model")
+    friction_sd: float = quantity(0.3, 0.001, 1.0, "1", "relative standard deviation of friction")
+    shape_ratio_sd: float = quantity(0.1, 0.001, 1.0, "1", "the same of the shape ratio")
+    stretch: float = quantity(1.0, 0.5, 3.0, "1", "duration of arrival relative to straight paths")
+    """1.2 to 1.5 in discrete elements. From weighed loads."""
+    stretch_sd: float = quantity(0.2, 0.0, 1.0, "1", "its relative standard deviation; 0.03 once calibrated")
+    tail_s: float = quantity(0.002, 1e-4, 0.1, "s", "mean time that grain pushes after impact")
+    """3 to 8 ms in discrete elements."""
+    tail_sd: float = quantity(1.0, 0.0, 3.0, "1", "standard deviation of its logarithm")
+    shape_terms: bool = choice(False, "take stretch and tail from pulse_shape_file")
+    """By the terms of `shape`, with its covariance."""
+    response_error: float = quantity(0.05, 0.001, 1.0, "1", "relative standard deviation of sensor.response_s")
+    largest_misfit: float = quantity(4.0, 1.0, 1000.0, "1", "misfit above which pulses contradict")
+    """Mean square of the fit's residuals, in their own standard deviations."""
+    contradiction_windows: int = quantity(30, 5, 3600, "s", "windows to compare")
+    contradiction_z: float = quantity(3.0, 1.0, 20.0, "1", "difference, in standard deviations, that contradicts")
+    """Between shape and mean force over `contradiction_windows`."""
+    hit_sd: float = quantity(0.05, 0.0, 1.0, "1", "relative error that force and kernels share")
+    """Grain that misses the plate, or strikes it again."""
+    thousand_kernel_weight_g: float = quantity(0.0, 0.0, THOUSAND_KERNELS_G[1], "g", "mass of a thousand kernels; 0: not known")
+    """Without it kernel noise gives no flow."""
+    thousand_kernel_weights_g: Mapping[str, float] = by_name(*THOUSAND_KERNELS_G, "g", "the same by crop")
+    """Takes precedence."""
+    kernel_mass_sd: float = quantity(0.03, 0.0, 1.0, "1", "its relative standard deviation")
+    kernel_low_hz: float = quantity(200.0, 20.0, 5000.0, "Hz", "lowest frequency of kernel noise, above the pulses")
+    kernel_high_hz: float = quantity(800.0, 20.0, 5000.0, "Hz", "highest frequency, below 1/contact time")
+    kernel_bias: float = quantity(1.2, 0.2, 3.0, "1", "impulse of a kernel, relative to its mass times impulse per kilogram")
+    """From studies/waveform."""
+    kernel_bias_sd: float = quantity(0.15, 0.0, 1.0, "1", "its standard deviation")
+    quiet_error: float = quantity(0.1, 0.0, 1.0, "1", "relative standard deviation of background noise")
+    samples_averaged: bool = choice(True, "samples are averages; false: instantaneous")
+    quiet_windows: int = quantity(5, 1, 3600, "s", "windows of the empty machine, and of grain, before a first flow")
+    kernel_windows: int = quantity(60, 5, 3600, "s", "windows to average")
     shape: ArrivalLaw | None = None
     """Law and range of the pulse-shape file; outside the range, or without one, the shape gives no flow."""
-    response_error: float = 0.05
-    """Relative standard deviation of the cell's time constant, which the machine file states."""
-    largest_misfit: float = 4.0
-    """Mean square of the fit's residuals, in their own standard deviations, above which the pulses are not the model's."""
-    contradiction_windows: int = 30
-    contradiction_z: float = 3.0
-    """Standard deviations between shape and mean force over those windows from which they contradict."""
-    hit_sd: float = 0.05
-    """Relative standard deviation of what mean force and kernel noise lose or gain alike: grain that misses the plate, or strikes
-    it again."""
-    thousand_kernel_weight_g: float = 0.0
-    """Mass of a thousand kernels; 0: not known, and kernel noise gives no flow."""
-    thousand_kernel_weights_g: Mapping[str, float] = field(default_factory=dict)
-    """The same by crop; goes before it."""
-    kernel_mass_sd: float = 0.03
-    kernel_low_hz: float = 200.0
-    kernel_high_hz: float = 800.0
-    kernel_bias: float = 1.2
-    """Impulse of a kernel over its mass times the impulse per kilogram (studies/waveform)."""
-    kernel_bias_sd: float = 0.15
-    quiet_error: float = 0.1
-    """Relative standard deviation of the background's noise between empty and harvesting."""
-    samples_averaged: bool = True
-    """Whether each sample is the mean of the force over its interval, as kernel noise takes it; else its value at one instant."""
-    quiet_windows: int = 5
-    """Windows of the empty machine, and of harvest, before kernel noise says anything."""
-    kernel_windows: int = 60
 
 
 @dataclass(frozen=True, slots=True)
 class EngineSettings:
-    """All of the above."""
+    """All of the above, in the order of the configuration file."""
 
     clock: ClockSettings = field(default_factory=ClockSettings)
     windows: WindowSettings = field(default_factory=WindowSettings)
     inputs: InputSettings = field(default_factory=InputSettings)
     zero: ZeroSettings = field(default_factory=ZeroSettings)
     gate: GateSettings = field(default_factory=GateSettings)
-    flow_filter: FlowFilterSettings = field(default_factory=FlowFilterSettings)
     totals: TotalsSettings = field(default_factory=TotalsSettings)
     budget: BudgetSettings = field(default_factory=BudgetSettings)
+    flow_filter: FlowFilterSettings = field(default_factory=FlowFilterSettings)
     plate: PlateSettings = field(default_factory=PlateSettings)
     sweep: SweepSettings = field(default_factory=SweepSettings)
     faults: FaultSettings = field(default_factory=FaultSettings)
-    disagreement: DisagreementSettings = field(default_factory=DisagreementSettings)
     reference_masses: ReferenceMassSettings = field(default_factory=ReferenceMassSettings)
+    disagreement: DisagreementSettings = field(default_factory=DisagreementSettings)
     waveform: WaveformSettings = field(default_factory=WaveformSettings)

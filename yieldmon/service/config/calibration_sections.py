@@ -1,118 +1,15 @@
-"""Sections of the configuration file about how the machine calibrates itself: plate, sweeps, reference masses, learning, drift.
-
-The defaults are the engine's own.
-"""
+"""Sections of the configuration file about how sweeps and weighed loads update the parameters, and how these drift between."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Literal
 
-from pydantic import Field, create_model
+from pydantic import create_model
 
 from yieldmon.engine.calibrator_settings import CalibratorSettings
-from yieldmon.engine.settings import EngineSettings
 from yieldmon.physics.grain import GRAIN
 from yieldmon.service.config.section import Section, choice, quantity
-
-_ENGINE = EngineSettings()
-_P = _ENGINE.plate
-
-
-class Plate(Section):
-    """Limits of plate commands, inside the range of the machine file."""
-
-    fixed_angle_deg: float | None = quantity(
-        _P.fixed_angle_deg, 10.0, 170.0, "deg", "angle of a fixed plate: no feedback needed, no sweeps; null: the plate moves"
-    )
-    max_rate_deg_s: float = quantity(_P.max_rate_deg_s, 0.5, 90.0, "deg/s", "fastest change of the target")
-    command_interval_s: float = quantity(_P.command_interval_s, 0.02, 1.0, "s", "interval of commands while the plate moves")
-    at_target_tolerance_deg: float = quantity(
-        _P.at_target_tolerance_deg, 0.05, 5.0, "deg", "largest difference from the target angle that counts as reached"
-    )
-
-
-_S = _ENGINE.sweep
-
-
-class Sweep(Section):
-    """Self-calibration sweeps of the plate."""
-
-    enabled: bool = choice(_S.enabled, "allow sweeps; false: the plate never moves")
-    when: Literal["interval", "information"] = choice(
-        _S.when, "sweep after each interval, or only if it improves the flow more than harvesting on"
-    )
-    worth_ratio: float = quantity(
-        _S.worth_ratio, 1.0, 10.0, "1", "information: least ratio of the flow's standard deviation without to that with a sweep"
-    )
-    interval_s: float = quantity(_S.interval_s, 60.0, 1e6, "s", "interval of sweeps")
-    first_after_s: float = quantity(_S.first_after_s, 0.0, 1e6, "s", "harvesting time before the first sweep")
-    angles_deg: list[float] = Field(
-        default=list(_S.angles_deg), min_length=1, max_length=50, description="angles to visit, in the machine's range",
-        json_schema_extra={"unit": "deg"},
-    )  # fmt: skip
-    home_every: int = quantity(_S.home_every, 1, 50, "angles", "the plate returns home after this many")
-    windows_per_step: int = quantity(_S.windows_per_step, 1, 60, "s", "seconds measured at each angle")
-    min_flow_kg_s: float = quantity(_S.min_flow_kg_s, 0.1, 25.0, "kg/s", "minimum flow for a sweep")
-    steady_windows: int = quantity(_S.steady_windows, 2, 600, "s", "seconds of steady flow before a sweep")
-    steady_cv: float = quantity(_S.steady_cv, 0.001, 1.0, "1", "largest standard deviation over mean in these seconds")
-    flow_change: float = quantity(_S.flow_change, 0.01, 1.0, "1", "change of flow at home that ends a sweep")
-    flow_change_away: float = quantity(_S.flow_change_away, 0.01, 10.0, "1", "the same at other angles")
-    speed_change: float = quantity(_S.speed_change, 0.001, 1.0, "1", "change of elevator speed that ends a sweep")
-    move_margin_s: float = quantity(_S.move_margin_s, 0.1, 60.0, "s", "time beyond travel / rate that sets PlateNotFollowing")
-    settle_s: float = quantity(_S.settle_s, 0.0, 60.0, "s", "time on target before measuring")
-    settle_timeout_s: float = quantity(_S.settle_timeout_s, 0.5, 120.0, "s", "longest wait for the plate to settle")
-    measure_timeout_s: float = quantity(_S.measure_timeout_s, 1.0, 600.0, "s", "longest time at one angle")
-    signal_trend: float = quantity(
-        _S.signal_trend, 0.5, 100.0, "standard errors", "difference between a window's halves that means not settled"
-    )
-    return_timeout_s: float = quantity(_S.return_timeout_s, 0.5, 120.0, "s", "longest time for the return home")
-    home_rest_s: float = quantity(_S.home_rest_s, 0.0, 600.0, "s", "rest away from home before the plate is driven home")
-    home_retry_s: float = quantity(_S.home_retry_s, 1.0, 1e5, "s", "wait before the plate is driven home again after a failure")
-    backoff_s: float = quantity(_S.backoff_s, 1.0, 1e5, "s", "wait after an aborted sweep; doubles up to the interval")
-    feedback_plausibility_flow_spread: float = quantity(
-        _S.feedback_plausibility_flow_spread,
-        0.0,
-        5.0,
-        "1",
-        "spread of ln(flow) over a sweep from which the angle feedback is checked",
-    )
-    feedback_plausibility_force_ratio: float = quantity(
-        _S.feedback_plausibility_force_ratio,
-        0.0,
-        1.0,
-        "1",
-        "the plate did not move if the spread of force is below this share of it",
-    )
-    max_std_dev_factor: float = quantity(
-        _S.max_std_dev_factor, 1.0, 10.0, "1", "factor on the flow's standard deviation away from home"
-    )
-
-
-_A = _ENGINE.reference_masses
-
-
-class ReferenceMasses(Section):
-    """Reference masses from a tank scale."""
-
-    min_increment_kg: float = quantity(_A.min_increment_kg, 10.0, 1e5, "kg", "smallest gain of tank mass that is a reference")
-    scale_std_dev_kg: float = quantity(_A.scale_std_dev_kg, 0.1, 1e4, "kg", "standard deviation of the scale")
-    unloading_kg: float = quantity(_A.unloading_kg, 1.0, 1e4, "kg", "fall of the tank mass that means unloading")
-    keep: int = quantity(_A.keep, 1, 10_000, "references", "number of newest references to keep")
-
-
-_D = _ENGINE.disagreement
-
-
-class Disagreement(Section):
-    """The fault ModelDisagrees: residuals of several sweeps show that the model lacks an effect."""
-
-    keep_sweeps: int = quantity(_D.keep_sweeps, 2, 200, "sweeps", "number of newest sweeps to test together")
-    least_sweeps: int = quantity(_D.least_sweeps, 2, 200, "sweeps", "minimum number of sweeps for a verdict")
-    tolerance: float = quantity(_D.tolerance, 0.0, 0.5, "1", "tolerated relative model error at a plate angle")
-    begin_p: float = quantity(_D.begin_p, 0.0, 0.5, "1", "p-value below which the fault begins")
-    end_p: float = quantity(_D.end_p, 0.0, 1.0, "1", "p-value above which the fault ends")
-
 
 _L = CalibratorSettings()
 _K = _L.closed_loop

@@ -29,8 +29,9 @@ from yieldmon.physics.machine import SAME_ANGLE_RAD, Machine
 from yieldmon.resources import shipped
 from yieldmon.service.answering import answer_or
 from yieldmon.service.config.contradictions import contradictions
-from yieldmon.service.config.document import ENGINE_SECTIONS, Document
+from yieldmon.service.config.document import Document
 from yieldmon.service.config.document_text import problems_of
+from yieldmon.service.config.engine_sections import engine_settings
 from yieldmon.service.config.former_keys import with_present_keys
 from yieldmon.service.config.named_file import load_named
 from yieldmon.service.config.output_section import output_map
@@ -126,7 +127,9 @@ def build(content: Any, path: Path, environment: Mapping[str, str] = os.environ)
         raise ConfigurationError(problems_of(error, str(path))) from error
     named = _named_files(document, path)
     machine, curve = named.machine, named.curve
-    asked = (document.signals, path, machine, document.plate.fixed_angle_deg)
+    engine = engine_settings(document)
+    fixed_angle_deg = engine.plate.fixed_angle_deg
+    asked = (document.signals, path, machine, fixed_angle_deg)
     try:
         mapping, databases = signal_map(*asked)
     except InputError as error:
@@ -135,7 +138,7 @@ def build(content: Any, path: Path, environment: Mapping[str, str] = os.environ)
         document.outputs.signals, path, machine, mapping,
         with_shipped=document.outputs.shipped,
         network=document.network.enabled,
-        fixed_plate=document.plate.fixed_angle_deg is not None,
+        fixed_plate=fixed_angle_deg is not None,
     )  # fmt: skip
     runtime, prometheus = runtime_folder(environment), document.status.prometheus_file
     named_path = state_folder(environment) / document.store.path
@@ -144,10 +147,10 @@ def build(content: Any, path: Path, environment: Mapping[str, str] = os.environ)
     prometheus_path = runtime / prometheus if prometheus is not None else None
     read = (path, *named.paths, *databases, *written)
     conflicts = file_conflicts(store_path, socket_path, prometheus_path, read)
-    problems = [InputError(f"{path}: {key}", *rest) for key, *rest in (*contradictions(document, machine), *conflicts)]
+    problems = [InputError(f"{path}: {key}", *rest) for key, *rest in (*contradictions(document, engine, machine), *conflicts)]
     if problems:
         raise ConfigurationError(problems)
-    machine = _with_fixed_plate(machine, document.plate.fixed_angle_deg)
+    machine = _with_fixed_plate(machine, fixed_angle_deg)
     parameters = parameter_file.on_a_machine(load_named(path, "parameter_file", _in_newtons, named.parameter_path), machine)
     if curve is not None:
         parameters = with_curve(parameters, curve)
@@ -155,7 +158,7 @@ def build(content: Any, path: Path, environment: Mapping[str, str] = os.environ)
     return Configuration(
         path=path,
         document=document,
-        engine=_with_shape(_fitted(engine_settings(document), document, mapping), named.shape),
+        engine=_with_shape(_fitted(engine, document, mapping), named.shape),
         signals=mapping,
         outputs=outputs,
         database_paths=tuple(dict.fromkeys((*databases, *written))),
@@ -254,21 +257,9 @@ def _in_newtons(path: Path) -> ParameterSet:
     return parameters
 
 
-def engine_settings(document: Document) -> EngineSettings:
-    """The engine's settings that a document asks for."""
-    defaults = EngineSettings()
-    sections = {}
-    for name in ENGINE_SECTIONS:
-        values = {
-            key: tuple(value) if isinstance(value, list) else value for key, value in getattr(document, name).model_dump().items()
-        }
-        sections[name] = dataclasses.replace(getattr(defaults, name), **values)
-    return dataclasses.replace(defaults, **sections)
-
-
 def _fitted(settings: EngineSettings, document: Document, mapping: SignalMap) -> EngineSettings:
     """The settings with what a bolted plate, a curve and a slow sensor ask for: no sweep, and ten frames of patience."""
-    if document.plate.fixed_angle_deg is not None or document.estimator_file is not None:
+    if settings.plate.fixed_angle_deg is not None or document.estimator_file is not None:
         settings = _without_sweeps(settings)
     if "sensor_timeout_s" not in document.inputs.model_fields_set:
         slowest_s = max(source.interval_s * len(source.signals) for source in mapping.sources.impact)

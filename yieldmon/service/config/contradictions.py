@@ -7,6 +7,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
+from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.sources import THOUSAND_KERNELS_G
 from yieldmon.physics.machine import Machine
 from yieldmon.service.config.document import Document
@@ -26,11 +27,11 @@ _NAMED_BUS_OPTIONS = frozenset({
 })  # fmt: skip
 
 
-def contradictions(document: Document, machine: Machine) -> Iterator[tuple[str, str, str]]:
+def contradictions(document: Document, engine: EngineSettings, machine: Machine) -> Iterator[tuple[str, str, str]]:
     """(key, value, expected) where keys that are right by themselves do not go together."""
     yield from _of_the_service(document)
-    yield from _of_the_measurement(document)
-    yield from _of_the_sweep(document, machine)
+    yield from _of_the_measurement(engine)
+    yield from _of_the_sweep(engine, machine)
 
 
 def _of_the_service(document: Document) -> Iterator[tuple[str, str, str]]:
@@ -48,28 +49,28 @@ def _of_the_service(document: Document) -> Iterator[tuple[str, str, str]]:
         yield "status.socket", problem, f"at most {LONGEST_SOCKET_BYTES}, which is what a socket's address has room for"
 
 
-def _of_the_measurement(document: Document) -> Iterator[tuple[str, str, str]]:
-    gate = document.gate
+def _of_the_measurement(engine: EngineSettings) -> Iterator[tuple[str, str, str]]:
+    gate = engine.gate
     if gate.grain_off_n > gate.grain_on_n:
         yield "gate.grain_off_n", f"{gate.grain_off_n:g}", f"at most gate.grain_on_n, {gate.grain_on_n:g} N"
     if gate.certain_force_n < gate.grain_on_n:
         yield "gate.certain_force_n", f"{gate.certain_force_n:g}", f"at least gate.grain_on_n, {gate.grain_on_n:g} N"
-    waveform = document.waveform
+    waveform = engine.waveform
     if waveform.kernel_low_hz >= waveform.kernel_high_hz:
         expected = f"below waveform.kernel_high_hz, {waveform.kernel_high_hz:g} Hz"
         yield "waveform.kernel_low_hz", f"{waveform.kernel_low_hz:g}", expected
     if 0.0 < waveform.thousand_kernel_weight_g < THOUSAND_KERNELS_G[0]:
         expected = f"0, or from {THOUSAND_KERNELS_G[0]:g} g, the mass of a thousand kernels"
         yield "waveform.thousand_kernel_weight_g", f"{waveform.thousand_kernel_weight_g:g}", expected
-    windows = document.windows
+    windows = engine.windows
     if windows.min_coverage > windows.full_coverage:
         expected = f"at most windows.full_coverage, {windows.full_coverage:g}"
         yield "windows.min_coverage", f"{windows.min_coverage:g}", expected
 
 
-def _of_the_sweep(document: Document, machine: Machine) -> Iterator[tuple[str, str, str]]:
-    sweep = document.sweep
-    if not sweep.enabled or document.plate.fixed_angle_deg is not None:
+def _of_the_sweep(engine: EngineSettings, machine: Machine) -> Iterator[tuple[str, str, str]]:
+    sweep = engine.sweep
+    if not sweep.enabled or engine.plate.fixed_angle_deg is not None:
         return
     needed_s = sweep.windows_per_step + _BESIDE_WINDOWS_S
     if sweep.measure_timeout_s < needed_s:

@@ -7,34 +7,19 @@ from typing import Any, Literal
 from pydantic import Field
 
 from yieldmon.service.config.calibration_sections import (
-    Disagreement,
     DriftLimit,
     DriftPerRootHour,
     DriftPerRootKilotonne,
     Learning,
-    Plate,
-    ReferenceMasses,
     SteadyDriftPerKilotonne,
-    Sweep,
 )
-from yieldmon.service.config.measurement_sections import (
-    Budget,
-    Clock,
-    Faults,
-    FlowFilter,
-    Gate,
-    Inputs,
-    Totals,
-    Waveform,
-    Windows,
-    Zero,
-)
+from yieldmon.service.config.engine_sections import EngineSections
 from yieldmon.service.config.section import Section, choice, text
 from yieldmon.service.config.service_sections import Bus, Diagnostics, Logging, Network, Outputs, Status, Store
 
 
-class Document(Section):
-    """The whole file. Every key may be left out; its default is shown here."""
+class ServiceKeys(Section):
+    """Keys outside sections, and the sections of the service."""
 
     machine_file: str | None = text(None, "machine geometry; null: the shipped 8-tooth sprocket")
     parameter_file: str | None = text(None, "grain parameters; null: the shipped corn")
@@ -58,29 +43,13 @@ class Document(Section):
     diagnostics: Diagnostics = Diagnostics()
     network: Network = Network()
     logging: Logging = Logging()
-    clock: Clock = Clock()
-    windows: Windows = Windows()
-    inputs: Inputs = Inputs()
-    zero: Zero = Zero()
-    gate: Gate = Gate()
-    totals: Totals = Totals()
-    budget: Budget = Budget()
-    flow_filter: FlowFilter = FlowFilter()
-    plate: Plate = Plate()
-    sweep: Sweep = Sweep()
-    faults: Faults = Faults()
-    reference_masses: ReferenceMasses = ReferenceMasses()
-    disagreement: Disagreement = Disagreement()
-    waveform: Waveform = Waveform()
+
+
+class Document(EngineSections, ServiceKeys):
+    """The whole file, in the order of its bases and these keys. Every key may be left out; its default is shown here."""
+
     learning: Learning = Learning()
     drift_per_root_hour: DriftPerRootHour = DriftPerRootHour()
     drift_per_root_kilotonne: DriftPerRootKilotonne = DriftPerRootKilotonne()
     steady_drift_per_kilotonne: SteadyDriftPerKilotonne = SteadyDriftPerKilotonne()
     drift_limit: DriftLimit = DriftLimit()
-
-
-#: Sections that hand their keys to the engine's settings of the same name.
-ENGINE_SECTIONS = (
-    "clock", "windows", "inputs", "zero", "gate", "totals", "budget", "flow_filter", "plate", "sweep", "faults",
-    "reference_masses", "disagreement", "waveform",
-)  # fmt: skip

@@ -67,7 +67,7 @@ def notes(configuration: Configuration) -> list[str]:
             f"impact_force is taken as the bus has it: gain_n_per_mv of the machine file ({gain:.4g}) does not act on it; where "
             "weights hung on the plate gave that gain, bind impact_voltage with unit: mV to the same signals"
         )
-    if configuration.document.plate.fixed_angle_deg is not None:
+    if configuration.engine.plate.fixed_angle_deg is not None:
         home = degrees(configuration.machine.home_plate_angle_rad)
         found.append(f"the plate is fixed at {home:g} deg: no feedback is wanted and no sweep runs")
     for name, value in configuration.signals.sources.fixed.items():
