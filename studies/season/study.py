@@ -26,14 +26,14 @@ from yieldmon.estimation.fitting.stop_gap import with_stop_gap
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.self_calibration.angle_pattern import with_pattern
-from yieldmon.estimation.self_calibration.closed_loop import learn as learn_from_sweeps
+from yieldmon.estimation.self_calibration.closed_loop import fit_parameters as learn_from_sweeps
 from yieldmon.estimation.self_calibration.closed_loop import update_from_tickets
 from yieldmon.estimation.self_calibration.closed_loop_inputs import Sweep, WeighedMass
 from yieldmon.estimation.self_calibration.closed_loop_outcome import Outcome as Update
 from yieldmon.estimation.self_calibration.drift_rates import DriftRates
 from yieldmon.estimation.self_calibration.drift_updates import DriftUpdate, by_weighed_masses, ending
 from yieldmon.estimation.self_calibration.misfit import ReducedSweep, reduce_sweep
-from yieldmon.estimation.self_calibration.steady_drift import Advance, advance, begin, learn, smoothed
+from yieldmon.estimation.self_calibration.steady_drift import Advance, advance, begin, smoothed, updated
 from yieldmon.estimation.self_calibration.sweep_model_error import model_error
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
@@ -446,7 +446,7 @@ class Keeper:
         taken = update.updated and admitted
         widening = update.prior_widening if taken else 1.0
         if taken:
-            self.drifting = learn(self.drifting, update.parameter_set, widening=widening)
+            self.drifting = updated(self.drifting, update.parameter_set, widening=widening)
             self.parameters = self.drifting.parameters
             self.updates += 1
         now = self.drifting

@@ -24,7 +24,7 @@ from yieldmon.estimation.self_calibration import drift_spread
 from yieldmon.estimation.self_calibration.closed_loop import update_from_tickets
 from yieldmon.estimation.self_calibration.closed_loop_inputs import WeighedMass
 from yieldmon.estimation.self_calibration.closed_loop_outcome import Outcome
-from yieldmon.estimation.self_calibration.steady_drift import advance, begin, forgotten, learn, widened
+from yieldmon.estimation.self_calibration.steady_drift import advance, begin, forgotten, updated, widened
 from yieldmon.estimation.waveform import common_bias
 from yieldmon.estimation.waveform.common_bias import WANDER as BIAS_WANDER
 from yieldmon.estimation.waveform.common_bias import CommonBias, KernelMeasurement
@@ -194,7 +194,7 @@ class DriftingSeason:
         if not outcome.updated:
             return
         before, widening, bias = self.known, outcome.prior_widening, self.bias
-        after = learn(before, outcome.parameter_set, widening=widening)
+        after = updated(before, outcome.parameter_set, widening=widening)
         prior = _joined(widened(before.joint, before.parameters.covariance_names, widening), bias)
         if bias is not None:
             self.bias = common_bias.followed(bias, before, after, widening=widening)

@@ -17,7 +17,7 @@ from studies.waveform.season import HOME_RAD, SPEED_RAD_S
 from yieldmon.engine.settings import SweepSettings
 from yieldmon.engine.sweeps.sweep import sweep_sequence
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
-from yieldmon.estimation.self_calibration.closed_loop import learn
+from yieldmon.estimation.self_calibration.closed_loop import fit_parameters
 from yieldmon.estimation.self_calibration.closed_loop_inputs import Sweep
 from yieldmon.estimation.self_calibration.flow_process import correlation
 from yieldmon.estimation.self_calibration.steady_drift import DriftingParameters
@@ -55,7 +55,7 @@ def _swept(of: DriftingSeason, seed: int) -> None:
     off = np.array([of.error_at[angle] for angle in STOPS_DEG]) + rng.normal(0.0, NOISE_SD, angles.size)
     force = forces(of.grain, flows, angles) * (1.0 + off)
     sweep = Sweep(TIMES_S, angles, np.full(angles.size, SPEED_RAD_S), force, NOISE_SD * force)
-    of.learn(learn(MODEL, of.known.parameters, [sweep], settings=LOOP))
+    of.learn(fit_parameters(MODEL, of.known.parameters, [sweep], settings=LOOP))
 
 
 def season(

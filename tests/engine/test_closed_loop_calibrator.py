@@ -17,8 +17,8 @@ from yieldmon.engine.mass.load_summary import LoadSummary
 from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.self_calibration.closed_loop_calibrator import ClosedLoopCalibrator
 from yieldmon.engine.self_calibration.curve_states import in_names
-from yieldmon.engine.self_calibration.learning import Learning
 from yieldmon.engine.self_calibration.load_forces import LoadForces, LoadForceSums
+from yieldmon.engine.self_calibration.parameter_updater import ParameterUpdater
 from yieldmon.engine.self_calibration.reference_mass import ReferenceMass, ReferenceSource
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.state import EngineState
@@ -295,8 +295,8 @@ def test_time_and_grain_widen_the_prior() -> None:
     assert first.estimator is not None
     calibrator.update(records(12.0, start_s=36000.0), first.estimator)
     assert calibrator.last is not None
-    for learning in calibrator.last.parameters:
-        assert learning.prior_sd > first.estimator.parameters.standard_deviation(learning.name)
+    for update in calibrator.last.parameters:
+        assert update.prior_sd > first.estimator.parameters.standard_deviation(update.name)
 
 
 STEADY = dataclasses.replace(
@@ -406,14 +406,14 @@ def test_a_drift_that_is_followed_is_no_calibration() -> None:
     """The age since the last update goes on, and the event says what moved the parameters."""
     calibrator = ClosedLoopCalibrator(MODEL, STEADY)
     estimator = after_updates(calibrator, range(20), OpenLoop(MODEL, EXACT_PRIOR))
-    learning = Learning(EngineSettings(), MACHINE, estimator, calibrator)
-    learning.use(estimator, 100.0)
+    updater = ParameterUpdater(EngineSettings(), MACHINE, estimator, calibrator)
+    updater.use(estimator, 100.0)
     sweep = SweepMachine(EngineSettings().sweep, EngineSettings().plate, float(np.degrees(MACHINE.home_plate_angle_rad)))
-    (changed,) = learning.learn(10.0, _second(30.0), sweep)
+    (changed,) = updater.update(10.0, _second(30.0), sweep)
     assert (changed.origin, changed.reason) == ("drift", "moved by steady drift")
-    assert learning.estimator.parameters is changed.parameters
-    assert learning.calibration_age_s == 100.0
-    assert learning.learn(11.0, _second(30.0), sweep) == ()
+    assert updater.estimator.parameters is changed.parameters
+    assert updater.calibration_age_s == 100.0
+    assert updater.update(11.0, _second(30.0), sweep) == ()
 
 
 def test_what_was_learnt_of_the_drift_outlives_a_restart() -> None:
@@ -583,8 +583,8 @@ def test_a_weighed_mass_updates_parameters_at_an_end_of_their_range() -> None:
 def test_sweeps_that_would_update_nothing_are_not_begun_by_schedule(friction: float, learns: bool, by_schedule: bool) -> None:
     settings, used = EngineSettings(), OpenLoop(MODEL, dataclasses.replace(PRIOR, values={**PRIOR.values, "friction": friction}))
     sweep = SweepMachine(settings.sweep, settings.plate, float(np.degrees(MACHINE.home_plate_angle_rad)))
-    learning = Learning(settings, MACHINE, used, ClosedLoopCalibrator(MODEL, EXACT) if learns else None)
-    learning.learn(0.0, records(10.0)[0], sweep)
+    updater = ParameterUpdater(settings, MACHINE, used, ClosedLoopCalibrator(MODEL, EXACT) if learns else None)
+    updater.update(0.0, records(10.0)[0], sweep)
     assert sweep.by_schedule is by_schedule
 
 
@@ -607,7 +607,7 @@ def test_a_sweep_that_is_due_begins_where_its_information_suffices(
     home_deg, settings = float(np.degrees(MACHINE.home_plate_angle_rad)), EngineSettings()
     settings = dataclasses.replace(settings, sweep=dataclasses.replace(settings.sweep, when=when, first_after_s=20.0))
     sweep = SweepMachine(settings.sweep, settings.plate, home_deg)
-    learning = Learning(settings, MACHINE, OpenLoop(MODEL, known), ClosedLoopCalibrator(MODEL, CalibratorSettings()))
+    updater = ParameterUpdater(settings, MACHINE, OpenLoop(MODEL, known), ClosedLoopCalibrator(MODEL, CalibratorSettings()))
     home = float(np.real(MODEL.force(Conditions(MACHINE.home_plate_angle_rad, SPEED, mass_flow_kg_s=flow), known.values)))
     for second in range(40):
         sweep.tick(PlateReading(float(second), home_deg, ActuatorState.IDLE))
@@ -616,7 +616,7 @@ def test_a_sweep_that_is_due_begins_where_its_information_suffices(
             plate_angle_rad=MACHINE.home_plate_angle_rad,
         )  # fmt: skip
         sweep.window(SweepWindow(float(second), second - 1.2, flow, home, SPEED, home_deg, whole=True, still=True, trend=0.0))
-        learning.learn(float(second), row, sweep)
+        updater.update(float(second), row, sweep)
     assert bool(sweep.sweep_id) is begins
     assert sweep.declined == declined
     assert bool(sweep.declined_because) is bool(declined)
@@ -639,25 +639,25 @@ def test_a_ticket_that_waits_during_a_sweep_updates_as_one_before_it(
     masses = []
     for waits in (False, True):
         sweep = SweepMachine(settings.sweep, settings.plate, float(np.degrees(MACHINE.home_plate_angle_rad)))
-        learning = Learning(settings, MACHINE, start, ClosedLoopCalibrator(MODEL, EXACT))
+        updater = ParameterUpdater(settings, MACHINE, start, ClosedLoopCalibrator(MODEL, EXACT))
         for number, flow in enumerate(flows, 1):
             at_s = 1000.0 * number
-            load = ticket(learning.estimator, flow, at_s, at_s + 500.0)  # type: ignore[arg-type]
+            load = ticket(updater.estimator, flow, at_s, at_s + 500.0)  # type: ignore[arg-type]
             summary = LoadSummary(number, load.start_s, load.end_s, load.measured_kg, 0.0, 0.0, complete=True)
             if number == 3:
-                before = home_error_pct(learning.estimator, flow)  # type: ignore[arg-type]
+                before = home_error_pct(updater.estimator, flow)  # type: ignore[arg-type]
                 sweep.state = SweepState.MEASURING if waits else SweepState.IDLE
             weighed_kg = load.reference_kg * (factor if number == 3 else 1.0)
-            learning.ticket(number, weighed_kg, 0.003 * weighed_kg, (summary,), at_s)
-            learning.learn(at_s, dataclasses.replace(windows[0], time_s=at_s + 600.0), sweep)
-            assert [mass.load_number for mass in learning.masses.tickets.waiting] == [3] * (waits and number == 3)
+            updater.ticket(number, weighed_kg, 0.003 * weighed_kg, (summary,), at_s)
+            updater.update(at_s, dataclasses.replace(windows[0], time_s=at_s + 600.0), sweep)
+            assert [mass.load_number for mass in updater.masses.tickets.waiting] == [3] * (waits and number == 3)
         sweep.state = SweepState.MEASURING
         for i, window in enumerate(windows):
             sweep.completed = i == len(windows) - 1
-            learning.learn(window.time_s, window, sweep)
-        masses.append(home_error_pct(learning.estimator, flows[-1]))  # type: ignore[arg-type]
-        assert not learning.masses_wait
-        assert learning.masses.tickets.waiting == ()
+            updater.update(window.time_s, window, sweep)
+        masses.append(home_error_pct(updater.estimator, flows[-1]))  # type: ignore[arg-type]
+        assert not updater.masses_wait
+        assert updater.masses.tickets.waiting == ()
     assert masses[1] == pytest.approx(masses[0], abs=0.02)
     assert abs(masses[1] - before) > 0.1
 
@@ -690,56 +690,56 @@ def test_a_load_is_held_against_those_of_its_own_crop() -> None:
     assert "load 7 contradicts the 3 weighed before it by -9.9 %" in outcome.reason
 
 
-def learning_with(known: OpenLoop) -> tuple[Learning, SweepMachine]:
+def updater_with(known: OpenLoop) -> tuple[ParameterUpdater, SweepMachine]:
     settings = EngineSettings()
     sweep = SweepMachine(settings.sweep, settings.plate, float(np.degrees(MACHINE.home_plate_angle_rad)))
-    return Learning(settings, MACHINE, known, ClosedLoopCalibrator(MODEL, EXACT)), sweep
+    return ParameterUpdater(settings, MACHINE, known, ClosedLoopCalibrator(MODEL, EXACT)), sweep
 
 
-def enter(learning: Learning, number: int, factor: float = 1.0) -> float:
+def enter(updater: ParameterUpdater, number: int, factor: float = 1.0) -> float:
     """A ticket for a load of so many; returns its time."""
     at_s = 1000.0 * number
-    load = ticket(learning.estimator, 12.0, at_s, at_s + 500.0)  # type: ignore[arg-type]
+    load = ticket(updater.estimator, 12.0, at_s, at_s + 500.0)  # type: ignore[arg-type]
     summary = LoadSummary(number, load.start_s, load.end_s, load.measured_kg, 0.0, 0.0, complete=True)
-    learning.ticket(number, factor * load.reference_kg, 5.0, (summary,), at_s)
+    updater.ticket(number, factor * load.reference_kg, 5.0, (summary,), at_s)
     return at_s + 600.0
 
 
-def learn_at(learning: Learning, sweep: SweepMachine, at_s: float) -> int:
-    return len(learning.learn(at_s, dataclasses.replace(records(12.0)[0], time_s=at_s, usable_for_calibration=False), sweep))
+def updates_at(updater: ParameterUpdater, sweep: SweepMachine, at_s: float) -> int:
+    return len(updater.update(at_s, dataclasses.replace(records(12.0)[0], time_s=at_s, usable_for_calibration=False), sweep))
 
 
 def test_a_ticket_that_waits_when_the_crop_changes_updates_its_own_crop_alone() -> None:
     wheat, rapeseed = OpenLoop(MODEL, PRIOR), OpenLoop(MODEL, PRIOR)
-    learning, sweep = learning_with(wheat)
-    at_s = enter(learning, 1, 1.1)
-    learning.change_grain("wheat", "rapeseed")
-    learning.use(rapeseed, 0.0)
-    assert learn_at(learning, sweep, at_s) == 0
-    assert learning.estimator is rapeseed
-    learning.change_grain("rapeseed", "wheat")
-    learning.use(wheat, 0.0)
-    assert learn_at(learning, sweep, at_s + 1.0) == 1
-    assert home_error_pct(learning.estimator, 12.0) == pytest.approx(10.0, abs=1.5)  # type: ignore[arg-type]
-    assert learn_at(learning, sweep, at_s + 2.0) == 0
+    updater, sweep = updater_with(wheat)
+    at_s = enter(updater, 1, 1.1)
+    updater.change_grain("wheat", "rapeseed")
+    updater.use(rapeseed, 0.0)
+    assert updates_at(updater, sweep, at_s) == 0
+    assert updater.estimator is rapeseed
+    updater.change_grain("rapeseed", "wheat")
+    updater.use(wheat, 0.0)
+    assert updates_at(updater, sweep, at_s + 1.0) == 1
+    assert home_error_pct(updater.estimator, 12.0) == pytest.approx(10.0, abs=1.5)  # type: ignore[arg-type]
+    assert updates_at(updater, sweep, at_s + 2.0) == 0
 
 
 def test_a_ticket_of_another_crop_taken_back_leaves_the_present_one() -> None:
     wheat, rapeseed = OpenLoop(MODEL, PRIOR), OpenLoop(MODEL, PRIOR)
-    learning, sweep = learning_with(wheat)
+    updater, sweep = updater_with(wheat)
     for number in (1, 2):
-        learn_at(learning, sweep, enter(learning, number))
-    learning.change_grain("wheat", "rapeseed")
-    learning.use(rapeseed, 0.0)
-    at_s = enter(learning, 3)
-    assert learn_at(learning, sweep, at_s) == 1
+        updates_at(updater, sweep, enter(updater, number))
+    updater.change_grain("wheat", "rapeseed")
+    updater.use(rapeseed, 0.0)
+    at_s = enter(updater, 3)
+    assert updates_at(updater, sweep, at_s) == 1
     summaries = (LoadSummary(2, 2000.0, 2500.0, 6000.0, 0.0, 0.0, complete=True),)
-    learning.update_again(frozenset({1}), [(2, 6000.0, 5.0)], frozenset(), summaries, at_s, "wheat")
-    assert not learning.masses_wait
-    assert learn_at(learning, sweep, at_s + 1.0) == 0
-    learning.change_grain("rapeseed", "wheat")
-    learning.use(wheat, 0.0)
-    assert [mass.load_number for mass in learning.masses.tickets.waiting] == [2]
+    updater.update_again(frozenset({1}), [(2, 6000.0, 5.0)], frozenset(), summaries, at_s, "wheat")
+    assert not updater.masses_wait
+    assert updates_at(updater, sweep, at_s + 1.0) == 0
+    updater.change_grain("rapeseed", "wheat")
+    updater.use(wheat, 0.0)
+    assert [mass.load_number for mass in updater.masses.tickets.waiting] == [2]
 
 
 def tank_mass(estimator: OpenLoop, start_s: float, sd_kg: float, factor: float = 1.1) -> ReferenceMass:

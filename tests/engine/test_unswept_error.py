@@ -9,7 +9,7 @@ import pytest
 
 from yieldmon.engine.calibrator_settings import CalibratorSettings
 from yieldmon.engine.self_calibration.closed_loop_calibrator import ClosedLoopCalibrator
-from yieldmon.engine.self_calibration.learning import Learning
+from yieldmon.engine.self_calibration.parameter_updater import ParameterUpdater
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.sweeps.disagreement import DisagreementState, SweepPattern
 from yieldmon.estimation.open_loop import OpenLoop
@@ -27,12 +27,12 @@ SETTINGS = EngineSettings()
 AWAY_RAD = np.radians(40.0)
 
 
-def learning(settings: EngineSettings = SETTINGS, *, drives_plate: bool = True, learns: bool = True) -> Learning:
+def updater(settings: EngineSettings = SETTINGS, *, drives_plate: bool = True, learns: bool = True) -> ParameterUpdater:
     calibrator = ClosedLoopCalibrator(MODEL, CalibratorSettings()) if learns else None
-    return Learning(settings, MACHINE, OpenLoop(MODEL, PARAMETERS), calibrator, drives_plate=drives_plate)
+    return ParameterUpdater(settings, MACHINE, OpenLoop(MODEL, PARAMETERS), calibrator, drives_plate=drives_plate)
 
 
-def swept(of: Learning) -> Learning:
+def swept(of: ParameterUpdater) -> ParameterUpdater:
     """After one whole sweep of a machine that follows the model."""
     angles = np.radians([40.0, 50.0, 60.0, 70.0, 80.0, 90.0])
     force_n = MODEL.force(Conditions(angles, 400.0 * RPM, mass_flow_kg_s=11.0), PARAMETERS.values)
@@ -43,7 +43,7 @@ def swept(of: Learning) -> Learning:
 
 
 def test_before_the_first_sweep_a_load_is_as_unsure_as_that_may_show() -> None:
-    before, after = learning(), swept(learning())
+    before, after = updater(), swept(updater())
     assert before.load_error.home > 0.01
     assert before.model_error.home == 0.0, "no second at home is stated otherwise: rows are not stated anew"
     assert before.model_error.at(AWAY_RAD) > 0.05, "of the first seconds away from home nothing is known"
@@ -54,7 +54,7 @@ def test_before_the_first_sweep_a_load_is_as_unsure_as_that_may_show() -> None:
 
 def test_it_is_of_the_angles_that_the_sweep_visits_and_counts_the_calibrations_own_error_once() -> None:
     def found(angles_deg: tuple[float, ...], model_error: float = 0.0) -> float:
-        of = learning(replace(SETTINGS, sweep=replace(SETTINGS.sweep, angles_deg=angles_deg)))
+        of = updater(replace(SETTINGS, sweep=replace(SETTINGS.sweep, angles_deg=angles_deg)))
         of.use(OpenLoop(MODEL, replace(PARAMETERS, model_error=model_error)), None)
         return of.load_error.home
 
@@ -68,10 +68,10 @@ def test_it_is_of_the_angles_that_the_sweep_visits_and_counts_the_calibrations_o
 @pytest.mark.parametrize(
     "of",
     [
-        pytest.param(lambda: learning(replace(SETTINGS, sweep=replace(SETTINGS.sweep, enabled=False))), id="sweeps off"),
-        pytest.param(lambda: learning(replace(SETTINGS, sweep=replace(SETTINGS.sweep, when="information"))), id="by information"),
-        pytest.param(lambda: learning(drives_plate=False), id="of a log"),
-        pytest.param(lambda: learning(learns=False), id="nothing learns"),
+        pytest.param(lambda: updater(replace(SETTINGS, sweep=replace(SETTINGS.sweep, enabled=False))), id="sweeps off"),
+        pytest.param(lambda: updater(replace(SETTINGS, sweep=replace(SETTINGS.sweep, when="information"))), id="by information"),
+        pytest.param(lambda: updater(drives_plate=False), id="of a log"),
+        pytest.param(lambda: updater(learns=False), id="nothing learns"),
     ],
 )
 def test_where_no_sweep_is_to_come_the_parameters_are_taken_at_their_word(of) -> None:  # type: ignore[no-untyped-def]
@@ -79,7 +79,7 @@ def test_where_no_sweep_is_to_come_the_parameters_are_taken_at_their_word(of) ->
 
 
 def test_a_weighed_mass_ends_it() -> None:
-    found = learning()
+    found = updater()
     found.judge_model(weighed=True)
     assert found.load_error.home == 0.0
 
@@ -87,7 +87,7 @@ def test_a_weighed_mass_ends_it() -> None:
 def test_parameters_whose_scale_was_weighed_need_no_sweep_wherever_they_come_from() -> None:
     """A file of `calibrate --loads`, or those that an undo or a crop's return brings back."""
     weighed = replace(PARAMETERS, provenance={SCALE: WEIGHED})
-    found = learning()
+    found = updater()
     found.use(OpenLoop(MODEL, weighed), None)
     assert found.load_error.home == 0.0
     found.use(OpenLoop(MODEL, PARAMETERS), None)

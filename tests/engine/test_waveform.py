@@ -20,7 +20,7 @@ from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.results import WindowResult, records_in, windows_in
 from yieldmon.engine.runs import FrameRun, run_of
 from yieldmon.engine.self_calibration.closed_loop_calibrator import ClosedLoopCalibrator
-from yieldmon.engine.self_calibration.learning import ParametersChanged
+from yieldmon.engine.self_calibration.parameter_updater import ParametersChanged
 from yieldmon.engine.settings import EngineSettings, SweepSettings, WaveformSettings
 from yieldmon.engine.state import EngineState
 from yieldmon.estimation.open_loop import OpenLoop

@@ -13,7 +13,7 @@ from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
 from yieldmon.estimation.fitting.identifiability import directions, relative_jacobian, report, scaled, sweep_directions
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.estimation.self_calibration.closed_loop import learn, self_calibrate, update_from_tickets
+from yieldmon.estimation.self_calibration.closed_loop import fit_parameters, self_calibrate, update_from_tickets
 from yieldmon.estimation.self_calibration.closed_loop_inputs import MeasuredDensity, Sweep, WeighedMass
 from yieldmon.estimation.self_calibration.closed_loop_outcome import Outcome
 from yieldmon.physics.machine import RPM, Machine
@@ -410,7 +410,7 @@ def test_flows_of_a_model_that_windows_disagree_with_are_covered(friction: float
     known, true = prior(widths=(0.1, 0.01, 0.02)), np.array([8.0, 14.0])
     law = (1.0 + friction / np.tan(ANGLES)) / (1.0 + friction / np.tan(np.radians(70.0)))
     sweeps = [dataclasses.replace(one, force_n=one.force_n * law) for one in (sweep(flow, noise=0.005) for flow in true)]
-    found, bent = self_calibrate(MODEL, known, sweeps), learn(MODEL, known, sweeps, settings=ClosedLoopSettings())
+    found, bent = self_calibrate(MODEL, known, sweeps), fit_parameters(MODEL, known, sweeps, settings=ClosedLoopSettings())
     assert not found.consistent
     assert (found.parameter_set, found.p_value, found.reason) == (known, bent.p_value, bent.reason)
     assert [f.mass_flow_kg_s for f in found.flows] == [f.mass_flow_kg_s for f in bent.flows]

@@ -11,7 +11,7 @@ from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.self_calibration.closed_loop import update_from_tickets
 from yieldmon.estimation.self_calibration.closed_loop_inputs import WeighedMass
-from yieldmon.estimation.self_calibration.steady_drift import DriftingParameters, begin, learn
+from yieldmon.estimation.self_calibration.steady_drift import DriftingParameters, begin, updated
 from yieldmon.estimation.waveform import common_bias
 from yieldmon.estimation.waveform.common_bias import CommonBias, KernelMeasurement, measurement_of
 from yieldmon.physics.machine import RPM, Machine
@@ -79,7 +79,7 @@ def weighed(drifting: DriftingParameters, bias: CommonBias) -> tuple[DriftingPar
     mass = float(seconds @ FLOWS)
     weighed = WeighedMass.from_windows(mass, 0.003 * mass, seconds, forces(TRUE), ANGLE, SPEED)
     outcome = update_from_tickets(MODEL, drifting.parameters, [weighed])
-    after = learn(drifting, outcome.parameter_set, widening=outcome.prior_widening)
+    after = updated(drifting, outcome.parameter_set, widening=outcome.prior_widening)
     return after, common_bias.followed(bias, drifting, after, widening=outcome.prior_widening)
 
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.self_calibration.drift import grow
 from yieldmon.estimation.self_calibration.drift_rates import DriftRates
-from yieldmon.estimation.self_calibration.steady_drift import DriftingParameters, advance, begin, carried, learn, smoothed
+from yieldmon.estimation.self_calibration.steady_drift import DriftingParameters, advance, begin, carried, smoothed, updated
 
 NAMES = ("friction", "restitution", "density")
 KNOWN = ParameterSet(
@@ -91,7 +91,7 @@ def trended(noise: float) -> tuple[list[float], list[float], DriftingParameters,
         known, step = advance(known, STILL, 1.0, 1e5)
         steps.append(step)
         true = 0.2 * float(np.exp(0.01 * i))
-        known = learn(known, measured(known.parameters, "friction", true + noise * rng.standard_normal(), max(noise, 1e-4)))
+        known = updated(known, measured(known.parameters, "friction", true + noise * rng.standard_normal(), max(noise, 1e-4)))
         truth.append(true)
         live.append(known.parameters.values["friction"])
     return truth, live, known, [v["friction"] for v in smoothed(steps, known)][1:]
@@ -119,7 +119,7 @@ def test_smoothing_is_the_least_squares_fit_of_all_updates() -> None:
     for reading in readings:
         known, step = advance(known, STILL, 1.0, 1e5)
         steps.append(step)
-        known = learn(known, measured(known.parameters, "friction", reading, noise))
+        known = updated(known, measured(known.parameters, "friction", reading, noise))
     # Deviations from 0.2 of (start, rate); the second step's own linearisation adds rate x reading, second order, below 1e-3.
     design = np.array([[1.0, 0.02], [1.0, 0.04]])
     prior = np.diag([sd**2, rate_sd**2])
@@ -134,8 +134,8 @@ def test_a_widened_update_counts_with_the_width_it_was_given() -> None:
     posterior = measured(wide, "friction", 0.3, 0.001)
     joint = known.joint.copy()
     joint[:3, :3] *= 4.0
-    plain = learn(replace(known, parameters=wide, joint=joint), posterior)
-    found = learn(known, posterior, widening=4.0)
+    plain = updated(replace(known, parameters=wide, joint=joint), posterior)
+    found = updated(known, posterior, widening=4.0)
     assert found.joint == pytest.approx(plain.joint)
     assert found.rates == pytest.approx(plain.rates)
 
@@ -144,9 +144,9 @@ def test_a_jump_changes_a_rate_less_than_drift_of_its_size() -> None:
     """A reading five deviations off, once as drift that goes on and once as parameters less certain than they were taken for."""
     known, _ = advance(begin(KNOWN, {"friction": 0.3}), STILL, 1.0, 1e6)
     off = known.parameters.values["friction"] + 5.0 * known.parameters.standard_deviation("friction")
-    drift = learn(known, measured(known.parameters, "friction", off, 0.001))
+    drift = updated(known, measured(known.parameters, "friction", off, 0.001))
     wide = replace(known.parameters, covariance=16.0 * known.parameters.covariance)
-    jump = learn(known, measured(wide, "friction", off, 0.001), widening=16.0)
+    jump = updated(known, measured(wide, "friction", off, 0.001), widening=16.0)
     assert jump.parameters.values["friction"] == pytest.approx(off, rel=0.01)
     assert 0.0 < jump.rates[0] < 0.1 * drift.rates[0]
     assert jump.joint[3, 3] > 0.9 * known.joint[3, 3]
@@ -191,7 +191,7 @@ def test_a_rate_that_turns_is_followed_where_rates_are_forgotten() -> None:
             known, _ = advance(known, STILL, 1.0, 1e5, per_kilotonne=LIKELY, memory_kt=memory_kt)
             truth.append(0.2 * (1.0 + 0.01 * min(i, 100 - i)))
             live.append(known.parameters.values["friction"])
-            known = learn(known, measured(known.parameters, "friction", truth[-1], 0.005))
+            known = updated(known, measured(known.parameters, "friction", truth[-1], 0.005))
         errors.append(float(np.mean(np.abs(np.subtract(live, truth))[60:])))
     assert errors[1] < 0.6 * errors[0]
 
@@ -210,7 +210,7 @@ def test_covariance_stays_a_covariance(updates: list[tuple[str, float, float]]) 
         likely = {"friction": 0.2, "restitution": 0.03, "density": 0.05}
         known, _ = advance(known, DriftRates(), 1.0, grain_kg, per_kilotonne=likely, memory_kt=2.0)
         prior = known.parameters
-        known = learn(known, measured(prior, name, prior.values[name] * factor, prior.standard_deviation(name)))
+        known = updated(known, measured(prior, name, prior.values[name] * factor, prior.standard_deviation(name)))
         scale = np.sqrt(np.diag(known.joint))
         assert np.linalg.eigvalsh(known.joint / np.outer(scale, scale)).min() > -1e-9
 
@@ -224,4 +224,4 @@ def test_impossible_rates_are_refused(rates: dict[str, float]) -> None:
 def test_a_posterior_of_other_parameters_is_refused() -> None:
     other = ParameterSet(dict(KNOWN.values), ("friction",), np.eye(1) * 1e-4)
     with pytest.raises(ValueError, match="posterior of"):
-        learn(begin(KNOWN, {}), other)
+        updated(begin(KNOWN, {}), other)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from yieldmon.engine.self_calibration.learning import ParametersChanged
+from yieldmon.engine.self_calibration.parameter_updater import ParametersChanged
 from yieldmon.files import parameter_file
 from yieldmon.service.storage import ledger
 from yieldmon.service.storage.batch import Ticket

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from yieldmon.engine.self_calibration.learning import ParametersChanged
+from yieldmon.engine.self_calibration.parameter_updater import ParametersChanged
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.files import parameter_file
 from yieldmon.physics.machine import Machine

@@ -14,7 +14,7 @@ import pytest
 from tests.service.bench import START_S, running, wait_for
 from yieldmon.cli import main as cli
 from yieldmon.cli._records import back
-from yieldmon.engine.self_calibration.learning import ParametersChanged
+from yieldmon.engine.self_calibration.parameter_updater import ParametersChanged
 from yieldmon.files import parameter_file
 from yieldmon.service.storage.batch import Ticket
 from yieldmon.service.storage.ledger import PARAMETERS

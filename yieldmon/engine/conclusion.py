@@ -1,4 +1,4 @@
-"""All that follows from a window's reading and its flow estimate: mass, sweep, faults, the record, what is learnt, the frames."""
+"""What follows from a window's reading and flow: mass, sweep, faults, the record, updates of the parameters, the frames."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from yieldmon.engine.quick import maker_of
 from yieldmon.engine.records import Second, WindowRecord, record_of
 from yieldmon.engine.results import Event, Result, WindowResult, ZeroTaken
 from yieldmon.engine.sampling.since_zero import KeptSecond
-from yieldmon.engine.self_calibration.learning import ParametersChanged
+from yieldmon.engine.self_calibration.parameter_updater import ParametersChanged
 from yieldmon.engine.self_calibration.scale_alarm import ScaleCheck
 from yieldmon.engine.sweeps.sweep_inputs import SweepWindow, support_start_s
 from yieldmon.engine.waveform.later_samples import LaterSamples
@@ -70,10 +70,10 @@ class Conclusion:
         parts, window = self._parts, reading.window
         if self._samples is not None:
             self._samples.look()
-        learning, loads, sweep, bus_s = parts.learning, parts.loads, parts.plate.sweep, parts.clock.bus_time(window.end_s)
+        updater, loads, sweep, bus_s = parts.updater, parts.loads, parts.plate.sweep, parts.clock.bus_time(window.end_s)
         self.windows += 1
-        learning.add_age(window.end_s - window.start_s)
-        estimator = learning.estimator
+        updater.add_age(window.end_s - window.start_s)
+        estimator = updater.estimator
         measured = self._measured(reading, estimate, estimator)
         # As the sweep before has measured the force, so that what is known of it ends none.
         step = sweep.window(self._sweep_window(reading, measured.by_mean_force))
@@ -81,14 +81,14 @@ class Conclusion:
         second = self._second(bus_s, reading, measured, step)
         record = record_of(second)
         self._keep_since_zero(record)
-        learnt = self._learn(window.end_s, record, estimator)
-        ended = parts.plate.ended(learning.last_update, learning.estimator.parameters.version)
+        changes = self._update_parameters(window.end_s, record, estimator)
+        ended = parts.plate.ended(updater.last_update, updater.estimator.parameters.version)
         zero: tuple[Event, ...] = (ZeroTaken(bus_s, record.zero_mv),) if reading.zero_taken else ()
         begun, self.begun_with = self.begun_with, ()
         frames = parts.publisher.frames(record, self._published()) if self.publishing else ()
         emptied = parts.unloading.emptied(reading.inputs, window.end_s - window.start_s) and loads.totals.load_kg > 0.0
         started = loads.start(bus_s) if emptied else ()
-        result: WindowResult = _result(record, frames, (*begun, *zero, *shown, *learnt, *ended, *started), NOTHING)
+        result: WindowResult = _result(record, frames, (*begun, *zero, *shown, *changes, *ended, *started), NOTHING)
         if self._samples is None:
             return result
         self._samples.add(second, measured.by_mean_force, estimator)
@@ -101,9 +101,9 @@ class Conclusion:
     def _measured(self, reading: Reading, estimate: Estimate | None, estimator: FlowEstimator) -> _Measured:
         """Flow, mass and area of the window; the mass is in its load and in the totals."""
         parts, window = self._parts, reading.window
-        learning, loads = parts.learning, parts.loads
+        updater, loads = parts.updater, parts.loads
         by_mean_force = self._by_mean_force(reading, estimate, estimator)
-        flow = self._corrected(away_from_home(by_mean_force, reading, learning.model_error), window.end_s, estimator)
+        flow = self._corrected(away_from_home(by_mean_force, reading, updater.model_error), window.end_s, estimator)
         area_m2 = parts.area.second(window.end_s, window.weight_s, reading.inputs, grain_comes=flow.measured)
         missing = Missing.of(
             sampled=window.samples > 0,
@@ -114,7 +114,7 @@ class Conclusion:
         mass_kg = loads.count(window, flow, reading.inputs.fresh["moisture"], area_m2, missing)
         self._weigh(reading, flow, mass_kg)
         angle_rad = window.plate_angle_rad if isfinite(window.plate_angle_rad) else parts.machine.home_plate_angle_rad
-        loads.share(mass_kg, flow, estimator.parameters.version, angle_rad, learning.load_error)
+        loads.share(mass_kg, flow, estimator.parameters.version, angle_rad, updater.load_error)
         return _Measured(by_mean_force, flow, mass_kg, area_m2)
 
     def _keep_since_zero(self, record: WindowRecord) -> None:
@@ -126,25 +126,25 @@ class Conclusion:
             self._parts.since_zero.add((replace(kept, zero_mv=zero_mv, load_number=number),))
         self._zero_mv = record.zero_mv
 
-    def _learn(self, end_s: float, record: WindowRecord, estimator: FlowEstimator) -> tuple[Event, ...]:
-        """What is learnt from the window, and the loads that are known otherwise for it."""
-        parts, learning, sweep = self._parts, self._parts.learning, self._parts.plate.sweep
-        waveform, before = parts.waveform, (learning.load_error, learning.scale_alarm.state.contradiction)
+    def _update_parameters(self, end_s: float, record: WindowRecord, estimator: FlowEstimator) -> tuple[Event, ...]:
+        """Updates of the parameters with this window, and the loads that are known otherwise for it."""
+        parts, updater, sweep = self._parts, self._parts.updater, self._parts.plate.sweep
+        waveform, before = parts.waveform, (updater.load_error, updater.scale_alarm.state.contradiction)
         channels = None
         if waveform is not None and parts.settings.sweep.when == "information":
             channels = waveform.channels(end_s, estimator)
-        learnt = learning.learn(end_s, record, sweep, channels)
-        restated = self._restate(*before, learnt)
-        self._hold_moisture(learnt)
-        if waveform is not None and not (sweep.driving or learnt):
+        changes = updater.update(end_s, record, sweep, channels)
+        restated = self._restate(*before, changes)
+        self._hold_moisture(changes)
+        if waveform is not None and not (sweep.driving or changes):
             measurement = waveform.kernel_measurements.take()
-            learnt = learning.update_from_kernels(measurement, record) if measurement is not None else ()
-        return (*learnt, *restated)
+            changes = updater.update_from_kernels(measurement, record) if measurement is not None else ()
+        return (*changes, *restated)
 
     def _by_mean_force(self, reading: Reading, estimate: Estimate | None, estimator: FlowEstimator) -> Flow:
         parts = self._parts
         old = parts.faults.is_active(FaultCode.CALIBRATION_OLD)
-        circumstances = Circumstances(parts.plate.sweep.visiting, old, parts.learning.load_error, parts.learning.drift_sd)
+        circumstances = Circumstances(parts.plate.sweep.visiting, old, parts.updater.load_error, parts.updater.drift_sd)
         return parts.flow_meter.flow(reading, estimate, estimator, circumstances)
 
     def _corrected(self, by_mean_force: Flow, end_s: float, estimator: FlowEstimator) -> Flow:
@@ -157,14 +157,14 @@ class Conclusion:
 
     def _weigh(self, reading: Reading, flow: Flow, mass_kg: float) -> None:
         """Hold the window's mass against the tank scale, which keeps the mass while the zero is doubted."""
-        loads, learning, doubted = self._parts.loads, self._parts.learning, self._parts.measurement.zero.suspect
+        loads, updater, doubted = self._parts.loads, self._parts.updater, self._parts.measurement.zero.suspect
         totals = loads.totals
         self._counted_kg.append(mass_kg)
         if reading.zero_far_mv and not self._far:
             # All of these seconds looked empty.
             loads.widen(sum(self._counted_kg))
         self._far = reading.zero_far_mv != 0.0
-        missed_kg = learning.masses.match_tank_scale(
+        missed_kg = updater.masses.match_tank_scale(
             reading.window,
             reading.inputs,
             flow,
@@ -176,57 +176,57 @@ class Conclusion:
         if doubted:
             loads.doubt()
         elif reading.zero_taken:
-            learning.masses.empty_since(self._parts.measurement.zero.taken_from_s)
+            updater.masses.empty_since(self._parts.measurement.zero.taken_from_s)
         if missed_kg > 0.0:
             number = totals.load_number if totals.load_open else NO_LOAD
             self._parts.since_zero.add_scale(number, missed_kg)
             loads.correct({number: MissedMass().plus(missed_kg, None, area_known=True)})
         if totals.load_open:
-            learning.masses.tickets.measured(totals.load_number, reading, flow, mass_kg)
+            updater.masses.tickets.measured(totals.load_number, reading, flow, mass_kg)
 
     def _restate(
-        self, model_error: AngleError, contradiction: ScaleCheck | None, learnt: Sequence[ParametersChanged]
+        self, model_error: AngleError, contradiction: ScaleCheck | None, changes: Sequence[ParametersChanged]
     ) -> LoadEvents:
         """Loads are as unsure as sweeps and weighed masses have just shown them to be. Before: the model's error, and the mass
         that contradicted. A mass that contradicts and is doubted says nothing of loads that are closed."""
-        loads, learning = self._parts.loads, self._parts.learning
-        error, found = learning.load_error, learning.scale_alarm.state.contradiction
-        restated = loads.restate(error, learning.estimator.parameters.version) if error != model_error else ()
+        loads, updater = self._parts.loads, self._parts.updater
+        error, found = updater.load_error, updater.scale_alarm.state.contradiction
+        restated = loads.restate(error, updater.estimator.parameters.version) if error != model_error else ()
         if found is not None and found is not contradiction:
             relative = abs(found.weighed_kg / found.measured_kg - 1.0)
-            if learnt or learning.calibrator is None:
-                restated = (*restated, *loads.scale_is_off(relative, learning.masses.load_of(found)))
+            if changes or updater.calibrator is None:
+                restated = (*restated, *loads.scale_is_off(relative, updater.masses.load_of(found)))
             else:
                 loads.widen(relative * loads.totals.load_kg)
-        if any(change.origin == "ticket" for change in learnt):
+        if any(change.origin == "ticket" for change in changes):
             loads.scale_is_set()
         return restated
 
-    def _hold_moisture(self, learnt: Sequence[ParametersChanged]) -> None:
+    def _hold_moisture(self, changes: Sequence[ParametersChanged]) -> None:
         """The moisture for which changed parameters hold; where none is known, the one before."""
-        for change in learnt:
+        for change in changes:
             if change.moisture_pct is not None:
                 self._parts.flow_meter.moisture.hold(change.parameters.version, change.moisture_pct)
 
     def _observation(self, reading: Reading, flow: Flow) -> Observation:
-        parts, learning = self._parts, self._parts.learning
+        parts, updater = self._parts, self._parts.updater
         seen = parts.waveform.last if parts.waveform is not None else NOTHING
         return Observation(
             reading=reading,
             flow=flow,
             sweep=parts.plate.sweep,
-            outcome=learning.outcome,
-            disagreement=learning.disagreement,
-            calibration_age_s=learning.calibration_age_s,
+            outcome=updater.outcome,
+            disagreement=updater.disagreement,
+            calibration_age_s=updater.calibration_age_s,
             settings=parts.settings,
             waveform=seen,
             mass_near_end=parts.publisher.mass_near_end(parts.loads.totals, parts.settings.faults.mass_near_end),
-            scale_alarm=learning.scale_alarm.detail,
+            scale_alarm=updater.scale_alarm.detail,
         )
 
     def _published(self) -> Published:
-        parts, learning = self._parts, self._parts.learning
-        return Published(parts.plate.sweep, learning.estimator.parameters, learning.calibration_age_s, parts.faults)
+        parts, updater = self._parts, self._parts.updater
+        return Published(parts.plate.sweep, updater.estimator.parameters, updater.calibration_age_s, parts.faults)
 
     def _sweep_window(self, reading: Reading, flow: Flow) -> SweepWindow:
         window, settings = reading.window, self._parts.settings.windows
@@ -254,7 +254,7 @@ class Conclusion:
             sweep_id=sweep.sweep_id if counts or sweep.visiting else 0,
             sweep_step=sweep_step if counts else sweep.step,
             usable_for_calibration=counts,
-            parameter_version=parts.learning.estimator.parameters.version,
+            parameter_version=parts.updater.estimator.parameters.version,
             waveform=NOTHING,
         )
 

@@ -64,7 +64,7 @@ class Estimate(NamedTuple):
 
 class Circumstances(NamedTuple):
     """What bears on a flow beside its window: a sweep is under way, the fault CalibrationOld is shown; the model's error
-    by what sweeps show; drift_sd: relative, of the force, by drift since the parameters were learnt."""
+    by what sweeps show; drift_sd: relative, of the force, by drift since the last update."""
 
     sweeping: bool
     calibration_old: bool

@@ -40,7 +40,7 @@ class Reading:
     the window, nan where no frame reported it; speed_known: at the window's end; in_range: at a speed at which grain is measured.
     stuck_s: how long no sample has changed. struck_s: how long grain has struck the plate although the elevator is reported to
     stand. still: the plate rested. sampled_before: the window before had samples.
-    windows_since_jump: closed since the bus's clock jumped. zero_taken: a zero was learnt with this window. zero_age_s: since the
+    windows_since_jump: closed since the bus's clock jumped. zero_taken: a zero was taken with this window. zero_age_s: since the
     zero was last taken or followed, or since the start. zero_away_mv: how far the empty plate was seen from it since, in spells
     too short to take another; zero_far_mv: where it looked empty for long and that is too far to follow.
     zero_drift: what is wrong with it, "" for nothing.
@@ -255,7 +255,7 @@ class Measurement:
         return inputs.time_s - self._idle_since_s
 
     def _follow_zero(self, window: Window, inputs: InputSnapshot, elevator_runs: bool, plate_rests_at_home: bool) -> bool:
-        """Show the window to the zero; returns whether a zero was learnt from it."""
+        """Show the window to the zero; returns whether a zero was taken from it."""
         if inputs.fresh["header_down"] == HeaderDown.DOWN and inputs.fresh["work_state"] != WorkState.NOT_WORKING:
             self._cutting_s = window.end_s
         self._obstacle = self._zero_obstacle(window, inputs, elevator_runs, plate_rests_at_home)

@@ -46,13 +46,13 @@ class Monitor(MonitorView):
     estimator : OpenLoop
         Turns force into flow; anything with `parameters` and `estimate` of the same arguments.
     calibrator : SelfCalibrator, optional
-        Learns from sweeps and reference masses; None: the parameters stay.
+        Updates the parameters from sweeps and reference masses; None: they stay.
     sources : Sources
         Which message and signal brings what; the shipped DBC by default.
     ranges : SignalRanges, optional
         Of the signals that are published; None: those of the shipped DBC.
     drives_plate : bool
-        False for a log, whose plate follows no command: sweeps in the log are learnt from, and none is commanded.
+        False for a log, whose plate follows no command: sweeps in the log update the parameters, and none is commanded.
     waveform_later : bool
         True: the samples' shape is evaluated only in `completed`, after the window's frames have been sent.
 
@@ -177,7 +177,7 @@ class Monitor(MonitorView):
         list of LoadOpened or LoadClosed
         """
         self._parts.since_zero.totals_reset()
-        self._parts.learning.totals_reset(self.totals.total_kg)
+        self._parts.updater.totals_reset(self.totals.total_kg)
         return self._parts.loads.reset(self._parts.bus_now)
 
     def stop_load(self) -> LoadEvents:
@@ -235,10 +235,10 @@ class Monitor(MonitorView):
         self._parts.loads.scale_is_set()
 
     def _use(self, estimator: FlowEstimator, calibration_age_s: float | None, harvested_kg: float = 0.0) -> None:
-        if dict(estimator.parameters.values) != dict(self._parts.learning.estimator.parameters.values):
+        if dict(estimator.parameters.values) != dict(self._parts.updater.estimator.parameters.values):
             self._parts.flow_meter.moisture.forget()
-        self._parts.learning.use(estimator, calibration_age_s, harvested_kg)
-        self._parts.learning.scale_alarm.accept()
+        self._parts.updater.use(estimator, calibration_age_s, harvested_kg)
+        self._parts.updater.scale_alarm.accept()
 
     def change_crop(self, estimator: FlowEstimator, calibration_age_s: float | None, before: str, now: str) -> None:
         """Parameters of another crop. Tickets of the crop before wait for its return, and a sweep under way ends.
@@ -251,7 +251,7 @@ class Monitor(MonitorView):
             Names of the crops.
         """
         self.abort_sweep()
-        self._parts.learning.change_grain(before, now, estimator)
+        self._parts.updater.change_grain(before, now, estimator)
         self._use(estimator, calibration_age_s)
         self._parts.loads.change_crop(before, now)
 
@@ -316,7 +316,7 @@ class Monitor(MonitorView):
         ValueError
             When the load is not known or a number makes no sense.
         """
-        return self._parts.learning.ticket(load_number, mass_kg, std_dev_kg, self.loads, self._parts.bus_now, crop, common_kg)
+        return self._parts.updater.ticket(load_number, mass_kg, std_dev_kg, self.loads, self._parts.bus_now, crop, common_kg)
 
     def ticket_departure(
         self, load_number: int, mass_kg: float, std_dev_kg: float, of_crop: FlowEstimator | None = None
@@ -341,13 +341,13 @@ class Monitor(MonitorView):
         ValueError
             As `ticket`.
         """
-        return self._parts.learning.departure(load_number, mass_kg, std_dev_kg, self.loads, self._parts.bus_now, of_crop)
+        return self._parts.updater.departure(load_number, mass_kg, std_dev_kg, self.loads, self._parts.bus_now, of_crop)
 
     def update_again(
         self,
         load_numbers: Sequence[int],
         again: Sequence[Weighing],
-        learnt: Sequence[int] | None = None,
+        rests_on: Sequence[int] | None = None,
         crop: str = "",
         stay: Sequence[Weighing] = (),
     ) -> LoadEvents:
@@ -359,7 +359,7 @@ class Monitor(MonitorView):
             The loads that the tickets taken back covered.
         again : sequence of Weighing
             Each that is to update them again, in the order of entry: a ticket with each window or sweep that ends.
-        learnt : sequence of int, optional
+        rests_on : sequence of int, optional
             Loads with tickets that the parameters in use rest on; None where these are the same as before.
         crop : str
             Of all these, where another crop is harvested now: then they wait for its return.
@@ -376,8 +376,8 @@ class Monitor(MonitorView):
         ValueError
             As `ticket`.
         """
-        gone, known = frozenset(load_numbers), None if learnt is None else frozenset(learnt)
-        self._parts.learning.update_again(gone, again, known, self.loads, self._parts.bus_now, crop, stay)
+        gone, known = frozenset(load_numbers), None if rests_on is None else frozenset(rests_on)
+        self._parts.updater.update_again(gone, again, known, self.loads, self._parts.bus_now, crop, stay)
         return self._parts.loads.scale_was_right(gone) if known is not None else ()
 
     # Sweeps and faults
@@ -447,7 +447,7 @@ class Monitor(MonitorView):
         seconds : sequence of KeptSecond
             Of that load.
         """
-        self._parts.learning.masses.tickets.know_load(self._parts.loads.as_stated(load), seconds)
+        self._parts.updater.masses.tickets.know_load(self._parts.loads.as_stated(load), seconds)
 
     def remember_tickets(self, tickets: Sequence[TicketState]) -> None:
         """After `restore` and `know_load`: the state's tickets, of which those for other loads are passed over.

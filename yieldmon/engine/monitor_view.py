@@ -54,47 +54,47 @@ class MonitorView:
     @property
     def estimator(self) -> FlowEstimator:
         """The estimator in use."""
-        return self._parts.learning.estimator
+        return self._parts.updater.estimator
 
     @property
     def outcome(self) -> CalibrationOutcome | None:
         """What the last whole sweep or weighed mass changed."""
-        return self._parts.learning.outcome
+        return self._parts.updater.outcome
 
     @property
     def disagreement(self) -> Disagreement:
         """Whether the model disagrees with the sweeps."""
-        return self._parts.learning.disagreement
+        return self._parts.updater.disagreement
 
     @property
     def reference_masses(self) -> tuple[ReferenceMass, ...]:
         """Reference masses kept, by time."""
-        return self._parts.learning.masses.kept
+        return self._parts.updater.masses.kept
 
     @property
     def counted_loads(self) -> frozenset[int]:
         """Loads whose tickets others are held against, of any crop."""
-        return self._parts.learning.counted_loads
+        return self._parts.updater.counted_loads
 
     @property
     def scale_counted(self) -> bool:
         """Whether masses of the tank scale are among what tickets are held against."""
-        return self._parts.learning.scale_counted
+        return self._parts.updater.scale_counted
 
     @property
     def doubted_loads(self) -> frozenset[int]:
         """Loads whose tickets contradict those and wait until another agrees with them, of any crop."""
-        return self._parts.learning.doubted_loads
+        return self._parts.updater.doubted_loads
 
     @property
     def earlier_loads(self) -> tuple[LoadSummary, ...]:
         """Closed loads of runs before that are known, whose tickets can update the parameters."""
-        return self._parts.learning.masses.tickets.earlier_loads
+        return self._parts.updater.masses.tickets.earlier_loads
 
     @property
     def masses_wait(self) -> bool:
         """Whether a reference mass is still to update the parameters."""
-        return self._parts.learning.masses_wait
+        return self._parts.updater.masses_wait
 
     @property
     def zero_waits_for(self) -> str:

@@ -23,8 +23,8 @@ def undo(parts: Parts) -> tuple[dict[int, MissedMass], LoadEvents]:
     if known is None:
         raise ValueError("there is no zero calibration by an operator that could be undone")
     gain, on_n, least = parts.machine.sensor.gain_n_per_mv, settings.gate.grain_on_n, settings.windows.min_coverage
-    found = parts.since_zero.missed(known.zero_mv, parts.learning.estimator, gain, on_n, least, parts.loads.dry_kg)
+    found = parts.since_zero.missed(known.zero_mv, parts.updater.estimator, gain, on_n, least, parts.loads.dry_kg)
     parts.since_zero.clear()
     zero.undo()
-    parts.learning.masses.zero_undone()
+    parts.updater.masses.zero_undone()
     return found, parts.loads.correct(found)

@@ -18,7 +18,7 @@ from yieldmon.engine.sampling.impact_sensors import ImpactSensors
 from yieldmon.engine.sampling.since_zero import SinceZero
 from yieldmon.engine.schedule import Schedule
 from yieldmon.engine.self_calibration.calibrator import SelfCalibrator
-from yieldmon.engine.self_calibration.learning import Learning
+from yieldmon.engine.self_calibration.parameter_updater import ParameterUpdater
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.sources import Sources
 from yieldmon.engine.sweeps.plate import Plate
@@ -46,7 +46,7 @@ class Parts:
     plate: Plate
     faults: FaultBook
     since_zero: SinceZero
-    learning: Learning
+    updater: ParameterUpdater
     publisher: Publisher
 
     @classmethod
@@ -84,7 +84,7 @@ class Parts:
             plate=Plate(settings, machine, driven=drives_plate),
             faults=FaultBook(),
             since_zero=SinceZero(),
-            learning=Learning(settings, machine, estimator, calibrator, drives_plate=drives_plate),
+            updater=ParameterUpdater(settings, machine, estimator, calibrator, drives_plate=drives_plate),
             publisher=Publisher(ranges),
         )
 

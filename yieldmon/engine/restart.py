@@ -11,21 +11,21 @@ from yieldmon.engine.state import EngineState, TicketState, ZeroUndo
 
 def snapshot(parts: Parts, windows: int) -> EngineState:
     """The state after so many windows."""
-    learning, sweep, totals = parts.learning, parts.plate.sweep, parts.loads.totals
-    calibrator = learning.calibrator
+    updater, sweep, totals = parts.updater, parts.plate.sweep, parts.loads.totals
+    calibrator = updater.calibrator
     return EngineState(
         totals=totals,
         zero=parts.measurement.zero.state,
         windows=windows,
         sweep_id=sweep.sweep_id,
         sweep_due_in_s=sweep.remaining_s(parts.clock.now_s or 0.0),
-        calibration_age_s=learning.calibration_age_s,
-        parameter_version=learning.estimator.parameters.version,
-        disagreement=learning.disagreement.state,
-        scale_alarm=learning.scale_alarm.state,
+        calibration_age_s=updater.calibration_age_s,
+        parameter_version=updater.estimator.parameters.version,
+        disagreement=updater.disagreement.state,
+        scale_alarm=updater.scale_alarm.state,
         calibrator=calibrator.snapshot(parts.bus_now, totals.total_kg) if calibrator is not None else None,
         zero_undo=_zero_undo(parts),
-        tickets=learning.masses.tickets.states,
+        tickets=updater.masses.tickets.states,
         moisture=parts.flow_meter.moisture.state,
         closed=parts.loads.closed_states,
     )
@@ -40,36 +40,36 @@ def restore(parts: Parts, state: EngineState) -> None:
     parts.loads.restore(state.totals)
     parts.measurement.zero.restore(state.zero)
     parts.plate.restore(state.sweep_id, state.sweep_due_in_s, parts.settings.sweep.first_after_s)
-    learning, parameters = parts.learning, parts.learning.estimator.parameters
-    learning.restore_age(state.calibration_age_s)
+    updater, parameters = parts.updater, parts.updater.estimator.parameters
+    updater.restore_age(state.calibration_age_s)
     # Where other parameters came from outside meanwhile, the patterns seen so far say nothing about them.
     if state.parameter_version == parameters.version:
-        learning.disagreement.restore(state.disagreement, parameters)
-        learning.judge_model(weighed=state.calibrator is not None and bool(state.calibrator.weighed))
+        updater.disagreement.restore(state.disagreement, parameters)
+        updater.judge_model(weighed=state.calibrator is not None and bool(state.calibrator.weighed))
         parts.loads.resume_closed(state.closed, parameters.version)
-        parts.loads.resume_share(learning.load_error, parameters.version, parts.machine.home_plate_angle_rad)
+        parts.loads.resume_share(updater.load_error, parameters.version, parts.machine.home_plate_angle_rad)
         if state.moisture is not None:
             parts.flow_meter.moisture.restore(state.moisture)
-        learning.scale_alarm.restore(state.scale_alarm)
-        if state.calibrator is not None and learning.calibrator is not None:
-            learning.calibrator.restore(state.calibrator, parameters, state.totals.total_kg)
+        updater.scale_alarm.restore(state.scale_alarm)
+        if state.calibrator is not None and updater.calibrator is not None:
+            updater.calibrator.restore(state.calibrator, parameters, state.totals.total_kg)
 
 
 def remember_tickets(parts: Parts, tickets: Sequence[TicketState]) -> None:
     """Tickets of the state, after it and the loads that they are for; see `Monitor.remember_tickets`."""
-    learning = parts.learning
+    updater = parts.updater
     of_crop: dict[str | None, list[tuple[ReferenceMass, bool]]] = {None: []}
     for ticket in tickets:
         weighing = ticket.load_number, ticket.weighed_kg, ticket.std_dev_kg, ticket.common_kg
-        known = learning.masses.tickets.of_earlier_load(*weighing)
+        known = updater.masses.tickets.of_earlier_load(*weighing)
         if known is not None:
             of_crop.setdefault(ticket.crop, []).append((known, ticket.waits))
     for crop, pairs in of_crop.items():
         masses, waiting = [a for a, _ in pairs], [a for a, waits in pairs if waits]
         if crop is None:
-            learning.remember_tickets(masses, waiting)
+            updater.remember_tickets(masses, waiting)
         else:
-            learning.masses.tickets.remember(masses, waiting, crop)
+            updater.masses.tickets.remember(masses, waiting, crop)
 
 
 def take_over(parts: Parts, before: Parts, *, tickets: bool) -> None:
@@ -79,7 +79,7 @@ def take_over(parts: Parts, before: Parts, *, tickets: bool) -> None:
     if parts.waveform is not None and before.waveform is not None:
         parts.waveform.go_on_with(before.waveform)
     if tickets:
-        parts.learning.take_tickets_of(before.learning)
+        parts.updater.take_tickets_of(before.updater)
 
 
 def _zero_undo(parts: Parts) -> ZeroUndo | None:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from yieldmon.engine.health import FaultEvent
 from yieldmon.engine.mass.load_summary import LoadClosed, LoadOpened, LoadRestated
 from yieldmon.engine.records import WindowRecord
-from yieldmon.engine.self_calibration.learning import ParametersChanged
+from yieldmon.engine.self_calibration.parameter_updater import ParametersChanged
 from yieldmon.engine.sweeps.plate import SweepEnded
 from yieldmon.engine.waveform.waveform_reading import NOTHING, WaveformReading
 from yieldmon.frames import Frame
@@ -19,7 +19,7 @@ from yieldmon.frames import Frame
 
 @dataclass(frozen=True, slots=True)
 class ZeroTaken:
-    """A zero-load voltage was learnt: the first, or the operator's."""
+    """A zero-load voltage was taken: the first, or the operator's."""
 
     time_s: float
     zero_mv: float

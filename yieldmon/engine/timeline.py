@@ -151,9 +151,9 @@ class Timeline:
         self._parts.schedule.done(driving=self._parts.plate.sweep.driving)
         if signals is None:
             return []
-        learning = self._parts.learning
+        updater = self._parts.updater
         frame = Frame(self._parts.clock.bus_time(at_s), bus.PLATE_ACTUATOR_COMMAND, signals)
-        return [PlateCommand((frame,), self._parts.plate.ended(learning.last_update, learning.estimator.parameters.version))]
+        return [PlateCommand((frame,), self._parts.plate.ended(updater.last_update, updater.estimator.parameters.version))]
 
     def _close_windows(self, held: Sequence[InputSnapshot], feeding: RunFeeding | None = None) -> list[Result]:
         """Close the windows at whose ends these inputs are held, one after the other.
@@ -173,13 +173,13 @@ class Timeline:
         readings: list[Reading] = []
         for start in range(0, len(held), _FORMED_TOGETHER):
             readings += self._read(held[start : start + _FORMED_TOGETHER], feeding)
-        learning = self._parts.learning
-        estimator, found = learning.estimator, list[Estimate | None]()
+        updater = self._parts.updater
+        estimator, found = updater.estimator, list[Estimate | None]()
         for index, reading in enumerate(readings):
-            if index == len(found) or learning.estimator is not estimator:
-                estimator = learning.estimator
+            if index == len(found) or updater.estimator is not estimator:
+                estimator = updater.estimator
                 ahead = readings[index : index + _ESTIMATED_TOGETHER]
-                weighed = learning.masses.next_weighed(reading.inputs for reading in ahead)
+                weighed = updater.masses.next_weighed(reading.inputs for reading in ahead)
                 found[index:] = self._estimated(ahead[:weighed] if weighed else ahead)
             if feeding is not None:
                 results += self._ticks_before(reading.window.end_s, feeding)
@@ -189,7 +189,7 @@ class Timeline:
 
     def _estimated(self, readings: Sequence[Reading]) -> list[Estimate | None]:
         """The estimates of these windows; pulses of several, where these are looked at, are fitted beside each other."""
-        estimator, waveform = self._parts.learning.estimator, self._parts.waveform
+        estimator, waveform = self._parts.updater.estimator, self._parts.waveform
         found = estimates(estimator, readings)
         if waveform is not None and len(readings) > 1:
             waveform.prepare(readings, [item.rate_kg_s if item is not None else float("nan") for item in found], estimator)

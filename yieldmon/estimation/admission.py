@@ -5,7 +5,7 @@ loads has driven a parameter to an end of its physical range, or has missed held
 wrong, and what an update does to the flow at home is then the model's error projected on it, of either sign. Weighed masses are
 not concerned: they speak of the flow itself.
 
-Source: Brynjarsdottir and O'Hagan, Inverse Problems 30 (2014), on parameters learnt through a model whose error is not known.
+Source: Brynjarsdottir and O'Hagan, Inverse Problems 30 (2014), on parameters estimated through a model whose error is not known.
 """
 
 from __future__ import annotations

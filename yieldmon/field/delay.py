@@ -1,4 +1,4 @@
-"""The delay from cutting to the sensor, learnt from the harvest itself, with an interval, or not at all.
+"""The delay from cutting to the sensor, estimated from the harvest itself, with an interval, or not at all.
 
 For each shift the flow is put back by it, and the yields of neighbouring passes driven the opposite way are correlated. The curve
 over the shifts peaks at the delay. Blocks of pairs (passes) are drawn again with replacement for the interval. No answer is given
@@ -82,7 +82,7 @@ class Delay:
     curve : Curve
         Empty where there are no pairs.
     no_shift, shifted, held_out : float
-        Correlation of the pairs as they are, at the value, and on pairs that the value was not learnt from; NaN if unknown.
+        Correlation of the pairs as they are, at the value, and on pairs that the value was not estimated from; NaN if unknown.
     pairs : int
         Number of pairs.
     """
@@ -326,6 +326,6 @@ def _objection(curve: Array, drawn: Array, peak: float) -> str:
 
 
 def _held_out(sums: Array) -> float:
-    """Correlation on blocks that the peak was not learnt from, the mean of both ways."""
+    """Correlation on blocks that the peak was not found on, the mean of both ways."""
     halves = [correlation_of(sums[:, k::2].sum(axis=1)) for k in (0, 1)]
     return float(np.mean([np.interp(_peak(halves[k]), SHIFTS_S, halves[1 - k]) for k in (0, 1)]))

@@ -39,7 +39,7 @@ GRAIN_LIMITS: Mapping[str, tuple[str, float, float]] = {
 _LEAST_DENSITY_KG_M3 = 20.0
 """No grain is lighter; a number below it is in another unit."""
 _BEYOND_BOUNDS = 0.05
-"""Share of an effect's range by which a value that was learnt may lie beyond it."""
+"""Share of an effect's range by which an updated value may lie beyond it."""
 _KEYS = ("format", "version", "effects", "covariance", "calibrated_range", "response_unit", "model_error", "curve", "provenance")
 #: All keys of a parameter file.
 KEYS = frozenset((*GRAIN_LIMITS, *_KEYS))

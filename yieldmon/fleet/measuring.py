@@ -20,7 +20,7 @@ from yieldmon.engine.health import FaultEvent
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.results import Result, WindowResult
 from yieldmon.engine.runs import FrameRun
-from yieldmon.engine.self_calibration.learning import ParametersChanged
+from yieldmon.engine.self_calibration.parameter_updater import ParametersChanged
 from yieldmon.engine.sweeps.plate import SweepEnded
 from yieldmon.errors import InputError, of_the_computer
 from yieldmon.estimation.parameters import ParameterSet

@@ -54,7 +54,7 @@ def build_monitor(
     machine : Machine
     parameters : ParameterSet
     calibrator : CalibratorSettings, optional
-        With which it learns from sweeps and weighed loads; None: the parameters stay.
+        How sweeps and weighed loads update the parameters; None: they stay.
     sources : Sources
         Which message and signal brings what; the shipped DBC by default.
     drives_plate : bool
@@ -75,9 +75,11 @@ def build_monitor(
     """
     estimator = estimator_of(machine, parameters)
     updatable = calibrator is not None and parameters.curve is None
-    learner = ClosedLoopCalibrator(ForwardModel(machine, parameters.effects), calibrator) if updatable and calibrator else None
+    self_calibrator = (
+        ClosedLoopCalibrator(ForwardModel(machine, parameters.effects), calibrator) if updatable and calibrator else None
+    )
     monitor = Monitor(
-        settings, machine, estimator, learner, sources=sources, drives_plate=drives_plate, waveform_later=waveform_later
+        settings, machine, estimator, self_calibrator, sources=sources, drives_plate=drives_plate, waveform_later=waveform_later
     )
     known = crops().get(parameters.provenance.get("crop", ""))
     if known is not None:

@@ -156,7 +156,7 @@ _AVERAGED_READINGS = 6
 _NOW_VARIANCE = 1.0 / (2 * _AVERAGED_READINGS - 1)
 """Of the mean of the newest readings, over that of one: their weights fall by the same share from each to the one before it."""
 _SCATTER_READINGS = 60
-"""Over which the scatter of readings is learnt."""
+"""Over which the scatter of readings is estimated."""
 _MOST_SCATTER_PCT = 0.5
 """Standard deviation beyond which a reading that differs from the one before it is of other grain."""
 

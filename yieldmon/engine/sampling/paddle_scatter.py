@@ -1,4 +1,4 @@
-"""How far the momentum of one paddle's grain differs from that of the next, learnt from the windows."""
+"""How far the momentum of one paddle's grain differs from that of the next, estimated from the windows."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ _LARGEST_RATIO = 4.0
 
 
 class PaddleScatter:
-    """Squared relative standard deviation of one paddle's momentum, learnt over the windows.
+    """Squared relative standard deviation of one paddle's momentum, estimated over the windows.
 
     It begins at the prior with the prior's weight; older windows count less, so that another crop or chain is followed.
     """

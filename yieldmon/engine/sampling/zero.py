@@ -4,8 +4,8 @@ Whether it runs empty is seen from the paddles, not from the level: grain comes 
 amplitudes of the paddle pattern's harmonics, averaged coherently over several windows, must be those that vibration alone was
 found to make, no more and no less, each by itself. Shaft and engine vibration do not keep step with the pattern and average out;
 a drifted zero has no pulses at all; a trickle of grain shows in some harmonic, whatever its phase against the vibration, so the
-zero stands still under it however long it lasts. What vibration makes is learnt once, with the first zero or by the operator's
-zero calibration, and does not follow, or it would learn a trickle step by step; it is taken to grow with the square of the speed.
+zero stands still under it however long it lasts. What vibration makes is measured once, with the first zero or by the operator's
+zero calibration, and not again, or it would follow a trickle step by step; it is taken to grow with the square of the speed.
 
 A trickle so small that all its harmonics stay within the margins (about 0.1 kg/s on a quiet machine, 0.3 kg/s where the paddles
 themselves shake the plate by 3 N) moves the zero by no more than its own force, unless header and work state say that the machine
@@ -27,7 +27,7 @@ from yieldmon.engine.settings import ZeroSettings
 class ZeroState:
     """zero_mv and the first zero it is judged against; amplitudes with the elevator empty at speed_rad_s.
 
-    vibration_mv: each pattern harmonic over several windows, empty until learnt. window_pulse_mv: largest of a single window.
+    vibration_mv: each pattern harmonic over several windows, empty until measured. window_pulse_mv: largest of a single window.
     """
 
     zero_mv: float
@@ -87,7 +87,7 @@ class ZeroTracker:
         """Whether the elevator looked empty, by its pulses, when an operator's calibration despite its level began."""
 
     def calibrate(self, *, against_signs: bool = False, despite_signs: bool = True) -> bool:
-        """Operator's zero calibration: the next windows are empty by the operator's word; learn zero and vibration from them.
+        """Operator's zero calibration: the next windows are empty by the operator's word; measure zero and vibration from them.
 
         against_signs: what is measured speaks of grain all the same. despite_signs: so may the windows to come. Returns whether
         an undo still brings back the zero before an earlier calibration: that one is suspect.
@@ -165,7 +165,7 @@ class ZeroTracker:
 
     @property
     def looks_empty(self) -> bool:
-        """Whether the last windows hold nothing but the vibration that was learnt; False also while that cannot be said."""
+        """Whether the last windows hold nothing but the vibration that was measured; False also while that cannot be said."""
         return len(self._recent) == self._settings.settle_windows and self._excess(below=True) is False
 
     @property
@@ -211,7 +211,7 @@ class ZeroTracker:
 
     @property
     def below_empty(self) -> bool:
-        """Whether the plate has read less than empty for some time: the zero was learnt with grain on it."""
+        """Whether the plate has read less than empty for some time: the zero was taken with grain on it."""
         if self._state is None or len(self._recent) < self._settings.settle_windows:
             return False
         return all(window.mean_mv < self._state.zero_mv - self._settings.max_step_mv for window in self._recent)
@@ -262,7 +262,7 @@ class ZeroTracker:
         self._pattern = self._compared = None
         if self._calibrating:
             if len(self._recent) == self._settings.settle_windows:
-                self._state = self._learnt(list(self._recent))
+                self._state = self._measured(list(self._recent))
                 self._calibrating, self.far_mv = False, 0.0
                 away_mv = abs(self._state.zero_mv - self._before.zero_mv) if self._before is not None else 0.0
                 self.suspect = self._against_signs and away_mv > self._settings.level_range_mv
@@ -273,7 +273,7 @@ class ZeroTracker:
             if self._state.vibration_mv:
                 self._follow(self._state, window)
             else:
-                self._learn_vibration(self._state)
+                self._measure_vibration(self._state)
         elif self._state is None:
             self.lack(window, "the machine is cutting, by header and work state")
 
@@ -290,13 +290,13 @@ class ZeroTracker:
         levels = [window.mean_mv for window in windows]
         self._refusal = ZeroRefusal(waited_s, _pulse_mv(windows), max(levels) - min(levels))
 
-    def _learn_vibration(self, state: ZeroState) -> None:
+    def _measure_vibration(self, state: ZeroState) -> None:
         windows = list(self._recent)
         near = all(abs(window.mean_mv - state.zero_mv) <= self._settings.level_range_mv for window in windows)
         if near and len(windows) == self._settings.settle_windows and self._quiet(windows):
-            learnt = self._learnt(windows)
+            found = self._measured(windows)
             self._state = ZeroState(
-                learnt.zero_mv, state.first_zero_mv, learnt.speed_rad_s, learnt.window_pulse_mv, learnt.vibration_mv
+                found.zero_mv, state.first_zero_mv, found.speed_rad_s, found.window_pulse_mv, found.vibration_mv
             )
             self.known_s = windows[-1].end_s
 
@@ -324,13 +324,13 @@ class ZeroTracker:
             and max(levels) - min(levels) <= self._settings.level_range_mv
         )
 
-    def _learnt(self, windows: list[Window]) -> ZeroState:
+    def _measured(self, windows: list[Window]) -> ZeroState:
         zero = _mean_level(windows)
         pulse = max(window.pulse_mv for window in windows)
         return ZeroState(zero, zero, _mean_speed(windows), pulse, coherent_amplitudes(windows))
 
     def _excess(self, *, below: bool) -> bool | None:
-        """Whether any harmonic is above (or, with below, also below) what vibration makes; None while it is not learnt."""
+        """Whether any harmonic is above (or, with below, also below) what vibration makes; None while it is not known."""
         state = self._state
         if state is None or not state.vibration_mv:
             return None
@@ -346,8 +346,8 @@ class ZeroTracker:
         amplitudes, speed_rad_s = self._pattern
         factor = _speed_factor(speed_rad_s, state.speed_rad_s)
         lower = False
-        for amplitude, learnt in zip(amplitudes, state.vibration_mv, strict=False):
-            usual = learnt * factor
+        for amplitude, known in zip(amplitudes, state.vibration_mv, strict=False):
+            usual = known * factor
             margin = max(self._settings.pulse_margin_mv, self._settings.pulse_margin * usual)
             if amplitude - usual > margin:
                 return True, True
@@ -369,6 +369,6 @@ def _mean_speed(windows: Sequence[Window] | deque[Window]) -> float:
     return sum([window.speed_rad_s for window in windows]) / len(windows)
 
 
-def _speed_factor(speed_rad_s: float, learnt_at_rad_s: float) -> float:
+def _speed_factor(speed_rad_s: float, measured_at_rad_s: float) -> float:
     """Growth of vibration from one speed to another: unbalance grows with the square of the speed."""
-    return (speed_rad_s / learnt_at_rad_s) ** 2 if learnt_at_rad_s > 0.0 else 1.0
+    return (speed_rad_s / measured_at_rad_s) ** 2 if measured_at_rad_s > 0.0 else 1.0

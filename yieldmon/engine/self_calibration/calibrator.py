@@ -1,4 +1,4 @@
-"""What the monitor asks of whatever learns its parameters, and what comes of an update."""
+"""What the monitor asks of a self-calibration, and what comes of an update."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class CalibrationOutcome:
 
 
 class SelfCalibrator(Protocol):
-    """Learns from the windows of a sweep and from reference masses."""
+    """Updates parameters from the windows of a sweep and from reference masses."""
 
     def update(self, records: Sequence[WindowRecord], estimator: FlowEstimator, *, use_sweep: bool = True) -> CalibrationOutcome:
         """records: the usable windows of one whole sweep. estimator: the one in use.
@@ -82,11 +82,11 @@ class SelfCalibrator(Protocol):
         """What kernel noise changes. record: the last window."""
 
     def follow(self, record: WindowRecord, estimator: FlowEstimator) -> CalibrationOutcome | None:
-        """Where the drift that has been learnt has led the parameters since the last update; None: no further than is worth a
+        """Where the estimated drift has led the parameters since the last update; None: no further than is worth a
         step. record: the last window."""
 
     def drift_std_dev(self, record: WindowRecord, estimator: FlowEstimator) -> float:
-        """Relative standard deviation of the force by drift since the parameters in use were learnt, beyond their covariance.
+        """Relative standard deviation of the force by drift since the last update of the parameters, beyond their covariance.
         record: the last window."""
 
     def sweep_worth(
@@ -96,8 +96,8 @@ class SelfCalibrator(Protocol):
         the sweep; None: not known."""
 
     def use(self, estimator: FlowEstimator, harvested_kg: float = 0.0) -> None:
-        """Other parameters than what was learnt led to: those from before an update, since when they hold again; or from outside,
-        learnt so much grain ago."""
+        """Other parameters than the last update led to: those from before an update, since when they hold again; or from outside,
+        estimated so much grain ago."""
 
     @property
     def counted(self) -> frozenset[str]:

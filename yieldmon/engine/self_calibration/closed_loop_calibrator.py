@@ -31,7 +31,7 @@ from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import BY_KERNELS, SCALE, WEIGHED, ParameterSet
 from yieldmon.estimation.self_calibration.angle_error import NO_ERROR, AngleError
 from yieldmon.estimation.self_calibration.angle_pattern import EFFECT
-from yieldmon.estimation.self_calibration.closed_loop import learn, update_from_tickets
+from yieldmon.estimation.self_calibration.closed_loop import fit_parameters, update_from_tickets
 from yieldmon.estimation.self_calibration.closed_loop_outcome import Outcome
 from yieldmon.estimation.self_calibration.steady_drift import with_gain_error
 from yieldmon.estimation.self_calibration.sweep_worth import OtherChannels, SweepPlan, SweepWorth, sweep_worth, window_times_s
@@ -82,7 +82,7 @@ class ClosedLoopCalibrator:
         try:
             sweeps = [sweep_of(records)] if use_sweep and not refused else []
             settings = allowing_for(self._settings.closed_loop, prior)
-            outcome = learn(self._model, prior, sweeps, density=density, settings=settings)
+            outcome = fit_parameters(self._model, prior, sweeps, density=density, settings=settings)
             leads = refusal(outcome.parameter_set) if sweeps and outcome.updated else ""
             if (leads or not outcome.consistent) and density is not None:
                 outcome = update_from_tickets(self._model, prior, (), density, self._settings.closed_loop)

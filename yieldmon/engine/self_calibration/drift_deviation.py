@@ -1,4 +1,4 @@
-"""How far the force of parameters may be off by drift since they were learnt."""
+"""How far the force of parameters may be off by drift since their last update."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from yieldmon.physics.numerics import Array
 
 @dataclass(frozen=True, slots=True)
 class DriftDeviation:
-    """relative: standard deviation of the force. parameters: that it is of. steps: of grain since they were learnt."""
+    """relative: standard deviation of the force. parameters: that it is of. steps: of grain since then."""
 
     relative: float
     parameters: ParameterSet

@@ -13,7 +13,7 @@ _KEPT = 16
 
 @dataclass(frozen=True, slots=True)
 class EarlierParameters:
-    """values: of the parameters, by name. at_s, at_kg: bus time, s, and total, kg, at which they were learnt."""
+    """values: of the parameters, by name. at_s, at_kg: bus time, s, and total, kg, at which they were estimated."""
 
     values: tuple[tuple[str, float], ...]
     at_s: float

@@ -83,8 +83,10 @@ class LoadUpdate:
         # Outside the prior's standard deviations, or so far that its linearisation about the earlier loads no longer holds:
         # only the loads together determine the scale.
         try:
-            learnt = [load.name for load in earlier]
-            found = calibrate_loads(self.model, self._without_curve(prior), counted, settings=self.load_settings, learnt=learnt)
+            in_prior = [load.name for load in earlier]
+            found = calibrate_loads(
+                self.model, self._without_curve(prior), counted, settings=self.load_settings, in_prior=in_prior
+            )
         except ValueError:
             if near:
                 return self._with_change_of_scale(outcome, before, names), drifting

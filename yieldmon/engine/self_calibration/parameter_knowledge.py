@@ -30,7 +30,7 @@ from yieldmon.estimation.self_calibration.steady_drift import (
     begin,
     carried,
     forgotten,
-    learn,
+    updated,
     widened,
 )
 from yieldmon.estimation.waveform import common_bias
@@ -41,7 +41,7 @@ from yieldmon.physics.numerics import Array
 KERNEL_NOISE = "kernel_noise"
 """Key of the provenance of parameters that kernel noise has updated."""
 FOLLOWED_KG = 20_000.0
-"""Of grain, after which a learnt steady drift moves the parameters without an update, and drift widens what is stated."""
+"""Of grain, after which an estimated steady drift moves the parameters without an update, and drift widens what is stated."""
 _LEAST_FOLLOWED = 1e-5
 """Relative change of a parameter by steady drift below which it waits."""
 
@@ -89,7 +89,7 @@ class ParameterKnowledge:
         self._deviation: DriftDeviation | None = None
         self._past: Places = ()
         self._outside: tuple[ParameterSet, float] | None = None
-        """Parameters from outside that no window has been measured with yet, and the grain, kg, since they were learnt."""
+        """Parameters from outside that no window has been measured with yet, and the grain, kg, since they were estimated."""
         self._placed: ParameterSet | None = None
         """Parameters in use that no update led to, of which it is known since when they hold."""
 
@@ -182,7 +182,7 @@ class ParameterKnowledge:
         elif outcome.parameter_set.covariance_names != before.covariance_names:
             now = begin(outcome.parameter_set, self._settings.steady_per_kilotonne)
         else:
-            now = learn(drifting, outcome.parameter_set, widening=outcome.prior_widening)
+            now = updated(drifting, outcome.parameter_set, widening=outcome.prior_widening)
         same = now.joint.shape == drifting.joint.shape and now.parameters.covariance_names == before.covariance_names
         heard = bias
         if bias is not None and same and outcome.updated:
@@ -208,7 +208,7 @@ class ParameterKnowledge:
         self._hold(replace(update.drifting, parameters=known), update.bias, spread)
 
     def use(self, before: ParameterSet | None, used: ParameterSet, harvested_kg: float) -> None:
-        """Other parameters than what was learnt led to: those from before an update, since when they hold again; or from outside.
+        """Other parameters than the last update led to: those from before an update, since when they hold again; or from outside.
 
         Parameters
         ----------
@@ -216,7 +216,7 @@ class ParameterKnowledge:
             In use until now.
         used : ParameterSet
         harvested_kg : float
-            Grain since they were learnt, where they come from outside, kg.
+            Grain since they were estimated, where they come from outside, kg.
         """
         if before is not None:
             self._past = remembered(self._past, before, self._at.time_s, self._at.total_kg)
@@ -270,7 +270,7 @@ class ParameterKnowledge:
                 now = self.now(used, Instant(record.time_s, record.total_kg, nan))
                 later = self.stated(used, now, record.total_kg)
             else:
-                later = self._as_learnt(used)
+                later = self._at_last_update(used)
             seen = DriftDeviation(force_deviation(model, used, later, record), used, steps)
         self._deviation = seen
         return seen.relative
@@ -348,8 +348,8 @@ class ParameterKnowledge:
         )  # fmt: skip
         return RateSpread.at(self._spread, used, later.step, later.drifting, gone)
 
-    def _as_learnt(self, used: ParameterSet) -> ParameterSet:
-        """The same as they were when they were learnt."""
+    def _at_last_update(self, used: ParameterSet) -> ParameterSet:
+        """The same with the covariance of the last update."""
         spread = self._spread
         return used if spread is None or spread.parameters is not used else as_stated(used, spread.covariance)
 

@@ -137,7 +137,7 @@ class ReferenceMasses:
         return handed, tuple(mass for mass in self.kept if mass not in waiting)
 
     def compare(self) -> list[ScaleCheck]:
-        """Nothing learns: new masses held against what was counted."""
+        """Without a calibrator: new masses held against what was counted."""
         self._wait = False
         self.tickets.none_waits()
         checks = [as_stated(mass) for mass in self.kept if mass not in self._compared]

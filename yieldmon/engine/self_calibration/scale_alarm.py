@@ -98,7 +98,7 @@ class ScaleAlarm:
         self._state = state
 
     def see(self, checks: Sequence[ScaleCheck]) -> None:
-        """Masses weighed since the last call, each against the parameters that held before it was learnt from."""
+        """Masses weighed since the last call, each against the parameters that held before its update."""
         for check in checks:
             state, p_value = self._state, check.p_value
             again = state.contradiction if state.contradiction is not None and state.contradiction.name == check.name else None

@@ -145,7 +145,7 @@ class TicketBook:
         return tuple(waited[: len(waited) - len(self._waiting)])
 
     def none_waits(self) -> None:
-        """Nothing learns: no ticket waits."""
+        """Without a calibrator no ticket waits."""
         self._waiting = []
 
     def take_back(

@@ -64,7 +64,7 @@ class WeighedMasses:
         self.used, self._checked = self.used.union(masses), self._checked.union(masses)
 
     def use_again(self, masses: Collection[ReferenceMass]) -> None:
-        """These are learnt from and held against what was counted as if they had not been handed over."""
+        """These update the parameters and are held against what was counted as if they had not been handed over."""
         self.used, self._checked = self.used.difference(masses), self._checked.difference(masses)
 
     def forget(self, load_numbers: frozenset[int]) -> None:

@@ -40,7 +40,7 @@ def median_moisture_pct(records: Sequence[WindowRecord]) -> float:
 def measured_density(
     records: Sequence[WindowRecord], prior: ParameterSet, settings: CalibratorSettings
 ) -> MeasuredDensity | None:
-    """Paddle density by the records' median test weight; None where it is not measured or not to be learnt."""
+    """Paddle density by the records' median test weight; None where it is not measured or not to be used."""
     weight = _median(r.test_weight_kg_m3 for r in records)
     if settings.density_ratio is None or not isfinite(weight) or "density" not in prior.covariance_names:
         return None

@@ -40,7 +40,7 @@ def levenberg_marquardt(
     iterations: int = 120,
     tolerance: float = 1e-9,
     least_gain: float = 0.0,
-    learns_curvature: bool = False,
+    track_curvature: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> BatchSearch:
     """Minimise half the sum of squares from every start at once, within bounds.
@@ -64,7 +64,7 @@ def levenberg_marquardt(
     least_gain
         when the next step promises to lower the sum of squares by less than this times 1 + its mean square; 0: never for that
         reason.
-    learns_curvature
+    track_curvature
         Take the curvature of the residuals into account, as the derivatives' changes from step to step show it: fewer steps where
         residuals stay large (Dennis, Gay and Welsch, ACM TOMS 7, 1981; symmetric rank-one updates).
     progress
@@ -72,7 +72,7 @@ def levenberg_marquardt(
     """
     search = _Search(
         residuals, start, lower, upper, held=held, scale=scale, tolerance=tolerance, least_gain=least_gain,
-        learns_curvature=learns_curvature,
+        track_curvature=track_curvature,
     )  # fmt: skip
     for _ in range(iterations):
         going = np.flatnonzero(~search.done)
@@ -98,10 +98,10 @@ class _Search:
         scale: Array | None,
         tolerance: float,
         least_gain: float,
-        learns_curvature: bool,
+        track_curvature: bool,
     ) -> None:
         self._residuals = residuals
-        self._tolerance, self._least_gain, self._learns = tolerance, least_gain, learns_curvature
+        self._tolerance, self._least_gain, self._track_curvature = tolerance, least_gain, track_curvature
         self._theta = np.array(start, dtype=float)
         count, width = self._theta.shape
         self._low, self._high = np.broadcast_to(lower, self._theta.shape), np.broadcast_to(upper, self._theta.shape)
@@ -123,7 +123,7 @@ class _Search:
         jacobian, residual, unit = self._jacobian[at], self._residual[at], self._unit[at]
         gradient = np.einsum("bmn,bm->bn", jacobian, residual) * unit
         normal = np.einsum("bmi,bmj->bij", jacobian, jacobian) * unit[:, :, None] * unit[:, None, :]
-        if self._learns:
+        if self._track_curvature:
             normal = _curved(normal, self._curvature[at])
         theta, low, high = self._theta[at], self._low[at], self._high[at]
         frozen = self._held[at] | ((theta <= low) & (gradient > 0.0)) | ((theta >= high) & (gradient < 0.0))
@@ -150,14 +150,14 @@ class _Search:
         cost = _cost(residual)
         move = (trial - self._theta[at]) / self._unit[at]
         better = cost <= self._cost[at]
-        if self._learns:
+        if self._track_curvature:
             there = np.where(better[:, None], residual, self._residual[at])
             bent = np.einsum("bmn,bm->bn", jacobian - self._jacobian[at], there) * self._unit[at]
-            self._curvature[at] = _learnt(self._curvature[at], move, bent)
+            self._curvature[at] = _rank_one_update(self._curvature[at], move, bent)
         taken = at[better]
         self._theta[taken], self._cost[taken] = trial[better], cost[better]
         self._residual[taken], self._jacobian[taken] = residual[better], jacobian[better]
-        light = self._damping[at] <= (1e-3 if self._learns else -1.0)
+        light = self._damping[at] <= (1e-3 if self._track_curvature else -1.0)
         self._damping[at] = np.where(better, np.maximum(self._damping[at] * 0.1, 1e-12), self._damping[at] * 8.0)
         stalled = np.max(np.abs(move), axis=-1, initial=0.0) <= self._tolerance
         # A short step by heavy damping is a stall; one nearly undamped has arrived.
@@ -175,7 +175,7 @@ def _curved(normal: Array, curvature: Array) -> Array:
     return np.where((least > 0.1 * plain)[:, None, None], both, normal)
 
 
-def _learnt(curvature: Array, step: Array, change: Array) -> Array:
+def _rank_one_update(curvature: Array, step: Array, change: Array) -> Array:
     """(B, n, n): the symmetric rank-one update after which curvature @ step is `change`; none where that is ill determined."""
     missing = change - np.einsum("bij,bj->bi", curvature, step)
     along = np.einsum("bi,bi->b", missing, step)

@@ -31,7 +31,7 @@ def with_pattern(parameters: ParameterSet, relative_sd: float) -> ParameterSet:
     Parameters
     ----------
     parameters : ParameterSet
-        Its `model_error`, learnt from held-out angles and loads, makes the pattern larger where it is.
+        Its `model_error`, estimated from held-out angles and loads, makes the pattern larger where it is.
     relative_sd : float
         Standard deviation of the relative error 25 degrees from home; at least `model_error.FLOOR`.
 

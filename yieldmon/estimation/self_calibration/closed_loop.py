@@ -101,7 +101,7 @@ def self_calibrate(
     """
     masses = (*masses, *anchors)
     read = allowing_for(ClosedLoopSettings() if settings is None else settings, prior)
-    found = learn(model, prior, sweeps, masses=masses, density=density, settings=read)
+    found = fit_parameters(model, prior, sweeps, masses=masses, density=density, settings=read)
     if not masses and density is None and (ends := at_search_end(found.parameter_set.values, found.learned())):
         found = _not_determined(found, prior, ends)
     if found.consistent or not sweeps:
@@ -111,7 +111,7 @@ def self_calibrate(
     wrong = found
     for _ in range(_HALVINGS):
         error = 0.5 * (low + high)
-        wrong = learn(model, prior, sweeps, masses=masses, density=density, settings=replace(read, model_error=error))
+        wrong = fit_parameters(model, prior, sweeps, masses=masses, density=density, settings=replace(read, model_error=error))
         low, high = (error, high) if wrong.chi2 > wrong.dof else (low, error)
     return replace(found, flows=tuple(map(_with_difference, found.flows, wrong.flows)))
 
@@ -141,7 +141,7 @@ def _with_difference(flow: FlowPosterior, other: FlowPosterior) -> FlowPosterior
     return replace(flow, log_sd=float(np.hypot(other.log_sd, difference)))
 
 
-def learn(
+def fit_parameters(
     model: ForwardModel,
     prior: ParameterSet,
     sweeps: Sequence[Sweep],
@@ -188,13 +188,13 @@ def update_from_tickets(
     """
     widening = 1.0
     settings = replace(ClosedLoopSettings() if settings is None else settings, learned_information=_ALL, kept_ratio=1.0 - _ALL)
-    outcome = learn(model, prior, (), masses=masses, density=density, settings=settings)
+    outcome = fit_parameters(model, prior, (), masses=masses, density=density, settings=settings)
     for _ in range(_WIDENINGS):
         wide = replace(prior, covariance=widened(prior.covariance, prior.covariance_names, 4.0 * widening))
         if outcome.consistent or _beyond_physics(wide):
             break
         widening *= 4.0
-        outcome = learn(model, wide, (), masses=masses, density=density, settings=settings)
+        outcome = fit_parameters(model, wide, (), masses=masses, density=density, settings=settings)
     return replace(outcome, prior_widening=widening)
 
 
@@ -217,8 +217,8 @@ def _outcome(problem: ClosedLoopProblem, solution: Solution) -> Outcome:
     consistent = p_value >= settings.consistent_p
     information = _data_information(problem, solution.jacobian)
     mean, covariance = determined_part(problem.prior, theta, information, problem.lower, problem.upper, settings)
-    learning = _learning(problem, mean, covariance, consistent)
-    updated = any(p.learned for p in learning)
+    updates = _parameter_updates(problem, mean, covariance, consistent)
+    updated = any(p.learned for p in updates)
     parameter_set = _updated(problem, mean, covariance) if updated else problem.prior_set
     residuals = _sweep_residuals(problem, solution)
     scale = _scale(problem, solution)
@@ -227,11 +227,11 @@ def _outcome(problem: ClosedLoopProblem, solution: Solution) -> Outcome:
         updated=updated,
         consistent=consistent,
         reason=_reason(
-            problem, updated=updated, consistent=consistent, learning=learning, p_value=p_value, residuals=residuals, scale=scale
+            problem, updated=updated, consistent=consistent, updates=updates, p_value=p_value, residuals=residuals, scale=scale
         ),
         region=_worst_angle(problem, residuals),
         flows=_flows(problem, solution),
-        parameters=learning,
+        parameters=updates,
         scale=scale,
         chi2=chi2,
         dof=dof,
@@ -240,7 +240,9 @@ def _outcome(problem: ClosedLoopProblem, solution: Solution) -> Outcome:
     )
 
 
-def _learning(problem: ClosedLoopProblem, mean: Array, covariance: Array, consistent: bool) -> tuple[ParameterUpdate, ...]:
+def _parameter_updates(
+    problem: ClosedLoopProblem, mean: Array, covariance: Array, consistent: bool
+) -> tuple[ParameterUpdate, ...]:
     """What became of each parameter; nothing where the data contradict the model."""
     prior, prior_sds = problem.prior.mean, problem.prior.standard_deviation
     sds = np.sqrt(np.diag(covariance))
@@ -341,7 +343,7 @@ def _reason(
     *,
     updated: bool,
     consistent: bool,
-    learning: Sequence[ParameterUpdate],
+    updates: Sequence[ParameterUpdate],
     p_value: float,
     residuals: Sequence[Array],
     scale: ScaleReport,
@@ -353,7 +355,7 @@ def _reason(
         )
     if not updated:
         return "the data add too little to what was known; the parameters stay"
-    narrowed = ", ".join(f"{p.name} to {100.0 * p.ratio:.0f} %" for p in learning if p.learned and p.ratio < _NARROWED)
+    narrowed = ", ".join(f"{p.name} to {100.0 * p.ratio:.0f} %" for p in updates if p.learned and p.ratio < _NARROWED)
     if not narrowed:
         return "agrees with what was known, which it leaves about as certain"
     end = "" if scale.observable else "; the scale (flow, density, 1/impact gain) rests on the prior"

@@ -1,4 +1,4 @@
-"""What the closed loop learns from: sweeps of the plate, weighed masses, an independent density."""
+"""Data of the closed loop: sweeps of the plate, weighed masses, an independent density."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ class WeighedMass:
         _as_arrays(self, WEIGHED_COLUMNS)
 
     def require_usable(self) -> None:
-        """Refuse what nothing can be learnt from.
+        """Refuse data that determine nothing.
 
         Raises
         ------
@@ -247,7 +247,7 @@ class MeasuredDensity:
     std_dev_kg_m3: float
 
     def require_usable(self) -> None:
-        """Refuse what nothing can be learnt from.
+        """Refuse data that determine nothing.
 
         Raises
         ------

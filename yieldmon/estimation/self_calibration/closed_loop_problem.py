@@ -180,7 +180,7 @@ class ClosedLoopProblem:
                 iterations=40,
                 tolerance=1e-4,
                 least_gain=_LEAST_GAIN if self.masses else 0.0,
-                learns_curvature=bool(self.masses),
+                track_curvature=bool(self.masses),
             )
             if not np.isfinite(found.cost[0]):
                 raise ValueError("no flow below a full paddle explains a sweep with the prior's parameters")

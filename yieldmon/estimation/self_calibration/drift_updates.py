@@ -7,7 +7,7 @@ alone have neither. What an update said apart from what was known before it foll
 it, so that nothing is measured anew.
 
 Sources: Rauch, Tung and Striebel, AIAA Journal 3 (1965), on the smoother that this serves; Brynjarsdottir and O'Hagan, Inverse
-Problems 30 (2014), on what is learnt through a model with an error.
+Problems 30 (2014), on what is estimated through a model with an error.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ from yieldmon.physics.numerics import Array
 def determined_part(
     prior: Prior, theta: Array, information: Array, lower: Array, upper: Array, settings: ClosedLoopSettings
 ) -> tuple[Array, Array]:
-    """Mean (n,) and covariance (n, n) after leaving out what was not learned; the prior's own where nothing was.
+    """Mean (n,) and covariance (n, n) after leaving out what the data do not determine; the prior's own where nothing was.
 
     theta: (n,) likeliest parameters, between lower and upper. information: (n, n) of the data alone. settings:
     learned_information and kept_ratio.

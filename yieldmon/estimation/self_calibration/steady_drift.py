@@ -1,4 +1,4 @@
-"""Parameters that drift at a steady, unknown rate: the rates are learnt along with them, and later updates correct the past.
+"""Parameters that drift at a steady, unknown rate: the rates are estimated along with them, and later updates correct the past.
 
 Wear and a ripening crop move friction, impact gain and density in one direction for weeks. A random walk alone (`drift.grow`)
 forgets at every step what the steps before had in common; with rates as further states, hundreds of sweeps and a few weighed
@@ -239,7 +239,7 @@ def carried(known: DriftingParameters, parameters: ParameterSet) -> DriftingPara
     return DriftingParameters(parameters, known.names, known.rates, joint)
 
 
-def learn(known: DriftingParameters, posterior: ParameterSet, *, widening: float = 1.0) -> DriftingParameters:
+def updated(known: DriftingParameters, posterior: ParameterSet, *, widening: float = 1.0) -> DriftingParameters:
     """After an update whose prior was `known.parameters`: the rates follow by their covariance with the parameters.
 
     widening: what the update multiplied the parameters' prior covariance by (`Outcome.prior_widening`). Raises ValueError when

@@ -2,7 +2,7 @@
 
 Kernel noise gives flow times exp(bias). The bias (of the kernels' weight, of crop, cell and background) is the same today as
 tomorrow: a hundred hours of noise know the scale no better than the bias is known. So the bias has a value, a variance and a
-covariance with the parameters, which every update carries along, whatever it learns from. A weighed load that fixes the scale
+covariance with the parameters, which every update carries along, whatever it comes from. A weighed load that fixes the scale
 fixes the bias with it, and from then on kernel noise follows what drifts.
 
 Kernels whose masses scatter otherwise than when the bias was found (broken kernels, another crop among them) raise the noise
@@ -98,7 +98,7 @@ def carried(bias: CommonBias, transition: Array, harvested_kg: float) -> CommonB
 def followed(bias: CommonBias, before: DriftingParameters, after: DriftingParameters, *, widening: float = 1.0) -> CommonBias:
     """After an update by something else, which knows nothing of the bias: it follows by its covariance with the states.
 
-    widening: as of `steady_drift.learn`. Raises ValueError where the states are not the same.
+    widening: as of `steady_drift.updated`. Raises ValueError where the states are not the same.
     """
     if before.joint.shape != after.joint.shape or before.parameters.covariance_names != after.parameters.covariance_names:
         raise ValueError("the bias of kernel noise cannot follow an update with other states")
@@ -150,9 +150,9 @@ def update(model: ForwardModel, drifting: DriftingParameters, bias: CommonBias, 
         drifting.rates + step[count:],
         joint,
     )
-    learnt = CommonBias(bias.value + share * difference, own, cross, max(bias.largest, own))
+    narrowed = CommonBias(bias.value + share * difference, own, cross, max(bias.largest, own))
     errors = np.eye(slope.size + 1) - np.outer(np.append(gain, share), np.append(slope, 1.0))
-    return KernelUpdate(after, learnt, difference, sqrt(variance), moved_by, errors)
+    return KernelUpdate(after, narrowed, difference, sqrt(variance), moved_by, errors)
 
 
 def _apart(

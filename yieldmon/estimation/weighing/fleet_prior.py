@@ -220,7 +220,7 @@ def _held(known: ParameterSet) -> list[str]:
 
 
 def _few_machines(machines: int) -> float:
-    """Factor on deviations by which two of them hold 95 % although the scatter was learnt from few machines."""
+    """Factor on deviations by which two of them hold 95 % although the scatter was estimated from few machines."""
     return float(student_t.ppf(_TWO_SIDED, machines - 1) / norm.ppf(_TWO_SIDED))
 
 

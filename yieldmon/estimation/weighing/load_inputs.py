@@ -1,4 +1,4 @@
-"""What a calibration by loads learns from: weighed masses with their windows, and what is assumed before them."""
+"""Data of a calibration by loads: weighed masses with their windows, and what is assumed before them."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
 from yieldmon.estimation.load_pattern import EFFECT
 from yieldmon.estimation.parameters import CalibratedRange, ParameterSet
-from yieldmon.estimation.self_calibration.closed_loop import learn
+from yieldmon.estimation.self_calibration.closed_loop import fit_parameters
 from yieldmon.estimation.self_calibration.closed_loop_inputs import Sweep, WeighedMass
 from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array, span
@@ -56,7 +56,7 @@ def calibrate_loads(
     sweeps: Sequence[Sweep] = (),
     settings: LoadSettings | None = None,
     sweep_settings: ClosedLoopSettings | None = None,
-    learnt: Container[str] = (),
+    in_prior: Container[str] = (),
 ) -> LoadCalibration:
     """Density and impact gain from weighed loads, and with `sweeps` what these determine of the rest first.
 
@@ -73,8 +73,8 @@ def calibrate_loads(
     settings : LoadSettings, optional
     sweep_settings : ClosedLoopSettings, optional
         None: the defaults.
-    learnt : container of str
-        Names of loads that the prior has learnt from: that it measures these well says nothing for it.
+    in_prior : container of str
+        Names of loads that the prior was fitted to: that it measures these well says nothing for it.
 
     Returns
     -------
@@ -109,9 +109,9 @@ def calibrate_loads(
     if found is None or not _is_another(found, problem, active):
         if sweep_settings is None:
             sweep_settings = ClosedLoopSettings(flow="process", model_error=0.01)
-        calibration = _calibration(problem, active, sweeps, sweep_settings, learnt)
+        calibration = _calibration(problem, active, sweeps, sweep_settings, in_prior)
     else:
-        calibration = _by_another_law(problem, law, active, found, learnt)
+        calibration = _by_another_law(problem, law, active, found, in_prior)
     if not calibration.refused:
         given = problem.given.calibrated
         before = given if _bears_out(problem, active) else CalibratedRange()
@@ -166,7 +166,7 @@ def _calibration(
     active: NDArray[np.bool_],
     sweeps: Sequence[Sweep],
     sweep_settings: ClosedLoopSettings,
-    learnt: Container[str],
+    in_prior: Container[str],
 ) -> LoadCalibration:
     found = _fitted(problem, active)
     fit, directions, errors = found.fit, found.directions, found.left_out_error
@@ -179,7 +179,7 @@ def _calibration(
         posterior, after = together, problem.mass(together)
         errors = _left_out_together(problem, fit, sweeps, active, sweep_settings)
         next_sd, level_sd = problem.spread(posterior, active)
-    judged = _judged(problem, errors, active, learnt)
+    judged = _judged(problem, errors, active, in_prior)
     error = np.log(after / problem.weighed)
     refused = judged.is_worse(error) and not _by_other_monitor(problem, active, directions)
     found_alone = replace(
@@ -215,10 +215,10 @@ class _Judged:
         return self.several and _expected_rms(error[self.judges], self.errors[self.judges]) > self.rms_before
 
 
-def _judged(problem: LoadProblem, errors: Array, active: NDArray[np.bool_], learnt: Container[str]) -> _Judged:
-    """By the loads that the prior has not learnt from, where there are any."""
+def _judged(problem: LoadProblem, errors: Array, active: NDArray[np.bool_], in_prior: Container[str]) -> _Judged:
+    """By the loads that the prior was not fitted to, where there are any."""
     before = problem.mass(problem.given)
-    unseen = active & np.array([load.name not in learnt for load in problem.loads])
+    unseen = active & np.array([load.name not in in_prior for load in problem.loads])
     judges = unseen if np.any(unseen) else active
     return _Judged(
         before, errors, judges, _rms(np.log(before / problem.weighed)[judges]), _rms(errors[judges]), bool(active.sum() > 1)
@@ -271,11 +271,11 @@ def _is_another(found: LawAverage, problem: LoadProblem, active: NDArray[np.bool
 
 
 def _by_another_law(
-    problem: LoadProblem, law: LawProblem, active: NDArray[np.bool_], found: LawAverage, learnt: Container[str]
+    problem: LoadProblem, law: LawProblem, active: NDArray[np.bool_], found: LawAverage, in_prior: Container[str]
 ) -> LoadCalibration:
     """The calibration where the force may follow another curve over the flow than the model's."""
     errors, away = left_out(law, active, found.step)
-    judged = _judged(problem, errors, active, learnt)
+    judged = _judged(problem, errors, active, in_prior)
     # A load that another curve may well put there says nothing against the calibration, however far it is.
     refused = judged.is_worse(found.error) and _rms(away[judged.judges]) > _CONTRADICTED
     posterior = problem.given if refused else _as_law_set(law, active, found)
@@ -300,7 +300,7 @@ def _next_sd(problem: LoadProblem, active: NDArray[np.bool_], found: LawAverage)
 def _with_wrong_ticket(
     problem: LoadProblem, law: LawProblem, active: NDArray[np.bool_], found: LawAverage, sweeps: int
 ) -> LoadCalibration:
-    """Nothing learnt: a ticket is wrong."""
+    """Nothing updated: a ticket is wrong."""
     errors, _ = left_out(law, active, found.step)
     before = problem.mass(problem.given)
     error = np.log(before / problem.weighed)[active]
@@ -358,7 +358,7 @@ def _fitted(problem: LoadProblem, active: NDArray[np.bool_]) -> _Fitted:
 def _together(
     problem: LoadProblem, near: LoadFit, sweeps: Sequence[Sweep], active: NDArray[np.bool_], settings: ClosedLoopSettings
 ) -> ParameterSet | None:
-    """Sweeps and loads in one fit that begins where the loads alone lead; None where it learns nothing."""
+    """Sweeps and loads in one fit that begins where the loads alone lead; None where it updates nothing."""
     masses = [
         WeighedMass(
             reference_kg=load.weighed_kg,
@@ -374,7 +374,7 @@ def _together(
         if ok
     ]
     centre = moved(problem.start, *map(float, near.step))
-    outcome = learn(problem.model, centre, sweeps, masses=masses, settings=settings)
+    outcome = fit_parameters(problem.model, centre, sweeps, masses=masses, settings=settings)
     if not outcome.updated:
         return None
     return replace(outcome.parameter_set, version=problem.given.version + 1)

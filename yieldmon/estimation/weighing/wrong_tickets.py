@@ -21,7 +21,7 @@ from .ticket_slips import SlipKind, slips, tare_kg
 LEAST_LOADS = 3
 """Fewer weighed loads say nothing against a further one."""
 _WRONG, _PERHAPS_WRONG = 0.5, 0.2
-"""Probability of a wrong ticket from which nothing is learnt, and from which it is asked about (studies/load_laws)."""
+"""Probability of a wrong ticket from which nothing is updated, and from which it is asked about (studies/load_laws)."""
 _WRONG_OF_TWO, _PERHAPS_WRONG_OF_TWO = 0.25, 0.1
 """The same of two loads, where a third is soon weighed."""
 _WRONG_OF_MANY = 0.8
@@ -38,7 +38,7 @@ _NAMED = 0.8
 
 
 def probabilities(count: int) -> tuple[float, float]:
-    """Probability of a wrong ticket among `count` loads from which nothing is learnt, and from which it is asked about."""
+    """Probability of a wrong ticket among `count` loads from which nothing is updated, and from which it is asked about."""
     if count < LEAST_LOADS:
         return _WRONG_OF_TWO, _PERHAPS_WRONG_OF_TWO
     return _WRONG_OF_MANY if count > LEAST_LOADS else _WRONG, _PERHAPS_WRONG

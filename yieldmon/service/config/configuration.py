@@ -54,7 +54,7 @@ class ConfigurationError(InputError):
 
 @dataclass(frozen=True)
 class Configuration:
-    """All that the daemon runs with. Paths are absolute. calibrator is None where nothing may be learnt. notes: a sentence
+    """All that the daemon runs with. Paths are absolute. calibrator is None where parameters are never updated. notes: a sentence
     for each key that the file has under a former name, and on a curve that gives the flow."""
 
     path: Path

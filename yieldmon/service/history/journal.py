@@ -14,7 +14,7 @@ from yieldmon.engine.mass.missed_mass import MissedMass
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.results import Event, Result, WindowResult
-from yieldmon.engine.self_calibration.learning import ParametersChanged
+from yieldmon.engine.self_calibration.parameter_updater import ParametersChanged
 from yieldmon.engine.sweeps.plate import SweepEnded
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.service.history.load_book import LoadBook

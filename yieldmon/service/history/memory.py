@@ -151,7 +151,7 @@ def _ticketed(store: Store, engine: EngineState) -> tuple[StoredLoad, ...]:
 def choose_parameters(memory: Memory, configured: ParameterSet) -> tuple[ParameterSet, str]:
     """The parameters to run with, and where they come from.
 
-    What was learnt since goes on for as long as the configured file is the one it began with; another file wins.
+    Updates since go on for as long as the configured file is the one it began with; another file wins.
     """
     if memory.parameters is not None and memory.parameter_digest == parameter_file.digest(configured):
         known = memory.parameters

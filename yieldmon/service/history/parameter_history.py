@@ -182,7 +182,7 @@ class ParameterHistory:
         step: CalibrationStep | None = None,
         last_load: int | None = None,
     ) -> None:
-        """These are in use from now on. origin: where they come from. tickets: from which they were learnt. step: how they came
+        """These are in use from now on. origin: where they come from. tickets: that led to them. step: how they came
         of those before them. last_load: until which loads that were given no crop are of theirs."""
         document = {
             "version": parameters.version, "from_version": self.version, "origin": origin, "reason": reason,

@@ -1,4 +1,4 @@
-"""RemeasuringJob: loads of the last days measured again with what was learnt after them.
+"""RemeasuringJob: loads of the last days measured again with the parameters of updates after them.
 
 A ticket in the evening also says something of the hours and days before it: a day whose one ticket is of a load at low flow
 learns from the next evening's what its grain was at high flow. The updates' steps, kept in the store, are taken without those of
@@ -20,7 +20,7 @@ from yieldmon.engine.self_calibration.curve_states import in_names
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.self_calibration.drift_updates import DriftUpdate, by_weighed_masses, ending
-from yieldmon.estimation.self_calibration.steady_drift import Advance, DriftingParameters, learn, smoothed
+from yieldmon.estimation.self_calibration.steady_drift import Advance, DriftingParameters, smoothed, updated
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.numerics import Array
 from yieldmon.service.history.load_factor import load_factor
@@ -119,7 +119,10 @@ def _updates(chain: Sequence[CalibrationStep], parameters: ParameterSet, rates: 
     prior = replace(parameters, values={**parameters.values, **values}, covariance=covariance[: len(names), : len(names)])
     known = DriftingParameters(prior, rates, after[len(names) :], covariance)
     states = [*(step.advance.before for step in chain[1:]), np.array(end.state)]
-    covariances = [*(step.advance.covariance_before for step in chain[1:]), learn(known, parameters, widening=end.widening).joint]
+    covariances = [
+        *(step.advance.covariance_before for step in chain[1:]),
+        updated(known, parameters, widening=end.widening).joint,
+    ]
     return [
         DriftUpdate(step.advance, state, covariance, step.widening, step.sweep_alone, len(rates), names)
         for step, state, covariance in zip(chain, states, covariances, strict=True)

@@ -79,7 +79,7 @@ def without_version(version: int, context: RequestContext) -> CalibrationUndone:
     def counts(ticket: int) -> bool:
         return not of_crop or _crop_of(journal, ticket) in (of_crop, "")
 
-    later = filter(counts, after.not_learnt_after(since))
+    later = filter(counts, after.without_update_after(since))
     numbers, stay = _updating({*after.standing_of(undone), *later}, loads, counts, after)
     updating = _update_again(numbers, loads, back.crop, context, goes_back=True, stay=stay)
     return {
@@ -146,7 +146,7 @@ def _without(number: int, context: RequestContext, *, stands: Sequence[int], rep
     after = actions.history
     undone = after.undone_versions - undone_before
     # Those that it replaced update again, each before the tickets after it.
-    later = filter(counts, after.not_learnt_after(min((number, *again))))
+    later = filter(counts, after.without_update_after(min((number, *again))))
     led = {*after.standing_of(undone)}.difference(stands)
     numbers, stay = _updating({*led, *later}, loads, counts, after)
     other = _if_other(crop, monitor, journal) if back is None else back.crop
@@ -182,9 +182,9 @@ def _updating(
     count; and those of the latter on which the parameters rest."""
     ticketed = (history.entered(number) for number in judged)
     loads = {*gone, *(load for ticket in ticketed for load in ticket.loads)}
-    same, learnt = [number for number in history.handed_for(loads) if counts(number)], history.learnt_from()
-    again = sorted({*judged, *same}.difference(learnt))
-    return again, [number for number in same if number in learnt]
+    same, effective = [number for number in history.handed_for(loads) if counts(number)], history.effective()
+    again = sorted({*judged, *same}.difference(effective))
+    return again, [number for number in same if number in effective]
 
 
 def update_crop(numbers: Sequence[int], crop: str, context: RequestContext) -> Updating:
@@ -250,8 +250,8 @@ def _update_again(
         else:
             updated.append(number)
             again += shares
-    learnt = [load for n in history.learnt_from() if n not in updated for load in tickets[n].loads]
-    journal.happened(monitor.update_again(gone, again, learnt if goes_back or stays else None, crop, stays))
+    effective = [load for n in history.effective() if n not in updated for load in tickets[n].loads]
+    journal.happened(monitor.update_again(gone, again, effective if goes_back or stays else None, crop, stays))
     journal.actions.wait_again(updated, crop)
     journal.actions.measure_lost_again()
     return Updating(tuple(updated), why_not)

@@ -29,7 +29,7 @@ _CLOCK_SET_BACK = "the clock was set back while it was measured, and the forces 
 _EXACT = 1e-3
 """Relative standard deviation of a mass that adds nothing to that of what was measured."""
 _WEIGHED_SD = 0.03
-"""Of ln of a load, by parameters that have learnt from a ticket or two."""
+"""Of ln of a load, by parameters that a ticket or two have updated."""
 
 
 def enter_ticket(order: Order) -> TicketEntered:

@@ -82,7 +82,7 @@ class Ticket:
 
 @dataclass(frozen=True)
 class Action:
-    """What an operator entered, what the monitor learnt, or what took either back. who: a user of this computer, "" for the
+    """What an operator entered, an update of the parameters, or what took either back. who: a user of this computer, "" for the
     monitor itself."""
 
     number: int

@@ -177,7 +177,7 @@ class StoredRows:
         return [] if self._version() < 2 else self._of_kind(Ticket, self._checked("ticket"))
 
     def actions(self) -> list[Action]:
-        """What was entered, learnt and taken back, in order."""
+        """What was entered, updated and taken back, in order."""
         return self._with_documents(Action, "action")
 
     def steps(self) -> list[Step]:

@@ -1,4 +1,4 @@
-"""What operators entered and what the monitor learnt, in order, with who and when; nothing in it is changed, only taken back."""
+"""What operators entered and updates of the parameters, with who and when; nothing in it is changed, only taken back."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 from yieldmon.documents.tickets import ListedTicket
-from yieldmon.engine.self_calibration.learning import ParametersChanged
+from yieldmon.engine.self_calibration.parameter_updater import ParametersChanged
 from yieldmon.service.storage import ledger as ledgers
 from yieldmon.service.storage.batch import Action, Ticket
 from yieldmon.service.storage.ledger import SharedTruck
@@ -37,11 +37,11 @@ class ActionLog:
         self.now_s = now_s
         """Unix time of an action of which nothing else is said."""
         self._history = TicketHistory(tuple(tickets), tuple(actions))
-        known, learnt = range(1, len(tickets) + 1), self._history.newest_version
+        known, newest = range(1, len(tickets) + 1), self._history.newest_version
         left = [number for number in unfinished if number in known]
         crops = {crop: [number for number in numbers if number in known] for crop, numbers in (of_crop or {}).items()}
-        self._updates = UpdateQueue([number for number in left if number not in learnt], crops)
-        self._remeasuring = RemeasuringQueue([number for number in left if number in learnt], restored, open_loads or {})
+        self._updates = UpdateQueue([number for number in left if number not in newest], crops)
+        self._remeasuring = RemeasuringQueue([number for number in left if number in newest], restored, open_loads or {})
         self._new_tickets: list[Ticket] = []
         self._new_actions: list[Action] = []
 
@@ -99,7 +99,7 @@ class ActionLog:
 
     def remeasure_again(self, number: int) -> None:
         """A ticket of an earlier parameter file, that was replaced, stands again: so does what loads were measured again with by
-        what went with it, as nothing learns it anew."""
+        what went with it, as it updates nothing anew."""
         for tickets, factors in self._history.factors_with(number).items():
             self._post(tickets, 0, factors)
 

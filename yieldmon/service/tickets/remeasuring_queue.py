@@ -87,15 +87,15 @@ class RemeasuringQueue:
         that they led to; tickets from before or after another change are left for the next time. Those taken before of which
         nothing came are taken again.
         """
-        learnt = history.newest_version
-        left = [number for number in self.tickets if number in learnt]
+        newest = history.newest_version
+        left = [number for number in self.tickets if number in newest]
         self._taken_before = next_action
         changes = sorted(version for version, a in history.updates.items() if a.document.get("origin") == ledgers.CROP)
-        harvests = {number: bisect(changes, learnt[number]) for number in left}
+        harvests = {number: bisect(changes, newest[number]) for number in left}
         self._taken = tuple(number for number in left if harvests[number] == harvests[left[0]])
         self._tickets = [number for number in left if number not in self._taken]
         changed = harvests[left[0]] < len(changes)
-        return self._taken, max(learnt[number] for number in self._taken) if changed else in_use
+        return self._taken, max(newest[number] for number in self._taken) if changed else in_use
 
     def take_restored(self, next_action: int) -> tuple[tuple[int, ...], int]:
         """No ticket, and the first of `restored`. Where nothing comes of it, it is taken again after the next undo."""

@@ -16,7 +16,7 @@ from yieldmon.service.tickets.ticket_mass import TicketMass
 
 @dataclass(frozen=True)
 class TicketHistory:
-    """Everything that was entered, learnt and taken back until one time.
+    """Everything that was entered, updated and taken back until one time.
 
     A ticket *stands* unless it was taken back; it *counts* where none newer replaces it; it *updates* the parameters where it
     also was not silenced by an undo of its update. A *reference* was handed to the calibration.
@@ -93,7 +93,7 @@ class TicketHistory:
         handed = (a for a in self.actions if a.kind == ledgers.TICKET and a.document.get("reference", False))
         return tuple(int(a.document["ticket"]) for a in handed if a.number > since or int(a.document["ticket"]) in led)
 
-    def learnt_from(self) -> tuple[int, ...]:
+    def effective(self) -> tuple[int, ...]:
         """Numbers of the standing tickets that led to versions which stand."""
         return tuple(sorted(number for number in self.newest_version if number in self.ledger.tickets))
 
@@ -152,7 +152,7 @@ class TicketHistory:
         )
         return max(entered, default=0)
 
-    def not_learnt_after(self, number: int) -> tuple[int, ...]:
+    def without_update_after(self, number: int) -> tuple[int, ...]:
         """Numbers of the tickets after one, of the parameter file in use, that were handed to the calibration and led to no
         version that stands; without those taken back, replaced or silenced."""
         return tuple(n for n in self.handed if n > number and n in self.updating and n not in self.newest_version)
@@ -174,8 +174,8 @@ class TicketHistory:
         measured = {
             number for document in remeasured if set(document["tickets"]) <= set(standing) for number in document["tickets"]
         }
-        learnt = self.newest_version.items()
-        return tuple(sorted(n for n, v in learnt if n in standing and n not in measured and v > self.calibrated_version))
+        newest = self.newest_version.items()
+        return tuple(sorted(n for n, v in newest if n in standing and n not in measured and v > self.calibrated_version))
 
     # What replaces what
 
@@ -199,7 +199,7 @@ class TicketHistory:
     def factors_with(self, number: int) -> dict[tuple[int, ...], dict[int, float]]:
         """What loads were measured again with by what went as a ticket was replaced, by the tickets that this rests on.
 
-        Of a ticket of an earlier parameter file, which nothing learns anew: where it stands again, so do these factors.
+        Of a ticket of an earlier parameter file, which updates nothing anew: where it stands again, so do these factors.
         """
         undos = (a for a in self.actions if a.kind == ledgers.PARAMETERS_UNDO and a.document.get("replaced") == number)
         versions = {int(v) for a in undos for v in a.document["versions"] if v < self.calibrated_version}

@@ -21,7 +21,7 @@ def ticket_states(
     ledger : Ledger
         Tickets that stand.
     actions : sequence of Action
-        All that was entered, learnt and taken back, in order.
+        All that was entered, updated and taken back, in order.
     to_update : mapping
         Tickets that are still to update the parameters, with the crop whose return they wait for, "" where it is harvested now.
     doubted_loads : collection of int

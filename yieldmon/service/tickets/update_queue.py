@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from math import isclose
 
-from yieldmon.engine.self_calibration.learning import ParametersChanged
+from yieldmon.engine.self_calibration.parameter_updater import ParametersChanged
 from yieldmon.service.tickets.ticket_history import TicketHistory
 
 

@@ -69,7 +69,7 @@ class Transmitter:
         self._max_age_s = max_age_s
         self._queue: deque[tuple[float, can.Message]] = deque()
         self._echoes: deque[tuple[float, int, bytes]] = deque()
-        self._learns = echo_s < ASKED_ECHO_S
+        self._echoes_unknown = echo_s < ASKED_ECHO_S
         self._without_echo = 0
         self._looked_s = clock()
         self._changed = threading.Condition()
@@ -128,12 +128,12 @@ class Transmitter:
         seen = (message.arbitration_id, bytes(message.data))
         with self._changed:
             self._forget_echoes()
-            if self._learns and self._without_echo >= _ENOUGH_WITHOUT_ECHO:
+            if self._echoes_unknown and self._without_echo >= _ENOUGH_WITHOUT_ECHO:
                 return False
             for entry in self._echoes:
                 if entry[1:] == seen:
                     self._echoes.remove(entry)
-                    self._learns = False
+                    self._echoes_unknown = False
                     return True
         return False
 

@@ -1,4 +1,4 @@
-"""What the monitor learns: sweeps and reference masses in, other parameters out."""
+"""The parameters in use, and their updates: sweeps, reference masses, kernel noise and drift in, other parameters out."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class ParametersChanged:
     references: tuple[tuple[int, float], ...] = ()
 
 
-class Learning:
+class ParameterUpdater:
     """The estimator in use, and all that may change it."""
 
     def __init__(
@@ -95,7 +95,7 @@ class Learning:
         self,
         load_numbers: frozenset[int],
         again: Sequence[Weighing],
-        learnt: frozenset[int] | None,
+        rests_on: frozenset[int] | None,
         loads: tuple[LoadSummary, ...],
         now_s: float,
         crop: str,
@@ -103,7 +103,7 @@ class Learning:
     ) -> None:
         """Tickets for these loads were taken back; others (`again`) update the parameters from before them again.
 
-        learnt: loads whose tickets the parameters rest on, None where these are as before. crop: of all, where another one is
+        rests_on: loads whose tickets the parameters rest on, None where these are as before. crop: of all, where another one is
         harvested now, else "". stay: as `Monitor.update_again` has it.
 
         Raises ValueError as `ticket`.
@@ -113,10 +113,10 @@ class Learning:
         gone = load_numbers | {reference.load_number for reference in (*references, *kept)}
         left = tickets.take_back(gone, references, crop, kept)
         counted = None
-        if learnt is not None and not crop:
+        if rests_on is not None and not crop:
             self.outcome = None
             waiting = tickets.waiting
-            counted = [ticket for ticket in left if ticket.load_number in learnt and ticket not in waiting]
+            counted = [ticket for ticket in left if ticket.load_number in rests_on and ticket not in waiting]
         calibrator = self.calibrator
         scale = calibrator is not None and calibrator.forget(gone, self.estimator, counted, self.masses.of_scale)
         if not crop:
@@ -139,7 +139,7 @@ class Learning:
     def _put(self, estimator: FlowEstimator, calibration_age_s: float | None, *, weighed: bool) -> None:
         self.estimator = estimator
         self.drift_sd = 0.0
-        """Relative, of the force, by drift since the parameters in use were learnt."""
+        """Relative, of the force, by drift since the last update of the parameters in use."""
         self.calibration_age_s = calibration_age_s
         self._sweeps_update = not refusal(estimator.parameters)
         self.judge_model(weighed=weighed)
@@ -174,8 +174,8 @@ class Learning:
         if self.calibrator is not None:
             self.calibrator.totals_reset(before_kg)
 
-    def take_tickets_of(self, before: Learning) -> None:
-        """After a reload: the tickets of the one that learnt until now."""
+    def take_tickets_of(self, before: ParameterUpdater) -> None:
+        """After a reload: the tickets of the one in use until now."""
         tickets = before.masses.tickets
         self.masses.tickets.take_crops_of(tickets)
         self.remember_tickets(tickets.kept, tickets.waiting)
@@ -223,7 +223,7 @@ class Learning:
         if self.calibrator is not None:
             self.calibrator.remember([a for a in tickets if a not in waiting], self.estimator, self.model_error)
 
-    def learn(
+    def update(
         self, at_s: float, record: WindowRecord, sweep: SweepMachine, channels: OtherChannels | None = None
     ) -> tuple[ParametersChanged, ...]:
         """Collect a sweep's windows, and at its end hand them to the calibrator; between sweeps reference masses update.
@@ -236,7 +236,7 @@ class Learning:
         if not sweep.visiting and not sweep.completed:
             if windows.between(record, sweep, parameters):
                 self.judge_model()
-            return self._learn_from_masses(record) or self._follow_drift(record)
+            return self._update_from_masses(record) or self._follow_drift(record)
         if windows.within(record, sweep, parameters):
             self.judge_model()
         if not sweep.completed:
@@ -253,7 +253,7 @@ class Learning:
         changed: tuple[ParametersChanged, ...] = ()
         if self.calibrator is not None:
             # Each weighed mass that came during the sweep first, by the same rule as between sweeps.
-            weighed = self._learn_from_masses(record)
+            weighed = self._update_from_masses(record)
             changed = self._take(self.calibrator.update(records, self.estimator, use_sweep=not self.disagreement.present))
         sweep.finish(at_s, bool(changed))
         return (*weighed, *changed)
@@ -282,7 +282,7 @@ class Learning:
         known = self.outcome is None or self.outcome.identifiable
         return self._take(replace(outcome, identifiable=known), "kernels")
 
-    def _learn_from_masses(self, record: WindowRecord) -> tuple[ParametersChanged, ...]:
+    def _update_from_masses(self, record: WindowRecord) -> tuple[ParametersChanged, ...]:
         """Hand reference masses that have come since the last update to the calibrator; of several tickets one with each window,
         in the order of entry, so that they lead to what they would have one by one."""
         if not self.masses.wait:
