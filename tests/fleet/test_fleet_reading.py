@@ -54,6 +54,35 @@ def season(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.parametrize(
+    ("name", "first", "last", "change_pct", "shown"),
+    [
+        ("friction", 0.2, 0.25, 25.0, "+25.00 %"),
+        ("restitution", 0.5, 0.53, 2.0, "+2.00 %"),
+        ("restitution", 0.0, 0.015, 1.5, "+1.50 %"),
+        ("plate_friction", 0.02, 0.15, None, "0.15 ± 0.03"),
+        ("zero_offset", -1.0, 0.5, None, "0.5 ± 0.03"),
+    ],
+)
+def test_drift_is_relative_to_what_the_force_follows_and_of_effects_their_size(
+    name: str, first: float, last: float, change_pct: float | None, shown: str, season: Path, tmp_path: Path
+) -> None:
+    data = tmp_path / "data"
+    shutil.copytree(season / "first", data)
+    for day, value in (("2026-10-01", first), ("2026-10-02", last)):
+        table = data / "machine=m0" / f"day={day}" / "parameters.parquet"
+        row = {"time_s": 0.0, "version": 2, "origin": "sweep", "reason": "", "name": name, "value": value, "std_dev": 0.03}
+        kept = [entry for entry in pq.read_table(table).to_pylist() if entry["name"] != name]
+        pq.write_table(pa.Table.from_pylist([*kept, row], schema=pq.read_schema(table)), table)
+        seal(table.parent)
+    summary = summarise(str(data))
+    [machine] = [m for m in summary["machines"] if m["machine"] == "m0"]
+    drift = machine["parameters"][name]
+    assert (drift["first"], drift["last"]) == (first, last)
+    assert drift["change_pct"] == (None if change_pct is None else pytest.approx(change_pct))
+    assert shown in page(summary)
+
+
 def test_names_that_differ_at_their_end_only(season: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     data = tmp_path / "data"
     shutil.copytree(season / "first", data)

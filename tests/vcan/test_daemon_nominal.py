@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from statistics import median
 
 import pytest
 
@@ -106,6 +107,7 @@ def test_the_plate_is_commanded_at_10_hz_and_within_its_range(nominal: Drive) ->
     targets = [c["TargetPlateAngle"] for c in commands if c["CommandMode"] == CommandMode.GO_TO_ANGLE]
     assert LOWEST_DEG <= min(targets) <= max(targets) <= HIGHEST_DEG
     assert {(b["CommandCounter"] - a["CommandCounter"]) % 256 for a, b in pairwise(commands)} == {1}
-    rate_hz = (len(sent) - 1) / (sent[-1].time_s - sent[0].time_s)
-    assert rate_hz == pytest.approx(10.0, rel=0.02)
+    # The median: ticks that a busy machine's pauses left out are not sent later, and must not be.
+    interval_s = median(b.time_s - a.time_s for a, b in pairwise(sent))
+    assert interval_s == pytest.approx(0.1, rel=0.02)
     assert commands[-1]["CommandMode"] == CommandMode.RELEASE

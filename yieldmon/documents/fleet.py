@@ -80,8 +80,9 @@ class MachineFault(TypedDict):
 
 
 class ParameterDrift(TypedDict):
-    """A parameter at the end of the first and last day, and of each. std_dev: of the last; change_pct: null also where the days
-    did not begin with the same value."""
+    """A parameter at the end of the first and last day, and of each. std_dev: of the last; change_pct: of a grain parameter,
+    relative to what the force follows (restitution: the gain 1 + e); null for effects and where the days did not begin with the
+    same value."""
 
     first: float
     last: float

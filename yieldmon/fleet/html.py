@@ -117,7 +117,11 @@ def _drift(machines: Sequence[MachineSummary]) -> str:
 
 
 def _change(entry: ParameterDrift) -> str:
-    return "" if entry["change_pct"] is None else f"{_signed(entry['change_pct'])} %"
+    """Relative change of a grain parameter; of others the last value and its standard deviation."""
+    if entry["change_pct"] is not None:
+        return f"{_signed(entry['change_pct'])} %"
+    std_dev = entry["std_dev"]
+    return f"{entry['last']:.4g}" + ("" if std_dev is None else f" ± {std_dev:.2g}")
 
 
 def _moves(entry: ParameterDrift | None) -> bool:

@@ -28,6 +28,7 @@ from yieldmon.fleet.overlaps import Overlap, overlaps
 from yieldmon.fleet.querying import Query, opened
 from yieldmon.fleet.repeats import Log, Repeats, logs_of, samples_of
 from yieldmon.fleet.unlike_tickets import in_words, in_words_of_measured
+from yieldmon.physics.grain import GRAIN, natural_scale
 from yieldmon.utc import EARLIEST_BUS_TIME_S
 
 Rows = list[dict[str, Any]]
@@ -254,15 +255,19 @@ def _drift(rows: Rows) -> dict[str, ParameterDrift]:
             "by_day": {row["day"]: row["value"] for row in values},
             "last": values[-1]["value"],
             "std_dev": values[-1]["std_dev"],
-            "change_pct": 100.0 * (values[-1]["value"] / values[0]["value"] - 1.0) if _comparable(values) else None,
+            "change_pct": _change_pct(name, values),
         }
         for name, values in found.items()
     }
 
 
-def _comparable(values: Rows) -> bool:
-    """Whether a parameter's last value may be held against its first: both are of days that began with the same."""
-    return bool(values[0]["value"]) and len({row["configured"] for row in values if row["configured"] is not None}) < 2
+def _change_pct(name: str, values: Rows) -> float | None:
+    """Change of a grain parameter relative to what the force follows; None for an effect's size, which is near 0 or of either
+    sign, and where not all days began with the same value."""
+    if name not in GRAIN or len({row["configured"] for row in values if row["configured"] is not None}) > 1:
+        return None
+    first, last = values[0]["value"], values[-1]["value"]
+    return 100.0 * (last - first) / natural_scale(GRAIN[name], first)
 
 
 def _of_other_configurations(days: Rows) -> list[DayProblem]:
