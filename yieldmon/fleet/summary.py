@@ -266,7 +266,7 @@ def _change_pct(name: str, values: Rows) -> float | None:
     sign, and where not all days began with the same value."""
     if name not in GRAIN or len({row["configured"] for row in values if row["configured"] is not None}) > 1:
         return None
-    first, last = values[0]["value"], values[-1]["value"]
+    first, last = float(values[0]["value"]), float(values[-1]["value"])
     return 100.0 * (last - first) / natural_scale(GRAIN[name], first)
 
 
