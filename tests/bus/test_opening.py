@@ -53,7 +53,7 @@ def test_own_frames(receive_own: bool) -> None:
 
 def test_options_of_the_command_line() -> None:
     with (
-        open_bus_from(parsed("-i", "virtual", "-c", "opening-3", "-b", "250000"), receive_own=True) as bus,
+        open_bus_from(parsed("-i", "virtual", "-c", "opening-3", "-b", "250000")) as bus,
         open_bus("virtual", "opening-3") as peer,
     ):
         peer.send(SPEED)

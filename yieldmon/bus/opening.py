@@ -99,15 +99,13 @@ def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
             action.help = f"{action.help} One of {', '.join(sorted(can.VALID_INTERFACES))}."
 
 
-def open_bus_from(
-    args: argparse.Namespace, *, filters: Sequence[CanFilter] | None = None, receive_own: bool = False
-) -> can.BusABC:
+def open_bus_from(args: argparse.Namespace, *, filters: Sequence[CanFilter] | None = None) -> can.BusABC:
     """Opens the bus that add_bus_arguments()'s options name; what they leave out comes from python-can's configuration.
 
     Raises InputError when no interface is named anywhere or its options are refused, BusUnavailable when it cannot be
     opened.
     """
-    keywords: dict[str, Any] = {"receive_own_messages": receive_own}
+    keywords: dict[str, Any] = {"receive_own_messages": False}
     if filters is not None:
         keywords["can_filters"] = list(filters)
     try:

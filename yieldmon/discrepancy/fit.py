@@ -211,11 +211,11 @@ class Fit:
         """Orthonormal basis of what small changes of the parameters can do to the whitened prediction, shape (cells, rank)."""
         return model_error.orthonormal(self.jacobian * np.array([p.scale for p in self.parameters]))
 
-    def predict(self, rows: Rows | Conditions, of: str | None = None) -> Array:
+    def predict(self, rows: Rows | Conditions) -> Array:
         """Prediction for other rows."""
         conditions = rows.conditions() if isinstance(rows, Rows) else rows
         model = ForwardModel(self.frame.cells.rows.machine, (*self.frame.known, *self.effects))
-        evaluate = model.force if (of or self.frame.cells.rows.of) == "force" else model.paddle_momentum
+        evaluate = model.force if self.frame.cells.rows.of == "force" else model.paddle_momentum
         with np.errstate(invalid="ignore"):
             return real(np.asarray(evaluate(conditions, self.values, overfull="nan")))
 
