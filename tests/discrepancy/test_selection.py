@@ -274,12 +274,17 @@ def test_a_further_effect_with_too_many_ties_is_pruned_unless_the_data_refute_it
 def test_a_bound_that_the_data_do_not_refute_is_no_reason_to_refuse(make_rows, start) -> None:
     """The law's form takes the share past 1, yet at 1 no misfit is left."""
     options = diagnosis.Options(policy=Policy(most_effects=1), hold_out="none")
-    choice = diagnosis.examine(make_rows({"secondary_impact": 0.95}), start, options).choice
+    rows = make_rows({"secondary_impact": 0.95})
+    seen = diagnosis.examine(rows, start, options)
+    choice = seen.choice
     (candidate,) = [c for c in choice.looked_at if c.effect == "secondary_impact"]
     assert "secondary_impact.share" in candidate.fit.at_bound
     assert candidates.only_at_bound(candidate.fit, "secondary_impact", 4.0)
     assert candidate.refused == ""
     assert choice.named == ("secondary_impact",)
+    notes = diagnosis.conclude(seen, rows, options).notes
+    (said,) = [note for note in notes if note.startswith("with ")]
+    assert said.startswith("with secondary_impact, secondary_impact.share is at its upper bound 1:")
 
 
 def test_a_pair_whose_first_step_misleads_is_found_by_screening(make_rows, start) -> None:

@@ -94,6 +94,8 @@ def conclude(
     notes = list(seen.notes)
     if found.effects and left.p_value < options.policy.lack_of_fit_p <= chosen.lack_of_fit_after.p_value:
         notes.append(diagnosis_notes.of_all_rows(left))
+    if found.effects:
+        notes += diagnosis_notes.of_bounds(best_all, base_all)
     report("where", 0.9)
     regions = where(base_all, noise, rng)
     remaining = where(best_all, noise, rng) if found.effects else regions

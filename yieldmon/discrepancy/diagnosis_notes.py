@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from yieldmon.estimation.fitting.measurements import Measurements
 from yieldmon.estimation.gaussian import REACH_95
+from yieldmon.estimation.priors import at_bound_sentence
 from yieldmon.estimation.weighing import unit_question
 from yieldmon.physics.model import ForwardModel
 
@@ -83,6 +84,17 @@ def not_trusted(choice: Choice) -> str:
     first = choice.steps[0]
     names = " or ".join((first.added, *first.equivalent))
     return f"{names}: not named, right in {100.0 * first.confidence:.0f} of 100 cases that look like this one"
+
+
+def of_bounds(found: Fit, before: Fit | None = None) -> list[str]:
+    """The parameters that ended at a bound: all, or those of a model with effects that did not end there `before` these."""
+    known = () if before is None else before.at_bound
+    beside = f"with {' + '.join(found.effects)}, " if before is not None else ""
+    return [
+        beside + at_bound_sentence(p.name, "lower" if float(x) < 0.5 * (p.lower + p.upper) else "upper", float(x))
+        for p, x in zip(found.parameters, found.x, strict=True)
+        if p.name in found.at_bound and p.name not in known
+    ]
 
 
 def of_gain(base: Fit) -> list[str]:

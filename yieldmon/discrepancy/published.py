@@ -9,10 +9,11 @@ import numpy as np
 from yieldmon.errors import InputError
 from yieldmon.estimation.fitting import angle_lines
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.estimation.priors import EXCHANGED, at_bound_sentence
+from yieldmon.estimation.priors import EXCHANGED
 from yieldmon.physics.numerics import Array
 
 from .base_fit import base_frame, fit_base
+from .diagnosis_notes import of_bounds
 from .fit import Fit
 from .frame import Frame
 from .lack_of_fit import change_with_load
@@ -88,11 +89,7 @@ def fit_published(
             base = fit_base(base_frame(grouped, sd, parameters, impact, keep_effects=keep_effects))
     except ValueError as error:
         raise InputError(name, str(error), "loads that a paddle of this machine can hold") from error
-    for p in base.parameters:
-        if p.name in base.at_bound:
-            value = base.values[p.name]
-            notes.append(at_bound_sentence(p.name, "lower" if value < 0.5 * (p.lower + p.upper) else "upper", value))
-    return Published(impact, base, tuple(notes))
+    return Published(impact, base, (*notes, *of_bounds(base)))
 
 
 def exchange_instead(
