@@ -239,3 +239,31 @@ def test_a_look_that_hangs_is_reported_to_open_pages(daemon: StandIn, monkeypatc
                     assert event["problem"].startswith("this page's look")
 
     asyncio.run(drive())
+
+
+def test_a_look_under_way_changes_nothing_that_a_page_is_shown(daemon: StandIn, monkeypatch: pytest.MonkeyPatch) -> None:
+    """State and seconds belong together: a page that comes between the daemon's answer and the store's gets those of before."""
+    daemon.seconds(5)
+    reading, gate, opened = threading.Event(), threading.Event(), feed.opened
+
+    def slowly(path: Path) -> object:
+        reading.set()
+        assert gate.wait(60.0)
+        return opened(path)
+
+    async def drive() -> None:
+        watched = Feed(daemon.socket)
+        async with aclosing(watched.watch()) as events:
+            assert numbers(await next_event(events)) == [1, 2, 3, 4, 5]
+            monkeypatch.setattr(feed, "opened", slowly)
+            daemon.field_name = "south"
+            daemon.seconds(30)
+            await asyncio.to_thread(reading.wait, 60.0)
+            async with aclosing(watched.watch()) as later:
+                early = await next_event(later)
+                gate.set()
+                assert (early["load"]["field"], numbers(early)) == ("north", [1, 2, 3, 4, 5])
+                both = [await next_event(stream) for stream in (events, later)]
+        assert [(event["load"]["field"], numbers(event)) for event in both] == [("south", list(range(6, 36)))] * 2
+
+    asyncio.run(drive())

@@ -9,7 +9,8 @@ from __future__ import annotations
 import asyncio
 import json
 from collections import deque
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
 from time import monotonic
@@ -42,6 +43,21 @@ _SHOWN = ("version", "uptime_s", "age_s", "stale", "state", "load", "total", "sw
 _SHOWN_OF = {"bus": ("interface", "channel", "frames_per_s", "dropped", "kernel_drops"), "store": ("failing", "note", "pending")}
 
 Row = list[float | int | None]
+
+
+@dataclass(frozen=True)
+class _Look:
+    """What one look at the daemon and its store found.
+
+    state: what pages show beside the rows. age_s: of the daemon's answer. store: the store, None where no answer names one.
+    before: seconds from the store, older than the daemon's own `rows`.
+    """
+
+    state: dict[str, Any]
+    age_s: float = 0.0
+    store: Path | None = None
+    before: Sequence[Row] = ()
+    rows: Sequence[Row] = ()
 
 
 class Feed:
@@ -116,7 +132,7 @@ class Feed:
                 self._keep_looking()
                 newest = self._newest
                 begins = generation not in (None, self._generation) or sent > newest
-                rows = [row for row in self._rows if begins or (row[0] or 0) > sent]
+                rows = [row for row in self._rows if begins or _number(row) > sent]
                 yield _event(newest, {**self._state, "begins": begins, "rows": rows})
                 sent, generation = newest, self._generation
         finally:
@@ -136,7 +152,7 @@ class Feed:
 
     @property
     def _newest(self) -> int:
-        return int(self._rows[-1][0] or 0) if self._rows else 0
+        return _number(self._rows[-1]) if self._rows else 0
 
     def _keep_looking(self) -> None:
         """Raises what ended the last look unexpectedly: one page is cut off and comes back, the others go on."""
@@ -151,15 +167,15 @@ class Feed:
     async def _look(self) -> None:
         before = None
         while self._watchers:
-            status = await asyncio.to_thread(self._take)
+            seen = await asyncio.to_thread(self._seen)
+            self._take(seen)
             self._looked_s = self._clock()
             content = self._content()
             if content != before or self._hang_reported:
                 self._wake()
             self._hang_reported = False
             before = content
-            age_s = float(status["age_s"]) if status is not None else 0.0
-            await asyncio.sleep(min(_MOST_S, max(_LEAST_S, _PERIOD_S + _AFTER_S - age_s)))
+            await asyncio.sleep(min(_MOST_S, max(_LEAST_S, _PERIOD_S + _AFTER_S - seen.age_s)))
         self._looking = None
 
     def _wake(self) -> None:
@@ -171,55 +187,61 @@ class Feed:
         still = {name: value for name, value in self._state.items() if name not in ("age_s", "uptime_s")}
         return self._generation, self._newest, still if not self._state.get("stale") else self._state
 
-    def _take(self) -> dict[str, Any] | None:
-        """One look; runs on another thread while the loop waits for it."""
+    def _seen(self) -> _Look:
+        """One look; runs on another thread, and leaves what pages are shown to `_take`."""
         try:
             status = ask(self._daemon, {"command": "status"}, _ASK_S)
-            self._state = _shown(status)
-            if self._given_store is None:
-                self.store = Path(status["store"]["file"])
-            self._append([_row(window) for window in status["windows"]])
+            store = self._given_store or Path(status["store"]["file"])
+            rows = [_row(window) for window in status["windows"]]
+            before = self._missing(rows, store) if rows else []
+            return _Look(_shown(status), float(status["age_s"]), store, before, rows)
         except ControlError as error:
-            self._state = {"problem": str(error).removeprefix(f"{self._daemon}: ")}
-            return None
+            return _Look({"problem": str(error).removeprefix(f"{self._daemon}: ")})
         except (AttributeError, KeyError, TypeError, ValueError) as error:
-            self._state = {"problem": f"the daemon is of another version than this page: {error!r}"}
-            return None
-        return status
+            return _Look({"problem": f"the daemon is of another version than this page: {error!r}"})
 
-    def _append(self, rows: list[Row]) -> None:
-        if not rows:
+    def _missing(self, rows: list[Row], store: Path) -> list[Row]:
+        """From the store, the seconds between those that pages have and the daemon's."""
+        first, last = _number(rows[0]), _number(rows[-1])
+        newest = self._newest if last >= self._newest else 0
+        if first <= newest + 1:
+            return []
+        return [row for row in _stored(store, max(newest + 1, last - HOUR + 1)) if newest < _number(row) < first]
+
+    def _take(self, seen: _Look) -> None:
+        """Show pages what was seen; on the loop's thread, as pages read it."""
+        self._state = seen.state
+        if seen.store is not None:
+            self.store = seen.store
+        if not seen.rows:
             return
-        first, last = (int(row[0] or 0) for row in (rows[0], rows[-1]))
+        first, last = _number(seen.rows[0]), _number(seen.rows[-1])
         if last < self._newest:
             self._rows.clear()
             self._generation += 1
         newest = self._newest
         if first > newest + 1:
-            stored = self._stored(max(newest + 1, last - HOUR + 1))
-            before = [row for row in stored if newest < int(row[0] or 0) < first]
-            whole = not newest or len(before) == first - newest - 1 or first - newest > HOUR
+            whole = not newest or len(seen.before) == first - newest - 1 or first - newest > HOUR
             if not whole and self._waits_for_the_store():
                 return
-            self._rows.extend(before)
+            self._rows.extend(seen.before)
         self._missing_since_s = None
         newest = self._newest
-        self._rows.extend(row for row in rows if int(row[0] or 0) > newest)
+        self._rows.extend(row for row in seen.rows if _number(row) > newest)
 
     def _waits_for_the_store(self) -> bool:
         if self._missing_since_s is None:
             self._missing_since_s = self._clock()
         return self._clock() - self._missing_since_s < _STORE_TIMEOUT_S
 
-    def _stored(self, first: int) -> list[Row]:
-        if self.store is None:
-            return []
-        try:
-            with opened(self.store) as store:
-                return [_row({name: getattr(row, name) for name in COLUMNS}) for row in store.seconds(first, lambda _: None)]
-        except InputError:
-            # The trend begins with what the daemon shows, and the history page says what is wrong with the store.
-            return []
+
+def _stored(path: Path, first: int) -> list[Row]:
+    try:
+        with opened(path) as store:
+            return [_row({name: getattr(row, name) for name in COLUMNS}) for row in store.seconds(first, lambda _: None)]
+    except InputError:
+        # The trend begins with what the daemon shows, and the history page says what is wrong with the store.
+        return []
 
 
 def _shown(status: Mapping[str, Any]) -> dict[str, Any]:
@@ -243,6 +265,10 @@ def _row(window: Mapping[str, Any]) -> Row:
         known = isinstance(value, int | float) and isfinite(value)
         row.append((round(value, decimals) if decimals else int(value)) if known else None)
     return row
+
+
+def _number(row: Row) -> int:
+    return int(row[0] or 0)
 
 
 def _event(number: int, document: Mapping[str, Any]) -> str:
