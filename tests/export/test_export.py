@@ -22,7 +22,7 @@ from tests.seconds import measured_second
 from yieldmon.cli import main as cli
 from yieldmon.errors import InputError
 from yieldmon.export.points import PointSettings, yield_points
-from yieldmon.export.taskdata import ENTRIES
+from yieldmon.export.taskdata import ENTRIES, files
 from yieldmon.frames import EstimateQuality
 from yieldmon.service.logs.recorded import read_loads, read_seconds
 from yieldmon.service.logs.tables import open_table
@@ -110,6 +110,17 @@ def test_start_and_end_of_each_pass_are_left_out():
     assert seconds == [*range(5, 57), *range(105, 157)]
     assert [point.pass_number for point in points] == [1] * 52 + [2] * 52
     assert [point.held for point in points] == [120 <= second < 130 for second in seconds]
+
+
+def test_a_clock_that_is_set_back_between_two_passes_takes_no_point_away():
+    set_back = [dataclasses.replace(row, time_s=row.time_s - 3600.0) if row.number > 80 else row for row in ROWS]
+    points, expected = yield_points(set_back, SETTINGS), yield_points(ROWS, SETTINGS)
+    assert [(p.pass_number, p.mass_kg, p.latitude_deg) for p in points] == [
+        (p.pass_number, p.mass_kg, p.latitude_deg) for p in expected
+    ]
+    (log,) = ET.fromstring(files(points, "north", lambda _: 15.5)["TASKDATA.XML"]).iter("TIM")
+    assert log.attrib["A"] < log.attrib["B"]
+    assert int(log.attrib["C"]) > 0
 
 
 @pytest.mark.parametrize("words", [[], ["--start-delay", "0", "--end-delay", "0"]])

@@ -76,7 +76,7 @@ class YieldPoint:
 
 
 def yield_points(rows: Sequence[SecondRow], settings: PointSettings, where: str = "record") -> list[YieldPoint]:
-    """The points of a record, in order of time. Raises InputError when no second has both a position and a ground speed."""
+    """The points of a record, in its order. Raises InputError when no second has both a position and a ground speed."""
     placed = sorted(
         (row for row in rows if row.latitude_deg is not None and row.ground_speed_m_s is not None), key=lambda row: row.time_s
     )
@@ -112,7 +112,8 @@ def _passes(matched: Sequence[tuple[SecondRow, SecondRow]], gap_s: float) -> Ite
         return
     current = [matched[0]]
     for before, now in pairwise(matched):
-        if now[0].time_s - before[0].time_s > gap_s:
+        # A clock that is set back ends a pass as well.
+        if abs(now[0].time_s - before[0].time_s) > gap_s:
             yield current
             current = []
         current.append(now)

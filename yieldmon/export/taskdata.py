@@ -89,7 +89,7 @@ def files(points: Sequence[YieldPoint], field: str, reference_of: Callable[[int 
     if not points:
         raise ValueError("no points")
     content, totals = binary_log(points, reference_of)
-    first, last = (utc.moment(points[k].time_s) for k in (0, -1))
+    first, last = (utc.moment(end(point.time_s for point in points)) for end in (min, max))
     log = task_data.Log(LOG_NAME, content, first, last, round((last - first).total_seconds()), totals)
     root = task_data.task_data()
     # The values are those of their places.
