@@ -167,6 +167,14 @@ def test_an_unexpected_error_is_reported_and_survived(caplog: pytest.LogCaptureF
     assert "ZeroDivisionError" in caplog.text
 
 
+def test_a_bus_whose_first_read_fails_unexpectedly_is_closed() -> None:
+    broken = ScriptedBus(ZeroDivisionError("boom"))
+    with Receiver(opener(ScriptedBus(DOWN), broken, ScriptedBus(frame(2)))) as receiver:
+        kinds = [BusEventKind.INTERFACE_LOST, BusEventKind.RECEIVER_FAILED, BusEventKind.INTERFACE_RESTORED, 2]
+        assert collect(receiver, 4) == kinds
+        assert broken.closed.is_set()
+
+
 def test_missing_bus_at_the_start_is_raised() -> None:
     with pytest.raises(BusUnavailable, match="no such device"):
         Receiver(opener(BusUnavailable("no such device"))).start()

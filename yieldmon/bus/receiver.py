@@ -290,6 +290,11 @@ class Receiver:
                 if bus is not None:
                     _shut(bus)
                 continue
+            except BaseException:
+                # `_run` reports it; the bus that was opened would be kept by nobody.
+                if bus is not None:
+                    _shut(bus)
+                raise
             self._bus = bus
             self._put_event(BusEvent(BusEventKind.INTERFACE_RESTORED, self._clock()))
             _log.info("%s: interface restored", bus.channel_info)
