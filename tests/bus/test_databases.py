@@ -103,19 +103,30 @@ def test_a_message_or_signal_that_cannot_be_read_is_told_with_its_line(tmp_path:
 
 
 def test_messages_of_one_name_are_told_apart_by_their_identifiers(tmp_path: Path) -> None:
-    """As in a logger maker's DBC of its receivers; one that is there twice cannot be bound."""
+    """As in a logger maker's DBC of its receivers; two of one identifier that differ cannot be bound."""
     other = 'BO_ 7 Other: 8 A\n SG_ X : 0|8@1+ (1,0) [0|0] "" A\n\n'
-    more = other + other.replace("7 Other", "8 Shaft") + 2 * other.replace("7 Other", "9 Twice")
+    twice = other.replace("7 Other", "9 Twice")
+    more = other + other.replace("7 Other", "8 Shaft") + twice + twice.replace("(1,0)", "(2,0)")
     found = messages(tmp_path, PLAIN.replace("BA_DEF_ BO_", more + "BA_DEF_ BO_"))
     bits: dict[str, MessageBits] = found  # type: ignore[assignment]
     assert {name: (message.name, len(message.signals)) for name, message in bits.items()} == {
         "Shaft 0x18FEF1FE": ("Shaft 0x18FEF1FE", 3), "Other": ("Other", 1), "Shaft 0x8": ("Shaft 0x8", 1),
         "Twice 0x9": ("Twice 0x9", 0),
     }  # fmt: skip
-    assert bits["Twice 0x9"].contradiction == "Twice 0x9 is there twice"
+    assert bits["Twice 0x9"].contradiction == "Twice 0x9 is there twice, and the two differ"
     path = tmp_path / "c.yaml"
     path.write_text("signals:\n  moisture: {dbc: m.dbc, message: Shaft 0x8, signal: X, unit: '%'}\n")
     assert [group.message.frame_id for group in configuration.load(path).signals.groups] == [8]
     path.write_text("signals:\n  moisture: {dbc: m.dbc, message: Shaft, signal: X, unit: '%'}\n")
     with pytest.raises(InputError, match=r"Shaft is not in m\.dbc; expected .* such as Shaft 0x18FEF1FE, Shaft 0x8"):
         configuration.load(path)
+
+
+def test_a_message_that_is_there_again_with_the_same_signals_counts_once(tmp_path: Path) -> None:
+    """As where two files that share a part were joined into one."""
+    found: dict[str, MessageBits] = messages(tmp_path, PLAIN + PLAIN)  # type: ignore[assignment]
+    assert found == messages(tmp_path, PLAIN)
+    (tmp_path / "m.dbc").write_text(PLAIN + PLAIN)
+    path = tmp_path / "c.yaml"
+    path.write_text("signals:\n  tank_mass: {dbc: m.dbc, message: Shaft, signal: Load}\n")
+    assert [group.message.frame_id for group in configuration.load(path).signals.groups] == [0x18FEF1FE]

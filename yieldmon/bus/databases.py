@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -105,22 +105,28 @@ class MessageBits:
 
 def load_messages(path: Path | str) -> dict[str, MessageBits]:
     """Message name -> its bits, from the DBC at `path`. Of several messages of one name each has its identifier behind it, as in
-    `gnss_pos 0x13`.
+    `gnss_pos 0x13`. A message that stands there again with the same signals counts once.
 
-    Makers' files often have a message whose signals overlap, do not fit or have a factor of 0, or one twice: it has no signals
-    then, and `contradiction` says why.
+    Makers' files often have a message whose signals overlap, do not fit or have a factor of 0, or two of one name and identifier
+    with different signals: it has no signals then, and `contradiction` says why.
     Raises InputError, one line, for a file that cannot be read, is no DBC, or is in an encoding other than UTF-8 or Windows-1252.
     """
     where, database = str(path), dbc_file.read(path, strict=False)
     if not database.messages:
         raise InputError(where, "names no message", "a DBC file")
-    alike = set(repeated(message.name for message in database.messages))
-    names = [
-        with_identifier(message.name, message.frame_id) if message.name in alike else message.name
-        for message in database.messages
+    messages = [_message(message) for message in database.messages]
+    alike = set(repeated(message.name for message in messages))
+    named = [
+        replace(message, name=with_identifier(message.name, message.frame_id)) if message.name in alike else message
+        for message in messages
     ]
-    twice = set(repeated(names))
-    return {name: _message(message, name, twice=name in twice) for name, message in zip(names, database.messages, strict=True)}
+    twice = set(repeated(message.name for message in named))
+    return {message.name: _contradicted(message) if message.name in twice else message for message in named}
+
+
+def _contradicted(message: MessageBits) -> MessageBits:
+    """A message beside which another of its name and identifier stands."""
+    return replace(message, multiplexer=None, signals={}, contradiction=f"{message.name} is there twice, and the two differ")
 
 
 def with_identifier(name: str, frame_id: int) -> str:
@@ -145,9 +151,9 @@ def _odd_numbers(signal: DbcSignal) -> str:
     return "" if sound else f"{given[:200]}, which are not finite numbers with a factor other than 0"
 
 
-def _message(message: DbcMessage, name: str, *, twice: bool) -> MessageBits:
-    j1939 = message.protocol == "j1939" or _is_j1939(message)
-    if problem := f"{name} is there twice" if twice else _contradiction(message):
+def _message(message: DbcMessage) -> MessageBits:
+    name, j1939 = message.name, message.protocol == "j1939" or _is_j1939(message)
+    if problem := _contradiction(message):
         extended = message.is_extended_frame
         return MessageBits(name, message.frame_id, extended, message.length, None, {}, j1939, contradiction=problem)
     multiplexer = next((signal.name for signal in message.signals if signal.is_multiplexer and not signal.multiplexer_ids), None)

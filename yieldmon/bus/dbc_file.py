@@ -52,6 +52,27 @@ def without_stray_names(text: str) -> str:
     return _VALUE_NAMES.sub(lambda m: m[0] if (m[1], m[2]) in known else "", text)
 
 
+_BLOCK = re.compile(r"^[ \t]*BO_[ \t]+\d+[^\n]*(?:\s*\n[ \t]*SG_[ \t][^\n]*)*", re.MULTILINE)
+_NODES = re.compile(r"(:[ \t]*\d+)[ \t]+\w+[ \t]*$|(\"[^\"\n]*\")[^\"\n]*$", re.MULTILINE)
+"""Who sends a message or receives a signal."""
+_NUMBER = re.compile(r"\d*\.?\d+(?:[eE][-+]?\d+)?")
+
+
+def without_copies(text: str) -> str:
+    """A DBC's text with each message once that stands there again with the same signals, as where files were joined into one."""
+    seen = set[str]()
+
+    def first(found: re.Match[str]) -> str:
+        words = _NODES.sub(r"\1\2", found[0]).split()
+        same = _NUMBER.sub(lambda number: repr(float(number[0])), " ".join(words))
+        if same in seen:
+            return ""
+        seen.add(same)
+        return found[0]
+
+    return _BLOCK.sub(first, text)
+
+
 def with_extended(text: str) -> str:
     """A DBC's text with the mark of 29 bits on identifiers that lack it and do not fit in 11, as some makers write them."""
     lacking = {number for number in _MESSAGE.findall(text) if LARGEST_STANDARD_ID < int(number) <= LARGEST_EXTENDED_ID}
@@ -101,7 +122,7 @@ def _loaded(text: str, strict: bool) -> Database:
     import cantools
     from cantools.database.can import Database
 
-    sound = without_stray_names(with_extended(with_receivers(text)))
+    sound = without_stray_names(without_copies(with_extended(with_receivers(text))))
     database = cantools.database.load_string(sound, database_format="dbc", strict=strict)
     assert isinstance(database, Database), "what the dbc format gives"
     return database
