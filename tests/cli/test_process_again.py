@@ -236,7 +236,7 @@ def test_a_log_that_lacks_samples_in_each_second_says_so(capsys, tmp_path, logs)
     ("signals", "says"),
     [
         (
-            "plate_angle: {message: PlateActuatorFeedback, signal: PlateAngle, range: [150, 160]}",
+            "plate_angle: {message: PlateActuatorFeedback, signal: PlateAngle, range: [80, 90]}",
             "no mass: no frame reports the plate angle",
         ),
         (
@@ -245,7 +245,7 @@ def test_a_log_that_lacks_samples_in_each_second_says_so(capsys, tmp_path, logs)
             "check unit, scale and offset",
         ),
         (
-            "elevator_speed: {message: ElevatorSpeed, signal: ElevatorSpeed, range: [1, 2]}",
+            "elevator_speed: {message: ElevatorSpeed, signal: ElevatorSpeed, range: [500, 590]}",
             "no mass: no frame reports the elevator speed",
         ),
         (

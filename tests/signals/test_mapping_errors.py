@@ -185,6 +185,48 @@ CASES = {
         "elevator_speed: {dbc: counts.dbc, message: Bridge, signal: Spare, pulses_per_turn: 60, unit: kg}",
         "elevator_speed.unit", "'kg'", "rpm",
     ),
+    "a speed in the wrong unit": (
+        "elevator_speed: {dbc: counts.dbc, message: Linear, signal: Tilt, scale: 0.001, unit: rpm}",
+        "elevator_speed.signal", "Tilt as mapped can say -0.23768 to 0.41767 rpm", "250 to 599 rpm of the upper shaft",
+        "unit, scale, offset",
+    ),
+    "a speed with a wrong offset": (
+        "elevator_speed: {dbc: counts.dbc, message: EEC1, signal: EngineSpeed, offset: -9000}",
+        "elevator_speed.signal", "-9000 to -808.125 rpm", "250 to 599 rpm",
+    ),
+    "a speed in steps that pass over the useful": (
+        "elevator_speed: {dbc: counts.dbc, message: Bridge, signal: Spare, scale: 1000, unit: rpm}",
+        "elevator_speed.signal", "0 to 6.5535e+07 rpm", "250 to 599 rpm",
+    ),
+    "a period of no speed": (
+        "elevator_speed: {dbc: counts.dbc, message: Bridge, signal: Spare, unit: s}",
+        "elevator_speed.signal", "0.000915541 to 60 rpm", "250 to 599 rpm",
+    ),
+    "a range of speeds at which nothing is measured": (
+        "elevator_speed: {dbc: counts.dbc, message: EEC1, signal: EngineSpeed, range: [600, 3000]}",
+        "elevator_speed.range", "[600, 3000]", "250 to 599 rpm",
+    ),
+    "a plate in grads of another zero": (
+        "plate_angle: {dbc: counts.dbc, message: Linear, signal: Tilt, scale: 0.001, unit: deg}",
+        "plate_angle.signal", "-0.23768 to 0.41767 deg", "40 to 90 deg",
+    ),
+    "voltages beyond the cell": (
+        IMPACT.replace("}", ", range: [4000, 9000]}"), "impact_voltage.range", "[4000, 9000]", "-4000 to 4000 mV",
+    ),
+    "forces beyond the cell": (
+        "impact_force: {dbc: counts.dbc, message: Bridge, signal: Counts, unit: kN, rate_hz: 100, range: [1800, 9000]}",
+        "impact_force.range", "[1800, 9000]", "-1779.2 to 1779.2 N",
+    ),
+    "an offset beyond the cell": (
+        IMPACT.replace("}", ", offset: 8000}"), "impact_voltage.signal", "8000 to 14553.5 mV", "unit, scale and offset",
+    ),
+    "a voltage too fine to tell grain": (
+        IMPACT.replace("0.1", "0.00001"), "impact_voltage.signal", "0 to 0.65535 mV", "apart by 2.25 mV or more",
+    ),
+    "moisture below nothing": (
+        "moisture: {dbc: counts.dbc, message: Bridge, signal: Spare, unit: '%', offset: -99999}",
+        "moisture.signal", "-99999 to -34464 %", "what moisture can be",
+    ),
     "a filter of an angle": (
         "plate_angle: {dbc: counts.dbc, message: Linear, signal: Tilt, time_constant_s: 0.5}",
         "plate_angle.time_constant_s", "0.5", "impact samples",
@@ -361,3 +403,11 @@ def test_a_unit_is_known_however_a_maker_spells_it(unit: str, tmp_path: Path) ->
     path = tmp_path / "c.yaml"
     path.write_text("signals:\n  elevator_speed: {dbc: own.dbc, message: Shaft, signal: Turns}\n")
     assert main(["check-config", str(path)]) == 0
+
+
+def test_what_can_never_measure_is_refused_where_it_would_be_used(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, log = tmp_path / "c.yaml", tmp_path / "a.log"
+    path.write_text("signals:\n  elevator_speed: {value: 40}\n")
+    log.write_text("".join(f"({100 + 0.1 * n:.6f}) can0 7CF#0102030405060708\n" for n in range(50)))
+    assert main(["process", str(log), "--config", str(path), "--out", str(tmp_path / "o.csv")]) == 2
+    assert "signals.elevator_speed.value: 40; expected 250 to 599 rpm" in capsys.readouterr().err

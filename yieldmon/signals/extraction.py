@@ -86,7 +86,10 @@ class Extraction:
 
     def values(self, little: NDArray[np.uint64], big: NDArray[np.uint64]) -> Array:
         """Values of many frames (n,)."""
-        raw = self.raws(little, big)
+        return self.of_raws(self.raws(little, big))
+
+    def of_raws(self, raw: NDArray[np.int64] | NDArray[np.uint64]) -> Array:
+        """Values of raw values (n,), as `raws` has them."""
         usable = np.ones(raw.shape, dtype=bool)
         if self.bits.raw_max is not None:
             usable &= raw <= self.bits.raw_max

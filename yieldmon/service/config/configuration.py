@@ -34,6 +34,7 @@ from yieldmon.service.config.document_text import problems_of
 from yieldmon.service.config.engine_sections import engine_settings
 from yieldmon.service.config.former_keys import with_present_keys
 from yieldmon.service.config.named_file import load_named
+from yieldmon.service.config.out_of_reach import out_of_reach
 from yieldmon.service.config.output_section import output_map
 from yieldmon.service.config.own_files import file_conflicts
 from yieldmon.service.config.signal_section import mistakes, signal_map
@@ -148,6 +149,7 @@ def build(content: Any, path: Path, environment: Mapping[str, str] = os.environ)
     read = (path, *named.paths, *databases, *written)
     conflicts = file_conflicts(store_path, socket_path, prometheus_path, read)
     problems = [InputError(f"{path}: {key}", *rest) for key, *rest in (*contradictions(document, engine, machine), *conflicts)]
+    problems += out_of_reach(mapping, engine, machine)
     if problems:
         raise ConfigurationError(problems)
     machine = _with_fixed_plate(machine, fixed_angle_deg)

@@ -1,4 +1,4 @@
-"""A force cell and a constant speed held against their machine: figures in units that were mistaken are far from it."""
+"""A force cell held against its machine: figures in units that were mistaken are far from it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files.crops import crops
-from yieldmon.physics.machine import RPM, Machine
+from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.numerics import Array
 from yieldmon.service.config.configuration import Configuration
@@ -18,11 +18,10 @@ _NEARLY_FULL = 0.99
 _MOST_OVER_FULL = 10.0
 """Full scale over the force of full paddles, at most; of a cell that resolves grain it is 2 to 7."""
 _ANGLES = 9
-_ROUNDING = 1e-6
 
 
 def implausible(configuration: Configuration) -> list[tuple[str, str, str]]:
-    """What cannot be of the force cell, or of an elevator whose speed is given as a constant.
+    """What cannot be of the force cell.
 
     Parameters
     ----------
@@ -37,13 +36,6 @@ def implausible(configuration: Configuration) -> list[tuple[str, str, str]]:
     found = cell_problem(machine, configuration.parameters)
     if found is not None:
         problems.append((f"{configuration.machine_path}: sensor", *found))
-    speed_rpm = configuration.signals.sources.fixed.get("elevator_speed")
-    low_rpm, high_rpm = machine.min_elevator_speed_rad_s / RPM, machine.max_elevator_speed_rad_s / RPM
-    if speed_rpm is not None and not low_rpm - _ROUNDING <= speed_rpm <= high_rpm + _ROUNDING:
-        expected = (
-            f"{low_rpm:.0f} to {high_rpm:.0f} rpm of the upper shaft, as the machine file says: no flow is measured at others"
-        )
-        problems.append((f"{configuration.path}: signals.elevator_speed.value", f"{speed_rpm:g}", expected))
     return problems
 
 

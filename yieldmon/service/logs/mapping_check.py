@@ -9,13 +9,12 @@ from math import degrees
 from yieldmon.engine.sources import QUANTITIES
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.service.config.configuration import Configuration
+from yieldmon.service.config.out_of_reach import ANGLE_MARGIN_DEG
 from yieldmon.service.logs.quantities_seen import QuantitySeen, impact_name
 from yieldmon.signals.mapping import Group
 
 RATE_TOLERANCE = 0.05
 """Relative difference of a stated sample rate from the recorded one that is a problem."""
-_ANGLE_MARGIN_DEG = 5.0
-"""Beyond the machine's range, for a park position and a rough zero of the angle."""
 _LEAST_MOISTURE_PCT = 1.0
 """No grain is drier."""
 _SMOOTH_HZ = 400.0
@@ -88,7 +87,7 @@ def _angle_problems(machine: Machine, seen: dict[str, QuantitySeen], log: str) -
     if entry is None or entry.low is None or entry.high is None:
         return []
     least, most = degrees(machine.min_plate_angle_rad), degrees(machine.max_plate_angle_rad)
-    if entry.low <= most + _ANGLE_MARGIN_DEG and entry.high >= least - _ANGLE_MARGIN_DEG:
+    if entry.low <= most + ANGLE_MARGIN_DEG and entry.high >= least - ANGLE_MARGIN_DEG:
         return []
     expected = f"angles from {least:g} to {most:g} deg, as the machine file says; look at unit, scale and offset"
     return [(f"{log}: plate_angle", f"{entry.low:.6g} to {entry.high:.6g} deg", expected)]
