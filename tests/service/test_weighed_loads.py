@@ -258,6 +258,11 @@ def test_a_sweep_has_three_angles(angles_deg: tuple[float, ...], count: int) -> 
     assert len(sweeps(*swept(1, angles_deg))) == count
 
 
+def test_sweeps_numbered_anew_after_a_lost_state_are_others() -> None:
+    before, after = swept(1, (40.0, 50.0, 60.0)), swept(1, (40.0, 60.0, 80.0))
+    assert sweeps(*before, *swept(2), *after) == [[40.0, 50.0, 60.0], [40.0, 60.0, 80.0], [40.0, 60.0, 80.0]]
+
+
 def test_the_newest_twenty_sweeps_count_and_logs_number_their_own() -> None:
     assert len(sweeps(*[row for k in range(1, 21) for row in swept(k)])) == 20
     many = sweeps(*[row for k in range(1, 24) for row in swept(k, (40.0, 50.0, 60.0 + k))])

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
@@ -344,13 +345,12 @@ def weighed_until_s(measured: Sequence[MeasuredLoad], weighed: Sequence[WeighedL
 
 def sweeps_of(loads: Iterable[MeasuredLoad]) -> tuple[Sweep, ...]:
     """The newest whole sweeps in the loads."""
-    found: dict[tuple[str, int], list[SecondRow]] = {}
-    for load in loads:
-        for row in load.seconds:
-            if row.usable_for_calibration and row.sweep_id and _complete(row):
-                found.setdefault((load.log, row.sweep_id), []).append(row)
+    seconds = ((load.log, row) for load in loads for row in load.seconds)
+    usable = ((log, row) for log, row in seconds if row.usable_for_calibration and row.sweep_id and _complete(row))
+    # Ids begin anew in a store whose state was lost: a run of one id is one sweep.
+    found = [[row for _, row in run] for _, run in groupby(usable, key=lambda one: (one[0], one[1].sweep_id))]
     out = []
-    for rows in list(found.values())[-_KEPT_SWEEPS:]:
+    for rows in found[-_KEPT_SWEEPS:]:
         table = np.array(
             [(r.time_s, np.radians(r.plate_angle_deg), r.elevator_speed_rpm * RPM, r.force_n, r.force_std_dev_n) for r in rows]
         )
