@@ -265,7 +265,9 @@ def main() -> int:
         "--live-causes", choices=["as modelled", "h_f 3"], metavar="NAME", help="what the live error of this combine is made of"
     )
     parser.add_argument("--reversed", action="store_true", help="with --combines: everything drifts the other way")
-    parser.add_argument("--pattern-sd", type=float, help="with --combines: `learning.pattern_sd` instead of the daemon's default")
+    parser.add_argument(
+        "--pattern-sd", type=float, help="with --combines: `self_calibration.pattern_sd` instead of the daemon's default"
+    )
     args = parser.parse_args()
     others = (
         (args.posted_by_daemon is not None, posted_by_daemon),

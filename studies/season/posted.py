@@ -38,7 +38,7 @@ from yieldmon.service.storage.rows import SecondRow, second_row
 
 POSTED = Strategy("(c) by the daemon", moisture_map=True, sweeps=True, tickets_per_day=1)
 TICKET_ERROR = 0.002
-"""As in `study.Keeper`; `learning.reference_error` of the daemon."""
+"""As in `study.Keeper`; `self_calibration.reference_error` of the daemon."""
 _NIGHT_S = 14.0 * 3600.0
 _UNKNOWN: dict[str, Any] = {f.name: nan if f.type == "float" else 0 for f in fields(WindowRecord)} | {"faults": ()}
 

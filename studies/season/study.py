@@ -118,23 +118,23 @@ class StudySettings:
     @classmethod
     def of_daemon(cls) -> StudySettings:
         """What the daemon does where its configuration says nothing; the moisture map and the plate's drive are the study's."""
-        learning, sweep = calibrator_settings(Document()), SweepSettings()
-        loop: ClosedLoopSettings = learning.closed_loop
+        calibration, sweep = calibrator_settings(Document()), SweepSettings()
+        loop: ClosedLoopSettings = calibration.closed_loop
         return cls(
             sweep_interval_s=sweep.interval_s,
             steady_windows=sweep.steady_windows,
             steady_cv=sweep.steady_cv,
             min_flow_kg_s=sweep.min_flow_kg_s,
-            wandering=learning.drift,
-            steady_per_kilotonne=learning.steady_per_kilotonne,
-            steady_drift_memory_kt=learning.steady_drift_memory_kt,
+            wandering=calibration.drift,
+            steady_per_kilotonne=calibration.steady_per_kilotonne,
+            steady_drift_memory_kt=calibration.steady_drift_memory_kt,
             learned_information=loop.learned_information,
             kept_ratio=loop.kept_ratio,
             model_error=loop.model_error,
             flow_process_sd=loop.flow_process_sd,
             flow_process_time_s=loop.flow_process_time_s,
-            pattern_sd=learning.pattern_sd,
-            reference_error=learning.reference_error,
+            pattern_sd=calibration.pattern_sd,
+            reference_error=calibration.reference_error,
             refuse_corners=True,
         )
 

@@ -5,9 +5,10 @@ the plate through its sweeps; the others hear the same frames. All begin with th
 thousand-kernel weight and one weighed load or several, and learn from the same sweeps; no scale weighs the tank:
 
 (b) mean force; (e) and shape; (f) and kernel noise; (g) and a ticket after each third of the season. With a test weight in the
-GrainCondition frames, which the daemon takes where `learning.density_ratio` is set: (b+) and (e+). With kernels weighed better or
-more often, from the calibration on: `WEIGHINGS`. Weighings at one load have one error, in units of each column's deviation;
-the weighings between those of (f) have a chance of their own, so that the other columns are what they are without them.
+GrainCondition frames, which the daemon takes where `self_calibration.density_ratio` is set: (b+) and (e+). With kernels weighed
+better or more often, from the calibration on: `WEIGHINGS`. Weighings at one load have one error, in units of each column's
+deviation; the weighings between those of (f) have a chance of their own, so that the other columns are what they are without
+them.
 
 An hour stands for the season: 24 loads of two and a half minutes, a sweep in every second. The drift rates of the
 configuration are those by which what is not known of density and restitution grows to 15 % until its end.

@@ -26,6 +26,12 @@ def test_former_keys_are_read_in_their_place() -> None:
     assert list(given["sweep"]) == ["enabled", "lying_ratio", "lying_spread", "interval_s"], "what was given is as it was"
 
 
+def test_a_former_key_in_a_former_section_is_read_too() -> None:
+    found, notes = with_present_keys({"learning": {"anchor_error": 0.01, "enabled": True}}, "c.yaml")
+    assert found == {"self_calibration": {"reference_error": 0.01, "enabled": True}}
+    assert len(notes) == 2
+
+
 @pytest.mark.parametrize(("key", "present"), FORMER_KEYS.items())
 def test_a_key_under_both_names_is_refused(key: tuple[str, str], present: str) -> None:
     section, former = key

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import inf
+from typing import Literal, get_args
 
-FLOW_MODELS = ("constant", "linear", "process")
+from yieldmon.setting_keys import choice, quantity
+
+FlowModel = Literal["constant", "linear", "process"]
+FLOW_MODELS: tuple[FlowModel, ...] = get_args(FlowModel)
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,14 +48,18 @@ class ClosedLoopSettings:
     0.005
     """
 
-    flow: str = "constant"
-    flow_slope_sd_per_s: float = 0.005
-    flow_process_sd: float = 0.05
-    flow_process_time_s: float = 20.0
-    model_error: float = 0.0
-    learned_information: float = 0.05
-    kept_ratio: float = 0.99
-    consistent_p: float = 1e-3
+    flow: FlowModel = choice("constant", "how the flow may change during a sweep")  # noqa: RUF009 - a field
+    flow_slope_sd_per_s: float = quantity(0.005, 1e-6, 1.0, "1/s", "linear: relative standard deviation of the slope")
+    flow_process_sd: float = quantity(0.05, 0.0, 1.0, "1", "process: relative standard deviation of the flow")
+    flow_process_time_s: float = quantity(20.0, 1.0, 3600.0, "s", "process: correlation time of the flow")
+    model_error: float = quantity(0.0, 0.0, 0.5, "1", "relative error of the model at each angle of a sweep")
+    learned_information: float = quantity(
+        0.05, 0.0, 100.0, "1", "a sweep with less information, relative to the prior, updates nothing"
+    )
+    kept_ratio: float = quantity(
+        0.99, 0.5, 1.0, "1", "a parameter that keeps more than this share of its standard deviation is not updated"
+    )
+    consistent_p: float = quantity(1e-3, 0.0, 0.5, "1", "a sweep whose misfit has a lower p-value updates nothing")
 
     def __post_init__(self) -> None:
         if self.flow not in FLOW_MODELS:

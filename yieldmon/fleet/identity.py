@@ -55,13 +55,13 @@ def software() -> Software:
 
 def parameters_sha256(configured: Configuration) -> str:
     """Of a configuration with its machine, its parameters and the files that it names."""
-    learning = configured.calibrator
+    calibrator = configured.calibrator
     return _digest({
         "document": configured.document.model_dump(mode="json"),
         "machine": machine_file.to_document(configured.machine),
         "parameters": parameter_file.to_document(configured.parameters),
         "databases": [digests.of_file(path) for path in configured.database_paths],
-        "moisture_map": repr(learning.moisture_map) if learning is not None else "",
+        "moisture_map": repr(calibrator.moisture_map) if calibrator is not None else "",
     })  # fmt: skip
 
 

@@ -157,6 +157,8 @@ def build(content: Any, path: Path, environment: Mapping[str, str] = os.environ)
     if curve is not None:
         parameters = with_curve(parameters, curve)
         check_curve_angle(curve, machine, str(named.curve_path))
+    # A curve has no parameters of the model to update.
+    updates = document.self_calibration.enabled and curve is None
     return Configuration(
         path=path,
         document=document,
@@ -164,7 +166,7 @@ def build(content: Any, path: Path, environment: Mapping[str, str] = os.environ)
         signals=mapping,
         outputs=outputs,
         database_paths=tuple(dict.fromkeys((*databases, *written))),
-        calibrator=calibrator_settings(document, named.moisture_map) if document.learning.enabled and curve is None else None,
+        calibrator=calibrator_settings(document, named.moisture_map) if updates else None,
         machine=machine,
         machine_path=named.machine_path,
         parameters=parameters,
@@ -293,7 +295,7 @@ def _with_fixed_plate(machine: Machine, angle_deg: float | None) -> Machine:
 
 def calibrator_settings(document: Document, moisture_map: MoistureMap | None = None) -> CalibratorSettings:
     """The self-calibration's settings that a document asks for."""
-    values = document.learning.model_dump(exclude={"enabled"})
+    values = document.self_calibration.model_dump(exclude={"enabled"})
     values["flow"] = values.pop("flow_model")
     inner = {field.name: values.pop(field.name) for field in dataclasses.fields(ClosedLoopSettings)}
     drift = DriftRates(

@@ -10,7 +10,7 @@ from yieldmon.service.config.calibration_sections import (
     DriftLimit,
     DriftPerRootHour,
     DriftPerRootKilotonne,
-    Learning,
+    SelfCalibration,
     SteadyDriftPerKilotonne,
 )
 from yieldmon.service.config.engine_sections import EngineSections
@@ -48,7 +48,7 @@ class ServiceKeys(Section):
 class Document(EngineSections, ServiceKeys):
     """The whole file, in the order of its bases and these keys. Every key may be left out; its default is shown here."""
 
-    learning: Learning = Learning()
+    self_calibration: SelfCalibration = SelfCalibration()
     drift_per_root_hour: DriftPerRootHour = DriftPerRootHour()
     drift_per_root_kilotonne: DriftPerRootKilotonne = DriftPerRootKilotonne()
     steady_drift_per_kilotonne: SteadyDriftPerKilotonne = SteadyDriftPerKilotonne()

@@ -3,33 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated, Any, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Any
 
-from pydantic import Field, create_model
+from pydantic import create_model
 
 from yieldmon.engine.settings import EngineSettings
-from yieldmon.service.config.section import Section
-from yieldmon.setting_keys import Key
-
-
-def _keys(settings: Any) -> dict[str, Any]:
-    """The keys that an object of settings declares: their types and descriptions by name."""
-    kinds = get_type_hints(type(settings))
-    declared = {each.name: Key.of(each.metadata) for each in dataclasses.fields(settings)}
-    return {name: _as_yaml(kinds[name], getattr(settings, name), key) for name, key in declared.items() if key is not None}
-
-
-def _as_yaml(kind: Any, default: Any, key: Key) -> tuple[Any, Any]:
-    """Type and description of a key. YAML has lists and mappings of plain values alone."""
-    told: dict[str, Any] = {"description": key.meaning}
-    if key.unit:
-        told["json_schema_extra"] = {"unit": key.unit}
-    if get_origin(kind) is tuple:
-        return list[float], Field(list(default), min_length=1, max_length=key.most, **told)
-    if get_origin(kind) is Mapping:
-        return dict[str, Annotated[float, Field(ge=key.low, le=key.high)]], Field(default_factory=dict, **told)
-    return kind, Field(default, ge=key.low, le=key.high, **told)
+from yieldmon.service.config.section import Section, keys_of
 
 
 def _sections() -> dict[str, Any]:
@@ -38,7 +17,7 @@ def _sections() -> dict[str, Any]:
     for each in dataclasses.fields(defaults):
         settings = getattr(defaults, each.name)
         section: type[Section] = create_model(
-            type(settings).__name__, __base__=Section, __doc__=type(settings).__doc__, **_keys(settings)
+            type(settings).__name__, __base__=Section, __doc__=type(settings).__doc__, **keys_of(settings)
         )
         found[each.name] = section, section()
     return found

@@ -13,10 +13,10 @@ FORMER_KEYS: Mapping[tuple[str, str], str] = {
     ("sweep", "lying_ratio"): "feedback_plausibility_force_ratio",
     ("waveform", "teach"): "update_parameters",
     ("waveform", "teach_windows"): "update_windows",
-    ("learning", "anchor_error"): "reference_error",
+    ("self_calibration", "anchor_error"): "reference_error",
 }
 #: Former section -> present section, read for as long.
-FORMER_SECTIONS: Mapping[str, str] = {"anchors": "reference_masses"}
+FORMER_SECTIONS: Mapping[str, str] = {"anchors": "reference_masses", "learning": "self_calibration"}
 
 
 def with_present_keys(content: Any, where: str) -> tuple[Any, tuple[str, ...]]:
