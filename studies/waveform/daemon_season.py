@@ -2,7 +2,7 @@
 
 The virtual combine strikes with kernels, one by one, and a 1 kHz sensor behind a cell of 0.2 ms shows them. One monitor drives
 the plate through its sweeps; the others hear the same frames. All begin with the one calibration of the season, with a
-thousand-kernel weight and one weighed load or several, and learn from the same sweeps; no scale weighs the tank:
+thousand-kernel weight and one weighed load or several, and are updated by the same sweeps; no scale weighs the tank:
 
 (b) mean force; (e) and shape; (f) and kernel noise; (g) and a ticket after each third of the season. With a test weight in the
 GrainCondition frames, which the daemon takes where `self_calibration.density_ratio` is set: (b+) and (e+). With kernels weighed

@@ -246,7 +246,7 @@ def test_kernels_are_heard_after_so_many_seconds_of_the_empty_machine_and_of_gra
     quiet = int(early[0].split(" ")[0])
     assert quiet >= needed
     told = {
-        f"{quiet} s of the empty machine and {heard} s of steady grain heard, {needed} s of each needed"
+        f"{quiet} s of the empty machine and {heard} s of steady grain measured, {needed} s of each needed"
         for heard in range(needed)
     }
     assert set(early) == told
@@ -386,7 +386,7 @@ def test_says_how_much_of_the_empty_machine_and_of_grain_it_has_heard() -> None:
     monitor.feed_run(as_run(traffic()))
     assert monitor.waveform is not None
     assert monitor.waveform.kernels is KernelVerdict.TOO_EARLY
-    said = r"(\d+) s of the empty machine and (\d+) s of steady grain heard, 3000 s of each needed"
+    said = r"(\d+) s of the empty machine and (\d+) s of steady grain measured, 3000 s of each needed"
     heard_s = re.match(said, monitor.waveform.kernels_reason)
     assert heard_s is not None
     assert all(0 < int(seconds) < 14 for seconds in heard_s.groups())
@@ -552,7 +552,7 @@ def test_the_bias_outlives_a_restart_with_the_parameters_that_it_updated() -> No
     monitor = learner(DOUBTED, FAST)
     listened(monitor, stepping())
     state, known = monitor.snapshot(), monitor.estimator.parameters
-    assert known.provenance["kernel_noise"] == "taught"
+    assert known.provenance["kernel_noise"] == "updated"
     kept = EngineState.from_dict(json.loads(json.dumps(asdict(state))))
     assert kept.calibrator is not None
     assert kept.calibrator.bias[1] < 0.2**2

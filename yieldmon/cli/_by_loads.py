@@ -142,7 +142,7 @@ def _prior(args: argparse.Namespace, measured: tuple[MeasuredLoad, ...], configu
     if args.prior is None and measured:
         newest = measured[-1]
         used = newest.parameters.get(newest.seconds[-1].parameter_version, known)
-        # A curve that these loads have updated already is learnt anew beside the parameters that they began with.
+        # A curve that these loads have updated already is estimated anew beside the parameters that they began with.
         known = _before_curve(measured, known) if EFFECT in used.effects and EFFECT not in known.effects else used
     return dataclasses.replace(known, curve=None)
 

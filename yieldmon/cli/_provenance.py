@@ -24,7 +24,7 @@ def of_table(data: Table) -> dict[str, str]:
 
 
 def note_same_table(data: Table, known: ParameterSet, option: str) -> None:
-    """Point out that parameters known beforehand, those of an option, were learnt from the table they are to learn from."""
+    """Point out that parameters known beforehand, those of an option, were estimated from the table that is to update them."""
     if known.provenance.get("data_sha256") == data.sha256:
         _notes.note(f"{data.path}: the parameters of {option} come from this table, so its rows count twice")
 

@@ -1,4 +1,4 @@
-"""Measure logs of many machines and days into a dataset; report on and learn from it.
+"""Measure logs of many machines and days into a dataset; report on it and derive priors from it.
 
 The dataset is a folder or an object store (s3://bucket/name), with a partition for each machine and day.
 """

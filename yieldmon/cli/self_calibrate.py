@@ -74,7 +74,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 
 def run(args: argparse.Namespace) -> int:
-    """Exit code 0 also where nothing was learned; the report says so."""
+    """Exit code 0 also where nothing was updated; the report says so."""
     machine, prior = model_options.machine(args), model_options.parameters(args)
     if args.separate and args.out is not None:
         raise InputError("--out", "given with --separate", "one of them: separate sweeps give separate parameters")

@@ -461,7 +461,7 @@ class Monitor(MonitorView):
     def take_over(self, before: Monitor, *, tickets: bool) -> None:
         """After `restore` from the monitor that measured until now: what of it no state carries.
 
-        A zero calibration under way, what was measured since the last one, and the noise heard of grain and of no grain.
+        A zero calibration under way, what was measured since the last one, and the noise measured with grain and without.
 
         Parameters
         ----------

@@ -33,7 +33,7 @@ WATCHERS = 24
 _ASK_S = 3.0
 #: The daemon makes its answer anew each second, and after a command; it is asked so long after, and at least so often.
 _PERIOD_S, _AFTER_S, _LEAST_S, _MOST_S = 1.0, 0.1, 0.25, 0.5
-#: A page that hears nothing for longer than a few of these says so itself.
+#: A page that receives nothing for longer than a few of these says so itself.
 HEARTBEAT_S = 2.0
 #: A look at daemon and store that takes longer is reported; the daemon's answer is awaited for less.
 _HANGS_S = 8.0

@@ -123,7 +123,7 @@ class Guard:
         if scope["type"] != "http":
             return
 
-        async def sealed(message: Any) -> None:
+        async def send_guarded(message: Any) -> None:
             if message["type"] == "http.response.start":
                 given = [(name, value) for name, value in message["headers"] if name.lower().decode() not in HEADERS]
                 ours = [(name.encode(), value.encode()) for name, value in HEADERS.items()]
@@ -132,13 +132,13 @@ class Guard:
 
         refusal = self._refusal(scope)
         if refusal is None:
-            await self._app(scope, receive, sealed)
+            await self._app(scope, receive, send_guarded)
             return
         body = json.dumps({"error": refusal.error}).encode()
         headers = [("content-type", "application/json"), ("cache-control", "no-store"), ("content-length", str(len(body)))]
         pairs = [(name.encode(), value.encode()) for name, value in (*headers, *refusal.headers)]
-        await sealed({"type": "http.response.start", "status": refusal.status, "headers": pairs})
-        await sealed({"type": "http.response.body", "body": b"" if scope["method"] == "HEAD" else body})
+        await send_guarded({"type": "http.response.start", "status": refusal.status, "headers": pairs})
+        await send_guarded({"type": "http.response.body", "body": b"" if scope["method"] == "HEAD" else body})
 
     def _refusal(self, scope: Scope) -> Refusal | None:
         headers = _once(scope)

@@ -63,16 +63,16 @@ def same(given: str, token: str) -> bool:
 def cookie(token: str, now_s: float) -> str:
     """A cookie for somebody who has shown the token. now_s: Unix time."""
     until = str(int(now_s) + COOKIE_LIFE_S)
-    return f"{until}.{_sealed(token, until)}"
+    return f"{until}.{_signature(token, until)}"
 
 
 def cookie_is_good(value: str, token: str, now_s: float) -> bool:
     """Whether `cookie` made this one with the same token, not too long ago."""
-    until, _, seal = value.partition(".")
-    if not until.isascii() or not until.isdecimal() or len(until) > 12 or not same(seal, _sealed(token, until)):
+    until, _, signature = value.partition(".")
+    if not until.isascii() or not until.isdecimal() or len(until) > 12 or not same(signature, _signature(token, until)):
         return False
     return now_s < int(until)
 
 
-def _sealed(token: str, until: str) -> str:
+def _signature(token: str, until: str) -> str:
     return hmac.new(token.encode(), f"yieldmon page {until}".encode(), hashlib.sha256).hexdigest()

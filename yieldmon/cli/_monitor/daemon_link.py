@@ -69,7 +69,7 @@ class DaemonLink:
 
 
 def aged(status: Status, silent_s: float) -> Status:
-    """A status as it is to be shown when nothing has been heard of the daemon since, for silent_s seconds."""
+    """A status as it is to be shown when the daemon has not answered since, for silent_s seconds."""
     if silent_s < SILENT_S:
         return status
     return {**status, "stale": True, "age_s": status["age_s"] + silent_s}

@@ -60,7 +60,7 @@ class ZeroRefusal:
 
 
 class ZeroTracker:
-    """Learns and follows the zero. `state` is None until there is one."""
+    """Finds and follows the zero. `state` is None until there is one."""
 
     def __init__(self, settings: ZeroSettings) -> None:
         self._settings = settings

@@ -170,7 +170,7 @@ class ClosedLoopCalibrator:
         if refused or abs(updated.difference) > _CONTRADICTION_SDS * updated.sd:
             off = f"kernel noise and mean force differ by {100.0 * updated.difference:+.0f} %"
             return CalibrationOutcome(None, f"{off}; {refused or 'the parameters stay'}")
-        facts = {**used.provenance, KERNEL_NOISE: "taught"}
+        facts = {**used.provenance, KERNEL_NOISE: "updated"}
         if used.scale_error > 0.0:
             facts[SCALE] = BY_KERNELS
         known = replace(updated.drifting.parameters, version=used.version + 1, provenance=facts)

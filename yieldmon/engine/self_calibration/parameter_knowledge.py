@@ -184,14 +184,14 @@ class ParameterKnowledge:
         else:
             now = updated(drifting, outcome.parameter_set, widening=outcome.prior_widening)
         same = now.joint.shape == drifting.joint.shape and now.parameters.covariance_names == before.covariance_names
-        heard = bias
+        before_update = bias
         if bias is not None and same and outcome.updated:
             bias = common_bias.followed(bias, drifting, now, widening=outcome.prior_widening)
         if not same:
             bias = None
         if spread is not None and outcome.updated:
             wide = widened(drifting.joint, before.covariance_names, outcome.prior_widening)
-            spread = after_update(spread, wide, now, (heard, bias))
+            spread = after_update(spread, wide, now, (before_update, bias))
         if bias is None and outcome.scale.observable and KERNEL_NOISE in now.parameters.provenance:
             # What kernel noise said is not known any more, and no longer matters.
             facts = {key: text for key, text in now.parameters.provenance.items() if key != KERNEL_NOISE}

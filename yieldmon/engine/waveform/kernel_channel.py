@@ -100,12 +100,12 @@ class KernelChannel:
 
     @property
     def missing(self) -> str:
-        """What it waits for, in words; empty where both the empty machine and grain have been heard for long enough."""
+        """What it waits for, in words; empty where empty machine and grain have both been measured for long enough."""
         needed = self._settings.quiet_windows
         if min(len(self._quiet), len(self._loaded)) >= needed:
             return ""
-        heard = f"{len(self._quiet)} s of the empty machine and {len(self._loaded)} s of steady grain heard"
-        return f"{heard}, {needed} s of each needed"
+        measured = f"{len(self._quiet)} s of the empty machine and {len(self._loaded)} s of steady grain measured"
+        return f"{measured}, {needed} s of each needed"
 
     def _changed(self, force_n: float) -> bool:
         before, self._force_before_n = self._force_before_n, force_n
@@ -117,9 +117,9 @@ class KernelChannel:
         """A window with grain, the phase of trace and wave counted from the fitted pulses; flow_kg_s: by its mean force.
 
         A kernel's impulse goes with the load, the plate and the speed as that of a kilogram does: the mean force's model brings
-        earlier windows to this one, and its scale drops out. Only windows of the plate at home are listened to, the kernels'
-        own scatter over angles being unknown. None until enough of them, with pulses like earlier ones, and the empty machine
-        have been heard.
+        earlier windows to this one, and its scale drops out. Only windows of the plate at home count, the kernels' own
+        scatter over angles being unknown. None until enough of them, with pulses like earlier ones, and of the empty machine
+        have been measured.
         """
         if estimator is not self._estimator:
             self._estimate_anew(estimator)

@@ -68,7 +68,7 @@ class Waveform:
         self._biases: deque[float] = deque(maxlen=settings.kernel_windows)
 
     def go_on_with(self, before: Waveform) -> None:
-        """Noise that was heard on the same machine by the same settings is heard no second time."""
+        """Noise that was measured on the same machine by the same settings is not measured again."""
         if (self._settings, self._machine) == (before._settings, before._machine):
             self._kernel_channel, self.kernel_measurements = before._kernel_channel, before.kernel_measurements
 
@@ -192,8 +192,8 @@ class Waveform:
 
     def _weight_g(self, reading: Reading) -> float:
         """Of a thousand kernels: as a frame says of late, else as last entered; 0: not known."""
-        heard = reading.inputs.fresh["thousand_kernel_weight"]
-        return heard if isfinite(heard) else self.kernel_weight_g
+        received_g = reading.inputs.fresh["thousand_kernel_weight"]
+        return received_g if isfinite(received_g) else self.kernel_weight_g
 
     def _with_kernels(
         self, seen: WaveformReading, reading: Reading, kernels: KernelImpulse | None, missing: str

@@ -245,7 +245,7 @@ def _remedies(
 def _sentences(known: Sequence[Direction], unknown: Sequence[Direction], remedies: Sequence[Remedy]) -> Iterable[str]:
     for d in known:
         if not np.isfinite(d.relative_sd):
-            yield f"with the loads known, nothing is learned along: {d.words()}."
+            yield f"with the loads known, nothing is determined along: {d.words()}."
         elif d.relative_sd > _POORLY_KNOWN:
             yield f"with the loads known, this is poorly determined ({100.0 * d.relative_sd:.2g} %): {d.words()}."
     for d in unknown:
@@ -256,7 +256,7 @@ def _sentences(known: Sequence[Direction], unknown: Sequence[Direction], remedie
                 "fixes it."
             )
         elif not np.isfinite(d.relative_sd):
-            yield f"with the load unknown (a sweep), nothing is learned along: {d.words()}."
+            yield f"with the load unknown (a sweep), nothing is determined along: {d.words()}."
         elif d.relative_sd > _POORLY_KNOWN:
             yield f"with the load unknown (a sweep), this is poorly determined ({100.0 * d.relative_sd:.2g} %): {d.words()}."
     if known and known[0].relative_sd > _POORLY_KNOWN and remedies:

@@ -107,7 +107,7 @@ class ClosedLoopProblem:
         if set(prior.effects) != set(model.effects):
             raise ValueError(f"the parameters name the effects {prior.effects}; the model has {model.effects}")
         if not sweeps and not masses and density is None:
-            raise ValueError("neither a sweep nor a weighed mass to learn from")
+            raise ValueError("neither a sweep nor a weighed mass to estimate parameters from")
         self.model, self.prior_set, self.sweeps, self.masses = model, prior, tuple(sweeps), tuple(masses)
         self.settings = settings
         self.prior = Prior.of(prior)

@@ -87,7 +87,7 @@ def calibrate_loads(
         Without loads, or where a load holds more force than a full paddle gives.
     """
     if not loads:
-        raise ValueError("no weighed load to learn from")
+        raise ValueError("no weighed load to calibrate with")
     settings = LoadSettings() if settings is None else settings
     condensed = [load.condensed for load in loads]
     problem = LoadProblem(model, prior, widened(prior, settings), condensed, settings)

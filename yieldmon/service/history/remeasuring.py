@@ -1,10 +1,10 @@
 """RemeasuringJob: loads of the last days measured again with the parameters of updates after them.
 
 A ticket in the evening also says something of the hours and days before it: a day whose one ticket is of a load at low flow
-learns from the next evening's what its grain was at high flow. The updates' steps, kept in the store, are taken without those of
-sweeps (`estimation.self_calibration.drift_updates`) and smoothed (`estimation.self_calibration.steady_drift.smoothed`), and each
-load's seconds are measured again with the parameters as the weighed masses together have them at its time. What was measured at
-first stays as it is: the result is a factor for each load.
+is measured better with what the next evening's says of its grain at high flow. The updates' steps, kept in the store, are taken
+without those of sweeps (`estimation.self_calibration.drift_updates`) and smoothed
+(`estimation.self_calibration.steady_drift.smoothed`), and each load's seconds are measured again with the parameters as the
+weighed masses together have them at its time. What was measured at first stays as it is: the result is a factor for each load.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _MOST_ROWS = 270_000
 @dataclass(frozen=True)
 class Timeline:
     """Parameters over time. times_s: (k,) bus time, rising; values: (k, n) of `names`; versions: those that were in use there.
-    holds_from_s: when the newest update that contradicts the drift began; days before it learn nothing from those after it."""
+    holds_from_s: when the newest update that contradicts the drift began; what follows does not count for the days before."""
 
     parameters: ParameterSet
     names: tuple[str, ...]

@@ -213,7 +213,7 @@ def _back_before(version: int, context: RequestContext, silenced: Sequence[int] 
     in_use = monitor.estimator.parameters
     if in_use.curve is not None:
         raise InputError(
-            f"version {version}", "the flow comes from estimator_file, which learns nothing", "another estimator_file"
+            f"version {version}", "the flow comes from estimator_file, which nothing updates", "another estimator_file"
         )
     chosen, crop = journal.parameters.undo(version, in_use, journal.crop, context.who, now_s, silenced, replaced)
     monitor.set_estimator(estimator_of(monitor.machine, chosen), calibration_age_s(chosen, now_s))
@@ -259,7 +259,7 @@ def _update_again(
 
 def why_no_reference(covered: Sequence[Load], context: RequestContext, crop: str) -> str:
     """Why no part of a ticket is a reference mass for the calibration; "" where it is. The monitor gets to know those of its
-    loads that an earlier run measured. crop: whose parameters are to learn; "": those in use."""
+    loads that an earlier run measured. crop: whose parameters it is to update; "": those in use."""
     monitor, journal = context.monitor, context.journal
     in_use = crop or journal.crop_in_use(monitor.estimator.parameters)
     named = sorted({journal.parameters.crop_of_load(load) for load in covered} - {""})
@@ -268,7 +268,7 @@ def why_no_reference(covered: Sequence[Load], context: RequestContext, crop: str
         return f"loads of {both} on one ticket update the parameters of none; `yieldmon load correct` if one has the wrong crop"
     other = next((found for found in named if in_use and found.lower() != in_use.lower()), None)
     if other is not None:
-        return f"a load of {other}; the parameters in use are those of {in_use}; `yieldmon calibrate --loads` learns from it"
+        return f"a load of {other}; the parameters in use are those of {in_use}; `yieldmon calibrate --loads` calibrates with it"
     whole = {load.number: load.complete for load in monitor.loads}
     # Of a load that goes on over a restart only the store has every second.
     earlier = {load.load.number: load for load in context.stored if not whole.get(load.load.number, False)}

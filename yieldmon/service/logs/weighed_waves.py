@@ -114,8 +114,8 @@ def match(loads: Sequence[WavedLoad], tickets: Sequence[WeighedTicket], configur
         scale = ticket.mass_kg / sum(item.load.mass_kg for item in covered)
         seconds = [pair for item in covered for pair in item.waves]
         waves += [WeighedWave(name, wave, scale * row.mean_force_flow_kg_s / density) for row, wave in seconds]
-        heard = np.array([(r.kernel_flow_kg_s, r.mean_force_flow_kg_s) for r, _ in seconds if r.kernel_flow_kg_s is not None])
-        if len(heard):
-            by_kernels, by_force = heard.sum(axis=0)
+        by_both = np.array([(r.kernel_flow_kg_s, r.mean_force_flow_kg_s) for r, _ in seconds if r.kernel_flow_kg_s is not None])
+        if len(by_both):
+            by_kernels, by_force = by_both.sum(axis=0)
             biases[name] = float(bias * scale * by_force / by_kernels)
     return WeighedShapes(tuple(waves), biases)
