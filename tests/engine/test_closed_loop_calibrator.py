@@ -17,7 +17,7 @@ from yieldmon.engine.mass.load_summary import LoadSummary
 from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.self_calibration.closed_loop_calibrator import ClosedLoopCalibrator
 from yieldmon.engine.self_calibration.curve_states import in_names
-from yieldmon.engine.self_calibration.load_forces import LoadForces, LoadForceSums
+from yieldmon.engine.self_calibration.load_forces import LoadForces, LoadForceSums, WindowForces
 from yieldmon.engine.self_calibration.parameter_updater import ParameterUpdater
 from yieldmon.engine.self_calibration.reference_mass import ReferenceMass, ReferenceSource
 from yieldmon.engine.settings import EngineSettings
@@ -796,7 +796,7 @@ def curve_ticket(known: OpenLoop, number: int, flow: float, at_ten_n: float = 62
     start = 1000.0 * number
     sums, angle = LoadForceSums(), MACHINE.home_plate_angle_rad
     for _ in range(500):
-        sums.add(number, measured / 500.0, 1.0, force_n=force, angle_rad=angle, speed_rad_s=SPEED, moisture_pct=nan)
+        sums.add(number, measured / 500.0, WindowForces(1.0, force, angle, SPEED))
     load = ReferenceMass(
         ReferenceSource.TICKET,
         start,

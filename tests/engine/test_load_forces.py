@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from yieldmon.engine.self_calibration.load_forces import LoadForceSums
+from yieldmon.engine.self_calibration.load_forces import LoadForceSums, WindowForces
 
 WINDOW = {"seconds": 1.0, "force_n": 40.0, "angle_rad": 1.2, "speed_rad_s": 42.0, "moisture_pct": 15.0}
 
@@ -14,7 +14,8 @@ WINDOW = {"seconds": 1.0, "force_n": 40.0, "angle_rad": 1.2, "speed_rad_s": 42.0
 def sums(*windows: dict[str, float], load: int = 1) -> LoadForceSums:
     found = LoadForceSums()
     for window in windows:
-        found.add(load, **{"mass_kg": 10.0, **WINDOW, **window})
+        values = {"mass_kg": 10.0, **WINDOW, **window}
+        found.add(load, values.pop("mass_kg"), WindowForces(**values))
     return found
 
 
@@ -60,7 +61,19 @@ def test_moisture_of_a_group_most_of_which_lacks_it_is_not_known(unknown, expect
 def test_the_newest_loads_are_kept():
     found = LoadForceSums()
     for load in range(70):
-        found.add(load, 10.0, **WINDOW)
+        found.add(load, 10.0, WindowForces(**WINDOW))
     assert [load for load in range(70) if found.of(load) is None] == list(range(6))
     found.forget()
     assert found.of(69) is None
+
+
+@pytest.mark.parametrize(("after", "known"), [(0, False), (1, False), (5, False), (30, True)])
+def test_a_load_most_of_which_was_forgotten_has_none(after, known):
+    """The rest alone would be held against the mass of the whole load."""
+    found = sums({}, {})
+    found.forget()
+    for _ in range(after):
+        found.add(1, 10.0, WindowForces(**WINDOW))
+    forces = found.of(1)
+    assert (forces is not None) is known
+    assert forces is None or forces.duration_s.sum() == pytest.approx(after + 2)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from math import nan
 
 import pytest
 from engine_bench import ZERO_MV, Bench, feed, monitor
@@ -10,6 +11,7 @@ from engine_bench import ZERO_MV, Bench, feed, monitor
 from yieldmon import frames as bus
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.runs import run_of
+from yieldmon.engine.self_calibration.load_forces import WindowForces
 from yieldmon.engine.self_calibration.reference_mass import ReferenceMass
 from yieldmon.engine.self_calibration.tank_scale import TankScale
 from yieldmon.engine.settings import EngineSettings, ReferenceMassSettings
@@ -26,11 +28,19 @@ class Tank:
         self.now_s = 0
         self.total_kg = 0.0
 
-    def second(self, reading_kg: float | None = None, mass_kg: float = 10.0, measured: bool = True) -> ReferenceMass | None:
+    def second(
+        self,
+        reading_kg: float | None = None,
+        mass_kg: float = 10.0,
+        measured: bool = True,
+        forces: WindowForces | None = None,
+        at: float = 1.0,
+    ) -> ReferenceMass | None:
+        """at: the share of the second at which the reading comes."""
         self.now_s += 1
         if reading_kg is not None:
-            self.scale.reading(float(self.now_s), reading_kg)
-        found = self.scale.window(self.now_s - 1.0, float(self.now_s), self.total_kg, mass_kg, measured)
+            self.scale.reading(self.now_s - 1.0 + at, reading_kg)
+        found = self.scale.window(self.now_s - 1.0, float(self.now_s), self.total_kg, mass_kg, measured, forces=forces)
         self.total_kg += mass_kg
         return found
 
@@ -50,6 +60,44 @@ def test_a_mass_is_the_difference_of_two_readings() -> None:
     following = tank.seconds(6, 1160.0)
     assert following is not None
     assert (following.start_s, following.reference_kg, following.measured_kg) == (11.0, 60.0, 60.0)
+
+
+THIN, THICK = (WindowForces(1.0, force_n, 1.22, 41.9, 15.0) for force_n in (40.0, 80.0))
+
+
+@pytest.mark.parametrize(("at", "thin_s", "thick_s", "later_s"), [(1.0, 4.0, 6.0, 6.0), (0.25, 4.0, 5.25, 6.0)])
+def test_a_mass_has_the_forces_between_its_readings_and_no_others(
+    at: float, thin_s: float, thick_s: float, later_s: float
+) -> None:
+    tank = Tank()
+    tank.second(mass_kg=500.0, forces=THIN)
+    tank.second(1000.0, forces=THIN)
+    for _ in range(4):
+        tank.second(forces=THIN)
+    for _ in range(5):
+        tank.second(forces=THICK)
+    found = tank.second(1100.0, forces=THICK, at=at)
+    assert found is not None
+    assert found.forces is not None
+    assert found.forces.force_n.tolist() == pytest.approx([40.0, 80.0])
+    assert found.forces.duration_s.tolist() == pytest.approx([thin_s, thick_s])
+    for _ in range(5):
+        tank.second(forces=THICK)
+    following = tank.second(1160.0, forces=THICK, at=at)
+    assert following is not None
+    assert following.forces is not None
+    assert following.forces.duration_s.tolist() == pytest.approx([later_s])
+
+
+def test_a_mass_some_of_which_has_no_known_force_is_taken_as_a_total() -> None:
+    tank = Tank()
+    tank.second(1000.0)
+    for _ in range(8):
+        tank.second(forces=THICK)
+    tank.second(forces=THICK._replace(force_n=nan))
+    found = tank.second(1100.0, forces=THICK)
+    assert found is not None
+    assert found.forces is None
 
 
 @pytest.mark.parametrize(("gained_kg", "counts"), [(50.0, True), (49.9, False), (0.0, False), (-10.0, False)])
@@ -168,3 +216,25 @@ def test_a_total_that_is_changed_between_two_readings_is_no_mass_measured_betwee
     later = [reference for reference in target.reference_masses if reference.end_s > 1055.0]
     assert later
     assert all(reference.start_s > 1055.0 for reference in later)
+
+
+@pytest.mark.parametrize("as_run", [False, True])
+def test_the_monitor_keeps_the_forces_over_what_a_tank_scale_weighs(as_run: bool) -> None:
+    """Thin and thick streams in one mass, ten seconds each."""
+    bench = Bench(
+        flow=lambda t: (9.0 if t % 20.0 < 10.0 else 16.0) if t >= 1016.0 else 0.0,
+        zero=lambda _: ZERO_MV,
+        scatter=0.02,
+        noise_mv=2.0,
+    )
+    masses = ((time_s, 12.5 * max(0.0, time_s - 1016.0)) for time_s in (1010.0 + 10.0 * k for k in range(19)))
+    readings = [Frame(time_s + 0.5, bus.TANK_SCALE, {"TankMass": mass, "TankScaleStatus": 0}) for time_s, mass in masses]
+    frames = sorted([*bench.frames(200), *readings], key=lambda frame: frame.time_s)
+    target = monitor(EngineSettings(reference_masses=ReferenceMassSettings(min_increment_kg=1000.0)))
+    feed(target, run_of(frames) if as_run else frames)
+    [reference] = [reference for reference in target.reference_masses if reference.start_s > 1016.0]
+    forces = reference.forces
+    assert forces is not None
+    assert forces.duration_s.sum() == pytest.approx(reference.end_s - reference.start_s, abs=0.1)
+    steady = forces.duration_s > 10.0
+    assert sorted(forces.force_n[steady])[-1] / sorted(forces.force_n[steady])[0] == pytest.approx(16.0 / 9.0, rel=0.1)

@@ -22,6 +22,7 @@ from yieldmon.engine.quick import maker_of
 from yieldmon.engine.records import Second, WindowRecord, record_of
 from yieldmon.engine.results import Event, Result, WindowResult, ZeroTaken
 from yieldmon.engine.sampling.since_zero import KeptSecond
+from yieldmon.engine.self_calibration.load_forces import WindowForces
 from yieldmon.engine.self_calibration.parameter_updater import ParametersChanged
 from yieldmon.engine.self_calibration.scale_alarm import ScaleCheck
 from yieldmon.engine.sweeps.sweep_inputs import SweepWindow, support_start_s
@@ -164,6 +165,7 @@ class Conclusion:
             # All of these seconds looked empty.
             loads.widen(sum(self._counted_kg))
         self._far = reading.zero_far_mv != 0.0
+        forces = _forces(reading, flow, mass_kg) if mass_kg > 0.0 else None
         missed_kg = updater.masses.match_tank_scale(
             reading.window,
             reading.inputs,
@@ -171,6 +173,7 @@ class Conclusion:
             totals.total_kg - mass_kg,
             mass_kg,
             totals.total_budget,
+            forces=forces,
             zero_doubted=doubted,
         )
         if doubted:
@@ -181,8 +184,8 @@ class Conclusion:
             number = totals.load_number if totals.load_open else NO_LOAD
             self._parts.since_zero.add_scale(number, missed_kg)
             loads.correct({number: MissedMass().plus(missed_kg, None, area_known=True)})
-        if totals.load_open:
-            updater.masses.tickets.measured(totals.load_number, reading, flow, mass_kg)
+        if totals.load_open and forces is not None:
+            updater.masses.tickets.measured(totals.load_number, mass_kg, forces)
 
     def _restate(
         self, model_error: AngleError, contradiction: ScaleCheck | None, changes: Sequence[ParametersChanged]
@@ -257,6 +260,11 @@ class Conclusion:
             parameter_version=parts.updater.estimator.parameters.version,
             waveform=NOTHING,
         )
+
+
+def _forces(reading: Reading, flow: Flow, mass_kg: float) -> WindowForces:
+    window, moisture_pct = reading.window, reading.inputs.fresh["moisture"]
+    return WindowForces(mass_kg / flow.rate_kg_s, flow.force_n, window.plate_angle_rad, window.speed_rad_s, moisture_pct)
 
 
 def _operating_state(reading: Reading, active: tuple[FaultCode, ...], *, sweeping: bool) -> OperatingState:

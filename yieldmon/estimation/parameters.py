@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 
 SPEED_MARGIN = 0.05
 """Relative change of the elevator speed that a calibration at one speed covers."""
+MOISTURE_MARGIN_PCT = 1.0
+"""How much wetter or drier than was calibrated grain may be: a meter on the combine repeats no better, and a weighed load has one
+mean moisture."""
 SCALE, WEIGHED, BY_KERNELS, NOT_CALIBRATED = "scale", "weighed", "kernel noise", "not calibrated"
 """Key of the provenance, and its values for parameters whose scale weighed masses or kernel noise have set, and for those of
 another machine."""
@@ -62,7 +65,8 @@ class CalibratedRange:
         ----------
         mass_flow_kg_s, plate_angle_rad, elevator_speed_rad_s, moisture_pct : ndarray
             Of one shape. An angle or a flow may lie as far outside as two may that count as the same, since an actuator reaches
-            the outermost angle to its accuracy only; a speed by SPEED_MARGIN, since no elevator holds that of a test facility.
+            the outermost angle to its accuracy only; a speed by SPEED_MARGIN, since no elevator holds that of a test facility; a
+            moisture by MOISTURE_MARGIN_PCT.
 
         Returns
         -------
@@ -73,7 +77,7 @@ class CalibratedRange:
             (mass_flow_kg_s, self.mass_flow_kg_s, 0.0, SAME_LOAD),
             (plate_angle_rad, self.plate_angle_rad, SAME_ANGLE_RAD, 0.0),
             (elevator_speed_rad_s, self.elevator_speed_rad_s, 0.0, SPEED_MARGIN),
-            (moisture_pct, self.moisture_pct, 0.0, 0.0),
+            (moisture_pct, self.moisture_pct, MOISTURE_MARGIN_PCT, 0.0),
         ):
             if value is not None and limits is not None:
                 low, high = ((1.0 + sign * (share + 1e-9)) * end + sign * same for sign, end in zip((-1, 1), limits, strict=True))

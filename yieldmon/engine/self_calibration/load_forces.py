@@ -1,10 +1,12 @@
-"""The forces over each load, summed up in few numbers, so that a weighed mass can be held against them."""
+"""The forces over each load, or between two readings of a tank's scale, summed up in few numbers, so that a weighed mass can be
+held against them."""
 
 from __future__ import annotations
 
 from collections import OrderedDict
 from dataclasses import dataclass
 from math import isfinite, log, nan
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,6 +29,20 @@ class LoadForces:
     moisture_pct: Array
 
 
+class WindowForces(NamedTuple):
+    """Of a window with grain; nan where a value is not known. seconds: that its mass stands for."""
+
+    seconds: float
+    force_n: float
+    angle_rad: float
+    speed_rad_s: float
+    moisture_pct: float = nan
+
+    def share(self, share: float) -> WindowForces:
+        """The same of a share of the window's mass."""
+        return self._replace(seconds=share * self.seconds)
+
+
 class LoadForceSums:
     """Sums over the loads of a run."""
 
@@ -35,20 +51,11 @@ class LoadForceSums:
         self._unknown_kg: dict[int, float] = {}
         self._known_kg: dict[int, float] = {}
 
-    def add(
-        self,
-        load_number: int,
-        mass_kg: float,
-        seconds: float,
-        *,
-        force_n: float,
-        angle_rad: float,
-        speed_rad_s: float,
-        moisture_pct: float,
-    ) -> None:
-        """A window that added mass_kg to a load in so many seconds."""
+    def add(self, load_number: int, mass_kg: float, window: WindowForces) -> None:
+        """A window that added mass_kg to a load."""
         if mass_kg <= 0.0:
             return
+        seconds, force_n, angle_rad, speed_rad_s, moisture_pct = window
         usable = all(map(isfinite, (force_n, angle_rad, speed_rad_s))) and force_n > 0.0 and speed_rad_s > 0.0
         masses = self._known_kg if usable else self._unknown_kg
         masses[load_number] = masses.get(load_number, 0.0) + mass_kg
@@ -70,8 +77,11 @@ class LoadForceSums:
             sums[5] += seconds
 
     def forget(self) -> None:
-        """The forces do not belong to the masses any more (another zero)."""
+        """The forces do not belong to the masses any more (another zero): those of what was measured until now are not known."""
         self._loads.clear()
+        for load_number, mass_kg in self._known_kg.items():
+            self._unknown_kg[load_number] = self._unknown_kg.get(load_number, 0.0) + mass_kg
+        self._known_kg.clear()
 
     def of(self, load_number: int) -> LoadForces | None:
         """What is known of a load; its few windows without a usable force count like the others. None where most have none."""

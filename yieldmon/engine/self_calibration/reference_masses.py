@@ -8,6 +8,7 @@ from yieldmon.engine.flow import Flow
 from yieldmon.engine.inputs import InputSnapshot
 from yieldmon.engine.mass.budget import MassBudget
 from yieldmon.engine.sampling.windows import Window
+from yieldmon.engine.self_calibration.load_forces import WindowForces
 from yieldmon.engine.self_calibration.reference_mass import ReferenceMass
 from yieldmon.engine.self_calibration.scale_alarm import ScaleCheck, as_stated, name_of
 from yieldmon.engine.self_calibration.tank_scale import TankScale
@@ -72,9 +73,11 @@ class ReferenceMasses:
         mass_kg: float,
         budget: MassBudget,
         *,
+        forces: WindowForces | None,
         zero_doubted: bool,
     ) -> float:
-        """Match the tank scale's stable readings with what a window measured; budget: of the total after it.
+        """Match the tank scale's stable readings with what a window measured; budget: of the total after it; forces: of
+        its mass, None where it has none.
 
         Returns kg that were missed, by the scale, while the zero was doubted.
         """
@@ -88,7 +91,7 @@ class ReferenceMasses:
             self._scale.reading(inputs.tank_time_s, inputs.tank_kg)
         # Between passes the plate is watched as in them, and no grain comes.
         watched = (flow.measured or flow.quality is EstimateQuality.NOT_HARVESTING) and not window.contested
-        weighed = self._scale.window(window.start_s, window.end_s, total_before_kg, mass_kg, watched, budget)
+        weighed = self._scale.window(window.start_s, window.end_s, total_before_kg, mass_kg, watched, budget, forces)
         if weighed is None:
             return 0.0
         if not weighed.zero_doubted:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 from yieldmon.engine.duplicate_senders import tank_leaps
 from yieldmon.engine.mass.budget import EMPTY, MassBudget
+from yieldmon.engine.self_calibration.load_forces import LoadForceSums, WindowForces
 from yieldmon.engine.self_calibration.reference_mass import ReferenceMass, ReferenceSource
 from yieldmon.engine.settings import ReferenceMassSettings
 
@@ -35,6 +36,9 @@ class TankScale:
         self._last: _Weighing | None = None
         self._complete = True
         self._zero_doubted = False
+        self._forces = LoadForceSums()
+        self._number = 0
+        """Of what comes in from the reading at the start, among the sums of forces."""
         self.masses: deque[ReferenceMass] = deque(maxlen=settings.keep)
 
     def reading(self, time_s: float, mass_kg: float) -> None:
@@ -71,32 +75,51 @@ class TankScale:
         return 0
 
     def window(
-        self, start_s: float, end_s: float, total_before_kg: float, mass_kg: float, measured: bool, budget: MassBudget = EMPTY
+        self,
+        start_s: float,
+        end_s: float,
+        total_before_kg: float,
+        mass_kg: float,
+        measured: bool,
+        budget: MassBudget = EMPTY,
+        forces: WindowForces | None = None,
     ) -> ReferenceMass | None:
-        """A window that measured (or failed to measure) mass_kg between two times; the total before it, its budget after it.
+        """A window that measured (or failed to measure) mass_kg between two times; the total before it, its budget after it, the
+        forces of its mass.
 
         Returns the reference mass that has come of it.
         """
         if not measured:
             self._complete = False
-        if self._pending is None:
+        if self._pending is None or self._pending[0] > end_s:
+            self._add(mass_kg, forces)
             return None
         time_s, scale_kg = self._pending
-        if time_s > end_s:
-            return None
         self._pending = None
         share = min(1.0, max(0.0, (time_s - start_s) / (end_s - start_s))) if end_s > start_s else 1.0
-        return self._weigh(_Weighing(time_s, scale_kg, total_before_kg + share * mass_kg, budget))
+        self._add(mass_kg, forces, share)
+        weighed = self._weigh(_Weighing(time_s, scale_kg, total_before_kg + share * mass_kg, budget))
+        self._add(mass_kg, forces, 1.0 - share)
+        return weighed
+
+    def _add(self, mass_kg: float, forces: WindowForces | None, share: float = 1.0) -> None:
+        if forces is not None and self._start is not None and share > 0.0:
+            self._forces.add(self._number, share * mass_kg, forces.share(share))
+
+    def _begin(self, now: _Weighing) -> None:
+        """The next mass is weighed from this reading on."""
+        self._start, self._complete, self._zero_doubted = now, True, False
+        self._number += 1
 
     def _weigh(self, now: _Weighing) -> ReferenceMass | None:
         start, last, self._last = self._start, self._last, now
         if start is None or last is None or self._interrupted(last, now):
-            self._start, self._complete, self._zero_doubted = now, True, False
+            self._begin(now)
             return None
         increment = now.mass_kg - start.mass_kg
         if not self._complete and not self._zero_doubted and abs(increment) <= _AS_BEFORE_SDS * self._settings.scale_std_dev_kg:
             # What was not measured held no grain, as before the first zero.
-            self._start, self._complete = now, True
+            self._begin(now)
             return None
         if increment < self._settings.min_increment_kg:
             return None
@@ -111,9 +134,10 @@ class TankScale:
                 complete=self._complete,
                 budget=now.budget.minus(start.budget),
                 zero_doubted=self._zero_doubted,
+                forces=self._forces.of(self._number),
             )
         )
-        self._start, self._complete, self._zero_doubted = now, True, False
+        self._begin(now)
         return self.masses[-1]
 
     def _interrupted(self, last: _Weighing, now: _Weighing) -> bool:

@@ -6,11 +6,9 @@ from collections import deque
 from collections.abc import Iterable, Sequence
 from math import isclose, isfinite, nan
 
-from yieldmon.engine.flow import Flow
 from yieldmon.engine.mass.load_summary import LoadSummary
-from yieldmon.engine.measurement import Reading
 from yieldmon.engine.sampling.since_zero import KeptSecond
-from yieldmon.engine.self_calibration.load_forces import LoadForces, LoadForceSums
+from yieldmon.engine.self_calibration.load_forces import LoadForces, LoadForceSums, WindowForces
 from yieldmon.engine.self_calibration.reference_mass import ReferenceMass, ReferenceSource
 from yieldmon.engine.state import TicketState
 
@@ -72,19 +70,9 @@ class TicketBook:
             if place >= len(tickets) - _KEPT_TICKETS or a in waiting
         )
 
-    def measured(self, load_number: int, reading: Reading, flow: Flow, mass_kg: float) -> None:
+    def measured(self, load_number: int, mass_kg: float, window: WindowForces) -> None:
         """A window that added mass to a load."""
-        if mass_kg > 0.0:
-            window = reading.window
-            self.forces.add(
-                load_number,
-                mass_kg,
-                mass_kg / flow.rate_kg_s,
-                force_n=flow.force_n,
-                angle_rad=window.plate_angle_rad,
-                speed_rad_s=window.speed_rad_s,
-                moisture_pct=reading.inputs.fresh["moisture"],
-            )
+        self.forces.add(load_number, mass_kg, window)
 
     def ticket(
         self,
@@ -191,15 +179,10 @@ class TicketBook:
         """A closed load that an earlier run measured, or began to, so that a ticket for it updates the parameters."""
         sums = LoadForceSums()
         for second in seconds:
-            sums.add(
-                load.number,
-                second.mass_kg,
-                second.duration_s,
-                force_n=second.force_n,
-                angle_rad=second.plate_angle_rad,
-                speed_rad_s=second.elevator_speed_rad_s,
-                moisture_pct=second.moisture_pct,
+            window = WindowForces(
+                second.duration_s, second.force_n, second.plate_angle_rad, second.elevator_speed_rad_s, second.moisture_pct
             )
+            sums.add(load.number, second.mass_kg, window)
         self._earlier[load.number] = load, sums.of(load.number)
 
     def of_earlier_load(self, load_number: int, mass_kg: float, std_dev_kg: float, common_kg: float) -> ReferenceMass | None:
