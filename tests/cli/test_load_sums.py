@@ -18,6 +18,7 @@ def load(number: int, field: str, crop: str, day: float, mass_kg: float = 1000.0
         "ended_s": BEGIN_S + (day + 0.1) * DAY_S, "mass_kg": mass_kg, "dry_mass_kg": 0.9 * mass_kg, "area_m2": 1250.0,
         "posted_mass_kg": None, "ticket_mass_kg": None, "corrected_mass_kg": 1.1 * mass_kg,
         "corrected_dry_mass_kg": 0.99 * mass_kg, "ticket_id": None, "std_dev_kg": 50.0,
+        "corrected_std_dev_kg": 30.0,
     } | more  # fmt: skip
 
 
@@ -47,14 +48,27 @@ def test_what_one_load_does_not_know_its_sum_does_not_either() -> None:
     [found] = load_sums(loads)
     assert (found["corrected_dry_mass_kg"], found["area_m2"]) == (None, None)
     _, [row] = sum_rows([found], "metric")
-    assert row[4:] == ["2", "0", "2,000 kg", "2,200 kg", "-", "-", "-"]
+    assert row[4:] == ["2", "0", "2,000 kg", "2,200 kg", "60.0 kg", "-", "-", "-"]
+
+
+@pytest.mark.parametrize(
+    ("tickets", "expected"),
+    [((None, None), 60.0), ((1, 1), 60.0), ((1, 2), 1800.0**0.5), ((1, None), 1800.0**0.5)],
+)
+def test_a_sum_is_as_uncertain_as_what_its_loads_share(tickets: tuple[int | None, ...], expected: float) -> None:
+    """Loads without a ticket, or on one, are off alike; two tickets are not."""
+    loads = [load(n, "n", "corn", n, ticket_id=ticket) for n, ticket in enumerate(tickets, 1)]
+    [found] = load_sums(loads)
+    assert found["corrected_std_dev_kg"] == pytest.approx(expected)
+    [unknown] = load_sums([*loads, load(3, "n", "corn", 3, corrected_std_dev_kg=None)])
+    assert unknown["corrected_std_dev_kg"] is None
 
 
 @pytest.mark.parametrize(
     ("units", "expected"),
     [
-        ("metric", ["2,000 kg", "2,200 kg", "1,980 kg", "0.25 ha", "8.80 t/ha"]),
-        ("us", ["4,409 lb", "4,850 lb", "4,365 lb (77.9 bu)", "0.62 ac", "140 bu/ac"]),
+        ("metric", ["2,000 kg", "2,200 kg", "60.0 kg", "1,980 kg", "0.25 ha", "8.80 t/ha"]),
+        ("us", ["4,409 lb", "4,850 lb", "132 lb", "4,365 lb (77.9 bu)", "0.62 ac", "140 bu/ac"]),
     ],
 )
 def test_sums_in_both_systems_of_units(units: str, expected: list[str]) -> None:

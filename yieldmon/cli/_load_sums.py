@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from math import hypot
 
 from yieldmon.cli._records import when
 from yieldmon.documents.loads import ListedLoad, LoadSum
@@ -31,14 +32,15 @@ def load_sums(loads: Iterable[ListedLoad]) -> list[LoadSum]:
 
 def sum_rows(sums: Iterable[LoadSum], system: str) -> tuple[list[str], list[list[str]]]:
     """Heads and rows."""
-    heads = ["field", "crop", "from", "to", "loads", "weighed", "measured", "corrected", "corrected dry", "area", "yield"]
+    heads = ["field", "crop", "from", "to", "loads", "weighed", "measured", "corrected", "±", "corrected dry", "area", "yield"]
     rows = []
     for one in sums:
         units = units_of(system, crop=one["crop"])
         rows.append([
             one["field"] or UNKNOWN, one["crop"] or UNKNOWN, when(one["started_s"]).partition(" ")[0],
             when(one["ended_s"]).partition(" ")[0], str(one["loads"]), str(one["weighed"]), units.mass(one["mass_kg"]),
-            units.mass(one["corrected_mass_kg"]), units.mass_with_bushels(one["corrected_dry_mass_kg"]),
+            units.mass(one["corrected_mass_kg"]), units.mass(one["corrected_std_dev_kg"]),
+            units.mass_with_bushels(one["corrected_dry_mass_kg"]),
             units.area(one["area_m2"]), units.crop_yield(crop_yield_kg_m2(one["corrected_mass_kg"], one["area_m2"])),
         ])  # fmt: skip
     return heads, rows
@@ -59,9 +61,20 @@ def _sum(group: Sequence[ListedLoad]) -> LoadSum:
         "weighed": sum(load["ticket_id"] is not None for load in group),
         "mass_kg": sum(load["mass_kg"] for load in group),
         "corrected_mass_kg": sum(load["corrected_mass_kg"] for load in group),
+        "corrected_std_dev_kg": _std_dev(group),
         "corrected_dry_mass_kg": _all(load["corrected_dry_mass_kg"] for load in group),
         "area_m2": _all(load["area_m2"] for load in group),
     }
+
+
+def _std_dev(group: Sequence[ListedLoad]) -> float | None:
+    """Of the corrected masses together: loads of one ticket, and those without any, are taken to be off alike."""
+    apart: dict[int | None, list[float | None]] = {}
+    for load in group:
+        apart.setdefault(load["ticket_id"], []).append(load["corrected_std_dev_kg"])
+    found = [_all(std_devs_kg) for std_devs_kg in apart.values()]
+    known = [std_dev_kg for std_dev_kg in found if std_dev_kg is not None]
+    return hypot(*known) if len(known) == len(found) else None
 
 
 def _all(values: Iterable[float | None]) -> float | None:

@@ -113,14 +113,22 @@ def _say_started(answer: dict[str, Any]) -> None:
         )
 
 
-_MASSES = ("mass_kg", "std_dev_kg", "dry_mass_kg", "posted_mass_kg", "ticket_mass_kg", "corrected_mass_kg")
+_MASSES = (
+    "mass_kg",
+    "std_dev_kg",
+    "dry_mass_kg",
+    "posted_mass_kg",
+    "ticket_mass_kg",
+    "corrected_mass_kg",
+    "corrected_std_dev_kg",
+)
 
 
 def _rows(loads: list[dict[str, Any]], system: str) -> tuple[list[str], list[list[str]]]:
     """Heads and rows of all loads; yields where the area is known, by the corrected mass."""
     units = units_of(system)
     mass, area = units.mass_unit, units.area_unit
-    masses = (f"{name} {mass.name}" for name in ("measured", "±", "dry", "again", "ticket", "corrected"))
+    masses = (f"{name} {mass.name}" for name in ("measured", "±", "dry", "again", "ticket", "corrected", "±"))
     heads = ["load", "field", "crop", *masses, f"area {area.name}", "yield"]
     rows = []
     for load in loads:

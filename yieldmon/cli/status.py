@@ -179,7 +179,9 @@ def _corrected(status: Status, units: Units) -> str:
     known = next((row for row in status["loads"] if row["number"] == load["number"]), None)
     if load["open"] or known is None or abs(known["corrected_mass_kg"] - load["mass_kg"]) <= _CORRECTED * load["mass_kg"]:
         return ""
-    return f"corrected since: {units.mass_with_bushels(known['corrected_mass_kg'])} (`yieldmon load list`)"
+    spread = known["corrected_std_dev_kg"]
+    around = f" ± {units.mass(spread)}" if spread is not None else ""
+    return f"corrected since: {units.mass_with_bushels(known['corrected_mass_kg'])}{around} (`yieldmon load list`)"
 
 
 def _by_calibration(load: StatusLoad) -> bool:

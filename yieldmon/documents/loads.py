@@ -44,8 +44,8 @@ class LoadStopDocument(LoadStopped, Answered):
 
 class ListedLoad(TypedDict):
     """A load. started_s, ended_s: Unix time; mass_kg with std_dev_kg, dry_mass_kg: as measured; posted_mass_kg: as measured again
-    with newer parameters; ticket_mass_kg: as weighed for all loads of the ticket; corrected_mass_kg, corrected_dry_mass_kg: the
-    best of these."""
+    with newer parameters; ticket_mass_kg: as weighed for all loads of the ticket; corrected_mass_kg with corrected_std_dev_kg,
+    corrected_dry_mass_kg: the best of these."""
 
     number: int
     field: str
@@ -61,6 +61,7 @@ class ListedLoad(TypedDict):
     corrected_dry_mass_kg: Number
     ticket_id: int | None
     std_dev_kg: Number
+    corrected_std_dev_kg: Number
 
 
 class Loads(TypedDict):
@@ -83,6 +84,7 @@ class LoadSum(TypedDict):
     weighed: int
     mass_kg: float
     corrected_mass_kg: float
+    corrected_std_dev_kg: Number
     corrected_dry_mass_kg: Number
     area_m2: Number
 

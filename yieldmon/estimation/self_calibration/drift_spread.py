@@ -18,7 +18,7 @@ from yieldmon.physics.numerics import Array
 
 SLOWEST, FASTEST = 0.5, 4.5
 """Over the rates' likely sizes: those of two seasons, friction by 15 % in 60 h and density by up to 15 % in 480 t."""
-_MEAN_SQUARE = (FASTEST**2 - SLOWEST**2) / (2.0 * log(FASTEST / SLOWEST))
+MEAN_SQUARE = (FASTEST**2 - SLOWEST**2) / (2.0 * log(FASTEST / SLOWEST))
 """Of a size that is as likely in each octave between the two."""
 SINGULAR = 1e-12
 """Of the largest eigenvalue of a correlation matrix: smaller ones are none."""
@@ -65,4 +65,4 @@ def with_bias(covariance: Array, bias: tuple[Array, float] | None) -> Array:
 
 def beyond(spread: Array, parameters: int) -> Array:
     """What the first so many states are unsure by beyond their covariance, (parameters, parameters)."""
-    return np.asarray((_MEAN_SQUARE - 1.0) * spread[:parameters, :parameters])
+    return np.asarray((MEAN_SQUARE - 1.0) * spread[:parameters, :parameters])

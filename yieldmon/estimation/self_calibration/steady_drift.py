@@ -269,9 +269,24 @@ def smoothed(steps: Sequence[Advance], last: DriftingParameters) -> list[Mapping
     state = last.state
     found: list[Mapping[str, float]] = [dict(last.parameters.values)]
     for step in reversed(steps):
-        scale = np.sqrt(np.maximum(np.diag(step.covariance_after), 1e-300))
-        after = step.covariance_after / np.outer(scale, scale)
-        gain = (step.covariance_before @ step.transition.T / scale) @ np.linalg.pinv(after, rcond=1e-12, hermitian=True) / scale
-        state = step.before + gain @ (state - step.after)
+        state = step.before + _smoother_gain(step) @ (state - step.after)
         found.append(dict(last.parameters.values) | {n: float(v) for n, v in zip(names, state, strict=False)})
     return found[::-1]
+
+
+def smoothed_covariances(steps: Sequence[Advance], last: DriftingParameters) -> list[Array]:
+    """Covariances of the parameters (n, n) beside the values of `smoothed`."""
+    count, joint = len(last.parameters.covariance_names), last.joint
+    found = [joint[:count, :count]]
+    for step in reversed(steps):
+        gain = _smoother_gain(step)
+        joint = step.covariance_before + gain @ (joint - step.covariance_after) @ gain.T
+        found.append(joint[:count, :count])
+    return found[::-1]
+
+
+def _smoother_gain(step: Advance) -> Array:
+    scale = np.sqrt(np.maximum(np.diag(step.covariance_after), 1e-300))
+    after = step.covariance_after / np.outer(scale, scale)
+    gain = (step.covariance_before @ step.transition.T / scale) @ np.linalg.pinv(after, rcond=1e-12, hermitian=True) / scale
+    return np.asarray(gain)

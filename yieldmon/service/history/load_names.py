@@ -20,11 +20,13 @@ from yieldmon.files.crops import find_crop
 from yieldmon.service.history import undo
 from yieldmon.service.history.journal import Journal
 from yieldmon.service.history.load_factor import load_factor
+from yieldmon.service.history.parameter_spread import parameter_spread
 from yieldmon.service.history.reference_loads import StoredLoad
 from yieldmon.service.history.request_context import RequestContext
 from yieldmon.service.logs.weighed_loads import MeasuredLoad
 from yieldmon.service.storage import ledger
 from yieldmon.service.storage.batch import Load, Ticket
+from yieldmon.service.storage.load_spread import ParameterSpread
 
 
 @dataclass(frozen=True)
@@ -70,7 +72,7 @@ def correct(wanted: Correction, context: RequestContext) -> CropCorrected | None
     crop = wanted.crop or ""
     parameters = journal.parameters.of(crop, monitor.estimator.parameters, journal.crop)
     by_number = {load.load.number: load for load in context.stored}
-    factors, why_not = dict[int, float](), dict[int, str]()
+    factors, spreads, why_not = dict[int, float](), dict[int, ParameterSpread](), dict[int, str]()
     for load in others:
         if not load.mass_kg > 0.0:
             # Nothing was measured that could be measured again.
@@ -82,24 +84,30 @@ def correct(wanted: Correction, context: RequestContext) -> CropCorrected | None
         if isinstance(found, str):
             why_not[load.number] = found
         else:
-            factors[load.number] = found
+            factors[load.number], spread = found
+            spreads |= {} if spread is None else {load.number: spread}
     if factors:
         # By no version that an undo takes back: the loads are of this crop whatever becomes of it.
-        journal.actions.remeasured_by_crop(factors, now_s)
+        journal.actions.remeasured_by_crop(factors, now_s, spreads)
     updating = undo.Updating((), dict.fromkeys(tickets, f"nothing is known of {crop}"))
     if parameters is not None:
         updating = undo.update_crop(list(tickets), crop, context)
     return CropCorrected(tuple(sorted(factors)), why_not, updating, back)
 
 
-def _factor(kept: StoredLoad | None, parameters: ParameterSet | None, crop: str, monitor: Monitor) -> float | str:
-    """Mass by the crop's parameters over the mass as measured, or why there is none."""
+def _factor(
+    kept: StoredLoad | None, parameters: ParameterSet | None, crop: str, monitor: Monitor
+) -> tuple[float, ParameterSpread | None] | str:
+    """Mass by the crop's parameters over the mass as measured with what it may be off by, or why there is none."""
     if kept is None:
         return "its seconds are not on record"
     if parameters is None:
         return f"nothing is known of {crop}"
-    found = load_factor(_measured(kept), parameters, monitor.machine)
-    return "too little of it rests on a known force" if found is None else found
+    measured = _measured(kept)
+    found = load_factor(measured, parameters, monitor.machine)
+    if found is None:
+        return "too little of it rests on a known force"
+    return found, parameter_spread(measured, parameters, monitor.machine)
 
 
 def _tickets_of(loads: Sequence[Load], journal: Journal) -> dict[int, Ticket]:

@@ -19,16 +19,19 @@ from yieldmon.engine.self_calibration.calibrator import CalibrationStep
 from yieldmon.engine.self_calibration.curve_states import in_names
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.self_calibration.drift_spread import MEAN_SQUARE
 from yieldmon.estimation.self_calibration.drift_updates import DriftUpdate, by_weighed_masses, ending
-from yieldmon.estimation.self_calibration.steady_drift import Advance, DriftingParameters, smoothed, updated
+from yieldmon.estimation.self_calibration.steady_drift import Advance, DriftingParameters, smoothed, smoothed_covariances, updated
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.numerics import Array
 from yieldmon.service.history.load_factor import load_factor
+from yieldmon.service.history.parameter_spread import parameter_spread
 from yieldmon.service.history.update_steps import step_from_document
 from yieldmon.service.logs.recorded import opened, parameter_sets
 from yieldmon.service.logs.weighed_loads import MeasuredLoad, loads_of, of_loads
 from yieldmon.service.storage.batch import Step
 from yieldmon.service.storage.ledger import recropped, undone_versions
+from yieldmon.service.storage.load_spread import ParameterSpread
 from yieldmon.service.storage.rows import SecondRow
 from yieldmon.service.storage.store import Store
 from yieldmon.units import S_PER_DAY
@@ -41,9 +44,26 @@ _MOST_ROWS = 270_000
 
 
 @dataclass(frozen=True)
+class Way:
+    """A time at whose ends parameters are known, and the covariance (n, n) that it adds from one to the other."""
+
+    begin_s: float
+    end_s: float
+    added: Array
+
+    def at(self, time_s: float) -> Array:
+        """What is left of it in between, where both ends are known: that of a Brownian bridge."""
+        if not self.begin_s < time_s < self.end_s:
+            return np.zeros_like(self.added)
+        share = (time_s - self.begin_s) / (self.end_s - self.begin_s)
+        return np.asarray(share * (1.0 - share) * self.added)
+
+
+@dataclass(frozen=True)
 class Timeline:
     """Parameters over time. times_s: (k,) bus time, rising; values: (k, n) of `names`; versions: those that were in use there.
-    holds_from_s: when the newest update that contradicts the drift began; what follows does not count for the days before."""
+    holds_from_s: when the newest update that contradicts the drift began; what follows does not count for the days before.
+    covariances: (k, n, n) of the values. ways: what the time between two of them, or two weighed masses, may have added."""
 
     parameters: ParameterSet
     names: tuple[str, ...]
@@ -51,11 +71,31 @@ class Timeline:
     values: Array
     versions: frozenset[int]
     holds_from_s: float = -np.inf
+    covariances: Array | None = None
+    ways: tuple[Way, ...] = ()
 
     def at(self, time_s: float) -> ParameterSet:
         """The parameters at a time, as the weighed masses together have them."""
         here = {name: float(np.interp(time_s, self.times_s, self.values[:, i])) for i, name in enumerate(self.names)}
         return replace(self.parameters, values={**self.parameters.values, **here})
+
+    def covariance_at(self, time_s: float) -> Array:
+        """Their covariance at a time: between two that are known it is that of both, and of the way from one to the other."""
+        if self.covariances is None:
+            return self.parameters.covariance
+        entries = np.array(
+            [np.interp(time_s, self.times_s, column) for column in self.covariances.reshape(len(self.times_s), -1).T]
+        )
+        return np.asarray(sum((way.at(time_s) for way in self.ways), entries.reshape(self.covariances.shape[1:])))
+
+
+@dataclass(frozen=True)
+class MeasuredAgain:
+    """A load that was measured again. factor: its mass over that as measured. spread: what it may be off by through the
+    parameters; None where their errors are no better known than as it was measured."""
+
+    factor: float
+    spread: ParameterSpread | None
 
 
 def timeline(steps: Sequence[Step], parameters: ParameterSet, sets: Mapping[int, ParameterSet] | None = None) -> Timeline:
@@ -91,11 +131,43 @@ def timeline(steps: Sequence[Step], parameters: ParameterSet, sets: Mapping[int,
     rates = tuple(names[: len(state) - len(names)])  # Only their number counts here.
     updates = by_weighed_masses(_updates(chain, parameters, rates))
     last = DriftingParameters(parameters, rates, state[len(names) :], np.zeros((state.size,) * 2))
-    known = smoothed([update.advance for update in updates], ending(last, updates[-1]))
+    advances, end = [update.advance for update in updates], ending(last, updates[-1])
+    known = smoothed(advances, end)
+    covariances = np.array(smoothed_covariances(advances, end))
     times = np.array([*(step.begin_s for step in chain), chain[-1].end_s])
     values = np.array([[point[name] for name in names] for point in known])
     broken = [step.begin_s for step, update in zip(chain, updates, strict=True) if _contradicts(update.advance, update.state)]
-    return Timeline(parameters, names, np.maximum.accumulate(times), values, frozenset(versions), max(broken, default=-np.inf))
+    return Timeline(
+        parameters,
+        names,
+        np.maximum.accumulate(times),
+        values,
+        frozenset(versions),
+        max(broken, default=-np.inf),
+        covariances,
+        _ways(chain, advances, len(names)),
+    )
+
+
+def _ways(chain: Sequence[CalibrationStep], advances: Sequence[Advance], count: int) -> tuple[Way, ...]:
+    """What each step's time adds, and what rates may add from one weighed mass to the next: that they are steady in between, as
+    the values there take them to be, nothing has shown. count: of the parameters."""
+    found, begin_s, rates, move = list[Way](), chain[0].begin_s, _rates_of(advances[0], count), np.eye(len(advances[0].before))
+    for step, advance in zip(chain, advances, strict=True):
+        added = advance.covariance_after - advance.transition @ advance.covariance_before @ advance.transition.T
+        found.append(Way(step.begin_s, step.end_s, added[:count, :count]))
+        move = advance.transition @ move
+        if step.sweep_alone:
+            continue
+        by_rates = move[:count, count:] @ rates @ move[:count, count:].T
+        found.append(Way(begin_s, step.end_s, MEAN_SQUARE * by_rates))
+        begin_s, move = step.end_s, np.eye(len(move))
+        rates = _rates_of(advance, count)
+    return tuple(found)
+
+
+def _rates_of(advance: Advance, count: int) -> Array:
+    return advance.covariance_before[count:, count:]
 
 
 def _copies(version: int, sets: Mapping[int, ParameterSet]) -> set[int]:
@@ -140,21 +212,32 @@ def _contradicts(expected: Advance, state: Array) -> bool:
 def factors(
     loads: Sequence[MeasuredLoad], known: Timeline, machine: Machine, of_crop: Mapping[int, bool] | None = None
 ) -> dict[int, float]:
-    """Mass measured again over the mass as measured, by load number.
+    """Mass measured again over the mass as measured, by load number; as `measured_again`."""
+    return {number: found.factor for number, found in measured_again(loads, known, machine, of_crop).items()}
+
+
+def measured_again(
+    loads: Sequence[MeasuredLoad], known: Timeline, machine: Machine, of_crop: Mapping[int, bool] | None = None
+) -> dict[int, MeasuredAgain]:
+    """Loads measured again, by number.
 
     Loads with seconds from before the timeline, or of which less than 90 % rests on a known force, are left out. of_crop: whether
     a load that was given another crop is of the timeline's; those that are count whatever parameters measured them.
     """
     renamed = {} if of_crop is None else of_crop
     out = {}
+    # What no load of this machine has set the scale of may be off otherwise than by the parameters' own covariance.
+    stated = known.parameters.is_weighed or known.parameters.scale_error > 0.0
     for load in loads:
         versions = {row.parameter_version for row in load.seconds}
         if not renamed.get(int(load.name), versions <= known.versions):
             continue
         moment_s = float(np.average([row.time_s for row in load.seconds], weights=[row.mass_kg for row in load.seconds]))
-        found = load_factor(load, known.at(moment_s), machine)
-        if found is not None:
-            out[int(load.name)] = found
+        there = known.at(moment_s)
+        factor = load_factor(load, there, machine)
+        if factor is not None:
+            spread = parameter_spread(load, there, machine, known.covariance_at(moment_s)) if stated else None
+            out[int(load.name)] = MeasuredAgain(factor, spread)
     return out
 
 
@@ -168,11 +251,11 @@ def of_store(
     undone_only: bool = False,
     only: int | None = None,
     crop: str = "",
-) -> dict[int, float]:
-    """The factors of a store's loads of the last days, by the parameters of `version`; what a version that was taken back has
+) -> dict[int, MeasuredAgain]:
+    """A store's loads of the last days measured again, by the parameters of `version`; what a version that was taken back has
     measured since they came is measured again with them. now_s: bus time. undone_only: nothing else is but loads that were given
     this crop. only: this load alone. crop: of the parameters, where they do not say so. Raises InputError."""
-    out: dict[int, float] = {}
+    out: dict[int, MeasuredAgain] = {}
     with opened(path) as store:
         sets = parameter_sets(store)
         if version not in sets:
@@ -190,7 +273,7 @@ def of_store(
                     for load in measured
                     if of_crop.get(int(load.name)) or any(row.parameter_version in gone for row in load.seconds)
                 )
-            out |= factors(measured, known, machine, of_crop)
+            out |= measured_again(measured, known, machine, of_crop)
     return out
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from yieldmon.engine.monitor_view import MonitorView
 from yieldmon.physics.machine import Machine
 from yieldmon.service.history.journal import Journal
-from yieldmon.service.history.remeasuring import at_its_end, of_store
+from yieldmon.service.history.remeasuring import MeasuredAgain, at_its_end, of_store
 from yieldmon.service.tickets.action_log import ActionLog
 
 _log = logging.getLogger(__name__)
@@ -50,12 +50,12 @@ class RemeasuringJob:
 
 @dataclass(frozen=True)
 class RemeasuringResult:
-    """The result of a job. version: of the parameters that its loads were measured with; factors: by load, none where they
+    """The result of a job. version: of the parameters that its loads were measured with; loads: by number, none where they
     could not be measured again, None where the store did not hold yet what was handed to it."""
 
     asked: RemeasuringJob
     version: int
-    factors: Mapping[int, float] | None
+    loads: Mapping[int, MeasuredAgain] | None
 
 
 class RemeasuringThread:
@@ -110,14 +110,19 @@ class RemeasuringThread:
         result = self.take()
         if result is None:
             return False
-        if result.factors is None:
+        if result.loads is None:
             actions.not_measured()
             return False
-        asked = result.asked
+        asked, loads = result.asked, result.loads
         actions.remeasured(
-            asked.tickets, result.version, result.factors, open_load=asked.open_load, closed_load=asked.closed_load
+            asked.tickets,
+            result.version,
+            {number: load.factor for number, load in loads.items()},
+            {number: load.spread for number, load in loads.items() if load.spread is not None},
+            open_load=asked.open_load,
+            closed_load=asked.closed_load,
         )
-        return bool(result.factors)
+        return bool(loads)
 
     def take(self) -> RemeasuringResult | None:
         """What came of the job, once."""
@@ -127,7 +132,7 @@ class RemeasuringThread:
         return done
 
     def _work(self, machine: Machine, job: RemeasuringJob) -> None:
-        found, version = dict[int, float](), job.version
+        found, version = dict[int, MeasuredAgain](), job.version
         try:
             if not self._written(_WRITING_S):
                 self._done = RemeasuringResult(job, version, None)

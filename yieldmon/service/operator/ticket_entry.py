@@ -72,9 +72,11 @@ def enter_ticket(order: Order) -> TicketEntered:
     shares = own.shared_out(covered, measured_kg)
     departs = None if why_not else _departure(shares, order, crop)
     question = _question(ticket, departs, order, covered, crop)
+    best_std_dev_kg = None
     if truck is not None:
         exact = TicketMass(own.mass_kg, _EXACT * own.mass_kg).shared_out(covered, measured_kg)
-        ticket = replace(ticket, weighed_mass_kg=_best_kg(own, known_kg, None if why_not else _departure(exact, order, crop)))
+        best_kg, best_std_dev_kg = _best(own, known_kg, None if why_not else _departure(exact, order, crop))
+        ticket = replace(ticket, weighed_mass_kg=best_kg)
     waits = journal.actions.unfinished_of_crop.get(crop) if crop else journal.actions.waiting
     first_moves = exp(departs.ln) - 1.0 if departs is not None and departs.first and not waits else None
     if not why_not:
@@ -82,7 +84,15 @@ def enter_ticket(order: Order) -> TicketEntered:
             monitor.ticket(number, mass_kg, std_dev_kg, crop, common_kg) for number, mass_kg, std_dev_kg, common_kg in shares
         ]
         why_not = "" if any(mass.comparable for mass in taken) else _CLOCK_SET_BACK
-    number = journal.actions.ticket(ticket, order.who, own.std_dev_kg, is_reference=not why_not, crop=crop, truck=truck)
+    number = journal.actions.ticket(
+        ticket,
+        order.who,
+        own.std_dev_kg,
+        is_reference=not why_not,
+        crop=crop,
+        truck=truck,
+        best_std_dev_kg=best_std_dev_kg,
+    )
     after = journal.actions.history
     return {
         "crop": journal.parameters.crop_of_load(covered[-1]),
@@ -147,12 +157,13 @@ def _shared_truck(request: Request, weighed_kg: float) -> SharedTruck | None:
     return SharedTruck(weighed_kg, other_kg, ticket_file.OTHER_RELATIVE_STD_DEV * other_kg if std_dev_kg is None else std_dev_kg)
 
 
-def _best_kg(own: TicketMass, known_kg: float, measured: ticket_doubt.Departure | None) -> float:
-    """What another combine leaves of a truck, and what was measured, each by how well it is known. measured: of a mass known
-    exactly; None where nothing is known of the load's deviation."""
+def _best(own: TicketMass, known_kg: float, measured: ticket_doubt.Departure | None) -> tuple[float, float]:
+    """What another combine leaves of a truck, and what was measured, each by how well it is known; with its standard deviation,
+    kg. measured: of a mass known exactly; None where nothing is known of the load's deviation."""
     own_kg, std_dev_kg = own.mass_kg, own.std_dev_kg
     ln, sd = (log(own_kg / known_kg), ticket_doubt.UNWEIGHED_SD) if measured is None else (measured.ln, measured.std_dev)
-    return own_kg * exp(-ln / (1.0 + (sd * own_kg / std_dev_kg) ** 2))
+    best_kg = own_kg * exp(-ln / (1.0 + (sd * own_kg / std_dev_kg) ** 2))
+    return best_kg, best_kg / hypot(own_kg / std_dev_kg, 1.0 / sd)
 
 
 def _other_crop(order: Order, covered: Sequence[Load]) -> str:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from yieldmon.documents.calibrations import CalibrationRow, CalibrationState
 from yieldmon.documents.loads import ListedLoad
 from yieldmon.documents.tickets import TicketRow, TruckDocument
+from yieldmon.files.ticket_file import RELATIVE_STD_DEV
+from yieldmon.service.storage.load_spread import LoadSpread, ParameterSpread, shares_std_dev
 
 if TYPE_CHECKING:
     from yieldmon.service.storage.batch import Action, Load, Ticket
@@ -44,10 +46,14 @@ class SharedTruck:
 @dataclass(frozen=True)
 class Ledger:
     """tickets: those that stand, by number (from 1, in the order they were entered). factors: mass measured again over the mass
-    as measured, by load number."""
+    as measured, by load number. spreads: of what was measured again by the parameters, with the number of the action that did it,
+    by load number; without those of which it is not known. std_devs_kg: of the tickets' masses, by number; 0.5 % where it was not
+    kept."""
 
     tickets: Mapping[int, Ticket]
     factors: Mapping[int, float]
+    spreads: Mapping[int, tuple[int, ParameterSpread]] = field(default_factory=dict)
+    std_devs_kg: Mapping[int, float] = field(default_factory=dict)
 
     @cached_property
     def newest(self) -> Mapping[int, int]:
@@ -74,19 +80,57 @@ class Ledger:
             if ticket is not None:
                 together.setdefault(ticket[0], []).append(load)
         scales = {number: self._scale(self.tickets[number], covered) for number, covered in together.items()}
-        return [self._row(load, ticket, 1.0 if ticket is None else scales[ticket[0]]) for load, ticket in found]
+        shares: dict[int, float | None] = {}
+        for number, covered in together.items():
+            shares |= self._std_devs_of_shares(number, covered)
+        return [
+            self._row(load, ticket, 1.0 if ticket is None else scales[ticket[0]], shares.get(load.number))
+            for load, ticket in found
+        ]
 
     def _scale(self, ticket: Ticket, covered: Sequence[Load]) -> float:
         """Weighed mass over what its loads hold as measured again: other parameters may have measured some of them at first."""
-        known_kg = sum(load.mass_kg * self.factors.get(load.number, 1.0) for load in covered)
-        lost_kg = max(ticket.measured_mass_kg - sum(load.mass_kg for load in covered), 0.0)
-        whole_kg = known_kg + lost_kg
+        whole_kg = self._whole_kg(ticket, covered)
         return ticket.weighed_mass_kg / whole_kg if whole_kg > 0.0 else ticket.factor
 
-    def _row(self, load: Load, found: tuple[int, Ticket] | None, scale: float) -> ListedLoad:
-        """scale: corrected mass over what the load holds as measured again, or as measured."""
+    def _whole_kg(self, ticket: Ticket, covered: Sequence[Load]) -> float:
+        """What a ticket's loads hold as measured again, with what the store has lost of them."""
+        known_kg = sum(load.mass_kg * self.factors.get(load.number, 1.0) for load in covered)
+        return known_kg + max(ticket.measured_mass_kg - sum(load.mass_kg for load in covered), 0.0)
+
+    def _std_devs_of_shares(self, number: int, covered: Sequence[Load]) -> dict[int, float | None]:
+        """Relative standard deviation of the corrected mass of each of a ticket's loads, by load number; None where it is not
+        known."""
+        ticket = self.tickets[number]
+        std_dev_kg = self.std_devs_kg.get(number)
+        of_all = RELATIVE_STD_DEV if std_dev_kg is None else std_dev_kg / ticket.weighed_mass_kg
+        whole_kg = self._whole_kg(ticket, covered)
+        with_grain = [load for load in covered if load.mass_kg > 0.0]
+        if ticket.first_load == ticket.last_load:
+            return {load.number: of_all for load in with_grain}
+        spreads = {load.number: self._spread(load) for load in with_grain}
+        known = [spread for spread in spreads.values() if spread is not None]
+        if len(known) < len(with_grain) or not whole_kg > 0.0:
+            return dict.fromkeys(spreads)
+        shares = [load.mass_kg * self.factors.get(load.number, 1.0) / whole_kg for load in with_grain]
+        return dict(zip(spreads, shares_std_dev(known, shares, of_all), strict=True))
+
+    def _spread(self, load: Load) -> LoadSpread | None:
+        """Of a load as measured again, or as measured; None where it is not known."""
+        if not load.mass_kg > 0.0 or load.std_dev_kg is None:
+            return None
+        measured_by, again = self.spreads.get(load.number, (0, None))
+        if load.budget is None:
+            return None if load.number in self.factors else LoadSpread((), load.std_dev_kg / load.mass_kg)
+        return LoadSpread.of(load.mass_kg, load.budget, again, measured_by)
+
+    def _row(self, load: Load, found: tuple[int, Ticket] | None, scale: float, of_ticket: float | None) -> ListedLoad:
+        """scale: corrected mass over what the load holds as measured again, or as measured. of_ticket: relative standard
+        deviation of a load that has a ticket, None where it is not known."""
         again = self.factors.get(load.number)
         factor = scale * (1.0 if again is None else again)
+        spread = self._spread(load)
+        relative = of_ticket if found is not None else None if spread is None else spread.std_dev
         return {
             "number": load.number,
             "field": load.field,
@@ -102,6 +146,7 @@ class Ledger:
             "corrected_dry_mass_kg": None if load.dry_mass_kg is None else load.dry_mass_kg * factor,
             "ticket_id": None if found is None else found[0],
             "std_dev_kg": load.std_dev_kg,
+            "corrected_std_dev_kg": None if relative is None else relative * load.mass_kg * factor,
         }
 
 
@@ -130,6 +175,8 @@ class LoadRecord:
         Number of the ticket that counts.
     std_dev_kg : float or None
         Of mass_kg, kg, as sweeps have shown it to be since; None in a store that does not have it.
+    corrected_std_dev_kg : float or None
+        Of corrected_mass_kg, kg, with what the loads' errors have in common; None where it is not known.
 
     Examples
     --------
@@ -150,6 +197,7 @@ class LoadRecord:
     corrected_dry_mass_kg: float | None
     ticket_id: int | None
     std_dev_kg: float | None = None
+    corrected_std_dev_kg: float | None = None
 
 
 def ledger(tickets: Sequence[Ticket], actions: Iterable[Action]) -> Ledger:
@@ -158,11 +206,25 @@ def ledger(tickets: Sequence[Ticket], actions: Iterable[Action]) -> Ledger:
     gone = {int(a.document["ticket"]) for a in known if a.kind == TICKET_UNDO}
     undone = undone_versions(known)
     factors: dict[int, float] = {}
+    spreads: dict[int, tuple[int, ParameterSpread]] = {}
     for action in known:
         stands = action.kind == REMEASURED and action.document["version"] not in undone
         if stands and not gone.intersection(action.document["tickets"]):
-            factors.update({int(number): float(factor) for number, factor in action.document["factors"].items()})
-    return Ledger({n: t for n, t in enumerate(tickets, 1) if n not in gone}, factors)
+            of_loads = action.document.get("spreads", {})
+            for name, factor in action.document["factors"].items():
+                factors[int(name)] = float(factor)
+                spreads.pop(int(name), None)
+                if name in of_loads:
+                    spreads[int(name)] = action.number, ParameterSpread.of_document(of_loads[name])
+    standing = {n: t for n, t in enumerate(tickets, 1) if n not in gone}
+    return Ledger(standing, factors, spreads, _std_devs_kg(known))
+
+
+def _std_devs_kg(actions: Iterable[Action]) -> dict[int, float]:
+    """Of the corrected mass of each ticket's loads together, by number; without those of which it was not kept."""
+    entered = {int(a.document["ticket"]): a.document for a in actions if a.kind == TICKET}
+    kept = {n: document.get("best_std_dev_kg", document.get("std_dev_kg")) for n, document in entered.items()}
+    return {number: float(std_dev_kg) for number, std_dev_kg in kept.items() if std_dev_kg is not None}
 
 
 def ticket_rows(tickets: Sequence[Ticket], actions: Iterable[Action]) -> list[TicketRow]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 from yieldmon.documents.tickets import ListedTicket
@@ -10,6 +11,7 @@ from yieldmon.engine.self_calibration.parameter_updater import ParametersChanged
 from yieldmon.service.storage import ledger as ledgers
 from yieldmon.service.storage.batch import Action, Ticket
 from yieldmon.service.storage.ledger import SharedTruck
+from yieldmon.service.storage.load_spread import ParameterSpread
 from yieldmon.service.tickets.remeasuring_queue import Remeasuring, RemeasuringQueue
 from yieldmon.service.tickets.ticket_history import TicketHistory
 from yieldmon.service.tickets.ticket_states import ticket_states
@@ -77,14 +79,16 @@ class ActionLog:
         is_reference: bool = False,
         crop: str = "",
         truck: SharedTruck | None = None,
+        best_std_dev_kg: float | None = None,
     ) -> int:
-        """A ticket; returns its number. std_dev_kg: of the weighing, or of what another combine leaves of `truck`. is_reference:
-        handed to the calibration. crop: for whose return it waits there, where another one is harvested now."""
+        """A ticket; returns its number. std_dev_kg: of the weighing, or of what another combine leaves of `truck`, beside which
+        best_std_dev_kg is that of the mass as it counts. is_reference: handed to the calibration. crop: for whose return it waits
+        there, where another one is harvested now."""
         self._history = TicketHistory((*self._history.tickets, ticket), self._history.actions)
         self._new_tickets.append(ticket)
         number = len(self._history.tickets)
         document: dict[str, Any] = {"ticket": number, "std_dev_kg": std_dev_kg, "reference": is_reference}
-        document |= {} if truck is None else {"truck": truck.document}
+        document |= {} if truck is None else {"truck": truck.document, "best_std_dev_kg": best_std_dev_kg}
         self.add(ledgers.TICKET, who, document, ticket.time_s)
         if is_reference:
             self._updates.add([number], crop)
@@ -101,15 +105,27 @@ class ActionLog:
         """A ticket of an earlier parameter file, that was replaced, stands again: so does what loads were measured again with by
         what went with it, as it updates nothing anew."""
         for tickets, factors in self._history.factors_with(number).items():
-            self._post(tickets, 0, factors)
+            self._post(tickets, 0, factors, {})
 
-    def remeasured_by_crop(self, factors: Mapping[int, float], now_s: float) -> None:
+    def remeasured_by_crop(
+        self, factors: Mapping[int, float], now_s: float, spreads: Mapping[int, ParameterSpread] = MappingProxyType({})
+    ) -> None:
         """Loads that are of another crop than they were measured with were measured again with its parameters."""
-        self._post((), 0, factors, now_s)
+        self._post((), 0, factors, spreads, now_s)
 
-    def _post(self, tickets: Sequence[int], version: int, factors: Mapping[int, float], now_s: float | None = None) -> None:
+    def _post(
+        self,
+        tickets: Sequence[int],
+        version: int,
+        factors: Mapping[int, float],
+        spreads: Mapping[int, ParameterSpread],
+        now_s: float | None = None,
+    ) -> None:
         by_load = {str(load): factor for load, factor in sorted(factors.items())}
-        self.add(ledgers.REMEASURED, "", {"tickets": list(tickets), "version": version, "factors": by_load}, now_s)
+        of_loads = {str(load): spread.document for load, spread in sorted(spreads.items()) if load in factors}
+        document: dict[str, Any] = {"tickets": list(tickets), "version": version, "factors": by_load}
+        document |= {"spreads": of_loads} if of_loads else {}
+        self.add(ledgers.REMEASURED, "", document, now_s)
 
     # Tickets that are to update the parameters
 
@@ -207,15 +223,17 @@ class ActionLog:
         tickets: Sequence[int],
         version: int,
         factors: Mapping[int, float],
+        spreads: Mapping[int, ParameterSpread] = MappingProxyType({}),
         *,
         open_load: int | None = None,
         closed_load: int | None = None,
     ) -> None:
         """Loads were measured again with the parameters of this version, after these tickets.
 
-        factors: by load number; none where nothing came of it. Loads that were given another crop meanwhile keep what that crop's
-        parameters measured. Where it does not stand (`RemeasuringQueue.done`) nothing is entered. open_load: that was left out
-        since it was open; closed_load: the one of `open_loads` that this was about, None for all other loads.
+        factors, spreads: by load number; none where nothing came of it, or it is not known. Loads that were given another crop
+        meanwhile keep what that crop's parameters measured. Where it does not stand (`RemeasuringQueue.done`) nothing is entered.
+        open_load: that was left out since it was open; closed_load: the one of `open_loads` that this was about, None for all
+        other loads.
         """
         if closed_load is not None:
             stands = self._remeasuring.closed_load_done(closed_load, tickets, self._history)
@@ -224,7 +242,7 @@ class ActionLog:
         recropped = ledgers.recropped(action for action in self if action.number >= self._remeasuring.taken_before)
         factors = {number: factor for number, factor in factors.items() if number not in recropped}
         if stands and factors:
-            self._post(tickets, version, factors)
+            self._post(tickets, version, factors, spreads)
 
     def not_measured(self) -> None:
         """As `RemeasuringQueue` has it."""

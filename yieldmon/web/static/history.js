@@ -37,6 +37,7 @@ function loads(rows) {
     [`Measured, ${units.mass.name}`, (load) => mass(load.mass_kg), true], [`± ${units.mass.name}`, (load) => mass(load.std_dev_kg), true],
     [`Dry, ${units.mass.name}`, (load) => mass(load.dry_mass_kg), true],
     [`Corrected, ${units.mass.name}`, (load) => (load.ticket_id === null && load.posted_mass_kg === null ? "-" : mass(load.corrected_mass_kg)), true],
+    [`± ${units.mass.name}`, (load) => (load.ticket_id === null && load.posted_mass_kg === null ? "-" : mass(load.corrected_std_dev_kg)), true],
   ], rows);
 }
 
