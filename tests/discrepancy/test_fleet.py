@@ -9,10 +9,10 @@ import pytest
 from scipy import integrate, stats
 
 from yieldmon.discrepancy.base_fit import fit_base
-from yieldmon.discrepancy.fleet import examine
-from yieldmon.discrepancy.force_change import ForceChange, Guess, Visible, force_change
 from yieldmon.discrepancy.frame import effect_parameters, predictions
-from yieldmon.discrepancy.lattice import Lattice, lay
+from yieldmon.discrepancy.machines.fleet import examine
+from yieldmon.discrepancy.machines.force_change import ForceChange, Guess, Visible, force_change
+from yieldmon.discrepancy.machines.lattice import Lattice, lay
 from yieldmon.discrepancy.policy import Policy
 from yieldmon.estimation.self_calibration.home_flow import AwayVisits
 from yieldmon.files import parameter_file

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from yieldmon.discrepancy.frame import Frame, predictions
-from yieldmon.discrepancy.lattice import lay, reference_force_n, with_force
+from yieldmon.discrepancy.machines.lattice import lay, reference_force_n, with_force
 from yieldmon.estimation.self_calibration.home_flow import AwayVisits
 from yieldmon.files import parameter_file
 from yieldmon.physics.machine import RPM, Machine

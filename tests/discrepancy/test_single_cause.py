@@ -28,7 +28,7 @@ def fleet_with(effects: dict[str, dict[str, float]], machines: int = 8) -> list[
 
 
 def found_of(effects: dict[str, dict[str, float]], monkeypatch: pytest.MonkeyPatch, asked: tuple[str, ...]) -> FleetDiagnosis:
-    monkeypatch.setattr("yieldmon.discrepancy.fleet.library", lambda _frame: asked)
+    monkeypatch.setattr("yieldmon.discrepancy.machines.fleet.library", lambda _frame: asked)
     return diagnose(fleet_with(effects), POLICY)
 
 

@@ -1,7 +1,7 @@
 """Diagnosis over the sweeps of many machines: what all show is the model's, what one shows beside the others is its own.
 
 Machines of one geometry are brought to one gain, that of their tickets, and compared at equal force at home: see
-`discrepancy.fleet`.
+`discrepancy.machines.fleet`.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 
 from yieldmon.discrepancy.choice import Choice
-from yieldmon.discrepancy.fleet import LEAST_MACHINES, examine
-from yieldmon.discrepancy.force_change import Visible
-from yieldmon.discrepancy.lattice import Lattice, lay, reference_force_n, with_force
-from yieldmon.discrepancy.machine_comparison import Own
+from yieldmon.discrepancy.machines.fleet import LEAST_MACHINES, examine
+from yieldmon.discrepancy.machines.force_change import Visible
+from yieldmon.discrepancy.machines.lattice import Lattice, lay, reference_force_n, with_force
+from yieldmon.discrepancy.machines.machine_comparison import Own
 from yieldmon.discrepancy.policy import Policy
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet

@@ -10,19 +10,19 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from yieldmon.discrepancy.candidates import lawful, library
+from yieldmon.discrepancy.detectability import POWER_80
+from yieldmon.discrepancy.fit import LAW_DEGREE, LAW_SD, Fit
+from yieldmon.discrepancy.frame import Frame, predictions
+from yieldmon.discrepancy.policy import Policy
 from yieldmon.estimation import model_error
 from yieldmon.physics.effects import family_of
 from yieldmon.physics.numerics import Array, real
 
-from .candidates import lawful, library
-from .detectability import POWER_80
-from .fit import LAW_DEGREE, LAW_SD, Fit
 from .force_change import ForceChange, Guess, Visible, force_change, visible_size
-from .frame import Frame, predictions
 from .gains import LargestGains, Residual
 from .grain_scatter import GRAIN_SD, grain_scatter
 from .lattice import Lattice
-from .policy import Policy
 
 _SURFACE = (3, 2)
 """Degrees in load and speed, at each angle by itself, of what all machines may show beside the model."""

@@ -8,11 +8,10 @@ from itertools import product
 import numpy as np
 from numpy.typing import ArrayLike
 
+from yieldmon.discrepancy.fit import Fit
+from yieldmon.discrepancy.frame import Parameter, effect_parameters, predictions
 from yieldmon.physics.effects import family_of, get_effect
 from yieldmon.physics.numerics import Array, real
-
-from .fit import Fit
-from .frame import Parameter, effect_parameters, predictions
 
 SIZES = (0.1, 0.2, 0.35, 0.6, 1.0, 1.7, 3.0, 5.0)
 """At which a change is drawn, in typical sizes from the null value."""

@@ -14,18 +14,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
+from yieldmon.discrepancy.alternatives import chosen_from_all
+from yieldmon.discrepancy.base_fit import fit_base
+from yieldmon.discrepancy.candidates import false_alarm, lawful, only_at_bound, polished, refit, score, signature
+from yieldmon.discrepancy.choice import Choice, Step
+from yieldmon.discrepancy.fit import Fit, fit
+from yieldmon.discrepancy.frame import Frame
+from yieldmon.discrepancy.lack_of_fit import LackOfFit, lack_of_fit
+from yieldmon.discrepancy.merit import merit
+from yieldmon.discrepancy.noise import Noise
+from yieldmon.discrepancy.policy import Policy
 from yieldmon.physics.effects import family_of
-
-from .alternatives import chosen_from_all
-from .base_fit import fit_base
-from .candidates import false_alarm, lawful, only_at_bound, polished, refit, score, signature
-from .choice import Choice, Step
-from .fit import Fit, fit
-from .frame import Frame
-from .lack_of_fit import LackOfFit, lack_of_fit
-from .merit import merit
-from .noise import Noise
-from .policy import Policy
 
 
 @dataclass(frozen=True)

@@ -12,16 +12,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from yieldmon.discrepancy.base_fit import base_frame
+from yieldmon.discrepancy.frame import FINAL_NODES, Following, Frame
+from yieldmon.discrepancy.observations import Rows, cells
 from yieldmon.estimation.clusters import cluster, meant_conditions
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.self_calibration.home_flow import AwayVisits
 from yieldmon.physics.machine import SAME_ANGLE_RAD, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.numerics import Array, real
-
-from .base_fit import base_frame
-from .frame import FINAL_NODES, Following, Frame
-from .observations import Rows, cells
 
 _ERROR = 0.01
 """Relative sd of a cell about which nothing is said."""

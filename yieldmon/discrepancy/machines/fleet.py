@@ -14,20 +14,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from yieldmon.discrepancy.base_fit import fit_base
+from yieldmon.discrepancy.candidates import library
+from yieldmon.discrepancy.choice import Choice
+from yieldmon.discrepancy.frame import Frame
+from yieldmon.discrepancy.noise import Noise
+from yieldmon.discrepancy.observations import cells
+from yieldmon.discrepancy.policy import Policy
+from yieldmon.discrepancy.selection import choose
 from yieldmon.estimation.priors import Prior
 from yieldmon.files.crops import DENSITY_SD, SHIPPED_CROP, crops
 
-from .base_fit import fit_base
-from .candidates import library
-from .choice import Choice
 from .force_change import Visible
-from .frame import Frame
 from .lattice import Lattice
 from .machine_comparison import Comparison, Own
-from .noise import Noise
-from .observations import cells
-from .policy import Policy
-from .selection import choose
 from .single_cause import of_one_cause
 
 LEAST_MACHINES = 3
