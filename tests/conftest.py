@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from yieldmon.bus import mf4
+from yieldmon.bus.log_files import mf4
 
 # As every command does: python-can would import asammdf, and with it pandas and sympy, in each worker.
 mf4.defer()

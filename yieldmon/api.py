@@ -15,7 +15,7 @@ from __future__ import annotations
 import warnings
 
 from yieldmon.bus.codec import Codec
-from yieldmon.bus.logs import read_log
+from yieldmon.bus.log_files.logs import read_log
 from yieldmon.discrepancy.diagnosis import Diagnosis, Options, diagnose
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.results import WindowResult

@@ -33,8 +33,8 @@ from cantools.database.can import Database
 
 from yieldmon.bus.bulk import FrameBlock, block_of, concatenate, messages_of
 from yieldmon.bus.codec import Codec
-from yieldmon.bus.loading import iter_blocks, load_frames
-from yieldmon.bus.packed_writing import pack
+from yieldmon.bus.log_files.loading import iter_blocks, load_frames
+from yieldmon.bus.packed.writing import pack
 from yieldmon.identifiers import EXTENDED_FLAG
 from yieldmon.plant import scenario as scenarios
 from yieldmon.plant.combine import VirtualCombine

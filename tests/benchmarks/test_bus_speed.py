@@ -11,8 +11,8 @@ import pytest
 
 from yieldmon.bus.bulk import decode_block
 from yieldmon.bus.codec import Codec
-from yieldmon.bus.loading import load_frames
-from yieldmon.bus.logs import read_log
+from yieldmon.bus.log_files.loading import load_frames
+from yieldmon.bus.log_files.logs import read_log
 from yieldmon.resources import shipped
 
 FRAMES = 20_000

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import can
 
-from yieldmon.bus.log_notes import LogNotes
-from yieldmon.bus.log_writing import writing
-from yieldmon.bus.logs import read_log
+from yieldmon.bus.log_files.log_notes import LogNotes
+from yieldmon.bus.log_files.log_writing import writing
+from yieldmon.bus.log_files.logs import read_log
 
 
 def write(path: Path, messages: Iterable[can.Message]) -> Path:

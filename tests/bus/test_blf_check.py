@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from yieldmon.bus.blf_check import first_flaw
+from yieldmon.bus.log_files.blf_check import first_flaw
 
 HEADER_BYTES = 144
 SMALLEST_BYTES = 32

@@ -10,8 +10,8 @@ from pathlib import Path
 import can
 import pytest
 
-from yieldmon.bus.log_notes import LogNotes
-from yieldmon.bus.logs import read_log
+from yieldmon.bus.log_files.log_notes import LogNotes
+from yieldmon.bus.log_files.logs import read_log
 from yieldmon.cli import main as cli
 from yieldmon.errors import InputError
 

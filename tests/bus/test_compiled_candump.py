@@ -10,7 +10,7 @@ import pytest
 
 pytest.importorskip("numba")
 
-from yieldmon.bus.compiled_candump import LONGEST_CHANNEL, channel_table, parse_common
+from yieldmon.bus.log_files.compiled_candump import LONGEST_CHANNEL, channel_table, parse_common
 
 CHANNELS = ["can0", "vcan10", "x", "c" * LONGEST_CHANNEL, "d" * (LONGEST_CHANNEL + 1)]
 LINE = re.compile(

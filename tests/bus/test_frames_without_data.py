@@ -7,8 +7,8 @@ from pathlib import Path
 import can
 import pytest
 
-from yieldmon.bus.log_writing import writing
-from yieldmon.bus.logs import LogNotes, read_log
+from yieldmon.bus.log_files.log_writing import writing
+from yieldmon.bus.log_files.logs import LogNotes, read_log
 
 PLAIN = can.Message(timestamp=1.8e9, arbitration_id=0x18FF1280, is_extended_id=True, data=bytes(8))
 

@@ -13,7 +13,7 @@ import pytest
 CPU_S = 30
 
 _LIMITED = f"import resource; resource.setrlimit(resource.RLIMIT_CPU, ({CPU_S}, {CPU_S}))\n"
-_LIMITED += "from yieldmon.bus import mf4; mf4.defer()\n"
+_LIMITED += "from yieldmon.bus.log_files import mf4; mf4.defer()\n"
 
 _PATTERNS = (
     _LIMITED
@@ -61,8 +61,8 @@ _READERS = (
     + """
 import itertools, logging, pathlib, sys
 logging.disable(logging.CRITICAL)
-from yieldmon.bus.log_notes import LogNotes
-from yieldmon.bus.logs import read_log
+from yieldmon.bus.log_files.log_notes import LogNotes
+from yieldmon.bus.log_files.logs import read_log
 from yieldmon.errors import InputError
 heads = {
     ".log": "(1436509052.249713)  can0  123   [8]  01 02 03 04 05 06 07 08",

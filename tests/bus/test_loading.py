@@ -13,9 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from yieldmon.bus.bulk import FrameBlock, block_of, concatenate
-from yieldmon.bus.loading import iter_blocks, load_frames
-from yieldmon.bus.log_notes import LogNotes
-from yieldmon.bus.logs import read_log
+from yieldmon.bus.log_files.loading import iter_blocks, load_frames
+from yieldmon.bus.log_files.log_notes import LogNotes
+from yieldmon.bus.log_files.logs import read_log
 from yieldmon.errors import InputError
 
 START_S = 1_700_000_000

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from tests.bus.log_files import read
-from yieldmon.bus.loading import load_frames
-from yieldmon.bus.log_notes import LogNotes
-from yieldmon.bus.logs import read_log
+from yieldmon.bus.log_files.loading import load_frames
+from yieldmon.bus.log_files.log_notes import LogNotes
+from yieldmon.bus.log_files.logs import read_log
 from yieldmon.cli.main import main
 from yieldmon.errors import InputError
 

@@ -18,11 +18,11 @@ from pyarrow import parquet
 from tests.fleet import logs
 from yieldmon.bus.bulk import FrameBlock, block_of
 from yieldmon.bus.codec import Codec
-from yieldmon.bus.loading import iter_blocks, load_frames
-from yieldmon.bus.log_notes import LogNotes
-from yieldmon.bus.logs import read_log
-from yieldmon.bus.packed_columns import DIFFERENCE, PLAIN, PREDICTION, decode, encode, place_fields
-from yieldmon.bus.packed_writing import pack
+from yieldmon.bus.log_files.loading import iter_blocks, load_frames
+from yieldmon.bus.log_files.log_notes import LogNotes
+from yieldmon.bus.log_files.logs import read_log
+from yieldmon.bus.packed.columns import DIFFERENCE, PLAIN, PREDICTION, decode, encode, place_fields
+from yieldmon.bus.packed.writing import pack
 from yieldmon.cli.main import main
 from yieldmon.errors import InputError
 

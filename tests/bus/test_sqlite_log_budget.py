@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from yieldmon.bus.sqlite_log import SqliteLog
+from yieldmon.bus.log_files.sqlite_log import SqliteLog
 
 ROWS = 30_000
 COLUMNS = "ts REAL, arbitration_id INTEGER, extended INTEGER, remote INTEGER, error INTEGER, dlc INTEGER, data BLOB"

@@ -17,7 +17,7 @@ PRODUCT = ("yieldmon", "dbc", "config")
 
 DRIVE = """
 import json, sys
-from yieldmon.bus import mf4
+from yieldmon.bus.log_files import mf4
 mf4.defer()
 from yieldmon.bus.codec import Codec
 from yieldmon.engine.results import frames_in, records_in

@@ -24,7 +24,7 @@ from tests.facility.bench_log import (
 from tests.in_process import program
 from yieldmon.bus.bulk import decode_block
 from yieldmon.bus.codec import Codec
-from yieldmon.bus.loading import load_frames
+from yieldmon.bus.log_files.loading import load_frames
 from yieldmon.cli.main import main
 from yieldmon.frames import IMPACT_SENSOR_SAMPLES
 

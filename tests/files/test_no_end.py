@@ -19,10 +19,11 @@ import pytest
 
 from yieldmon import bounded
 from yieldmon.bounded import read_whole
-from yieldmon.bus import databases, dbc_file, text_logs
-from yieldmon.bus.loading import iter_blocks, load_frames
-from yieldmon.bus.log_notes import LogNotes
-from yieldmon.bus.logs import SUFFIXES, read_log, require_log
+from yieldmon.bus import databases, dbc_file
+from yieldmon.bus.log_files import text_logs
+from yieldmon.bus.log_files.loading import iter_blocks, load_frames
+from yieldmon.bus.log_files.log_notes import LogNotes
+from yieldmon.bus.log_files.logs import SUFFIXES, read_log, require_log
 from yieldmon.cli.main import main
 from yieldmon.errors import InputError
 from yieldmon.field import sources

@@ -23,7 +23,7 @@ from tests.fleet import logs
 from tests.fleet.logs import dataset_files
 from tests.fleet.runs import tasks
 from yieldmon import api
-from yieldmon.bus.log_writing import writing
+from yieldmon.bus.log_files.log_writing import writing
 from yieldmon.cli.main import main
 from yieldmon.errors import InputError
 from yieldmon.field import sources

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.network.peer import split
-from yieldmon.bus.logs import read_log
+from yieldmon.bus.log_files.logs import read_log
 from yieldmon.network.fast_packet import FastPacketReceiver
 from yieldmon.network.identifier import Identifier, Payload, RawFrame
 from yieldmon.network.name import Name

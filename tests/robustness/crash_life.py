@@ -15,7 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from yieldmon.bus import mf4
+from yieldmon.bus.log_files import mf4
 
 # python-can would import asammdf, and with it pandas: a third of a life's start.
 mf4.defer()

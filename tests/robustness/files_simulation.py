@@ -45,9 +45,10 @@ from tests.robustness import undoing
 from tests.robustness.undoing import Broken, Simulation, Trouble, live, mend, require
 from tests.seconds import measured_second
 from tests.service.test_installation import FakePip
-from yieldmon.bus import binary_logs, bulk, candump
-from yieldmon.bus.log_notes import LogNotes
-from yieldmon.bus.logs import read_log
+from yieldmon.bus import bulk
+from yieldmon.bus.log_files import binary_logs, candump
+from yieldmon.bus.log_files.log_notes import LogNotes
+from yieldmon.bus.log_files.logs import read_log
 from yieldmon.bus.opening import open_bus
 from yieldmon.cli import main as command
 from yieldmon.discrepancy import adoption

@@ -17,7 +17,7 @@ from typing import IO
 from unittest import mock
 
 from tests.robustness import guided
-from yieldmon.bus import mf4, mf4_reading
+from yieldmon.bus.log_files import mf4, mf4_reading
 
 _COUNTED = 20.0
 
@@ -77,5 +77,5 @@ class _Fork:
 def processes() -> Iterator[None]:
     """Within it, MF4 logs are read in forks."""
     mf4.provide()
-    with mock.patch("yieldmon.bus.mf4_reading.subprocess.Popen", _Fork):
+    with mock.patch("yieldmon.bus.log_files.mf4_reading.subprocess.Popen", _Fork):
         yield

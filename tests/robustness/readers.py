@@ -25,10 +25,10 @@ from tests.service.bench import CODEC, traffic
 from tests.service.test_store import batch, second
 from yieldmon.bus.codec import Codec
 from yieldmon.bus.databases import load_messages
-from yieldmon.bus.loading import iter_blocks
-from yieldmon.bus.log_notes import LogNotes
-from yieldmon.bus.logs import read_log
-from yieldmon.bus.packed_writing import pack
+from yieldmon.bus.log_files.loading import iter_blocks
+from yieldmon.bus.log_files.log_notes import LogNotes
+from yieldmon.bus.log_files.logs import read_log
+from yieldmon.bus.packed.writing import pack
 from yieldmon.engine.monitor import Monitor
 from yieldmon.errors import InputError
 from yieldmon.field import sources

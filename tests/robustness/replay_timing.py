@@ -62,8 +62,8 @@ def replayed(log: Path, speed: float) -> dict[str, Any]:
     """The log on a virtual bus of its own."""
     import can
 
-    from yieldmon.bus.log_notes import LogNotes
-    from yieldmon.bus.logs import read_log
+    from yieldmon.bus.log_files.log_notes import LogNotes
+    from yieldmon.bus.log_files.logs import read_log
     from yieldmon.bus.replay import Progress, Schedule, Sender, replay
 
     channel, progress, received = f"replay-timing-{uuid.uuid4()}", Progress(), []

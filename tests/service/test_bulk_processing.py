@@ -16,7 +16,7 @@ from tests.plant_sweeps import window
 from tests.service.bench import CODEC, START_S, ZERO_MV, running, traffic
 from yieldmon import frames
 from yieldmon.bus.codec import Codec
-from yieldmon.bus.logs import read_log
+from yieldmon.bus.log_files.logs import read_log
 from yieldmon.cli import main as cli
 from yieldmon.engine.results import PlateCommand, Result, WindowResult
 from yieldmon.errors import InputError

@@ -11,7 +11,7 @@ import pytest
 
 from tests.schema_check import problems
 from tests.service.bench import CODEC, START_S, traffic
-from yieldmon.bus.log_writing import writing
+from yieldmon.bus.log_files.log_writing import writing
 from yieldmon.cli import main as cli
 from yieldmon.screen.traffic import Traffic
 from yieldmon.service.logs.factory_comparison import FactoryComparison

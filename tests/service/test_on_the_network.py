@@ -14,7 +14,7 @@ import pytest
 
 from tests.network.task_server import TaskServer, parse_pool
 from tests.service.bench import Bench, encoded, running, traffic, wait_for
-from yieldmon.bus.logs import read_log
+from yieldmon.bus.log_files.logs import read_log
 from yieldmon.cli import main as cli
 from yieldmon.network.identifier import (
     ACKNOWLEDGEMENT,

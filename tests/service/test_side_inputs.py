@@ -15,7 +15,7 @@ from tests.network.peer import split
 from tests.service.bench import CODEC, START_S, running, traffic
 from yieldmon.bus.bulk import block_of, decode_block
 from yieldmon.bus.factory_monitor import FactoryMonitor
-from yieldmon.bus.log_writing import writing
+from yieldmon.bus.log_files.log_writing import writing
 from yieldmon.frames import VEHICLE_DIRECTION_SPEED, VEHICLE_POSITION, Frame
 from yieldmon.network.process_data import Command, ProcessData
 from yieldmon.resources import shipped

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.extras import MF4
-from yieldmon.bus import log_writing, logs
+from yieldmon.bus.log_files import log_writing, logs
 
 TABLE = Path(__file__).resolve().parents[1] / "data" / "bench_table.csv"
 HEAVY = {
@@ -81,7 +81,7 @@ def test_mf4_logs_work_although_their_reader_waits(tmp_path: Path) -> None:
     """Written and read by a process in which the import was held back."""
     program = f"""
 import sys
-from yieldmon.bus import mf4
+from yieldmon.bus.log_files import mf4
 mf4.defer()
 import can
 assert "asammdf" not in sys.modules

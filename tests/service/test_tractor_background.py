@@ -9,7 +9,7 @@ import can
 import pytest
 
 from tests.service.bench import CODEC, START_S, Bench, running, traffic
-from yieldmon.bus.logs import read_log
+from yieldmon.bus.log_files.logs import read_log
 from yieldmon.network.identifier import Identifier
 
 RECORDING = Path(__file__).parent.parent / "data" / "tractor_bus" / "in_gear_5s.log.gz"

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from service_manager import ROOT, add_interface, delete_interface, run
 
-from yieldmon.bus import mf4
+from yieldmon.bus.log_files import mf4
 
 # python-can would import asammdf, and with it pandas: a third of all imports, twenty times slower in the emulated guest.
 mf4.defer()

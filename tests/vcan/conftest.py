@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from yieldmon.bus import mf4
+from yieldmon.bus.log_files import mf4
 
 # python-can would import asammdf, and with it pandas: a third of all imports, twenty times slower in the emulated guest.
 mf4.defer()

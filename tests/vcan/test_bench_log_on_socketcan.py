@@ -11,7 +11,7 @@ import pytest
 from tests.facility.bench_log import EMPTY_S, LOG, TRIAL_S, Trial, configuration, errors_on_means_pct, measured, published
 from tests.vcan.nodes import CODEC, PATIENCE_S, Command, candump, daemon, eventually
 from yieldmon import frames
-from yieldmon.bus.logs import read_log
+from yieldmon.bus.log_files.logs import read_log
 from yieldmon.cli.main import main
 from yieldmon.service.storage.rows import SecondRow
 

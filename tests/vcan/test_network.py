@@ -15,7 +15,7 @@ import pytest
 
 from tests.network.peer import read
 from tests.vcan.nodes import candump, daemon, eventually
-from yieldmon.bus.logs import read_log
+from yieldmon.bus.log_files.logs import read_log
 from yieldmon.network.diagnostics import DM1, DM2
 from yieldmon.network.identifier import ADDRESS_CLAIMED, REQUEST, Identifier
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.vcan.nodes import Command, candump
-from yieldmon.bus.logs import read_log
+from yieldmon.bus.log_files.logs import read_log
 
 pytestmark = pytest.mark.vcan
 

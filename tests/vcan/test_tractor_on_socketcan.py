@@ -14,7 +14,7 @@ import pytest
 
 from tests.vcan.drives import SCENARIO
 from tests.vcan.nodes import Command, DaemonNode, candump, combine, daemon, eventually
-from yieldmon.bus.logs import read_log
+from yieldmon.bus.log_files.logs import read_log
 from yieldmon.network.identifier import Identifier
 
 pytestmark = [pytest.mark.vcan, pytest.mark.slow]

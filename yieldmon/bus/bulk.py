@@ -15,9 +15,9 @@ import can
 import numpy as np
 from numpy.typing import NDArray
 
-from yieldmon.bus.candump import ERROR_FLAG, REMOTE_FLAG, channel_name, flagged_id
 from yieldmon.bus.codec import Codec
 from yieldmon.bus.layout import MessageLayout, SignalLayout
+from yieldmon.bus.log_files.candump import ERROR_FLAG, REMOTE_FLAG, channel_name, flagged_id
 from yieldmon.identifiers import CLASSIC_BYTES, EXTENDED_FLAG, LARGEST_EXTENDED_ID
 
 #: SignalColumn.status

@@ -23,7 +23,7 @@ from types import ModuleType
 from typing import Any, cast
 
 from yieldmon import __version__
-from yieldmon.bus import mf4
+from yieldmon.bus.log_files import mf4
 from yieldmon.cli import _notes, _outputs
 from yieldmon.cli._usage import Parser, unknown
 from yieldmon.errors import InputError, remedy

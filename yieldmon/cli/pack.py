@@ -9,11 +9,11 @@ from pathlib import Path
 
 from yieldmon.bus.bulk import FrameBlock
 from yieldmon.bus.codec import Codec
-from yieldmon.bus.loading import iter_blocks
-from yieldmon.bus.log_notes import LogNotes
-from yieldmon.bus.log_order import in_time_order
-from yieldmon.bus.logs import PACKED_SUFFIX, require_log
-from yieldmon.bus.packed_writing import pack
+from yieldmon.bus.log_files.loading import iter_blocks
+from yieldmon.bus.log_files.log_notes import LogNotes
+from yieldmon.bus.log_files.log_order import in_time_order
+from yieldmon.bus.log_files.logs import PACKED_SUFFIX, require_log
+from yieldmon.bus.packed.writing import pack
 from yieldmon.cli import _channels, _outputs
 from yieldmon.cli._json import print_json
 from yieldmon.documents.pack import PackDocument

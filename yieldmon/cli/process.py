@@ -14,8 +14,8 @@ from functools import partial
 from math import degrees
 from pathlib import Path
 
-from yieldmon.bus.log_order import in_time_order
-from yieldmon.bus.logs import SUFFIXES, require_package
+from yieldmon.bus.log_files.log_order import in_time_order
+from yieldmon.bus.log_files.logs import SUFFIXES, require_package
 from yieldmon.cli import _channels, _flow_curve, _named_files, _notes, _outputs
 from yieldmon.cli._json import print_json
 from yieldmon.cli._log_progress import log_progress

@@ -16,8 +16,8 @@ from rich.text import Text
 
 from yieldmon.bus.codec import Codec
 from yieldmon.bus.filtering import FilterTable
-from yieldmon.bus.log_notes import Damage, LogNotes
-from yieldmon.bus.logs import read_log, require_log
+from yieldmon.bus.log_files.log_notes import Damage, LogNotes
+from yieldmon.bus.log_files.logs import read_log, require_log
 from yieldmon.bus.opening import add_bus_arguments, open_bus_from
 from yieldmon.bus.replay import ON_TIME_S, Progress, Schedule, Selection, Sender, replay
 from yieldmon.cli._json import print_json

@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 
 from yieldmon.bus.bulk import FrameBlock, block_of
-from yieldmon.bus.candump import ERROR_FLAG, REMOTE_FLAG
 from yieldmon.bus.databases import MessageBits, load_messages
-from yieldmon.bus.loading import iter_blocks
-from yieldmon.bus.log_notes import LogNotes
-from yieldmon.bus.logs import require_log
+from yieldmon.bus.log_files.candump import ERROR_FLAG, REMOTE_FLAG
+from yieldmon.bus.log_files.loading import iter_blocks
+from yieldmon.bus.log_files.log_notes import LogNotes
+from yieldmon.bus.log_files.logs import require_log
 from yieldmon.bus.opening import add_bus_arguments, open_bus_from
 from yieldmon.bus.waiting import receive
 from yieldmon.cli import _outputs

@@ -14,7 +14,7 @@ import can
 
 from yieldmon import frames
 from yieldmon.bus.codec import Codec, FrameError
-from yieldmon.bus.log_writing import writing
+from yieldmon.bus.log_files.log_writing import writing
 from yieldmon.bus.opening import add_bus_arguments, open_bus_from
 from yieldmon.bus.waiting import receive
 from yieldmon.cli import _named_files, _outputs

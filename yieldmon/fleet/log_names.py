@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from yieldmon.bus.logs import SUFFIXES
+from yieldmon.bus.log_files.logs import SUFFIXES
 from yieldmon.errors import InputError
 
 TEXT = re.compile(r".*\.txt([.-]\d+)?(\.[a-z0-9]+)*")

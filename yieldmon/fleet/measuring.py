@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from yieldmon.bus.loading import iter_blocks
-from yieldmon.bus.log_notes import LogNotes
-from yieldmon.bus.log_order import in_time_order
+from yieldmon.bus.log_files.loading import iter_blocks
+from yieldmon.bus.log_files.log_notes import LogNotes
+from yieldmon.bus.log_files.log_order import in_time_order
 from yieldmon.documents.process import ProcessSummary
 from yieldmon.engine.health import FaultEvent
 from yieldmon.engine.monitor import Monitor

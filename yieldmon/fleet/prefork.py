@@ -6,14 +6,14 @@ pyarrow, whose allocator does, is left to the workers.
 
 from contextlib import suppress
 
-from yieldmon.bus import mf4
+from yieldmon.bus.log_files import mf4
 
 mf4.defer()
 
 import distributed  # noqa: E402, F401
 import fsspec.implementations.local  # noqa: E402, F401
 
-from yieldmon.bus import fast_candump  # noqa: E402
+from yieldmon.bus.log_files import fast_candump  # noqa: E402
 from yieldmon.fleet import worker  # noqa: E402, F401
 
 # Where this fails each worker does it for itself.

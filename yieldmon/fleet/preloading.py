@@ -3,6 +3,6 @@
 python-can imports asammdf where that is installed, and with it pandas and sympy: half of what a worker's start takes.
 """
 
-from yieldmon.bus import mf4
+from yieldmon.bus.log_files import mf4
 
 mf4.defer()

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from yieldmon.bus.text_logs import begins_as_log
+from yieldmon.bus.log_files.text_logs import begins_as_log
 from yieldmon.errors import InputError, reason
 from yieldmon.fleet.filesystem import is_remote
 from yieldmon.fleet.log_names import ARCHIVES, TEXT, is_left_behind, is_log, is_surely_log, misnamed

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-from yieldmon.bus.logs import mend_of
+from yieldmon.bus.log_files.logs import mend_of
 from yieldmon.cli import _named_files
 from yieldmon.cli._channels import with_channels
 from yieldmon.cli._json import print_json

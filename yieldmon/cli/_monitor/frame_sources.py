@@ -9,9 +9,9 @@ from contextlib import ExitStack
 
 import can
 
-from yieldmon.bus.candump import channel_name, flagged_id
-from yieldmon.bus.log_notes import LogNotes
-from yieldmon.bus.logs import read_log, require_log
+from yieldmon.bus.log_files.candump import channel_name, flagged_id
+from yieldmon.bus.log_files.log_notes import LogNotes
+from yieldmon.bus.log_files.logs import read_log, require_log
 from yieldmon.bus.opening import open_bus_from
 from yieldmon.bus.replay import Schedule
 from yieldmon.bus.waiting import receive

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import can
 
-from yieldmon.bus.log_writing import writing
+from yieldmon.bus.log_files.log_writing import writing
 from yieldmon.errors import InputError
 
 

@@ -21,11 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yieldmon.bus.bulk import USABLE, FrameBlock, SignalColumn, concatenate, decode_block
-from yieldmon.bus.candump import ERROR_FLAG, REMOTE_FLAG
 from yieldmon.bus.codec import Codec
-from yieldmon.bus.loading import iter_blocks
-from yieldmon.bus.log_notes import LogNotes
-from yieldmon.bus.packed_reading import Wanted
+from yieldmon.bus.log_files.candump import ERROR_FLAG, REMOTE_FLAG
+from yieldmon.bus.log_files.loading import iter_blocks
+from yieldmon.bus.log_files.log_notes import LogNotes
+from yieldmon.bus.packed.reading import Wanted
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.results import Result
 from yieldmon.engine.runs import FrameRun, SampleRun, SignalRun, in_millivolts, sample_columns

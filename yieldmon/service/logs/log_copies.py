@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 
-from yieldmon.bus.gunzip import open_bytes
+from yieldmon.bus.log_files.gunzip import open_bytes
 from yieldmon.errors import InputError
 from yieldmon.files.whole_file import real_path
 

@@ -6,10 +6,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from yieldmon.bus.candump import channel_name
 from yieldmon.bus.codec import Codec, FrameError
-from yieldmon.bus.log_notes import LogNotes
-from yieldmon.bus.logs import read_log
+from yieldmon.bus.log_files.candump import channel_name
+from yieldmon.bus.log_files.log_notes import LogNotes
+from yieldmon.bus.log_files.logs import read_log
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.results import Result, records_in
 from yieldmon.errors import InputError

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from yieldmon import bounded
-from yieldmon.bus.sqlite_log import SUFFIX as LOG_SUFFIX
-from yieldmon.bus.sqlite_log import is_log
+from yieldmon.bus.log_files.sqlite_log import SUFFIX as LOG_SUFFIX
+from yieldmon.bus.log_files.sqlite_log import is_log
 from yieldmon.documents.tickets import ListedTicket
 from yieldmon.errors import InputError, brief
 from yieldmon.estimation.parameters import ParameterSet

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from yieldmon import utc
 from yieldmon.bounded import is_pipe
 from yieldmon.bus.bulk import FrameBlock, block_of
-from yieldmon.bus.loading import iter_blocks
-from yieldmon.bus.log_notes import LogNotes
+from yieldmon.bus.log_files.loading import iter_blocks
+from yieldmon.bus.log_files.log_notes import LogNotes
 from yieldmon.errors import InputError
 
 LEFT_OUT = "left out, as the grain counts once"

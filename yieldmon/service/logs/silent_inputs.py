@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from yieldmon.bus.candump import ERROR_FLAG, REMOTE_FLAG
-from yieldmon.bus.loading import iter_blocks
-from yieldmon.bus.log_notes import LogNotes
+from yieldmon.bus.log_files.candump import ERROR_FLAG, REMOTE_FLAG
+from yieldmon.bus.log_files.loading import iter_blocks
+from yieldmon.bus.log_files.log_notes import LogNotes
 from yieldmon.identifiers import (
     ADDRESS_CLAIM,
     EXTENDED_FLAG,

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from yieldmon.bus.candump import channel_name
 from yieldmon.bus.codec import Codec, FrameError
-from yieldmon.bus.log_notes import LogNotes
-from yieldmon.bus.logs import read_log
+from yieldmon.bus.log_files.candump import channel_name
+from yieldmon.bus.log_files.log_notes import LogNotes
+from yieldmon.bus.log_files.logs import read_log
 from yieldmon.engine.sources import SampleSource
 from yieldmon.errors import InputError
 from yieldmon.frames import Frame, SensorStatus, number

@@ -14,8 +14,8 @@ from can.typechecking import CanFilter
 from numpy.typing import NDArray
 
 from yieldmon.bus.bulk import NOT_AVAILABLE, USABLE, DecodedBlock, FrameBlock, MessageColumns, SignalColumn
-from yieldmon.bus.candump import ERROR_FLAG, REMOTE_FLAG
 from yieldmon.bus.factory_monitor import MASS_FLOW, FactoryMonitor
+from yieldmon.bus.log_files.candump import ERROR_FLAG, REMOTE_FLAG
 from yieldmon.data_dictionary import MASS_PER_TIME
 from yieldmon.frames import FACTORY_MONITOR, VEHICLE_DIRECTION_SPEED, VEHICLE_POSITION, Frame, Value
 from yieldmon.identifiers import EXTENDED_FLAG, FORMAT_MASK, GROUP_MASK, IDENTITY_MASK, SOURCE_MASK, is_broadcast

@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from yieldmon.bus.compiled import compiled
-from yieldmon.bus.fast_candump import HEX, LARGEST_EXACT, MICROS_PER_S, Bytes
+from yieldmon.bus.log_files.compiled import compiled
+from yieldmon.bus.log_files.fast_candump import HEX, LARGEST_EXACT, MICROS_PER_S, Bytes
 from yieldmon.identifiers import CLASSIC_BYTES, EXTENDED_FLAG, LARGEST_EXTENDED_ID, LARGEST_STANDARD_ID
 
 #: Longest channel name that the compiled pass compares (Linux allows 15 bytes); longer ones go the other way.

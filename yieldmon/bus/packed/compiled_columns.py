@@ -1,12 +1,12 @@
-"""Columns of packed frames in code that numba compiles (the fast extra): what packed_columns does, number by number."""
+"""Columns of packed frames in code that numba compiles (the fast extra): what `columns` does, number by number."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from yieldmon.bus.compiled import compiled
-from yieldmon.bus.packed_columns import ORDER
+from yieldmon.bus.log_files.compiled import compiled
+from yieldmon.bus.packed.columns import ORDER
 
 _LANES = 16
 """Stretches worked out side by side: vector instructions of all widths are filled, and their samples stay in the cache."""
@@ -58,7 +58,7 @@ def from_predicted(
 
 @compiled
 def place_fields(payload, column, starts):  # type: ignore[no-untyped-def]
-    """See packed_columns.place_fields."""
+    """See columns.place_fields."""
     per_frame = len(starts)
     for at in range(len(payload)):
         data = payload[at]

@@ -11,13 +11,12 @@ import can
 import numpy as np
 
 from yieldmon.bus.bulk import FrameBlock, block_of, concatenate
-from yieldmon.bus.candump import ERROR_FLAG
-from yieldmon.bus.fast_candump import ParsedLines, parse_lines
-from yieldmon.bus.gunzip import early_end_of, open_bytes
-from yieldmon.bus.log_notes import LogNotes, refuse_unreadable
-from yieldmon.bus.logs import PACKED_SUFFIX, log_format, read_log, reading_log, require_log
-from yieldmon.bus.packed_reading import Wanted, dropped_by_recorder, read_blocks
-from yieldmon.bus.text_logs import (
+from yieldmon.bus.log_files.candump import ERROR_FLAG
+from yieldmon.bus.log_files.fast_candump import ParsedLines, parse_lines
+from yieldmon.bus.log_files.gunzip import early_end_of, open_bytes
+from yieldmon.bus.log_files.log_notes import LogNotes, refuse_unreadable
+from yieldmon.bus.log_files.logs import PACKED_SUFFIX, log_format, read_log, reading_log, require_log
+from yieldmon.bus.log_files.text_logs import (
     CANDUMP_SUFFIXES,
     LONGEST_LINE_BYTES,
     TIMES_LOOKED_AT,
@@ -29,6 +28,7 @@ from yieldmon.bus.text_logs import (
     refuse_times_between_frames,
     without_byte_order_mark,
 )
+from yieldmon.bus.packed.reading import Wanted, dropped_by_recorder, read_blocks
 
 _CHUNK_BYTES = 4 * 1024 * 1024
 _MESSAGES_PER_BLOCK = 100_000

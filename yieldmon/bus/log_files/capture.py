@@ -14,7 +14,7 @@ from typing import NamedTuple
 import can
 
 from yieldmon.bounded import opened
-from yieldmon.bus.candump import ERROR_FLAG, REMOTE_FLAG
+from yieldmon.bus.log_files.candump import ERROR_FLAG, REMOTE_FLAG
 from yieldmon.identifiers import CLASSIC_BYTES, EXTENDED_FLAG, LARGEST_EXTENDED_ID, LARGEST_STANDARD_ID
 
 SUFFIXES = (".pcap", ".pcapng")

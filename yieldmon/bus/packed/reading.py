@@ -1,4 +1,4 @@
-"""Reading packed Parquet files of frames; packed_format says what is in them."""
+"""Reading packed Parquet files of frames; `format` says what is in them."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yieldmon.bus.bulk import FrameBlock
-from yieldmon.bus.packed_columns import CONSTANT, Coded, Column, decode, place_fields
-from yieldmon.bus.packed_format import (
+from yieldmon.bus.packed.columns import CONSTANT, Coded, Column, decode, place_fields
+from yieldmon.bus.packed.format import (
     ALL_COMPRESSED,
     DATA_BITS,
     DROPPED,
@@ -26,7 +26,7 @@ from yieldmon.bus.packed_format import (
     VERSION,
     schema,
 )  # fmt: skip
-from yieldmon.bus.packed_writing import BLOCK_FRAMES
+from yieldmon.bus.packed.writing import BLOCK_FRAMES
 from yieldmon.errors import InputError, brief, of_the_computer, reason
 from yieldmon.identifiers import CLASSIC_BYTES
 

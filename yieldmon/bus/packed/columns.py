@@ -207,12 +207,12 @@ def _rounded(weighted: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @cache
 def _compiled_module() -> ModuleType | None:
-    """compiled_packed, None where the fast extra is not installed."""
+    """compiled_columns, None where the fast extra is not installed."""
     try:
-        from yieldmon.bus import compiled_packed
+        from yieldmon.bus.packed import compiled_columns
     except ImportError:
         return None
-    return compiled_packed
+    return compiled_columns
 
 
 def _from_differences(coded: Coded, count: int, bits: int, *, compiled: bool) -> Column:

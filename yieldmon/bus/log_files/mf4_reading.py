@@ -18,7 +18,7 @@ from typing import IO
 
 import can
 
-from yieldmon.bus import mf4
+from yieldmon.bus.log_files import mf4
 
 #: Processor time from the start of reading to the first frame, and from one to the next, and so much more for each megabyte:
 #: an unsorted file is sorted as a whole before its first. A sound log takes a quarter of it at most.
@@ -46,7 +46,7 @@ class Mf4Log:
         _refuse_older(path)
         stalled_s = _STALLED_S + _STALLED_S_PER_MB * path.stat().st_size / 1e6
         # -P: no module of the folder where the user happens to be.
-        command = [sys.executable, "-P", "-m", "yieldmon.bus.mf4_reading", str(path.absolute()), str(stalled_s)]
+        command = [sys.executable, "-P", "-m", "yieldmon.bus.log_files.mf4_reading", str(path.absolute()), str(stalled_s)]
         self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
 
     def __iter__(self) -> Iterator[can.Message]:

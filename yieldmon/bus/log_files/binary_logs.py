@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING, Any, cast
 
 import can
 
-from yieldmon.bus import capture, mf4
-from yieldmon.bus.blf_check import first_flaw
-from yieldmon.bus.frame_check import impossible
-from yieldmon.bus.gunzip import early_end_of, open_bytes
-from yieldmon.bus.log_notes import LogNotes
-from yieldmon.bus.mf4_reading import Mf4Log
-from yieldmon.bus.sqlite_log import SqliteLog
+from yieldmon.bus.log_files import capture, mf4
+from yieldmon.bus.log_files.blf_check import first_flaw
+from yieldmon.bus.log_files.frame_check import impossible
+from yieldmon.bus.log_files.gunzip import early_end_of, open_bytes
+from yieldmon.bus.log_files.log_notes import LogNotes
+from yieldmon.bus.log_files.mf4_reading import Mf4Log
+from yieldmon.bus.log_files.sqlite_log import SqliteLog
 from yieldmon.errors import NO_ROOM, no_room_to_unpack
 
 if TYPE_CHECKING:

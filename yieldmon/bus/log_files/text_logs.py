@@ -11,14 +11,14 @@ from typing import Any, cast
 
 import can
 
-from yieldmon.bus.candump import are_between_frames, dropped_frames, is_explanation, lacks_time, parse_line
-from yieldmon.bus.frame_check import impossible
-from yieldmon.bus.gunzip import early_end_of, open_bytes
-from yieldmon.bus.log_notes import LogNotes
-from yieldmon.bus.loggers import busmaster, canedge, canking, clx000, kvaser, savvycan, vehicle_spy
-from yieldmon.bus.loggers.fields import Parser
-from yieldmon.bus.loggers.peak import Trace
-from yieldmon.bus.loggers.vector import Vector
+from yieldmon.bus.log_files.candump import are_between_frames, dropped_frames, is_explanation, lacks_time, parse_line
+from yieldmon.bus.log_files.frame_check import impossible
+from yieldmon.bus.log_files.gunzip import early_end_of, open_bytes
+from yieldmon.bus.log_files.log_notes import LogNotes
+from yieldmon.bus.log_files.loggers import busmaster, canedge, canking, clx000, kvaser, savvycan, vehicle_spy
+from yieldmon.bus.log_files.loggers.fields import Parser
+from yieldmon.bus.log_files.loggers.peak import Trace
+from yieldmon.bus.log_files.loggers.vector import Vector
 from yieldmon.errors import InputError
 
 #: Of candump's logs, and of loggers' that are told apart by their first line.

@@ -1,4 +1,4 @@
-"""Writing frames as packed Parquet files; packed_format says what is in them."""
+"""Writing frames as packed Parquet files; `format` says what is in them."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yieldmon.bus.bulk import FrameBlock, concatenate
-from yieldmon.bus.candump import ERROR_FLAG, REMOTE_FLAG
 from yieldmon.bus.layout import MessageLayout
-from yieldmon.bus.packed_columns import Column, encode
-from yieldmon.bus.packed_format import DATA_BITS, DROPPED, FLOAT, FORMAT, NAMES, PER_S, PLACE, TIME, VERSION, schema
+from yieldmon.bus.log_files.candump import ERROR_FLAG, REMOTE_FLAG
+from yieldmon.bus.packed.columns import Column, encode
+from yieldmon.bus.packed.format import DATA_BITS, DROPPED, FLOAT, FORMAT, NAMES, PER_S, PLACE, TIME, VERSION, schema
 from yieldmon.errors import InputError
 from yieldmon.identifiers import CLASSIC_BYTES, EXTENDED_FLAG
 

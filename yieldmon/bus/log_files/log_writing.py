@@ -12,7 +12,7 @@ from pathlib import Path
 
 import can
 
-from yieldmon.bus import mf4
+from yieldmon.bus.log_files import mf4
 from yieldmon.errors import NO_ROOM, database_errno
 
 _POLL_S = 0.01

@@ -15,10 +15,10 @@ from pathlib import Path
 import can
 
 from yieldmon.bounded import is_pipe, require_file
-from yieldmon.bus import mf4
-from yieldmon.bus.binary_logs import BINARY_SUFFIXES, read_binary
-from yieldmon.bus.log_notes import LogNotes, refuse_unreadable
-from yieldmon.bus.text_logs import TEXT_SUFFIXES, read_text
+from yieldmon.bus.log_files import mf4
+from yieldmon.bus.log_files.binary_logs import BINARY_SUFFIXES, read_binary
+from yieldmon.bus.log_files.log_notes import LogNotes, refuse_unreadable
+from yieldmon.bus.log_files.text_logs import TEXT_SUFFIXES, read_text
 from yieldmon.errors import InputError, reading
 
 #: Frames that `yieldmon pack` wrote.
@@ -134,7 +134,7 @@ def mend_of(name: str) -> str:
 
 def _read_packed(path: Path, suffix: str, compressed: bool, notes: LogNotes) -> Iterator[can.Message]:
     from yieldmon.bus.bulk import messages_of
-    from yieldmon.bus.packed_reading import dropped_by_recorder, read_blocks
+    from yieldmon.bus.packed.reading import dropped_by_recorder, read_blocks
 
     for block in read_blocks(path):
         yield from messages_of(block)

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yieldmon.bounded import is_pipe
-from yieldmon.bus.loading import iter_blocks
-from yieldmon.bus.log_notes import LogNotes
-from yieldmon.bus.logs import PACKED_SUFFIX, log_format, read_log
-from yieldmon.bus.text_logs import CANDUMP_SUFFIXES
+from yieldmon.bus.log_files.loading import iter_blocks
+from yieldmon.bus.log_files.log_notes import LogNotes
+from yieldmon.bus.log_files.logs import PACKED_SUFFIX, log_format, read_log
+from yieldmon.bus.log_files.text_logs import CANDUMP_SUFFIXES
 from yieldmon.errors import InputError
 from yieldmon.utc import EARLIEST_BUS_TIME_S
 
