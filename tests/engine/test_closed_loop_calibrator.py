@@ -135,19 +135,26 @@ def test_a_ticket_fixes_what_the_sweep_cannot() -> None:
 
 
 def test_a_ticket_is_no_better_than_its_weighing_and_what_is_not_the_scales_together() -> None:
-    """A scale good to 1 kg in 6000 kg, with a reference error of 1 % or a scatter of 60 kg in the load's seconds, is worth what
-    a scale good to 60 kg is without."""
+    """A scale good to 1 kg in 6000 kg, with a reference error of 1 % or a scatter or zero of 1 % in the load's seconds, whatever
+    mass these were measured as, is worth what a scale good to 60 kg is without."""
     before, found = OpenLoop(MODEL, PRIOR), []
-    cases = ((0.01, 1.0, 0.0), (0.0, np.hypot(1.0, 60.0), 0.0), (0.0, 1.0, 0.0), (0.0, 1.0, 60.0), (0.0, 60.0, float("nan")))
-    for reference_error, sd_kg, noise_kg in cases:
+    cases = (
+        (0.01, 1.0, 0.0, 0.0), (0.0, np.hypot(1.0, 60.0), 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 1.0, 0.01, 0.0),
+        (0.0, 60.0, float("nan"), 0.0), (0.0, 1.0, 0.0, 0.01),
+    )  # fmt: skip
+    for reference_error, sd_kg, noise, zero in cases:
         calibrator = ClosedLoopCalibrator(MODEL, dataclasses.replace(EXACT, reference_error=reference_error))
-        weighed = dataclasses.replace(ticket(before, 12.0, 0.0, 500.0, sd_kg), budget=MassBudget(noise_kg2=noise_kg**2))
+        plain = ticket(before, 12.0, 0.0, 500.0, sd_kg)
+        assert abs(plain.measured_kg - plain.reference_kg) > 50.0
+        budget = MassBudget(noise_kg2=(noise * plain.measured_kg) ** 2, zero_kg=zero * plain.measured_kg)
+        weighed = dataclasses.replace(plain, budget=budget)
         outcome = calibrator.weigh(records(12.0)[0], (weighed,), before)
         assert outcome.estimator is not None
         found.append(outcome.estimator.parameters.covariance)
     assert found[0] == pytest.approx(found[1], rel=1e-6)
     assert found[3] == pytest.approx(found[1], rel=1e-6)
     assert found[4] == pytest.approx(found[1], rel=1e-3)
+    assert found[5] == pytest.approx(found[1], rel=1e-6)
     assert found[0][2, 2] > found[2][2, 2]
 
 

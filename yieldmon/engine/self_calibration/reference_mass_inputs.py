@@ -37,8 +37,10 @@ def weighed_mass(
     sweeps have measured away from home is taken off the forces there.
     """
     machine, span_s = model.machine, reference.end_s - reference.start_s
-    zero_kg = reference.budget.zero_kg if isfinite(reference.budget.zero_kg) else 0.0
-    sd = hypot(reference.std_dev_kg, reference_error * reference.reference_kg, _noise_kg(reference), zero_kg)
+    zero_sd = reference.budget.zero_kg / reference.measured_kg if isfinite(reference.budget.zero_kg) else 0.0
+    # A force is off by a share of itself, whatever mass the parameters in use at the time made of it.
+    relative = hypot(reference_error, _noise_sd(reference), zero_sd)
+    sd = hypot(reference.std_dev_kg, relative * reference.reference_kg)
     forces = reference.forces
     if forces is not None and (not model.needs_moisture or np.all(np.isfinite(forces.moisture_pct))):
         moisture = forces.moisture_pct if model.needs_moisture else None
@@ -77,9 +79,9 @@ def weighed_mass(
     return WeighedMass(reference.reference_kg, sd, duration_s, force_n, angle_rad, speed_rad_s, common_kg=reference.common_kg)
 
 
-def _noise_kg(reference: ReferenceMass) -> float:
-    """Standard deviation of the measured mass by the windows' scatter; 0 where it is not known."""
-    return sqrt(reference.budget.noise_kg2) if isfinite(reference.budget.noise_kg2) else 0.0
+def _noise_sd(reference: ReferenceMass) -> float:
+    """Relative standard deviation of the measured mass by the windows' scatter; 0 where it is not known."""
+    return sqrt(reference.budget.noise_kg2) / reference.measured_kg if isfinite(reference.budget.noise_kg2) else 0.0
 
 
 def moisture_sd(references: Iterable[ReferenceMass]) -> float:
@@ -125,7 +127,7 @@ def weighed(reference: ReferenceMass, mass: WeighedMass) -> WeighedLoad:
         plate_angle_rad=mass.plate_angle_rad,
         elevator_speed_rad_s=mass.elevator_speed_rad_s,
         moisture_pct=mass.moisture_pct,
-        noise_sd=_noise_kg(reference) / reference.measured_kg,
+        noise_sd=_noise_sd(reference),
         common_kg=reference.common_kg,
     )
 
