@@ -23,7 +23,7 @@ from yieldmon.engine.flow_estimator import FlowEstimator
 from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.self_calibration.calibrator import CalibrationOutcome
 from yieldmon.engine.self_calibration.closed_loop_calibrator import ClosedLoopCalibrator
-from yieldmon.engine.self_calibration.load_forces import LoadForceSums
+from yieldmon.engine.self_calibration.load_forces import LoadForceSums, WindowForces
 from yieldmon.engine.self_calibration.reference_mass import ReferenceMass, ReferenceSource
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
 from yieldmon.estimation.open_loop import OpenLoop
@@ -113,13 +113,7 @@ class DaemonKeeper(Keeper):
         sums, records = LoadForceSums(), self._records(windows)
         for r in records:
             sums.add(
-                number + 1,
-                r.mass_kg,
-                1.0,
-                force_n=r.force_n,
-                angle_rad=r.plate_angle_rad,
-                speed_rad_s=r.elevator_speed_rad_s,
-                moisture_pct=r.moisture_pct,
+                number + 1, r.mass_kg, WindowForces(1.0, r.force_n, r.plate_angle_rad, r.elevator_speed_rad_s, r.moisture_pct)
             )
         measured = float(np.nansum(self.flow[windows]))
         self.references.append(

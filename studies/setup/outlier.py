@@ -20,7 +20,7 @@ from yieldmon.engine.mass.budget import MassBudget
 from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.self_calibration.calibrator import CalibrationOutcome
 from yieldmon.engine.self_calibration.closed_loop_calibrator import ClosedLoopCalibrator
-from yieldmon.engine.self_calibration.load_forces import LoadForceSums
+from yieldmon.engine.self_calibration.load_forces import LoadForceSums, WindowForces
 from yieldmon.engine.self_calibration.reference_mass import ReferenceMass, ReferenceSource
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
@@ -79,8 +79,7 @@ class _Machine:
         number, mass, sums = len(self.references) + 1, self.measured(load), LoadForceSums()
         for kg, force, speed in zip(mass, load.force_n, load.speed_rad_s, strict=True):
             angle = self.machine.home_plate_angle_rad
-            values = {"force_n": float(force), "angle_rad": angle, "speed_rad_s": float(speed), "moisture_pct": float("nan")}
-            sums.add(number, float(kg), 1.0, **values)
+            sums.add(number, float(kg), WindowForces(1.0, float(force), angle, float(speed)))
         end_s, noise = self.now_s + mass.size, noise_sd(self.estimator, load.force_n, load.speed_rad_s)
         self.references.append(
             ReferenceMass(
