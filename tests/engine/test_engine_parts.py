@@ -231,7 +231,7 @@ def test_tank_scale(readings: list[tuple[float, float]], missing: set[int], expe
         if pending and pending[0][0] <= second + 1.0:
             scale.reading(*pending.pop(0))
         mass = 0.0 if second in missing else 10.0
-        scale.window(float(second), second + 1.0, total, mass, second not in missing)
+        scale.window(float(second), second + 1.0, total, mass, measured=second not in missing)
         total += mass
     found = [(a.reference_kg, pytest.approx(a.measured_kg), a.complete) for a in scale.masses]
     assert found == expected
@@ -252,7 +252,7 @@ NEXT_MASS = {
 def test_the_next_mass_that_may_be_weighed(masses_kg: list[float], expected: int) -> None:
     scale = TankScale(ReferenceMassSettings(min_increment_kg=300.0))
     scale.reading(0.5, 1000.0)
-    scale.window(0.0, 1.0, 0.0, 0.0, True)
+    scale.window(0.0, 1.0, 0.0, 0.0, measured=True)
     assert scale.next_mass(masses_kg) == expected
 
 
@@ -262,7 +262,7 @@ def test_seconds_in_which_a_zero_was_taken_held_no_grain() -> None:
         for second in range(100):
             if second in (4, 60):
                 scale.reading(second + 0.5, 0.0 if second == 4 else 500.0)
-            scale.window(float(second), second + 1.0, 10.0 * max(0, second - 10), 10.0 * (second >= 10), second >= 8)
+            scale.window(float(second), second + 1.0, 10.0 * max(0, second - 10), 10.0 * (second >= 10), measured=second >= 8)
             if second == 7:
                 scale.empty_since(empty_since_s)
         return [reference.complete for reference in scale.masses]
@@ -304,7 +304,7 @@ def test_a_reading_within_a_window_weighs_that_part_of_it(at_s: float, measured_
     for second in range(12):
         if second == 9:
             scale.reading(at_s, 1100.0)
-        found = scale.window(float(second), second + 1.0, 10.0 * second, 10.0, True)
+        found = scale.window(float(second), second + 1.0, 10.0 * second, 10.0, measured=True)
         assert (found is not None) is (second == (9 if at_s == 10.0 else 10))
     (reference,) = scale.masses
     assert (reference.start_s, reference.end_s, reference.reference_kg) == (0.0, at_s, 100.0)

@@ -40,7 +40,7 @@ class Tank:
         self.now_s += 1
         if reading_kg is not None:
             self.scale.reading(self.now_s - 1.0 + at, reading_kg)
-        found = self.scale.window(self.now_s - 1.0, float(self.now_s), self.total_kg, mass_kg, measured, forces=forces)
+        found = self.scale.window(self.now_s - 1.0, float(self.now_s), self.total_kg, mass_kg, measured=measured, forces=forces)
         self.total_kg += mass_kg
         return found
 

@@ -29,11 +29,11 @@ class Run:
 
     def learns(self, version: int, density: float, origin: str = "sweep") -> ParameterSet:
         learnt = known(version, density)
-        self.history.use(learnt, origin, "", f"reason {version}", [version])
+        self.history.use(learnt, origin, reason=f"reason {version}", tickets=[version])
         return learnt
 
     def undo(self, version: int, in_use: ParameterSet) -> tuple[ParameterSet, str]:
-        return self.history.undo(version, in_use, self.crop, "anna", 9.0)
+        return self.history.undo(version, in_use, named=self.crop, who="anna", now_s=9.0)
 
 
 def test_what_comes_into_use_is_numbered_reported_and_brought_once() -> None:
@@ -96,7 +96,7 @@ def test_what_another_crop_learnt_since_is_not_undone() -> None:
     wheat = run.history.change_crop("wheat", corn, "corn")
     assert wheat is not None
     learnt = replace(wheat, version=5)
-    run.history.use(learnt, "ticket", "", "", [5])
+    run.history.use(learnt, "ticket", tickets=[5])
     run.crop = "wheat"
     run.undo(2, learnt)
     assert {row["version"]: row["state"] for row in run.history.table() if row["state"] == "undone"} == {2: "undone"}

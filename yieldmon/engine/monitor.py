@@ -240,7 +240,7 @@ class Monitor(MonitorView):
         self._parts.updater.use(estimator, calibration_age_s, harvested_kg)
         self._parts.updater.scale_alarm.accept()
 
-    def change_crop(self, estimator: FlowEstimator, calibration_age_s: float | None, before: str, now: str) -> None:
+    def change_crop(self, estimator: FlowEstimator, calibration_age_s: float | None, *, before: str, now: str) -> None:
         """Parameters of another crop. Tickets of the crop before wait for its return, and a sweep under way ends.
 
         Parameters
@@ -292,7 +292,7 @@ class Monitor(MonitorView):
     # Tickets
 
     def ticket(
-        self, load_number: int, mass_kg: float, std_dev_kg: float, crop: str = "", common_kg: float = 0.0
+        self, load_number: int, mass_kg: float, std_dev_kg: float, *, crop: str = "", common_kg: float = 0.0
     ) -> ReferenceMass:
         """A scale ticket for a load.
 
@@ -316,10 +316,12 @@ class Monitor(MonitorView):
         ValueError
             When the load is not known or a number makes no sense.
         """
-        return self._parts.updater.ticket(load_number, mass_kg, std_dev_kg, self.loads, self._parts.bus_now, crop, common_kg)
+        return self._parts.updater.ticket(
+            load_number, mass_kg, std_dev_kg, loads=self.loads, now_s=self._parts.bus_now, crop=crop, common_kg=common_kg
+        )
 
     def ticket_departure(
-        self, load_number: int, mass_kg: float, std_dev_kg: float, of_crop: FlowEstimator | None = None
+        self, load_number: int, mass_kg: float, std_dev_kg: float, *, of_crop: FlowEstimator | None = None
     ) -> tuple[float, float] | None:
         """How far a scale ticket that is not entered yet is from its load.
 
@@ -341,12 +343,15 @@ class Monitor(MonitorView):
         ValueError
             As `ticket`.
         """
-        return self._parts.updater.departure(load_number, mass_kg, std_dev_kg, self.loads, self._parts.bus_now, of_crop)
+        return self._parts.updater.departure(
+            load_number, mass_kg, std_dev_kg, loads=self.loads, now_s=self._parts.bus_now, of_crop=of_crop
+        )
 
     def update_again(
         self,
         load_numbers: Sequence[int],
         again: Sequence[Weighing],
+        *,
         rests_on: Sequence[int] | None = None,
         crop: str = "",
         stay: Sequence[Weighing] = (),
@@ -377,7 +382,7 @@ class Monitor(MonitorView):
             As `ticket`.
         """
         gone, known = frozenset(load_numbers), None if rests_on is None else frozenset(rests_on)
-        self._parts.updater.update_again(gone, again, known, self.loads, self._parts.bus_now, crop, stay)
+        self._parts.updater.update_again(gone, again, known, loads=self.loads, now_s=self._parts.bus_now, crop=crop, stay=stay)
         return self._parts.loads.scale_was_right(gone) if known is not None else ()
 
     # Sweeps and faults

@@ -54,7 +54,15 @@ class LoadErrors:
         self._of_scale = self._of_crop.pop(now, {})
 
     def measured(
-        self, number: int, mass_kg: float, flow: Flow, budget: MassBudget, version: int, plate_angle_rad: float, error: AngleError
+        self,
+        number: int,
+        mass_kg: float,
+        flow: Flow,
+        *,
+        budget: MassBudget,
+        version: int,
+        plate_angle_rad: float,
+        error: AngleError,
     ) -> Deviations:
         """More of a load was measured.
 
@@ -82,7 +90,7 @@ class LoadErrors:
         return () if error is NO_ERROR else ((number, known.parameters_kg(error)),)
 
     def resume_share(
-        self, number: int, mass_kg: float, budget: MassBudget, error: AngleError, version: int, home_rad: float
+        self, number: int, mass_kg: float, budget: MassBudget, *, error: AngleError, version: int, home_rad: float
     ) -> None:
         """A load was measured at home, rad, with the parameters of this version; its budget holds this error of the model."""
         if number not in self._shared:

@@ -125,7 +125,9 @@ class Loads:
         deviation holds this error of the model. What of it was measured away from home, rad, is not known."""
         totals = self.totals
         if totals.load_open and totals.load_kg > 0.0:
-            self._errors.resume_share(totals.load_number, totals.load_kg, totals.load_budget, error, version, home_rad)
+            self._errors.resume_share(
+                totals.load_number, totals.load_kg, totals.load_budget, error=error, version=version, home_rad=home_rad
+            )
 
     def share(self, mass_kg: float, flow: Flow, version: int, plate_angle_rad: float, error: AngleError = NO_ERROR) -> None:
         """After `count`: what of the window's error all of the load shares. version: of the parameters that measured it. error:
@@ -133,7 +135,15 @@ class Loads:
         totals = self.totals
         if totals.load_open and mass_kg > 0.0:
             self._state(
-                self._errors.measured(totals.load_number, mass_kg, flow, totals.load_budget, version, plate_angle_rad, error)
+                self._errors.measured(
+                    totals.load_number,
+                    mass_kg,
+                    flow,
+                    budget=totals.load_budget,
+                    version=version,
+                    plate_angle_rad=plate_angle_rad,
+                    error=error,
+                )
             )
 
     def restate(self, error: AngleError, version: int) -> LoadEvents:

@@ -91,7 +91,9 @@ class ReferenceMasses:
             self._scale.reading(inputs.tank_time_s, inputs.tank_kg)
         # Between passes the plate is watched as in them, and no grain comes.
         watched = (flow.measured or flow.quality is EstimateQuality.NOT_HARVESTING) and not window.contested
-        weighed = self._scale.window(window.start_s, window.end_s, total_before_kg, mass_kg, watched, budget, forces)
+        weighed = self._scale.window(
+            window.start_s, window.end_s, total_before_kg, mass_kg, measured=watched, budget=budget, forces=forces
+        )
         if weighed is None:
             return 0.0
         if not weighed.zero_doubted:

@@ -80,6 +80,7 @@ class TankScale:
         end_s: float,
         total_before_kg: float,
         mass_kg: float,
+        *,
         measured: bool,
         budget: MassBudget = EMPTY,
         forces: WindowForces | None = None,

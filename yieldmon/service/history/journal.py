@@ -126,7 +126,13 @@ class Journal:
             elif isinstance(event, LoadRestated):
                 self.loads.restated(event.number, event.budget)
             elif isinstance(event, ParametersChanged):
-                self.parameters.use(event.parameters, event.origin, "", event.reason, self.actions.take_behind(event), event.step)
+                self.parameters.use(
+                    event.parameters,
+                    event.origin,
+                    reason=event.reason,
+                    tickets=self.actions.take_behind(event),
+                    step=event.step,
+                )
             elif isinstance(event, SweepEnded):
                 self._new_sweeps.append(event)
 

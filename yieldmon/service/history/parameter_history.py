@@ -52,15 +52,15 @@ class ParameterHistory:
         known = self.of(crop, in_use, named)
         kept = replace(in_use, version=self.version + 1, provenance={**in_use.provenance, "crop": before})
         self._of_crop[before] = kept
-        self.use(kept, ledgers.CROP, who, f"what is known of {before} is kept", last_load=last_load)
+        self.use(kept, ledgers.CROP, who=who, reason=f"what is known of {before} is kept", last_load=last_load)
         if known is None:
             # What was weighed was grain of the crop before.
             facts = {**in_use.provenance, SCALE: NOT_CALIBRATED, "crop": crop}
             chosen = replace(in_use, version=self.version + 1, provenance=facts)
-            self.use(chosen, ledgers.CROP, who, f"{crop} begins with what is known of {before}")
+            self.use(chosen, ledgers.CROP, who=who, reason=f"{crop} begins with what is known of {before}")
             return chosen
         chosen = replace(known, version=self.version + 1)
-        self.use(chosen, ledgers.CROP, who, f"what is known of {crop}")
+        self.use(chosen, ledgers.CROP, who=who, reason=f"what is known of {crop}")
         return chosen
 
     def crop_of_version(self, version: int, in_use: ParameterSet, named: str) -> str:
@@ -101,6 +101,7 @@ class ParameterHistory:
         self,
         version: int,
         in_use: ParameterSet,
+        *,
         named: str,
         who: str,
         now_s: float,
@@ -138,14 +139,14 @@ class ParameterHistory:
         self._actions.add(ledgers.PARAMETERS_UNDO, who, document, now_s)
         earlier = replace(self._versions[before], version=self.version + 1)
         if of_now:
-            self.use(earlier, ledgers.UNDO, who, f"version {version} undone: as version {before}")
+            self.use(earlier, ledgers.UNDO, who=who, reason=f"version {version} undone: as version {before}")
             self._actions.bring_back(earlier.version)
             return earlier, ""
         kept = self._of_crop[crop] = replace(earlier, provenance={**earlier.provenance, "crop": crop})
-        self.use(kept, ledgers.UNDO, who, f"version {version} of {crop} undone: as version {before}")
+        self.use(kept, ledgers.UNDO, who=who, reason=f"version {version} of {crop} undone: as version {before}")
         self._actions.bring_back(kept.version)
         chosen = replace(in_use, version=self.version + 1, provenance={**in_use.provenance, "crop": now})
-        self.use(chosen, ledgers.CROP, who, f"what is known of {now}")
+        self.use(chosen, ledgers.CROP, who=who, reason=f"what is known of {now}")
         return chosen, crop
 
     def withdraw(self, version: int, who: str, now_s: float, replaced: int = 0) -> None:
@@ -176,6 +177,7 @@ class ParameterHistory:
         self,
         parameters: ParameterSet,
         origin: str,
+        *,
         who: str = "",
         reason: str = "",
         tickets: Sequence[int] = (),

@@ -215,7 +215,9 @@ def _back_before(version: int, context: RequestContext, silenced: Sequence[int] 
         raise InputError(
             f"version {version}", "the flow comes from estimator_file, which nothing updates", "another estimator_file"
         )
-    chosen, crop = journal.parameters.undo(version, in_use, journal.crop, context.who, now_s, silenced, replaced)
+    chosen, crop = journal.parameters.undo(
+        version, in_use, named=journal.crop, who=context.who, now_s=now_s, silenced=silenced, replaced=replaced
+    )
     monitor.set_estimator(estimator_of(monitor.machine, chosen), calibration_age_s(chosen, now_s))
     return Restored(version, in_use.version, chosen.version, chosen.effects, crop)
 
@@ -251,7 +253,7 @@ def _update_again(
             updated.append(number)
             again += shares
     effective = [load for n in history.effective() if n not in updated for load in tickets[n].loads]
-    journal.happened(monitor.update_again(gone, again, effective if goes_back or stays else None, crop, stays))
+    journal.happened(monitor.update_again(gone, again, rests_on=effective if goes_back or stays else None, crop=crop, stay=stays))
     journal.actions.wait_again(updated, crop)
     journal.actions.measure_lost_again()
     return Updating(tuple(updated), why_not)

@@ -95,7 +95,9 @@ def _load_start(order: Order) -> LoadStarted:
     if crop and in_use.curve is None:
         chosen = journal.parameters.change_crop(crop, in_use, journal.crop, request.who, last)
     if chosen is not None:
-        monitor.change_crop(estimator_of(monitor.machine, chosen), calibration_age_s(chosen, order.now_s), before, crop or "")
+        monitor.change_crop(
+            estimator_of(monitor.machine, chosen), calibration_age_s(chosen, order.now_s), before=before, now=crop or ""
+        )
         journal.actions.change_crop(before, crop or "")
     journal.name_load(field, crop)
     journal.happened(monitor.start_load())

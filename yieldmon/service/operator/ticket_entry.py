@@ -81,7 +81,8 @@ def enter_ticket(order: Order) -> TicketEntered:
     first_moves = exp(departs.ln) - 1.0 if departs is not None and departs.first and not waits else None
     if not why_not:
         taken = [
-            monitor.ticket(number, mass_kg, std_dev_kg, crop, common_kg) for number, mass_kg, std_dev_kg, common_kg in shares
+            monitor.ticket(number, mass_kg, std_dev_kg, crop=crop, common_kg=common_kg)
+            for number, mass_kg, std_dev_kg, common_kg in shares
         ]
         why_not = "" if any(mass.comparable for mass in taken) else _CLOCK_SET_BACK
     number = journal.actions.ticket(
@@ -185,7 +186,7 @@ def _departure(shares: Sequence[Weighing], order: Order, crop: str) -> ticket_do
     if crop and known is None:
         return None
     of_crop = None if known is None else estimator_of(monitor.machine, known)
-    found = [(mass_kg, monitor.ticket_departure(number, mass_kg, sd_kg, of_crop)) for number, mass_kg, sd_kg, _ in shares]
+    found = [(mass_kg, monitor.ticket_departure(number, mass_kg, sd_kg, of_crop=of_crop)) for number, mass_kg, sd_kg, _ in shares]
     parts = [(mass_kg, part) for mass_kg, part in found if part is not None]
     if not parts or len(parts) != len(shares):
         return None
@@ -221,7 +222,7 @@ def _ln_of_waiting(numbers: Sequence[int], order: Order, of_crop: FlowEstimator 
         for load, mass_kg, sd_kg, _ in history.reference_mass(number).shared_out(loads, ticket.measured_mass_kg):
             # Of a load that an earlier run measured nothing may be known now.
             with suppress(ValueError):
-                part = order.monitor.ticket_departure(load, mass_kg, sd_kg, of_crop)
+                part = order.monitor.ticket_departure(load, mass_kg, sd_kg, of_crop=of_crop)
                 found += [] if part is None else [part[0]]
     return fmean(found) if found else None
 
