@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from math import nan, sqrt
+from math import inf, nan, sqrt
 from pathlib import Path
 
 import numpy as np
@@ -101,10 +101,9 @@ def _zero_doubted(seconds: Sequence[SecondRow], actions: Sequence[Action]) -> bo
             if since is not None:
                 spans.append((since, action.time_s))
             since = int(action.document["second"]) if action.kind == ledger.ZERO and action.document.get("signs") else None
-    first, last = seconds[0].number, seconds[-1].number
-    if since is not None and last > since:
-        return True
-    return any(first <= begun < last for begun, _ in spans)
+    if since is not None:
+        spans.append((since, inf))
+    return any(s.number > begun and s.time_s - s.duration_s < end_s for begun, end_s in spans for s in seconds)
 
 
 def reference(stored: StoredLoad, machine: Machine, settings: EngineSettings) -> ReferenceLoad:
