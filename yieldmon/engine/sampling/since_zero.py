@@ -85,7 +85,7 @@ class SinceZero:
         min_coverage: float,
         dry_kg: Callable[[float, float], float | None],
     ) -> dict[int, MissedMass]:
-        """Load number -> what its seconds miss where zero_mv is the zero; forces up to grain_on_n are no grain.
+        """Load number -> what its seconds miss where zero_mv is the zero; a force up to grain_on_n is no grain where none counted.
 
         min_coverage: of a second that counts whole. dry_kg: of a wet mass, kg, at a moisture, %. Contested seconds stay in no
         total.
@@ -94,13 +94,14 @@ class SinceZero:
             s for s in self._seconds if isfinite(s.zero_mv) and isfinite(s.force_n) and s.coverage > 0.0 and not s.surplus_frames
         ]
         force = np.array([s.force_n + (s.zero_mv - zero_mv) * gain_n_per_mv for s in rows])
-        loaded = force > grain_on_n
+        # A second that counted is measured again whatever is left of its force: a zero that was too low made grain of nothing.
+        loaded = (force > grain_on_n) | np.array([s.mass_kg > 0.0 for s in rows], dtype=bool)
         rows, force = [s for s, ok in zip(rows, loaded, strict=True) if ok], force[loaded]
         missed = {number: MissedMass().plus(-kg, None, area_known=True) for number, kg in self._by_scale.items()}
         if not rows:
             return missed
         columns = np.array([(s.plate_angle_rad, s.elevator_speed_rad_s, s.force_std_dev_n, s.moisture_pct) for s in rows]).T
-        flow = np.nan_to_num(estimator.estimate(force, *columns).mass_flow_kg_s)
+        flow = np.where(force > 0.0, np.nan_to_num(estimator.estimate(force, *columns).mass_flow_kg_s), 0.0)
         for second, rate in zip(rows, flow.tolist(), strict=True):
             seconds = second.duration_s if second.coverage >= min_coverage else second.duration_s * second.coverage
             kg = rate * seconds - second.mass_kg
