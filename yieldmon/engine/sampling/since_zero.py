@@ -85,7 +85,7 @@ class SinceZero:
         min_coverage: float,
         dry_kg: Callable[[float, float], float | None],
     ) -> dict[int, MissedMass]:
-        """Load number -> what its seconds miss where zero_mv is the zero; a force up to grain_on_n is no grain where none counted.
+        """Load number -> what its seconds miss where zero_mv is the zero; up to grain_on_n there is no grain where none counted.
 
         min_coverage: of a second that counts whole. dry_kg: of a wet mass, kg, at a moisture, %. Contested seconds stay in no
         total.
