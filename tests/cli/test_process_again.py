@@ -16,6 +16,7 @@ import pytest
 from tests.schema_check import problems
 from tests.service.bench import CODEC, EMPTY_MV, GRAIN_MV, START_S, ZERO_MV, traffic
 from tests.service.bench import messages as messages_of
+from yieldmon.bus.log_files.logs import read_log
 from yieldmon.cli.main import main
 from yieldmon.files import parameter_file
 from yieldmon.frames import OperatingState
@@ -230,6 +231,64 @@ def test_a_log_that_lacks_samples_in_each_second_says_so(capsys, tmp_path, logs)
     assert code == 0
     assert "no mass: every second lacks samples (FramesLost)" in err
     assert "never runs empty" not in err
+
+
+@pytest.mark.parametrize(
+    ("factor", "says"),
+    [
+        (1e3, "no mass: the log's times are 1000 times too far apart, as of milliseconds that stand for seconds: a sensor frame "
+              "every 4 s, by the mapping every 0.004 s; run"),
+        (1e6, "no mass: the log's times are 1000000 times too far apart, as of microseconds that stand for seconds"),
+        (1e-3, "no mass: the log's times are 1000 times too near each other: a sensor frame every 4e-06 s"),
+        (7.0, "no mass: a sensor frame every 0.028 s, by the mapping every 0.004 s: rate_hz of the mapping, or the log's times"),
+    ],
+)  # fmt: skip
+def test_a_log_of_times_in_another_unit_says_so(capsys, tmp_path, logs, factor: float, says: str) -> None:
+    """ "No frame reports the elevator speed", it said of milliseconds."""
+    lines = (line.split() for line in logs["grain"].read_text().splitlines())
+    moved = (f"({(float(time[1:-1]) - START_S) * factor:.9f}) {' '.join(rest)}\n" for time, *rest in lines)
+    (tmp_path / "ms.log").write_text("".join(moved))
+    code, _, err = process(capsys, tmp_path, tmp_path / "ms.log")
+    assert code == 0
+    assert says in err
+    document = json.loads(process(capsys, tmp_path, tmp_path / "ms.log", "--json")[1])
+    assert problems(document, "process") == []
+    assert document["sensor_interval_s"] == pytest.approx(factor * document["mapped_interval_s"], rel=0.01)
+
+
+def test_signals_counts_frames_that_stand_there_twice_once(capsys, tmp_path, logs) -> None:
+    """Its rate would be that of a mapping."""
+    rates = []
+    for name, times in (("once", 1), ("twice", 2)):
+        lines = logs["grain"].read_text().splitlines(keepends=True)
+        (tmp_path / f"{name}.log").write_text("".join(line for line in lines for _ in range(times)))
+        assert main(["signals", str(tmp_path / f"{name}.log"), "--json"]) == 0
+        said = capsys.readouterr()
+        rates.append([message["rate_hz"] for message in json.loads(said.out)["messages"]])
+    assert rates[1] == rates[0]
+    assert "each frame stands there again" in said.err
+
+
+@pytest.mark.parametrize("suffix", [".log", ".log.gz", ".csv"])
+@pytest.mark.parametrize("start_s", [0.0, START_S])
+def test_a_log_that_begins_with_its_end_is_called_that(capsys, tmp_path, logs, suffix: str, start_s: float) -> None:
+    """Its recorder was said to have no clock."""
+    frames = list(read_log(logs["whole"]))
+    for frame in frames:
+        frame.timestamp += start_s - START_S
+    with can.Logger(tmp_path / f"on{suffix}") as writer:
+        for frame in frames[::-1] if suffix == ".csv" else frames:
+            writer(frame)
+    written = (tmp_path / f"on{suffix}").read_bytes()
+    if suffix == ".log":
+        written = b"".join(reversed(written.splitlines(keepends=True)))
+    elif suffix == ".log.gz":
+        written = gzip.compress(b"".join(reversed(gzip.decompress(written).splitlines(keepends=True))))
+    (tmp_path / f"back{suffix}").write_bytes(written)
+    code, _, err = process(capsys, tmp_path, tmp_path / f"back{suffix}")
+    assert code == 2
+    assert f"back{suffix}: its times run backwards from frame to frame: the log begins with its end; expected" in err
+    assert main(["signals", str(tmp_path / f"back{suffix}")]) == 2
 
 
 @pytest.mark.parametrize(

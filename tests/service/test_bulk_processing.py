@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 import random
+from collections import Counter
 from pathlib import Path
 
 import can
@@ -115,6 +117,33 @@ def disturbed(kind: str) -> list[can.Message]:
 def test_trouble_changes_nothing_of_that(kind, tmp_path):
     path = write(tmp_path / "bad.log", disturbed(kind))
     assert rows_of(process_in_bulk, [path]) == rows_of(process_logs, [path])
+
+
+@pytest.mark.parametrize("times", [2, 3])
+def test_a_log_whose_every_frame_stands_there_several_times_counts_each_once(times, log, tmp_path):
+    """It had no zero and no mass, as if frames were lost."""
+    path = write(tmp_path / "copied.log", [message for message in messages() for _ in range(times)])
+    rows, summary = rows_of(process_in_bulk, [path])
+    assert rows == rows_of(process_in_bulk, [log])[0]
+    assert (rows, summary) == rows_of(process_logs, [path])
+    assert summary.damages == [f"{path}: each frame stands there again at the same time with the same bytes, and counts once"]
+    assert rows[-1].total_kg > 1.0
+
+
+def test_frames_of_a_coarse_clock_are_no_copies(tmp_path):
+    """An empty plate's samples can be the same from frame to frame, and a clock of 0.1 s gives them one time."""
+    frames = messages(16)
+    still = next(message.data for message in frames if message.dlc == 8)
+    for message in frames:
+        message.timestamp = math.floor(10.0 * message.timestamp) / 10.0
+    identifier = max(Counter(message.arbitration_id for message in frames).items(), key=lambda item: item[1])[0]
+    for message in frames:
+        if message.arbitration_id == identifier:
+            message.data = still
+    path = write(tmp_path / "coarse.log", frames)
+    summary = rows_of(process_in_bulk, [path])[1]
+    assert summary.ours == len(frames)
+    assert not summary.damages
 
 
 FORMATS = [

@@ -30,13 +30,14 @@ from yieldmon.repeats import repeated
 from yieldmon.resources import shipped
 from yieldmon.service.config import configuration
 from yieldmon.service.logs import log_record, recorded
-from yieldmon.service.logs.bulk_processing import EndOfLog
+from yieldmon.service.logs.bulk_processing import EndOfLog, Stretch
 from yieldmon.service.logs.factory_comparison import FactoryComparison
 from yieldmon.service.logs.log_copies import refuse_copies, refuse_named_twice
 from yieldmon.service.logs.log_record import Progress
 from yieldmon.service.logs.record_check import RecordCheck, record_lines
 from yieldmon.service.logs.recorded import is_store_not_log
 from yieldmon.service.logs.reprocessing import loads_of_rows, measured_again
+from yieldmon.service.logs.sample_spacing import SampleSpacing, spacing_line
 from yieldmon.service.logs.tables import FORMATS, open_table
 from yieldmon.service.storage.rows import SecondRow
 from yieldmon.units import Units
@@ -272,6 +273,7 @@ def _one_record(
     zero_mv: float | None,
 ) -> ProcessSummary:
     factory, check = FactoryComparison(), RecordCheck(loaded.engine.zero.first_pulse_limit_mv, _home_deg(loaded))
+    spacing = SampleSpacing(loaded.signals.sources.impact[0])
     with open_table(out, f".{kind}" if kind else None) as table:
 
         def take(row: SecondRow) -> None:
@@ -279,7 +281,12 @@ def _one_record(
             factory.take(row)
             check.take(row)
 
-        measured = log_record.measure(logs, loaded, take, zero_mv=zero_mv, reads_ahead=reads_ahead, progress=progress)
+        def goes_on(part: Stretch | EndOfLog) -> None:
+            spacing.take(part)
+            if progress is not None:
+                progress(part)
+
+        measured = log_record.measure(logs, loaded, take, zero_mv=zero_mv, reads_ahead=reads_ahead, progress=goes_on)
     document = log_record.document(*measured)
     document |= {
         "gaps": check.gaps, "gap_s": check.gap_s, "overlap_s": check.overlap_s, "overlap_kg": check.overlap_kg,
@@ -287,6 +294,8 @@ def _one_record(
     }  # fmt: skip
     if check.frames_lost_share:
         document["frames_lost_share"] = check.frames_lost_share
+    if (far_off_s := spacing.far_off_s) is not None:
+        document["sensor_interval_s"], document["mapped_interval_s"] = far_off_s, spacing.mapped_s
     if check.away_share and not document["zero_known"]:
         document["plate_away_share"] = check.away_share
     if check.before_zero and document["zero_known"]:
@@ -334,6 +343,8 @@ def _line(document: ProcessSummary, units: Units) -> str:
 def _why_no_mass(document: ProcessSummary) -> str:
     """What there is to say where nothing could be measured; "" where something was, or where there may have been no grain."""
     shown = "run `yieldmon check-config CONFIG --log LOG`"
+    if "sensor_interval_s" in document and not (document["windows"] and document["zero_known"]):
+        return f"{spacing_line(document['sensor_interval_s'], document['mapped_interval_s'])}; {shown}"
     if not document["windows"]:
         return "the frames' times span less than a second: recorder without a clock, or candump -td"
     if document["zero_known"]:
@@ -361,5 +372,8 @@ def _why_no_zero(document: ProcessSummary) -> str:
             "plate_angle, and home_plate_angle_deg of the machine file"
         )
     if document.get("frames_lost_share", 0.0) > _MOSTLY:
-        return "every second lacks samples (FramesLost), so there is no zero: frames are lost, or two nodes or channels send them"
+        return (
+            "every second lacks samples (FramesLost), so there is no zero: frames are lost, two nodes or channels send them, or "
+            "the log has some twice"
+        )
     return ""

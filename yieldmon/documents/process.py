@@ -42,7 +42,8 @@ class ProcessSummary(Harvested):
     all; overlap_s: seconds of times that were read already, with overlap_kg; missing: share of the seconds without an input, by
     its name; frames_lost_share: of the seconds, those under FramesLost; plate_away_share: of the seconds, those with the plate
     away from home, where there is no zero; contested_kg: mass in no total, as more frames came than one node sends;
-    before_zero_s: seconds of grain before the first zero.
+    before_zero_s: seconds of grain before the first zero; sensor_interval_s: median time from one frame of the impact sensor to
+    the next, where it is far from mapped_interval_s, that of the mapping.
     """
 
     frames: int
@@ -64,4 +65,6 @@ class ProcessSummary(Harvested):
     plate_away_share: NotRequired[float]
     contested_kg: NotRequired[float]
     before_zero_s: NotRequired[int]
+    sensor_interval_s: NotRequired[float]
+    mapped_interval_s: NotRequired[float]
     factory: NotRequired[FactoryComparisonSummary]

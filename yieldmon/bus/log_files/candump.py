@@ -19,14 +19,11 @@ Below an error frame ``-e`` writes what it means, a class of errors a line.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from datetime import UTC, datetime
-from itertools import pairwise
 
 import can
 
 from yieldmon.identifiers import CLASSIC_BYTES, EXTENDED_FLAG, FD_LENGTHS, LARGEST_EXTENDED_ID, LARGEST_STANDARD_ID
-from yieldmon.utc import EARLIEST_BUS_TIME_S
 
 REMOTE_FLAG = 0x40000000
 ERROR_FLAG = 0x20000000
@@ -46,8 +43,6 @@ _EXPLANATION = re.compile(
     r"(?:tx-timeout|lost-arbitration|controller-problem|protocol-violation|transceiver-status|no-acknowledgement-on-tx|bus-off"
     r"|bus-error|restarted-after-bus-off|error-counter-tx-rx)(?:\{.*\})?"
 )
-_LEAST_TIMES, _LEAST_PROGRESS = 50, 0.05
-"""Fewest times that tell, and share of their way to and fro by which a clock goes on, even where frames are out of order."""
 _DROPPED = re.compile(r"DROPCOUNT: dropped (\d+) ")
 
 
@@ -65,18 +60,6 @@ def is_explanation(line: str) -> bool:
 def lacks_time(line: str) -> bool:
     """Whether a line is one of candump's screen format without a time."""
     return _SCREEN_LINE.fullmatch(f"(0.0) {line}") is not None
-
-
-def are_between_frames(times_s: Sequence[float]) -> bool:
-    """Whether the first times of a log, in its order, are each since the frame before, as of ``candump -t d``: they do not go on.
-
-    >>> are_between_frames([0.0, 0.004, 0.001] * 20), are_between_frames([0.0, 0.004, 0.003, 0.008] * 4)
-    (True, False)
-    """
-    if len(times_s) < _LEAST_TIMES or not 0.0 < max(times_s) < EARLIEST_BUS_TIME_S:
-        return False
-    way_s = sum(abs(later - earlier) for earlier, later in pairwise(times_s))
-    return times_s[-1] - times_s[0] < _LEAST_PROGRESS * way_s
 
 
 def flagged_id(message: can.Message) -> int:

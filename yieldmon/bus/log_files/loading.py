@@ -15,17 +15,16 @@ from yieldmon.bus.log_files.candump import ERROR_FLAG
 from yieldmon.bus.log_files.fast_candump import ParsedLines, parse_lines
 from yieldmon.bus.log_files.gunzip import early_end_of, open_bytes
 from yieldmon.bus.log_files.log_notes import LogNotes, refuse_unreadable
+from yieldmon.bus.log_files.log_times import TIMES_LOOKED_AT, refuse_times_between_frames
 from yieldmon.bus.log_files.logs import PACKED_SUFFIX, log_format, read_log, reading_log, require_log
 from yieldmon.bus.log_files.text_logs import (
     CANDUMP_SUFFIXES,
     LONGEST_LINE_BYTES,
-    TIMES_LOOKED_AT,
     candump_frame,
     endless,
     is_candump,
     line_problem,
     read_stream,
-    refuse_times_between_frames,
     without_byte_order_mark,
 )
 from yieldmon.bus.packed.reading import Wanted, dropped_by_recorder, read_blocks

@@ -5,16 +5,17 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, cast
 
 import can
 
-from yieldmon.bus.log_files.candump import are_between_frames, dropped_frames, is_explanation, lacks_time, parse_line
+from yieldmon.bus.log_files.candump import dropped_frames, is_explanation, lacks_time, parse_line
 from yieldmon.bus.log_files.frame_check import impossible
 from yieldmon.bus.log_files.gunzip import early_end_of, open_bytes
 from yieldmon.bus.log_files.log_notes import LogNotes
+from yieldmon.bus.log_files.log_times import TIMES_LOOKED_AT, not_backwards, refuse_times_between_frames
 from yieldmon.bus.log_files.loggers import busmaster, canedge, canking, clx000, kvaser, savvycan, vehicle_spy
 from yieldmon.bus.log_files.loggers.fields import Parser
 from yieldmon.bus.log_files.loggers.peak import Trace
@@ -29,8 +30,6 @@ TEXT_SUFFIXES = (".log", ".asc", ".csv", ".trc", ".txt")
 #: Longest line that is looked at. The longest line of any text format, a CAN FD frame in .asc, has under 400
 #: characters.
 LONGEST_LINE_BYTES = 4096
-#: So many times at the beginning of a candump log are looked at for what they count from.
-TIMES_LOOKED_AT = 1000
 #: Of a longer line the rest is passed over, up to so much, behind which nothing more is looked for.
 LONGEST_SKIPPED_BYTES = 256 * 1024 * 1024
 _LONGEST_START_BYTES = 64
@@ -62,13 +61,16 @@ def read_stream(stream: io.BufferedReader, path: Path, suffix: str, notes: LogNo
     match suffix:
         case ".log" | ".txt":
             parse = _parser_of(stream.peek(_LONGEST_START_BYTES), notes)
-            return _read_candump(lines, notes) if parse is None else _read_lines(lines, parse)
+            if parse is None:
+                return _read_candump(lines, notes)
+            messages = _read_lines(lines, parse)
         case ".trc":
-            return _read_trace(lines)
+            messages = _read_trace(lines)
         case ".csv":
-            return _read_csv(lines, notes)
+            messages = _read_csv(lines, notes)
         case _:
-            return _read_lines(lines, Vector())
+            messages = _read_lines(lines, Vector())
+    return not_backwards(messages, path)
 
 
 def is_candump(stream: io.BufferedReader) -> bool:
@@ -204,12 +206,6 @@ def candump_frame(line: str, notes: LogNotes, damage: Callable[[str], None]) -> 
         elif text and not is_explanation(text) and not _COMMENT.match(text):
             damage(f"{text[:60]!r} is not a candump line")
     return message
-
-
-def refuse_times_between_frames(path: Path, times_s: Sequence[float]) -> None:
-    """times_s: of a candump log's first frames. Raises InputError where each is since the frame before."""
-    if are_between_frames(times_s):
-        raise InputError(str(path), "its times are each since the frame before", "times of one clock, as `candump -L` records")
 
 
 def _read_candump(lines: _Lines, notes: LogNotes) -> Iterator[can.Message]:

@@ -22,7 +22,9 @@ from numpy.typing import NDArray
 
 from yieldmon.bus.bulk import USABLE, FrameBlock, SignalColumn, concatenate, decode_block
 from yieldmon.bus.codec import Codec
+from yieldmon.bus.log_files import doubled_frames
 from yieldmon.bus.log_files.candump import ERROR_FLAG, REMOTE_FLAG
+from yieldmon.bus.log_files.doubled_frames import DoubledFrames
 from yieldmon.bus.log_files.loading import iter_blocks
 from yieldmon.bus.log_files.log_notes import LogNotes
 from yieldmon.bus.packed.reading import Wanted
@@ -134,10 +136,11 @@ def stretches_of(paths: Iterable[str], taking: Taking) -> Iterator[Stretch | End
     one_channel = None if taking.channels else OneChannel(taking.signals.sources)
     recorded, sensors = RecordedBefore(taking.channels), {source.message for source in taking.signals.sources.impact}
     for path in paths:
-        notes, frames, channels = LogNotes(), 0, frozenset[str]()
+        notes, frames, channels, doubled = LogNotes(), 0, frozenset[str](), DoubledFrames()
         again_until_s, again = recorded.begin(path)
-        for whole in _joined(iter_blocks(path, notes, wanted=wanted)):
-            channels |= whole.channels_in_use()
+        for read in _joined(iter_blocks(path, notes, wanted=wanted)):
+            channels |= read.channels_in_use()
+            whole = doubled.without(read)
             block = whole.of_channels(taking.channels) if taking.channels else whole
             block = block.after(again_until_s)
             before = decoder.incomplete
@@ -150,7 +153,8 @@ def stretches_of(paths: Iterable[str], taking: Taking) -> Iterator[Stretch | End
             yield replace(found, incomplete=decoder.incomplete - before)
             frames = notes.frames
         shared = one_channel.end_of_log(path) if one_channel is not None else []
-        yield EndOfLog(path, [*notes.lacks(path), *shared, *([again] if again else [])], channels, bool(again))
+        twice = [f"{path}: {doubled_frames.SAID}"] if doubled.found else []
+        yield EndOfLog(path, [*notes.lacks(path), *twice, *shared, *([again] if again else [])], channels, bool(again))
     if decoder.under_way:
         yield Stretch(0, 0, 0, incomplete=decoder.under_way)
 

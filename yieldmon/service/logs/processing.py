@@ -7,7 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from yieldmon.bus.codec import Codec, FrameError
+from yieldmon.bus.log_files import doubled_frames
 from yieldmon.bus.log_files.candump import channel_name
+from yieldmon.bus.log_files.doubled_frames import DoubledFrames
 from yieldmon.bus.log_files.log_notes import LogNotes
 from yieldmon.bus.log_files.logs import read_log
 from yieldmon.engine.monitor import Monitor
@@ -112,10 +114,10 @@ def process_logs(
     one_channel = None if channels else OneChannel(mapping.sources)
     recorded = RecordedBefore(tuple(channels))
     for path in paths:
-        notes = LogNotes()
+        notes, doubled = LogNotes(), DoubledFrames()
         again_until_s, again = recorded.begin(str(path))
         monitor.begin_log()
-        for message in read_log(path, notes):
+        for message in doubled.messages(read_log(path, notes)):
             channel = channel_name(message)
             summary.channels.add(channel)
             if (channels and channel not in channels) or message.timestamp <= again_until_s:
@@ -135,7 +137,8 @@ def process_logs(
                 hand_over(monitor.feed(frame), take_row, summary)
         shared = one_channel.end_of_log(str(path)) if one_channel is not None else []
         summary.frames += notes.frames
-        summary.damages += [*notes.lacks(path), *shared, *([again] if again else [])]
+        twice = [f"{path}: {doubled_frames.SAID}"] if doubled.found else []
+        summary.damages += [*notes.lacks(path), *twice, *shared, *([again] if again else [])]
     summary.incomplete = bus.incomplete + bus.under_way
     refuse_nothing(paths, summary, channels)
     return summary
