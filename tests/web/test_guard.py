@@ -197,6 +197,22 @@ def test_commands_reach_the_daemon_and_its_refusals_come_back(daemon: StandIn, c
     assert (answer.status_code, answer.json()) == (409, {"error": "zero: there is grain"})
 
 
+def test_a_daemon_of_another_version_is_commanded_nothing(daemon: StandIn, clock: Clock, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = daemon.status
+    monkeypatch.setattr(daemon, "status", lambda: {name: part for name, part in whole().items() if name != "load"})
+    answer = client(daemon, clock).post("/api/command", json={"command": "sweep-start"})
+    assert answer.status_code == 409
+    assert "runs another version" in answer.json()["error"]
+    assert not daemon.asked
+
+
+def test_a_store_of_few_sweeps_has_no_residuals_and_a_note(daemon: StandIn, clock: Clock) -> None:
+    answer = client(daemon, clock).get("/api/residuals")
+    assert answer.status_code == 200
+    assert answer.json()["cells"] == []
+    assert "holds no parameters" in answer.json()["note"]
+
+
 def test_a_read_only_page_commands_nothing(daemon: StandIn, clock: Clock) -> None:
     asking = client(daemon, clock, read_only=True)
     assert asking.get("/api/page").json()["read_only"] is True

@@ -210,11 +210,12 @@ class _Page:
         try:
             document = await _body(request)
             status = await self._feed.ask({"command": "status"})
+            # Of a daemon of another version these may be missing.
+            units, load_number = texts_of_status(status), status["load"]["number"]
         except (InputError, ControlError) as error:
             return _error(409, str(error))
-        units = texts_of_status(status)
         try:
-            answer = await self._feed.ask(commands.request_of(document, status["load"]["number"]))
+            answer = await self._feed.ask(commands.request_of(document, load_number))
         except (InputError, ControlError) as error:
             return _error(409, commands.with_buttons(units.in_text(str(error))))
         return _json(commands.answer_with_buttons(in_units(answer, units)))
