@@ -19,10 +19,11 @@ import pytest
 
 from tests.file_limit import files_end_at
 from tests.seconds import measured_second
+from yieldmon import data_dictionary as ddi
 from yieldmon.cli import main as cli
 from yieldmon.errors import InputError
 from yieldmon.export.points import PointSettings, yield_points
-from yieldmon.export.taskdata import ENTRIES, files
+from yieldmon.export.taskdata import ENTRIES, binary_log, files, write
 from yieldmon.frames import EstimateQuality
 from yieldmon.service.logs.recorded import read_loads, read_seconds
 from yieldmon.service.logs.tables import open_table
@@ -317,6 +318,32 @@ def isoxml() -> dict[str, str]:
 
 
 @pytest.mark.isoxml
+def test_task_data_with_a_moisture_that_is_not_known_have_no_dry_total():
+    dry = ddi.DRY_TOTAL
+    for moisture_pct, whole in ((20.0, True), (None, False)):
+        rows = [dataclasses.replace(row, moisture_pct=moisture_pct if row.number == 40 else 20.0) for row in ROWS]
+        content, totals = binary_log(yield_points(rows, SETTINGS), lambda _: 15.5)
+        assert (dry in totals) is whole
+        assert totals[ddi.TOTAL_MASS] > 0
+        assert content
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"time_s": -1e9}, "cannot hold a point of 1938-04-24T22:13:20Z; expected times from 1980 to 2159"),
+        ({"mass_kg": 3e9}, "a point does not fit task data: .*; expected masses below 2 Mt"),
+    ],
+)
+def test_what_task_data_cannot_hold_is_refused(tmp_path: Path, change: dict[str, float], said: str) -> None:
+    points = yield_points(ROWS, SETTINGS)
+    with pytest.raises(InputError, match=said):
+        write(tmp_path / "t.zip", [points[0], dataclasses.replace(points[1], **change)], "north", lambda _: 15.5)
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(ValueError, match="no points"):
+        files([], "north", lambda _: 15.5)
+
+
 def test_task_data_in_an_independent_reader(exported, isoxml):
     words = ["node", str(Path(__file__).with_name("read_taskdata.cjs")), str(exported("t.zip", *WORDS))]
     done = subprocess.run(words, env=isoxml, capture_output=True, text=True, check=True)

@@ -11,10 +11,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.plant_sweeps import MACHINE, NONE
+from tests.service.test_sweep_table import fill
 from tests.web.standin import StandIn, row
 from yieldmon.errors import InputError
 from yieldmon.files import machine_file, parameter_file
+from yieldmon.physics.machine import RPM
+from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.resources import shipped
+from yieldmon.service.logs import sweep_table
+from yieldmon.service.logs.recorded import last_parameters
 from yieldmon.service.storage.batch import FaultEvent, Load, ParameterVersion, SweepRecord, Ticket
 from yieldmon.web import history as history_module
 from yieldmon.web.history import History
@@ -145,6 +151,24 @@ def test_parameters_come_with_their_deviation(daemon: StandIn) -> None:
     (version,) = History(DELAY_S).document(daemon.store_path)["parameters"]
     assert version["values"]["friction"]["value"] == pytest.approx(float(known.values["friction"]))
     assert version["values"]["friction"]["std_dev"] == pytest.approx(known.standard_deviation("friction"))
+
+
+def test_residuals_are_what_the_sweeps_measured_over_the_model_at_each_angle_and_flow(tmp_path: Path) -> None:
+    path = fill(tmp_path / "swept.sqlite", NONE, 6)
+    found = History(DELAY_S).residuals(path, MACHINE)
+    known = last_parameters(path)
+    columns = sweep_table.read(path, MACHINE, known).table.columns
+    assert (found["sweeps"], found["parameter_version"]) == (6, 2)
+    assert sum(cell["visits"] for cell in found["cells"]) == len(columns["force_n"])
+    model = ForwardModel(MACHINE, known.effects)
+    for cell in found["cells"]:
+        angle, flow = cell["plate_angle_deg"], cell["mass_flow_kg_s"]
+        here = (columns["plate_angle_deg"] == angle) & (columns["mass_flow_kg_s"] == flow)
+        at = Conditions(np.radians(angle), columns["elevator_speed_rpm"][here] * RPM, mass_flow_kg_s=flow)
+        ratio = columns["force_n"][here] / np.real(model.force(at, known.values))
+        assert cell["residual_pct"] == pytest.approx(100.0 * float(np.mean(ratio) - 1.0), abs=1e-9)
+        if angle == 70.0:
+            assert abs(cell["residual_pct"]) < 4.0 * cell["std_dev_pct"] + 0.5
 
 
 @pytest.mark.parametrize("content", [b"", b"no store", b"SQLite format 3\0" + bytes(500)])
