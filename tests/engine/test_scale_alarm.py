@@ -73,6 +73,23 @@ def test_says_scale_by_how_much_since_when_and_what_to_check() -> None:
         assert cause in said
 
 
+@pytest.mark.parametrize(
+    ("zs", "named"),
+    [
+        ([6.0], False),
+        ([6.0, 7.0], True),
+        ([-6.0, -6.0], True),
+        ([6.0, -6.0], False),
+        ([6.0, 7.0, -6.0], False),
+        ([6.0, 0.3, 6.0], False),
+    ],
+)
+def test_two_in_a_row_that_are_off_the_same_way_name_the_remedy_for_a_changed_machine(zs: list[float], named: bool) -> None:
+    alarm = ScaleAlarm(FaultSettings())
+    alarm.see([check(z, f"load {number}") for number, z in enumerate(zs, 1)])
+    assert ("yieldmon calibrations restart" in (alarm.detail or "")) is named
+
+
 def test_a_calibration_from_outside_ends_it() -> None:
     alarm = ScaleAlarm(FaultSettings())
     alarm.see([check(6.0)])

@@ -12,7 +12,7 @@ from yieldmon.errors import InputError
 CONFIGURATION = "bus: {transmit_max_age_s: 60}\nsweep: {enabled: false}\n"
 VERBS = (
     "status, load-start, load-stop, load-correct, totals-reset, loads, ticket, tickets, ticket-undo, "
-    "calibrations, calibration-undo, zero, "
+    "calibrations, calibration-undo, calibration-restart, zero, "
     "zero-undo, sweep-start, sweep-abort"
 )
 

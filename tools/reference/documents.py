@@ -11,7 +11,7 @@ from yieldmon.documents.calibrate import (
     PulseShapeDocument,
     TapDocument,
 )
-from yieldmon.documents.calibrations import CalibrationListDocument, CalibrationUndoDocument
+from yieldmon.documents.calibrations import CalibrationListDocument, CalibrationRestartDocument, CalibrationUndoDocument
 from yieldmon.documents.check_config import CheckDocument
 from yieldmon.documents.demo import DemoDocument
 from yieldmon.documents.diagnose import DiagnosisDocument
@@ -48,6 +48,7 @@ DOCUMENTS: dict[str, Any] = {
     "zero": ZeroDocument,
     "zero-undo": ZeroUndoDocument,
     "calibrations-list": CalibrationListDocument,
+    "calibrations-restart": CalibrationRestartDocument,
     "calibrations-undo": CalibrationUndoDocument,
     "process": ProcessSummary,
     "process-store": ReprocessSummary,

@@ -34,5 +34,22 @@ class CalibrationListDocument(Calibrations, Answered):
     """`yieldmon calibrations list --json`."""
 
 
+class CalibrationsRestarted(TypedDict):
+    """Calibration that began anew. version, before: of the parameters now and before; crop: of both, "" where none was named;
+    load: that began, null where none was open; tickets: that counted until now; std_dev_pct: of the flow, until a load is
+    weighed."""
+
+    version: int
+    before: int
+    crop: str
+    load: int | None
+    tickets: list[int]
+    std_dev_pct: float
+
+
+class CalibrationRestartDocument(CalibrationsRestarted, Answered):
+    """`yieldmon calibrations restart --json`."""
+
+
 class CalibrationUndoDocument(CalibrationUndone, Answered):
     """`yieldmon calibrations undo --json`."""

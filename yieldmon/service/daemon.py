@@ -358,7 +358,10 @@ class Daemon:
         return answer
 
     def _do_commands(self) -> None:
+        before = self.monitor
         done = self._commands.carry_out(self._measuring.execute)
+        if self.monitor is not before:
+            self._bus.faults.report_all_anew()
         if done:
             self._commit()
             self._answer = self._snapshot()

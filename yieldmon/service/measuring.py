@@ -19,6 +19,7 @@ from yieldmon.service.history.resumption import resume, successor
 from yieldmon.service.operator import commands
 from yieldmon.service.operator.command_queue import Job
 from yieldmon.service.operator.control_protocol import Answer
+from yieldmon.service.storage import ledger
 from yieldmon.service.storage.batch import Batch
 from yieldmon.service.storage.rows import SecondRow
 
@@ -44,6 +45,7 @@ class Measuring:
 
     def __init__(self, configuration: Configuration, memory: Memory) -> None:
         configured = configuration.parameters
+        self._configuration = configuration
         parameters, origin = choose_parameters(memory, configured)
         self.journal = Journal(memory, configured, now_s=time.time())
         self.journal.new_monitor(parameters, origin)
@@ -72,7 +74,12 @@ class Measuring:
 
     def execute(self, job: Job) -> Answer:
         """Carry out a command. Raises InputError where it is refused."""
-        return commands.execute(job.request, self.monitor, self.journal, time.time(), job.stored)
+        answer = commands.execute(job.request, self.monitor, self.journal, time.time(), job.stored)
+        fresh = self.journal.parameters.take_fresh()
+        if fresh is not None:
+            self._replace(successor(self.monitor, self._configuration, fresh, time.time(), loads=self.journal.loads))
+            self.journal.new_monitor(fresh, ledger.HARDWARE)
+        return answer
 
     def reset_totals(self) -> None:
         """Masses from 0, in a new load."""
@@ -85,6 +92,7 @@ class Measuring:
     def use(self, configuration: Configuration) -> None:
         """Go on with another configuration; its parameters are taken where their file says others than before. All that came is
         in a batch."""
+        self._configuration = configuration
         fresh = self.journal.parameters.unlike(configuration.parameters)
         self._replace(successor(self.monitor, configuration, fresh, time.time(), loads=self.journal.loads))
         # The next batch brings both: the file's name alone would make a start take the parameters before it for the file's.

@@ -15,6 +15,12 @@ from yieldmon import utc
 from yieldmon.engine.self_calibration.reference_mass import ReferenceMass
 from yieldmon.engine.settings import FaultSettings
 
+_CHECK = "check ticket, chain slip, paddle wear, sensor gain"
+_CHANGED = (
+    "the second in a row that is off this way: `yieldmon calibrations restart` if chain, paddles, sensor, amplifier or plate "
+    f"were changed, else {_CHECK}"
+)
+
 
 @dataclass(frozen=True, slots=True)
 class ScaleCheck:
@@ -73,12 +79,14 @@ def as_stated(mass: ReferenceMass) -> ScaleCheck | None:
 @dataclass(frozen=True, slots=True)
 class ScaleAlarmState:
     """What outlives a restart: the newest mass that contradicts (None: no alarm), when the first one's grain began to pass, bus
-    time s, its name, and the newest mass that agreed ("": none)."""
+    time s, its name, and the newest mass that agreed ("": none). same_way: masses in a row that contradict in the same
+    direction, each the parameters that those before it have updated."""
 
     contradiction: ScaleCheck | None = None
     since_s: float = 0.0
     since: str = ""
     agreed: str = ""
+    same_way: int = 1
 
 
 class ScaleAlarm:
@@ -111,9 +119,12 @@ class ScaleAlarm:
             elif again is not None:
                 self._state = replace(state, contradiction=before)
             elif p_value < self._settings.scale_disagrees_p:
-                if state.contradiction is None:
+                last, same_way = state.contradiction, 1
+                if last is None:
                     state = ScaleAlarmState(None, check.start_s, check.name, state.agreed)
-                self._state = ScaleAlarmState(check, state.since_s, state.since, state.agreed)
+                elif (check.error_pct > 0.0) == (last.error_pct > 0.0):
+                    same_way = state.same_way + 1
+                self._state = ScaleAlarmState(check, state.since_s, state.since, state.agreed, same_way)
 
     def accept(self) -> None:
         """Other parameters have come from outside: what was weighed before says nothing about them."""
@@ -131,7 +142,7 @@ class ScaleAlarm:
         return (
             f"scale: {check.name} weighed {check.weighed_kg:.0f} kg, measured {check.measured_kg:.0f} kg: "
             f"{check.error_pct:+.1f} +- {check.error_std_dev_pct:.1f} % (p {_probability(check.p_value)}), {first}{agreed}; "
-            "check ticket, chain slip, paddle wear, sensor gain"
+            f"{_CHANGED if state.same_way > 1 else _CHECK}"
         )
 
 

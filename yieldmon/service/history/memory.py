@@ -15,7 +15,7 @@ from yieldmon.estimation.parameters import SCALE, ParameterSet
 from yieldmon.files import parameter_file
 from yieldmon.service.history.reference_loads import StoredLoad, of_store
 from yieldmon.service.storage import ledger as ledgers
-from yieldmon.service.storage.batch import Action, Load, ParameterVersion, Ticket
+from yieldmon.service.storage.batch import Action, Load, Ticket
 from yieldmon.service.storage.load_ends import between_loads, load_of
 from yieldmon.service.storage.rows import kept_second
 from yieldmon.service.storage.store import Store
@@ -85,6 +85,7 @@ def recall(store: Store) -> Memory:
     last_second = store.last_second()
     try:
         engine, actions = EngineState.from_dict(document["engine"]), tuple(store.actions())
+        undone = ledgers.undone_versions(actions)
         return Memory(
             engine=engine,
             saved_s=float(document["saved_s"]),
@@ -101,7 +102,11 @@ def recall(store: Store) -> Memory:
             kernel_weight_g=None if document.get("kernel_weight_g") is None else float(document["kernel_weight_g"]),
             faults=tuple(document["faults"]),
             counters=store.counters(),
-            of_crop=_by_crop(versions, str(store.path)),
+            of_crop=by_crop(
+                (parameter_file.from_document(version.document, str(store.path)), version.origin)
+                for version in versions
+                if version.version not in undone
+            ),
             versions={v.version: parameter_file.from_document(v.document, str(store.path)) for v in versions[-KEPT_VERSIONS:]},
             actions=actions,
             unfinished_tickets=tuple(map(int, document.get("unfinished_tickets", ()))),
@@ -163,10 +168,13 @@ def choose_parameters(memory: Memory, configured: ParameterSet) -> tuple[Paramet
     return configured, "file"
 
 
-def _by_crop(versions: Iterable[ParameterVersion], where: str) -> dict[str, ParameterSet]:
-    found = {}
-    for version in versions:
-        known = parameter_file.from_document(version.document, where)
-        if "crop" in known.provenance:
-            found[known.provenance["crop"]] = known
+def by_crop(versions: Iterable[tuple[ParameterSet, str]]) -> dict[str, ParameterSet]:
+    """The newest parameters of each crop, by its name; of none from before a change of the machine. versions: with their origins,
+    in order."""
+    found: dict[str, ParameterSet] = {}
+    for parameters, origin in versions:
+        if origin == ledgers.HARDWARE:
+            found.clear()
+        if "crop" in parameters.provenance:
+            found[parameters.provenance["crop"]] = parameters
     return found

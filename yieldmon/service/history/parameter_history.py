@@ -11,7 +11,7 @@ from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import NOT_CALIBRATED, SCALE, ParameterSet
 from yieldmon.files import parameter_file
 from yieldmon.files.crops import SHIPPED_CROP, crops
-from yieldmon.service.history.memory import KEPT_VERSIONS, Memory
+from yieldmon.service.history.memory import KEPT_VERSIONS, Memory, by_crop
 from yieldmon.service.history.update_steps import step_document
 from yieldmon.service.storage import ledger as ledgers
 from yieldmon.service.storage.batch import Load, ParameterVersion, Step
@@ -33,6 +33,7 @@ class ParameterHistory:
         self._versions = dict(memory.versions)
         self._new: list[tuple[ParameterSet, str]] = []
         self._new_steps: list[tuple[int, CalibrationStep]] = []
+        self._fresh: ParameterSet | None = None
         self._shipped_digest = parameter_file.digest(parameter_file.load())
 
     def crop_of(self, parameters: ParameterSet, named: str) -> str:
@@ -93,6 +94,29 @@ class ParameterHistory:
         """A parameter file read anew: the set to use from now on, None when it is the one that was read last."""
         return None if parameter_file.digest(configured) == self.digest else replace(configured, version=self.version + 1)
 
+    def restart(self, in_use: ParameterSet, named: str, who: str, reason: str) -> ParameterSet:
+        """After a change of the machine: what is shipped of the crop in use, with the plate's angle as it was measured, or a copy
+        of the parameters in use for another one, as a new version of which no scale is known. Nothing is kept of other crops.
+
+        named: the crop that an operator named last. reason: as the list of calibrations shows it.
+        """
+        crop = self.crop_of(in_use, named)
+        known = in_use
+        if crop in crops():
+            shipped = crops()[crop].parameters()
+            known = replace(shipped, values={**shipped.values, **_of_the_plate(in_use)})
+        facts = {**known.provenance, SCALE: NOT_CALIBRATED} | ({"crop": crop} if crop else {})
+        chosen = replace(known, version=self.version + 1, provenance=facts)
+        self.use(chosen, ledgers.HARDWARE, who=who, reason=reason)
+        self._of_crop = {}
+        self._fresh = chosen
+        return chosen
+
+    def take_fresh(self) -> ParameterSet | None:
+        """Parameters of `restart` with which a monitor has to begin anew, once."""
+        fresh, self._fresh = self._fresh, None
+        return fresh
+
     def configure(self, configured: ParameterSet) -> None:
         """This file's parameters are those to begin with from now on."""
         self.digest = parameter_file.digest(configured)
@@ -137,6 +161,13 @@ class ParameterHistory:
         document = {"version": version, "versions": followed} | ({"tickets": list(silenced)} if silenced else {})
         document |= {"replaced": replaced} if replaced else {}
         self._actions.add(ledgers.PARAMETERS_UNDO, who, document, now_s)
+        if changes[version].document.get("origin") == ledgers.HARDWARE:
+            undone = self._actions.history.undone_versions
+            self._of_crop = by_crop(
+                (self._versions[v], str(changes[v].document.get("origin")))
+                for v in sorted(changes)
+                if v in self._versions and v not in undone
+            )
         earlier = replace(self._versions[before], version=self.version + 1)
         if of_now:
             self.use(earlier, ledgers.UNDO, who=who, reason=f"version {version} undone: as version {before}")
@@ -153,14 +184,16 @@ class ParameterHistory:
         """A version that a parameter file has replaced since rests on what was taken back: masses measured again with it, or with
         what followed on it before that file, go back. The parameters in use stay. replaced: as `undo` has it."""
         changes = self._actions.history.updates
-        file = min(later for later in changes if later > version and changes[later].document.get("origin") == "file")
+        file = min(later for later in changes if later > version and ledgers.begins_anew(changes[later]))
         before_file = [later for later in self._followed(version, (self._crop_at(version), "")) if later < file]
         document = {"version": version, "versions": before_file} | ({"replaced": replaced} if replaced else {})
         self._actions.add(ledgers.PARAMETERS_UNDO, who, document, now_s)
 
     def _followed(self, version: int, crops: Sequence[str]) -> list[int]:
-        """A version and those after it, of these crops where it is of one."""
+        """A version and those after it, of these crops where it is of one; of every crop after a change of the machine."""
         changes = self._actions.history.updates
+        if changes[version].document.get("origin") == ledgers.HARDWARE:
+            return [later for later in sorted(changes) if later >= version]
         return [
             later
             for later in sorted(changes)

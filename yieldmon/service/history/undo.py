@@ -14,6 +14,7 @@ from yieldmon.service.assembly import calibration_age_s
 from yieldmon.service.history.journal import Journal
 from yieldmon.service.history.reference_loads import reference
 from yieldmon.service.history.request_context import RequestContext
+from yieldmon.service.storage import ledger
 from yieldmon.service.storage.batch import Load
 from yieldmon.service.tickets.ticket_history import TicketHistory
 
@@ -280,7 +281,9 @@ def why_no_reference(covered: Sequence[Load], context: RequestContext, crop: str
             continue
         found = reference(load, monitor.machine, monitor.settings)
         if min(found.versions, default=0) < journal.actions.history.calibrated_version:
-            return f"load {number} was measured before the parameter file in use"
+            begun = journal.actions.history.updates[journal.actions.history.calibrated_version].document.get("origin")
+            changed = "the machine was changed" if begun == ledger.HARDWARE else "the parameter file in use"
+            return f"load {number} was measured before {changed}"
         monitor.know_load(found.summary, found.seconds)
         whole[number] = found.summary.complete
     # What the store could not be asked for, as while it is written slowly, is as it was known before.

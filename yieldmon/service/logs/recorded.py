@@ -20,6 +20,7 @@ from yieldmon.documents.tickets import ListedTicket
 from yieldmon.errors import InputError, brief
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import parameter_file
+from yieldmon.service.storage import ledger
 from yieldmon.service.storage.ledger import LoadRecord
 from yieldmon.service.storage.load_ends import between_loads
 from yieldmon.service.storage.rows import SecondRow
@@ -169,6 +170,13 @@ def ticket_table(store: Store) -> list[ListedTicket]:
     waiting, of_crop = state.get("unfinished_tickets", ()), state.get("unfinished_tickets_of_crop", {})
     log = ActionLog(store.tickets(), store.actions(), 0.0, waiting, of_crop)
     return log.ticket_table(state.get("doubted_loads", ()))
+
+
+def changed_at(store: Store) -> int:
+    """Version of the parameters with which calibration began anew after the last change of the machine's parts; 0 for none."""
+    undone = ledger.undone_versions(store.actions())
+    begun = (v.version for v in store.parameter_versions() if v.origin == ledger.HARDWARE and v.version not in undone)
+    return max(begun, default=0)
 
 
 def parameter_sets(store: Store) -> dict[int, ParameterSet]:

@@ -33,7 +33,8 @@ from yieldmon.files.table import Table
 from yieldmon.physics.machine import RPM, SAME_ANGLE_RAD, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.numerics import Array
-from yieldmon.service.logs.recorded import opened
+from yieldmon.service.logs.recorded import changed_at, opened
+from yieldmon.service.storage import ledger
 from yieldmon.service.storage.rows import SecondRow
 
 LEAST_ANGLES = 4
@@ -84,19 +85,21 @@ def given_parameters(path: Path | str) -> ParameterSet:
     Raises InputError when the store holds none.
     """
     with opened(Path(path)) as store:
-        given = [version.document for version in store.parameter_versions() if version.origin == "file"]
+        given = [v.document for v in store.parameter_versions() if v.origin in (ledger.FILE, ledger.HARDWARE)]
     if not given:
         raise InputError(str(path), "holds no parameters that came from a file", "such parameters, or --params P.yaml")
     return parameter_file.from_document(given[-1], str(path))
 
 
 def read(path: Path | str, machine: Machine, parameters: ParameterSet, last: int | None = None) -> SweepTable:
-    """The sweeps in a store, the `last` ones only where that is given; parameters make flow of the force at home.
+    """The sweeps in a store since the machine was changed, the `last` ones only where that is given; parameters make flow of the
+    force at home.
 
     Raises InputError when it is no store of this version or an older one, or its sweeps do not say enough.
     """
     with opened(Path(path)) as store:
-        rows = store.seconds_of_sweeps()
+        since = changed_at(store)
+        rows = [row for row in store.seconds_of_sweeps() if row.parameter_version >= since]
     return of_seconds([rows], str(path), machine, parameters, last)
 
 

@@ -29,7 +29,7 @@ from yieldmon.service.assembly import build_monitor
 from yieldmon.service.config.configuration import Configuration
 from yieldmon.service.logs.bulk_processing import process_in_bulk
 from yieldmon.service.logs.log_copies import refuse_copies
-from yieldmon.service.logs.recorded import is_store_not_log, opened, parameter_sets
+from yieldmon.service.logs.recorded import changed_at, is_store_not_log, opened, parameter_sets
 from yieldmon.service.logs.unmeasured import unmeasured
 from yieldmon.service.storage.batch import Load
 from yieldmon.service.storage.load_ends import between_loads, load_of
@@ -44,7 +44,8 @@ _TELLING_SECONDS, _LEAST_SECONDS = 300, 20
 @dataclass(frozen=True)
 class MeasuredLoad:
     """Seconds of one load with mass, and the parameters that measured each version's. crop: "" where none was named. is_open:
-    more may come. unmeasured_s: time not measured although grain may have come."""
+    more may come. before_change: measured before parts of the machine were changed. unmeasured_s: time not measured although
+    grain may have come."""
 
     name: str
     log: str
@@ -52,6 +53,7 @@ class MeasuredLoad:
     parameters: Mapping[int, ParameterSet]
     crop: str = ""
     is_open: bool = False
+    before_change: bool = False
     unmeasured_s: float = 0.0
 
     @property
@@ -81,7 +83,7 @@ def read(
 
 def _of_store(path: Path, configured: Configuration) -> tuple[MeasuredLoad, ...]:
     with opened(path) as store:
-        rows = store.seconds()
+        rows, since = store.seconds(), changed_at(store)
         versions = parameter_sets(store)
         known = {str(load.number): load for load in store.loads()}
     rows, found = of_loads(rows, known.values()), []
@@ -89,7 +91,9 @@ def _of_store(path: Path, configured: Configuration) -> tuple[MeasuredLoad, ...]
         of_parameters = versions.get(load.seconds[-1].parameter_version)
         crop = known[load.name].crop if load.name in known else ""
         crop = crop or (of_parameters.provenance.get("crop", "") if of_parameters is not None else "")
-        found.append(replace(load, crop=crop, is_open=load.name in known and known[load.name].ended_s is None))
+        is_open = load.name in known and known[load.name].ended_s is None
+        before = min(row.parameter_version for row in load.seconds) < since
+        found.append(replace(load, crop=crop, is_open=is_open, before_change=before))
     return tuple(found)
 
 
@@ -208,6 +212,9 @@ def match(loads: Sequence[MeasuredLoad], tickets: Sequence[WeighedTicket], machi
                     problem,
                     "`yieldmon load stop` first, with the daemon running, or the tickets of the other loads",
                 )
+            if load.before_change:
+                problem = f"load {load.name} was measured before the machine was changed (`yieldmon calibrations restart`)"
+                raise InputError(ticket.where, problem, "tickets of loads after it")
         out.append(_weighed(ticket.name, ticket, covered, machine))
     return tuple(out)
 
@@ -345,7 +352,7 @@ def weighed_until_s(measured: Sequence[MeasuredLoad], weighed: Sequence[WeighedL
 
 def sweeps_of(loads: Iterable[MeasuredLoad]) -> tuple[Sweep, ...]:
     """The newest whole sweeps in the loads."""
-    seconds = ((load.log, row) for load in loads for row in load.seconds)
+    seconds = ((load.log, row) for load in loads if not load.before_change for row in load.seconds)
     usable = ((log, row) for log, row in seconds if row.usable_for_calibration and row.sweep_id and _complete(row))
     # Ids begin anew in a store whose state was lost: a run of one id is one sweep.
     found = [[row for _, row in run] for _, run in groupby(usable, key=lambda one: (one[0], one[1].sweep_id))]

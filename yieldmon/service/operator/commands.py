@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from yieldmon.documents.calibrations import Calibrations
+from yieldmon.documents.calibrations import Calibrations, CalibrationsRestarted
 from yieldmon.documents.loads import Loads, LoadsCorrected, LoadStarted, LoadStopped
 from yieldmon.documents.tickets import Tickets
 from yieldmon.documents.undo import CalibrationUndone, TicketUndone
@@ -216,6 +216,28 @@ def _calibration_undo(order: Order) -> CalibrationUndone:
     return undo.without_version(version, order)
 
 
+def _calibration_restart(order: Order) -> CalibrationsRestarted:
+    monitor, journal = order.monitor, order.journal
+    in_use, totals = monitor.estimator.parameters, monitor.totals
+    if in_use.curve is not None:
+        raise InputError("calibrations restart", "the flow comes from estimator_file", "another estimator_file, and a reload")
+    history = journal.actions.history
+    standing = sorted(n for n in history.handed if n in history.updating)
+    load = None
+    if totals.load_open and totals.load_kg > 0.0:
+        # Of a load that both measured nothing could be said.
+        journal.happened(monitor.start_load())
+        load = monitor.totals.load_number
+    waiting = {n for numbers in journal.actions.unfinished_of_crop.values() for n in numbers}
+    journal.actions.wait_no_more(sorted(waiting | {*journal.actions.unfinished}))
+    chosen = journal.parameters.restart(in_use, journal.crop, order.who, order.request.name("note") or "change of the machine")
+    crop = chosen.provenance.get("crop", "")
+    return {
+        "version": chosen.version, "before": in_use.version, "crop": crop, "load": load, "tickets": standing,
+        "std_dev_pct": 100.0 * chosen.scale_error,
+    }  # fmt: skip
+
+
 def _zero(order: Order) -> ZeroStarted:
     monitor = order.monitor
     signs, against = monitor.signs_of_grain, monitor.signs_against_zero
@@ -268,6 +290,7 @@ _COMMANDS: Mapping[str, tuple[Callable[[Order], Answer], tuple[str, ...]]] = {
     "ticket-undo": (_ticket_undo, ("ticket",)),
     "calibrations": (_calibrations, ()),
     "calibration-undo": (_calibration_undo, ("version",)),
+    "calibration-restart": (_calibration_restart, ("note",)),
     "zero": (_zero, ("force",)),
     "zero-undo": (_zero_undo, ()),
     "sweep-start": (_sweep_start, ()),

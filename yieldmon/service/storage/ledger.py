@@ -20,6 +20,8 @@ TICKET, TICKET_UNDO, ZERO, ZERO_UNDO = "ticket", "ticket-undo", "zero", "zero-un
 PARAMETERS, PARAMETERS_UNDO, REMEASURED, TOTALS_RESET = "parameters", "parameters-undo", "posting", "totals-reset"
 LOAD_NAMES = "load-names"
 """Another field or crop for loads."""
+FILE, HARDWARE = "file", "hardware"
+"""Origins of parameters that begin anew: from a parameter file, and after a change of the machine's parts."""
 CROP, UNDO = "crop", "undo"
 """Origins of parameters that a change of crop brought, and an undo."""
 
@@ -253,6 +255,11 @@ def ticket_rows(tickets: Sequence[Ticket], actions: Iterable[Action]) -> list[Ti
 def truck_of(document: Mapping[str, Any]) -> SharedTruck | None:
     """Of a ticket's action; None where no other combine filled it."""
     return SharedTruck(**document["truck"]) if "truck" in document else None
+
+
+def begins_anew(update: Action) -> bool:
+    """Whether parameters, by the action that brought them, have nothing to do with what was measured before."""
+    return update.document.get("origin") in (FILE, HARDWARE)
 
 
 def recropped(actions: Iterable[Action]) -> set[int]:

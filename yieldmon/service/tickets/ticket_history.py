@@ -51,10 +51,11 @@ class TicketHistory:
 
     @cached_property
     def calibrated_version(self) -> int:
-        """Version with which the newest parameter file that stands came; what was measured before it says nothing about it."""
+        """Version with which the newest parameter file that stands came, or with which calibration began anew after a change of
+        the machine; what was measured before it says nothing about it."""
         gone = self.undone_versions
-        files = (version for version, a in self.updates.items() if a.document.get("origin") == "file" and version not in gone)
-        return max(files, default=0)
+        begun = (version for version, a in self.updates.items() if ledgers.begins_anew(a) and version not in gone)
+        return max(begun, default=0)
 
     @cached_property
     def counting(self) -> frozenset[int]:
