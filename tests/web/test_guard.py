@@ -199,7 +199,7 @@ def test_commands_reach_the_daemon_and_its_refusals_come_back(daemon: StandIn, c
 
 def test_a_daemon_of_another_version_is_commanded_nothing(daemon: StandIn, clock: Clock, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = daemon.status
-    monkeypatch.setattr(daemon, "status", lambda: {name: part for name, part in whole().items() if name != "load"})
+    monkeypatch.setattr(daemon, "status", lambda: {name: part for name, part in whole().items() if name not in ("load", "crop")})
     answer = client(daemon, clock).post("/api/command", json={"command": "sweep-start"})
     assert answer.status_code == 409
     assert "runs another version" in answer.json()["error"]
