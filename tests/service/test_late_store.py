@@ -8,6 +8,7 @@ import shutil
 import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import Future
 from pathlib import Path
 
 import can
@@ -276,6 +277,18 @@ def test_what_a_question_raises_is_raised_where_it_was_asked(error):
 
     with pytest.raises(type(error), match=str(error)):
         answering.answer_or(question, lambda: pytest.fail("it was answered"))
+
+
+def test_an_answer_in_the_moment_in_which_the_wait_ends_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+    class AnsweredAtTheEnd(Future[int]):
+        def result(self, timeout: float | None = None) -> int:
+            found = super().result()
+            if timeout is not None:
+                raise TimeoutError
+            return found
+
+    monkeypatch.setattr(answering, "Future", AnsweredAtTheEnd)
+    assert answering.answer_or(lambda: 7, lambda: pytest.fail("it was answered")) == 7
 
 
 MASSES = st.lists(st.tuples(AMOUNTS, st.none() | AMOUNTS, AMOUNTS, AMOUNTS, st.booleans()), max_size=5)

@@ -27,7 +27,5 @@ def answer_or(question: Callable[[], T], otherwise: Callable[[], T]) -> T:
     try:
         return asked.result(ANSWERS_WITHIN_S)
     except TimeoutError:
-        if asked.done():
-            # The question's own.
-            raise
-        return otherwise()
+        # Answered in this very moment, or by a time-out of its own.
+        return asked.result() if asked.done() else otherwise()
