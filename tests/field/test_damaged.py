@@ -13,8 +13,8 @@ from tests.robustness.fuzz_harvests import base_files, fuzz
 from yieldmon.cli import main as cli
 from yieldmon.errors import InputError
 from yieldmon.field import sources
-from yieldmon.field.sources import timelog
 from yieldmon.field.sources.options import ReadOptions
+from yieldmon.field.sources.task_data import timelog
 
 
 def test_a_sample_of_damaged_files() -> None:

@@ -8,7 +8,7 @@ from fractions import Fraction as Exact
 import pytest
 
 from yieldmon.errors import InputError
-from yieldmon.field.sources.naming import split_unit
+from yieldmon.field.sources.columns.naming import split_unit
 from yieldmon.field.units import FACTORS, crop, factor, known_crops
 
 LB, FT, INCH, MILE = Exact("0.45359237"), Exact("0.3048"), Exact("0.0254"), Exact("1609.344")

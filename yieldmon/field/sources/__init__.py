@@ -20,7 +20,7 @@ from yieldmon.field.seconds import per_second
 from yieldmon.field.sections import together
 from yieldmon.field.table import HarvestTable
 
-from .header_states import without_contradicted_states
+from .columns.header_states import without_contradicted_states
 from .options import ReadOptions
 from .unread import require_readable
 

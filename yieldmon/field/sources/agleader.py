@@ -24,12 +24,13 @@ from yieldmon.field.plane import Sites
 from yieldmon.field.table import DEFAULT_FLOW_S, HarvestTable, Label, Source, build
 from yieldmon.units import KG_PER_LB, M_PER_FT, M_PER_IN
 
-from . import clocks, csv_table
-from .crop_names import crop_names
-from .delimited import Rows, delimiter_of, encoding_of, has_decimal_comma, number, read_rows, rows_of
-from .naming import QUANTITIES, plain_name, split_unit
+from . import csv_table
+from .columns import clocks
+from .columns.crop_names import crop_names
+from .columns.delimited import Rows, delimiter_of, encoding_of, has_decimal_comma, number, read_rows, rows_of
+from .columns.naming import QUANTITIES, plain_name, split_unit
+from .columns.positions import plausible
 from .options import ReadOptions
-from .positions import plausible
 
 KIND = "Ag Leader text"
 ORDER = 40

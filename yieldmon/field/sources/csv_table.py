@@ -12,13 +12,13 @@ from yieldmon.field.table import DEFAULT_FLOW_S, Array, HarvestTable, Skipped, j
 from yieldmon.field.units import factor
 from yieldmon.files import delimited as workbooks
 
-from . import heads, written_places
-from .assembled import assemble
-from .coordinates import MEND, mostly_degrees, to_degrees
-from .delimited import encoding_of, has_decimal_comma, numbers_in, pointed_columns, read_rows, rows_of
-from .naming import QUANTITIES, Column, columns_of, plain_name, split_unit
+from .columns import heads, written_places
+from .columns.assembled import assemble
+from .columns.coordinates import MEND, mostly_degrees, to_degrees
+from .columns.delimited import encoding_of, has_decimal_comma, numbers_in, pointed_columns, read_rows, rows_of
+from .columns.naming import QUANTITIES, Column, columns_of, plain_name, split_unit
+from .columns.raw_table import Raw
 from .options import ReadOptions
-from .raw_table import Raw
 
 KIND = "CSV with a header, or workbook"
 ORDER = 60

@@ -35,14 +35,14 @@ from yieldmon.field.plane import Sites, astray
 from yieldmon.field.table import DEFAULT_FLOW_S, FORAGE_FLOW_S, Array, HarvestTable, Label, Skipped, Source, build, joined
 from yieldmon.files.task_data import SOFTWARE
 
-from . import timelog
-from .crop_names import crop_names
+from .columns.crop_names import crop_names
+from .columns.positions import plausible
 from .damage import ZIP_DAMAGE, may_be_harvest
 from .options import ReadOptions
-from .positions import plausible
-from .task_flow import Driven, flow_kg_s
-from .task_geometry import header_from_antenna
-from .task_values import KNOWN, Devices, Values, devices
+from .task_data import timelog
+from .task_data.task_flow import Driven, flow_kg_s
+from .task_data.task_geometry import header_from_antenna
+from .task_data.task_values import KNOWN, Devices, Values, devices
 
 KIND = "ISO 11783-10 task data"
 ORDER = 10

@@ -12,11 +12,11 @@ from yieldmon.errors import InputError, brief
 from yieldmon.field.table import HarvestTable
 
 from . import vector
-from .assembled import assemble
+from .columns.assembled import assemble
+from .columns.naming import columns_of
+from .columns.raw_table import Raw
 from .csv_table import places_in_degrees
-from .naming import columns_of
 from .options import ReadOptions
-from .raw_table import Raw
 
 KIND = "Parquet"
 ORDER = 24

@@ -21,9 +21,9 @@ from yieldmon.service.storage.store import Store
 from yieldmon.service.storage.store_names import SQLITE_MAGIC
 from yieldmon.service.tickets.ticket_history import TicketHistory
 
-from .crop_names import crop_names
+from .columns.crop_names import crop_names
+from .columns.positions import plausible
 from .options import ReadOptions
-from .positions import plausible
 
 KIND = "yieldmon store"
 ORDER = 20

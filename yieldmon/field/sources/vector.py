@@ -19,13 +19,13 @@ from yieldmon.field.copies import without_copies
 from yieldmon.field.table import Array, HarvestTable, Label, Skipped, joined
 
 from . import isoxml
-from .assembled import assemble, labels_from
-from .coordinates import to_degrees
+from .columns.assembled import assemble, labels_from
+from .columns.coordinates import to_degrees
+from .columns.delimited import UNKNOWN, numbers_in
+from .columns.naming import QUANTITIES, Column, columns_of
+from .columns.raw_table import Raw
 from .damage import ZIP_DAMAGE, may_be_harvest
-from .delimited import UNKNOWN, numbers_in
-from .naming import QUANTITIES, Column, columns_of
 from .options import ReadOptions
-from .raw_table import Raw
 
 KIND = "GeoPackage, GeoJSON or shapefile"
 ORDER = 30

@@ -10,6 +10,7 @@ import numpy as np
 from yieldmon.errors import InputError
 from yieldmon.field.mixed import machine_names
 from yieldmon.field.plane import Sites
+from yieldmon.field.sources.options import ReadOptions
 from yieldmon.field.table import LABELS, REQUIRED, Array, HarvestTable, Label, Source, build
 from yieldmon.field.units import FACTORS, factor, is_bushels
 from yieldmon.field.units import crop as known_crop
@@ -21,7 +22,6 @@ from .driven import each_of_a_sum, ways_checked
 from .header_states import down_of, states_of
 from .held_places import between_fixes
 from .naming import QUANTITIES, Column
-from .options import ReadOptions
 from .positions import on_the_globe, plausible, without_marks
 from .raw_table import Raw
 from .repeated_rows import without_repeats

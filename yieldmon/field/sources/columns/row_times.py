@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from yieldmon.errors import InputError
 from yieldmon.field.date_order import DateOrder
 from yieldmon.field.plane import Sites
+from yieldmon.field.sources.options import ReadOptions
 from yieldmon.field.table import Array, Label
 from yieldmon.field.units import FACTORS, factor, plain_unit
 from yieldmon.units import S_PER_DAY
@@ -18,7 +19,6 @@ from yieldmon.units import S_PER_DAY
 from . import clocks, written_times
 from .delimited import numbers_in
 from .naming import Column
-from .options import ReadOptions
 from .raw_table import Raw
 from .side_by_side import steps_of_sections
 

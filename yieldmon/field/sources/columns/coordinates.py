@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 
 from yieldmon.errors import InputError, brief
+from yieldmon.field.sources.options import ReadOptions
 from yieldmon.field.table import Array
-
-from .options import ReadOptions
 
 _WGS84 = ("EPSG:4326", "OGC:CRS84")
 _LONGEST_NAME = 20
