@@ -68,6 +68,10 @@ OWN_KG = hypot(1.1 * NOISE_KG, 0.002 * 1100.0)
         # What both loads are off by alike does not matter to a ticket for both; what each is off by alone does, by half.
         ([BOTH], [entered(1, 10.0), AGAIN], hypot(0.5 * 10.0, OWN_KG / sqrt(2.0))),
         ([BOTH], [entered(1, 10.0), again(9, {"1": 1.1}, {"1": [0.01, 0.0]})], None),
+        # Of a ticket that contradicts its load by more than both allow either may be wrong.
+        ([replace(ONE, weighed_mass_kg=1200.0)], [entered(1, 7.0), AGAIN], hypot(7.0, 100.0)),
+        ([replace(ONE, weighed_mass_kg=9000.0)], [entered(1, 45.0)], hypot(45.0, 8000.0)),
+        ([replace(ONE, weighed_mass_kg=1130.0)], [entered(1, 7.0), AGAIN], 7.0),
     ],
 )  # fmt: skip
 def test_of_a_load(tickets: list[Ticket], actions: list[Action], expected: float | None) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from math import exp, hypot, log
@@ -58,6 +58,7 @@ def enter_ticket(order: Order) -> TicketEntered:
     measured_kg = sum(load.mass_kg for load in covered)
     ticket = Ticket(order.now_s, first, last, own.mass_kg, measured_kg, request.name("note") or "")
     before = journal.actions.history
+    _refuse_impossible(order, own.mass_kg, covered)
     counting = (before.ledger.ticket_of(load.number) for load in covered)
     stood_for = sorted({found[0] for found in counting if found is not None})
     # Before anything else is made of it: the parameters are to be what they would be without those that it replaces.
@@ -129,6 +130,23 @@ def _closed_loads(order: Order, first: int, last: int) -> Sequence[Load]:
     if not sum(load.mass_kg for load in covered) > 0.0:
         raise InputError(f"ticket for load {first}", "nothing was measured for it", "a load with a measured mass")
     return covered
+
+
+def _refuse_impossible(order: Order, mass_kg: float, covered: Sequence[Load]) -> None:
+    """Raises InputError for a mass that loads cannot have which were measured whole on a machine that other tickets calibrate."""
+    again = order.journal.actions.history.ledger.factors
+    slip = ticket_file.unit_slip(mass_kg, sum(load.mass_kg * again.get(load.number, 1.0) for load in covered))
+    others = _counted_loads(order) - {load.number for load in covered}
+    if slip and (others or order.monitor.scale_counted) and not why_no_reference(covered, order, _other_crop(order, covered)):
+        expected = (
+            "the mass of this load with its unit, such as 9.12t; after a change of the machine `yieldmon calibrations restart`"
+        )
+        raise InputError(f"ticket for load {covered[0].number}", f"{slip}, by the calibration of {_named(others)}", expected)
+
+
+def _named(loads: Collection[int]) -> str:
+    numbers = sorted(loads)
+    return f"load{'s' if len(numbers) > 1 else ''} {', '.join(map(str, numbers))}" if numbers else "the tank scale"
 
 
 def _weighed(request: Request) -> tuple[SharedTruck | None, TicketMass]:

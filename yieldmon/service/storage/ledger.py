@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from math import hypot
 from typing import TYPE_CHECKING, Any
 
 from yieldmon.documents.calibrations import CalibrationRow, CalibrationState
@@ -24,6 +25,10 @@ FILE, HARDWARE = "file", "hardware"
 """Origins of parameters that begin anew: from a parameter file, and after a change of the machine's parts."""
 CROP, UNDO = "crop", "undo"
 """Origins of parameters that a change of crop brought, and an undo."""
+
+
+_CONTRADICTION = 3.0
+"""Standard deviations of ticket and measurement together from which a ticket is no surer than what it is off by."""
 
 
 @dataclass(frozen=True)
@@ -108,13 +113,18 @@ class Ledger:
         of_all = RELATIVE_STD_DEV if std_dev_kg is None else std_dev_kg / ticket.weighed_mass_kg
         whole_kg = self._whole_kg(ticket, covered)
         with_grain = [load for load in covered if load.mass_kg > 0.0]
-        if ticket.first_load == ticket.last_load:
-            return {load.number: of_all for load in with_grain}
         spreads = {load.number: self._spread(load) for load in with_grain}
         known = [spread for spread in spreads.values() if spread is not None]
         if len(known) < len(with_grain) or not whole_kg > 0.0:
-            return dict.fromkeys(spreads)
+            return dict.fromkeys(spreads, of_all if ticket.first_load == ticket.last_load else None)
         shares = [load.mass_kg * self.factors.get(load.number, 1.0) / whole_kg for load in with_grain]
+        # What the store has lost of them may be anything.
+        lost = max(1.0 - sum(shares), 0.0)
+        of_measured = lost + sum(share * spread.std_dev for share, spread in zip(shares, known, strict=True))
+        off = 1.0 - whole_kg / ticket.weighed_mass_kg
+        if abs(off) > _CONTRADICTION * hypot(of_all, of_measured * whole_kg / ticket.weighed_mass_kg):
+            # Which of the two is wrong is not known.
+            of_all = hypot(of_all, off)
         return dict(zip(spreads, shares_std_dev(known, shares, of_all), strict=True))
 
     def _spread(self, load: Load) -> LoadSpread | None:
