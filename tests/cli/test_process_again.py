@@ -109,6 +109,18 @@ def test_a_contested_second_has_no_mass_whatever_the_zero(own) -> None:
         assert found.rows[place].mass_kg == expected_kg
 
 
+@pytest.mark.parametrize("unknown", ["zero_mv", "force_n"])
+def test_a_second_that_another_zero_cannot_measure_again_stays_as_it_was(own, unknown: str) -> None:
+    rows, loaded = read_seconds(STORE), configuration.load(shipped("config/yieldmon.yaml"), {})
+    place = max(range(len(rows)), key=lambda i: rows[i].mass_kg)
+    zero_mv = rows[place].zero_mv
+    whole = measured_again(rows, loaded.machine, parameter_file.load(own), loaded.engine, zero_mv=zero_mv)
+    rows[place] = replace(rows[place], **{unknown: None})
+    found = measured_again(rows, loaded.machine, parameter_file.load(own), loaded.engine, zero_mv=zero_mv)
+    assert found.rows[place].mass_kg == rows[place].mass_kg > 0.0
+    assert found.unusable == whole.unusable + 1
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [

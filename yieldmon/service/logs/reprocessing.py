@@ -57,7 +57,7 @@ def measured_again(
         force = force + (zero - zero_mv) * machine.sensor.gain_n_per_mv
         # Contested seconds are in no total, whatever the zero.
         covered = np.array([row.coverage > 0.0 and row.load_number > 0 and not row.surplus_frames for row in rows], dtype=bool)
-        counted = covered & (force > settings.gate.grain_on_n)
+        counted = covered & ((force > settings.gate.grain_on_n) | (counted & ~np.isfinite(force)))
     flow, std_dev = _flows(rows, machine, parameters, force, counted)
     out: list[SecondRow] = []
     total_kg, load_kg, load, unusable = 0.0, 0.0, -1, 0
