@@ -159,3 +159,11 @@ def test_a_dry_mass_is_known_where_all_moisture_is(unknown_kg: float, dry_kg: fl
     assert (totals.known_load_dry_kg, totals.known_total_dry_kg) == (dry_kg, 60.0)
     totals = replace(totals, total_unknown_moisture_kg=unknown_kg, load_unknown_moisture_kg=0.0)
     assert (totals.known_load_dry_kg, totals.known_total_dry_kg) == (60.0, dry_kg)
+
+
+def test_what_rounding_leaves_of_mass_taken_back_hides_no_dry_mass() -> None:
+    totals = Totals().with_mass(9.0, 8.0).with_mass(0.1, None).with_mass(0.2, None)
+    back = totals.with_missed(MissedMass(kg=-0.3, unknown_moisture_kg=-0.3), in_load=True)
+    assert (totals.known_load_dry_kg, totals.known_total_dry_kg) == (None, None)
+    assert back.load_unknown_moisture_kg > 0.0
+    assert (back.known_load_dry_kg, back.known_total_dry_kg) == (8.0, 8.0)

@@ -14,6 +14,8 @@ from yieldmon.physics.grain import DRIEST_PCT
 
 CORN_MARKET_MOISTURE_PCT = 15.5
 """Where neither the configuration nor a crop says another."""
+DRY_KNOWN_KG = 1e-6
+"""Mass of unknown moisture up to which a dry mass counts as known: what rounding leaves of one that was taken back."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,12 +47,12 @@ class Totals:
     @property
     def known_total_dry_kg(self) -> float | None:
         """Dry mass of the total; None where the moisture of some of it is not known."""
-        return self.total_dry_kg if self.total_unknown_moisture_kg == 0.0 else None
+        return self.total_dry_kg if self.total_unknown_moisture_kg <= DRY_KNOWN_KG else None
 
     @property
     def known_load_dry_kg(self) -> float | None:
         """The same of the load."""
-        return self.load_dry_kg if self.load_unknown_moisture_kg == 0.0 else None
+        return self.load_dry_kg if self.load_unknown_moisture_kg <= DRY_KNOWN_KG else None
 
     def with_contested(self, mass_kg: float) -> Totals:
         """Mass of a window that more than one node sent samples for: counted here and nowhere else."""

@@ -9,10 +9,10 @@ from math import isfinite
 from yieldmon.engine.mass.budget import MassBudget
 from yieldmon.engine.mass.load_summary import LoadSummary
 from yieldmon.engine.mass.missed_mass import MissedMass
+from yieldmon.engine.mass.totals import DRY_KNOWN_KG
 from yieldmon.finite import finite
 from yieldmon.service.storage.batch import Load
 
-_UNKNOWN_MOISTURE_KG = 1e-6
 _UNKNOWN_AREA_SHARE = 0.02
 """Share of a load's mass without a known area above which the load's area counts as not known."""
 
@@ -40,7 +40,7 @@ class LoadBook:
         """A load as the monitor has it now. field, crop: for one that is not known yet."""
         known = self._loads.get(summary.number)
         started_s = known.started_s if known is not None else None
-        dry_known = summary.unknown_moisture_kg <= _UNKNOWN_MOISTURE_KG
+        dry_known = summary.unknown_moisture_kg <= DRY_KNOWN_KG
         area_known = summary.area_m2 > 0.0 and summary.unknown_area_kg <= _UNKNOWN_AREA_SHARE * summary.measured_kg
         load = Load(
             number=summary.number,
@@ -64,7 +64,7 @@ class LoadBook:
             return
         mass_kg = max(0.0, known.mass_kg + missed.kg)
         budget = None if known.budget is None else known.budget.of_mass(known.mass_kg, mass_kg)
-        dry_known = known.dry_mass_kg is not None and missed.unknown_moisture_kg <= _UNKNOWN_MOISTURE_KG
+        dry_known = known.dry_mass_kg is not None and missed.unknown_moisture_kg <= DRY_KNOWN_KG
         area_known = missed.unknown_area_kg <= _UNKNOWN_AREA_SHARE * mass_kg
         self._loads[number] = self._new[number] = replace(
             known,
