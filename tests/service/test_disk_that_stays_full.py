@@ -60,18 +60,31 @@ def test_a_stop_on_a_full_disk_says_what_is_lost(
     pending_seconds: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     text = f"{{bus: {{transmit_max_age_s: 60}}, store: {{pending_seconds: {pending_seconds}}}}}"
-    with running(tmp_path, text, retry_s=0.05, written_s=0.2) as bench:
+    with monkeypatch.context() as full, running(tmp_path, text, retry_s=0.05, written_s=0.2) as bench:
         bench.play(14, 0.0)
         bench.play(6, 60.0)
         bench.played()
         wait_for(lambda: bench.daemon.writer.health().pending == 0, "the seconds before")
         before_kg = bench.status["total"]["mass_kg"]
-        monkeypatch.setattr(Store, "commit", no_room)
+        full.setattr(Store, "commit", no_room)
         bench.play(20, 60.0)
         bench.played()
         total_kg = bench.status["total"]["mass_kg"]
         assert total_kg > before_kg + 5.0
         assert (bench.daemon.writer.health().records_dropped > 0) is (pending_seconds == 10)
+    with running(tmp_path, text, start_s=bench.now_s + 5.0) as after:
+        after.play(14, 0.0)
+        after.played()
+        load = after.status["load"]
+        assert load["mass_kg"] == pytest.approx(before_kg)
+        assert load["unrecorded_s"] >= 0.0
+        shown = " ".join(said(tmp_path, "status")[0].split())
+        assert "goes on from before a stop of the daemon" in shown
+        assert "without a record: grain of that time is missing here and in the total" in shown
+        ask(tmp_path, "load", "start")
+        after.play(1, 0.0)
+        after.played()
+        assert after.status["load"]["unrecorded_s"] is None
     lost = [record.getMessage() for record in caplog.records if "are lost" in record.getMessage()]
     assert len(lost) == 1
     assert lost[0].startswith(f"the last 20 s could not be written and are lost, with {total_kg - before_kg:.1f} kg: ")

@@ -6,8 +6,10 @@ from dataclasses import replace
 
 import pytest
 
+from yieldmon.engine.mass.totals import Totals
 from yieldmon.engine.self_calibration.parameter_updater import ParametersChanged
 from yieldmon.engine.settings import EngineSettings
+from yieldmon.engine.state import EngineState
 from yieldmon.files import parameter_file
 from yieldmon.physics.machine import Machine
 from yieldmon.service.assembly import build_monitor
@@ -60,3 +62,20 @@ def test_what_happens_before_the_first_batch_has_the_time_of_the_start() -> None
     monitor, journal = build_monitor(EngineSettings(), Machine(), SHIPPED), Journal(Memory(saved_s=5e8), SHIPPED, now_s=1.7e9)
     journal.new_monitor(SHIPPED, "file")
     assert [action.time_s for action in journal.batch(monitor, 1.7e9 + 5.0, {}).actions] == [1.7e9]
+
+
+@pytest.mark.parametrize(
+    ("totals", "now_s", "expected"),
+    [
+        (Totals(load_number=7, load_kg=50.0), 125.0, (7, 25.0)),
+        (Totals(load_number=7, load_kg=50.0), 60.0, (7, 0.0)),
+        (Totals(load_number=7), 125.0, None),
+        (Totals(load_number=7, load_kg=50.0, load_open=False), 125.0, None),
+        (None, 125.0, None),
+    ],
+    ids=["open", "the clock was set back", "empty", "closed", "new store"],
+)
+def test_a_load_that_goes_on_lacks_what_came_between(totals: Totals | None, now_s: float, expected: tuple[int, float]) -> None:
+    engine = None if totals is None else EngineState(totals=totals)
+    journal = Journal(Memory(engine=engine, saved_s=100.0), parameter_file.load(), now_s=now_s)
+    assert journal.unrecorded == expected

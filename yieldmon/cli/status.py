@@ -165,6 +165,9 @@ def _load(load: StatusLoad, crop: StatusCrop, units: Units) -> Iterator[tuple[st
         dry = f"{units.mass_with_bushels(load['dry_mass_kg'])} dry, at {crop['market_moisture_pct']:g} % moisture"
     title = f"{load['number']}{'' if load['open'] else ' (closed)'}{' ' if names else ''}{names}"
     yield "load", f"{title}: {units.mass_with_bushels(load['mass_kg'])}{around} wet, {dry}"
+    if (unrecorded_s := load.get("unrecorded_s")) is not None:
+        gap = f"{_span(unrecorded_s)} without a record"
+        yield "", f"goes on from before a stop of the daemon, {gap}: grain of that time is missing here and in the total"
     if _by_calibration(load):
         yield "", "± comes mostly from the calibration: weigh a load (`yieldmon ticket`) to reduce it"
     if load["area_m2"] is not None:

@@ -48,7 +48,8 @@ class StdDevByCause(TypedDict):
 
 
 class StatusLoad(Harvested):
-    """The load, open or the last one. contested_mass_kg: measured while more than one node sent samples."""
+    """The load, open or the last one. contested_mass_kg: measured while more than one node sent samples. unrecorded_s: between
+    the last record of a run before and this one, null where the load began since; grain of that time is not in it."""
 
     number: int
     open: bool
@@ -59,6 +60,7 @@ class StatusLoad(Harvested):
     std_dev_kg: Number
     std_dev_by_cause_kg: StdDevByCause
     dry_mass_kg: Number
+    unrecorded_s: Number
 
 
 class StatusTotal(TypedDict):

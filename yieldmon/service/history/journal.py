@@ -30,8 +30,9 @@ from yieldmon.service.tickets.action_log import ActionLog
 class Journal:
     """Numbers batches and seconds, and collects what the monitor hands back until the next batch.
 
-    actions: what operators entered. parameters: those in use and before. loads: as measured. field, crop: names of the loads from
-    now on. kernel_weight_g: of a thousand kernels, as an operator entered it.
+    unrecorded: number of the load that was open as a run before ended, and the time, s, from its last record to this run; None
+    where none was. actions: what operators entered. parameters: those in use and before. loads: as measured. field, crop: names
+    of the loads from now on. kernel_weight_g: of a thousand kernels, as an operator entered it.
     """
 
     def __init__(self, memory: Memory, configured: ParameterSet, *, now_s: float) -> None:
@@ -46,6 +47,7 @@ class Journal:
             memory.open_loads,
         )
         self.parameters = ParameterHistory(memory, configured, self.actions)
+        self.unrecorded = _unrecorded(memory, now_s)
         self.loads = LoadBook(memory.loads)
         self.field = memory.field
         self.crop = memory.crop
@@ -192,6 +194,12 @@ class Journal:
             self._faults_known = True
             for code in sorted(self._faults - {code.value for code in record.faults}):
                 self._fault(code, "", active=False)
+
+
+def _unrecorded(memory: Memory, now_s: float) -> tuple[int, float] | None:
+    if memory.engine is None or not memory.engine.totals.load_open or not memory.engine.totals.load_kg > 0.0:
+        return None
+    return memory.engine.totals.load_number, max(0.0, now_s - memory.saved_s)
 
 
 def _sweep_row(sweep: SweepEnded, time_s: float) -> SweepRecord:

@@ -137,8 +137,14 @@ def _load(totals: Totals, journal: Journal) -> StatusLoad:
         "std_dev_kg": finite(totals.load_budget.std_dev_kg),
         "std_dev_by_cause_kg": _by_cause(totals.load_budget),
         "dry_mass_kg": totals.known_load_dry_kg,
+        "unrecorded_s": _unrecorded_s(totals, journal),
         **harvested(totals),
     }
+
+
+def _unrecorded_s(totals: Totals, journal: Journal) -> float | None:
+    number, seconds = journal.unrecorded or (0, 0.0)
+    return round(seconds, 1) if number == totals.load_number else None
 
 
 def _total(totals: Totals) -> StatusTotal:
