@@ -15,7 +15,7 @@ from yieldmon.engine.mass.budget import MassBudget
 from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.self_calibration.calibrator import CalibrationOutcome
 from yieldmon.engine.self_calibration.closed_loop_calibrator import ClosedLoopCalibrator
-from yieldmon.engine.self_calibration.load_forces import LoadForceSums
+from yieldmon.engine.self_calibration.load_forces import LoadForceSums, WindowForces
 from yieldmon.engine.self_calibration.reference_mass import ReferenceMass, ReferenceSource
 from yieldmon.estimation.weighing.load_inputs import WeighedLoad
 from yieldmon.service.config.configuration import calibrator_settings
@@ -136,7 +136,7 @@ class Daemon:
                 }
             )  # fmt: skip
             self.rows.append(second_row(len(self.rows) + 1, record))
-            sums.add(number, kg_s, 1.0, force_n=force_n, angle_rad=angle_rad, speed_rad_s=speed_rad_s, moisture_pct=15.0)
+            sums.add(number, kg_s, WindowForces(1.0, force_n, angle_rad, speed_rad_s, 15.0))
         mass_kg = float(flow.sum())
         budget = MassBudget((grain.noise_sd * mass_kg) ** 2, float(np.nansum(found.std_dev_kg_s)), 0.002 * mass_kg)
         self.loads.append(Load(number, "", "corn", start_s, self.time_s, mass_kg, None, None, budget.std_dev_kg, budget))
