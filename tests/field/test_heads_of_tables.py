@@ -113,6 +113,23 @@ def test_places_on_a_plane_need_its_name(words: tuple[str, ...], capsys: pytest.
     assert (code, refused) == ((0, False) if words else (2, True))
 
 
+def test_a_width_in_yards_and_a_harvest_moisture_are_understood(capsys: pytest.CaptureFixture[str]) -> None:
+    table = changed(
+        lambda _, row: row | {"Swath Width (yd)": f"{row.pop('width_m') / 0.9144:.4f}", "Harvest Moisture (%)": "15.5"}
+    )
+    document, _ = mapped(capsys, table)
+    assert mass_kg(document) == pytest.approx(MASS_KG, rel=0.01)
+    assert sources.read(Path("h0.csv"), ReadOptions()).columns["moisture_pct"] == pytest.approx(15.5)
+
+
+def test_a_width_in_a_unit_that_is_not_known_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    """ "Has no working width", it said."""
+    Path("h.csv").write_text(text(changed(lambda _, row: row | {"Swath Width (ell)": row.pop("width_m")})))
+    assert cli.main(["map", "h.csv", "--out", "unused"]) == 2
+    said = capsys.readouterr().err
+    assert "h.csv: states no known unit for Swath Width (ell); expected --column width=Swath Width (ell):UNIT" in said
+
+
 @pytest.mark.parametrize("times", [1e-3, 12.0])
 def test_a_yield_that_no_crop_has_is_named(times: float, capsys: pytest.CaptureFixture[str]) -> None:
     table = changed(lambda _, row: row | {"yield_t_ha": times * row["yield_t_ha"], "crop": "Wheat"})

@@ -21,6 +21,7 @@ MASS = {
 }  # fmt: skip
 LENGTH = {
     "m": Exact(1), "cm": Exact(1, 100), "mm": Exact(1, 1000), "km": Exact(1000), "ft": FT, "in": INCH, "inch": INCH, "mi": MILE,
+    **dict.fromkeys(("yd", "yds", "yard", "yards"), 3 * FT),
 }  # fmt: skip
 TIME = {
     "s": Exact(1), "sec": Exact(1), "ms": Exact(1, 1000), "min": Exact(60), "h": Exact(3600), "hr": Exact(3600),

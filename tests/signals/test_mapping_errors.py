@@ -185,6 +185,13 @@ CASES = {
         "elevator_speed: {dbc: counts.dbc, message: Bridge, signal: Spare, pulses_per_turn: 60, unit: kg}",
         "elevator_speed.unit", "'kg'", "rpm",
     ),
+    **{
+        f"{key} of a speed": (
+            f"elevator_speed: {{dbc: counts.dbc, message: EEC1, signal: EngineSpeed, {key}: {value}}}",
+            f"elevator_speed.{key}", value, "no such key here; it belongs to impact samples",
+        )
+        for key, value in (("rate_hz", "5"), ("spacing_ms", "1000"), ("time_constant_s", "50"), ("status", "'Spare'"))
+    },
     "a speed in the wrong unit": (
         "elevator_speed: {dbc: counts.dbc, message: Linear, signal: Tilt, scale: 0.001, unit: rpm}",
         "elevator_speed.signal", "Tilt as mapped can say -0.23768 to 0.41767 rpm", "250 to 599 rpm of the upper shaft",

@@ -21,6 +21,7 @@ DEFINED: dict[str, dict[str, float | Exact]] = {
     "%": {"%": 1, "percent": 1, "1": 100, "ppm": Exact(100, 10**6)},
     "kg/m3": {
         **dict.fromkeys(("kg/m3", "kg/m^3", "kg/m³", "g/l", "g/L"), 1), "kg/hl": Exact(1000, 100), "lb/bu": LB_KG / BUSHEL_M3,
+        **dict.fromkeys(("kg/l", "kg/L", "kg/dm3"), 1000), "g/cm3": Exact(1, 1000) * 100**3, "t/m3": 1000,
     },
     "g": {"g": 1, "kg": 1000, "mg": Exact(1, 1000)},
     "kg": {"kg": 1, "t": 1000, "g": Exact(1, 1000), "lb": LB_KG},

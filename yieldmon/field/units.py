@@ -25,6 +25,7 @@ from yieldmon.units import (
     M_PER_FT,
     M_PER_IN,
     M_PER_MI,
+    M_PER_YD,
     M_S_PER_KMH,
     M_S_PER_KNOT,
     M_S_PER_MPH,
@@ -93,6 +94,7 @@ _MASS |= dict.fromkeys(("dt", "dz", "q", "hkg"), KG_PER_DT)
 _MASS |= {"sc": 60.0}  # saca of grain (Brazil)
 _MASS |= {"tonnes": 1e3, "cwt": 100.0 * KG_PER_LB, "short_ton": KG_PER_SHORT_TON, "metric_ton": 1e3}
 _LENGTH = {"m": 1.0, "cm": 0.01, "mm": 1e-3, "ft": M_PER_FT, "in": M_PER_IN, "km": 1e3, "mi": M_PER_MI, "inch": M_PER_IN}
+_LENGTH |= dict.fromkeys(("yd", "yds", "yard", "yards"), M_PER_YD)
 _TIME = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "min": 60.0, "h": S_PER_H, "hr": S_PER_H, "d": S_PER_DAY}
 _AREA = {"m2": 1.0, "ha": M2_PER_HA, "ac": M2_PER_ACRE, "acre": M2_PER_ACRE}
 _PERCENT = {"%": 1.0, "pct": 1.0, "prcnt": 1.0, "percent": 1.0, "ppm": 1e-4, "fraction": 100.0}

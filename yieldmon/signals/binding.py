@@ -16,6 +16,9 @@ IMPACT = {"impact_voltage": "mV", "impact_force": "N"}
 """The two ways in which an impact sensor speaks, and their units."""
 BINDABLE = (*IMPACT, *QUANTITIES)
 MIN_RATE_HZ, MAX_RATE_HZ = 10.0, 5000.0
+OF_SAMPLES = ("rate_hz", "spacing_ms", "counter", "status", "time_constant_s")
+"""Keys of an impact sensor's samples."""
+NO_SAMPLES = "no such key here; it belongs to impact samples"
 _LOOKS = 1000
 """Steps in which a range is searched for a value that can be true."""
 
@@ -134,7 +137,7 @@ def _check_no_samples(binding: Binding) -> None:
     of_samples["time_constant_s"] = binding.time_constant_s or None
     for key, given in of_samples.items():
         if given is not None:
-            raise binding.refuse(key, repr(given), "no such key here; it belongs to impact samples")
+            raise binding.refuse(key, repr(given), NO_SAMPLES)
 
 
 def _check_constant(binding: Binding, value: str) -> None:

@@ -18,7 +18,16 @@ from yieldmon.physics.machine import Machine
 from yieldmon.resources import shipped
 from yieldmon.service.config.entry_check import HIGHEST_ADDRESS, address, checked, limits, whole
 from yieldmon.service.config.named_file import load_named
-from yieldmon.signals.binding import IMPACT, MAX_RATE_HZ, MIN_RATE_HZ, Binding, Source, check_quantity
+from yieldmon.signals.binding import (
+    IMPACT,
+    MAX_RATE_HZ,
+    MIN_RATE_HZ,
+    NO_SAMPLES,
+    OF_SAMPLES,
+    Binding,
+    Source,
+    check_quantity,
+)
 from yieldmon.signals.mapping import SignalMap, build, default_map
 from yieldmon.strict_model import StrictModel
 
@@ -179,6 +188,8 @@ def _bindings(quantity: str, entries: Any, where: str) -> list[Binding]:
 
 
 def _binding(quantity: str, entry: Any, where: str) -> Binding:
+    if quantity not in IMPACT and isinstance(entry, Mapping):
+        _refuse_keys_of_samples(entry, where)
     found = checked(SignalEntry, _hexadecimal(entry), where, _EXPECTED)
     beside = None if found.value is None else next((key for key in entry if key not in _BESIDE_VALUE), None)
     if beside is not None:
@@ -216,6 +227,13 @@ def _binding(quantity: str, entry: Any, where: str) -> Binding:
         time_constant_s=found.time_constant_s,
         value=found.value,
     )
+
+
+def _refuse_keys_of_samples(entry: Mapping[Any, Any], where: str) -> None:
+    """Before their own limits are asked for, which do not matter here."""
+    for key in OF_SAMPLES:
+        if entry.get(key) is not None and not (key == "time_constant_s" and entry[key] == 0):
+            raise InputError(f"{where}.{key}", repr(entry[key])[:60], NO_SAMPLES)
 
 
 def _hexadecimal(entry: Any) -> Any:

@@ -85,8 +85,8 @@ QUANTITIES: Mapping[str, Quantity] = {
     "moisture": Quantity(
         "percent",
         _names(
-            "moisture moist mostr moistur grainmoisture moisturepercent moisturewet wetmoisture humidity feuchte feuchtigkeit "
-            "kornfeuchte "
+            "moisture moist mostr moistur grainmoisture harvestmoisture cropmoisture moisturecontent moisturepercent moisturewet "
+            "wetmoisture humidity feuchte feuchtigkeit kornfeuchte erntefeuchte "
             "humedad humidite umidade umidita wilgotnosc vocht vochtgehalte vandindhold fugt vattenhalt vanninnhold fuktighet"
         ),
     ),
@@ -358,13 +358,11 @@ def _check_useful(
     out: Mapping[str, Column], lacking: Mapping[str, str], names: Sequence[str], where: str, *, width_known: bool
 ) -> None:
     """Raises InputError where there is no flow, or a width of no known unit."""
-    width_lacks = (
-        not width_known and "width" not in out and any(plain_name(name) in QUANTITIES["width"].names for name in lacking)
-    )
+    width_lacks = not width_known and "width" not in out and "width" in lacking.values()
     if not width_lacks and ("flow" in out or "yield" in out or "mass" in out):
         return
     if lacking:
-        first, quantity = next(iter(lacking.items()))
+        first, quantity = next(item for item in lacking.items() if not width_lacks or item[1] == "width")
         raise InputError(where, f"states no known unit for {', '.join(lacking)}", f"--column {quantity}={first}:UNIT and so on")
     among = f"among {', '.join(names[:20])}" if names else "and no other"
     raise InputError(

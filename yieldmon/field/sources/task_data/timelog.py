@@ -170,9 +170,10 @@ def _starts(data: bytes, fixed: np.dtype[np.void], count_values: int) -> tuple[n
         stretches += 1
         lost += again - at
         at = again
-    problem = f"{lost} bytes in {stretches} places are damaged and left out" if lost else ""
+    places = "1 place" if stretches == 1 else f"{stretches} places"
+    problem = f"{lost} bytes in {places} are damaged" if lost else ""
     if at < end and not lost:
-        problem = f"ends within a record; {end - at} bytes left out"
+        problem = f"ends within a record, with {end - at} bytes"
     return np.array(starts, np.intp), problem
 
 
