@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import shlex
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
@@ -47,3 +51,20 @@ def test_each_has_an_example_that_is_a_command(helps: dict[str, str]) -> None:
 def test_a_file_is_named_FILE_and_a_number_N(helps: dict[str, str]) -> None:
     others = {"F", "FILENAME", "PARAMS", "SEED", "COUNT"}
     assert {name: found for name, text in helps.items() if (found := others & set(text.replace("]", " ").split()))} == {}
+
+
+@pytest.mark.parametrize("words", ["--version", "--help", "process --help"])
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_help_that_cannot_be_written_is_no_success(words: str, unbuffered: str) -> None:
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "yieldmon", *words.split()],
+            env=os.environ | {"PYTHONUNBUFFERED": unbuffered},
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+        )
+    assert done.returncode == 1
+    assert done.stderr.startswith("yieldmon: No space left on device")
+    assert len(done.stderr.splitlines()) == 1

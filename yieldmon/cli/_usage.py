@@ -5,12 +5,16 @@ from __future__ import annotations
 import argparse
 import difflib
 import re
+import sys
 import textwrap
 from collections.abc import Sequence
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from yieldmon.files.plain_text import plain
 from yieldmon.files.yaml_slips import of_a_number
+
+if TYPE_CHECKING:
+    from _typeshed import SupportsWrite
 
 _EXAMPLE = "example: "
 
@@ -43,6 +47,13 @@ class Parser(argparse.ArgumentParser):
 
     def __init__(self, **given: Any) -> None:
         super().__init__(**{"formatter_class": Help, **given})
+
+    def _print_message(self, message: str, file: SupportsWrite[str] | None = None) -> None:
+        """argparse's own passes over a standard output that takes nothing."""
+        if message and file is not None and file is sys.stdout:
+            file.write(message)
+        else:
+            super()._print_message(message, file)
 
     def error(self, message: str) -> NoReturn:
         choice = _CHOICE.search(message)

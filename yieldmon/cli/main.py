@@ -167,12 +167,15 @@ def _open_standard_streams() -> None:
             setattr(sys, name, open(number, "w", encoding="utf-8", closefd=False))  # noqa: SIM115 - as long as the process
 
 
-def _let_go_of_output() -> None:
-    """What cannot be written to standard output is given up here, or the interpreter complains when it flushes at exit."""
+def _let_go_of_output() -> OSError | None:
+    """What cannot be written to standard output is given up here, or the interpreter complains when it flushes at exit. The error
+    that it meets."""
     try:
         sys.stdout.flush()
-    except OSError:
+    except OSError as error:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return error
+    return None
 
 
 def _print_anything() -> None:
@@ -228,10 +231,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         return EXIT_FAILED
     except KeyboardInterrupt:
         return EXIT_INTERRUPTED
-    except SystemExit:
+    except SystemExit as leaving:
         # Help and usage: what can go wrong outside, below, costs half a second to look up.
-        _let_go_of_output()
-        raise
+        lost = _let_go_of_output()
+        if leaving.code or lost is None or isinstance(lost, BrokenPipeError):
+            raise
+        _print_error(lost)
+        raise SystemExit(EXIT_FAILED) from None
     except BrokenPipeError:
         _let_go_of_output()
         return EXIT_FAILED

@@ -8,7 +8,8 @@ import sys
 import threading
 import time
 from collections import Counter
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 
 import can
 
@@ -21,7 +22,7 @@ from yieldmon.cli import _named_files, _outputs
 from yieldmon.cli._json import print_json
 from yieldmon.cli._limits import within
 from yieldmon.documents.simulate import SimulationDocument
-from yieldmon.errors import InputError
+from yieldmon.errors import NO_ROOM, OF_THE_MEDIUM, InputError
 from yieldmon.files import whole_file
 from yieldmon.plant import scenario as scenarios
 from yieldmon.plant.combine import BLOCK_S, VirtualCombine
@@ -69,17 +70,22 @@ def run(args: argparse.Namespace) -> int:
     if args.log is not None and getattr(args, "interface", None) is not None:
         raise InputError("--log and -i", "both given", "a log or a bus")
     counts: Counter[str] = Counter()
+    has_log = True
     try:
         if args.log is None:
             _drive_bus(combine, codec, args, counts)
         else:
             _write_log(combine, codec, args, counts)
+    except (OSError, InputError):
+        has_log = args.log is None
+        raise
     except KeyboardInterrupt:
         if args.log is not None:
             print(f"yieldmon: interrupted; {args.log} holds {combine.time_s:.0f} s", file=sys.stderr)
         raise
     finally:
-        if args.truth is not None:
+        # Beside a log that could not be written there is nothing that it is true of.
+        if args.truth is not None and has_log:
             write_csv(args.truth, combine.truth)
     _report(combine, counts, args)
     return 0
@@ -92,7 +98,7 @@ def _duration(seconds: float) -> float:
 
 
 def _write_log(combine: VirtualCombine, codec: Codec, args: argparse.Namespace, counts: Counter[str]) -> None:
-    with ExitStack() as stack:
+    with _gone_if_it_fails(args.log), ExitStack() as stack:
         try:
             writer = stack.enter_context(writing(args.log))
         except ValueError as error:
@@ -102,6 +108,18 @@ def _write_log(combine: VirtualCombine, codec: Codec, args: argparse.Namespace, 
             message.channel = "can0"
             writer.on_message_received(message)
             counts[frame.message] += 1
+
+
+@contextmanager
+def _gone_if_it_fails(log: str) -> Iterator[None]:
+    """No part of a log is left where it cannot be written to its end; that of one that is interrupted is kept, which is said."""
+    try:
+        yield
+    except OSError as error:
+        target = whole_file.real_path(log)
+        if error.errno not in OF_THE_MEDIUM - NO_ROOM and target.is_file():
+            target.unlink()
+        raise
 
 
 def _drive_bus(combine: VirtualCombine, codec: Codec, args: argparse.Namespace, counts: Counter[str]) -> None:
