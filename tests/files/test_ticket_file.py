@@ -26,6 +26,22 @@ def test_headings_as_people_write_them(tmp_path, header, row, kg):
     assert found.std_dev_kg == pytest.approx(0.005 * kg, rel=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("header", "said"),
+    [
+        ("load,weighed_kg,std_dv_kg", "a column is not used: std_dv_kg"),
+        ("load,weighed_kg,truck,driver", "columns are not used: truck, driver"),
+        ("load,weighed_kg,std_dev_kg,machine,part", ""),
+    ],
+)
+def test_columns_that_are_not_used_are_named(tmp_path, caplog, header, said):
+    """A deviation under a name that is not known counted for nothing, and no word said so."""
+    path = tmp_path / "tickets.csv"
+    path.write_text(f"{header}\n7,9120" + ",20" * (header.count(",") - 1) + "\n")
+    load(path)
+    assert [record.getMessage() for record in caplog.records] == ([f"{path}: {said}"] if said else [])
+
+
 OF_TWO_COMBINES = [
     ("load,weighed_kg,other_kg", "7,27400,9100", (18300.0, (137.0**2 + 273.0**2) ** 0.5)),
     ("load;weighed_t;sd_kg;Other [t];other std dev kg", "7;27,4;30;9,1;400", (18300.0, (30.0**2 + 400.0**2) ** 0.5)),

@@ -27,6 +27,7 @@ WORKBOOK = ".xlsx"
 LARGEST_BYTES = 256_000_000
 """Of a table; its cells take ten times as much memory."""
 _GZIP, _ZIP, _OLD_EXCEL = b"\x1f\x8b", b"PK\x03\x04", b"\xd0\xcf\x11\xe0"
+_SQLITE = b"SQLite format 3\0"
 _SEPARATORS = ",;\t"
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?")
 
@@ -134,6 +135,9 @@ def _text(raw: bytes, where: str) -> str:
         raise InputError(where, "is an old Excel file", f"a CSV file, or the workbook saved as *{WORKBOOK}")
     if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         raise InputError(where, "is UTF-16 text", "a UTF-8 CSV file")
+    if raw.startswith(_SQLITE):
+        expected = "a table; of a store: `calibrate --loads STORE` takes its loads, `diagnose STORE --table FILE` its sweeps"
+        raise InputError(where, "is a database, as a daemon's store is", expected)
     try:
         return raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:

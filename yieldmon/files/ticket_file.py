@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import re
 import unicodedata
 from collections.abc import Mapping
@@ -9,10 +10,12 @@ from dataclasses import dataclass
 from math import hypot, isfinite
 from pathlib import Path
 
-from yieldmon.errors import InputError
+from yieldmon.errors import InputError, brief
 from yieldmon.units import KG_PER_DT, KG_PER_LB, KG_PER_T
 
 from . import delimited
+
+_log = logging.getLogger(__name__)
 
 RELATIVE_STD_DEV = 0.005
 """Standard deviation of a weighing that states none, as a share of the mass (a certified platform scale)."""
@@ -78,7 +81,7 @@ def names_log(name: str, log: str) -> bool:
 def load(path: str | Path) -> tuple[WeighedTicket, ...]:
     """The tickets of a file with the columns `load` (7, or 7-9 for several on one ticket) and `weighed_kg` (or _t, _dt, _q,
     _lb), and if known `std_dev_kg`, `machine`, `part` (1, 2, ... of loads weighed in parts); `other_kg` and `other_std_dev_kg` as
-    `own_part` has them.
+    `own_part` has them. Warns of columns that are not used.
 
     Raises InputError naming line and column.
     """
@@ -86,9 +89,14 @@ def load(path: str | Path) -> tuple[WeighedTicket, ...]:
     which = _one_of(source, _LOADS, "load", "the number of a load, or the name of its log")
     mass, factor = _with_unit(source, _MASSES, "weighed_kg")
     deviation, other, other_deviation = (_if_there(source, kinds) for kinds in (_DEVIATIONS, _OTHERS, _OTHER_DEVIATIONS))
-    machines, parts = (
-        next((source.column(name) for name in source.header if _plain(name) == wanted), ()) for wanted in (_MACHINE, _PART)
+    machine_column, part_column = (
+        next((name for name in source.header if _plain(name) == wanted), None) for wanted in (_MACHINE, _PART)
     )
+    machines, parts = (() if name is None else source.column(name) for name in (machine_column, part_column))
+    used = {which, mass, machine_column, part_column, *(found[0] for found in (deviation, other, other_deviation) if found)}
+    if unused := [name for name in source.header if name.strip() and name not in used]:
+        are = "columns are not used" if len(unused) > 1 else "a column is not used"
+        _log.warning("%s: %s: %s", source.path, are, brief(", ".join(unused)))
     tickets = []
     for i, cell in enumerate(source.column(which)):
         if not cell:
