@@ -268,6 +268,12 @@ def test_a_log_of_times_in_another_unit_says_so(capsys, tmp_path, logs, factor: 
     assert document["sensor_interval_s"] == pytest.approx(factor * document["mapped_interval_s"], rel=0.01)
 
 
+def test_a_log_whose_first_time_is_damaged_does_not_run_backwards(capsys, tmp_path, logs) -> None:
+    first, *rest = logs["whole"].read_text().splitlines(keepends=True)
+    (tmp_path / "d.log").write_text("".join([f"(9999999999.000000){first.partition(')')[2]}", *rest]))
+    assert process(capsys, tmp_path, tmp_path / "d.log")[0] == 0
+
+
 def test_signals_counts_frames_that_stand_there_twice_once(capsys, tmp_path, logs) -> None:
     """Its rate would be that of a mapping."""
     rates = []

@@ -16,7 +16,7 @@ TIMES_LOOKED_AT = 1000
 _LEAST_TIMES, _LEAST_PROGRESS = 50, 0.05
 """Fewest times that tell, and share of their way to and fro by which a clock goes on, even where frames are out of order."""
 _BACKWARDS = 0.9
-"""Of that way, what a log that begins with its end goes back."""
+"""Of the steps from frame to frame, those of a log that begins with its end that go back; a damaged time is one."""
 
 
 def are_between_frames(times_s: Sequence[float]) -> bool:
@@ -37,8 +37,8 @@ def run_backwards(times_s: Sequence[float]) -> bool:
     >>> run_backwards([0.004 * k for k in range(100, 0, -1)]), run_backwards([0.004 * k for k in range(100)])
     (True, False)
     """
-    way_s = sum(abs(later - earlier) for earlier, later in pairwise(times_s))
-    return len(times_s) >= _LEAST_TIMES and way_s > 0.0 and times_s[0] - times_s[-1] > _BACKWARDS * way_s
+    steps = [later - earlier for earlier, later in pairwise(times_s) if later != earlier]
+    return len(steps) >= _LEAST_TIMES and sum(step < 0.0 for step in steps) >= _BACKWARDS * len(steps)
 
 
 def refuse_backwards(path: Path, times_s: Sequence[float]) -> None:
