@@ -302,8 +302,8 @@ def _page(diagnosis: Diagnosis, title: str, pictures: dict[str, bytes]) -> str:
     parts = [
         f"<!doctype html><html lang=en><meta charset=utf-8><title>{e(title)}</title><style>{_STYLE}</style><h1>{e(title)}</h1>",
         f'<p class="summary">{e(summary(diagnosis))}</p>',
-        "<h2>Gap</h2>",
-        _gap_table(diagnosis),
+        "<h2>Misfit</h2>",
+        _misfit_table(diagnosis),
         "<h2>Where</h2>",
         _where_table(diagnosis),
         image("where", "residuals of the published model"),
@@ -326,7 +326,7 @@ def _page(diagnosis: Diagnosis, title: str, pictures: dict[str, bytes]) -> str:
     return "\n".join(parts) + "</html>\n"
 
 
-def _gap_table(diagnosis: Diagnosis) -> str:
+def _misfit_table(diagnosis: Diagnosis) -> str:
     held = diagnosis.held_out
     rows: list[tuple[str, Measure, Measure | None, Intervals | None]] = []
     if diagnosis.with_leading is None:

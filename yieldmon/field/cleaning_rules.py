@@ -26,7 +26,7 @@ from .tracks import MIN_SPEED_M_S, Flags, Index, Tracks
 if TYPE_CHECKING:
     from .swath import Swaths  # which needs the extra `map`
 
-# Thresholds that people are told stand in RULES with what they are of.
+# Thresholds that reports name stand in RULES with what they are of.
 _MAX_RAMP_S = 20.0
 """At most left out at the start and at the end of a pass."""
 _RAMP_LEVEL = 0.95

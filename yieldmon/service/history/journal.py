@@ -121,7 +121,7 @@ class Journal:
             elif isinstance(event, LoadOpened):
                 self.loads.measured(event.load, self.field, self.crop)
             elif isinstance(event, LoadClosed):
-                # Before the first frame the bus has told no time.
+                # Before the first frame no bus time is known.
                 known = isfinite(event.load.end_s)
                 load = event.load if known else replace(event.load, end_s=self.actions.now_s)
                 self.loads.measured(load, self.field, self.crop)

@@ -57,7 +57,7 @@ class RecordCheck:
         silent = not row.coverage > 0.0
         lacking_s = (1.0 - row.coverage) * row.duration_s
         before_s = self._stretch[1] if self._stretch is not None else row.time_s
-        # A recorder that is told the date in the middle leaves nothing out.
+        # Where a recorder gets the date in the middle nothing is left out.
         dated = before_s < EARLIEST_BUS_TIME_S <= row.time_s
         jumped = row.time_s - before_s > row.duration_s + _GAP_S and not dated
         if jumped:

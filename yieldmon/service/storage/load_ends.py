@@ -19,7 +19,7 @@ def between_loads(seconds: Iterable[SecondRow], loads: Iterable[Load | LoadRecor
     """Numbers of the seconds that belong to no load.
 
     A load's mass stands still once it has ended, which shows where its seconds end although the clock was set back meanwhile.
-    Seconds without mass are told by time.
+    Of seconds without mass the time decides.
 
     Parameters
     ----------
