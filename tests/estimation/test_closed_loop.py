@@ -352,6 +352,19 @@ def test_condensed_windows_weigh_what_all_of_them_weigh() -> None:
     assert whole == pytest.approx(flow.sum(), rel=0.002)
 
 
+@pytest.mark.parametrize(("groups", "rows"), [(1, 2), (5, 10), (1000, 60)])
+def test_condensed_windows_keep_what_they_hold_at_each_angle(groups: int, rows: int) -> None:
+    rng = np.random.default_rng(5)
+    seconds, angle = rng.uniform(0.5, 1.0, 60), np.radians(np.repeat([50.0, 70.0], 30))
+    force, speed, moisture = (rng.uniform(low, high, 60) for low, high in ((10.0, 50.0), (40.0, 42.0), (12.0, 20.0)))
+    found = WeighedMass.from_windows(9.0, 1.0, seconds, force, angle, speed, moisture_pct=moisture, common_kg=0.5, groups=groups)
+    assert (found.duration_s.size, found.common_kg) == (rows, 0.5)
+    for one in np.unique(angle):
+        here, whole = np.isclose(found.plate_angle_rad, one), angle == one
+        for condensed, given in ((found.force_n, force), (found.elevator_speed_rad_s, speed), (found.moisture_pct, moisture)):
+            assert found.duration_s[here] @ condensed[here] == pytest.approx(seconds[whole] @ given[whole], rel=1e-12)
+
+
 def test_a_known_density_moves_the_answer_along_the_scale() -> None:
     truth = dict(CENTRE, density=1220.0)
     sweeps = [sweep(f, truth, 0.002) for f in (10.0, 18.0)]

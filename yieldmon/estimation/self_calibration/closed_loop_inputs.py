@@ -150,16 +150,18 @@ class WeighedMass:
         plate_angle_rad: Array,
         elevator_speed_rad_s: Array,
         *,
+        moisture_pct: Array | None = None,
+        common_kg: float = 0.0,
         groups: int = 12,
     ) -> WeighedMass:
         """Many windows condensed: at each plate angle, windows of like force are replaced by their mean.
 
         Parameters
         ----------
-        reference_kg, std_dev_kg, duration_s, force_n, plate_angle_rad, elevator_speed_rad_s
+        reference_kg, std_dev_kg, duration_s, force_n, plate_angle_rad, elevator_speed_rad_s, moisture_pct, common_kg
             As in `WeighedMass`.
         groups : int
-            Groups at each plate angle.
+            Most groups at each plate angle.
 
         Returns
         -------
@@ -183,6 +185,8 @@ class WeighedMass:
             mean(force_n),
             mean(plate_angle_rad),
             mean(elevator_speed_rad_s),
+            None if moisture_pct is None else mean(moisture_pct),
+            common_kg,
         )
 
     @classmethod
