@@ -63,7 +63,10 @@ def test_each_second_is_measured_again_and_the_scales_mass_taken_back(
             continue
         if force_n <= GRAIN_ON_N and not second.mass_kg > 0.0:
             continue
-        rate = KG_S_PER_N * force_n if second.plate_angle_rad > 0.0 and force_n > 0.0 else 0.0
+        if force_n > 0.0 and second.plate_angle_rad == 0.0:
+            # Without a flow by this zero it stays as it was counted.
+            continue
+        rate = KG_S_PER_N * max(force_n, 0.0)
         kg = rate * second.duration_s * (1.0 if second.coverage >= LEAST_COVERAGE else second.coverage) - second.mass_kg
         of_load = expected.setdefault(second.load_number, [0.0, 0.0, 0.0, 0.0])
         of_load[0] += kg

@@ -88,7 +88,7 @@ class SinceZero:
         """Load number -> what its seconds miss where zero_mv is the zero; up to grain_on_n there is no grain where none counted.
 
         min_coverage: of a second that counts whole. dry_kg: of a wet mass, kg, at a moisture, %. Contested seconds stay in no
-        total.
+        total; those without a flow by this zero stay as they were counted.
         """
         rows = [
             s for s in self._seconds if isfinite(s.zero_mv) and isfinite(s.force_n) and s.coverage > 0.0 and not s.surplus_frames
@@ -101,8 +101,11 @@ class SinceZero:
         if not rows:
             return missed
         columns = np.array([(s.plate_angle_rad, s.elevator_speed_rad_s, s.force_std_dev_n, s.moisture_pct) for s in rows]).T
-        flow = np.where(force > 0.0, np.nan_to_num(estimator.estimate(force, *columns).mass_flow_kg_s), 0.0)
+        flow = np.where(force > 0.0, estimator.estimate(force, *columns).mass_flow_kg_s, 0.0)
         for second, rate in zip(rows, flow.tolist(), strict=True):
+            if not isfinite(rate):
+                # Above a full paddle, say: what was counted stays.
+                continue
             seconds = second.duration_s if second.coverage >= min_coverage else second.duration_s * second.coverage
             kg = rate * seconds - second.mass_kg
             # Where the bus reports nothing of the header, a second without grain has no area.
