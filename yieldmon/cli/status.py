@@ -168,6 +168,8 @@ def _load(load: StatusLoad, crop: StatusCrop, units: Units) -> Iterator[tuple[st
     if (unrecorded_s := load.get("unrecorded_s")) is not None:
         gap = f"{_span(unrecorded_s)} without a record"
         yield "", f"goes on from before a stop of the daemon, {gap}: grain of that time is missing here and in the total"
+    elif load.get("complete") is False:
+        yield "", "not every second of it was measured: grain of the others is missing here and in the total"
     if _by_calibration(load):
         yield "", "± comes mostly from the calibration: weigh a load (`yieldmon ticket`) to reduce it"
     if load["area_m2"] is not None:

@@ -49,7 +49,8 @@ class StdDevByCause(TypedDict):
 
 class StatusLoad(Harvested):
     """The load, open or the last one. contested_mass_kg: measured while more than one node sent samples. unrecorded_s: between
-    the last record of a run before and this one, null where the load began since; grain of that time is not in it."""
+    the last record of a run before and this one, null where the load began since; grain of that time is not in it. complete:
+    whether every second of it was measured, by this run; null where it began in another or is not known to this one."""
 
     number: int
     open: bool
@@ -61,6 +62,7 @@ class StatusLoad(Harvested):
     std_dev_by_cause_kg: StdDevByCause
     dry_mass_kg: Number
     unrecorded_s: Number
+    complete: bool | None
 
 
 class StatusTotal(TypedDict):

@@ -160,6 +160,10 @@ class Conclusion:
         """Hold the window's mass against the tank scale, which keeps the mass while the zero is doubted."""
         loads, updater, doubted = self._parts.loads, self._parts.updater, self._parts.measurement.zero.suspect
         totals = loads.totals
+        if reading.windows_since_jump == 0 and reading.window.lost_frames:
+            # No clock was set: frames went on meanwhile.
+            loads.doubt()
+            updater.masses.frames_missed()
         self._counted_kg.append(mass_kg)
         if reading.zero_far_mv and not self._far:
             # All of these seconds looked empty.

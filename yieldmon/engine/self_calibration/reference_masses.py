@@ -115,6 +115,10 @@ class ReferenceMasses:
         """The total begins anew, so that the scale's next reading is the first."""
         self._scale.forget()
 
+    def frames_missed(self) -> None:
+        """Grain may have come that was not measured, so that the scale's next reading is the first."""
+        self._scale.forget()
+
     def zero_undone(self) -> None:
         """Masses have changed that were measured with another zero: forces over them say nothing, nor does the total's rise."""
         self.tickets.forces.forget()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import fields
 from functools import lru_cache
 
@@ -23,6 +24,7 @@ from yieldmon.documents.status import (
 )
 from yieldmon.engine.faults import FAULTS, FaultCode
 from yieldmon.engine.mass.budget import MassBudget
+from yieldmon.engine.mass.load_summary import LoadSummary
 from yieldmon.engine.mass.totals import Totals
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.monitor_view import MonitorView
@@ -77,7 +79,7 @@ def snapshot(
             "reloads": reloads,
             "notes": list(configuration.notes),
         },
-        "load": _load(totals, journal),
+        "load": _load(totals, monitor.loads, journal),
         "loads": without_empty(journal.load_table(), empty_loads(journal.loads))[-_RECENT_LOADS:],
         "total": _total(totals),
         "windows": [_window(row) for row in rows],
@@ -123,7 +125,7 @@ def _now(rows: tuple[SecondRow, ...]) -> StatusNow:
     }
 
 
-def _load(totals: Totals, journal: Journal) -> StatusLoad:
+def _load(totals: Totals, loads: Sequence[LoadSummary], journal: Journal) -> StatusLoad:
     # A closed load may have been given other names than the next one is to have.
     names = None if totals.load_open else journal.loads.names(totals.load_number)
     field, crop = (journal.field, journal.crop) if names is None else names
@@ -138,6 +140,7 @@ def _load(totals: Totals, journal: Journal) -> StatusLoad:
         "std_dev_by_cause_kg": _by_cause(totals.load_budget),
         "dry_mass_kg": totals.known_load_dry_kg,
         "unrecorded_s": _unrecorded_s(totals, journal),
+        "complete": next((load.complete for load in reversed(loads) if load.number == totals.load_number), None),
         **harvested(totals),
     }
 
