@@ -481,6 +481,8 @@ def test_channels_of_one_frame_are_one_proposal(unit: str, moves: int, first: st
                     ["# pulses_per_turn is a guess", "  elevator_speed: {", "signal: Frequency, pulses_per_turn: 1}"],
                 ),
                 ("lbs", "Plate", "Reading", ["  impact_force: {", "signal: Reading, rate_hz: 100, unit: lbf}"]),
+                ("kg", "Node7", "Kraft", ["  impact_force: {", "signal: Kraft, rate_hz: 100, unit: kgf}"]),
+                ("kg", "Node7", "Reading", ["by their rates it could be", "  # or impact_force: {", "rate_hz: 100, unit: kgf}"]),
                 ("kg", "GrainTank", "Weight", ["nothing on this bus looks like an impact", "  tank_mass: {", "signal: Weight}"]),
             )
         ),
@@ -652,3 +654,17 @@ def test_identifiers_that_lack_their_mark_and_names_of_values_that_lack_their_si
     assert (cell["id"], cell["signals"]["Signal"]["last"]) == ("0x18FEF100", 12.5)
     short = next(message for message in found["messages"] if message["name"] == "Short")
     assert short["signals"]["Speed"]["last"] == 0.125 * 0x0C80
+
+
+def test_of_two_angles_that_only_their_unit_names_the_faster_comes_first(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "m.dbc").write_text(
+        'VERSION ""\nNS_ :\nBS_:\nBU_: N\nBO_ 256 Fixes: 2 N\n SG_ North : 0|16@1+ (0.01,0) [0|90] "deg" N\n'
+        'BO_ 257 Feedback: 2 N\n SG_ Value : 0|16@1+ (0.01,0) [0|180] "deg" N\n'
+    )
+    log = tmp_path / "a.log"
+    lines = [(0.05 * k, 257, 7000) for k in range(200)] + [(1.0 * k, 256, 4006) for k in range(10)]
+    log.write_text("".join(f"({t:.6f}) can0 {i:03X}#{v.to_bytes(2, 'little').hex()}\n" for t, i, v in sorted(lines)))
+    assert main(["signals", str(log), "--dbc", str(tmp_path / "m.dbc")]) == 0
+    assert "plate_angle (the first is a guess): Feedback.Value (20.0 Hz), Fixes.North" in capsys.readouterr().out

@@ -17,25 +17,26 @@ from yieldmon.units import KG_PER_LB
 _LEAST_OF_RATE = 0.95
 """A rate that is measured over a short recording may be a little low."""
 
+_FORCE_IN_GERMAN = r"kraft(?!stoff|maschine)|w(ae|ä)ge|wiege"
 HINTS: Mapping[str, str] = {
-    "impact_voltage": r"impact|sample|bridge|strain|force|load.?cell|volt|count|analog|ain",
-    "impact_force": r"impact|force|load",
+    "impact_voltage": rf"impact|sample|bridge|strain|force|load.?cell|volt|count|analog|ain|{_FORCE_IN_GERMAN}",
+    "impact_force": rf"impact|force|load|{_FORCE_IN_GERMAN}",
     "elevator_speed": r"elev|shaft|speed|rpm|rev",
-    "plate_angle": r"plate|angle|tilt|incl(?!u)|actuator|position",
+    "plate_angle": r"plate|angle|tilt|incl(?!u)|actuator|position|winkel",
     "actuator_state": r"actuator.*(state|status)|plate.*(state|status)",
-    "moisture": r"moist",
+    "moisture": r"moist|feucht",
     "grain_temperature": r"(grain|crop).?temp",
     "test_weight": r"test.?weight|density",
     "thousand_kernel_weight": r"kernel",
-    "tank_mass": r"tank|mass|weight",
+    "tank_mass": r"tank|mass|weight|gewicht",
     "tank_scale_status": r"(tank|scale).*(state|status)",
     "header_down": r"header",
     "work_state": r"work",
     "unloading": r"unload|auger",
-    "course": r"course|bearing|heading|compass|(^|_)cog(_|$)",
+    "course": r"course|bearing|heading|compass|(^|_)cog(_|$)|kurs(?!or)",
     "ground_speed": r"speed|(^|_)sog(_|$)",
-    "latitude": r"latitude|(^|_|gps|pos)lat(_|$)",
-    "longitude": r"longitude|(^|_|gps|pos)long?(_|$)",
+    "latitude": r"latitude|(^|_|gps|pos)lat(_|$)|breite(ngrad|$)",
+    "longitude": r"longitude|(^|_|gps|pos)long?(_|$)|l(ae|ä)nge(ngrad|$)",
 }
 _BY_UNIT = frozenset({"elevator_speed", "plate_angle", "test_weight", "tank_mass"})
 """Quantities whose unit says enough for a guess where no name does."""
@@ -61,8 +62,8 @@ BARE = ("", "%")
 """Units of such a sample."""
 _GAUGE_HZ = 50.0
 _GAUGE, _SCALE = (
-    re.compile(r"impact|force|load|cell|weight|plate", re.IGNORECASE),
-    re.compile(r"tank|bin|hopper|axle", re.IGNORECASE),
+    re.compile(rf"impact|force|load|cell|weight|plate|{_FORCE_IN_GERMAN}", re.IGNORECASE),
+    re.compile(r"tank|bin|hopper|axle|achse", re.IGNORECASE),
 )
 """A force in kg or lb: names of a gauge that sends so many values per second, and of scales, which none is."""
 _NO_SAMPLES = re.compile(r"counter|status|alive|sequence|checksum|crc", re.IGNORECASE)
@@ -101,6 +102,8 @@ def score(quantity: str, message: MessageSeen, signal: SignalSeen, rate_hz: floa
     named, message_named = hint.search(signal.bits.name) is not None, hint.search(message.name or "") is not None
     if quantity in IMPACT:
         return _impact_score(quantity, message, signal, rate_hz, 1.0 * named + 0.5 * message_named)
+    if quantity == "tank_mass" and _may_be_gauge(f"{message.name} {signal.bits.name}", signal.bits.unit, rate_hz):
+        return 0.0
     if QUANTITIES[quantity].unit == "":
         return 2.0 if named and signal.bits.unit == "" and signal.bits.bits <= 8 else 0.0
     return _slow_score(quantity, message.name or "", rate_hz, signal, named, message_named)
@@ -122,8 +125,9 @@ def force_unit(unit: str) -> str | None:
     return {1.0: "kgf", KG_PER_LB: "lbf"}.get(of_mass) if of_mass is not None else None
 
 
-def _is_gauge(names: str, rate_hz: float) -> bool:
-    return rate_hz >= _LEAST_OF_RATE * _GAUGE_HZ and _GAUGE.search(names) is not None and _SCALE.search(names) is None
+def _may_be_gauge(names: str, unit: str, rate_hz: float) -> bool:
+    """Whether a mass comes too often for that of a tank."""
+    return force_unit(unit) is not None and rate_hz >= _LEAST_OF_RATE * _GAUGE_HZ and _SCALE.search(names) is None
 
 
 def is_makers_own(group: int | None) -> bool:
@@ -150,10 +154,11 @@ def _impact_score(quantity: str, message: MessageSeen, signal: SignalSeen, rate_
         or counts_pulses(bits)
     ):
         return 0.0
-    fits = bits.unit != "" and factor(IMPACT[quantity], bits.unit) is not None
-    fits = fits or (
-        quantity == "impact_force" and force_unit(bits.unit) is not None and _is_gauge(f"{message.name} {bits.name}", rate_hz)
-    )
+    fits, names = bits.unit != "" and factor(IMPACT[quantity], bits.unit) is not None, f"{message.name} {bits.name}"
+    if quantity == "impact_force" and _may_be_gauge(names, bits.unit, rate_hz):
+        if _GAUGE.search(names) is None:
+            return WEAK
+        fits = True
     plain = bits.unit == "" and quantity == "impact_voltage" and named > 0.0
     # Grain makes an impact sensor's signal move more than any other.
     moves = (signal.high - signal.low) / max(abs(signal.high), abs(signal.low), 1e-9)
@@ -180,7 +185,8 @@ def _slow_score(quantity: str, message: str, rate_hz: float, signal: SignalSeen,
         # As the latitude in a message VehiclePosition is no position of the plate.
         return 0.0
     if not (named or message_named):
-        return WEAK if quantity in _BY_UNIT and not elsewhere else 0.0
+        # Of two, what is measured with comes more often.
+        return WEAK * (0.9 + 0.001 * min(rate_hz, 100.0)) if quantity in _BY_UNIT and not elsewhere else 0.0
     if quantity == "plate_angle" and _names(_ANGLES_ELSEWHERE, _IMPACT_PLATE, message, signal.bits.name):
         return WEAK
     shaft = speed and of_another_shaft(message, signal.bits.name)
