@@ -265,6 +265,13 @@ def test_a_log_of_times_in_another_unit_says_so(capsys, tmp_path, logs, factor: 
     assert says in err
     document = json.loads(process(capsys, tmp_path, tmp_path / "ms.log", "--json")[1])
     assert problems(document, "process") == []
+    if factor == 1e3:
+        (tmp_path / "tickets.csv").write_text("load,weighed_kg\nms,900\n")
+        (tmp_path / "c.yaml").write_text("{}\n")
+        assert main(["calibrate", "--loads", str(tmp_path / "ms.log"), "--tickets", str(tmp_path / "tickets.csv")]) == 2
+        assert "ms.log: the log's times are 1000 times too far apart" in capsys.readouterr().err
+        assert main(["check-config", str(tmp_path / "c.yaml"), "--log", str(tmp_path / "ms.log")]) == 2
+        assert "as mapped; the log's times are 1000 times too far apart" in capsys.readouterr().err
     assert document["sensor_interval_s"] == pytest.approx(factor * document["mapped_interval_s"], rel=0.01)
 
 
@@ -285,6 +292,9 @@ def test_signals_counts_frames_that_stand_there_twice_once(capsys, tmp_path, log
         rates.append([message["rate_hz"] for message in json.loads(said.out)["messages"]])
     assert rates[1] == rates[0]
     assert "each frame stands there again" in said.err
+    (tmp_path / "c.yaml").write_text("{}\n")
+    main(["check-config", str(tmp_path / "c.yaml"), "--log", str(tmp_path / "twice.log")])
+    assert "twice.log: each frame stands there again" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("suffix", [".log", ".log.gz", ".csv"])

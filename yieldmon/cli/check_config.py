@@ -93,11 +93,20 @@ def _held_against(
     if log is None:
         return None, notes, [InputError(*problem) for problem in problems]
     # These run the engine, which a check without a recording does not.
+    from yieldmon.bus.log_files import doubled_frames
     from yieldmon.cli._log_progress import log_progress
     from yieldmon.service.logs import log_faults, mapping_check, quantities_seen
+    from yieldmon.service.logs.bulk_processing import EndOfLog, Stretch
 
     with log_progress(2) as progress:
-        found, incomplete = quantities_seen.seen_in(loaded, log, progress)
+
+        def goes_on(part: Stretch | EndOfLog) -> None:
+            if isinstance(part, EndOfLog) and part.doubled:
+                notes.append(f"{log}: {doubled_frames.SAID}")
+            if progress is not None:
+                progress(part)
+
+        found, incomplete = quantities_seen.seen_in(loaded, log, goes_on)
         faults = log_faults.faults_on(loaded, log, progress)
     if incomplete:
         notes.append(f"{incomplete} incomplete messages of several frames are not used")

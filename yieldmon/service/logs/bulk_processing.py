@@ -67,12 +67,14 @@ class Stretch:
 @dataclass(frozen=True)
 class EndOfLog:
     """A log is read to its end. channels: those with a frame that was looked at, chosen or not. repeats: whether it begins with
-    frames of a log before it, which are left out."""
+    frames of a log before it, which are left out. doubled: whether
+    each of its frames stands there several times."""
 
     path: str
     damages: list[str]
     channels: frozenset[str] = field(default=frozenset(), compare=False)
     repeats: bool = False
+    doubled: bool = False
 
 
 def process_in_bulk(
@@ -154,7 +156,9 @@ def stretches_of(paths: Iterable[str], taking: Taking) -> Iterator[Stretch | End
             frames = notes.frames
         shared = one_channel.end_of_log(path) if one_channel is not None else []
         twice = [f"{path}: {doubled_frames.SAID}"] if doubled.found else []
-        yield EndOfLog(path, [*notes.lacks(path), *twice, *shared, *([again] if again else [])], channels, bool(again))
+        yield EndOfLog(
+            path, [*notes.lacks(path), *twice, *shared, *([again] if again else [])], channels, bool(again), bool(doubled.found)
+        )
     if decoder.under_way:
         yield Stretch(0, 0, 0, incomplete=decoder.under_way)
 

@@ -11,6 +11,7 @@ from yieldmon.physics.machine import RPM, Machine
 from yieldmon.service.config.configuration import Configuration
 from yieldmon.service.config.out_of_reach import ANGLE_MARGIN_DEG
 from yieldmon.service.logs.quantities_seen import QuantitySeen, impact_name
+from yieldmon.service.logs.sample_spacing import unit_slip
 from yieldmon.signals.mapping import Group
 
 RATE_TOLERANCE = 0.05
@@ -72,7 +73,9 @@ def problems(configuration: Configuration, seen: dict[str, QuantitySeen], log: s
             found.append((f"{log}: {impact_name(number)}", f"{low_mv:.6g} to {high_mv:.6g} mV", expected))
         if rate_hz is not None and abs(rate_hz / source.rate_hz - 1.0) > RATE_TOLERANCE:
             where = f"{log}: {impact_name(number)}"
-            found.append((where, f"{rate_hz:.4g} samples per second", f"{source.rate_hz:g}, as mapped"))
+            slip = unit_slip(source.rate_hz, rate_hz)
+            expected = f"{source.rate_hz:g}, as mapped{'; ' if slip else ''}{slip}"
+            found.append((where, f"{rate_hz:.4g} samples per second", expected))
     return found
 
 

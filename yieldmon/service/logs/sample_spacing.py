@@ -59,9 +59,15 @@ def spacing_line(found_s: float, mapped_s: float) -> str:
 mapping every 0.004 s"
     """
     every = f"a sensor frame every {found_s:.4g} s, by the mapping every {mapped_s:.4g} s"
+    slip = unit_slip(found_s, mapped_s)
+    return f"{slip}: {every}" if slip else f"{every}: rate_hz of the mapping, or the log's times, are not right"
+
+
+def unit_slip(found_s: float, mapped_s: float) -> str:
+    """What times in another unit look like; "" where it is none of these. found_s, mapped_s: as of `spacing_line`."""
     for factor, unit in _UNITS.items():
         if abs(found_s / mapped_s / factor - 1.0) < _SAME:
-            return f"the log's times are {factor:.0f} times too far apart, as of {unit} that stand for seconds: {every}"
+            return f"the log's times are {factor:.0f} times too far apart, as of {unit} that stand for seconds"
         if abs(found_s / mapped_s * factor - 1.0) < _SAME:
-            return f"the log's times are {factor:.0f} times too near each other: {every}"
-    return f"{every}: rate_hz of the mapping, or the log's times, are not right"
+            return f"the log's times are {factor:.0f} times too near each other"
+    return ""

@@ -27,9 +27,10 @@ from yieldmon.physics.model import ForwardModel
 from yieldmon.repeats import repeated
 from yieldmon.service.assembly import build_monitor
 from yieldmon.service.config.configuration import Configuration
-from yieldmon.service.logs.bulk_processing import process_in_bulk
+from yieldmon.service.logs.bulk_processing import EndOfLog, Stretch, process_in_bulk
 from yieldmon.service.logs.log_copies import refuse_copies
 from yieldmon.service.logs.recorded import changed_at, is_store_not_log, opened, parameter_sets
+from yieldmon.service.logs.sample_spacing import SampleSpacing, spacing_line
 from yieldmon.service.logs.unmeasured import unmeasured
 from yieldmon.service.storage.batch import Load
 from yieldmon.service.storage.load_ends import between_loads, load_of
@@ -122,6 +123,13 @@ def _of_logs(
         monitor = build_monitor(
             configured.engine, configured.machine, configured.parameters, None, configured.signals.sources, drives_plate=False
         )
+        spacing = SampleSpacing(configured.signals.sources.impact[0])
+
+        def goes_on(part: Stretch | EndOfLog, spacing: SampleSpacing = spacing) -> None:
+            spacing.take(part)
+            if progress is not None:
+                progress(part)
+
         process_in_bulk(
             [source],
             monitor,
@@ -129,8 +137,10 @@ def _of_logs(
             rows.append,
             signals=configured.signals,
             channels=configured.log_channels,
-            progress=progress,
+            progress=goes_on,
         )
+        if (far_off_s := spacing.far_off_s) is not None and not any(row.zero_mv is not None for row in rows):
+            raise InputError(source, spacing_line(far_off_s, spacing.mapped_s), "a log of a load, with times in seconds")
         versions = {configured.parameters.version: configured.parameters}
         found += _examined(loads_in_log(rows, source, versions, len(found)), rows, configured)
     return tuple(found)
