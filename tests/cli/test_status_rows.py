@@ -67,16 +67,29 @@ def test_the_total_is_shown_with_its_standard_deviation(
     assert " ".join(row.split()) == said
 
 
-@pytest.mark.parametrize(("scale_error", "said"), [(0.45, True), (0.0, False)])
+NOT_CALIBRATED = "not calibrated on this machine: its force is known to 45 %"
+OF_CORN = "a crop that was not weighed, with the scale of corn: its force is known to 12 %"
+
+
+@pytest.mark.parametrize(
+    ("scale_error", "other", "said"),
+    [(0.45, "", {NOT_CALIBRATED}), (0.12, "corn", {OF_CORN}), (0.0, "", set())],
+)
 def test_parameters_of_no_calibration_are_said_to_be_that(
-    document: dict[str, Any], scale_error: float, said: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    document: dict[str, Any],
+    scale_error: float,
+    other: str,
+    said: set[str],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     assert document["parameters"]["scale_error"] == 0.0, "the shipped corn on the shipped machine"
-    parameters = {**document["parameters"], "scale_error": scale_error}
+    parameters = {**document["parameters"], "scale_error": scale_error, "carried_from": other}
     server = ControlServer(tmp_path / "yieldmon.sock", None, lambda _: {**document, "parameters": parameters})
     server.start()
     try:
         assert cli.main(["status", "--socket", str(tmp_path / "yieldmon.sock")]) == 0
     finally:
         server.stop()
-    assert ("not calibrated on this machine: its force is known to 45 %" in " ".join(capsys.readouterr().out.split())) is said
+    shown = " ".join(capsys.readouterr().out.split())
+    assert {sentence for sentence in (NOT_CALIBRATED, OF_CORN) if sentence in shown} == said

@@ -158,3 +158,26 @@ def test_an_origin_of_another_version_is_not_that_of_the_parameters_in_use() -> 
     lineage, state = ParameterLineage(), updated().snapshot()
     lineage.restore(state, replace(SECOND, version=8))
     assert lineage.origin is None
+
+
+@pytest.mark.parametrize("restart", [False, True])
+@pytest.mark.parametrize(("facts", "kept"), [({"scale": "another crop", "scale_from": "corn"}, True), ({}, False)])
+def test_a_curve_of_another_crop_is_where_parameters_come_from_after_a_restart_too(
+    facts: dict[str, str], kept: bool, restart: bool
+) -> None:
+    """A curve of the crop's own loads is none that these could be fitted to anew."""
+    curve = replace(GIVEN, values={**GIVEN.values, "load_pattern.exponent": 0.1}, provenance=facts)
+    weighed = replace(FIRST, values={**FIRST.values, "load_pattern.exponent": 0.2}, provenance={"scale": "weighed"})
+    lineage = ParameterLineage()
+    lineage.weighed(curve)
+    lineage.replaced(curve, 10.0, weighed, NONE)
+    if restart:
+        state, lineage = lineage.snapshot(), ParameterLineage()
+        assert (state is not None) is kept
+        lineage.restore(state, weighed)
+    if restart and not kept:
+        assert lineage.origin is None
+        return
+    assert lineage.origin is not None
+    assert dict(lineage.origin.values) == dict(curve.values)
+    assert lineage.origin.carried_from == ("corn" if kept else "")

@@ -34,7 +34,7 @@ def load(monitor, journal, name):
 
 def test_a_crop_is_measured_with_its_own_parameters_and_comes_back_to_what_was_learnt(tmp_path):
     monitor, journal = started()
-    assert load(monitor, journal, "corn") == {"version": 1, "crop": None, "changed": False}
+    assert load(monitor, journal, "corn") == {"version": 1, "crop": None, "changed": False, "carried_from": ""}
     first = load(monitor, journal, "wheat")
     assert (first["crop"], first["changed"]) == ("wheat", True)
     assert monitor.estimator.parameters.values == crop("wheat").parameters().values
@@ -271,3 +271,74 @@ def test_a_crop_of_which_nothing_is_known_is_not_measured_as_surely_as_the_one_t
     assert monitor.estimator.parameters.scale_error > 0.3
     load(monitor, journal, "corn")
     assert monitor.estimator.parameters.scale_error == 0.0
+
+
+def corn_weighed(scale="weighed"):
+    """The corn of a machine whose plate gives three quarters of the force, by its provenance set by weighed loads."""
+    published = crop("corn").parameters()
+    return replace(
+        published,
+        values={**{k: v for k, v in published.values.items() if k != "restitution"}, "k1": 0.0, "k2": 1.16},
+        covariance_names=("friction", "density", "k2"),
+        provenance={"crop": "corn", "scale": scale},
+    )
+
+
+def carried_from(answer):
+    return answer["carried_from"]
+
+
+@pytest.mark.parametrize(
+    ("scale", "from_crop", "error"),
+    [("weighed", "corn", 0.12), ("kernel noise", "corn", 0.12), ("not calibrated", "", 0.45), ("another crop", "", 0.45)],
+)
+def test_a_crop_begins_with_the_scale_of_one_that_was_weighed(scale: str, from_crop: str, error: float) -> None:
+    monitor, journal = started(corn_weighed(scale))
+    load(monitor, journal, "corn")
+    assert carried_from(load(monitor, journal, "wheat")) == from_crop
+    in_use = monitor.estimator.parameters
+    assert (in_use.carried_from, in_use.scale_error, in_use.provenance["crop"]) == (from_crop, error, "wheat")
+    said = [row["what"] for row in journal.parameters.table()]
+    assert ("wheat begins with the scale of corn" in said) is bool(from_crop)
+    assert carried_from(load(monitor, journal, "corn")) == ""
+
+
+def test_a_crop_begins_with_the_scale_of_the_one_that_was_weighed_not_of_the_one_between() -> None:
+    monitor, journal = started(corn_weighed())
+    for name in ("corn", "wheat", "barley"):
+        answer = load(monitor, journal, name)
+    assert carried_from(answer) == "corn"
+    barley, corn = (1.0 + crop(name).parameters().values["restitution"] for name in ("barley", "corn"))
+    assert 1.0 + monitor.estimator.parameters.values["restitution"] == pytest.approx(barley * 1.16 / corn)
+
+
+@pytest.mark.parametrize("swept", [False, True])
+def test_a_crop_that_returns_takes_the_scale_that_was_weighed_since_unless_sweeps_have_updated_it(swept: bool) -> None:
+    monitor, journal = started(corn_weighed("not calibrated"))
+    load(monitor, journal, "corn")
+    load(monitor, journal, "wheat")
+    if swept:
+        known = monitor.estimator.parameters
+        known = replace(known, values={**known.values, "friction": 0.3}, version=known.version + 1)
+        monitor.set_estimator(type(monitor.estimator)(monitor.estimator.model, known), 0.0)
+        journal.parameters.use(known, "sweep")
+    load(monitor, journal, "corn")
+    ticketed = replace(corn_weighed(), version=journal.parameters.version + 1)
+    monitor.set_estimator(type(monitor.estimator)(monitor.estimator.model, ticketed), 0.0)
+    journal.parameters.use(ticketed, "ticket", tickets=(1,))
+    assert carried_from(load(monitor, journal, "wheat")) == ("" if swept else "corn")
+    assert (monitor.estimator.parameters.values["friction"] == 0.3) is swept
+
+
+def test_a_scale_whose_ticket_is_undone_is_no_other_crops_any_more() -> None:
+    monitor, journal = started(corn_weighed("not calibrated"))
+    load(monitor, journal, "corn")
+    journal.parameters.use(monitor.estimator.parameters, "file")
+    ticketed = replace(corn_weighed(), version=journal.parameters.version + 1)
+    monitor.set_estimator(type(monitor.estimator)(monitor.estimator.model, ticketed), 0.0)
+    journal.parameters.use(ticketed, "ticket", tickets=(1,))
+    assert carried_from(load(monitor, journal, "wheat")) == "corn"
+    commands.execute({"command": "calibration-undo", "version": ticketed.version}, monitor, journal, 1.7e9)
+    in_use = monitor.estimator.parameters
+    assert (in_use.carried_from, in_use.scale_error) == ("", 0.45)
+    assert in_use.values == crop("wheat").parameters().values

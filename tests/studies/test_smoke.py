@@ -47,6 +47,14 @@ def test_published_in_small() -> None:
     assert loops[2]["ours"] < loops[1]["ours"] < -1.0
 
 
+def test_crop_change_in_small() -> None:
+    done = program("studies.crop_change.__main__", "--machines", "1", "--changes", "1")
+    assert done.returncode == 0, done.stderr
+    rows = [line.split("|")[1:3] for line in done.stdout.splitlines()[2:]]
+    stages = ["first load", "after 0", "after 1", "after 2", "after 3"]
+    assert [(way.strip(), at.strip()) for way, at in rows] == [(way, at) for way in ("published", "carried") for at in stages]
+
+
 @pytest.mark.parametrize("name", RUNS)
 def test_robustness_runs_answer(name: str) -> None:
     done = program("tests.robustness.__main__", name, "--help")

@@ -31,11 +31,14 @@ def note(text: str, before: str = "yieldmon") -> None:
         lines.append(line)
 
 
-def not_calibrated(scale_error: float) -> str:
-    """Of parameters that are not this machine's. scale_error: see `ParameterSet.scale_error`."""
+def not_calibrated(scale_error: float, carried_from: str = "") -> str:
+    """Of parameters that are not this machine's, or not this crop's. scale_error, carried_from: see `ParameterSet`."""
+    what, of_it = "not calibrated on this machine", ""
+    if carried_from:
+        what, of_it = f"those of a crop that was not weighed, with the scale of {carried_from}", " of it"
     return (
-        f"the parameters are not calibrated on this machine: its force is known to {100.0 * scale_error:g} % "
-        "(standard deviation) until a load is weighed (`yieldmon ticket`, `yieldmon calibrate --loads`)"
+        f"the parameters are {what}: its force is known to {100.0 * scale_error:g} % "
+        f"(standard deviation) until a load{of_it} is weighed (`yieldmon ticket`, `yieldmon calibrate --loads`)"
     )
 
 

@@ -89,7 +89,7 @@ def _held_against(
         notes += waveform_needs.notes(loaded)
     problems = plausible.implausible(loaded)
     if loaded.parameters.scale_error > 0.0 and not problems:
-        notes.append(_notes.not_calibrated(loaded.parameters.scale_error))
+        notes.append(_notes.not_calibrated(loaded.parameters.scale_error, loaded.parameters.carried_from))
     if log is None:
         return None, notes, [InputError(*problem) for problem in problems]
     # These run the engine, which a check without a recording does not.

@@ -102,7 +102,9 @@ def _say_started(answer: dict[str, Any]) -> None:
     names = " ".join(name for name in (answer["field"], answer["crop"]) if name)
     print(f"load {answer['load']} started" + (f": {names}" if names else ""))
     if answer["parameters"]["changed"]:
-        print(f"measuring with the parameters of {answer['crop']}, version {answer['parameters']['version']}")
+        other = answer["parameters"].get("carried_from", "")
+        scale = f", and the scale of {other} until a load of {answer['crop']} is weighed" if other else ""
+        print(f"measuring with the parameters of {answer['crop']}, version {answer['parameters']['version']}{scale}")
     elif not answer["crop_known"]:
         from yieldmon.files.crops import crops  # parameters, and numpy with them, which nothing else here needs
 

@@ -71,7 +71,7 @@ def parameters(args: argparse.Namespace) -> ParameterSet:
 def note_unknown_errors(known: ParameterSet) -> None:
     """On standard error, what of the parameters' error is assumed: the scale's, or the model's own."""
     if known.scale_error > 0.0:
-        _notes.note(_notes.not_calibrated(known.scale_error))
+        _notes.note(_notes.not_calibrated(known.scale_error, known.carried_from))
     if known.curve is None and known.model_error is None and known.own_error > 0.0:
         _notes.note(
             "the parameters do not state the model's own error (model_error): "

@@ -109,7 +109,7 @@ def run(args: argparse.Namespace) -> int:
     else:
         _together(args, loaded, units)
     if loaded.parameters.scale_error > 0.0:
-        _notes.note(_notes.not_calibrated(loaded.parameters.scale_error), "note")
+        _notes.note(_notes.not_calibrated(loaded.parameters.scale_error, loaded.parameters.carried_from), "note")
     return 0
 
 

@@ -108,7 +108,7 @@ def run(args: argparse.Namespace) -> int:
     document = _document(data, machine, outcomes, names, true, sweeps)
     if args.out is not None:
         facts = {**prior.provenance, "method": "closed loop", **_provenance.of_table(data), "parent_version": str(prior.version)}
-        if prior.scale_error > 0.0:
+        if prior.scale_error > 0.0 and not prior.carried_from:
             facts[SCALE] = NOT_CALIBRATED
         parameter_file.save(replace(outcomes[0].parameter_set, provenance=facts), args.out)
         document["written"] = args.out

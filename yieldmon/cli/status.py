@@ -101,7 +101,7 @@ def _facts(status: Status, units: Units) -> Iterator[tuple[str, str]]:
     yield from _waveform(status["waveform"], units)
     yield "parameters", _parameters(status["parameters"])
     if scale_error := status["parameters"].get("scale_error"):
-        yield "", _notes.not_calibrated(scale_error)
+        yield "", _notes.not_calibrated(scale_error, status["parameters"].get("carried_from", ""))
     dropped = bus["dropped"] + bus["kernel_drops"]
     yield (
         "bus",

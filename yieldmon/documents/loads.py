@@ -9,11 +9,13 @@ from .undo import NotUpdated, TicketUndone
 
 
 class CropParameters(TypedDict):
-    """Parameters in use. crop: that they are of, null where nothing says so; changed: by this command."""
+    """Parameters in use. crop: that they are of, null where nothing says so; changed: by this command; carried_from: the crop
+    whose weighed loads set the scale, where it is another one's, else ""."""
 
     version: int
     crop: str | None
     changed: bool
+    carried_from: str
 
 
 class LoadStarted(TypedDict):

@@ -123,13 +123,15 @@ class ValueWithStdDev(TypedDict):
 
 class StatusParameters(TypedDict):
     """Parameters in use, by name; age_s since they were calibrated or updated. estimator: "physical", "alpha_beta", "table".
-    scale_error: relative standard deviation of the force where no load of this machine set the scale, else 0."""
+    scale_error: relative standard deviation of the force where no load of this machine and crop set the scale, else 0.
+    carried_from: the crop whose weighed loads set it, where it is another one's, else ""."""
 
     version: int
     age_s: Number
     estimator: str
     values: dict[str, ValueWithStdDev]
     scale_error: float
+    carried_from: str
     provenance: dict[str, str]
 
 

@@ -180,7 +180,9 @@ def _prior_or_none(data: Mapping[str, Any] | None) -> PriorState | None:
 
 def _prior(data: Mapping[str, Any]) -> PriorState:
     values, names = tuple((str(name), float(value)) for name, value in data["values"]), tuple(data["covariance_names"])
-    state = PriorState(int(data["version"]), values, names, _rows(data["covariance"]))
+    state = PriorState(
+        int(data["version"]), values, names, _rows(data["covariance"]), carried_from=str(data.get("carried_from", ""))
+    )
     if {len(state.covariance), *map(len, state.covariance)} - {len(names)} or not set(names) <= dict(values).keys():
         raise ValueError(f"engine state: the covariance of the parameters before does not fit {list(names)}")
     return state

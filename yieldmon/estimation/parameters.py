@@ -28,13 +28,17 @@ SPEED_MARGIN = 0.05
 MOISTURE_MARGIN_PCT = 1.0
 """How much wetter or drier than was calibrated grain may be: a meter on the combine repeats no better, and a weighed load has one
 mean moisture."""
-SCALE, WEIGHED, BY_KERNELS, NOT_CALIBRATED = "scale", "weighed", "kernel noise", "not calibrated"
-"""Key of the provenance, and its values for parameters whose scale weighed masses or kernel noise have set, and for those of
-another machine."""
+SCALE, WEIGHED, BY_KERNELS, NOT_CALIBRATED, CARRIED = "scale", "weighed", "kernel noise", "not calibrated", "another crop"
+"""Key of the provenance, and its values for parameters whose scale weighed masses or kernel noise have set, for those of
+another machine, and for those whose scale is that of this machine in another crop."""
+CARRIED_FROM = "scale_from"
+"""Key of the provenance for that crop's name."""
 METHOD, PUBLISHED = "method", "published properties"
 """Key and value of the provenance of a crop's parameters from the literature."""
 UNCALIBRATED_SD = 0.45
 """Relative standard deviation of the force on a machine that nothing was calibrated on: docs/internals/standard-deviations.md."""
+CARRIED_SD = 0.12
+"""The same where the machine's scale was set in another crop: studies/crop_change."""
 
 _LARGEST_CORRELATION = 1.0 + 1e-6
 _ROUNDING = 1e-9
@@ -202,9 +206,17 @@ class ParameterSet:
     @property
     def scale_error(self) -> float:
         """Relative standard deviation of the force, alike at all angles and flows, where the parameters are not this machine's:
-        from published properties or calibrated on another machine, until weighed masses or kernel noise set the scale; else 0."""
+        from published properties or calibrated on another machine, until weighed masses or kernel noise set the scale; or where
+        these have set it in another crop; else 0."""
         scale = self.provenance.get(SCALE, NOT_CALIBRATED if self.provenance.get(METHOD) == PUBLISHED else "")
-        return UNCALIBRATED_SD if scale == NOT_CALIBRATED and self.curve is None else 0.0
+        if self.curve is not None:
+            return 0.0
+        return {NOT_CALIBRATED: UNCALIBRATED_SD, CARRIED: CARRIED_SD}.get(scale, 0.0)
+
+    @property
+    def carried_from(self) -> str:
+        """The crop in which the scale was set, where it is that of another one (`weighing.other_crop`); else ""."""
+        return self.provenance.get(CARRIED_FROM, "") if self.provenance.get(SCALE) == CARRIED else ""
 
     def standard_deviation(self, name: str) -> float:
         """Standard deviation of one parameter.

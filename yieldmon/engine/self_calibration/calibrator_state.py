@@ -9,12 +9,14 @@ from yieldmon.engine.self_calibration.earlier_parameters import Places
 
 @dataclass(frozen=True, slots=True)
 class PriorState:
-    """What was known of the parameters before those of this version: values by name; covariance: (n, n) of covariance_names."""
+    """What was known of the parameters before those of this version: values by name; covariance: (n, n) of covariance_names;
+    carried_from: as `ParameterSet` has it."""
 
     version: int
     values: tuple[tuple[str, float], ...]
     covariance_names: tuple[str, ...]
     covariance: tuple[tuple[float, ...], ...]
+    carried_from: str = ""
 
 
 @dataclass(frozen=True, slots=True)

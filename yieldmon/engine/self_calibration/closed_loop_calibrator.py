@@ -28,7 +28,7 @@ from yieldmon.engine.self_calibration.weighed_masses import Spans, WeighedMasses
 from yieldmon.engine.sweeps.sweep_records import measured_density, median_moisture_pct, sweep_of
 from yieldmon.estimation.admission import allowing_for, refusal
 from yieldmon.estimation.open_loop import OpenLoop
-from yieldmon.estimation.parameters import BY_KERNELS, SCALE, WEIGHED, ParameterSet
+from yieldmon.estimation.parameters import BY_KERNELS, CARRIED_FROM, SCALE, WEIGHED, ParameterSet
 from yieldmon.estimation.self_calibration.angle_error import NO_ERROR, AngleError
 from yieldmon.estimation.self_calibration.angle_pattern import EFFECT
 from yieldmon.estimation.self_calibration.closed_loop import fit_parameters, update_from_tickets
@@ -141,6 +141,7 @@ class ClosedLoopCalibrator:
         if outcome.updated:
             found_set = outcome.parameter_set
             facts = {**used.provenance, **found_set.provenance, SCALE: WEIGHED}
+            facts.pop(CARRIED_FROM, None)
             outcome = replace(outcome, parameter_set=replace(found_set, provenance=facts))
         self.last = outcome
         taken = self._taken(outcome, Carried(drifting, step), used, at, now_s=record.time_s)
@@ -173,6 +174,7 @@ class ClosedLoopCalibrator:
         facts = {**used.provenance, KERNEL_NOISE: "updated"}
         if used.scale_error > 0.0:
             facts[SCALE] = BY_KERNELS
+            facts.pop(CARRIED_FROM, None)
         known = replace(updated.drifting.parameters, version=used.version + 1, provenance=facts)
         self._lineage.forget_given()
         self._knowledge.take_kernel_update(updated, used, known, at, carried)

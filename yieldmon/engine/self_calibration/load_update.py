@@ -71,7 +71,7 @@ class LoadUpdate:
         outcome = update_from_tickets(self.model, prior, masses, settings=self.closed_loop)
         doubtful = 1.0 if len(counted) <= len(masses) else _DRIFT_WIDENING
         near = outcome.consistent and outcome.prior_widening <= doubtful and self._is_drift(outcome.prior_widening, prior, names)
-        near = near and self._without_curve(prior) is prior
+        near = near and not prior.carried_from and self._without_curve(prior) is prior
         by_prior = [departure(self.model, prior, load, self.load_settings) for load in self._of(names)] if near else []
         # On a machine that was never calibrated only the loads together determine the scale and how far the force follows the
         # model's curve.
@@ -156,9 +156,12 @@ class LoadUpdate:
         return [load for load in self.counted if load.name in names]
 
     def _without_curve(self, prior: ParameterSet) -> ParameterSet:
-        """What was known before weighed loads gave a curve of their own, to which all of them are to be fitted together."""
+        """What was known before weighed loads of this crop gave a curve of their own, to which all of them are to be fitted
+        together."""
         origin = self.origin
-        if LOAD_PATTERN not in prior.effects or origin is None or LOAD_PATTERN in origin.effects:
+        if LOAD_PATTERN not in prior.effects or prior.carried_from or origin is None:
+            return prior
+        if LOAD_PATTERN in origin.effects and not origin.carried_from:
             return prior
         return in_form_of(replace(origin, version=prior.version), prior)
 

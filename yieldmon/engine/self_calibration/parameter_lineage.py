@@ -134,7 +134,9 @@ class ParameterLineage:
     def snapshot(self) -> PriorState | None:
         """The origin, to outlive a restart; None where no update led on from it."""
         origin, known = self._origin, self._updated or self._restored
-        if origin is None or known is None or origin is known or LOAD_PATTERN in origin.effects:
+        if origin is None or known is None or origin is known:
+            return None
+        if LOAD_PATTERN in origin.effects and not origin.carried_from:
             return None
         return replace(as_prior_state(origin), version=known.version)
 

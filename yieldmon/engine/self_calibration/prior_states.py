@@ -8,7 +8,7 @@ from math import isclose
 import numpy as np
 
 from yieldmon.engine.self_calibration.calibrator_state import PriorState
-from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.parameters import CARRIED, CARRIED_FROM, SCALE, ParameterSet
 from yieldmon.physics.numerics import Array
 
 _ROUNDING = 1e-9
@@ -17,13 +17,17 @@ _ROUNDING = 1e-9
 
 def as_prior_state(known: ParameterSet) -> PriorState:
     """The state of a set."""
-    return PriorState(known.version, tuple(known.values.items()), known.covariance_names, as_tuples(known.covariance))
+    values, covariance = tuple(known.values.items()), as_tuples(known.covariance)
+    return PriorState(known.version, values, known.covariance_names, covariance, known.carried_from)
 
 
 def as_set(state: PriorState, like: ParameterSet) -> ParameterSet:
-    """The set of a state, with version and provenance of another one."""
+    """The set of a state, with version and provenance of another one but for a scale of another crop."""
     covariance = np.reshape(state.covariance, (len(state.covariance_names),) * 2)
-    return replace(like, values=dict(state.values), covariance_names=state.covariance_names, covariance=covariance)
+    known = replace(like, values=dict(state.values), covariance_names=state.covariance_names, covariance=covariance)
+    if not state.carried_from:
+        return known
+    return replace(known, provenance={**like.provenance, SCALE: CARRIED, CARRIED_FROM: state.carried_from})
 
 
 def agrees_with(known: ParameterSet, state: PriorState) -> bool:

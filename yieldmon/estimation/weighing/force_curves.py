@@ -1,7 +1,8 @@
 """What the curve of the force over the load may be, before any load is weighed.
 
-The curve is the model's own, one about the force that goes with a power of the flow near 1, or one of two sizes about the
-model's; each is a normal prior of ln density, ln gain and the weights of the effect `load_pattern`.
+The curve is the model's own (where the machine was weighed in another crop alone, the one that its loads have shown), one about
+the force that goes with a power of the flow near 1, or one of two sizes about the model's; each is a normal prior of ln density,
+ln gain and the weights of the effect `load_pattern`.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ def curves(problem: LoadProblem) -> tuple[ForceCurve, ...]:
         Of a model with `load_pattern`.
     """
     about = np.zeros(2 + len(NAMES))
-    own = ForceCurve(about, _prior(problem, np.zeros(len(NAMES))), another=False, likely=_OWN)
+    own = ForceCurve(about, _own_prior(problem), another=False, likely=_OWN)
     free = [ForceCurve(about, _prior(problem, size * _WEIGHT_SD), another=True, likely=likely) for size, likely in _FREE]
     proportional = _proportional(problem)
     if proportional is None:
@@ -60,6 +61,14 @@ def curves(problem: LoadProblem) -> tuple[ForceCurve, ...]:
         ForceCurve(np.concatenate((about[:2], proportional)), _prior(problem, _POWER_SD), another=True, likely=_POWER),
         *free,
     )
+
+
+def _own_prior(problem: LoadProblem) -> Array:
+    """Covariance of the step on the start's own curve: none of the weights but where they are those of another crop."""
+    prior = _prior(problem, np.zeros(len(NAMES)))
+    if problem.start.carried_from:
+        prior[2:, 2:] = problem.start.covariance_of(NAMES)
+    return prior
 
 
 def _prior(problem: LoadProblem, weight_sd: Array) -> Array:

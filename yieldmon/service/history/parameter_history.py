@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from yieldmon.documents.calibrations import CalibrationRow
 from yieldmon.engine.self_calibration.calibrator import CalibrationStep
 from yieldmon.errors import InputError
-from yieldmon.estimation.parameters import NOT_CALIBRATED, SCALE, ParameterSet
+from yieldmon.estimation.parameters import BY_KERNELS, NOT_CALIBRATED, SCALE, WEIGHED, ParameterSet
+from yieldmon.estimation.weighing.other_crop import carried
 from yieldmon.files import parameter_file
 from yieldmon.files.crops import SHIPPED_CROP, crops
 from yieldmon.service.history.memory import KEPT_VERSIONS, Memory, by_crop
@@ -41,9 +42,9 @@ class ParameterHistory:
         return parameters.provenance.get("crop", named) or (SHIPPED_CROP if self.digest == self._shipped_digest else "")
 
     def change_crop(self, crop: str, in_use: ParameterSet, named: str, who: str = "", last_load: int = 0) -> ParameterSet | None:
-        """The parameters for another crop: what was last known of it, else what is shipped with the plate's angle as it was
-        measured, else a copy of those in use, which tickets then update this crop alone. None where those in use stay: they are
-        its own, or nothing says whose they are.
+        """The parameters for another crop: what was last known of it, else what is shipped, with the plate's angle as it was
+        measured and the scale of a crop that was weighed, else a copy of those in use, which tickets then update this crop alone.
+        None where those in use stay: they are its own, or nothing says whose they are.
 
         What is known of the crop before is kept. named: the crop that an operator named last. last_load: number of the newest.
         """
@@ -60,8 +61,11 @@ class ParameterHistory:
             chosen = replace(in_use, version=self.version + 1, provenance=facts)
             self.use(chosen, ledgers.CROP, who=who, reason=f"{crop} begins with what is known of {before}")
             return chosen
-        chosen = replace(known, version=self.version + 1)
-        self.use(chosen, ledgers.CROP, who=who, reason=f"what is known of {crop}")
+        chosen, left = replace(known, version=self.version + 1), self._of_crop.get(crop)
+        self.use(chosen, ledgers.CROP, who=who, reason=_said_of(chosen, crop))
+        if left is not None and left.values != chosen.values:
+            # Its loads until now had another scale.
+            self._actions.bring_back(chosen.version)
         return chosen
 
     def crop_of_version(self, version: int, in_use: ParameterSet, named: str) -> str:
@@ -85,10 +89,23 @@ class ParameterHistory:
         if self.crop_of(in_use, named) in ("", crop):
             return in_use
         known = self._of_crop.get(crop)
-        if known is not None or crop not in crops():
+        if crop not in crops() or (known is not None and not _only_begun(known, crop)):
             return known
+        begun = self._begun(crop, ((self.crop_of(in_use, named), in_use),), _of_the_plate(in_use))
+        return begun if known is None or known.carried_from or begun.carried_from else known
+
+    def _begun(self, crop: str, in_use: Sequence[tuple[str, ParameterSet]], of_the_plate: Mapping[str, float]) -> ParameterSet:
+        """What a shipped crop begins with: its published properties, with the scale of a crop that was weighed on this machine:
+        that of those in use first, then the newest."""
         shipped = crops()[crop].parameters()
-        return replace(shipped, values={**shipped.values, **_of_the_plate(in_use)})
+        published = replace(shipped, values={**shipped.values, **of_the_plate})
+        kept = sorted(self._of_crop.items(), key=lambda item: item[1].version, reverse=True)
+        for other, known in (*in_use, *kept):
+            if other in crops() and other != crop and known.provenance.get(SCALE) in (WEIGHED, BY_KERNELS):
+                found = carried(published, known, crops()[other].parameters(), other)
+                if found is not None:
+                    return found
+        return published
 
     def unlike(self, configured: ParameterSet) -> ParameterSet | None:
         """A parameter file read anew: the set to use from now on, None when it is the one that was read last."""
@@ -176,8 +193,13 @@ class ParameterHistory:
         kept = self._of_crop[crop] = replace(earlier, provenance={**earlier.provenance, "crop": crop})
         self.use(kept, ledgers.UNDO, who=who, reason=f"version {version} of {crop} undone: as version {before}")
         self._actions.bring_back(kept.version)
-        chosen = replace(in_use, version=self.version + 1, provenance={**in_use.provenance, "crop": now})
-        self.use(chosen, ledgers.CROP, who=who, reason=f"what is known of {now}")
+        # What is in use may have the scale of the version that is undone.
+        anew = in_use.carried_from == crop and _only_begun(in_use, now)
+        left = self._begun(now, (), _of_the_plate(in_use)) if anew else in_use
+        chosen = replace(left, version=self.version + 1, provenance={**left.provenance, "crop": now})
+        self.use(chosen, ledgers.CROP, who=who, reason=_said_of(chosen, now))
+        if anew:
+            self._actions.bring_back(chosen.version)
         return chosen, crop
 
     def withdraw(self, version: int, who: str, now_s: float, replaced: int = 0) -> None:
@@ -251,6 +273,22 @@ class ParameterHistory:
         """The next batch brings those in use."""
         if self._in_use is not None and self._in_use not in self._new:
             self._new.insert(0, self._in_use)
+
+
+def _said_of(parameters: ParameterSet, crop: str) -> str:
+    """Where those of a crop come from."""
+    other = parameters.carried_from
+    return f"{crop} begins with the scale of {other}" if other else f"what is known of {crop}"
+
+
+def _only_begun(parameters: ParameterSet, crop: str) -> bool:
+    """Whether nothing has changed what a shipped crop began with; a sweep always changes what is known of friction."""
+    published = crops()[crop].parameters()
+    if not parameters.carried_from:
+        grain = {name: value for name, value in parameters.values.items() if name in published.values}
+        return parameters.scale_error > 0.0 and grain == dict(published.values)
+    friction = parameters.values["friction"], parameters.standard_deviation("friction")
+    return friction == (published.values["friction"], published.standard_deviation("friction"))
 
 
 def _of_the_plate(parameters: ParameterSet) -> dict[str, float]:

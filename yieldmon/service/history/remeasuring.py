@@ -9,7 +9,7 @@ weighed masses together have them at its time. What was measured at first stays 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -29,8 +29,8 @@ from yieldmon.service.history.parameter_spread import parameter_spread
 from yieldmon.service.history.update_steps import step_from_document
 from yieldmon.service.logs.recorded import opened, parameter_sets
 from yieldmon.service.logs.weighed_loads import MeasuredLoad, loads_of, of_loads
-from yieldmon.service.storage.batch import Step
-from yieldmon.service.storage.ledger import recropped, undone_versions
+from yieldmon.service.storage.batch import Action, Step
+from yieldmon.service.storage.ledger import HARDWARE, PARAMETERS, recropped, undone_versions
 from yieldmon.service.storage.load_spread import ParameterSpread
 from yieldmon.service.storage.rows import SecondRow
 from yieldmon.service.storage.store import Store
@@ -261,7 +261,7 @@ def of_store(
         if version not in sets:
             raise InputError(str(path), f"has no parameters of version {version}", "a store that is being written")
         known, loads, actions = timeline(store.steps(), sets[version], sets), store.loads(), store.actions()
-        gone = _taken_back(undone_versions(actions), known, sets)
+        gone = _taken_back(undone_versions(actions), known, sets) | _begun_with(known, sets, actions)
         known = replace(known, versions=known.versions | gone)
         renamed, of_version = recropped(actions), sets[version].provenance.get("crop", crop)
         of_crop = {load.number: load.crop == of_version for load in loads if load.number in renamed}
@@ -282,6 +282,22 @@ def _taken_back(undone: Collection[int], known: Timeline, sets: Mapping[int, Par
     crop, first = known.parameters.provenance.get("crop"), min(known.versions)
     later = {version: sets[version].provenance.get("crop") for version in undone if version > first and version in sets}
     return frozenset(version for version, of in later.items() if of is None or crop is None or of == crop)
+
+
+def _begun_with(known: Timeline, sets: Mapping[int, ParameterSet], actions: Iterable[Action]) -> frozenset[int]:
+    """Versions with which the timeline's crop began on this machine as it is, where the scale was another crop's: it may have
+    changed before the crop was weighed."""
+    crop = known.parameters.provenance.get("crop")
+    changed = (int(a.document["version"]) for a in actions if a.kind == PARAMETERS and a.document.get("origin") == HARDWARE)
+    first = max((version for version in changed if version <= known.parameters.version), default=0)
+    begun = {
+        version: of
+        for version, of in sets.items()
+        if version >= first and of.scale_error > 0.0 and of.provenance.get("crop") == crop
+    }
+    carried = any(of.carried_from for of in begun.values())
+    unweighed = known.parameters.scale_error > 0.0 or bool(known.versions & begun.keys())
+    return frozenset(begun if carried and unweighed else ())
 
 
 def begins(known: Timeline, now_s: float) -> float:

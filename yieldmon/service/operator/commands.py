@@ -108,7 +108,12 @@ def _load_start(order: Order) -> LoadStarted:
         "load": monitor.totals.load_number,
         "field": journal.field,
         "crop": journal.crop,
-        "parameters": {"version": parameters.version, "crop": parameters.provenance.get("crop"), "changed": changed},
+        "parameters": {
+            "version": parameters.version,
+            "crop": parameters.provenance.get("crop"),
+            "changed": changed,
+            "carried_from": parameters.carried_from,
+        },
         "crop_known": known,
     }
 

@@ -182,6 +182,7 @@ def _parameters(parameters: ParameterSet, engine: EngineState) -> StatusParamete
         "estimator": parameters.curve.law.kind if parameters.curve is not None else "physical",
         "values": _values(parameters),
         "scale_error": parameters.scale_error,
+        "carried_from": parameters.carried_from,
         "provenance": dict(parameters.provenance),
     }
 
