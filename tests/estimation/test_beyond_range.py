@@ -11,7 +11,6 @@ import yaml
 
 from yieldmon import api
 from yieldmon.cli.main import main
-from yieldmon.estimation.beyond_range import error_beyond
 from yieldmon.estimation.parameters import CalibratedRange
 
 MODEL = api.ForwardModel(api.Machine(), ())
@@ -158,26 +157,3 @@ def test_predict_states_what_estimate_makes_of_it(tmp_path, capsys) -> None:
     assert twice == pytest.approx(np.sqrt(2.0) * alone, rel=1e-3)
     # Nine points wetter than any calibrated grain, at 2 % a point.
     assert np.sqrt(wet**2 - right**2) == pytest.approx(1.8, rel=0.01)
-
-
-@pytest.mark.parametrize(
-    ("model_error", "scale", "least", "most"),
-    [
-        (0.0, {}, 0.004, 0.008),
-        (0.0, {"scale": "weighed"}, 0.025, 0.035),
-        (0.004, {"scale": "weighed"}, 0.008, 0.016),
-        (None, {}, 0.03, 0.04),
-    ],
-    ids=["a table that fits", "weighed loads alone", "a table, then weighed loads", "not known"],
-)
-def test_weighed_loads_bound_the_flow_beyond_them_less_than_a_table_does(
-    model_error: float | None, scale: dict[str, str], least: float, most: float
-) -> None:
-    """A fifth above the highest flow. A few loads to which the curve is fitted show no error in between that may be there."""
-    known = api.ParameterSet(
-        GRAIN, calibrated=CalibratedRange(mass_flow_kg_s=(6.0, 15.0)), model_error=model_error, provenance=scale
-    )
-    flow, angle, speed = np.array([10.0, 18.0]), np.full(2, np.radians(70.0)), np.full(2, 400.0 * api.RPM)
-    within, beyond = error_beyond(known, flow, angle, speed)
-    assert within == 0.0
-    assert least < beyond < most

@@ -23,8 +23,6 @@ PER_RAD = 0.4
 11 to 15 % at 90 deg."""
 PER_LN_FLOW, PER_LN_SPEED = (effect_parameter(f"load_pattern.{name}").prior_sd for name in ("exponent", "speed"))
 """Powers of flow and speed beside the model's, as weighed loads take them."""
-UNSEEN_BY_LOADS = 0.02
-"""Relative error of the force between weighed loads that these leave unseen."""
 _BEND = 180.0**0.5
 """Slope at the end of a parabola over a range of 1, of which a line is taken off, over its rms there."""
 
@@ -84,16 +82,7 @@ def _by_flow(parameters: ParameterSet, flow: Array) -> Array:
         return np.zeros(flow.shape)
     # Thin streams have the error of that share of the highest flow, as within the range.
     low, high, at = (0.5 * np.log(np.square(v / limits[1]) + LEAST_LEVEL**2) for v in (*np.array(limits), flow))
-    slope = _slope(PER_LN_FLOW, float(high - low), _left(parameters))
-    return slope * _distance(at, low, high)
-
-
-def _left(parameters: ParameterSet) -> float | None:
-    """Error that the range of flows has shown. A few weighed loads, which the curve is fitted to, show none, though it may be
-    there."""
-    if parameters.model_error == 0.0 and parameters.is_weighed:
-        return UNSEEN_BY_LOADS
-    return parameters.model_error
+    return _slope(PER_LN_FLOW, float(high - low), parameters.model_error) * _distance(at, low, high)
 
 
 def _slope(before: float, span: float, model_error: float | None) -> float:
