@@ -1,6 +1,6 @@
 """Loads of a crop after another one was weighed: with its published properties, and with the other one's scale and curve.
 
-    python -m studies.crop_change --first 301                       # 24 machines, ten changes of crop each, 15 CPU-min
+    python -m studies.crop_change --first 301 --changes 6           # 24 machines, six changes of crop each, 5 CPU-min
     python -m studies.crop_change --first 301 --by-model            # the same grain by the model's law
 
 On each machine one crop is weighed in one to five loads, then another begins. Eight further loads of that one are judged before
