@@ -3,6 +3,7 @@
     python -m studies.fleet_prior [--machines N] [--seed N] [--json]
     python -m studies.fleet_prior --seeds 10 --out results.jsonl    # seeds 1 to 10, a line each; those in the file are kept
     python -m studies.fleet_prior --seeds 10 --oracle               # what is reachable in each of them
+    python -m studies.fleet_prior --seeds 3 --sweeps                # with sweeps before and after the first tickets
 
 Three crops, N machines each. Hidden: the crop's friction, density and restitution (drawn about the shipped ones by their stated
 deviations), each machine's gain (3 %), its plate's angle (1 deg), its own field's density (2 %), and 2 to 10 tickets with scatter
@@ -43,51 +44,19 @@ from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.numerics import Array
 
-CROPS = ("corn", "soybean", "wheat")
-GAIN_SD, ANGLE_SD_DEG, FIELD_DENSITY_SD = 0.03, 1.0, 0.02
-SCATTER_SD, SCALE_SD = 0.005, 0.003
-WINDOWS, WINDOW_S = 30, 20.0
+from . import sweeps
+from .draws import (
+    ANGLE_SD_DEG,
+    CROPS,
+    FIELD_DENSITY_SD,
+    GAIN_SD,
+    OWN,
+    SCATTER_SD,
+    hidden_crop,
+    machine_of,
+)
+
 _DRAWN, _STEP = 400, 0.01
-
-
-def hidden_crop(shipped: ParameterSet, chance: np.random.Generator) -> dict[str, float]:
-    """The crop as it is."""
-    values = dict(shipped.values)
-    for name in shipped.covariance_names:
-        values[name] += chance.uniform(-1.0, 1.0) * 1.5 * shipped.standard_deviation(name)
-    values["restitution"] = float(np.clip(values["restitution"], 0.05, 0.95))
-    return values
-
-
-OWN = ("gain", "angle", "field")
-
-
-def machine_of(name: str, truth: dict[str, float], chance: np.random.Generator, own: tuple[str, ...] = OWN) -> MachineLoads:
-    """A machine and its weighed loads; own: what of its own it has, the same numbers being drawn whatever that is."""
-    model = ForwardModel(Machine(), ("gravity",))
-    gain = np.exp(chance.normal(0.0, GAIN_SD) * ("gain" in own))
-    bent_rad = np.radians(chance.normal(0.0, ANGLE_SD_DEG)) * ("angle" in own)
-    denser = float(np.exp(chance.normal(0.0, FIELD_DENSITY_SD) * ("field" in own)))
-    values = truth | {"density": truth["density"] * denser}
-    angle, speed = model.machine.home_plate_angle_rad, model.machine.nominal_elevator_speed_rad_s
-    loads = []
-    for number in range(int(chance.integers(2, 11))):
-        flow = chance.uniform(5.0, 12.0) * np.exp(chance.normal(0.0, 0.15, WINDOWS))
-        at = Conditions(np.full(WINDOWS, angle + bent_rad), np.full(WINDOWS, speed), mass_flow_kg_s=flow)
-        force = np.real(model.force(at, values)) * gain * np.exp(chance.normal(0.0, SCATTER_SD))
-        weighed = float(np.sum(flow) * WINDOW_S * np.exp(chance.normal(0.0, SCALE_SD)))
-        loads.append(
-            WeighedLoad(
-                str(number),
-                weighed,
-                SCALE_SD * weighed,
-                np.full(WINDOWS, WINDOW_S),
-                force,
-                np.full(WINDOWS, angle),
-                np.full(WINDOWS, speed),
-            )
-        )
-    return MachineLoads(name, model, tuple(loads))
 
 
 def error_pct(machine: MachineLoads, known: ParameterSet) -> float:
@@ -236,6 +205,19 @@ def several(seeds: int, machines: int, out: Path) -> bool:
     return mean["fleet_pct"] <= 0.5 * mean["shipped_pct"]
 
 
+def with_sweeps(seeds: int, machines: int, *, as_json: bool) -> int:
+    """Print what sweeps do with seeds 1 to `seeds`; 0."""
+    found = {}
+    for name, hidden in sweeps.HIDDEN.items():
+        found[name] = sweeps.compare(hidden, range(1, seeds + 1), machines)
+        if not as_json:
+            each = ", ".join(f"{way} {entry['error_pct']:.2f} % (z {entry['z']:.2f})" for way, entry in found[name].items())
+            print(f"{name}: {each}", flush=True)
+    if as_json:
+        print(json.dumps({"seeds": seeds, "machines": machines * len(CROPS), "hidden": found}, indent=2))
+    return 0
+
+
 def _line(name: str, entry: dict[str, float]) -> str:
     return (
         f"{name:10} shipped {entry['shipped_pct']:5.2f} %  fleet {entry['fleet_pct']:5.2f} %  "
@@ -253,9 +235,12 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--seeds", type=int)
     parser.add_argument("--oracle", action="store_true", help="what is reachable in seeds 1 to --seeds")
+    parser.add_argument("--sweeps", action="store_true", help="what sweeps do before and after a machine's first tickets")
     parser.add_argument("--out", type=Path, help="results of --seeds")
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args()
+    if args.sweeps:
+        return with_sweeps(args.seeds or 1, args.machines, as_json=args.json)
     if args.oracle:
         return 0 if oracles(args.seeds or 1, args.machines) else 1
     if args.seeds is not None:

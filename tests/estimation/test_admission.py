@@ -9,7 +9,7 @@ import pytest
 
 from yieldmon.estimation.admission import allowing_for, refusal
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
-from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.parameters import BY_KERNELS, CARRIED, METHOD, POOLED, PUBLISHED, SCALE, WEIGHED, ParameterSet
 
 GIVEN = ParameterSet(
     {"friction": 0.2, "restitution": 0.6, "density": 1100.0, "shape_ratio": 2.0},
@@ -48,3 +48,18 @@ def test_sweeps_are_refused_where_the_calibration_missed_what_it_left_out(found:
 @pytest.mark.parametrize(("found", "expected"), [(0.0, 0.01), (0.005, 0.01), (0.05, 0.05)])
 def test_the_calibrations_model_error_counts_where_it_is_the_larger(found: float, expected: float) -> None:
     assert allowing_for(ClosedLoopSettings(model_error=0.01), replace(GIVEN, model_error=found)).model_error == expected
+
+
+@pytest.mark.parametrize(
+    ("provenance", "refused"),
+    [
+        ({METHOD: POOLED}, True),
+        ({METHOD: POOLED, SCALE: CARRIED}, True),
+        ({METHOD: POOLED, SCALE: WEIGHED}, False),
+        ({METHOD: POOLED, SCALE: BY_KERNELS}, False),
+        ({METHOD: PUBLISHED}, False),
+        ({}, False),
+    ],
+)
+def test_sweeps_are_refused_where_only_other_machines_loads_are_known(provenance: dict[str, str], refused: bool) -> None:
+    assert ("until a load is weighed" in refusal(replace(GIVEN, provenance=provenance))) is refused

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import difflib
+import errno
 import re
 import sys
 import textwrap
@@ -49,9 +50,13 @@ class Parser(argparse.ArgumentParser):
         super().__init__(**{"formatter_class": Help, **given})
 
     def _print_message(self, message: str, file: SupportsWrite[str] | None = None) -> None:
-        """argparse's own passes over a standard output that takes nothing."""
+        """argparse's own passes over a standard output that takes nothing; here over one that is closed alone."""
         if message and file is not None and file is sys.stdout:
-            file.write(message)
+            try:
+                file.write(message)
+            except OSError as error:
+                if error.errno != errno.EBADF:
+                    raise
         else:
             super()._print_message(message, file)
 

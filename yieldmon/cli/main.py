@@ -8,6 +8,7 @@ underscores is the verb's. Only the verb asked for is imported; help is the firs
 from __future__ import annotations
 
 import argparse
+import errno
 import importlib
 import io
 import os
@@ -234,7 +235,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except SystemExit as leaving:
         # Help and usage: what can go wrong outside, below, costs half a second to look up.
         lost = _let_go_of_output()
-        if leaving.code or lost is None or isinstance(lost, BrokenPipeError):
+        # Who closes standard output, or no longer reads it, asks for no words.
+        if leaving.code or lost is None or lost.errno in (errno.EPIPE, errno.EBADF):
             raise
         _print_error(lost)
         raise SystemExit(EXIT_FAILED) from None

@@ -2,8 +2,10 @@
 
 What a sweep says of friction and fill is as good as the model's profile over the plate angle. Where a calibration at known
 loads has driven a parameter to an end of its physical range, or has missed held-out angles and loads, that profile is known to be
-wrong, and what an update does to the flow at home is then the model's error projected on it, of either sign. Weighed masses are
-not concerned: they speak of the flow itself.
+wrong, and what an update does to the flow at home is then the model's error projected on it, of either sign. Nor where other
+machines' loads, weighed at home, are all that is known: these hold the error of the flow at home, and a plate a degree off its
+reported angle is enough for sweeps to make it larger (studies/fleet_prior). Weighed masses are not concerned: they speak of the
+flow itself.
 
 Source: Brynjarsdottir and O'Hagan, Inverse Problems 30 (2014), on parameters estimated through a model whose error is not known.
 """
@@ -16,7 +18,7 @@ from yieldmon.physics.grain import at_search_end
 
 from .closed_loop_settings import ClosedLoopSettings
 from .load_pattern import another_curve
-from .parameters import ParameterSet
+from .parameters import BY_KERNELS, METHOD, POOLED, SCALE, WEIGHED, ParameterSet
 
 STOP_GAP = "stop_gap"
 """Effect that stands for what a calibration saw the model miss (`estimation.fitting.stop_gap`)."""
@@ -42,6 +44,11 @@ def refusal(parameters: ParameterSet) -> str:
         return (
             f"the calibration missed angles and loads that it left out by {100.0 * parameters.model_error:.0f} %: sweeps change "
             "nothing (see yieldmon diagnose)"
+        )
+    if parameters.provenance.get(METHOD) == POOLED and parameters.provenance.get(SCALE) not in (WEIGHED, BY_KERNELS):
+        return (
+            "the loads of other machines do not show how this machine's force follows the plate angle: sweeps change nothing "
+            "until a load is weighed"
         )
     if STOP_GAP in parameters.effects:
         return "the calibration rests on a stop-gap for what the model misses: sweeps change nothing (see yieldmon diagnose)"

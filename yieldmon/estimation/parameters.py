@@ -33,8 +33,8 @@ SCALE, WEIGHED, BY_KERNELS, NOT_CALIBRATED, CARRIED = "scale", "weighed", "kerne
 another machine, and for those whose scale is that of this machine in another crop."""
 CARRIED_FROM = "scale_from"
 """Key of the provenance for that crop's name."""
-METHOD, PUBLISHED = "method", "published properties"
-"""Key and value of the provenance of a crop's parameters from the literature."""
+METHOD, PUBLISHED, POOLED = "method", "published properties", "pooled over machines (empirical Bayes)"
+"""Key of the provenance, and its values for a crop's parameters from the literature and from the loads of other machines."""
 UNCALIBRATED_SD = 0.45
 """Relative standard deviation of the force on a machine that nothing was calibrated on: docs/internals/standard-deviations.md."""
 CARRIED_SD = 0.12

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from yieldmon.errors import InputError
-from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.parameters import METHOD, POOLED, ParameterSet
 from yieldmon.estimation.weighing.fleet_prior import LEAST_MACHINES, FleetPrior, MachineLoads, load_errors, pooled
 from yieldmon.estimation.weighing.load_inputs import WeighedLoad
 from yieldmon.estimation.weighing.unlike_others import unlike_the_other_densities, unlike_the_other_machines, unlike_the_others
@@ -91,7 +91,7 @@ def crop_prior(address: str, name: str) -> CropPrior:
         found_no = f"has tickets of {len(machines)} machines for {name}{others}{without}{_others(left_out)}"
         raise InputError(address, found_no, f"at least {LEAST_MACHINES}{mend}")
     facts = {
-        "crop": name, "method": "pooled over machines (empirical Bayes)", "machines": str(len(machines)),
+        "crop": name, METHOD: POOLED, "machines": str(len(machines)),
         "loads": str(sum(len(machine.loads) for machine in machines)), "start": f"config/crops.yaml: {name}",
     }  # fmt: skip
     return CropPrior(
