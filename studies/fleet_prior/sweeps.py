@@ -7,7 +7,7 @@ loads are its tickets; it is judged by the others. Each sweep holds the plate at
 feed and 0.5 % by noise, and goes through the daemon's own calibrator with its defaults.
 
 - prior: the fleet's prior, no sweep.
-- sweeps: four sweeps, read with the prior's own covariance.
+- sweeps: eight sweeps, read with the prior's own covariance, until they have shown that the model disagrees.
 - sweeps and angle: the same with the plate's angle as a parameter beside, 0 ± 1 deg, as it is drawn.
 """
 
@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from math import nan
 from typing import Any
 
@@ -24,6 +25,7 @@ from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.self_calibration.closed_loop_calibrator import ClosedLoopCalibrator
 from yieldmon.engine.self_calibration.load_forces import LoadForces
 from yieldmon.engine.self_calibration.reference_mass import ReferenceMass, ReferenceSource
+from yieldmon.engine.sweeps.disagreement import Disagreement
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.weighing.fleet_prior import MachineLoads, load_deviation, load_errors, pooled
@@ -35,6 +37,7 @@ from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array
 from yieldmon.resources import shipped as shipped_file
 from yieldmon.service.config import configuration
+from yieldmon.service.config.configuration import Configuration
 
 from .draws import ANGLE_SD_DEG, CROPS, SCATTER_SD, Hidden, drawn, hidden_crop
 
@@ -45,7 +48,7 @@ HIDDEN: dict[str, dict[str, float]] = {
     "radial speed 0.15": {"residual_radial_speed.share": 0.15},
 }
 ANGLE = "plate_angle_offset.angle_rad"
-SWEEPS, TICKETS = 4, 2
+SWEEPS, TICKETS = 8, 2
 _PLACES_DEG = (70, 40, 70, 50, 70, 60, 70, 80, 70, 90, 70)
 _A_PLACE, _FEED_SD, _NOISE_SD = 4, 0.01, 0.005
 _SWEEP_S, _WINDOW_S, _LOAD_S = 2400.0, 1.5, 600.0
@@ -105,21 +108,32 @@ def with_angle(prior: ParameterSet) -> ParameterSet:
     return replace(prior, values=values, covariance_names=(*prior.covariance_names, ANGLE), covariance=covariance)
 
 
-def after(way: _Way, prior: ParameterSet, sweeps: Sequence[list[WindowRecord]], tickets: Sequence[WeighedLoad]) -> ParameterSet:
-    """What the daemon's calibrator makes of the prior."""
+def after(
+    way: _Way, prior: ParameterSet, sweeps: Sequence[list[WindowRecord]], tickets: Sequence[WeighedLoad]
+) -> tuple[ParameterSet, float]:
+    """What the daemon makes of the prior, and the relative standard deviation of the model at home that its sweeps have shown
+    and it states beside the parameters' own."""
     known = with_angle(prior) if way.angle else prior
-    loaded = configuration.load(shipped_file("config/yieldmon.yaml"))
+    loaded = _loaded()
     assert loaded.calibrator is not None
     calibrator = ClosedLoopCalibrator(ForwardModel(loaded.machine, known.effects), loaded.calibrator)
+    disagreement = Disagreement(loaded.engine.disagreement, loaded.machine)
     estimator: Any = OpenLoop(ForwardModel(loaded.machine, known.effects), known)
     entered: tuple[ReferenceMass, ...] = ()
     for number, load in enumerate(tickets if way.tickets else (), 1):
         entered = (*entered, _ticket(estimator, load, number))
         estimator = calibrator.weigh(_at(sweeps[0][0], number), entered, estimator).estimator or estimator
     for windows in sweeps if way.sweeps else ():
-        estimator = calibrator.update(windows, estimator).estimator or estimator
+        disagreement.add(windows, estimator.parameters)
+        estimator = calibrator.update(windows, estimator, use_sweep=not disagreement.present).estimator or estimator
     found: ParameterSet = estimator.parameters
-    return found
+    shown = way.sweeps and not way.tickets
+    return found, disagreement.model_error(found).home if shown else 0.0
+
+
+@cache
+def _loaded() -> Configuration:
+    return configuration.load(shipped_file("config/yieldmon.yaml"))
 
 
 def _at(window: WindowRecord, number: int) -> WindowRecord:
@@ -139,12 +153,12 @@ def _ticket(estimator: OpenLoop, load: WeighedLoad, number: int) -> ReferenceMas
     )  # fmt: skip
 
 
-def judged(known: ParameterSet, loads: Sequence[WeighedLoad]) -> tuple[float, float]:
-    """Mean absolute error of the loads, %, and z of their mean."""
+def judged(known: ParameterSet, home_error: float, loads: Sequence[WeighedLoad]) -> tuple[float, float]:
+    """Mean absolute error of the loads, %, and z of their mean. home_error: as `after` has it."""
     model, condensed = ForwardModel(Machine(), known.effects), [load.condensed for load in loads]
     errors: Array = load_errors(model, known, condensed)
     std_dev = float(np.mean(load_deviation(model, known, condensed)))
-    z = float(np.mean(errors)) / float(np.hypot(std_dev, SCATTER_SD / np.sqrt(len(loads))))
+    z = float(np.mean(errors)) / float(np.hypot(np.hypot(std_dev, home_error), SCATTER_SD / np.sqrt(len(loads))))
     return 100.0 * float(np.mean(np.abs(np.expm1(errors)))), z
 
 
@@ -165,8 +179,7 @@ def compare(hidden: dict[str, float], seeds: Sequence[int], machines: int) -> di
                 draws = np.random.default_rng([seed, of_crop, number])
                 sweeps = [sweep(own, draws, 1e4 + _SWEEP_S * count) for count in range(SWEEPS)]
                 for way, how in WAYS.items():
-                    known = after(how, prior, sweeps, machine.loads[:TICKETS])
-                    found[way].append(judged(known, machine.loads[TICKETS:]))
+                    found[way].append(judged(*after(how, prior, sweeps, machine.loads[:TICKETS]), machine.loads[TICKETS:]))
     return {
         way: {"error_pct": float(np.mean([e for e, _ in each])), "z": float(np.sqrt(np.mean([z * z for _, z in each])))}
         for way, each in found.items()

@@ -99,6 +99,15 @@ def test_a_store_measured_again_follows_parameters_zero_and_delay(capsys, tmp_pa
     assert moved[0].ground_speed_m_s is None
 
 
+@pytest.mark.parametrize(("step_s", "known"), [(0.0, True), (1.5, True), (60.0, False), (-3600.0, False)])
+def test_a_place_is_not_moved_over_a_step_of_the_clock(own, step_s: float, known: bool) -> None:
+    rows, loaded = read_seconds(STORE)[:40], configuration.load(shipped("config/yieldmon.yaml"), {})
+    rows = [replace(row, time_s=row.time_s + step_s * (i >= 20), ground_speed_m_s=1.0 + i) for i, row in enumerate(rows)]
+    found = measured_again(rows, loaded.machine, parameter_file.load(own), loaded.engine, delay_s=7)
+    assert [row.ground_speed_m_s for row in found.rows[20:27]] == ([14.0 + i for i in range(7)] if known else [None] * 7)
+    assert [row.ground_speed_m_s for row in found.rows[27:]] == [21.0 + i for i in range(13)]
+
+
 def test_a_contested_second_has_no_mass_whatever_the_zero(own) -> None:
     rows, loaded = read_seconds(STORE), configuration.load(shipped("config/yieldmon.yaml"), {})
     place = max(range(len(rows)), key=lambda i: rows[i].mass_kg)

@@ -26,8 +26,8 @@ def test_a_machine_without_anything_hidden_keeps_to_its_loads(way: str, corn: Pa
     machine, own = drawn("m", corn.values, np.random.default_rng(SEED), ())
     chance = np.random.default_rng(SEED + 1)
     seen = [sweeps.sweep(own, chance, 1e4 + 2400.0 * count) for count in range(2)]
-    known = sweeps.after(sweeps.WAYS[way], corn, seen, machine.loads[:2])
-    error_pct, _ = sweeps.judged(known, machine.loads[2:])
+    known, home_error = sweeps.after(sweeps.WAYS[way], corn, seen, machine.loads[:2])
+    error_pct, _ = sweeps.judged(known, home_error, machine.loads[2:])
     assert error_pct < 2.0
     moved = known.values != corn.values
     assert moved is (way != "prior")
@@ -39,9 +39,10 @@ def test_a_prior_of_the_fleet_is_not_updated_by_sweeps_until_a_load_is_weighed(c
     machine, own = drawn("m", corn.values, np.random.default_rng(SEED))
     chance = np.random.default_rng(SEED + 1)
     seen = [sweeps.sweep(own, chance, 1e4 + 2400.0 * count) for count in range(2)]
-    assert sweeps.after(sweeps.WAYS["sweeps"], pooled, seen, machine.loads[:2]).values == pooled.values
-    tickets = sweeps.after(sweeps.WAYS["tickets"], pooled, seen, machine.loads[:2])
-    after = sweeps.after(sweeps.WAYS["tickets, sweeps"], pooled, seen, machine.loads[:2])
+    swept, tickets, after = (
+        sweeps.after(sweeps.WAYS[way], pooled, seen, machine.loads[:2])[0] for way in ("sweeps", "tickets", "tickets, sweeps")
+    )
+    assert swept.values == pooled.values
     assert tickets.values != pooled.values
     assert after.values != tickets.values
 

@@ -126,5 +126,6 @@ def _seconds(row: SecondRow, min_coverage: float) -> float:
 def _places(rows: Sequence[SecondRow], i: int, delay_s: int) -> dict[str, float | None]:
     if not delay_s:
         return {}
-    earlier = rows[i - delay_s] if i >= delay_s and rows[i].time_s - rows[i - delay_s].time_s < delay_s + 2.0 else None
+    # Where the clock was set back between the two, the earlier one's place is of another time.
+    earlier = rows[i - delay_s] if i >= delay_s and 0.0 < rows[i].time_s - rows[i - delay_s].time_s < delay_s + 2.0 else None
     return {name: None if earlier is None else getattr(earlier, name) for name in _PLACED}
