@@ -497,7 +497,7 @@ def test_loads_tickets_and_names(tmp_path, capsys):
         bench.play(6, GRAIN_MV)
         warm_up(bench)
         answer = ask(tmp_path, capsys, "load", "start", "--field", "north", "--crop", "corn")
-        parameters = {"crop": None, "version": 1, "changed": False}
+        parameters = {"crop": None, "version": 1, "changed": False, "carried_from": ""}
         known = {"parameters": parameters, "crop_known": True, "units": "metric"}
         assert answer == {"load": 2, "field": "north", "crop": "corn", **known}
         bench.play(5, GRAIN_MV)
