@@ -16,6 +16,7 @@ from yieldmon.cli import main as cli
 from yieldmon.engine.calibrator_settings import CalibratorSettings
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.errors import InputError
+from yieldmon.estimation.parameters import METHOD, POOLED, SCALE, WEIGHED
 from yieldmon.estimation.self_calibration.drift_rates import DriftRates
 from yieldmon.files import machine_file, parameter_file
 from yieldmon.resources import shipped
@@ -387,3 +388,21 @@ def test_the_shipped_corn_is_no_calibration_of_another_machine(written, tmp_path
     assert configuration.load(calibrated).parameters == own
     assert cli.main(["check-config", str(calibrated)]) == 0
     assert "not calibrated" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("provenance", "model_error", "enabled", "said"),
+    [
+        ({METHOD: POOLED}, 0.0, "true", "no sweep runs by schedule: the loads of other machines do not show"),
+        ({METHOD: POOLED, SCALE: WEIGHED}, 0.0, "true", ""),
+        ({METHOD: POOLED}, 0.0, "false", ""),
+        ({}, 0.03, "true", "no sweep runs by schedule: the calibration missed angles and loads that it left out by 3 %"),
+    ],
+)
+def test_check_config_says_why_no_sweep_runs(written, tmp_path, capsys, provenance, model_error, enabled, said):
+    known = dataclasses.replace(parameter_file.load(), provenance=provenance, model_error=model_error)
+    parameter_file.save(known, tmp_path / "p.yaml")
+    assert cli.main(["check-config", str(written(f"parameter_file: p.yaml\nsweep: {{enabled: {enabled}}}"))]) == 0
+    shown = capsys.readouterr().out
+    assert ("no sweep runs" in shown) is bool(said)
+    assert said in shown
