@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from yieldmon.estimation.admission import allowing_for, refusal
+from yieldmon.estimation.admission import allowing_for, refusal, sweep_refusal
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
-from yieldmon.estimation.parameters import BY_KERNELS, CARRIED, METHOD, POOLED, PUBLISHED, SCALE, WEIGHED, ParameterSet
+from yieldmon.estimation.parameters import CARRIED, METHOD, POOLED, PUBLISHED, SCALE, WEIGHED, ParameterSet
 
 GIVEN = ParameterSet(
     {"friction": 0.2, "restitution": 0.6, "density": 1100.0, "shape_ratio": 2.0},
@@ -56,10 +56,16 @@ def test_the_calibrations_model_error_counts_where_it_is_the_larger(found: float
         ({METHOD: POOLED}, True),
         ({METHOD: POOLED, SCALE: CARRIED}, True),
         ({METHOD: POOLED, SCALE: WEIGHED}, False),
-        ({METHOD: POOLED, SCALE: BY_KERNELS}, False),
         ({METHOD: PUBLISHED}, False),
         ({}, False),
     ],
 )
 def test_sweeps_are_refused_where_only_other_machines_loads_are_known(provenance: dict[str, str], refused: bool) -> None:
-    assert ("until a load is weighed" in refusal(replace(GIVEN, provenance=provenance))) is refused
+    known = replace(GIVEN, provenance=provenance)
+    assert ("until a load is weighed" in sweep_refusal(known)) is refused
+    assert refusal(known) == "", "kernel noise and drift do not ask for the plate's angle"
+
+
+def test_sweeps_are_refused_wherever_the_model_is_known_to_be_wrong() -> None:
+    wrong = replace(GIVEN, model_error=0.05)
+    assert sweep_refusal(wrong) == refusal(wrong) != ""

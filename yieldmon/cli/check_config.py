@@ -11,7 +11,7 @@ from yieldmon.cli import _channels, _notes
 from yieldmon.cli._json import print_json
 from yieldmon.documents.check_config import CheckDocument, SeenDocument
 from yieldmon.errors import InputError
-from yieldmon.estimation.admission import refusal
+from yieldmon.estimation.admission import sweep_refusal
 from yieldmon.resources import shipped
 from yieldmon.service.config import configuration, document_text
 from yieldmon.service.config.document import Document
@@ -91,7 +91,7 @@ def _held_against(
     problems = plausible.implausible(loaded)
     if loaded.parameters.scale_error > 0.0 and not problems:
         notes.append(_notes.not_calibrated(loaded.parameters.scale_error, loaded.parameters.carried_from))
-    if loaded.engine.sweep.enabled and loaded.parameters.curve is None and (refused := refusal(loaded.parameters)):
+    if loaded.engine.sweep.enabled and loaded.parameters.curve is None and (refused := sweep_refusal(loaded.parameters)):
         notes.append(f"no sweep runs by schedule: {refused}")
     if log is None:
         return None, notes, [InputError(*problem) for problem in problems]

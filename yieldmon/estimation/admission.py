@@ -18,7 +18,7 @@ from yieldmon.physics.grain import at_search_end
 
 from .closed_loop_settings import ClosedLoopSettings
 from .load_pattern import another_curve
-from .parameters import BY_KERNELS, METHOD, POOLED, SCALE, WEIGHED, ParameterSet
+from .parameters import METHOD, POOLED, ParameterSet
 
 STOP_GAP = "stop_gap"
 """Effect that stands for what a calibration saw the model miss (`estimation.fitting.stop_gap`)."""
@@ -28,7 +28,7 @@ LARGEST_MODEL_ERROR = 0.02
 
 
 def refusal(parameters: ParameterSet) -> str:
-    """Why sweeps do not update these parameters.
+    """Why sweeps do not update these parameters: the model does not describe the machine.
 
     Parameters
     ----------
@@ -45,11 +45,6 @@ def refusal(parameters: ParameterSet) -> str:
             f"the calibration missed angles and loads that it left out by {100.0 * parameters.model_error:.0f} %: sweeps change "
             "nothing (see yieldmon diagnose)"
         )
-    if parameters.provenance.get(METHOD) == POOLED and parameters.provenance.get(SCALE) not in (WEIGHED, BY_KERNELS):
-        return (
-            "the loads of other machines do not show how this machine's force follows the plate angle: sweeps change nothing "
-            "until a load is weighed"
-        )
     if STOP_GAP in parameters.effects:
         return "the calibration rests on a stop-gap for what the model misses: sweeps change nothing (see yieldmon diagnose)"
     if another_curve(parameters):
@@ -64,6 +59,27 @@ def refusal(parameters: ParameterSet) -> str:
         f"{' and '.join(ends)} at an end of the physical range: the model does not describe this machine, and sweeps change "
         "nothing (see yieldmon diagnose)"
     )
+
+
+def sweep_refusal(parameters: ParameterSet) -> str:
+    """Why sweeps do not update these parameters: as `refusal`, or since nothing of this machine is known yet.
+
+    Parameters
+    ----------
+    parameters : ParameterSet
+        Those in use.
+
+    Returns
+    -------
+    str
+        One sentence, "" where they may.
+    """
+    if parameters.provenance.get(METHOD) == POOLED and not parameters.is_weighed:
+        return (
+            "the loads of other machines do not show how this machine's force follows the plate angle: sweeps change nothing "
+            "until a load is weighed"
+        )
+    return refusal(parameters)
 
 
 def allowing_for(settings: ClosedLoopSettings, parameters: ParameterSet) -> ClosedLoopSettings:

@@ -26,7 +26,7 @@ from yieldmon.engine.self_calibration.reference_mass_inputs import moisture_sd, 
 from yieldmon.engine.self_calibration.scale_alarm import name_of
 from yieldmon.engine.self_calibration.weighed_masses import Spans, WeighedMasses
 from yieldmon.engine.sweeps.sweep_records import measured_density, median_moisture_pct, sweep_of
-from yieldmon.estimation.admission import allowing_for, refusal
+from yieldmon.estimation.admission import allowing_for, refusal, sweep_refusal
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import BY_KERNELS, CARRIED_FROM, SCALE, WEIGHED, ParameterSet
 from yieldmon.estimation.self_calibration.angle_error import NO_ERROR, AngleError
@@ -76,7 +76,7 @@ class ClosedLoopCalibrator:
             self._lineage.forget_given()
         if not use_sweep and density is None:
             return self._without_sweeps(used, at.time_s)
-        refused = refusal(used)
+        refused = sweep_refusal(used)
         if refused and density is None:
             return CalibrationOutcome(None, refused, identifiable=False)
         try:
@@ -216,7 +216,7 @@ class ClosedLoopCalibrator:
     ) -> SweepWorth | None:
         """See calibrator.SelfCalibrator. Drift counts from the first time that it is asked for, as from a first update."""
         used = self._in_use(estimator)
-        if refusal(used) or not (record.mass_flow_kg_s > 0.0 and record.force_n > 0.0):
+        if sweep_refusal(used) or not (record.mass_flow_kg_s > 0.0 and record.force_n > 0.0):
             return None
         drifting, step = self._knowledge.now(used, self._at(record))
         known, bias = drifting.parameters, self._knowledge.bias(used, step, record.total_kg)

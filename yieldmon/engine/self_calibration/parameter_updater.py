@@ -21,7 +21,7 @@ from yieldmon.engine.sweeps.disagreement import Disagreement
 from yieldmon.engine.sweeps.sweep import SweepMachine
 from yieldmon.engine.sweeps.sweep_inputs import SweepAbort
 from yieldmon.engine.sweeps.sweep_windows import SweepWindows
-from yieldmon.estimation.admission import refusal
+from yieldmon.estimation.admission import sweep_refusal
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.self_calibration.sweep_worth import OtherChannels
 from yieldmon.estimation.waveform.common_bias import KernelMeasurement
@@ -142,7 +142,7 @@ class ParameterUpdater:
         self.drift_sd = 0.0
         """Relative, of the force, by drift since the last update of the parameters in use."""
         self.calibration_age_s = calibration_age_s
-        self._sweeps_update = not refusal(estimator.parameters)
+        self._sweeps_update = not sweep_refusal(estimator.parameters)
         self.judge_model(weighed=weighed)
 
     def judge_model(self, *, weighed: bool | None = None) -> None:
