@@ -49,6 +49,10 @@ class InputError(ValueError):
         )
         super().__init__("".join(c if c.isprintable() else repr(c)[1:-1] for c in " ".join(text.split())))
 
+    def __reduce__(self) -> tuple[type[InputError], tuple[str, str, str]]:
+        # By its text alone, as exceptions are pickled, it could not be made again in another process.
+        return type(self), (self.where, self.problem, self.expected)
+
 
 def brief(what: object, most: int = 160) -> str:
     """What a library or a file says, in one line of at most `most` characters; its middle is left out.

@@ -73,3 +73,31 @@ def test_a_reader_whose_parent_was_killed_ends(endless, tmp_path):
     running.kill()
     # The pipe ends only when the last process that holds it has ended.
     assert running.communicate(timeout=LIMIT_S)[1] == b""
+
+
+@pytest.mark.parametrize(
+    ("number", "code", "said"),
+    [
+        (signal.SIGINT, 130, "yieldmon: interrupted; {out} holds the tables of 0 logs\n"),
+        (signal.SIGKILL, 1, "yieldmon: {log}: its process was ended from outside, perhaps for want of memory\n"),
+    ],
+    ids=["Ctrl-C", "one killed"],
+)
+def test_logs_measured_separately(endless, tmp_path, number, code, said):
+    log, taken = endless
+    out, short = tmp_path / "out", tmp_path / "short.log"
+    short.write_bytes(lines(4.0))
+    with forked.running(
+        "process", str(log), str(short), "--separate", "--jobs", "2", "--out", str(out), before=INTERRUPTIBLE
+    ) as running:
+        assert taken.wait(LIMIT_S)
+        if number == signal.SIGINT:
+            os.killpg(running.pid, number)
+        else:
+            children = Path(f"/proc/{running.pid}/task/{running.pid}/children")
+            os.kill(int(children.read_text().split()[0]), number)
+        assert select.select([running.stderr], [], [], LIMIT_S)[0], "it goes on"
+        assert (running.stderr.read(), running.wait()) == (said.format(out=out, log=log), code)
+    left = {path.name for path in out.iterdir()} - {"short.csv"}
+    # One that is killed can put nothing away.
+    assert left == set() if number == signal.SIGINT else all(name.startswith(".endless.") for name in left)

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import multiprocessing
 import os
-import signal
 import sys
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from functools import partial
 from math import degrees
@@ -17,6 +15,7 @@ from pathlib import Path
 from yieldmon.bus.log_files.log_order import in_time_order
 from yieldmon.bus.log_files.logs import SUFFIXES, require_package
 from yieldmon.cli import _channels, _flow_curve, _named_files, _notes, _outputs
+from yieldmon.cli._forks import in_processes
 from yieldmon.cli._json import print_json
 from yieldmon.cli._log_progress import log_progress
 from yieldmon.cli._units import add_units
@@ -212,17 +211,13 @@ def _separately(args: argparse.Namespace, config: str | Path, units: Units) -> N
         zero_mv=args.zero_mv,
         channels=args.channels,
     )
-    context = multiprocessing.get_context("fork")
     documents: dict[str, ProcessSummary] = {}
     with (
         _says_what_is_kept(args.out, documents),
         log_progress(len(args.logs)) as progress,
-        context.Pool(min(args.jobs, len(args.logs)), _leave_interrupts) as pool,
+        closing(in_processes(work, args.logs, processes=args.jobs)) as summaries,
     ):
-        for log, (document, error) in zip(args.logs, pool.imap(work, args.logs), strict=True):
-            if document is None:
-                assert error is not None, "a record has its summary or an error"
-                raise InputError(*error)
+        for log, document in zip(args.logs, summaries, strict=True):
             documents[log] = document
             if progress is not None:
                 progress(EndOfLog(log, []))
@@ -242,19 +237,10 @@ def _separate_record(
     estimator: str | None,
     zero_mv: float | None,
     channels: list[str],
-) -> tuple[ProcessSummary | None, tuple[str, str, str] | None]:
-    """The record's summary, or what InputError was raised with."""
-    try:
-        loaded = _configured(config, params, estimator, channels)
-        return _one_record(
-            [log], str(folder / f"{_stem(log)}.{kind}"), kind, loaded, reads_ahead=False, progress=None, zero_mv=zero_mv
-        ), None
-    except InputError as error:
-        return None, (error.where, error.problem, error.expected)
-
-
-def _leave_interrupts() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+) -> ProcessSummary:
+    loaded = _configured(config, params, estimator, channels)
+    out = str(folder / f"{_stem(log)}.{kind}")
+    return _one_record([log], out, kind, loaded, reads_ahead=False, progress=None, zero_mv=zero_mv)
 
 
 def _stem(log: str) -> str:

@@ -20,7 +20,7 @@ from yieldmon.discrepancy.machines.force_change import Visible
 from yieldmon.discrepancy.machines.lattice import Lattice, lay, reference_force_n, with_force
 from yieldmon.discrepancy.machines.machine_comparison import Own
 from yieldmon.discrepancy.policy import Policy
-from yieldmon.errors import InputError
+from yieldmon.errors import InputError, brief
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.self_calibration.home_flow import AwayVisits
 from yieldmon.files import machine_file, parameter_file
@@ -99,7 +99,7 @@ class FleetDiagnosis:
     visible_from: tuple[Visible, ...] = ()
 
 
-Map = Callable[[Callable[["_Group"], "_Answer"], Iterable["_Group"]], Iterable["_Answer"]]
+Map = Callable[[Callable[["_Group"], "_Answer"], Sequence["_Group"]], Iterable["_Answer"]]
 """`map`, or that of a pool of processes."""
 
 
@@ -143,6 +143,9 @@ class _Group:
 
     machines: tuple[MachineSweeps, ...]
     policy: Policy
+
+    def __str__(self) -> str:
+        return f"sweeps of {brief(', '.join(machine.name for machine in self.machines))}"
 
 
 class _Answer(NamedTuple):

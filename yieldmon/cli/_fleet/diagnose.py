@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from math import isfinite
 
+from yieldmon.cli._forks import in_processes
 from yieldmon.cli._json import print_document
 from yieldmon.documents.fleet import FleetDiagnosisDocument, FleetEffect, MachineEffects, VisibleEffect
 from yieldmon.errors import InputError
@@ -19,8 +20,7 @@ def run(args: argparse.Namespace) -> int:
     """Exit code 0 when all machines were diagnosed, 1 when one could not be."""
     if not 1 <= args.workers <= 1024:
         raise InputError("--workers", f"is {args.workers}", "a whole number from 1 to 1024")
-    with ProcessPoolExecutor(args.workers) as pool:
-        found = diagnose(sweeps_of(args.dataset), each=pool.map)
+    found = diagnose(sweeps_of(args.dataset), each=partial(in_processes, processes=args.workers))
     document = _document(found)
     print_document(document, _text, as_json=args.json)
     return 0 if all(verdict.judged for verdict in found.machines) else 1

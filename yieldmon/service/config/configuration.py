@@ -52,6 +52,9 @@ class ConfigurationError(InputError):
         super().__init__(first.where, first.problem, first.expected)
         self.problems = problems
 
+    def __reduce__(self) -> tuple[type[ConfigurationError], tuple[list[InputError]]]:  # type: ignore[override]
+        return type(self), (self.problems,)
+
 
 @dataclass(frozen=True)
 class Configuration:
