@@ -39,7 +39,7 @@ class StatusConfiguration(TypedDict):
 
 
 class StdDevByCause(TypedDict):
-    """Parts of a mass's standard deviation, kg."""
+    """Parts of a mass's standard deviation, kg. noise: with what may have come in seconds that were not measured."""
 
     noise: Number
     parameters: Number

@@ -75,7 +75,7 @@ class MassBudget:
     Attributes
     ----------
     noise_kg2 : float
-        Variance of what averages out, kg^2.
+        Variance of what no other mass shares, kg^2: noise, which averages out, and what may have come unseen.
     parameters_kg, zero_kg, moisture_kg : float
         Standard deviations of what the seconds share, as in FlowBudget.
     motion_kg : float
@@ -127,6 +127,10 @@ class MassBudget:
         factor = after_kg / before_kg
         causes = (self.noise_kg2, self.parameters_kg, self.zero_kg, self.moisture_kg, self.motion_kg)
         return MassBudget(*(cause * factor for cause in causes))
+
+    def with_unseen(self, unseen_kg: float, before_kg: float) -> MassBudget:
+        """The budget of a mass of which so much more may be missing, before_kg of it already."""
+        return replace(self, noise_kg2=self.noise_kg2 + unseen_kg * (2.0 * before_kg + unseen_kg))
 
     def with_parameters(self, more_kg: float) -> MassBudget:
         """The budget of a mass whose parameters turn out to be less sure by so much, or surer (below 0)."""

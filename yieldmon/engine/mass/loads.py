@@ -21,6 +21,7 @@ from yieldmon.engine.mass.missed_mass import NO_LOAD, MissedMass
 from yieldmon.engine.mass.shared_error import ClosedLoadState
 from yieldmon.engine.mass.silences import Missing, Silences
 from yieldmon.engine.mass.totals import Totals, dry_mass
+from yieldmon.engine.mass.unseen import UnseenMass
 from yieldmon.engine.sampling.windows import Window
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.estimation.self_calibration.angle_error import NO_ERROR, AngleError
@@ -45,6 +46,7 @@ class Loads:
         self._start_s = _NAN
         self._complete = True
         self._silences = Silences()
+        self._unseen = UnseenMass()
         self._errors = LoadErrors()
         self._before: dict[int, MassBudget] = {}
         """Of loads that closed in a run before."""
@@ -79,6 +81,7 @@ class Loads:
         """All masses from 0, in a load with the next number."""
         closed = self._close(now_s)
         number = self.totals.load_number + 1
+        self._unseen.total_kg = 0.0
         self.totals = Totals(load_number=number, first_load=number, market_moisture_pct=self.totals.market_moisture_pct)
         self._start_s = now_s
         self._complete, self._silences = True, Silences()
@@ -101,8 +104,14 @@ class Loads:
         """Add a window and its area to the totals; returns its mass, kg. missing: of the inputs, where there is no flow."""
         available = flow.measured or flow.quality is not EstimateQuality.NOT_AVAILABLE
         stands = window.speed_rad_s <= self._settings.gate.min_turning_rpm * RPM
-        if not self._silences.lacks_nothing(window.end_s - window.start_s, None if available else missing, stands=stands):
+        duration_s = window.end_s - window.start_s
+        whole = self._silences.lacks_nothing(duration_s, None if available else missing, stands=stands)
+        if not whole:
             self._complete = False
+        if available:
+            self._miss(self._unseen.measured(flow.rate_kg_s if flow.measured else 0.0, whole=whole))
+        elif not (stands and missing in (Missing.ALL, Missing.ZERO_STANDING)):
+            self._unseen.missing(duration_s, whole=whole)
         if not flow.measured:
             self.totals = self.totals.with_area(area_m2, 0.0)
             return 0.0
@@ -111,6 +120,7 @@ class Loads:
         mass_kg = flow.rate_kg_s * seconds
         if not enough:
             self._complete = False
+            self._miss(flow.rate_kg_s * max(duration_s - window.covered_s, 0.0))
         if window.contested:
             # Whose samples they were is not known.
             self._complete = False
@@ -119,6 +129,13 @@ class Loads:
         dry_kg = self.dry_kg(mass_kg, moisture_pct)
         self.totals = self.totals.with_mass(mass_kg, dry_kg, flow.budget, seconds, area_m2)
         return mass_kg
+
+    def _miss(self, unseen_kg: float) -> None:
+        """So much may have come unseen."""
+        if unseen_kg > 0.0:
+            self.totals = self.totals.with_unseen(unseen_kg, before=self._unseen)
+            self._unseen.load_kg += unseen_kg
+            self._unseen.total_kg += unseen_kg
 
     def resume_share(self, error: AngleError, version: int, home_rad: float) -> None:
         """After `restore`: the open load was measured with the parameters of this version, which are in use, and its standard
@@ -256,6 +273,7 @@ class Loads:
         self._before = {}
         self.totals = self._at_market(totals)
         self._complete, self._silences = not (totals.load_open and totals.load_kg > 0.0), Silences()
+        self._unseen = UnseenMass()
 
     def correct(self, missed: Mapping[int, MissedMass]) -> LoadEvents:
         """Mass that was missed, by load, joins its loads and, where it came since they were reset, the totals; closed loads are
@@ -303,6 +321,8 @@ class Loads:
         )
 
     def _close(self, now_s: float) -> LoadEvents:
+        self._miss(self._unseen.cut())
+        self._unseen.load_kg = 0.0
         if not self.totals.load_open:
             return ()
         self._closed.append(self._summary(now_s))

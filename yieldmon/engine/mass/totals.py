@@ -8,6 +8,7 @@ from operator import attrgetter
 
 from yieldmon.engine.mass.budget import EMPTY, NO_BUDGET, FlowBudget, MassBudget
 from yieldmon.engine.mass.missed_mass import MissedMass
+from yieldmon.engine.mass.unseen import UnseenMass
 from yieldmon.engine.quick import maker_of
 from yieldmon.engine.settings import TotalsSettings
 from yieldmon.physics.grain import DRIEST_PCT
@@ -169,6 +170,11 @@ class Totals:
             # Of its area only that of its last load is known.
             load_unknown_area_kg=self.load_unknown_area_kg + share * more.total_kg,
         )
+
+    def with_unseen(self, unseen_kg: float, *, before: UnseenMass) -> Totals:
+        """Totals of which so much more may be missing. before: what may have been already."""
+        load = self.load_budget.with_unseen(unseen_kg, before.load_kg) if self.load_open else self.load_budget
+        return replace(self, total_budget=self.total_budget.with_unseen(unseen_kg, before.total_kg), load_budget=load)
 
     def start_load(self) -> Totals:
         """A new load, empty, with the next number."""

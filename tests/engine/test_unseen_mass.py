@@ -1,0 +1,59 @@
+"""Grain that passes while sensor or speed is silent is in no load: the standard deviation says how much that may be."""
+
+from __future__ import annotations
+
+import pytest
+from engine_bench import Bench, monitor
+
+from yieldmon import frames as bus
+
+SAMPLES, SPEED = (bus.IMPACT_SENSOR_SAMPLES,), (bus.ELEVATOR_SPEED,)
+ALL = (bus.IMPACT_SENSOR_SAMPLES, bus.ELEVATOR_SPEED, bus.PLATE_ACTUATOR_FEEDBACK)
+FLOW_KG_S, FULL_S, END_S = 10.0, 15.0, 100.0
+
+#: What is silent, from when to when, s, how often, every 10 s; kg that pass unseen.
+SILENCES = {
+    "nothing": ((), 0.0, 0.0, 1, 0.0),
+    "the sensor": (SAMPLES, 40.0, 60.0, 1, 200.0),
+    "the speed": (SPEED, 40.0, 60.0, 1, 200.0),
+    "the bus": (ALL, 40.0, 60.0, 1, 200.0),
+    "the sensor, again and again": (SAMPLES, 30.0, 33.0, 5, 150.0),
+    "the sensor, until the grain has ended": (SAMPLES, 70.0, 90.0, 1, 100.0),
+    "the sensor, without grain": (SAMPLES, 85.0, 92.0, 1, 0.0),
+}
+
+
+@pytest.mark.parametrize("silence", SILENCES)
+def test_what_may_have_passed_unseen_is_in_the_standard_deviation(silence: str) -> None:
+    silent, from_s, to_s, times, unseen_kg = SILENCES[silence]
+    bench = Bench(flow=lambda t: FLOW_KG_S if FULL_S < t - 1000.0 < 80.0 else 0.0)
+
+    def lost(time_s: float) -> bool:
+        return any(from_s <= time_s - 1000.0 - n * 10.0 < to_s for n in range(times))
+
+    target = monitor()
+    for frame in bench.frames(END_S):
+        if not (frame.message in silent and lost(frame.time_s)):
+            target.feed(frame)
+    load, whole = target.start_load()[0].load, monitor()
+    for frame in bench.frames(END_S):
+        whole.feed(frame)
+    seen_through = whole.start_load()[0].load
+    missing_kg = seen_through.measured_kg - load.measured_kg
+    wider_kg = (load.std_dev_kg**2 - seen_through.std_dev_kg**2) ** 0.5 if load.std_dev_kg > seen_through.std_dev_kg else 0.0
+    assert missing_kg == pytest.approx(unseen_kg, abs=25.0)
+    # With a second at either end, of which a part was seen; without grain after it half of the flow before.
+    assert 0.97 * missing_kg - 1.0 < wider_kg < 1.3 * missing_kg + 15.0
+    assert target.totals.total_budget.std_dev_kg == pytest.approx(load.std_dev_kg)
+
+
+def test_a_new_load_does_not_have_what_the_load_before_may_be_missing() -> None:
+    target = monitor()
+    for frame in Bench(flow=lambda t: FLOW_KG_S if t > 1000.0 + FULL_S else 0.0).frames(END_S):
+        if frame.message not in SAMPLES or not 40.0 <= frame.time_s - 1000.0 < 60.0:
+            target.feed(frame)
+        if target.loads[-1].number == 1 and frame.time_s > 1055.0:
+            target.start_load()
+    first, second = target.loads
+    assert first.std_dev_kg == pytest.approx(140.0, rel=0.2)
+    assert second.std_dev_kg == pytest.approx(60.0, rel=0.2)
