@@ -2,12 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from tests.service.bench import running
 from tests.service.test_tickets_after_restart import TRUE, Season, ask
 from tests.service.test_undo_updates import RIGHT, enter, settle
 from yieldmon.cli import main as cli
+from yieldmon.estimation.parameters import SCALE, WEIGHED
+from yieldmon.files import parameter_file
+from yieldmon.resources import shipped
+
+
+def refused(season: Season, capsys: pytest.CaptureFixture[str], *words: str) -> str:
+    """The line with which a ticket is refused."""
+    capsys.readouterr()
+    with pytest.raises(SystemExit):
+        cli.main(["ticket", *words, "--socket", str(season.folder / "yieldmon.sock")])
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    return line
 
 
 def test_after_other_tickets_a_mass_five_times_off_is_refused_and_before_them_stated_as_doubtful(tmp_path, capsys) -> None:
@@ -19,11 +33,7 @@ def test_after_other_tickets_a_mass_five_times_off_is_refused_and_before_them_st
             return {row["number"]: row for row in ask(season.folder, "load", "list")["loads"]}
 
         def refusal(*words: str) -> str:
-            capsys.readouterr()
-            with pytest.raises(SystemExit):
-                cli.main(["ticket", *words, "--socket", str(season.folder / "yieldmon.sock")])
-            (line,) = capsys.readouterr().err.strip().splitlines()
-            return line
+            return refused(season, capsys, *words)
 
         # Nothing is known of the machine yet: it may be so far off, and is not corrected as surely as a scale weighs.
         ask(season.folder, "ticket", "5", f"{1000.0 * season.masses[5]}kg")
@@ -45,3 +55,33 @@ def test_after_other_tickets_a_mass_five_times_off_is_refused_and_before_them_st
         settle(season, bench)
         row = listed()[4]
         assert row["corrected_std_dev_kg"] > 0.5 * abs(row["posted_mass_kg"] - row["corrected_mass_kg"])
+
+
+@pytest.mark.parametrize("factor", [1000.0, 0.001, 0.1])
+def test_a_slip_does_not_replace_the_only_ticket(tmp_path, capsys, factor: float) -> None:
+    season = Season(tmp_path / "a")
+    with running(season.folder) as bench:
+        season.harvest(bench)
+        season.ticket(bench, 3, TRUE)
+        settle(season, bench)
+        before = season.updates()
+        line = refused(season, capsys, "3", f"{factor * TRUE * season.masses[3]}kg")
+        assert "load 3: weighs" in line
+        assert "by the calibration of load 3; expected" in line
+        assert "if ticket 1 is wrong, `yieldmon ticket undo 1`" in line
+        assert season.updates() == before
+        # As wrong as that, the first one can be taken back.
+        ask(season.folder, "ticket", "undo", "1")
+        assert ask(season.folder, "ticket", "3", f"{factor * TRUE * season.masses[3]}kg")["ticket"] == 2
+
+
+def test_a_slip_is_refused_where_the_parameter_file_was_weighed_until_a_restart_of_the_calibrations(tmp_path, capsys) -> None:
+    season, weighed = Season(tmp_path / "a"), tmp_path / "weighed.yaml"
+    known = parameter_file.load(shipped("config/parameters/corn.yaml"))
+    parameter_file.save(replace(known, provenance={**known.provenance, SCALE: WEIGHED}), weighed)
+    with running(season.folder, f"{{parameter_file: {weighed}, bus: {{transmit_max_age_s: 60}}}}") as bench:
+        season.harvest(bench)
+        words = ("3", f"{1000.0 * season.masses[3]}kg")
+        assert "by the parameters in use, whose scale was weighed; expected" in refused(season, capsys, *words)
+        ask(season.folder, "calibrations", "restart")
+        assert ask(season.folder, "ticket", *words)["why_no_reference"]

@@ -133,20 +133,34 @@ def _closed_loads(order: Order, first: int, last: int) -> Sequence[Load]:
 
 
 def _refuse_impossible(order: Order, mass_kg: float, covered: Sequence[Load]) -> None:
-    """Raises InputError for a mass that loads cannot have which were measured whole on a machine that other tickets calibrate."""
+    """Raises InputError for a mass that loads cannot have which were measured whole on a machine whose scale was weighed."""
     again = order.journal.actions.history.ledger.factors
     slip = ticket_file.unit_slip(mass_kg, sum(load.mass_kg * again.get(load.number, 1.0) for load in covered))
-    others = _counted_loads(order) - {load.number for load in covered}
-    if slip and (others or order.monitor.scale_counted) and not why_no_reference(covered, order, _other_crop(order, covered)):
-        expected = (
-            "the mass of this load with its unit, such as 9.12t; after a change of the machine `yieldmon calibrations restart`"
-        )
-        raise InputError(f"ticket for load {covered[0].number}", f"{slip}, by the calibration of {_named(others)}", expected)
+    if not slip or why_no_reference(covered, order, _other_crop(order, covered)):
+        return
+    counted = _counted_loads(order)
+    # Of these loads a ticket that counts is what this one would replace.
+    by = _calibrated_by(order, counted - {load.number for load in covered} or counted)
+    if by:
+        expected = "the mass of this load with its unit, such as 9.12t; "
+        alone = _only_tickets(order, ())
+        if alone:
+            expected += f"if ticket {alone[-1]} is wrong, `yieldmon ticket undo {alone[-1]}`; "
+        expected += "after a change of the machine `yieldmon calibrations restart`"
+        raise InputError(f"ticket for load {covered[0].number}", f"{slip}, by {by}", expected)
 
 
-def _named(loads: Collection[int]) -> str:
-    numbers = sorted(loads)
-    return f"load{'s' if len(numbers) > 1 else ''} {', '.join(map(str, numbers))}" if numbers else "the tank scale"
+def _calibrated_by(order: Order, counted: Collection[int]) -> str:
+    """What the scale of the machine is known from, "" where nothing was weighed."""
+    if counted:
+        numbers = sorted(counted)
+        return f"the calibration of load{'s' if len(numbers) > 1 else ''} {', '.join(map(str, numbers))}"
+    if order.monitor.scale_counted:
+        return "the calibration of the tank scale"
+    in_use = order.monitor.estimator.parameters
+    if in_use.carried_from:
+        return f"the scale of {in_use.carried_from}"
+    return "the parameters in use, whose scale was weighed" if in_use.is_weighed else ""
 
 
 def _weighed(request: Request) -> tuple[SharedTruck | None, TicketMass]:
