@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import json
 from pathlib import Path
 from typing import Any
 
@@ -156,3 +157,24 @@ def test_loads_of_a_crop_that_learnt_a_curve_calibrate_what_is_known_of_that_cro
     found = parameter_file.load(out)
     assert found.provenance["crop"] == "wheat"
     assert found.values["friction"] == crop("wheat").friction
+
+
+def test_loads_of_a_crop_with_a_curve_carried_from_another_calibrate_what_measured_them(tmp_path: Path) -> None:
+    with running(tmp_path) as bench:
+        masses = wheat_then_barley(tmp_path, bench)
+        ask(tmp_path, "ticket", "2", f"{FAR * masses[2]}kg", "--std-dev", f"{0.002 * masses[2]}kg")
+        settled(tmp_path, bench)
+        for signal_mv in (50.0, 80.0):
+            harvest(tmp_path, bench, "barley", 25, signal_mv)
+        used = bench.daemon.monitor.estimator.parameters
+        assert (used.carried_from, "load_pattern" in used.effects) == ("wheat", True)
+        ask(tmp_path, "load", "stop")
+        masses = {row["number"]: row["mass_kg"] for row in ask(tmp_path, "load", "list")["loads"] if row["crop"] == "barley"}
+    tickets = tmp_path / "tickets.csv"
+    tickets.write_text(
+        "load,weighed_kg\n" + "".join(f"{number},{1.05 * kg}\n" for number, kg in masses.items()), encoding="utf-8"
+    )
+    with contextlib.redirect_stdout(io.StringIO()) as out:
+        cli.main(["calibrate", "--loads", str(tmp_path / "yieldmon.sqlite"), "--tickets", str(tickets), "--json"])
+    before_kg = {int(load["load"]): load["before_kg"] for load in json.loads(out.getvalue())["loads"]}
+    assert before_kg == pytest.approx(masses, rel=0.01)

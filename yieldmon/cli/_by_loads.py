@@ -148,14 +148,16 @@ def _prior(args: argparse.Namespace, measured: tuple[MeasuredLoad, ...], configu
 
 
 def _before_curve(measured: tuple[MeasuredLoad, ...], known: ParameterSet) -> ParameterSet:
-    """The parameters without a curve that loads of one crop began with. known: the configured ones, which may be another's, or
-    the shipped ones where no configuration is named."""
+    """The parameters without a curve of their own that loads of one crop began with. known: the configured ones, which may be
+    another's, or the shipped ones where no configuration is named."""
     crop = measured[-1].crop
     unchanged = parameter_file.digest(known) == parameter_file.digest(parameter_file.load())
     if not crop or (not unchanged and known.provenance.get("crop", crop) == crop):
         return known
     used = (load.parameters.get(row.parameter_version) for load in reversed(measured) for row in reversed(load.seconds))
-    began = (p for p in used if p is not None and EFFECT not in p.effects and p.provenance.get("crop") == crop)
+    # One that was carried from another crop is not of these loads.
+    without = (p for p in used if p is not None and (EFFECT not in p.effects or p.carried_from))
+    began = (p for p in without if p.provenance.get("crop") == crop)
     shipped_ones = known if crop == SHIPPED_CROP or crop not in crops() else crops()[crop].parameters()
     return next(began, shipped_ones)
 
