@@ -18,7 +18,7 @@ import pytest
 from tests.golden import kept
 from yieldmon.cli.main import main
 from yieldmon.discrepancy import adoption, diagnosis, report
-from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.parameters import CARRIED, CARRIED_FROM, SCALE, ParameterSet
 from yieldmon.files import parameter_file, table
 from yieldmon.files.table import Table
 from yieldmon.physics.machine import Machine
@@ -98,13 +98,16 @@ def test_published_tables(name: str, f_before: float, f_after: float) -> None:
 def test_loads_of_a_table_calibrate_a_machine_and_sweeps_do_not(offset_table: Path, tmp_path: Path) -> None:
     """scale_sd: of the flows that a store's sweeps are given, which no load of a table has."""
     parent, path = parameter_file.not_calibrated(parameter_file.load()), tmp_path / "p.yaml"
-    parameter_file.save(parent, path)
+    carried = replace(parent, provenance={**parent.provenance, SCALE: CARRIED, CARRIED_FROM: "wheat", "crop": "corn"})
     found = diagnosis.diagnose(table.load(offset_table), Machine(), parent, diagnosis.Options())
-    for scale_sd, calibrated in ((0.0, True), (0.08, False)):
-        out = tmp_path / f"{scale_sd}.yaml"
-        data, now = ("data", "0" * 64), datetime(2026, 7, 1, tzinfo=UTC)
-        adoption.adopt(found, parent, parent_path=path, out=out, data=data, now=now, scale_sd=scale_sd)
-        assert (parameter_file.load(out).scale_error == 0.0) is calibrated
+    for before in (parent, carried):
+        parameter_file.save(before, path)
+        for scale_sd, error in ((0.0, 0.0), (0.08, before.scale_error)):
+            out = tmp_path / f"{before.carried_from}{scale_sd}.yaml"
+            data, now = ("data", "0" * 64), datetime(2026, 7, 1, tzinfo=UTC)
+            adoption.adopt(found, before, parent_path=path, out=out, data=data, now=now, scale_sd=scale_sd)
+            assert parameter_file.load(out).scale_error == error
+            assert parameter_file.load(out).provenance.get("crop") == before.provenance.get("crop")
 
 
 @pytest.mark.usefixtures("diagnosed_once")

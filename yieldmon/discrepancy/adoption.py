@@ -13,7 +13,15 @@ from yieldmon import utc
 from yieldmon.errors import InputError, reading
 from yieldmon.estimation import model_error
 from yieldmon.estimation.fitting.identifiability import scale_tangent
-from yieldmon.estimation.parameters import NOT_CALIBRATED, SCALE, WEIGHED, CalibratedRange, ParameterSet
+from yieldmon.estimation.parameters import (
+    CARRIED,
+    CARRIED_FROM,
+    NOT_CALIBRATED,
+    SCALE,
+    WEIGHED,
+    CalibratedRange,
+    ParameterSet,
+)
 from yieldmon.files import parameter_file, whole_file
 from yieldmon.physics.numerics import span
 
@@ -91,12 +99,13 @@ def adopt(
         "gap_after_f": f"{diagnosis.after.lack_of_fit_f:.6g}",
         "seed": str(diagnosis.options.seed),
     }
+    # What is adopted leaves the flow at home as it is; sweeps do not show the scale, as loads of a table do.
     if parent.is_weighed:
-        # What is adopted leaves the flow at home as it is.
         provenance[SCALE] = WEIGHED
     elif parent.scale_error > 0.0 and scale_sd > 0.0:
-        # Sweeps do not show the scale, as loads of a table do.
-        provenance[SCALE] = NOT_CALIBRATED
+        provenance |= {SCALE: CARRIED, CARRIED_FROM: parent.carried_from} if parent.carried_from else {SCALE: NOT_CALIBRATED}
+    if "crop" in parent.provenance:
+        provenance["crop"] = parent.provenance["crop"]
     if diagnosis.held_out is not None and diagnosis.held_out.closed_pct is not None:
         provenance["held_out_closed_pct"] = f"{diagnosis.held_out.closed_pct:.4g}"
     _replace(copy, text)
