@@ -311,9 +311,8 @@ def test_a_file_without_its_package_names_the_extra(
     assert hashes(folder) == before
 
 
-def interruptible() -> None:
-    """Ctrl-C ends the child also where the tests run in the background, which ignore it."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
+#: Ctrl-C ends the command also where the tests run in the background, which ignore it.
+INTERRUPTIBLE = ("env", "--default-signal=INT")
 
 
 INTERRUPTED = {
@@ -331,7 +330,7 @@ def test_ctrl_c_says_what_is_kept(folder: Path, words: str, seen: str, said: str
     if not seen:
         # A log that is still being written: its reader waits for more, as one of a day is busy when it is interrupted.
         os.mkfifo("long.log")
-    command = [sys.executable, "-m", "yieldmon", *words.split()]
+    command = [*INTERRUPTIBLE, sys.executable, "-m", "yieldmon", *words.split()]
     pipe = subprocess.PIPE
     with (
         subprocess.Popen(
@@ -339,7 +338,6 @@ def test_ctrl_c_says_what_is_kept(folder: Path, words: str, seen: str, said: str
             stderr=pipe,
             stdout=pipe,
             text=True,
-            preexec_fn=interruptible,  # noqa: PLW1509 - no thread runs here
         ) as process,
         ExitStack() as held,
     ):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import os
-import signal
 import sys
 from pathlib import Path
 
@@ -43,11 +42,6 @@ ANSWERS = {
     "plate_reported_deg": [45, 85],
     "crop": "wheat",
 }
-
-
-def interruptible() -> None:
-    """Ctrl-C ends the child also where the tests run in the background, which ignore it."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def answers(folder: Path, **changes: object) -> str:
@@ -205,12 +199,12 @@ def test_through_a_terminal_of_80_by_24_with_a_break_between(tmp_path):
 
     def session(given: list[str], end: str) -> object:
         terminal = pexpect.spawn(
-            sys.executable,
-            ["-m", "yieldmon.cli.main", "setup", "--out", str(tmp_path / "new")],
+            # Ctrl-C ends it also where the tests run in the background, which ignore it.
+            "env",
+            ["--default-signal=INT", sys.executable, "-m", "yieldmon.cli.main", "setup", "--out", str(tmp_path / "new")],
             dimensions=(24, 80),
             encoding="utf-8",
             timeout=60,
-            preexec_fn=interruptible,
             env={**os.environ, "TERM": "xterm"},
         )
         screen = pyte.Screen(80, 24)
