@@ -302,10 +302,13 @@ def test_short_spells_without_grain_show_how_far_the_zero_is_off(case: str) -> N
 def test_a_zero_that_is_taken_anew_is_away_from_nothing() -> None:
     machine = Seconds()
     machine.harvest(20)
-    readings = [machine.second(14.0 * GAIN_N_PER_MV) for _ in range(3)]
+    # Less force than of grain, so that the zero is not suspect.
+    force_n = 1.01 * UNSEEN_MV * GAIN_N_PER_MV
+    assert force_n < SETTINGS.gate.grain_on_n
+    readings = [machine.second(force_n) for _ in range(12)]
     assert readings[-1].zero_away_mv > 0.0
     machine.measurement.zero.calibrate()
     for _ in range(SETTINGS.zero.settle_windows):
-        reading = machine.second(14.0 * GAIN_N_PER_MV)
+        reading = machine.second(force_n)
     assert reading.zero_taken
     assert (reading.zero_away_mv, machine.harvest().zero_away_mv) == (0.0, 0.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from math import isfinite
 
 import pytest
 from engine_bench import ZERO_MV, Bench, feed, monitor
@@ -15,7 +16,7 @@ from yieldmon.engine.runs import run_of
 from yieldmon.engine.settings import EngineSettings, ReferenceMassSettings
 from yieldmon.errors import InputError
 from yieldmon.files import parameter_file
-from yieldmon.frames import Frame
+from yieldmon.frames import EstimateQuality, Frame
 from yieldmon.resources import shipped
 from yieldmon.service.assembly import monitor_of
 from yieldmon.service.config import configuration
@@ -192,6 +193,41 @@ def test_a_zero_that_was_learnt_with_grain_shows_when_the_plate_is_empty() -> No
     target.calibrate_zero()
     feed(target, bench.run(70))
     assert FaultCode.ZERO_DRIFTED in target.faults.active
+
+
+@pytest.mark.parametrize("new_load", [False, True], ids=["one load", "a load under the wrong zero"])
+@pytest.mark.parametrize("true_kg_s", [14.0, 20.0], ids=["all of the flow is hidden", "a part of it"])
+def test_under_a_suspect_zero_flow_and_mass_are_as_unsure_as_it_is_and_an_undo_makes_them_sure(
+    true_kg_s: float, new_load: bool
+) -> None:
+    def flow(time_s: float) -> float:
+        return (14.0 if time_s < 1049.0 else true_kg_s) if time_s >= 1020.0 else 0.0
+
+    frames, target = replace(BENCH, flow=flow).frames(140), monitor()
+    feed(target, run_of([f for f in frames if f.time_s < 1041.0]))
+    ask(target, "zero", force=True)
+    feed(target, run_of([f for f in frames if 1041.0 <= f.time_s < 1050.0]))
+    if new_load:
+        target.start_load()
+    feed(target, run_of([f for f in frames if 1050.0 <= f.time_s < 1100.0]))
+    seconds = [record for record in target.records if record.time_s > 1051.0]
+    assert {record.quality for record in seconds if not isfinite(record.mass_flow_kg_s)} <= {EstimateQuality.NOT_AVAILABLE}
+    for record in seconds:
+        if isfinite(record.mass_flow_kg_s):
+            assert true_kg_s - record.mass_flow_kg_s == pytest.approx(record.std_dev_kg_s, rel=0.25)
+    load, untouched = target.loads[-1], monitor()
+    feed(untouched, run_of([f for f in frames if f.time_s < 1100.0]))
+    true_kg = sum(record.mass_kg for record in untouched.records if not new_load or record.time_s > 1050.0)
+    assert true_kg - load.measured_kg == pytest.approx(load.std_dev_kg, rel=0.15)
+    ask(target, "zero-undo")
+    assert target.loads[-1].measured_kg == pytest.approx(true_kg, rel=0.01)
+    # Beside noise and parameters the little is left by which the force's curve is no line.
+    assert target.loads[-1].std_dev_kg < 0.05 * true_kg
+    assert target.totals.total_budget.std_dev_kg < 0.05 * target.totals.total_kg
+    feed(target, run_of([f for f in frames if 1100.0 <= f.time_s < 1110.0]))
+    after = target.records[-1]
+    assert after.mass_flow_kg_s == pytest.approx(true_kg_s, rel=0.05)
+    assert after.std_dev_kg_s < 0.05 * after.mass_flow_kg_s
 
 
 def test_a_ticket_for_the_open_load_is_refused() -> None:

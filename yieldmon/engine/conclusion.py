@@ -112,6 +112,8 @@ class Conclusion:
             in_range=reading.in_range,
             zeroed=reading.zero is not None,
         )
+        if not flow.measured and parts.measurement.hides_grain(reading.force_n):
+            missing = Missing.HIDDEN
         mass_kg = loads.count(window, flow, reading.inputs.fresh["moisture"], area_m2, missing)
         self._weigh(reading, flow, mass_kg)
         angle_rad = window.plate_angle_rad if isfinite(window.plate_angle_rad) else parts.machine.home_plate_angle_rad

@@ -42,8 +42,8 @@ class Reading:
     stand. still: the plate rested. sampled_before: the window before had samples.
     windows_since_jump: closed since the bus's clock jumped. zero_taken: a zero was taken with this window. zero_age_s: since the
     zero was last taken or followed, or since the start. zero_away_mv: how far the empty plate was seen from it since, in spells
-    too short to take another; zero_far_mv: where it looked empty for long and that is too far to follow.
-    zero_drift: what is wrong with it, "" for nothing.
+    too short to take another, or how far a zero taken despite signs of grain is from the one before it; zero_far_mv: where it
+    looked empty for long and that is too far to follow. zero_drift: what is wrong with it, "" for nothing.
     zero_refusal: why there is no first zero.
     """
 
@@ -148,6 +148,12 @@ class Measurement:
             signs.append(rise)
         return " and ".join(signs)
 
+    def undo_zero(self) -> None:
+        """The zero before the operator's last calibration again. What looked empty by the vibration of the one undone need not
+        have been."""
+        self.zero.undo()
+        self._empty_spells = EmptySpells()
+
     def resume(self, now_s: float, paused_s: float) -> None:
         """The recording goes on after a pause, in which the zero grew older and engine time did not."""
         self._paused = now_s, self._paused_since_zero_s + paused_s
@@ -204,13 +210,19 @@ class Measurement:
         grain = self._gate.grain(gate)
         if not self._gate.see(gate):
             # Grain on a plate that reads below empty came with a wrong zero.
-            hidden = gate.pulses and force < -self._settings.gate.certain_force_n
+            hidden = self.hides_grain(force) or (gate.pulses and force < -self._settings.gate.certain_force_n)
             return quality.NOT_AVAILABLE if hidden or (grain and not in_range) else quality.NOT_HARVESTING, force, noise
         held_long = window.held_s > 0.5 * self._settings.windows.window_s and abs(force) > self._settings.gate.grain_on_n
         if held_long:
             return quality.NOT_AVAILABLE, force, noise
         # The state holds for some seconds after the grain; a second without any is no flow of 0.
-        return None if grain else quality.NOT_HARVESTING, force, noise
+        nothing = quality.NOT_AVAILABLE if self.hides_grain(force) else quality.NOT_HARVESTING
+        return None if grain else nothing, force, noise
+
+    def hides_grain(self, force_n: float) -> bool:
+        """Whether a suspect zero makes an empty plate of what is grain by the zero before it."""
+        doubted_n = self.zero.doubted_mv * self._machine.sensor.gain_n_per_mv
+        return doubted_n > 0.0 and force_n + doubted_n > self._settings.gate.grain_on_n
 
     def _force_std_dev(self, window: Window, force_n: float) -> float:
         """Standard deviation of the mean force: scatter within the window, drawn towards that of the windows before it, N."""
@@ -292,7 +304,7 @@ class Measurement:
         if zero is None:
             return 0.0
         seen_mv = self._empty_spells.departure_mv(zero.zero_mv, self.zero.known_s, self.zero.unseen_pulse_mv(window))
-        return max(seen_mv, abs(self.zero.far_mv))
+        return max(seen_mv, abs(self.zero.far_mv), abs(self.zero.doubted_mv))
 
     def _is_level(self, window: Window) -> bool:
         """Whether a window's samples give its level: all of them, or most of them of a sensor that loses some all the time. One

@@ -25,6 +25,6 @@ def undo(parts: Parts) -> tuple[dict[int, MissedMass], LoadEvents]:
     gain, on_n, least = parts.machine.sensor.gain_n_per_mv, settings.gate.grain_on_n, settings.windows.min_coverage
     found = parts.since_zero.missed(known.zero_mv, parts.updater.estimator, gain, on_n, least, parts.loads.dry_kg)
     parts.since_zero.clear()
-    zero.undo()
+    parts.measurement.undo_zero()
     parts.updater.masses.zero_undone()
     return found, parts.loads.correct(found)

@@ -128,9 +128,18 @@ class MassBudget:
         causes = (self.noise_kg2, self.parameters_kg, self.zero_kg, self.moisture_kg, self.motion_kg)
         return MassBudget(*(cause * factor for cause in causes))
 
+    def with_missed(self, missed_kg: float, before_kg: float, after_kg: float) -> MassBudget:
+        """Of a mass that was corrected, before_kg to after_kg, by what a wrong zero had missed: that is no error of its zero any
+        more, and all but the zero's error is relatively the same."""
+        return replace(self.of_mass(before_kg, after_kg), zero_kg=max(self.zero_kg - abs(missed_kg), 0.0))
+
     def with_unseen(self, unseen_kg: float, before_kg: float) -> MassBudget:
         """The budget of a mass of which so much more may be missing, before_kg of it already."""
         return replace(self, noise_kg2=self.noise_kg2 + unseen_kg * (2.0 * before_kg + unseen_kg))
+
+    def with_zero(self, more_kg: float) -> MassBudget:
+        """The budget of a mass that a wrong zero may have made less by so much more."""
+        return replace(self, zero_kg=self.zero_kg + more_kg)
 
     def with_parameters(self, more_kg: float) -> MassBudget:
         """The budget of a mass whose parameters turn out to be less sure by so much, or surer (below 0)."""

@@ -47,6 +47,7 @@ class Loads:
         self._complete = True
         self._silences = Silences()
         self._unseen = UnseenMass()
+        self._last_kg_s = 0.0
         self._errors = LoadErrors()
         self._before: dict[int, MassBudget] = {}
         """Of loads that closed in a run before."""
@@ -108,7 +109,11 @@ class Loads:
         whole = self._silences.lacks_nothing(duration_s, None if available else missing, stands=stands)
         if not whole:
             self._complete = False
-        if available:
+        if flow.rate_kg_s > 0.0:
+            self._last_kg_s = flow.rate_kg_s
+        if missing is Missing.HIDDEN:
+            self.totals = self.totals.with_hidden(self._last_kg_s * duration_s)
+        elif available:
             self._miss(self._unseen.measured(flow.rate_kg_s if flow.measured else 0.0, whole=whole))
         elif not (stands and missing in (Missing.ALL, Missing.ZERO_STANDING)):
             self._unseen.missing(duration_s, whole=whole)

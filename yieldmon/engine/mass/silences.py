@@ -26,6 +26,9 @@ class Missing(Enum):
     ZERO_OUT_OF_RANGE = auto()
     """Of such a second: the elevator turned at a speed at which no zero is taken."""
 
+    HIDDEN = auto()
+    """Of such a second: nothing, but its zero is suspect, and by the one before it there was grain."""
+
     @classmethod
     def of(cls, *, sampled: bool, speed: float, in_range: bool, zeroed: bool) -> Missing:
         """speed: of the elevator in any unit, nan where it is not known. in_range: grain is measured at it. zeroed: a zero was

@@ -147,8 +147,8 @@ class Totals:
             load_kg=load_kg,
             load_dry_kg=max(self.load_dry_kg + share * missed.dry_kg, 0.0),
             load_unknown_moisture_kg=max(self.load_unknown_moisture_kg + share * missed.unknown_moisture_kg, 0.0),
-            total_budget=self.total_budget.of_mass(self.total_kg, total_kg),
-            load_budget=self.load_budget.of_mass(self.load_kg, load_kg),
+            total_budget=self.total_budget.with_missed(missed.kg, self.total_kg, total_kg),
+            load_budget=self.load_budget.with_missed(share * missed.kg, self.load_kg, load_kg),
             load_unknown_area_kg=max(self.load_unknown_area_kg + share * missed.unknown_area_kg, 0.0),
         )
 
@@ -175,6 +175,11 @@ class Totals:
         """Totals of which so much more may be missing. before: what may have been already."""
         load = self.load_budget.with_unseen(unseen_kg, before.load_kg) if self.load_open else self.load_budget
         return replace(self, total_budget=self.total_budget.with_unseen(unseen_kg, before.total_kg), load_budget=load)
+
+    def with_hidden(self, hidden_kg: float) -> Totals:
+        """Totals of which so much more may be missing by a wrong zero."""
+        load = self.load_budget.with_zero(hidden_kg) if self.load_open else self.load_budget
+        return replace(self, total_budget=self.total_budget.with_zero(hidden_kg), load_budget=load)
 
     def start_load(self) -> Totals:
         """A new load, empty, with the next number."""

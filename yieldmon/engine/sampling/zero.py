@@ -128,6 +128,13 @@ class ZeroTracker:
         self.interrupt()
 
     @property
+    def doubted_mv(self) -> float:
+        """How far a suspect zero is above the one before it; 0 for one that is not."""
+        if not self.suspect or self._state is None or self._before is None:
+            return 0.0
+        return self._state.zero_mv - self._before.zero_mv
+
+    @property
     def calibrating(self) -> bool:
         """Whether a zero calibration by the operator is under way."""
         return self._calibrating

@@ -63,7 +63,7 @@ class LoadBook:
         if known is None:
             return
         mass_kg = max(0.0, known.mass_kg + missed.kg)
-        budget = None if known.budget is None else known.budget.of_mass(known.mass_kg, mass_kg)
+        budget = None if known.budget is None else known.budget.with_missed(missed.kg, known.mass_kg, mass_kg)
         dry_known = known.dry_mass_kg is not None and missed.unknown_moisture_kg <= DRY_KNOWN_KG
         area_known = missed.unknown_area_kg <= _UNKNOWN_AREA_SHARE * mass_kg
         self._loads[number] = self._new[number] = replace(
