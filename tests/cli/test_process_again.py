@@ -18,14 +18,19 @@ from tests.service.bench import CODEC, EMPTY_MV, GRAIN_MV, START_S, ZERO_MV, tra
 from tests.service.bench import messages as messages_of
 from yieldmon.bus.log_files.logs import read_log
 from yieldmon.cli.main import main
+from yieldmon.errors import InputError
 from yieldmon.files import parameter_file
 from yieldmon.frames import OperatingState
 from yieldmon.resources import shipped
+from yieldmon.service.assembly import build_monitor
 from yieldmon.service.config import configuration
+from yieldmon.service.logs.processing import process_logs
 from yieldmon.service.logs.recorded import read_seconds
 from yieldmon.service.logs.reprocessing import measured_again
+from yieldmon.service.storage.rows import SecondRow
 from yieldmon.service.storage.store import Store
 
+LOADED = configuration.load(shipped("config/yieldmon.yaml"))
 STORE = Path(__file__).parents[1] / "golden" / "store-0.1.0.sqlite"
 
 
@@ -257,9 +262,6 @@ def test_a_log_that_lacks_samples_in_each_second_says_so(capsys, tmp_path, logs)
 @pytest.mark.parametrize(
     ("factor", "says"),
     [
-        (1e3, "no mass: the log's times are 1000 times too far apart, as of milliseconds that stand for seconds: a sensor frame "
-              "every 4 s, by the mapping every 0.004 s; run"),
-        (1e6, "no mass: the log's times are 1000000 times too far apart, as of microseconds that stand for seconds"),
         (1e-3, "no mass: the log's times are 1000 times too near each other: a sensor frame every 4e-06 s"),
         (7.0, "no mass: a sensor frame every 0.028 s, by the mapping every 0.004 s: rate_hz of the mapping, or the log's times"),
     ],
@@ -274,14 +276,49 @@ def test_a_log_of_times_in_another_unit_says_so(capsys, tmp_path, logs, factor: 
     assert says in err
     document = json.loads(process(capsys, tmp_path, tmp_path / "ms.log", "--json")[1])
     assert problems(document, "process") == []
-    if factor == 1e3:
-        (tmp_path / "tickets.csv").write_text("load,weighed_kg\nms,900\n")
-        (tmp_path / "c.yaml").write_text("{}\n")
-        assert main(["calibrate", "--loads", str(tmp_path / "ms.log"), "--tickets", str(tmp_path / "tickets.csv")]) == 2
-        assert "ms.log: the log's times are 1000 times too far apart" in capsys.readouterr().err
-        assert main(["check-config", str(tmp_path / "c.yaml"), "--log", str(tmp_path / "ms.log")]) == 2
-        assert "as mapped; the log's times are 1000 times too far apart" in capsys.readouterr().err
     assert document["sensor_interval_s"] == pytest.approx(factor * document["mapped_interval_s"], rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("factor", "says"),
+    [
+        (1e3, "the log's times are 1000 times too far apart, as of milliseconds that stand for seconds: a sensor frame "
+              "every 4 s, by the mapping every 0.004 s; expected times in seconds"),
+        (1e6, "the log's times are 1000000 times too far apart, as of microseconds that stand for seconds"),
+    ],
+)  # fmt: skip
+def test_a_log_of_times_in_milliseconds_is_refused_at_its_beginning(capsys, tmp_path, logs, factor: float, says: str) -> None:
+    """It was measured second by second, a thousand times as many: an hour of harvest for hours."""
+    lines = [line.split() for line in logs["grain"].read_text().splitlines()]
+    moved = [f"({(float(time[1:-1]) - START_S) * factor:.9f}) {' '.join(rest)}\n" for time, *rest in lines]
+    (tmp_path / "ms.log").write_text("".join(moved))
+    code, _, err = process(capsys, tmp_path, tmp_path / "ms.log")
+    assert code == 2
+    assert f"ms.log: {says}" in err
+    monitor = build_monitor(LOADED.engine, LOADED.machine, LOADED.parameters)
+    rows: list[SecondRow] = []
+    with pytest.raises(InputError, match=r"too far apart"):
+        process_logs([tmp_path / "ms.log"], monitor, CODEC, rows.append)
+    assert len(rows) < 500
+    (tmp_path / "tickets.csv").write_text("load,weighed_kg\nms,900\n")
+    (tmp_path / "c.yaml").write_text("{}\n")
+    assert main(["calibrate", "--loads", str(tmp_path / "ms.log"), "--tickets", str(tmp_path / "tickets.csv")]) == 2
+    assert f"ms.log: {says[:45]}" in capsys.readouterr().err
+    assert main(["check-config", str(tmp_path / "c.yaml"), "--log", str(tmp_path / "ms.log")]) == 2
+    assert f"as mapped; {says[:45]}" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("seconds", [10.0, 1e3])
+def test_a_log_of_two_loggers_is_not_one_of_another_unit(capsys, tmp_path, logs, seconds: float) -> None:
+    """The time between the two loggers was held against the mapping: of 0.0001 s it said that times or mapping are not right."""
+    lines = [line.split(maxsplit=1) for line in logs["grain"].read_text().splitlines(keepends=True)]
+    both = [(float(time[1:-1]), rest) for time, rest in lines]
+    both += [(time_s + 0.000123, rest) for time_s, rest in both if time_s < START_S + seconds]
+    (tmp_path / "two.log").write_text("".join(f"({time_s:.6f}) {rest}" for time_s, rest in sorted(both)))
+    code, _, err = process(capsys, tmp_path, tmp_path / "two.log")
+    assert code == 0
+    assert "sensor frame every" not in err
+    assert "two nodes or channels send them, or the log has" in err
 
 
 def test_a_log_whose_first_time_is_damaged_does_not_run_backwards(capsys, tmp_path, logs) -> None:

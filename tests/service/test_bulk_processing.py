@@ -17,7 +17,9 @@ from tests.extras import MF4
 from tests.plant_sweeps import window
 from tests.service.bench import CODEC, START_S, ZERO_MV, running, traffic
 from yieldmon import frames
+from yieldmon.bus.bulk import block_of, concatenate
 from yieldmon.bus.codec import Codec
+from yieldmon.bus.log_files.doubled_frames import DoubledFrames
 from yieldmon.bus.log_files.logs import read_log
 from yieldmon.cli import main as cli
 from yieldmon.engine.results import PlateCommand, Result, WindowResult
@@ -128,6 +130,31 @@ def test_a_log_whose_every_frame_stands_there_several_times_counts_each_once(tim
     assert (rows, summary) == rows_of(process_logs, [path])
     assert summary.damages == [f"{path}: each frame stands there again at the same time with the same bytes, and counts once"]
     assert rows[-1].total_kg > 1.0
+
+
+@pytest.mark.parametrize(("first", "last"), [(0.0, 0.5), (0.5, 1.0), (0.3, 0.4)])
+def test_copies_of_part_of_a_log_count_once(first, last, log, tmp_path):
+    """That part had no mass, and only copies at the beginning were found."""
+    whole = messages()
+    first, last = int(first * len(whole)), int(last * len(whole))
+    path = write(tmp_path / "partly.log", [m for k, m in enumerate(whole) for _ in range(2 if first <= k < last else 1)])
+    rows, summary = rows_of(process_in_bulk, [path])
+    assert rows == rows_of(process_in_bulk, [log])[0]
+    assert (rows, summary) == rows_of(process_logs, [path])
+    said = "part of the frames stand there again at the same time with the same bytes, and count once"
+    assert summary.damages == [f"{path}: {said}"]
+
+
+@pytest.mark.parametrize("size", [1, 7, 1999, 2000, 2001, 10**6])
+def test_copies_are_found_whatever_the_blocks(size):
+    whole = messages(16)
+    partly = [m for k, m in enumerate(whole) for _ in range(2 if 1000 <= k < 1100 or 1150 <= k < 3500 else 1)][:3000]
+    expected = [m for k, m in enumerate(partly) if not k or m is not partly[k - 1]]
+    block, doubled = block_of(partly), DoubledFrames()
+    found = concatenate(list(doubled.blocks(block.take(slice(k, k + size)) for k in range(0, len(block), size))))
+    for column in ("time_s", "can_id", "length", "payload", "channel"):
+        assert getattr(found, column).tolist() == getattr(block_of(expected), column).tolist()
+    assert list(DoubledFrames().messages(iter(partly))) == expected
 
 
 def test_frames_of_a_coarse_clock_are_no_copies(tmp_path):

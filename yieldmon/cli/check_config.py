@@ -96,7 +96,6 @@ def _held_against(
     if log is None:
         return None, notes, [InputError(*problem) for problem in problems]
     # These run the engine, which a check without a recording does not.
-    from yieldmon.bus.log_files import doubled_frames
     from yieldmon.cli._log_progress import log_progress
     from yieldmon.service.logs import log_faults, mapping_check, quantities_seen
     from yieldmon.service.logs.bulk_processing import EndOfLog, Stretch
@@ -105,7 +104,7 @@ def _held_against(
 
         def goes_on(part: Stretch | EndOfLog) -> None:
             if isinstance(part, EndOfLog) and part.doubled:
-                notes.append(f"{log}: {doubled_frames.SAID}")
+                notes.append(f"{log}: {part.doubled}")
             if progress is not None:
                 progress(part)
 

@@ -36,8 +36,9 @@ from yieldmon.service.logs.log_record import Progress
 from yieldmon.service.logs.record_check import RecordCheck, record_lines
 from yieldmon.service.logs.recorded import is_store_not_log
 from yieldmon.service.logs.reprocessing import loads_of_rows, measured_again
-from yieldmon.service.logs.sample_spacing import SampleSpacing, spacing_line
+from yieldmon.service.logs.sample_spacing import SampleSpacing
 from yieldmon.service.logs.tables import FORMATS, open_table
+from yieldmon.service.logs.time_units import spacing_line
 from yieldmon.service.storage.rows import SecondRow
 from yieldmon.units import Units
 

@@ -14,7 +14,6 @@ import numpy as np
 
 from yieldmon.bus.bulk import FrameBlock, block_of
 from yieldmon.bus.databases import MessageBits, load_messages
-from yieldmon.bus.log_files import doubled_frames
 from yieldmon.bus.log_files.candump import ERROR_FLAG, REMOTE_FLAG
 from yieldmon.bus.log_files.doubled_frames import DoubledFrames
 from yieldmon.bus.log_files.loading import iter_blocks
@@ -113,14 +112,14 @@ def _log_blocks(path: str, channel: str | None, shared: SharedIdentifiers) -> It
     """Of one channel, or of all."""
     require_log(path)
     notes, doubled = LogNotes(on_damage=lambda _damage: None), DoubledFrames()
-    for block in map(doubled.without, iter_blocks(path, notes)):
+    for block in doubled.blocks(iter_blocks(path, notes)):
         for name in block.channels_in_use():
             if channel in (None, name):
                 own = block.of_channels([name])
                 shared.take(name, np.unique(own.can_id).tolist())
         yield block if channel is None else block.of_channels([channel])
-    if doubled.found:
-        print(f"yieldmon: {path}: {doubled_frames.SAID}", file=sys.stderr)
+    if doubled.said:
+        print(f"yieldmon: {path}: {doubled.said}", file=sys.stderr)
     for damage in notes.damages[:3]:
         print(f"yieldmon: {damage}", file=sys.stderr)
     if notes.damaged_places > 3:

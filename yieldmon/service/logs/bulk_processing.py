@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 
 from yieldmon.bus.bulk import USABLE, FrameBlock, SignalColumn, concatenate, decode_block
 from yieldmon.bus.codec import Codec
-from yieldmon.bus.log_files import doubled_frames
 from yieldmon.bus.log_files.candump import ERROR_FLAG, REMOTE_FLAG
 from yieldmon.bus.log_files.doubled_frames import DoubledFrames
 from yieldmon.bus.log_files.loading import iter_blocks
@@ -37,6 +36,7 @@ from yieldmon.identifiers import EXTENDED_FLAG
 from yieldmon.service.logs.channels import OneChannel
 from yieldmon.service.logs.processing import Summary, hand_over, refuse_nothing
 from yieldmon.service.logs.recorded_before import RecordedBefore
+from yieldmon.service.logs.time_units import TimeUnitCheck
 from yieldmon.service.storage.rows import SecondRow
 from yieldmon.service.traffic.side_inputs import SideInputs
 from yieldmon.signals.decoding import MapDecoder
@@ -67,14 +67,14 @@ class Stretch:
 @dataclass(frozen=True)
 class EndOfLog:
     """A log is read to its end. channels: those with a frame that was looked at, chosen or not. repeats: whether it begins with
-    frames of a log before it, which are left out. doubled: whether
-    each of its frames stands there several times."""
+    frames of a log before it, which are left out. doubled: what is to be said of frames that stand there several times; "" where
+    none do."""
 
     path: str
     damages: list[str]
     channels: frozenset[str] = field(default=frozenset(), compare=False)
     repeats: bool = False
-    doubled: bool = False
+    doubled: str = ""
 
 
 def process_in_bulk(
@@ -96,11 +96,12 @@ def process_in_bulk(
     what the monitor handed back, events included, before its rows.
     """
     names = [str(path) for path in paths]
-    summary = Summary()
+    summary, mapping = Summary(), default_map() if signals is None else signals
+    unit = TimeUnitCheck(mapping.sources)
     read = _stretches_ahead if reads_ahead else _stretches_here
     with (
         _seldom_collecting(),
-        read(names, Taking(codec, default_map() if signals is None else signals, tuple(channels))) as stretches,
+        read(names, Taking(codec, mapping, tuple(channels))) as stretches,
     ):
         for stretch in stretches:
             if isinstance(stretch, EndOfLog):
@@ -113,6 +114,8 @@ def process_in_bulk(
                 summary.malformed += stretch.malformed
                 summary.incomplete += stretch.incomplete
                 for run in stretch.runs:
+                    if unit.wants:
+                        unit.take(", ".join(names), run.times_s[run.samples[0].places].tolist())
                     summary.samples += sum(part.places.size for part in run.samples)
                     hand_over(monitor.feed_run(run, reports=False), take_row, summary, take_results)
             if progress is not None:
@@ -140,10 +143,9 @@ def stretches_of(paths: Iterable[str], taking: Taking) -> Iterator[Stretch | End
     for path in paths:
         notes, frames, channels, doubled = LogNotes(), 0, frozenset[str](), DoubledFrames()
         again_until_s, again = recorded.begin(path)
-        for read in _joined(iter_blocks(path, notes, wanted=wanted)):
+        for read in doubled.blocks(_joined(iter_blocks(path, notes, wanted=wanted))):
             channels |= read.channels_in_use()
-            whole = doubled.without(read)
-            block = whole.of_channels(taking.channels) if taking.channels else whole
+            block = read.of_channels(taking.channels) if taking.channels else read
             block = block.after(again_until_s)
             before = decoder.incomplete
             columns, refused = _decoded(taking, decoder, side, block)
@@ -155,9 +157,9 @@ def stretches_of(paths: Iterable[str], taking: Taking) -> Iterator[Stretch | End
             yield replace(found, incomplete=decoder.incomplete - before)
             frames = notes.frames
         shared = one_channel.end_of_log(path) if one_channel is not None else []
-        twice = [f"{path}: {doubled_frames.SAID}"] if doubled.found else []
+        twice = [f"{path}: {doubled.said}"] if doubled.said else []
         yield EndOfLog(
-            path, [*notes.lacks(path), *twice, *shared, *([again] if again else [])], channels, bool(again), bool(doubled.found)
+            path, [*notes.lacks(path), *twice, *shared, *([again] if again else [])], channels, bool(again), doubled.said
         )
     if decoder.under_way:
         yield Stretch(0, 0, 0, incomplete=decoder.under_way)

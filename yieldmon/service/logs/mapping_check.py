@@ -11,7 +11,7 @@ from yieldmon.physics.machine import RPM, Machine
 from yieldmon.service.config.configuration import Configuration
 from yieldmon.service.config.out_of_reach import ANGLE_MARGIN_DEG
 from yieldmon.service.logs.quantities_seen import QuantitySeen, impact_name
-from yieldmon.service.logs.sample_spacing import unit_slip
+from yieldmon.service.logs.time_units import unit_slip
 from yieldmon.signals.mapping import Group
 
 RATE_TOLERANCE = 0.05

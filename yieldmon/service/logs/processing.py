@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from yieldmon.bus.codec import Codec, FrameError
-from yieldmon.bus.log_files import doubled_frames
 from yieldmon.bus.log_files.candump import channel_name
 from yieldmon.bus.log_files.doubled_frames import DoubledFrames
 from yieldmon.bus.log_files.log_notes import LogNotes
@@ -17,6 +16,7 @@ from yieldmon.engine.results import Result, records_in
 from yieldmon.errors import InputError
 from yieldmon.service.logs.channels import OneChannel
 from yieldmon.service.logs.recorded_before import RecordedBefore
+from yieldmon.service.logs.time_units import TimeUnitCheck
 from yieldmon.service.storage.rows import SecondRow, second_row
 from yieldmon.service.traffic.input_frames import InputFrames
 from yieldmon.signals.mapping import SignalMap, default_map
@@ -111,6 +111,7 @@ def process_logs(
     mapping = default_map() if signals is None else signals
     bus = InputFrames(codec, mapping)
     sensors = {source.message for source in mapping.sources.impact}
+    unit, first = TimeUnitCheck(mapping.sources), mapping.sources.impact[0].message
     one_channel = None if channels else OneChannel(mapping.sources)
     recorded = RecordedBefore(tuple(channels))
     for path in paths:
@@ -132,12 +133,14 @@ def process_logs(
                 summary.samples += 1
                 recorded.take_message(message)
             for frame in frames:
+                if frame.message == first:
+                    unit.take(", ".join(map(str, paths)), [frame.time_s])
                 if one_channel is not None:
                     one_channel.take_frame(str(path), frame.message, channel, frame.time_s)
                 hand_over(monitor.feed(frame), take_row, summary)
         shared = one_channel.end_of_log(str(path)) if one_channel is not None else []
         summary.frames += notes.frames
-        twice = [f"{path}: {doubled_frames.SAID}"] if doubled.found else []
+        twice = [f"{path}: {doubled.said}"] if doubled.said else []
         summary.damages += [*notes.lacks(path), *twice, *shared, *([again] if again else [])]
     summary.incomplete = bus.incomplete + bus.under_way
     refuse_nothing(paths, summary, channels)

@@ -11,8 +11,6 @@ _LOOKED_AT, _LEAST = 500, 20
 """Frames of the sensor."""
 _FAR_OFF = 3.0
 """Lost frames, and bursts, make less."""
-_SAME = 0.1
-_UNITS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
 
 
 class SampleSpacing:
@@ -35,39 +33,9 @@ class SampleSpacing:
     @property
     def far_off_s(self) -> float | None:
         """Median time from frame to frame, s, where it is far from what the mapping says."""
-        steps = np.diff(self._times_s[:_LOOKED_AT])
-        found = float(np.median(steps)) if steps.size >= _LEAST else self.mapped_s
+        times_s = np.array(self._times_s[:_LOOKED_AT])
+        if times_s.size <= _LEAST:
+            return None
+        # Of frames that two loggers recorded, each comes twice: every other step is none of the sensor's.
+        found = max(float(np.median(np.diff(times_s))), float(np.median(times_s[2:] - times_s[:-2])) / 2.0)
         return found if found > 0.0 and not 1.0 / _FAR_OFF < found / self.mapped_s < _FAR_OFF else None
-
-
-def spacing_line(found_s: float, mapped_s: float) -> str:
-    """What is to be said of it.
-
-    Parameters
-    ----------
-    found_s, mapped_s : float
-        Time from frame to frame, s.
-
-    Returns
-    -------
-    str
-
-    Examples
-    --------
-    >>> spacing_line(4.0, 0.004)
-    "the log's times are 1000 times too far apart, as of milliseconds that stand for seconds: a sensor frame every 4 s, by the \
-mapping every 0.004 s"
-    """
-    every = f"a sensor frame every {found_s:.4g} s, by the mapping every {mapped_s:.4g} s"
-    slip = unit_slip(found_s, mapped_s)
-    return f"{slip}: {every}" if slip else f"{every}: rate_hz of the mapping, or the log's times, are not right"
-
-
-def unit_slip(found_s: float, mapped_s: float) -> str:
-    """What times in another unit look like; "" where it is none of these. found_s, mapped_s: as of `spacing_line`."""
-    for factor, unit in _UNITS.items():
-        if abs(found_s / mapped_s / factor - 1.0) < _SAME:
-            return f"the log's times are {factor:.0f} times too far apart, as of {unit} that stand for seconds"
-        if abs(found_s / mapped_s * factor - 1.0) < _SAME:
-            return f"the log's times are {factor:.0f} times too near each other"
-    return ""

@@ -30,7 +30,8 @@ from yieldmon.service.config.configuration import Configuration
 from yieldmon.service.logs.bulk_processing import EndOfLog, Stretch, process_in_bulk
 from yieldmon.service.logs.log_copies import refuse_copies
 from yieldmon.service.logs.recorded import changed_at, is_store_not_log, opened, parameter_sets
-from yieldmon.service.logs.sample_spacing import SampleSpacing, spacing_line
+from yieldmon.service.logs.sample_spacing import SampleSpacing
+from yieldmon.service.logs.time_units import spacing_line
 from yieldmon.service.logs.unmeasured import unmeasured
 from yieldmon.service.storage.batch import Load
 from yieldmon.service.storage.load_ends import between_loads, load_of
