@@ -36,3 +36,21 @@ def test_two_commands_with_one_output_lose_nothing(command, module, reads, tmp_p
     assert f"{out}: another program made it meanwhile; what was to be written is {kept}" in capsys.readouterr().err
     assert out.read_text(encoding="utf-8") == "of the first"
     assert kept.stat().st_size > 500
+
+
+@pytest.mark.parametrize(
+    ("command", "option"),
+    [
+        ("signals a.log --write -", "--write"),
+        ("pack a.log --out -", "--out"),
+        ("simulate --duration 1 --log b.log --truth -", "--truth"),
+        (f"export {STORE} --out -", "--out"),
+    ],
+)
+def test_a_dash_is_no_files_name(command, option, tmp_path, monkeypatch, capsys):
+    """A file of that name was made where standard output was meant."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.log").write_text("(1.0) can0 18FF10A0#0000000000000000\n", encoding="ascii")
+    assert main(command.split()) == 2
+    assert f"{option}: is -; expected a file's name" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["a.log"]

@@ -12,10 +12,13 @@ from yieldmon.errors import InputError, this_user
 from yieldmon.files import whole_file
 
 
-def add_force(parser: argparse.ArgumentParser, *names: str) -> None:
-    """--force, and which of the parser's arguments (by their names in the namespace) name files that the verb writes."""
+def add_force(parser: argparse.ArgumentParser, *names: str, or_standard_output: bool = False) -> None:
+    """--force, and which of the parser's arguments (by their names in the namespace) name files that the verb writes.
+
+    or_standard_output: "-" is that; else it is refused.
+    """
     parser.add_argument("--force", action="store_true", help="replace existing files")
-    parser.set_defaults(output_arguments=names)
+    parser.set_defaults(output_arguments=names, dash_is_standard_output=or_standard_output)
 
 
 @contextmanager
@@ -31,14 +34,17 @@ def checked(args: argparse.Namespace) -> Iterator[None]:
 
 
 def check(args: argparse.Namespace) -> None:
-    """Raises InputError for an output that is an input, exists, has no folder, or may not be written."""
+    """Raises InputError for an output that is an input, exists, has no folder, or may not be written, and for "-" where that is
+    not standard output."""
     names: tuple[str, ...] = getattr(args, "output_arguments", ())
     inputs = {whole_file.real_path(path) for key, value in vars(args).items() if key not in names for path in _files(value)}
     written: dict[Path, str] = {}
     for name in names:
-        value = getattr(args, name)
+        value, option = getattr(args, name), f"--{name.replace('_', '-')}"
+        if value == "-" and not args.dash_is_standard_output:
+            raise InputError(option, "is -", "a file's name; /dev/stdout is standard output, ./- a file of that name")
         if isinstance(value, str | Path) and str(value) != "-":
-            path, option = Path(value), f"--{name.replace('_', '-')}"
+            path = Path(value)
             refuse(path, option, force=args.force, inputs=inputs)
             # Standard output and the like take what several write.
             other = written.setdefault(whole_file.real_path(path), option)

@@ -88,7 +88,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     add_units(parser, "the configuration")
     parser.add_argument("--json", action="store_true", help="print a summary as one JSON document")
-    _outputs.add_force(parser, "out")
+    _outputs.add_force(parser, "out", or_standard_output=True)
 
 
 def run(args: argparse.Namespace) -> int:
