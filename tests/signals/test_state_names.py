@@ -54,3 +54,23 @@ def test_a_mapping_against_the_names_is_noted(values: str, said: bool, tmp_path:
         == ["header_down is taken as Header has it, 1 at cutting height; the DBC's names say otherwise: values: {0: 1, 1: 0}"]
         * said
     )
+
+
+@pytest.mark.parametrize(
+    ("again", "said"),
+    [
+        ('0 "Up" 1 "Down"', False),
+        ('1 "Down"\n 0  "Up"', False),
+        ('0 "Down" 1 "Up"', True),
+        ('0 "Up"', True),
+    ],
+)
+def test_two_tables_of_names_that_differ_are_noted(again: str, said: bool, tmp_path: Path) -> None:
+    """As where two versions of a DBC were joined: the last table counted, silently."""
+    path = dbc(tmp_path, "Header", f'0 "Up" 1 "Down" ;\nVAL_ 516 Header {again}')
+    assert load_messages(path)["Switches"].signals["Header"].names_differ is said
+    (tmp_path / "c.yaml").write_text("signals:\n  header_down: {dbc: node.dbc, message: Switches, signal: Header}\n")
+    found = [
+        note for note in notes(configuration.load(tmp_path / "c.yaml")) if "several tables of value names for Header" in note
+    ]
+    assert len(found) == said

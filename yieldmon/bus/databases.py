@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from math import isfinite
 from pathlib import Path
@@ -30,8 +30,9 @@ class SignalBits:
     little: least significant byte first; byte: the first of the eight bytes that hold it, 0 in a message of no more; shift: of
     its lowest bit in these, read as one number in that order. kind: "int", "uint" or "float". Physical value = raw * scale +
     offset. raw_max: largest raw value that is a measurement (J1939 signals; None elsewhere). mux_by, mux: multiplexer, and its
-    values in frames that hold the signal; None and empty: all do. choices: name of a raw value -> the value. turns_at: raw values
-    that a counter runs through by the DBC's range, which often is less than its bits hold; 2**bits where that names none.
+    values in frames that hold the signal; None and empty: all do. choices: name of a raw value -> the value; names_differ: the
+    file has others as well. turns_at: raw values that a counter runs through by the DBC's range, which often is less than its
+    bits hold; 2**bits where that names none.
     """
 
     name: str
@@ -49,6 +50,7 @@ class SignalBits:
     choices: Mapping[str, int]
     byte: int = 0
     turns_at: int = 0
+    names_differ: bool = False
 
     @property
     def readable(self) -> bool:
@@ -111,10 +113,11 @@ def load_messages(path: Path | str) -> dict[str, MessageBits]:
     with different signals: it has no signals then, and `contradiction` says why.
     Raises InputError, one line, for a file that cannot be read, is no DBC, or is in an encoding other than UTF-8 or Windows-1252.
     """
-    where, database = str(path), dbc_file.read(path, strict=False)
+    where, text = str(path), dbc_file.text_of(path)
+    database, renamed = dbc_file.parsed(where, text, strict=False), dbc_file.names_that_differ(text)
     if not database.messages:
         raise InputError(where, "names no message", "a DBC file")
-    messages = [_message(message) for message in database.messages]
+    messages = [_with_differing_names(_message(message), renamed) for message in database.messages]
     alike = set(repeated(message.name for message in messages))
     named = [
         replace(message, name=with_identifier(message.name, message.frame_id)) if message.name in alike else message
@@ -122,6 +125,14 @@ def load_messages(path: Path | str) -> dict[str, MessageBits]:
     ]
     twice = set(repeated(message.name for message in named))
     return {message.name: _contradicted(message) if message.name in twice else message for message in named}
+
+
+def _with_differing_names(message: MessageBits, signals: Collection[tuple[int, str]]) -> MessageBits:
+    """The message with those of its signals marked that are among these of identifier and name."""
+    if not any((message.frame_id, name) in signals for name in message.signals):
+        return message
+    marked = {name: replace(bits, names_differ=(message.frame_id, name) in signals) for name, bits in message.signals.items()}
+    return replace(message, signals=marked)
 
 
 def _contradicted(message: MessageBits) -> MessageBits:

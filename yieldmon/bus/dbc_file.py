@@ -31,6 +31,7 @@ _IDENTIFIER = re.compile(
 _OTHER_ERRORS = (ValueError, KeyError, TypeError, IndexError, AttributeError)
 """What cantools raises beside its own."""
 _PART = re.compile(r"^[ \t]*(?:BO_[ \t]+(\d+)|SG_[ \t]+(\w+))", re.MULTILINE)
+_VALUE_NAME = re.compile(r"([-+.\deE]+)\s*\"([^\"]*)\"")
 _VALUE_NAMES = re.compile(r"^[ \t]*VAL_[ \t]+(\d+)[ \t]+(\w+)(?:\s++[-+.\deE]++\s*+\"[^\"]*+\")*+\s*+;", re.MULTILINE)
 
 
@@ -40,6 +41,20 @@ _NO_RECEIVER = re.compile(r"^([ \t]*SG_[ \t][^\"\n]*\"[^\"\n]*\")[ \t]*$", re.MU
 def with_receivers(text: str) -> str:
     """A DBC's text with a receiver for each signal: one without, and those behind it, would be passed over."""
     return _NO_RECEIVER.sub(r"\1 Vector__XXX", text)
+
+
+def names_that_differ(text: str) -> frozenset[tuple[int, str]]:
+    """Identifiers without the mark of 29 bits, and signals, of which a DBC's text names values several times and not alike, as
+    where files were joined into one: the last names count."""
+    tables, differing = dict[tuple[int, str], dict[float, str]](), set[tuple[int, str]]()
+    for found in _VALUE_NAMES.finditer(text):
+        signal = int(found[1]) & LARGEST_EXTENDED_ID, found[2]
+        table = {
+            float(raw): " ".join(name.split()) for raw, name in _VALUE_NAME.findall(found[0][found.end(2) - found.start() :])
+        }
+        if tables.setdefault(signal, table) != table:
+            differing.add(signal)
+    return frozenset(differing)
 
 
 def without_stray_names(text: str) -> str:
@@ -86,9 +101,11 @@ def read(path: Path | str, *, strict: bool = True) -> Database:
 
     strict: refuse a file in which signals overlap or do not fit in their message.
     """
-    # Half a second of import, for those who read a DBC only.
-    from cantools.database.errors import Error as DbcError
+    return parsed(str(path), text_of(path), strict=strict)
 
+
+def text_of(path: Path | str) -> str:
+    """A DBC file's text with plain line ends. Raises InputError as `read` for what is none."""
     where, file = str(path), Path(path)
     if file.suffix.lower() in _OTHER_DATABASES and file.exists():
         raise InputError(where, "is no DBC", f"a DBC file; `cantools convert {file.name} {file.stem}.dbc` makes one")
@@ -103,7 +120,14 @@ def read(path: Path | str, *, strict: bool = True) -> Database:
         except UnicodeDecodeError as error:
             problem = f"byte {error.start} is neither UTF-8 nor Windows-1252"
             raise InputError(where, problem, "a DBC file in UTF-8 or Windows-1252") from error
-    text = text.replace("\r\n", "\n").replace("\r", "\n")
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def parsed(where: str, text: str, *, strict: bool = True) -> Database:
+    """`read`, of a file's text."""
+    # Half a second of import, for those who read a DBC only.
+    from cantools.database.errors import Error as DbcError
+
     # What it warns of, messages with one name or identifier, is refused in a line here or where it matters.
     logging.getLogger("cantools.database.can.database").setLevel(logging.ERROR)
     try:

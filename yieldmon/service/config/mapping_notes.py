@@ -12,6 +12,7 @@ from yieldmon.engine.sources import QUANTITIES, SampleSource
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.service.config.configuration import Configuration
 from yieldmon.signals.binding import Binding
+from yieldmon.signals.extraction import Extraction
 from yieldmon.signals.packing import Packing, span
 from yieldmon.signals.published import PUBLISHED
 from yieldmon.signals.state_names import codes_by_name
@@ -79,13 +80,7 @@ def notes(configuration: Configuration) -> list[str]:
             if (binding := stated.get(name)) is not None and _takes_another_unit(binding, extraction.bits.unit):
                 said = f"{name} is {extraction.bits.name} in {extraction.bits.unit}, taken as {binding.unit} number for number"
                 found.append(f"{said}: if the DBC's unit is right, give `scale` and `offset`")
-            codes = codes_by_name(name, extraction.bits) if extraction.codes is None else {}
-            if codes:
-                given = ", ".join(f"{raw}: {code}" for raw, code in sorted(codes.items()))
-                found.append(
-                    f"{name} is taken as {extraction.bits.name} has it, {QUANTITIES[name].meaning}; the DBC's names say "
-                    f"otherwise: values: {{{given}}}"
-                )
+            found += _of_value_names(name, extraction)
     for group in configuration.outputs.groups:
         when = "with each new value" if group.period_s is None else f"every {1000.0 * group.period_s:g} ms"
         source = "xx" if group.own_address else f"{group.frame_id & 0xFF:02X}"
@@ -93,6 +88,20 @@ def notes(configuration: Configuration) -> list[str]:
         for name, packing in group.quantities:
             carried = _carried(packing, PUBLISHED[name].unit)
             found.append(f"{name} goes to {group.name}.{packing.bits.name} ({identifier}), {when}{carried}")
+    return found
+
+
+def _of_value_names(name: str, extraction: Extraction) -> list[str]:
+    """What there is to say of the names that the DBC gives to a quantity's raw values."""
+    found, bits = [], extraction.bits
+    if bits.names_differ:
+        said = f"{name}: the DBC has several tables of value names for {bits.name}, which differ; the last counts"
+        found.append(f"{said}: give `values` or `not_available`, or mend the DBC")
+    codes = codes_by_name(name, bits) if extraction.codes is None else {}
+    if codes:
+        given = ", ".join(f"{raw}: {code}" for raw, code in sorted(codes.items()))
+        taken = f"{name} is taken as {bits.name} has it, {QUANTITIES[name].meaning}"
+        found.append(f"{taken}; the DBC's names say otherwise: values: {{{given}}}")
     return found
 
 
