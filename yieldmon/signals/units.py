@@ -93,10 +93,15 @@ _SPELLINGS = {unit.lower(): unit for unit in _IN_ANY_CASE} | {
 }
 
 
+def _plain(unit: str) -> str:
+    """A unit with one sign each for degrees and micro."""
+    # Either in UTF-8 that a program read as Latin-1 has a letter before it; some take the sign of Spanish ordinals.
+    return unit.strip().replace("Â", "").replace("º", "°").replace("μ", "u").replace("µ", "u")
+
+
 def _known(quantity_unit: str, unit: str) -> str | None:
     """A unit of a quantity as the tables spell it; None for one that is none."""
-    # A degree sign in UTF-8 that a program read as Latin-1 has a letter before it; some take the sign of Spanish ordinals.
-    known, plain = FACTORS[quantity_unit], unit.strip().replace("Â", "").replace("º", "°")
+    known, plain = FACTORS[quantity_unit], _plain(unit)
     if plain in known:
         return plain
     word = "".join(plain.lower().split())
@@ -126,7 +131,7 @@ def period_s(unit: str) -> float | None:
     >>> [period_s(unit) for unit in ("ms", "µs", "rpm")]
     [0.001, 1e-06, None]
     """
-    return _PERIODS_S.get(unit.strip().replace("Â", "").replace("μ", "u").replace("µ", "u"))
+    return _PERIODS_S.get(_plain(unit))
 
 
 def accepted(quantity_unit: str) -> str:
