@@ -161,3 +161,21 @@ def test_frames_are_spread_over_the_time_of_the_log(drive: Path) -> None:
         assert main(["replay", str(drive), "-i", "virtual", "-c", "verb-8"]) == 0
         reader.join()
     assert stamps[-1] - stamps[0] >= 0.19
+
+
+@pytest.mark.parametrize(("options", "sent", "not_sent"), [([], 2, 2), (["--fd"], 4, None), (["--to", "0.0015"], 1, 1)])
+def test_frames_of_can_fd_that_are_not_sent_are_counted(
+    options: list[str], sent: int, not_sent: int | None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """They were missing without a word."""
+    log = tmp_path / "fd.log"
+    log.write_text("".join(f"(1.{k:03d}000) can0 18FF8000#{'#1' if k % 2 else ''}0102\n" for k in range(4)))
+    given = ["replay", str(log), "-i", "virtual", "-c", "verb-fd", "--speed", "0", *options]
+    assert main([*given, "--json"]) == 0
+    summary = json.loads(capsys.readouterr().out)
+    assert (summary["frames"], summary.get("fd_not_sent")) == (sent, not_sent)
+    assert main(given) == 0
+    assert (f"; {not_sent} CAN FD frames not sent" in capsys.readouterr().out) is (not_sent is not None)
+    log.write_text("(1.0) can0 18FF8000##10102\n")
+    assert main(given) == (0 if "--fd" in options else 2)
+    assert ("no frame to send but 1 of CAN FD; expected --fd" in capsys.readouterr().err) is ("--fd" not in options)

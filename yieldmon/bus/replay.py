@@ -78,19 +78,24 @@ class Selection:
     channels: frozenset[str] | None = None
     fd: bool = False
 
-    def of(self, messages: Iterable[can.Message]) -> Iterator[can.Message]:
-        """The selected frames; ends at the first frame at to_s or later."""
+    def of(self, messages: Iterable[can.Message], progress: Progress | None = None) -> Iterator[can.Message]:
+        """The selected frames; ends at the first frame at to_s or later. progress: counts frames that are not sent for want of
+        `fd` alone."""
         start_s = None
         for message in messages:
             start_s = message.timestamp if start_s is None else start_s
             after_s = message.timestamp - start_s
             if after_s >= self.to_s:
                 return
-            if after_s >= self.from_s and self._takes(message):
+            if after_s < self.from_s or not self._takes(message):
+                continue
+            if self.fd or not message.is_fd:
                 yield message
+            elif progress is not None:
+                progress.fd_not_sent += 1
 
     def _takes(self, message: can.Message) -> bool:
-        if message.is_error_frame or (message.is_fd and not self.fd):
+        if message.is_error_frame:
             return False
         if self.channels is not None and str(message.channel) not in self.channels:
             return False
@@ -100,9 +105,10 @@ class Selection:
 @dataclass
 class Progress:
     """How far a replay is; changes while it runs. late: frames sent more than ON_TIME_S after they were due, where they
-    were due at all. passes: finished ones."""
+    were due at all. passes: finished ones. fd_not_sent: CAN FD frames that a classic bus does not take."""
 
     sent: int = 0
+    fd_not_sent: int = 0
     late: int = 0
     worst_lateness_s: float = 0.0
     elapsed_s: float = 0.0

@@ -78,7 +78,7 @@ def run(args: argparse.Namespace) -> int:
 
     def one_pass() -> Iterator[can.Message]:
         logs = (read_log(path, notes) for path in args.logs)
-        return selection.of(chain.from_iterable(logs))
+        return selection.of(chain.from_iterable(logs), progress)
 
     for path in args.logs:
         require_log(path)
@@ -93,7 +93,9 @@ def run(args: argparse.Namespace) -> int:
         except KeyboardInterrupt:
             code = EXIT_INTERRUPTED
     if not progress.sent and code == 0:
-        raise InputError(", ".join(args.logs), "no frame to send", "options that select some frames")
+        without = f" but {progress.fd_not_sent} of CAN FD" if progress.fd_not_sent else ""
+        expected = "--fd and a bus that takes them" if without else "options that select some frames"
+        raise InputError(", ".join(args.logs), f"no frame to send{without}", expected)
     _report(progress, notes, args)
     return code
 
@@ -177,6 +179,8 @@ def _report(progress: Progress, notes: LogNotes, args: argparse.Namespace) -> No
             "damaged_places": notes.damaged_places,
             "dropped_by_recorder": notes.dropped_by_recorder,
         }
+        if progress.fd_not_sent:
+            summary["fd_not_sent"] = progress.fd_not_sent
         if args.speed:
             summary |= {"late": progress.late, "worst_lateness_s": progress.worst_lateness_s}
         print_json(summary, indent=None)
@@ -185,6 +189,8 @@ def _report(progress: Progress, notes: LogNotes, args: argparse.Namespace) -> No
     if args.speed and progress.sent:
         on_time_pct = 100 * (1 - progress.late / progress.sent)
         line += f"; {on_time_pct:.2f} % within {1000 * ON_TIME_S:g} ms, at worst {1000 * progress.worst_lateness_s:.1f} ms late"
+    if progress.fd_not_sent:
+        line += f"; {progress.fd_not_sent} CAN FD frames not sent, for want of --fd"
     if notes.damaged_places:
         line += f"; {notes.damaged_places} damaged records"
     if notes.dropped_by_recorder:
