@@ -478,15 +478,23 @@ def test_times_of_vector_since_the_line_before(tmp_path: Path, base: str) -> Non
         ("date Mon Sep 21 14:13:51.4 2026", (2026, 9, 21, 14, 13, 51, 4_000)),
         # Triggered a minute after the measurement began.
         ("date Fri Nov 27 11:57:02 2026\nBegin Triggerblock Fri Nov 27 11:58:02 2026", (2026, 11, 27, 11, 57, 2)),
+        ("date Mo Mrz 2 02:13:20.500 nachm. 2026", (2026, 3, 2, 14, 13, 20, 500_000)),
+        ("date Mo Jän 5 12:13:20 vorm. 2026", (2026, 1, 5, 0, 13, 20)),
         ("date Xyz Ventôse 3 10:00:00 2026", None),
+        ("date 2026-09-21 14:13:20", None),
         ("base hex  timestamps absolute", None),
+        ("date", None),
     ],
 )
 def test_times_of_vector_from_its_date(tmp_path: Path, header: str, starts: tuple[int, ...] | None) -> None:
     path = written(tmp_path, "dated.asc", f"{header}\n   61.250000 1  123  Rx   d 1 07\n")
     start_s = datetime(*starts, tzinfo=UTC).timestamp() if starts is not None else 0.0  # type: ignore[arg-type,misc]
-    (message,) = read_log(path)
+    notes = LogNotes()
+    (message,) = read_log(path, notes)
     assert message.timestamp == pytest.approx(start_s + 61.25, abs=1e-5)
+    # A date in other words was passed over in silence.
+    not_understood = [damage.where for damage in notes.damages if "is not understood" in damage.problem]
+    assert not_understood == [f"{path}:1"] * (starts is None and any(map(str.isdigit, header)))
 
 
 def test_parts_of_a_rotated_log_are_one_record_whatever_their_names_are(

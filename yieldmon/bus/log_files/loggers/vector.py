@@ -29,11 +29,12 @@ from .fields import Form, clock_s, data_bytes, error_frame, fd_length, message, 
 _HEADER = re.compile(r"base\s+(hex|dec)(?:\s+timestamps\s+(absolute|relative))?\b", re.IGNORECASE)
 _DATE = re.compile(
     r"(date|begin\s+triggerblock)\s+\S+\s+(\w+)\.?\s+(\d{1,2})\s+(\d{1,2}):(\d\d):(\d\d)(?:\.(\d{1,6}))?"
-    r"(?:\s+([ap])m)?\s+(\d{4})\b",
+    r"(?:\s+(?:([ap])m|(?:(v)or|(n)ach)m\.?))?\s+(\d{4})\b",
     re.IGNORECASE,
 )
 _MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
-_MONTHS_ELSEWHERE = {"mär": 3, "mrz": 3, "mae": 3, "mai": 5, "okt": 10, "dez": 12}
+_DATE_LINE = re.compile(r"date\s+\S.*\d", re.IGNORECASE)
+_MONTHS_ELSEWHERE = {"jän": 1, "mär": 3, "mrz": 3, "mae": 3, "mai": 5, "okt": 10, "dez": 12}
 _START = re.compile(r"0+\.0+\s+Start of measurement", re.IGNORECASE)
 _TIME = re.compile(r"(\d{1,12}\.\d{1,9})(?=\s)")
 _NS_PER_S = 1_000_000_000
@@ -67,9 +68,10 @@ class Vector:
             self._since_line_before = (header[2] or "").lower() == "relative"
             return None
         date = _DATE.match(text)
-        if date is not None:
-            self._take_date(date)
+        if date is not None and self._take_date(date):
             return None
+        if _DATE_LINE.match(text):
+            raise ValueError(f"the date {text[4:].strip()[:40]!r} is not understood; the times count from 0")
         time_s = self._time_s(text)
         if _FRAME.match(text) is None:
             if self._triggered_s is not None and _START.match(text):
@@ -83,13 +85,15 @@ class Vector:
             return self._of_fd_channel(time_s, fields[2:])
         return self._of_classic_channel(time_s, fields[1:])
 
-    def _take_date(self, date: re.Match[str]) -> None:
-        of, name, day, hour, minute, second, part, half, year = date.groups()
+    def _take_date(self, date: re.Match[str]) -> bool:
+        """False for a month of another language."""
+        of, name, day, hour, minute, second, part, *halves, year = date.groups()
+        half = "".join(word or "" for word in halves).lower()
         short = name.lower()[:3]
         month = _MONTHS.index(short) + 1 if short in _MONTHS else _MONTHS_ELSEWHERE.get(short)
         if month is None:
-            return
-        hours = int(hour) if half is None else int(hour) % 12 + 12 * (half.lower() == "p")
+            return False
+        hours = int(hour) % 12 + 12 * (half in ("p", "n")) if half else int(hour)
         # python-can writes milliseconds without leading zeros.
         fraction_s = int(part or 0) / 10.0 ** max(3, len(part or ""))
         at_s = clock_s(int(year), month, int(day), hours, int(minute), int(second)) + fraction_s
@@ -97,6 +101,7 @@ class Vector:
             self._start_s = at_s
         else:
             self._triggered_s = at_s
+        return True
 
     def _time_s(self, text: str) -> float | None:
         """Time from the beginning where the line has one since the line before; None where it is as it stands."""
