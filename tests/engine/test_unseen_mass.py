@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
+
 import pytest
 from engine_bench import Bench, monitor
 
 from yieldmon import frames as bus
+from yieldmon.engine.state import EngineState
 
 SAMPLES, SPEED = (bus.IMPACT_SENSOR_SAMPLES,), (bus.ELEVATOR_SPEED,)
 ALL = (bus.IMPACT_SENSOR_SAMPLES, bus.ELEVATOR_SPEED, bus.PLATE_ACTUATOR_FEEDBACK)
@@ -57,3 +60,37 @@ def test_a_new_load_does_not_have_what_the_load_before_may_be_missing() -> None:
     first, second = target.loads
     assert first.std_dev_kg == pytest.approx(140.0, rel=0.2)
     assert second.std_dev_kg == pytest.approx(60.0, rel=0.2)
+
+
+#: When a run ends and the next begins, s, with grain from 15 to 80 s; what the clock is set on by meanwhile; kg that pass unseen.
+STOPS = {
+    "in grain": (40.0, 60.0, 0.0, 200.0),
+    "before grain": (10.0, 25.0, 0.0, 0.0),
+    "after grain": (70.0, 95.0, 0.0, 0.0),
+    "the clock is set back": (40.0, 60.0, -300.0, 0.0),
+    "the clock is set on by years": (40.0, 60.0, 1e9, 3600.0 * FLOW_KG_S),
+}
+
+
+@pytest.mark.parametrize("stop", STOPS)
+def test_what_may_have_passed_while_the_program_was_stopped_is_in_the_standard_deviation(stop: str) -> None:
+    until_s, from_s, set_on_s, unseen_kg = STOPS[stop]
+    frames = Bench(flow=lambda t: FLOW_KG_S if FULL_S < t - 1000.0 < 80.0 else 0.0).frames(END_S)
+    before, after = monitor(), monitor()
+    for frame in frames:
+        if frame.time_s - 1000.0 < until_s:
+            before.feed(frame)
+    kept = before.snapshot()
+    after.restore(EngineState.from_dict(json.loads(json.dumps(kept.as_dict()))))
+    for frame in frames:
+        if frame.time_s - 1000.0 >= from_s:
+            after.feed(frame._replace(time_s=frame.time_s + set_on_s))
+    found, noise_kg = after.totals.load_budget, 10.0
+    assert found.noise_kg2**0.5 == pytest.approx(unseen_kg, rel=0.1, abs=noise_kg)
+    assert after.totals.total_budget.noise_kg2 == pytest.approx(found.noise_kg2)
+
+
+def test_a_state_of_before_has_no_flow_at_its_end() -> None:
+    document = monitor().snapshot().as_dict()
+    assert document.pop("at_stop") is None
+    assert EngineState.from_dict(document).at_stop is None

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import isfinite
 
+from yieldmon.engine.mass.unseen import FlowAtStop
 from yieldmon.engine.parts import Parts
 from yieldmon.engine.self_calibration.reference_mass import ReferenceMass
 from yieldmon.engine.state import EngineState, TicketState, ZeroUndo
@@ -28,6 +30,7 @@ def snapshot(parts: Parts, windows: int) -> EngineState:
         tickets=updater.masses.tickets.states,
         moisture=parts.flow_meter.moisture.state,
         closed=parts.loads.closed_states,
+        at_stop=_at_stop(parts),
     )
 
 
@@ -37,7 +40,7 @@ def restore(parts: Parts, state: EngineState) -> None:
         parts.measurement.zero.resume(state.zero_undo.before, suspect=state.zero_undo.suspect)
         for number, kg in state.zero_undo.by_scale:
             parts.since_zero.add_scale(number, kg)
-    parts.loads.restore(state.totals)
+    parts.loads.restore(state.totals, state.at_stop)
     parts.measurement.zero.restore(state.zero)
     parts.plate.restore(state.sweep_id, state.sweep_due_in_s, parts.settings.sweep.first_after_s)
     updater, parameters = parts.updater, parts.updater.estimator.parameters
@@ -80,6 +83,11 @@ def take_over(parts: Parts, before: Parts, *, tickets: bool) -> None:
         parts.waveform.go_on_with(before.waveform)
     if tickets:
         parts.updater.take_tickets_of(before.updater)
+
+
+def _at_stop(parts: Parts) -> FlowAtStop | None:
+    until_s = parts.loads.counted_until_s
+    return FlowAtStop(parts.clock.bus_time(until_s), parts.loads.flow_kg_s) if isfinite(until_s) else None
 
 
 def _zero_undo(parts: Parts) -> ZeroUndo | None:

@@ -10,6 +10,7 @@ from typing import Any
 from yieldmon.engine.mass.budget import MassBudget, MoistureState
 from yieldmon.engine.mass.shared_error import ClosedLoadState
 from yieldmon.engine.mass.totals import Totals
+from yieldmon.engine.mass.unseen import FlowAtStop
 from yieldmon.engine.sampling.zero import ZeroState
 from yieldmon.engine.self_calibration.calibrator_state import CalibratorState, GrainState, PriorState
 from yieldmon.engine.self_calibration.earlier_parameters import EarlierParameters
@@ -44,7 +45,8 @@ class TicketState:
 class EngineState:
     """windows: closed so far. sweep_due_in_s and calibration_age_s (None: not known) count from the moment of the snapshot.
     zero_undo: None where there is no zero calibration to take back. tickets: the newest, in the order they were entered.
-    moisture: of the grain for which the parameters hold, None where none was measured. closed: the newest loads."""
+    moisture: of the grain for which the parameters hold, None where none was measured. closed: the newest loads.
+    at_stop: None before the first window."""
 
     totals: Totals = field(default_factory=Totals)
     zero: ZeroState | None = None
@@ -60,6 +62,7 @@ class EngineState:
     tickets: tuple[TicketState, ...] = ()
     moisture: MoistureState | None = None
     closed: tuple[ClosedLoadState, ...] = ()
+    at_stop: FlowAtStop | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Nested plain dict of numbers, fit for JSON."""
@@ -83,6 +86,7 @@ class EngineState:
             "tickets": (),
             "moisture": None,
             "closed": (),
+            "at_stop": None,
         }
         data = {"disagreement": {"patterns": (), "present": False}, **later, **data}
         known = {item.name for item in fields(cls)}
@@ -109,6 +113,7 @@ class EngineState:
                 "scale_alarm": _scale_alarm(data["scale_alarm"]),
                 "tickets": tuple(TicketState(**ticket) for ticket in data["tickets"]),
                 "closed": tuple(ClosedLoadState.from_dict(load) for load in data["closed"] if _by_angle(load)),
+                "at_stop": None if data["at_stop"] is None else FlowAtStop(**data["at_stop"]),
                 "moisture": None if data["moisture"] is None else MoistureState(**data["moisture"]),
             }
             return cls(**{**data, **parts, "zero_undo": undo})

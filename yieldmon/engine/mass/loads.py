@@ -21,7 +21,7 @@ from yieldmon.engine.mass.missed_mass import NO_LOAD, MissedMass
 from yieldmon.engine.mass.shared_error import ClosedLoadState
 from yieldmon.engine.mass.silences import Missing, Silences
 from yieldmon.engine.mass.totals import Totals, dry_mass
-from yieldmon.engine.mass.unseen import UnseenMass
+from yieldmon.engine.mass.unseen import FlowAtStop, UnseenMass
 from yieldmon.engine.sampling.windows import Window
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.estimation.self_calibration.angle_error import NO_ERROR, AngleError
@@ -48,6 +48,8 @@ class Loads:
         self._silences = Silences()
         self._unseen = UnseenMass()
         self._last_kg_s = 0.0
+        self._counted_until_s = _NAN
+        self._before_stop: FlowAtStop | None = None
         self._errors = LoadErrors()
         self._before: dict[int, MassBudget] = {}
         """Of loads that closed in a run before."""
@@ -67,6 +69,8 @@ class Loads:
         if isfinite(self._start_s):
             return ()
         self._start_s = now_s
+        if self._before_stop is not None:
+            self._unseen.resume(now_s - self._before_stop.time_s, self._before_stop.flow_kg_s)
         fresh = self.totals.load_open and self.totals.load_kg == 0.0
         return (LoadOpened(self._summary(_NAN)),) if fresh else ()
 
@@ -105,7 +109,7 @@ class Loads:
         """Add a window and its area to the totals; returns its mass, kg. missing: of the inputs, where there is no flow."""
         available = flow.measured or flow.quality is not EstimateQuality.NOT_AVAILABLE
         stands = window.speed_rad_s <= self._settings.gate.min_turning_rpm * RPM
-        duration_s = window.end_s - window.start_s
+        duration_s, self._counted_until_s = window.end_s - window.start_s, window.end_s
         whole = self._silences.lacks_nothing(duration_s, None if available else missing, stands=stands)
         if not whole:
             self._complete = False
@@ -272,13 +276,23 @@ class Loads:
         """What was counted last may be wrong: the load is no reference."""
         self._complete = False
 
-    def restore(self, totals: Totals) -> None:
-        """Go on from totals that were kept; what passed since was not measured."""
+    @property
+    def counted_until_s(self) -> float:
+        """Engine time of the end of the last window; nan before one."""
+        return self._counted_until_s
+
+    @property
+    def flow_kg_s(self) -> float:
+        """Of the last second that was measured, 0 without grain."""
+        return self._unseen.before_kg_s
+
+    def restore(self, totals: Totals, before_stop: FlowAtStop | None = None) -> None:
+        """Go on from totals that were kept; what passed since was not measured. before_stop: the last flow until then."""
         self._errors.clear()
         self._before = {}
         self.totals = self._at_market(totals)
         self._complete, self._silences = not (totals.load_open and totals.load_kg > 0.0), Silences()
-        self._unseen = UnseenMass()
+        self._unseen, self._before_stop = UnseenMass(), before_stop
 
     def correct(self, missed: Mapping[int, MissedMass]) -> LoadEvents:
         """Mass that was missed, by load, joins its loads and, where it came since they were reset, the totals; closed loads are
