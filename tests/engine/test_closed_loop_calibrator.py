@@ -987,3 +987,21 @@ def test_a_shared_truck_far_off_is_a_wrong_ticket_and_no_error_of_the_other_moni
         outcome = calibrator.weigh(dataclasses.replace(records(12.0)[0], time_s=start + 600.0), masses, known)
         known, reason = outcome.estimator or known, outcome.reason  # type: ignore[assignment]
     assert reason.startswith("refused: a ticket is wrong"), reason
+
+
+def test_with_a_pattern_of_angles_tickets_and_sweeps_update_and_drift_is_stated() -> None:
+    settings = dataclasses.replace(EXACT, pattern_sd=0.01, drift=DriftRates({}, {"friction": 0.04}, {}))
+    calibrator, before = ClosedLoopCalibrator(MODEL, settings), OpenLoop(MODEL, PRIOR)
+    sweep = records(12.0)
+    home = dataclasses.replace(sweep[0], plate_angle_rad=MACHINE.home_plate_angle_rad, time_s=0.0, total_kg=0.0)
+    assert calibrator.drift_std_dev(home, before) == 0.0
+    assert calibrator.drift_std_dev(dataclasses.replace(home, total_kg=1e5), before) > 0.0
+    weighed = calibrator.weigh(sweep[0], (ticket(before, 12.0, 0.0, 100.0),), before)
+    assert weighed.estimator is not None
+    assert abs(home_error_pct(weighed.estimator, 12.0)) < 0.2  # type: ignore[arg-type]
+    swept = calibrator.update(sweep, weighed.estimator)
+    assert swept.estimator is not None
+    assert "angle_pattern" in swept.estimator.parameters.effects
+    assert abs(home_error_pct(swept.estimator, 12.0)) < 0.2  # type: ignore[arg-type]
+    again = ClosedLoopCalibrator(MODEL, settings).update(sweep, before)
+    assert again.estimator is not None

@@ -134,7 +134,9 @@ class ClosedLoopCalibrator:
         self._lineage.forget_given()
         try:
             closed_loop, counted = self._settings.closed_loop, self._masses.crops.current.counted
-            update = LoadUpdate(self._model, closed_loop, self._masses.settings, counted, self._lineage.origin)
+            origin = self._lineage.origin
+            origin = origin if origin is None else self._knowledge.patterned(origin)
+            update = LoadUpdate(self._model, closed_loop, self._masses.settings, counted, origin)
             outcome, drifting = update.of(drifting, masses, {name_of(reference) for reference, _ in found})
         except ValueError as error:
             return CalibrationOutcome(None, f"{error}; the parameters stay", identifiable=False, checks=checks)
@@ -204,7 +206,8 @@ class ClosedLoopCalibrator:
         self._knowledge.begin_counting(used, record.time_s, record.total_kg)
         if self._knowledge.is_new(used) and self._lineage.from_outside(used):
             self._knowledge.hold_from(record)
-        return self._knowledge.deviation(self._model, used, record)
+        model = self._model if self._model.effects == used.effects else self._model.with_effects(used.effects)
+        return self._knowledge.deviation(model, used, record)
 
     def use(self, estimator: FlowEstimator, harvested_kg: float = 0.0) -> None:
         """See calibrator.SelfCalibrator."""
@@ -252,8 +255,9 @@ class ClosedLoopCalibrator:
         """The parameters in use; with other effects than those before, another model explains them."""
         used = estimator.parameters
         self._lineage.seen(used)
-        if used.effects != self._model.effects:
-            self._model = self._model.with_effects(used.effects)
+        effects = self._knowledge.patterned(used).effects
+        if effects != self._model.effects:
+            self._model = self._model.with_effects(effects)
         return used
 
     def _taken(
