@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
 
 from yieldmon.cli import pack
 from yieldmon.cli.main import main
+from yieldmon.files.unfinished import make_folder
 from yieldmon.service.logs import recorded
 
 STORE = Path(__file__).parents[1] / "golden" / "store-0.1.0.sqlite"
@@ -54,3 +56,12 @@ def test_a_dash_is_no_files_name(command, option, tmp_path, monkeypatch, capsys)
     assert main(command.split()) == 2
     assert f"{option}: is -; expected a file's name" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["a.log"]
+
+
+def test_what_a_killed_command_left_goes_with_the_next(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.log").write_text("(1.0) can0 18FF10A0#0000000000000000\n", encoding="ascii")
+    left = make_folder(tmp_path / "o.yaml")
+    os.utime(left, (1.0, 1.0))
+    assert main(["signals", "a.log", "--write", "o.yaml"]) == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.log", "o.yaml"]

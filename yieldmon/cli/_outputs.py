@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from yieldmon.errors import InputError, this_user
-from yieldmon.files import whole_file
+from yieldmon.files import unfinished, whole_file
 
 
 def add_force(parser: argparse.ArgumentParser, *names: str, or_standard_output: bool = False) -> None:
@@ -25,11 +25,15 @@ def add_force(parser: argparse.ArgumentParser, *names: str, or_standard_output: 
 def checked(args: argparse.Namespace) -> Iterator[None]:
     """Around the work: raises InputError for an output that is an input, exists, has no folder, or may not be written.
 
-    What another program makes under an output's name during the work is not replaced.
+    What another program makes under an output's name during the work is not replaced. What a command that was killed left of its
+    own unfinished output goes.
     """
     values = [getattr(args, name) for name in getattr(args, "output_arguments", ())]
     with whole_file.noting_free_names(value for value in values if isinstance(value, str | Path) and str(value) != "-"):
         check(args)
+        for value in values:
+            if isinstance(value, str | Path) and str(value) != "-":
+                unfinished.remove_abandoned(whole_file.real_path(value))
         yield
 
 

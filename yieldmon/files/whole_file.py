@@ -6,19 +6,17 @@ import errno
 import os
 import shutil
 import stat
-import tempfile
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from contextvars import ContextVar
 from itertools import count
 from pathlib import Path
 
 from yieldmon.errors import NO_ROOM, InputError, brief
+from yieldmon.files.unfinished import STEM, held, make_folder
 
 READABLE = 0o644
 """The mode of a file that the service reads as a user of its own, whatever the umask of whoever writes it."""
-_STEM = 100
-"""Characters of the name that its folder has as well: names have an end."""
 _SMALL_BYTES = 1_000_000
 """A medium with less room than this is full: a library may have given back what it could not complete."""
 
@@ -84,16 +82,17 @@ def scratch_for(path: str | Path, *, durable: bool = False, mode: int | None = N
     folder = None if in_place else _private_folder(target, path)
     scratch = target if folder is None else folder / target.name
     try:
-        yield scratch
-        if not in_place:
-            if mode is not None:
-                scratch.chmod(mode)
-            elif target.exists() and scratch.is_file():
-                scratch.chmod(stat.S_IMODE(target.stat().st_mode))
-            if durable:
-                sync(scratch)
-            _refuse_another_programs(scratch, target, path)
-            scratch.replace(target)
+        with nullcontext() if folder is None else held(folder):
+            yield scratch
+            if not in_place:
+                if mode is not None:
+                    scratch.chmod(mode)
+                elif target.exists() and scratch.is_file():
+                    scratch.chmod(stat.S_IMODE(target.stat().st_mode))
+                if durable:
+                    sync(scratch)
+                _refuse_another_programs(scratch, target, path)
+                scratch.replace(target)
     except OSError as error:
         # A file opened through its Path is named by that.
         if str(error.filename) == str(scratch) or (error.filename is None and error.errno in NO_ROOM):
@@ -127,7 +126,7 @@ def _refuse_another_programs(scratch: Path, target: Path, path: str | Path) -> N
     _free_names.set(_free_names.get() - {target})
     if not os.path.lexists(target):
         return
-    numbers = (target.with_name(f"{target.stem[:_STEM]}-{number}{target.suffix}") for number in count(2))
+    numbers = (target.with_name(f"{target.stem[:STEM]}-{number}{target.suffix}") for number in count(2))
     aside = next(name for name in numbers if not os.path.lexists(name))
     scratch.replace(aside)
     raise InputError(str(path), f"another program made it meanwhile; what was to be written is {aside.name}", "one at a time")
@@ -136,7 +135,7 @@ def _refuse_another_programs(scratch: Path, target: Path, path: str | Path) -> N
 def _private_folder(target: Path, path: str | Path) -> Path:
     """A new folder of our own beside `target`, with an unpredictable name and for this user alone."""
     try:
-        return Path(tempfile.mkdtemp(prefix=f".{target.stem[:_STEM]}.", dir=target.parent))
+        return make_folder(target)
     except OSError as error:
         error.filename = str(path)
         raise
