@@ -15,12 +15,15 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import traceback
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 from typing import IO
 
+LIMIT_S = 60.0
+"""A command that is waited for so long is killed."""
 _MESSAGE_BYTES = 65536
 _ROOT = Path(__file__).resolve().parents[1]
 
@@ -32,7 +35,7 @@ class Forked:
     ----------
     pid : int
     stderr : text file
-        What it writes to standard error.
+        What it writes to standard error, to look at whether there is something; read by `line` and `rest`.
     """
 
     def __init__(self, words: tuple[str, ...], before: str = "") -> None:
@@ -47,6 +50,16 @@ class Forked:
         self.stderr: IO[str] = os.fdopen(error_reads)
         self.pid = int(self._status.readline())
 
+    def line(self) -> str:
+        """The next line of standard error, "" where it has ended."""
+        with self._killed_late():
+            return self.stderr.readline()
+
+    def rest(self) -> str:
+        """What it still writes to standard error, to the end."""
+        with self._killed_late():
+            return self.stderr.read()
+
     def send_signal(self, number: int) -> None:
         """Also to one that has ended, where nothing happens."""
         with contextlib.suppress(ProcessLookupError):
@@ -54,7 +67,18 @@ class Forked:
 
     def wait(self) -> int:
         """Its exit code, negative for a signal; to be called once."""
-        return int(self._status.readline())
+        with self._killed_late():
+            return int(self._status.readline())
+
+    @contextlib.contextmanager
+    def _killed_late(self) -> Iterator[None]:
+        """A test that waits for what never comes fails."""
+        killing = threading.Timer(LIMIT_S, self.send_signal, (signal.SIGKILL,))
+        killing.start()
+        try:
+            yield
+        finally:
+            killing.cancel()
 
 
 @contextlib.contextmanager

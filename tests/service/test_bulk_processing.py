@@ -6,7 +6,9 @@ import csv
 import json
 import math
 import random
+import signal
 from collections import Counter
+from multiprocessing.context import ForkProcess
 from pathlib import Path
 
 import can
@@ -298,6 +300,22 @@ def test_a_log_without_an_impact_sensor_is_refused(tmp_path, capsys):
     assert not out.exists()
     with pytest.raises(InputError, match="no impact sensor"):
         rows_of(process_logs, [path])
+
+
+def test_ctrl_c_is_left_to_the_parent_from_the_readers_first_moment(log, monkeypatch):
+    """A terminal sends it to both; the reader would end with a traceback."""
+    begin = ForkProcess.run
+
+    def interrupted(process):
+        signal.raise_signal(signal.SIGINT)
+        begin(process)
+
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    monkeypatch.setattr(ForkProcess, "run", interrupted)
+    try:
+        assert rows_of(process_in_bulk, [log], reads_ahead=True)[1].damages == []
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def test_an_empty_log_among_others_changes_nothing(log, tmp_path):

@@ -163,14 +163,14 @@ def page(socket: Path, *options: str, before: str = "") -> Iterator[Site]:
     """`yieldmon web` as a process of its own at a free port, forked from one with its packages; yields its address.
     before: Python that it runs first."""
     with forked.running("web", "--socket", str(socket), "--listen", "127.0.0.1:0", *options, before=before) as process:
-        line = process.stderr.readline()
-        assert "http://" in line, line + process.stderr.read()
+        line = process.line()
+        assert "http://" in line, line + process.rest()
         try:
             site = Site(line.split()[-1].rstrip("/"))
             site.pid = process.pid
             yield site
         finally:
             process.send_signal(signal.SIGTERM)
-            said = process.stderr.read()
+            said = process.rest()
             assert process.wait() == 0, said
             assert said == ""

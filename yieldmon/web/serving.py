@@ -8,6 +8,7 @@ import socket
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from threading import Thread, current_thread, main_thread
 from types import FrameType
 
@@ -36,10 +37,11 @@ def check_access(listen: Listen, token: str | None) -> None:
 
 
 class _Server(uvicorn.Server):
-    """Lets the live pages go before it waits for their connections' ends."""
+    """Says when it listens, also to signals, and lets the live pages go before it waits for their connections' ends."""
 
-    def __init__(self, configuration: uvicorn.Config, stop: Callable[[], None]) -> None:
+    def __init__(self, configuration: uvicorn.Config, ready: Callable[[], None], stop: Callable[[], None]) -> None:
         super().__init__(configuration)
+        self._ready = ready
         self._stop = stop
 
     @contextmanager
@@ -63,6 +65,10 @@ class _Server(uvicorn.Server):
         if signal.SIGINT in seen:
             raise KeyboardInterrupt
 
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        await super().startup(sockets)
+        self._ready()
+
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         self._stop()
         await super().shutdown(sockets)
@@ -78,7 +84,7 @@ def serve(access: Access, build: Callable[[Access], Guard], ready: Callable[[str
     build : callable
         Makes the application, once the port is known.
     ready : callable
-        Called with the page's address once it can be opened.
+        Called with the page's address once it can be opened and a signal ends it in order.
 
     Raises
     ------
@@ -107,8 +113,7 @@ def serve(access: Access, build: Callable[[Access], Guard], ready: Callable[[str
             h11_max_incomplete_event_size=_HEADER_BYTES,
         )
         Thread(target=app.prepare, daemon=True).start()
-        ready(listen.url)
-        _Server(configuration, app.stop).run(sockets=[listening])
+        _Server(configuration, partial(ready, listen.url), app.stop).run(sockets=[listening])
 
 
 def _listening(listen: Listen) -> socket.socket:

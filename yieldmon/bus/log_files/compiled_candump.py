@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from yieldmon.bus.interrupts import interrupts_held
 from yieldmon.bus.log_files.compiled import compiled
 from yieldmon.bus.log_files.fast_candump import HEX, LARGEST_EXACT, MICROS_PER_S, Bytes
 from yieldmon.identifiers import CLASSIC_BYTES, EXTENDED_FLAG, LARGEST_EXTENDED_ID, LARGEST_STANDARD_ID
@@ -45,6 +46,7 @@ def channel_table(channels: list[str]) -> tuple[Bytes, NDArray[np.int64]]:
     return names, lengths
 
 
+@interrupts_held()
 def parse_common(
     buffer: Bytes,
     starts: NDArray[np.intp],

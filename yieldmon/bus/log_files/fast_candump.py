@@ -17,6 +17,7 @@ import can
 import numpy as np
 from numpy.typing import NDArray
 
+from yieldmon.bus.interrupts import interrupts_held
 from yieldmon.bus.log_files.candump import channel_name, flagged_id
 from yieldmon.identifiers import CLASSIC_BYTES, EXTENDED_FLAG, LARGEST_EXTENDED_ID, LARGEST_STANDARD_ID
 
@@ -185,7 +186,8 @@ def _only(parsed: ParsedLines, kept: NDArray[np.bool_]) -> ParsedLines:
 def _compiled_module() -> ModuleType | None:
     """compiled_candump, None where the fast extra is not installed."""
     try:
-        from yieldmon.bus.log_files import compiled_candump
+        with interrupts_held():
+            from yieldmon.bus.log_files import compiled_candump
     except ImportError:
         return None
     return compiled_candump

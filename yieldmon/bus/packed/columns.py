@@ -15,6 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from yieldmon.bus.interrupts import interrupts_held
+
 Column = NDArray[np.uint64]
 
 CONSTANT = "constant"
@@ -209,7 +211,8 @@ def _rounded(weighted: NDArray[np.float64]) -> NDArray[np.float64]:
 def _compiled_module() -> ModuleType | None:
     """compiled_columns, None where the fast extra is not installed."""
     try:
-        from yieldmon.bus.packed import compiled_columns
+        with interrupts_held():
+            from yieldmon.bus.packed import compiled_columns
     except ImportError:
         return None
     return compiled_columns

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from yieldmon.bus.interrupts import interrupts_held
 from yieldmon.bus.log_files.compiled import compiled
 from yieldmon.bus.packed.columns import ORDER
 
@@ -12,6 +13,7 @@ _LANES = 16
 """Stretches worked out side by side: vector instructions of all widths are filled, and their samples stay in the cache."""
 
 
+@interrupts_held()
 def from_differences(planes: NDArray[np.uint8], bits: int) -> NDArray[np.uint64]:
     """The numbers of a column of differences.
 
@@ -30,6 +32,7 @@ def from_differences(planes: NDArray[np.uint8], bits: int) -> NDArray[np.uint64]
     return numbers
 
 
+@interrupts_held()
 def from_predicted(
     planes: NDArray[np.uint8], coefficients: NDArray[np.float64], stretch: int, bits: int, scale: float
 ) -> NDArray[np.uint64]:
@@ -56,9 +59,14 @@ def from_predicted(
     return samples
 
 
-@compiled
-def place_fields(payload, column, starts):  # type: ignore[no-untyped-def]
+@interrupts_held()
+def place_fields(payload: NDArray[np.uint64], column: NDArray[np.uint64], starts: NDArray[np.uint64]) -> None:
     """See columns.place_fields."""
+    _place_fields(payload, column, starts)
+
+
+@compiled
+def _place_fields(payload, column, starts):  # type: ignore[no-untyped-def]
     per_frame = len(starts)
     for at in range(len(payload)):
         data = payload[at]

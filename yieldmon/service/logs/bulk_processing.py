@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from yieldmon.bus.bulk import USABLE, FrameBlock, SignalColumn, concatenate, decode_block
 from yieldmon.bus.codec import Codec
+from yieldmon.bus.interrupts import interrupts_held
 from yieldmon.bus.log_files.candump import ERROR_FLAG, REMOTE_FLAG
 from yieldmon.bus.log_files.doubled_frames import DoubledFrames
 from yieldmon.bus.log_files.loading import iter_blocks
@@ -320,13 +321,16 @@ def _stretches_ahead(paths: list[str], taking: Taking) -> Iterator[Iterator[Stre
     context = multiprocessing.get_context("fork")
     receiving, sending = context.Pipe(duplex=False)
     reader = context.Process(target=_read, args=(paths, taking, sending, receiving), daemon=True)
-    reader.start()
-    sending.close()
     try:
+        # Else the reader could take a Ctrl-C before it leaves them to this process.
+        with interrupts_held():
+            reader.start()
+        sending.close()
         yield _received(receiving)
     finally:
-        reader.terminate()
-        reader.join()
+        if reader.pid is not None:
+            reader.terminate()
+            reader.join()
         receiving.close()
 
 
