@@ -100,6 +100,12 @@ def test_what_is_written_passes_check_config(tmp_path, capsys, changes):
         ({"padle_length_m": 0.16}, "padle_length_m: is not asked"),
         ({"cell_readings_mv": [500, 402, 305]}, "falls as weight is added"),
         ({"cell_readings_mv": [500, 597, 650]}, "from a straight line"),
+        (
+            {"cell_readings_mv": [500, 500, 500]},
+            "cell_readings_mv: changes by 0 mV, and not with the weight; expected a reading that",
+        ),
+        ({"cell_readings_mv": [500.2, 499.7, 500.1]}, "cell_readings_mv: changes by 0.5 mV, and not with the weight"),
+        ({"cell_readings_mv": [500.1, 499.7, 500.2]}, "cell_readings_mv: changes by 0.5 mV, and not with the weight"),
         ({"cell_readings_mv": [500, 597]}, "has 2 values for 3 masses"),
         ({"cell_weights_kg": [5, 10], "cell_readings_mv": [600, 700]}, "has 2 different masses; expected 0 and two weights"),
         ({"plate_reported_deg": [45, 80]}, "the same error within 1 deg at both"),

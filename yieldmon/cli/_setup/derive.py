@@ -17,7 +17,8 @@ from yieldmon.physics.machine import RPM, ImpactSensor, Machine
 from yieldmon.units import N_PER_KGF
 
 _READING_SD_MV = 0.5
-_LINEAR_SHARE = 0.01
+_LINEAR_SHARE, _UNRELATED_SHARE = 0.01, 0.5
+"""Departures from a straight line over what it changes by: most of a cell, and from which readings say nothing of the weights."""
 _LARGEST_OFFSET_DEG = 10.0
 _LENGTHS = ("sprocket_pitch_radius_m", "paddle_length_m", "paddle_width_m", "plate_pivot_x_m", "plate_length_m")
 _ANGLES = ("home_plate_angle", "min_plate_angle", "max_plate_angle")
@@ -43,9 +44,13 @@ def cell_gain(masses_kg: Sequence[float], readings_mv: Sequence[float]) -> CellG
         raise InputError("cell_weights_kg", f"has {len(set(masses_kg))} different masses", "0 and two weights, such as 0, 5, 10")
     force, mv = N_PER_KGF * np.array(masses_kg), np.array(readings_mv)
     slope, zero = np.polyfit(force, mv, 1)
+    residual, change_mv = mv - (slope * force + zero), float(np.ptp(mv))
+    if change_mv == 0.0 or np.max(np.abs(residual)) > _UNRELATED_SHARE * abs(slope) * np.ptp(force):
+        problem = f"changes by {change_mv:g} mV, and not with the weight"
+        expected = "a reading that follows the weights; check the cell's wires, and that nothing holds the plate"
+        raise InputError(where, problem, expected)
     if slope <= 0.0:
         raise InputError(where, "falls as weight is added", "more mV with more weight; swap the cell's two signal wires")
-    residual = mv - (slope * force + zero)
     worst = float(np.max(np.abs(residual)) / (slope * np.ptp(force)))
     if worst > _LINEAR_SHARE:
         raise InputError(
