@@ -73,8 +73,9 @@ def test_a_truck_of_which_another_combine_leaves_nothing_is_refused(tmp_path):
         load(path)
 
 
-def test_a_deviation_has_a_unit_of_its_own(tmp_path):
+@pytest.mark.parametrize("dash", ["-", " - ", "\N{EN DASH}", " \N{EN DASH} "])
+def test_a_deviation_has_a_unit_of_its_own_and_a_ticket_several_loads(tmp_path, dash):
     path = tmp_path / "tickets.csv"
-    path.write_text("load,weighed_t,std dev [kg]\n7-9,27.4,20\n")
+    path.write_text(f"load,weighed_t,std dev [kg]\n7{dash}9,27.4,20\n", encoding="utf-8")
     (found,) = load(path)
     assert (found.first, found.last, found.mass_kg, found.std_dev_kg) == ("7", "9", 27400.0, 20.0)

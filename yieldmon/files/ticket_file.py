@@ -116,7 +116,8 @@ def load(path: str | Path) -> tuple[WeighedTicket, ...]:
                 of_other = _number(source, i, other_deviation[0]) * other_deviation[1]
             kg, sd = own_part(kg, sd, _number(source, i, other[0]) * other[1], of_other, source.where(i, other[0]))
             other_sd = (sd**2 - weighed_sd**2) ** 0.5
-        first, dash, last = cell.partition("-")
+        # Spreadsheets and word processors make a longer dash of a hyphen between numbers.
+        first, dash, last = cell.replace("\N{EN DASH}", "-").partition("-")
         spans = bool(dash) and first.strip().isdecimal() and last.strip().isdecimal()
         names = (first.strip(), last.strip()) if spans else (cell, cell)
         machine = machines[i] if machines and not delimited.is_unknown(machines[i]) else ""
