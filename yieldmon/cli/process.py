@@ -33,7 +33,7 @@ from yieldmon.service.logs.bulk_processing import EndOfLog, Stretch
 from yieldmon.service.logs.factory_comparison import FactoryComparison
 from yieldmon.service.logs.log_copies import refuse_copies, refuse_named_twice
 from yieldmon.service.logs.log_record import Progress
-from yieldmon.service.logs.record_check import RecordCheck, record_lines
+from yieldmon.service.logs.record_check import SEPARATE_FILES, RecordCheck, record_lines
 from yieldmon.service.logs.recorded import is_store_not_log
 from yieldmon.service.logs.reprocessing import loads_of_rows, measured_again
 from yieldmon.service.logs.sample_spacing import SampleSpacing
@@ -361,6 +361,6 @@ def _why_no_zero(document: ProcessSummary) -> str:
     if document.get("frames_lost_share", 0.0) > _MOSTLY:
         return (
             "every second lacks samples (FramesLost), so there is no zero: frames are lost, two nodes or channels send them, or "
-            "the log has some twice"
+            f"the log has some twice; {SEPARATE_FILES}"
         )
     return ""

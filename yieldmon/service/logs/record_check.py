@@ -125,6 +125,10 @@ def _joined(stretches: list[tuple[float, float]]) -> list[tuple[float, float]]:
     return found
 
 
+#: What to do with a file in which two logs were joined.
+SEPARATE_FILES = "logs of two loggers count once if they are given as separate files"
+
+
 def record_lines(document: ProcessSummary) -> list[str]:
     """What is to be said of a record's gaps, overlaps and missing inputs."""
     out = []
@@ -133,12 +137,13 @@ def record_lines(document: ProcessSummary) -> list[str]:
     if document.get("overlap_s"):
         out.append(
             f"overlap: {document['overlap_s']:.0f} s with {document['overlap_kg']:.1f} kg lie before seconds that were read "
-            "already; logs that overlap, or one twice, count their mass twice"
+            "already: the clock was set back, or logs that overlap were joined into one file, which counts their mass twice; "
+            f"{SEPARATE_FILES}"
         )
     if document.get("contested_kg"):
         out.append(
             f"contested: {document['contested_kg']:.1f} kg are in no total: more frames came than one node sends; two nodes or "
-            "channels send them, or the log has them twice"
+            f"channels send them, or the log has them twice; {SEPARATE_FILES}"
         )
     if document.get("before_zero_s"):
         out.append(f"before the first zero: {document['before_zero_s']} s of grain have no mass; --zero-mv gives a known zero")
