@@ -101,6 +101,8 @@ def test_a_corrected_mass_is_as_sure_in_proportion() -> None:
         assert found == pytest.approx((9.0 * factor, 2.0 * factor, factor, 0.5 * factor, -0.25 * factor))
     apart = before.with_missed(MissedMass(kg=10.0), in_load=False)
     assert (apart.load_budget, apart.total_budget) == (KNOWN, after.total_budget)
+    doubted = replace(before, load_budget=replace(KNOWN, zero_kg=12.0)).with_missed(MissedMass(kg=10.0), in_load=True)
+    assert doubted.load_budget.zero_kg == pytest.approx(2.0), "what the zero missed is found"
     fresh = replace(before, load_kg=0.0).with_missed(MissedMass(kg=10.0), in_load=True)
     assert isnan(fresh.load_budget.std_dev_kg), "nothing is known of how sure the new mass is"
 

@@ -129,9 +129,14 @@ class MassBudget:
         return MassBudget(*(cause * factor for cause in causes))
 
     def with_missed(self, missed_kg: float, before_kg: float, after_kg: float) -> MassBudget:
-        """Of a mass that was corrected, before_kg to after_kg, by what a wrong zero had missed: that is no error of its zero any
-        more, and all but the zero's error is relatively the same."""
-        return replace(self.of_mass(before_kg, after_kg), zero_kg=max(self.zero_kg - abs(missed_kg), 0.0))
+        """Of a mass that was corrected, before_kg to after_kg, by what a wrong zero had missed.
+
+        Where the zero was doubted, its error held about as much, which it does not any more; all else is relatively the same.
+        """
+        known = self.of_mass(before_kg, after_kg)
+        if not self.zero_kg >= _DOUBTED_SHARE * abs(missed_kg) > 0.0:
+            return known
+        return replace(known, zero_kg=max(self.zero_kg - abs(missed_kg), 0.0))
 
     def with_unseen(self, unseen_kg: float, before_kg: float) -> MassBudget:
         """The budget of a mass of which so much more may be missing, before_kg of it already."""
@@ -161,6 +166,8 @@ class MassBudget:
 
 
 _made = maker_of(MassBudget)
+_DOUBTED_SHARE = 0.5
+"""Of what a zero missed, from which its stated error is one that was doubted."""
 EMPTY = MassBudget()
 """Of no mass."""
 _CONTRADICTED = 3.0
