@@ -94,9 +94,11 @@ import pathlib, sys
 from yieldmon.bus import dbc_file
 from yieldmon.errors import InputError
 path = pathlib.Path(sys.argv[1]) / "hostile.dbc"
-for line in ("VAL_ 1 a 1", 'VAL_ 1 a 1 "x', 'VAL_ 1 a 1 "x" 2', 'CM_ SG_ 5000 a "x', 'BA_ "x" BO_ 5000 "', "BO_ 5000 x: 8 y",
+for line in ("VAL_ 1 a 1", 'VAL_ 1 a --1 "x" 1e "y" ;', "VAL_ " + "1" * 5000 + ' a 1 "x" ;',
+             'VAL_ 1 a 1 "x', 'VAL_ 1 a 1 "x" 2', 'CM_ SG_ 5000 a "x', 'BA_ "x" BO_ 5000 "', "BO_ 5000 x: 8 y",
              "SG_ a : 1|2@1+ (1,", 'SG_ a : 1|2@1+ (1,0) [0|1] "x"  ', "SG_MUL_VAL_ 5000 a b "):
-    path.write_text("BO_ 5000 x: 8 y\\n" + (line + "\\n") * 20_000)
+    path.write_text("BO_ 5000 x: 8 y\\n" + (line + "\\n") * min(20_000, 2_000_000 // len(line)))
+    dbc_file.names_that_differ(path.read_text())
     try:
         dbc_file.read(path, strict=False)
     except InputError:

@@ -63,6 +63,7 @@ def test_a_mapping_against_the_names_is_noted(values: str, said: bool, tmp_path:
         ('1 "Down"\n 0  "Up"', False),
         ('0 "Down" 1 "Up"', True),
         ('0 "Up"', True),
+        ('0 "Up" 1 "Down" --1 "Lost" 1e "Lost"', True),
     ],
 )
 def test_two_tables_of_names_that_differ_are_noted(again: str, said: bool, tmp_path: Path) -> None:

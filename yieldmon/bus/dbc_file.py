@@ -31,6 +31,8 @@ _IDENTIFIER = re.compile(
 _OTHER_ERRORS = (ValueError, KeyError, TypeError, IndexError, AttributeError)
 """What cantools raises beside its own."""
 _PART = re.compile(r"^[ \t]*(?:BO_[ \t]+(\d+)|SG_[ \t]+(\w+))", re.MULTILINE)
+_LONGEST_NUMBER = len(str(EXTENDED_FLAG | LARGEST_EXTENDED_ID))
+"""Digits of an identifier."""
 _VALUE_NAME = re.compile(r"([-+.\deE]+)\s*\"([^\"]*)\"")
 _VALUE_NAMES = re.compile(r"^[ \t]*VAL_[ \t]+(\d+)[ \t]+(\w+)(?:\s++[-+.\deE]++\s*+\"[^\"]*+\")*+\s*+;", re.MULTILINE)
 
@@ -46,12 +48,12 @@ def with_receivers(text: str) -> str:
 def names_that_differ(text: str) -> frozenset[tuple[int, str]]:
     """Identifiers without the mark of 29 bits, and signals, of which a DBC's text names values several times and not alike, as
     where files were joined into one: the last names count."""
-    tables, differing = dict[tuple[int, str], dict[float, str]](), set[tuple[int, str]]()
+    tables, differing = dict[tuple[int, str], dict[str, str]](), set[tuple[int, str]]()
     for found in _VALUE_NAMES.finditer(text):
+        if len(found[1]) > _LONGEST_NUMBER:
+            continue
         signal = int(found[1]) & LARGEST_EXTENDED_ID, found[2]
-        table = {
-            float(raw): " ".join(name.split()) for raw, name in _VALUE_NAME.findall(found[0][found.end(2) - found.start() :])
-        }
+        table = {raw: " ".join(name.split()) for raw, name in _VALUE_NAME.findall(found[0][found.end(2) - found.start() :])}
         if tables.setdefault(signal, table) != table:
             differing.add(signal)
     return frozenset(differing)
