@@ -122,7 +122,7 @@ def test_a_text_log_comes_through_a_pipe(suffix, tmp_path):
             found = []
             thread = threading.Thread(target=lambda: found.append(read(path)))  # noqa: B023 - ends within the turn
             thread.start()
-            while not _taken(reader):
+            while thread.is_alive() and not _taken(reader):
                 time.sleep(0.001)
         thread.join()
         os.close(reader)

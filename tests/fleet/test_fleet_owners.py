@@ -308,7 +308,8 @@ def test_interrupted(tmp_path: Path, when: str) -> None:
     with said.open("w") as stream:
         running = subprocess.Popen([*command, "--workers", "1"], cwd=ROOT, start_new_session=True, stderr=stream)
         try:
-            while running.poll() is None:
+            end_s = time.monotonic() + 120.0
+            while running.poll() is None and time.monotonic() < end_s:
                 if days(out) if when == "at work" else "dask.typing" in said.read_text():
                     break
                 time.sleep(0.01)
