@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from scipy.signal import StateSpace, lsim
@@ -52,8 +54,8 @@ def test_sparser_samples_still_suffice():
 
 def test_a_plate_that_rings_is_refused_with_its_frequency():
     found = tap_response([struck(0.004, damping=0.08)], 1e-3, full_scale_mv=4000.0)
-    assert "do not answer" in found.refused
-    assert found.ringing_hz == pytest.approx(1.0 / (2.0 * np.pi * 0.004), rel=0.15)
+    [hz] = re.findall(r"do not answer a tap .*, most of that at (\d+) Hz$", found.refused)
+    assert float(hz) == pytest.approx(1.0 / (2.0 * np.pi * 0.004), rel=0.15)
 
 
 def test_a_cell_faster_than_the_samples_is_refused():

@@ -96,10 +96,8 @@ _QUANTITIES = tuple(item.name for item in fields(Setting) if item.name not in ("
 class Load:
     """The grain on one paddle after filling."""
 
-    offered_mass_kg: AnyArray
-    """What the mass flow brings to each paddle [8.1]."""
     paddle_mass_kg: AnyArray
-    """What reaches the release point."""
+    """What reaches the release point; at first what the mass flow brings to each paddle [8.1]."""
 
 
 @dataclass(frozen=True, slots=True)

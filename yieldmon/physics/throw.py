@@ -161,7 +161,7 @@ class Throw:
             return mass, self.momentum(mass)
         q = np.asarray(q)
         inner = 1.0 - q[..., None]
-        load = Load(mass[..., None], mass[..., None])
+        load = Load(mass[..., None])
         if not self._keeps or q.ndim != 1:
             return mass, self._read(self._jet(load, inner)).momentum_kg_m_s[..., 0]
         key = q.tobytes()
@@ -200,7 +200,7 @@ class Throw:
         return state
 
     def _load(self, offered_mass_kg: AnyArray) -> Load:
-        load: Load = self._alter("load", Load(offered_mass_kg, offered_mass_kg))
+        load: Load = self._alter("load", Load(offered_mass_kg))
         return load
 
     def _path(self, inner: AnyArray) -> _Path:

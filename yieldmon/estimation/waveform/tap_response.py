@@ -48,10 +48,8 @@ class TapResponse:
         Taps that do not count, by reason.
     misfit : float
         Rms of what the fits leave, over the taps' height; median.
-    ringing_hz : float
-        Strongest frequency in that, where the misfit is large; nan else.
     refused : str
-        Why this is no time constant to use; "" where it is.
+        Why this is no time constant to use, with the frequency at which plate and cell ring; "" where it is.
     """
 
     response_s: float
@@ -59,7 +57,6 @@ class TapResponse:
     each_s: Array
     left_out: dict[str, int]
     misfit: float
-    ringing_hz: float
     refused: str
 
 
@@ -98,7 +95,7 @@ def tap_response(stretches: Sequence[Array], interval_s: float, *, full_scale_mv
     each, misfit = np.exp(logs[counted]), float(np.median(misfits))
     count = each.size
     factor = float(student.ppf(0.8413, count - 1)) if count > 1 else 1.0
-    found, ringing_hz, refused = float(np.exp(np.mean(np.log(each)))), float("nan"), ""
+    found, refused = float(np.exp(np.mean(np.log(each)))), ""
     scatter_s = float(found * np.std(np.log(each), ddof=1) / np.sqrt(count) * factor)
     # The answer's variance is 2 tau^2, and the contact's is added to it.
     std_dev = float(np.hypot(scatter_s, _CONTACT_SD_S**2 / (4.0 * found)))
@@ -110,7 +107,7 @@ def tap_response(stretches: Sequence[Array], interval_s: float, *, full_scale_mv
         )
     elif found < interval_s:
         refused = f"plate and cell answer within a sample of {1e3 * interval_s:g} ms: faster samples would show it"
-    return TapResponse(found, std_dev, each, {k: v for k, v in left_out.items() if v}, misfit, ringing_hz, refused)
+    return TapResponse(found, std_dev, each, {k: v for k, v in left_out.items() if v}, misfit, refused)
 
 
 def _taps(samples: Array, interval_s: float, full_scale_mv: float, left_out: dict[str, int]) -> list[Array]:
