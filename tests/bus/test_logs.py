@@ -558,3 +558,16 @@ def test_an_asc_without_a_header_keeps_its_first_frame(tmp_path: Path) -> None:
     path = tmp_path / "bare.asc"
     path.write_text("   0.500000 1  8FF1081x  Rx   d 2 0A FF\n   0.504000 1  123  Rx   d 1 07\n")
     assert [(m.arbitration_id, bytes(m.data)) for m in read_log(path)] == [(0x8FF1081, b"\x0a\xff"), (0x123, b"\x07")]
+
+
+def test_a_part_of_a_csv_without_its_heading_keeps_its_first_frame(tmp_path: Path) -> None:
+    """As `split` makes them: python-can's reader passes over the first line, whatever it is."""
+    path, frames = tmp_path / "whole.csv", [can.Message(timestamp=0.5 * k, arbitration_id=0x123, data=[k]) for k in range(3)]
+    with can.CSVWriter(path) as writer:
+        for frame in frames:
+            writer.on_message_received(frame)
+    heading, *rows = path.read_text().splitlines(keepends=True)
+    (tmp_path / "part.csv").write_text("".join(rows))
+    (tmp_path / "damaged.csv").write_text("".join([heading[3:], *rows]))
+    for name in ("whole.csv", "part.csv", "damaged.csv"):
+        assert [bytes(message.data) for message in read_log(tmp_path / name)] == [bytes(frame.data) for frame in frames]

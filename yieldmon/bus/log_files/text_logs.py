@@ -6,6 +6,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, cast
 
@@ -40,6 +41,8 @@ _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 #: Control characters that stand in no text log: all but tab, line feed and carriage return.
 _CONTROL_BYTE = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]")
 
+_NO_FRAME = (ValueError, LookupError, TypeError, AttributeError, ArithmeticError)
+"""What python-can's readers raise for a line that is none."""
 #: What stands for a header when python-can's reader goes on behind a damaged line: the line it may skip without loss.
 _RESUME_LINE = "header"
 _IDENTIFIER_COLUMN = "arbitration_id"
@@ -239,8 +242,16 @@ def _read_csv(lines: _Lines, notes: LogNotes) -> Iterator[can.Message]:
     if _is_heading_of_others(heading):
         lines.damage(f"columns {heading[:60]!r} of another program")
         return
+    yield from _frame_in_place_of(heading)
     lines.resume_with = heading
     yield from _read_with_python_can(lines)
+
+
+def _frame_in_place_of(heading: str) -> list[can.Message]:
+    """The frame that stands where python-can's .csv has its heading, as in a part of a log that was split; else empty."""
+    with suppress(*_NO_FRAME):
+        return [message for message in can.CSVReader(io.StringIO(f"{_RESUME_LINE}\n{heading}\n")) if impossible(message) is None]
+    return []
 
 
 def _is_heading_of_others(line: str) -> bool:
@@ -286,7 +297,7 @@ def _read_with_python_can(lines: _Lines) -> Iterator[can.Message]:
                 else:
                     lines.damage(problem)
             return
-        except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError) as error:
+        except _NO_FRAME as error:
             if lines.number == reported:
                 # No line has come since: it is the end of the file that the reader cannot do with.
                 return
