@@ -555,3 +555,35 @@ def test_lists_of_numbers_are_taken_as_arrays() -> None:
     mass.require_usable()
     with pytest.raises(ValueError, match="one finite number for each window"):
         Sweep([0.0, 1.0], [1.0], [42.0], [20.0], [1.0])
+
+
+# The model's error that sweeps share
+
+
+@pytest.mark.parametrize("flow_model", ["constant", "process"])
+def test_more_sweeps_do_not_average_the_models_error_out(flow_model: str) -> None:
+    settings, wide = ClosedLoopSettings(flow=flow_model, model_error=0.01, flow_process_sd=1e-4), prior(widths=(1.0, 0.01, 0.01))  # type: ignore[arg-type]
+    one, many = (
+        self_calibrate(MODEL, wide, [sweep(16.0, noise=1e-4)] * count, settings=settings).parameter_set for count in (1, 12)
+    )
+    assert many.standard_deviation("friction") == pytest.approx(one.standard_deviation("friction"), rel=0.05)
+
+
+def test_an_error_common_to_all_sweeps_is_within_the_standard_deviation() -> None:
+    settings, missed = ClosedLoopSettings(model_error=0.01), []
+    for seed in range(24):
+        rng = np.random.default_rng(seed)
+        drawn = CENTRE | {"friction": 0.2 + 0.04 * rng.standard_normal()}
+        error = 1.0 + 0.01 * rng.standard_normal(ANGLES.size)
+        sweeps = [sweep(float(flow), drawn, 0.005, rng) for flow in rng.uniform(8.0, 16.0, 12)]
+        bent = [dataclasses.replace(each, force_n=each.force_n * error) for each in sweeps]
+        found = self_calibrate(MODEL, prior(), bent, settings=settings).parameter_set
+        missed.append((found.values["friction"] - drawn["friction"]) / found.standard_deviation("friction"))
+    assert 0.7 < np.sqrt(np.mean(np.square(missed))) < 1.3
+
+
+def test_residuals_of_several_sweeps_hold_the_error_that_they_share() -> None:
+    bent = [dataclasses.replace(s, force_n=s.force_n * np.where(ANGLES < 0.8, 1.02, 1.0)) for s in [sweep(12.0, noise=0.002)] * 3]
+    found = self_calibrate(MODEL, prior(widths=(1e-4, 1e-4, 1e-4)), bent, settings=ClosedLoopSettings(model_error=0.02))
+    assert found.residuals[0][ANGLES < 0.8].mean() > 0.01 * bent[0].force_n[0]
+    assert found.region in ("40 deg", "45 deg")

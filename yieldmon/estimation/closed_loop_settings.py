@@ -28,7 +28,7 @@ class ClosedLoopSettings:
     flow_process_time_s : float
         Correlation time of the process, s.
     model_error : float
-        Relative standard deviation of the model's own error, one draw for each plate angle of a sweep.
+        Relative standard deviation of the model's own error, one draw for each plate angle of all sweeps.
     learned_information : float
         Least ratio of data to prior information along a direction of parameter space for an update along it: many smaller
         updates would add up to a certainty that the model's error does not allow.

@@ -272,8 +272,11 @@ def _updated(problem: ClosedLoopProblem, mean: Array, covariance: Array) -> Para
 
 def _sweep_residuals(problem: ClosedLoopProblem, solution: Solution) -> tuple[Array, ...]:
     """Of each sweep, N: measured less predicted force."""
-    whitened = [solution.residual[rows] for rows in problem.sweep_rows]
-    return tuple(np.asarray(-np.linalg.solve(w, r)) for w, r in zip(solution.whiteners, whitened, strict=True))
+    missed = problem.model_errors_n(solution.unknown)
+    return tuple(
+        np.asarray(missed[rows] - np.linalg.solve(whitener, solution.residual[rows]))
+        for rows, whitener in zip(problem.sweep_rows, solution.whiteners, strict=True)
+    )
 
 
 def _data_information(problem: ClosedLoopProblem, jacobian: Array) -> Array:

@@ -1,6 +1,7 @@
 """The closed loop as a least-squares problem: parameters, one flow a sweep, and what windows, prior and masses say of them.
 
-The unknown is one vector: parameters (n), logarithm of each sweep's flow (S), and slope of each (S) where the flow is a line.
+The unknown is one vector: parameters (n), logarithm of each sweep's flow (S), slope of each (S) where the flow is a line, and the
+model's relative error at each plate angle (A) where several sweeps share it. Of one sweep alone that error counts as noise.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
+from yieldmon.estimation.clusters import cluster
 from yieldmon.estimation.fitting.batch import MomentumBatch
 from yieldmon.estimation.fitting.least_squares import levenberg_marquardt
 from yieldmon.estimation.open_loop import OpenLoop
@@ -33,6 +35,8 @@ _AT_END = 1e-6
 _FOLLOWED = 1e-4
 """A Newton step of the flows this small leaves an error at rounding, their curvature being of their own size."""
 _NEWTON_STEPS = 4
+_LARGEST_ERROR = 0.9
+"""Relative, of the model at an angle."""
 _LEAST_GAIN = 1e-8
 """Of chi-square, that a further step is worth: one of 1e-4 standard deviations."""
 
@@ -91,6 +95,8 @@ class ClosedLoopProblem:
         Rows of each sweep among the residuals and the windows.
     slopes : int
         Unknown slopes: one a sweep, or 0.
+    at_angle : ndarray (windows, A)
+        1 where a window is at an angle whose model error all sweeps share, else 0; without columns where they share none.
     flow_covariances : list of ndarray
         Of each sweep's flow about its level, where it is a random process.
     """
@@ -129,6 +135,7 @@ class ClosedLoopProblem:
         self.windows = sum(s.force_n.size for s in self.sweeps)
         self.weighed_rows = _slices([a.force_n.size for a in self.masses], self.windows)
         self.slopes = len(self.sweeps) if settings.flow == "linear" else 0
+        self.at_angle = self._angles_in_common()
         self.clocks = [s.time_s - s.time_s.mean() for s in self.sweeps]
         self.flow_covariances: list[Array] = []
         self._near = _WeighedFlows(np.zeros(0), np.zeros((0, len(self.names))), self.prior.mean)
@@ -158,15 +165,30 @@ class ClosedLoopProblem:
             moisture_pct=np.concatenate(moisture) if needs_moisture else None,
         )
 
+    def _angles_in_common(self) -> Array:
+        if len(self.sweeps) < 2 or self.settings.model_error == 0.0:
+            return np.zeros((self.windows, 0))
+        of_window = cluster(np.concatenate([s.plate_angle_rad for s in self.sweeps]), SAME_ANGLE_RAD)
+        return np.asarray(of_window[:, None] == np.unique(of_window), dtype=float)
+
+    @property
+    def _errors(self) -> slice:
+        """Of the model's errors in the unknown."""
+        first = len(self.names) + len(self.sweeps) + self.slopes
+        return slice(first, first + self.at_angle.shape[1])
+
     def solve(self) -> Solution:
         """The likeliest unknown. Raises ValueError where no flow can explain a sweep or a weighed load."""
         count, width = len(self.sweeps), len(self.names)
         flows, weighed_flows = self._first_flows()
         self._near = _WeighedFlows(weighed_flows, np.zeros((weighed_flows.size, width)), self.prior.mean)
-        unknown = np.concatenate((self.prior.mean, np.log(flows), np.zeros(self.slopes)))
-        low = np.concatenate((self.lower, np.full(count, np.log(_LEAST_FLOW_KG_S)), np.full(self.slopes, -1.0)))
-        high = np.concatenate((self.upper, np.full(count, np.log(_LARGEST_FLOW_KG_S)), np.full(self.slopes, 1.0)))
-        unit = np.concatenate((self.prior.standard_deviation, np.full(count, 0.1), np.full(self.slopes, 0.01)))
+        error, errors = self.settings.model_error, self.at_angle.shape[1]
+        unknown = np.concatenate((self.prior.mean, np.log(flows), np.zeros(self.slopes + errors)))
+        least = np.full(count, np.log(_LEAST_FLOW_KG_S)), np.full(self.slopes, -1.0), np.full(errors, -_LARGEST_ERROR)
+        most = np.full(count, np.log(_LARGEST_FLOW_KG_S)), np.full(self.slopes, 1.0), np.full(errors, _LARGEST_ERROR)
+        low, high = np.concatenate((self.lower, *least)), np.concatenate((self.upper, *most))
+        sizes = np.full(count, 0.1), np.full(self.slopes, 0.01), np.full(errors, error)
+        unit = np.concatenate((self.prior.standard_deviation, *sizes))
         # Noise from flow and model error scales with the force's slope: settle both in turn.
         passes = 3 if self.sweeps and (self.settings.flow == "process" or self.settings.model_error > 0.0) else 1
         for _ in range(passes):
@@ -215,7 +237,7 @@ class ClosedLoopProblem:
     def _loads(self, unknown: Array, weighed_flows: Array) -> Array:
         width, count = len(self.names), len(self.sweeps)
         level = unknown[width : width + count]
-        slope = unknown[width + count :]
+        slope = unknown[width + count : width + count + self.slopes]
         parts = [
             np.exp(level[i] + (slope[i] * self.clocks[i] if self.slopes else 0.0)) * np.ones(s.force_n.size)
             for i, s in enumerate(self.sweeps)
@@ -250,7 +272,8 @@ class ClosedLoopProblem:
     def _whiteners(self, unknown: Array) -> list[Array]:
         """Inverse of the lower Cholesky factor of each sweep's force covariance."""
         settings = self.settings
-        if not self.sweeps or (settings.flow != "process" and settings.model_error == 0.0):
+        own_error = 0.0 if self.at_angle.size else settings.model_error
+        if not self.sweeps or (settings.flow != "process" and own_error == 0.0):
             return [np.diag(1.0 / sweep.force_std_dev_n) for sweep in self.sweeps]
         found = self._forces(unknown)
         force, by_load, loads = found.force, found.by_load, found.load
@@ -258,9 +281,9 @@ class ClosedLoopProblem:
         covariances: list[Array] = []
         for sweep, rows, clock in zip(self.sweeps, self.sweep_rows, self.clocks, strict=True):
             noise = np.diag(sweep.force_std_dev_n**2)
-            if settings.model_error > 0.0:
+            if own_error > 0.0:
                 lag = (sweep.plate_angle_rad[:, None] - sweep.plate_angle_rad) / SAME_ANGLE_RAD
-                noise += settings.model_error**2 * np.exp(-(lag**2)) * np.outer(force[rows], force[rows])
+                noise += own_error**2 * np.exp(-(lag**2)) * np.outer(force[rows], force[rows])
             if settings.flow == "process":
                 elastic = by_load[rows] * loads[rows]
                 sd = process_sd(
@@ -286,14 +309,18 @@ class ClosedLoopProblem:
         found = self._forces(unknown)
         force, by_theta, by_load, loads = found.force, found.by_theta, found.by_load, found.load
         residuals, jacobians = [], []
+        errors = unknown[self._errors]
+        missed = self.model_errors_n(unknown)
         for i, (rows, whitener) in enumerate(zip(self.sweep_rows, whiteners, strict=True)):
             jacobian = np.zeros((len(whitener), unknown.size))
-            jacobian[:, :width] = by_theta[rows]
-            elastic = by_load[rows] * loads[rows]
+            factor = 1.0 + self.at_angle[rows] @ errors
+            jacobian[:, :width] = by_theta[rows] * factor[:, None]
+            jacobian[:, self._errors] = self.at_angle[rows] * force[rows, None]
+            elastic = by_load[rows] * loads[rows] * factor
             jacobian[:, width + i] = elastic
             if self.slopes:
                 jacobian[:, width + count + i] = elastic * self.clocks[i]
-            residuals.append(whitener @ (force[rows] - self.force[rows]))
+            residuals.append(whitener @ (force[rows] + missed[rows] - self.force[rows]))
             jacobians.append(whitener @ jacobian)
         prior_jacobian = np.zeros((width, unknown.size))
         prior_jacobian[:, :width] = self.white
@@ -301,9 +328,15 @@ class ClosedLoopProblem:
         jacobians.append(prior_jacobian)
         if self.slopes:
             slope_jacobian = np.zeros((self.slopes, unknown.size))
-            slope_jacobian[:, width + count :] = np.eye(self.slopes) / self.settings.flow_slope_sd_per_s
-            residuals.append(unknown[width + count :] / self.settings.flow_slope_sd_per_s)
+            slopes = slice(width + count, width + count + self.slopes)
+            slope_jacobian[:, slopes] = np.eye(self.slopes) / self.settings.flow_slope_sd_per_s
+            residuals.append(unknown[slopes] / self.settings.flow_slope_sd_per_s)
             jacobians.append(slope_jacobian)
+        if errors.size:
+            error_jacobian = np.zeros((errors.size, unknown.size))
+            error_jacobian[:, self._errors] = np.eye(errors.size) / self.settings.model_error
+            residuals.append(errors / self.settings.model_error)
+            jacobians.append(error_jacobian)
         for mass, rows in zip(self.masses, self.weighed_rows, strict=True):
             # The last of the Newton steps to the flows that explain the forces.
             flow = loads[rows] + (self.force[rows] - force[rows]) / by_load[rows]
@@ -324,6 +357,10 @@ class ClosedLoopProblem:
             residuals.append(np.array([(unknown[index] - self.density.density_kg_m3) / self.density.std_dev_kg_m3]))
             jacobians.append(by)
         return np.concatenate(residuals)[None], np.vstack(jacobians)[None]
+
+    def model_errors_n(self, unknown: Array) -> Array:
+        """What the model misses of every window by errors that the sweeps share, N."""
+        return np.asarray(self._forces(unknown).force[: self.windows] * (self.at_angle @ unknown[self._errors]))
 
     def elastic(self, unknown: Array) -> Array:
         """d(force)/d(ln flow) of every window."""
