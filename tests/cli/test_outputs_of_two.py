@@ -65,3 +65,13 @@ def test_what_a_killed_command_left_goes_with_the_next(tmp_path, monkeypatch, ca
     os.utime(left, (1.0, 1.0))
     assert main(["signals", "a.log", "--write", "o.yaml"]) == 0
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.log", "o.yaml"]
+
+
+def test_what_a_killed_command_left_in_a_folder_goes_with_the_next(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["simulate", "--duration", "3", "--log", "a.log"]) == 0
+    (tmp_path / "out").mkdir()
+    left = make_folder(tmp_path / "out" / "a.csv")
+    os.utime(left, (1.0, 1.0))
+    assert main(["process", "a.log", "--separate", "--out", "out"]) == 0
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["a.csv"]

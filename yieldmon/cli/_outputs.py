@@ -57,11 +57,14 @@ def check(args: argparse.Namespace) -> None:
 
 
 def check_folder(folder: Path, names: Iterable[str], option: str, *, force: bool, inputs: Iterable[str | Path] = ()) -> None:
-    """As `check`, for files of these names in a folder, which need not be there."""
+    """As `checked`, for files of these names in a folder, which need not be there."""
     require_writable_folder(folder, option)
     read = {whole_file.real_path(path) for path in inputs}
-    for name in names if folder.is_dir() else ():
-        refuse(folder / name, option, force=force, inputs=read)
+    written = [folder / name for name in names] if folder.is_dir() else []
+    for path in written:
+        refuse(path, option, force=force, inputs=read)
+    for path in written:
+        unfinished.remove_abandoned(whole_file.real_path(path))
 
 
 def refuse(path: Path, option: str, *, force: bool, inputs: set[Path] = frozenset()) -> None:  # type: ignore[assignment]
