@@ -37,7 +37,7 @@ MASS_FIELDS = (
     "load_contested_kg", "load_area_m2", "load_unknown_area_kg", "market_moisture_pct",
 )  # fmt: skip
 TOTALS = st.builds(
-    Totals, **dict.fromkeys(MASS_FIELDS, MASSES), total_kg=st.floats(1e-3, 1e9), load_kg=st.floats(1e-3, 1e9), load_number=COUNTS,
+    Totals, **dict.fromkeys(MASS_FIELDS, MASSES), total_kg=MASSES, load_kg=MASSES, load_number=COUNTS,
     load_open=st.booleans(), first_load=COUNTS, total_budget=BUDGETS, load_budget=BUDGETS,
 )  # fmt: skip
 

@@ -131,9 +131,9 @@ def _by_angle(load: Mapping[str, Any]) -> bool:
 
 
 def _totals(data: Mapping[str, Any]) -> Totals:
-    """Masses that were kept without a budget have an unknown one."""
+    """Masses that were kept without a budget have an unknown one; of a mass of 0, grain may be missing all the same."""
     budgets = {
-        name: MassBudget() if not data[mass] else MassBudget(**data[name]) if data.get(name) else MassBudget.unknown()
+        name: MassBudget(**data[name]) if data.get(name) else MassBudget.unknown() if data[mass] else MassBudget()
         for name, mass in (("total_budget", "total_kg"), ("load_budget", "load_kg"))
     }
     return Totals(**{**data, **budgets})
