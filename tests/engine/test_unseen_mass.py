@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 
 import pytest
-from engine_bench import Bench, monitor
+from engine_bench import Bench, Kept, monitor
 
 from yieldmon import frames as bus
 from yieldmon.engine.state import EngineState
@@ -88,6 +88,57 @@ def test_what_may_have_passed_while_the_program_was_stopped_is_in_the_standard_d
     found, noise_kg = after.totals.load_budget, 10.0
     assert found.noise_kg2**0.5 == pytest.approx(unseen_kg, rel=0.1, abs=noise_kg)
     assert after.totals.total_budget.noise_kg2 == pytest.approx(found.noise_kg2)
+
+
+def gone_on(before: Kept, *, starts: int = 1) -> Kept:
+    """From the state of the one before, after so many starts."""
+    for _ in range(starts):
+        kept, before = before.snapshot(), monitor()
+        before.restore(EngineState.from_dict(json.loads(json.dumps(kept.as_dict()))))
+    return before
+
+
+#: When the sensor is silent, from and to, s; when a run ends; s until the next begins, 0: a reload; how many starts that takes;
+#: kg that pass unseen.
+SEVERAL = {
+    "a reload while the sensor is silent": (((40.0, 60.0),), (50.0,), 0.0, 1, 200.0),
+    "two reloads at once": (((40.0, 60.0),), (50.0,), 0.0, 2, 200.0),
+    "a stop while the sensor is silent": (((40.0, 60.0),), (47.0,), 5.0, 1, 200.0),
+    "a reload between two silences": (((25.0, 45.0), (55.0, 75.0)), (50.0,), 0.0, 1, 400.0),
+    "stop after stop": ((), (30.0, 40.0, 50.0, 60.0), 5.0, 1, 240.0),
+    "a stop that takes two starts": ((), (40.0,), 20.0, 2, 205.0),
+}
+
+
+@pytest.mark.parametrize("several", SEVERAL)
+def test_what_may_have_passed_unseen_outlives_stops_and_reloads(several: str) -> None:
+    silences, ends_s, gap_s, starts, unseen_kg = SEVERAL[several]
+    target, left = monitor(), list(ends_s)
+    for frame in Bench(flow=lambda t: FLOW_KG_S if t > 1000.0 + FULL_S else 0.0).frames(80.0):
+        at_s = frame.time_s - 1000.0
+        if left and at_s >= left[0]:
+            left.pop(0)
+            target = gone_on(target, starts=starts)
+        stopped = any(end_s <= at_s < end_s + gap_s for end_s in ends_s)
+        silent = frame.message in SAMPLES and any(from_s <= at_s < to_s for from_s, to_s in silences)
+        if not (stopped or silent):
+            target.feed(frame)
+    assert target.totals.load_budget.noise_kg2**0.5 == pytest.approx(unseen_kg, rel=0.1)
+    assert target.totals.total_budget.noise_kg2 == pytest.approx(target.totals.load_budget.noise_kg2)
+
+
+def test_grain_that_a_suspect_zero_hides_is_in_the_standard_deviation_after_a_reload() -> None:
+    target, kept = monitor(), list[float]()
+    for frame in Bench(flow=lambda t: FLOW_KG_S if t > 1000.0 + FULL_S else 0.0, noise_mv=2.0).frames(END_S):
+        target.feed(frame)
+        if not kept and frame.time_s > 1030.0:
+            target.calibrate_zero(despite_signs=True)
+            kept.append(0.0)
+        if len(kept) == 1 and frame.time_s > 1060.0:
+            kept.append(target.totals.load_budget.zero_kg)
+            target = gone_on(target)
+    assert kept[1] > 100.0
+    assert target.totals.load_budget.zero_kg - kept[1] == pytest.approx(FLOW_KG_S * (END_S - 60.0), rel=0.05)
 
 
 def test_a_state_of_before_has_no_flow_at_its_end() -> None:

@@ -87,7 +87,7 @@ def take_over(parts: Parts, before: Parts, *, tickets: bool) -> None:
 
 def _at_stop(parts: Parts) -> FlowAtStop | None:
     until_s = parts.loads.counted_until_s
-    return FlowAtStop(parts.clock.bus_time(until_s), parts.loads.flow_kg_s) if isfinite(until_s) else None
+    return parts.loads.at_stop(parts.clock.bus_time(until_s) if isfinite(until_s) else until_s)
 
 
 def _zero_undo(parts: Parts) -> ZeroUndo | None:

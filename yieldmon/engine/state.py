@@ -46,7 +46,7 @@ class EngineState:
     """windows: closed so far. sweep_due_in_s and calibration_age_s (None: not known) count from the moment of the snapshot.
     zero_undo: None where there is no zero calibration to take back. tickets: the newest, in the order they were entered.
     moisture: of the grain for which the parameters hold, None where none was measured. closed: the newest loads.
-    at_stop: None before the first window."""
+    at_stop: None before the first frame."""
 
     totals: Totals = field(default_factory=Totals)
     zero: ZeroState | None = None

@@ -49,7 +49,7 @@ class Loads:
         self._unseen = UnseenMass()
         self._last_kg_s = 0.0
         self._counted_until_s = _NAN
-        self._before_stop: FlowAtStop | None = None
+        self._stopped_at_s = _NAN
         self._errors = LoadErrors()
         self._before: dict[int, MassBudget] = {}
         """Of loads that closed in a run before."""
@@ -69,8 +69,8 @@ class Loads:
         if isfinite(self._start_s):
             return ()
         self._start_s = now_s
-        if self._before_stop is not None:
-            self._unseen.resume(now_s - self._before_stop.time_s, self._before_stop.flow_kg_s)
+        self._unseen.resume(now_s - self._stopped_at_s)
+        self._stopped_at_s = now_s
         fresh = self.totals.load_open and self.totals.load_kg == 0.0
         return (LoadOpened(self._summary(_NAN)),) if fresh else ()
 
@@ -281,18 +281,19 @@ class Loads:
         """Engine time of the end of the last window; nan before one."""
         return self._counted_until_s
 
-    @property
-    def flow_kg_s(self) -> float:
-        """Of the last second that was measured, 0 without grain."""
-        return self._unseen.before_kg_s
+    def at_stop(self, counted_until_s: float) -> FlowAtStop | None:
+        """For `restore`; None before the first frame. counted_until_s: bus time of the end of the last window, nan before one."""
+        time_s = counted_until_s if isfinite(counted_until_s) else self._stopped_at_s
+        return self._unseen.at_stop(time_s, self._last_kg_s) if isfinite(time_s) else None
 
     def restore(self, totals: Totals, before_stop: FlowAtStop | None = None) -> None:
-        """Go on from totals that were kept; what passed since was not measured. before_stop: the last flow until then."""
+        """Go on from totals that were kept; what passed since was not measured. before_stop: `at_stop` of then."""
         self._errors.clear()
         self._before = {}
         self.totals = self._at_market(totals)
         self._complete, self._silences = not (totals.load_open and totals.load_kg > 0.0), Silences()
-        self._unseen, self._before_stop = UnseenMass(), before_stop
+        stop = before_stop or FlowAtStop(_NAN, 0.0)
+        self._unseen, self._last_kg_s, self._stopped_at_s = UnseenMass.since(stop), stop.grain_kg_s, stop.time_s
 
     def correct(self, missed: Mapping[int, MissedMass]) -> LoadEvents:
         """Mass that was missed, by load, joins its loads and, where it came since they were reset, the totals; closed loads are

@@ -15,55 +15,78 @@ another."""
 
 @dataclass(frozen=True, slots=True)
 class FlowAtStop:
-    """Flow, kg/s, with which a run ended, and bus time, s, of the end of its last window."""
+    """How a run ended, for the next one. time_s: bus time of the end of its last window. flow_kg_s: of the last second that was
+    measured; grain_kg_s: of the last one with grain. silent_s: not measured since, stopped_s: since a stop before; whole: no
+    grain can have come in silent_s. load_kg, total_kg: as in `UnseenMass`."""
 
     time_s: float
     flow_kg_s: float
+    grain_kg_s: float = 0.0
+    silent_s: float = 0.0
+    whole: bool = True
+    stopped_s: float = 0.0
+    load_kg: float = 0.0
+    total_kg: float = 0.0
 
 
 @dataclass(slots=True)
 class UnseenMass:
     """Of the seconds since the last one that was measured. load_kg, total_kg: standard deviation of the open load's mass and of
-    the total by all of those before, since the start."""
+    the total by all of those before."""
 
     load_kg: float = 0.0
     total_kg: float = 0.0
     _before_kg_s: float = 0.0
-    _seconds: float = 0.0
+    _silent_s: float = 0.0
     _whole: bool = True
-    _stopped: bool = False
+    _stopped_s: float = 0.0
 
-    @property
-    def before_kg_s(self) -> float:
-        """Flow of the last second that was measured."""
-        return self._before_kg_s
+    @classmethod
+    def since(cls, stop: FlowAtStop) -> UnseenMass:
+        """As a run before left it."""
+        return cls(stop.load_kg, stop.total_kg, stop.flow_kg_s, stop.silent_s, stop.whole, stop.stopped_s)
 
-    def resume(self, stopped_s: float, before_kg_s: float) -> None:
-        """A run before ended so long before this one, with such a flow."""
-        if stopped_s < _SHORTEST_STOP_S:
-            return
-        self._seconds, self._before_kg_s = min(stopped_s, _LONGEST_STOP_S), before_kg_s
-        self._whole, self._stopped = False, True
+    def at_stop(self, time_s: float, grain_kg_s: float) -> FlowAtStop:
+        """Inverse of `since`, at a bus time, s; grain_kg_s: flow of the last second with grain."""
+        return FlowAtStop(
+            time_s=time_s,
+            flow_kg_s=self._before_kg_s,
+            grain_kg_s=grain_kg_s,
+            silent_s=self._silent_s,
+            whole=self._whole,
+            stopped_s=self._stopped_s,
+            load_kg=self.load_kg,
+            total_kg=self.total_kg,
+        )
+
+    def resume(self, stopped_s: float) -> None:
+        """The run before ended so long before this one."""
+        if stopped_s >= _SHORTEST_STOP_S:
+            self._stopped_s += min(stopped_s, _LONGEST_STOP_S)
 
     def missing(self, seconds: float, *, whole: bool) -> None:
         """So many more were not measured. whole: and no grain can have come in them."""
-        self._seconds += seconds
+        if self._stopped_s > 0.0:
+            self._stopped_s += seconds
+            return
+        self._silent_s += seconds
         self._whole = self._whole and whole
 
     def measured(self, rate_kg_s: float, *, whole: bool = True) -> float:
         """A second was measured; returns what may have come unseen before it, kg. rate_kg_s: 0 without grain. whole: it shows
         that none can have come."""
-        between_kg_s = 0.5 * (self._before_kg_s + rate_kg_s)
-        if self._stopped:
-            # The machine may have stopped as well.
-            between_kg_s = min(self._before_kg_s, rate_kg_s)
-        return self._ended(between_kg_s, rate_kg_s, whole=whole)
+        silent_s = 0.0 if self._whole and whole else self._silent_s
+        # While no run was there the machine may have stopped as well.
+        between_kg_s, stopped_kg_s = 0.5 * (self._before_kg_s + rate_kg_s), min(self._before_kg_s, rate_kg_s)
+        missed_kg = silent_s * between_kg_s + self._stopped_s * stopped_kg_s
+        self._begin(rate_kg_s)
+        return missed_kg
 
     def cut(self) -> float:
         """The load ends, what comes after it is not known; returns what may have come unseen, kg."""
-        return self._ended(0.0 if self._stopped else self._before_kg_s, self._before_kg_s, whole=True)
-
-    def _ended(self, rate_kg_s: float, before_kg_s: float, *, whole: bool) -> float:
-        missed_kg = 0.0 if self._whole and whole else self._seconds * rate_kg_s
-        self._before_kg_s, self._seconds, self._whole, self._stopped = before_kg_s, 0.0, True, False
+        missed_kg = 0.0 if self._whole else self._silent_s * self._before_kg_s
+        self._begin(self._before_kg_s)
         return missed_kg
+
+    def _begin(self, before_kg_s: float) -> None:
+        self._before_kg_s, self._silent_s, self._whole, self._stopped_s = before_kg_s, 0.0, True, 0.0
