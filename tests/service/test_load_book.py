@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from yieldmon.engine.mass.budget import MassBudget
 from yieldmon.engine.mass.load_summary import LoadSummary
 from yieldmon.engine.mass.missed_mass import MissedMass
 from yieldmon.service.history.load_book import LoadBook
@@ -150,6 +151,15 @@ def test_a_load_of_another_crop_keeps_its_dry_mass_when_it_is_restated(
     (load,) = found.take()
     assert (load.crop, load.dry_mass_kg) == ("wheat", expected_kg)
     assert load.mass_kg == changes.get("measured_kg", 100.0)
+
+
+def test_a_load_whose_doubted_zero_is_corrected_is_as_sure_as_by_the_one_before() -> None:
+    doubted = MassBudget(noise_kg2=16.0, parameters_kg=2.0, zero_kg=100.0)
+    found = book(replace(KNOWN, std_dev_kg=doubted.std_dev_kg, budget=doubted))
+    found.corrected(3, MissedMass(kg=100.0))
+    (load,) = found.take()
+    assert load.budget == MassBudget(noise_kg2=32.0, parameters_kg=4.0)
+    assert load.std_dev_kg == load.budget.std_dev_kg
 
 
 def test_a_corrected_load_is_relatively_as_sure_as_before() -> None:

@@ -306,6 +306,9 @@ class Loads:
             taken = max(found.kg, -totals.load_kg) if here else found.kg
             if number == NO_LOAD or number >= totals.first_load:
                 self.totals = totals.with_missed(replace(found, kg=taken), in_load=here)
+            if self._before.pop(number, None) is not None and here:
+                # Of those before the last no mass is known here: they stay as their correction states them.
+                self._before[number] = self.totals.load_budget
             for place, load in enumerate(self._closed):
                 if load.number == number:
                     self._closed[place] = load.with_missed(found)

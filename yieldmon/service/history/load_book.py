@@ -63,7 +63,8 @@ class LoadBook:
         if known is None:
             return
         mass_kg = max(0.0, known.mass_kg + missed.kg)
-        budget = None if known.budget is None else known.budget.with_missed(missed.kg, known.mass_kg, mass_kg)
+        budget = None if known.budget is None else _known(known.budget.with_missed(missed.kg, known.mass_kg, mass_kg))
+        std_dev_kg = known.std_dev_kg * mass_kg / known.mass_kg if known.std_dev_kg and known.mass_kg > 0.0 else None
         dry_known = known.dry_mass_kg is not None and missed.unknown_moisture_kg <= DRY_KNOWN_KG
         area_known = missed.unknown_area_kg <= _UNKNOWN_AREA_SHARE * mass_kg
         self._loads[number] = self._new[number] = replace(
@@ -71,8 +72,8 @@ class LoadBook:
             mass_kg=mass_kg,
             dry_mass_kg=max(0.0, (known.dry_mass_kg or 0.0) + missed.dry_kg) if dry_known else None,
             area_m2=known.area_m2 if area_known else None,
-            std_dev_kg=known.std_dev_kg * mass_kg / known.mass_kg if known.std_dev_kg and known.mass_kg > 0.0 else None,
-            budget=None if budget is None else _known(budget),
+            std_dev_kg=std_dev_kg if budget is None else budget.std_dev_kg,
+            budget=budget,
         )
 
     def restated(self, number: int, budget: MassBudget) -> None:
