@@ -230,6 +230,18 @@ def test_under_a_suspect_zero_flow_and_mass_are_as_unsure_as_it_is_and_an_undo_m
     assert after.std_dev_kg_s < 0.05 * after.mass_flow_kg_s
 
 
+def test_the_second_that_ends_with_a_suspect_zero_is_as_sure_as_by_the_one_it_was_measured_with() -> None:
+    frames, target = BENCH.frames(70), monitor()
+    feed(target, run_of([f for f in frames if f.time_s < 1041.0]))
+    ask(target, "zero", force=True)
+    feed(target, run_of([f for f in frames if f.time_s >= 1041.0]))
+    taken = next(number for number, record in enumerate(target.records) if record.zero_mv > ZERO_MV + 20.0)
+    before, last, after = target.records[taken - 1 : taken + 2]
+    assert last.mass_flow_kg_s == pytest.approx(before.mass_flow_kg_s, rel=0.1)
+    assert last.std_dev_kg_s == pytest.approx(before.std_dev_kg_s, rel=0.2)
+    assert not isfinite(after.mass_flow_kg_s) or after.std_dev_kg_s > 5.0 * before.std_dev_kg_s
+
+
 def test_a_ticket_for_the_open_load_is_refused() -> None:
     target = monitor()
     feed(target, BENCH.run(40))

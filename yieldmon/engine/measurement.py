@@ -184,6 +184,8 @@ class Measurement:
         self._struck_s = self._struck_s + 1 if self._struck_at_rest(window, force) else 0
         self._last = (window, force) if window.samples else None
         self._tank.see(inputs)
+        # By the zero that the window is measured with; it may end with another.
+        doubted_mv = self.zero.doubted_mv
         taken = self._follow_zero(window, inputs, inputs.speed_known and in_range and not stuck, still and at_home)
         sampled_before, self._sampled = self._sampled, window.coverage > 0.0
         self._since_jump = 0 if clock_jumps != self._jumps else self._since_jump + 1
@@ -194,7 +196,7 @@ class Measurement:
         return _reading(
             window, inputs, quality, force, noise, speed, inputs.speed_known, in_range, self._stuck_s, self._struck_s, still,
             at_home, self._gate.harvesting, zero.state, zero.drift, zero.calibrating, sampled_before, self._since_jump, taken,
-            zero_age_s, self._zero_away_mv(window), zero.far_mv, zero.refusal,
+            zero_age_s, self._zero_away_mv(window, doubted_mv), zero.far_mv, zero.refusal,
         )  # fmt: skip
 
     def _gated(self, window: Window, usable: bool, in_range: bool, idle_s: float) -> tuple[EstimateQuality | None, float, float]:
@@ -299,12 +301,12 @@ class Measurement:
         else:
             self._empty_spells.see(window.mean_mv, zero.zero_mv, window.end_s)
 
-    def _zero_away_mv(self, window: Window) -> float:
+    def _zero_away_mv(self, window: Window, doubted_mv: float) -> float:
         zero = self.zero.state
         if zero is None:
             return 0.0
         seen_mv = self._empty_spells.departure_mv(zero.zero_mv, self.zero.known_s, self.zero.unseen_pulse_mv(window))
-        return max(seen_mv, abs(self.zero.far_mv), abs(self.zero.doubted_mv))
+        return max(seen_mv, abs(self.zero.far_mv), abs(doubted_mv))
 
     def _is_level(self, window: Window) -> bool:
         """Whether a window's samples give its level: all of them, or most of them of a sensor that loses some all the time. One
