@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import logging
+import math
 import os
 import random
 import shutil
 import sqlite3
 from collections.abc import Callable
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -160,6 +162,29 @@ def test_totals_follow_the_last_second_where_the_state_is_lost(path):
     assert recovery.memory.engine.totals.total_kg == second(40).total_kg
     assert recovery.memory.engine.totals.load_kg == second(40).load_kg
     assert "totals are those of the last second saved" in recovery.note
+
+
+#: What is lost with second 41; kg whose area is not known then, of a state of 10 kg a second.
+LOST = {"the state": 410.0, "the newest state": 10.0, "nothing": 0.0}
+
+
+@pytest.mark.parametrize("lost", LOST)
+@pytest.mark.parametrize("std_dev_kg", [12.0, None])
+def test_masses_that_only_the_last_second_knows_have_its_standard_deviation(
+    path: Path, std_dev_kg: float | None, lost: str
+) -> None:
+    row = replace(second(41), total_std_dev_kg=std_dev_kg, load_std_dev_kg=std_dev_kg)
+    with Store(path) as store:
+        store.commit([replace(batch(41, state=state(40 if lost == "the newest state" else 41)), seconds=(row,))])
+    if lost == "the state":
+        change(path, "UPDATE state SET document = replace(document, ':', ';')")
+    engine = recover(path, Retention(), lambda: Store(path)).memory.engine
+    assert engine is not None
+    totals = engine.totals
+    assert (totals.total_kg, totals.load_kg, totals.load_unknown_area_kg) == (410.0, 410.0, LOST[lost])
+    expected = 0.0 if lost == "nothing" else math.nan if std_dev_kg is None else std_dev_kg
+    found = (totals.total_budget.std_dev_kg, totals.load_budget.std_dev_kg)
+    assert found == pytest.approx((expected, expected), nan_ok=True)
 
 
 @pytest.mark.parametrize("last", [91, 100])

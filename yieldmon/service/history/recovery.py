@@ -9,6 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from yieldmon.engine.mass.budget import MassBudget
 from yieldmon.engine.mass.totals import Totals
 from yieldmon.engine.state import EngineState
 from yieldmon.errors import reason
@@ -261,18 +262,26 @@ def _without_state(store: Store, last: SecondRow) -> Memory:
 def _caught_up(totals: Totals, last: SecondRow, loads: Sequence[Load]) -> Totals:
     """Totals that are not behind a second's, nor behind a load that has begun or ended.
 
-    Mass that only the second knows has no known moisture.
+    Mass that only the second knows has no known moisture and area; its standard deviation is the second's, of unknown causes.
     """
     if last.load_number > totals.load_number:
         totals = replace(totals.start_load(), load_number=last.load_number)
     ended = any(load.number == totals.load_number and load.ended_s is not None for load in loads)
     missing_kg = max(0.0, last.total_kg - totals.total_kg)
-    load_kg = max(totals.load_kg, last.load_kg)
+    missing_load_kg = max(0.0, last.load_kg - totals.load_kg)
     return replace(
         totals,
         total_kg=totals.total_kg + missing_kg,
         total_unknown_moisture_kg=totals.total_unknown_moisture_kg + missing_kg,
         load_open=totals.load_open and not ended,
-        load_kg=load_kg,
-        load_unknown_moisture_kg=totals.load_unknown_moisture_kg + max(0.0, load_kg - totals.load_kg),
+        load_kg=totals.load_kg + missing_load_kg,
+        load_unknown_moisture_kg=totals.load_unknown_moisture_kg + missing_load_kg,
+        load_unknown_area_kg=totals.load_unknown_area_kg + missing_load_kg,
+        total_budget=_budget(last.total_std_dev_kg) if missing_kg > 0.0 else totals.total_budget,
+        load_budget=_budget(last.load_std_dev_kg) if missing_load_kg > 0.0 else totals.load_budget,
     )
+
+
+def _budget(std_dev_kg: float | None) -> MassBudget:
+    """All of it may be common."""
+    return MassBudget.unknown() if std_dev_kg is None else MassBudget(parameters_kg=std_dev_kg)
