@@ -32,7 +32,8 @@ def frames(values: list[float]) -> SampleFrames:
 def test_scatter_and_trend(patterns: list[float], std_dev: float, trend: float) -> None:
     values = [value for value in patterns for _ in range(8)]
     to_end = np.arange(len(values), 0, -1) / 8.0 - 1e-6
-    found, slope, used = scatter(frames(values), to_end, np.array([float(len(patterns))]))
+    found, slope, used, means = scatter(frames(values), to_end, np.array([float(len(patterns))]))
     assert found[0] == pytest.approx(std_dev, nan_ok=True)
     assert slope[0] == pytest.approx(trend, nan_ok=True)
     assert used.tolist() == [len(patterns)]
+    assert means == [tuple(reversed(patterns))]

@@ -152,7 +152,7 @@ class WindowRecord:
     coverage
         Share of the window that was measured, 0 to 1.
     force_n
-        Mean force of the grain on the plate.
+        Mean force of the grain on the plate; where the flow begins, ends or jumps, that of a steady flow of the same size.
     elevator_speed_rad_s
         Speed of the upper shaft.
     plate_angle_rad

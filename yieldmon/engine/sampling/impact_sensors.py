@@ -141,6 +141,7 @@ def combined(windows: Sequence[Window]) -> Window:
         pulse_mv=sqrt(sum(abs(amplitude) ** 2 for amplitude in harmonics)),
         trend=max(w.trend for w in windows),
         patterns=min(w.patterns for w in windows),
+        pattern_means_mv=_sums([w.pattern_means_mv for w in windows]),
         covered_s=min(w.covered_s for w in windows),
         frames=min(w.frames for w in windows),
         samples=min(w.samples for w in windows),
@@ -153,6 +154,11 @@ def combined(windows: Sequence[Window]) -> Window:
         surplus_frames=sum(w.surplus_frames for w in windows),
         repeated_frames=sum(w.repeated_frames for w in windows),
     )
+
+
+def _sums(of_each: Sequence[tuple[float, ...]]) -> tuple[float, ...]:
+    """None where one has lost a pattern."""
+    return tuple(map(sum, zip(*of_each, strict=True))) if len({len(means) for means in of_each}) == 1 else ()
 
 
 def _fixed(sources: Sources, name: str) -> float | None:

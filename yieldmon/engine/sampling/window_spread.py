@@ -11,8 +11,9 @@ from yieldmon.engine.sampling.segments import Counts
 from yieldmon.physics.numerics import Array
 
 
-def scatter(frames: SampleFrames, to_end: Array, passed: Array) -> tuple[Array, Array, Counts]:
-    """Standard deviation of the mean from differences of neighbouring patterns, the trend, and the patterns used, each (w,).
+def scatter(frames: SampleFrames, to_end: Array, passed: Array) -> tuple[Array, Array, Counts, list[tuple[float, ...]]]:
+    """Standard deviation of the mean from differences of neighbouring patterns, the trend, the patterns used, each (w,), and the
+    means of these.
 
     to_end (m,): phase from each sample to its window's end. passed (w,): patterns that pass in each window.
     """
@@ -31,7 +32,10 @@ def scatter(frames: SampleFrames, to_end: Array, passed: Array) -> tuple[Array, 
     members = np.bincount(cell, minlength=cells + 1)[:-1].reshape(-1, most)
     sums = np.bincount(cell, weights=frames.samples.ravel(), minlength=cells + 1)[:-1].reshape(-1, most)
     full = (members > 0) & (members >= 0.5 * members.max(axis=1, keepdims=True))
-    return _scatter_of_patterns(sums[full] / members[full], np.count_nonzero(full, axis=1))
+    means, used = sums[full] / members[full], np.count_nonzero(full, axis=1)
+    std_dev, trend, used = _scatter_of_patterns(means, used)
+    every, stops = means.tolist(), np.cumsum(used).tolist()
+    return std_dev, trend, used, [tuple(every[first:last]) for first, last in zip([0, *stops], stops, strict=False)]
 
 
 def _scatter_of_patterns(means: Array, used: Counts) -> tuple[Array, Array, Counts]:

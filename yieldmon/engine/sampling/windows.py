@@ -60,12 +60,12 @@ class Window:
 
     start_s, end_s: engine time. weight_s: the window's whole weight, s; covered_s: the part that has samples. mean_mv and
     std_dev_mv: of the sensor, zero-load voltage included; std_dev_mv is of the mean, from the scatter of whole paddle patterns
-    (patterns of them). harmonics_mv: complex amplitudes of what repeats with the paddle pattern, their phase counted along the
-    chain from the first window, so that windows can be averaged coherently; pulse_mv: amplitude of all of them together. trend:
-    difference of the window's halves in standard errors. lost_frames by counter and time; surplus_frames: more than the time
-    allows, or the same counter with other samples, as a second sender makes them, and elevator speeds and plate angles of a
-    second sender (disputed: which of them); repeated_frames: same counter twice (one is used). last_frame_s: engine time of the
-    last sample frame until now.
+    (patterns of them, with pattern_means_mv). harmonics_mv: complex amplitudes of what repeats with the paddle pattern, their
+    phase counted along the chain from the first window, so that windows can be averaged coherently; pulse_mv: amplitude of all of
+    them together. trend: difference of the window's halves in standard errors. lost_frames by counter and time; surplus_frames:
+    more than the time allows, or the same counter with other samples, as a second sender makes them, and elevator speeds and
+    plate angles of a second sender (disputed: which of them); repeated_frames: same counter twice (one is used). last_frame_s:
+    engine time of the last sample frame until now.
     saturated_share: samples at the range's end, or at a ceiling below it (`cut_off`); ceiling_mv: that, 0: none.
     span_mv: largest less smallest sample. held_s: how long the last sample had not moved at the end. plate_min_rad ..
     plate_max_rad: over the whole support.
@@ -97,6 +97,7 @@ class Window:
     repeated_frames: int
     disputed: str = ""
     ceiling_mv: float = 0.0
+    pattern_means_mv: tuple[float, ...] = ()
     trace: Trace | None = field(default=None, compare=False, repr=False)
 
     @property
@@ -194,7 +195,7 @@ class WindowBuilder:
         phase += np.repeat(chain.turns, of_window)
         harmonics, left_waves = pulse_harmonics(frames, weights, phase, mean, total, self._left.waves)
         self._left = Leftover(left_sums, left_waves)
-        std_dev, trend, patterns = scatter(frames, to_end, chain.passed)
+        std_dev, trend, patterns, means_mv = scatter(frames, to_end, chain.passed)
         std_dev[empty], trend[empty], patterns[empty] = np.nan, np.nan, 0
         span, held, samples = extremes(frames)
         pulse = np.sqrt(np.cumsum(np.square(harmonics.real) + np.square(harmonics.imag), axis=1)[:, -1])
@@ -208,7 +209,7 @@ class WindowBuilder:
             span, held * self._sample_interval_s, saturated, segments.count(frames.fault, frames.bounds),
             frames.lost, frames.surplus + rival_speeds + rival_angles, frames.repeated,
             [_DISPUTED[speed > 0, angle > 0] for speed, angle in zip(rival_speeds.tolist(), rival_angles.tolist(), strict=True)],
-            ceiling,
+            ceiling, means_mv,
         )  # fmt: skip
         lists = (column.tolist() if isinstance(column, np.ndarray) else column for column in columns)
         if not self._traces:

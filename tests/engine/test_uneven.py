@@ -1,0 +1,66 @@
+"""Seconds in which grain comes for a part of the time: their flow is that part of the flow while it came."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from engine_bench import MACHINE, ZERO_MV
+from test_measurement_by_a_table import GAIN_N_PER_MV, SETTINGS, Seconds
+
+from yieldmon.engine.flow import estimates
+from yieldmon.engine.measurement import Reading
+from yieldmon.engine.uneven import evened
+from yieldmon.estimation.open_loop import OpenLoop
+from yieldmon.files import parameter_file
+from yieldmon.physics.model import ForwardModel
+from yieldmon.resources import shipped
+
+CORN = parameter_file.load(shipped("config/parameters/corn.yaml"))
+ESTIMATOR = OpenLoop(ForwardModel(MACHINE, CORN.effects), CORN)
+
+
+def second(forces_n: list[float], **of: float) -> Reading:
+    """A second in grain whose patterns have these mean forces."""
+    seconds = Seconds()
+    seconds.harvest(3)
+    means_mv = tuple(ZERO_MV + force_n / GAIN_N_PER_MV for force_n in forces_n)
+    return seconds.second(float(np.mean(forces_n)), pulse_mv=90.0, pattern_means_mv=means_mv, **of)  # type: ignore[arg-type]
+
+
+def flow_kg_s(reading: Reading) -> float:
+    [found] = estimates(ESTIMATOR, [reading])
+    assert found is not None
+    return found.rate_kg_s
+
+
+def even(reading: Reading) -> Reading:
+    [found] = evened([reading], ESTIMATOR, SETTINGS, GAIN_N_PER_MV)
+    return found
+
+
+@pytest.mark.parametrize(
+    "forces_n", [[90.0] * 3 + [0.0] * 3, [0.0, 0.0, 0.0, 0.0, 90.0, 90.0], [30.0, 90.0, 90.0, 90.0, 60.0, 5.0]]
+)
+def test_the_flow_is_the_mean_of_the_patterns(forces_n: list[float]) -> None:
+    wanted_kg_s = np.mean([flow_kg_s(second([force_n] * 6)) if force_n > 0.0 else 0.0 for force_n in forces_n])
+    reading = second(forces_n)
+    assert flow_kg_s(even(reading)) == pytest.approx(wanted_kg_s, rel=2e-3)
+    assert flow_kg_s(reading) < 0.97 * wanted_kg_s
+
+
+@pytest.mark.parametrize(
+    ("forces_n", "of"),
+    [
+        pytest.param([80.0, 60.0, 75.0, 50.0, 70.0, 85.0], {}, id="paddles that scatter"),
+        pytest.param([4.0, 0.0, 8.0, 1.0, 0.0, 6.0], {}, id="little force"),
+        pytest.param([90.0, 0.0], {}, id="too few patterns"),
+        pytest.param([90.0, 90.0, 90.0, 0.0, 0.0, 0.0], {"covered_s": 0.7}, id="not whole"),
+        pytest.param([90.0, 90.0, 90.0, 0.0, 0.0, 0.0], {"surplus_frames": 1}, id="two senders"),
+        pytest.param([90.0, 90.0, 90.0, 0.0, 0.0, 0.0], {"saturated_share": 0.5}, id="cut off"),
+        pytest.param([900.0, 0.0, 0.0, 0.0, 0.0, 0.0], {}, id="more than a paddle holds"),
+    ],
+)
+def test_others_count_as_they_are(forces_n: list[float], of: dict[str, float]) -> None:
+    reading = second(forces_n, **of)
+    assert reading.quality is None or forces_n[0] < 10.0
+    assert even(reading) is reading or even(reading).force_n == reading.force_n
