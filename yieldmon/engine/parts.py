@@ -29,7 +29,8 @@ from yieldmon.signal_ranges import SignalRanges
 
 @dataclass(frozen=True, slots=True)
 class Parts:
-    """What works together on one bus, in the order in which a window passes through it. waveform: None where it is off."""
+    """What works together on one bus, in the order in which a window passes through it. waveform: None where it is off.
+    first_estimator: by whose curve uneven seconds count, for the whole run."""
 
     settings: EngineSettings
     machine: Machine
@@ -38,6 +39,7 @@ class Parts:
     inputs: Inputs
     sensors: ImpactSensors
     measurement: Measurement
+    first_estimator: FlowEstimator
     flow_meter: FlowMeter
     waveform: Waveform | None
     area: AreaCounter
@@ -76,6 +78,7 @@ class Parts:
             inputs=Inputs(settings.inputs, sources),
             sensors=ImpactSensors(windows, machine, sources, traces=settings.waveform.enabled),
             measurement=Measurement(settings, machine, sources),
+            first_estimator=estimator,
             flow_meter=FlowMeter(settings, machine),
             waveform=Waveform(settings.waveform, machine) if settings.waveform.enabled else None,
             area=AreaCounter(machine.implement, settings.gate),

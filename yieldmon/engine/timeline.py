@@ -175,7 +175,7 @@ class Timeline:
         for start in range(0, len(held), _FORMED_TOGETHER):
             readings += self._read(held[start : start + _FORMED_TOGETHER], feeding)
         updater = self._parts.updater
-        estimator, found = updater.estimator, list[tuple[Reading, Estimate | None]]()
+        estimator, found = updater.estimator, list[Estimate | None]()
         for index, reading in enumerate(readings):
             if index == len(found) or updater.estimator is not estimator:
                 estimator = updater.estimator
@@ -184,19 +184,17 @@ class Timeline:
                 found[index:] = self._estimated(ahead[:weighed] if weighed else ahead)
             if feeding is not None:
                 results += self._ticks_before(reading.window.end_s, feeding)
-            results.append(self.conclusion.conclude(*found[index]))
+            results.append(self.conclusion.conclude(reading, found[index]))
             results += self._due(reading.inputs.angle_deg, ActuatorState(reading.inputs.actuator))
         return results
 
-    def _estimated(self, readings: Sequence[Reading]) -> list[tuple[Reading, Estimate | None]]:
-        """These windows with the force that counts, and their estimates; pulses of several, where these are looked at, are fitted
-        beside each other."""
+    def _estimated(self, readings: Sequence[Reading]) -> list[Estimate | None]:
+        """The estimates of these windows; pulses of several, where these are looked at, are fitted beside each other."""
         estimator, waveform = self._parts.updater.estimator, self._parts.waveform
-        readings = evened(readings, estimator, self._parts.settings, self._parts.machine.sensor.gain_n_per_mv)
         found = estimates(estimator, readings)
         if waveform is not None and len(readings) > 1:
             waveform.prepare(readings, [item.rate_kg_s if item is not None else float("nan") for item in found], estimator)
-        return list(zip(readings, found, strict=True))
+        return found
 
     def _ticks_before(self, end_s: float, feeding: RunFeeding) -> list[Result]:
         results: list[Result] = []
@@ -211,4 +209,6 @@ class Timeline:
         windows = self._parts.sensors.close_run([self._parts.schedule.window_start_s, *(inputs.time_s for inputs in held)])
         self._parts.schedule.formed(held[-1].time_s)
         jumps = self._parts.clock.jumps
-        return [self._parts.measurement.read(window, inputs, jumps) for window, inputs in zip(windows, held, strict=True)]
+        readings = [self._parts.measurement.read(window, inputs, jumps) for window, inputs in zip(windows, held, strict=True)]
+        machine = self._parts.machine
+        return evened(readings, self._parts.first_estimator, self._parts.settings, machine.sensor.gain_n_per_mv)

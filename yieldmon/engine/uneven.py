@@ -2,7 +2,8 @@
 
 Force grows less than in proportion to flow, so that the mean force of a second in which grain came for half of the time is not
 that of half the flow. Its flow is the mean of those that its paddle patterns have, each by its own mean force; it counts with
-the force that a steady flow of this size has.
+the force that a steady flow of this size has. What that is depends on how force bends over flow, not on its scale, and hardly on
+the crop; it is taken from one set of parameters for a whole run, so that what comes of a load does not depend on those in use.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import numpy as np
 
 from yieldmon.engine.flow_estimator import FlowEstimator
 from yieldmon.engine.measurement import Reading
+from yieldmon.engine.sampling.aliasing import ALIAS_FREE_HZ
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.physics.numerics import Array
 
@@ -33,6 +35,7 @@ def evened(
     ----------
     readings : sequence of Reading
     estimator : FlowEstimator
+        Its curve of force over flow is used; its scale hardly matters.
     settings : EngineSettings
     gain_n_per_mv : float
         Of the impact sensor.
@@ -55,6 +58,9 @@ def _uneven_n(reading: Reading, settings: EngineSettings, gain_n_per_mv: float) 
     if not range_n > max(_UNEVEN * mean_n, settings.gate.certain_force_n):
         return None
     whole = window.coverage >= settings.windows.full_coverage and not window.contested
+    if window.samples < ALIAS_FREE_HZ * (window.end_s - window.start_s):
+        # Single samples of paddle pulses differ in any flow.
+        return None
     if not whole or window.saturated_share >= settings.windows.saturated_share:
         return None
     return np.maximum((np.array(window.pattern_means_mv) - zero.zero_mv) * gain_n_per_mv, 0.0)
