@@ -145,3 +145,19 @@ def test_a_state_of_before_has_no_flow_at_its_end() -> None:
     document = monitor().snapshot().as_dict()
     assert document.pop("at_stop") is None
     assert EngineState.from_dict(document).at_stop is None
+
+
+@pytest.mark.parametrize("hours", [0.05, 8.0])
+def test_a_machine_that_is_switched_off_in_grain_missed_nothing(hours: float) -> None:
+    """The computer may go on; the elevator is empty afterwards."""
+    bench, target = Bench(flow=lambda t: FLOW_KG_S if FULL_S < t - 1000.0 < 40.0 else 0.0), monitor()
+    for frame in bench.frames(40.0):
+        target.feed(frame)
+    before = target.totals
+    off_s = 1e3 * round(3.6 * hours, 2)
+    for at in range(60):
+        target.tick(1040.0 + off_s * (at + 1) / 60.0)
+    for frame in Bench(flow=lambda t: 0.0).frames(20.0):
+        target.feed(frame._replace(time_s=frame.time_s + 40.0 + off_s))
+    assert target.totals.load_kg == pytest.approx(before.load_kg, rel=0.05)
+    assert target.totals.load_budget.std_dev_kg < before.load_budget.std_dev_kg + FLOW_KG_S

@@ -114,7 +114,8 @@ class Conclusion:
         )
         if not flow.measured and parts.measurement.hides_grain(reading.force_n):
             missing = Missing.HIDDEN
-        mass_kg = loads.count(window, flow, reading.inputs.fresh["moisture"], area_m2, missing)
+        silent = window.samples == 0 and not reading.speed_known
+        mass_kg = loads.count(window, flow, reading.inputs.fresh["moisture"], area_m2, missing, silent=silent)
         self._weigh(reading, flow, mass_kg)
         angle_rad = window.plate_angle_rad if isfinite(window.plate_angle_rad) else parts.machine.home_plate_angle_rad
         loads.share(mass_kg, flow, estimator.parameters.version, angle_rad, updater.load_error)

@@ -105,8 +105,11 @@ class Loads:
         moisture_pct: float,
         area_m2: float = _NAN,
         missing: Missing = Missing.SOME,
+        *,
+        silent: bool = False,
     ) -> float:
-        """Add a window and its area to the totals; returns its mass, kg. missing: of the inputs, where there is no flow."""
+        """Add a window and its area to the totals; returns its mass, kg. missing: of the inputs, where there is no flow. silent:
+        neither sensor nor elevator speed is reported any more."""
         available = flow.measured or flow.quality is not EstimateQuality.NOT_AVAILABLE
         stands = window.speed_rad_s <= self._settings.gate.min_turning_rpm * RPM
         duration_s, self._counted_until_s = window.end_s - window.start_s, window.end_s
@@ -120,7 +123,7 @@ class Loads:
         elif available:
             self._miss(self._unseen.measured(flow.rate_kg_s if flow.measured else 0.0, whole=whole))
         elif not (stands and missing in (Missing.ALL, Missing.ZERO_STANDING)):
-            self._unseen.missing(duration_s, whole=whole)
+            self._unseen.missing(duration_s, whole=whole, silent=silent)
         if not flow.measured:
             self.totals = self.totals.with_area(area_m2, 0.0)
             return 0.0

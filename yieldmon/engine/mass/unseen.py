@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+_LONGEST_SILENCE_S = 60.0
+"""Of a bus on which the machine may have gone on."""
 _SHORTEST_STOP_S, _LONGEST_STOP_S = 2.0, 3600.0
 """Of a run for which grain may have gone on: of a shorter one no whole second is missing, of a longer one the clock may have been
 another."""
@@ -62,15 +64,18 @@ class UnseenMass:
     def resume(self, stopped_s: float) -> None:
         """The run before ended so long before this one."""
         if stopped_s >= _SHORTEST_STOP_S:
-            self._stopped_s += min(stopped_s, _LONGEST_STOP_S)
+            self._stopped_s = min(self._stopped_s + stopped_s, _LONGEST_STOP_S)
 
-    def missing(self, seconds: float, *, whole: bool) -> None:
-        """So many more were not measured. whole: and no grain can have come in them."""
+    def missing(self, seconds: float, *, whole: bool, silent: bool = False) -> None:
+        """So many more were not measured. whole: and no grain can have come in them. silent: neither sensor nor speed is
+        reported; for long, the machine is switched off, which is the same as a stop."""
         if self._stopped_s > 0.0:
-            self._stopped_s += seconds
+            self._stopped_s = min(self._stopped_s + seconds, _LONGEST_STOP_S)
             return
         self._silent_s += seconds
         self._whole = self._whole and whole
+        if silent and self._silent_s > _LONGEST_SILENCE_S:
+            self._stopped_s, self._silent_s, self._whole = self._silent_s, 0.0, True
 
     def measured(self, rate_kg_s: float, *, whole: bool = True) -> float:
         """A second was measured; returns what may have come unseen before it, kg. rate_kg_s: 0 without grain. whole: it shows
