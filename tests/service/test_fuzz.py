@@ -37,7 +37,7 @@ def out_of_range(self: PlateCommander, demand: object, angle_deg: float) -> dict
     return {"TargetPlateAngle": 120.0, "CommandMode": 1, "CommandCounter": 0}
 
 
-def negative(self: Loads, *_: object) -> float:
+def negative(self: Loads, *_: object, **__: object) -> float:
     return -1.0
 
 
