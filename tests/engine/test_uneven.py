@@ -9,7 +9,7 @@ from test_measurement_by_a_table import GAIN_N_PER_MV, SETTINGS, Seconds
 
 from yieldmon.engine.flow import estimates
 from yieldmon.engine.measurement import Reading
-from yieldmon.engine.uneven import evened
+from yieldmon.engine.uneven import UnevenSeconds
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.files import parameter_file
 from yieldmon.physics.model import ForwardModel
@@ -34,7 +34,7 @@ def flow_kg_s(reading: Reading) -> float:
 
 
 def even(reading: Reading) -> Reading:
-    [found] = evened([reading], ESTIMATOR, SETTINGS, GAIN_N_PER_MV)
+    [found] = UnevenSeconds(SETTINGS, MACHINE, ESTIMATOR).evened([reading])
     return found
 
 

@@ -22,6 +22,7 @@ from yieldmon.engine.self_calibration.parameter_updater import ParameterUpdater
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.sources import Sources
 from yieldmon.engine.sweeps.plate import Plate
+from yieldmon.engine.uneven import UnevenSeconds
 from yieldmon.engine.waveform.waveform import Waveform
 from yieldmon.physics.machine import Machine
 from yieldmon.signal_ranges import SignalRanges
@@ -29,8 +30,7 @@ from yieldmon.signal_ranges import SignalRanges
 
 @dataclass(frozen=True, slots=True)
 class Parts:
-    """What works together on one bus, in the order in which a window passes through it. waveform: None where it is off.
-    first_estimator: by whose curve uneven seconds count, for the whole run."""
+    """What works together on one bus, in the order in which a window passes through it. waveform: None where it is off."""
 
     settings: EngineSettings
     machine: Machine
@@ -39,7 +39,7 @@ class Parts:
     inputs: Inputs
     sensors: ImpactSensors
     measurement: Measurement
-    first_estimator: FlowEstimator
+    uneven: UnevenSeconds
     flow_meter: FlowMeter
     waveform: Waveform | None
     area: AreaCounter
@@ -78,7 +78,7 @@ class Parts:
             inputs=Inputs(settings.inputs, sources),
             sensors=ImpactSensors(windows, machine, sources, traces=settings.waveform.enabled),
             measurement=Measurement(settings, machine, sources),
-            first_estimator=estimator,
+            uneven=UnevenSeconds(settings, machine, estimator),
             flow_meter=FlowMeter(settings, machine),
             waveform=Waveform(settings.waveform, machine) if settings.waveform.enabled else None,
             area=AreaCounter(machine.implement, settings.gate),

@@ -16,7 +16,6 @@ from yieldmon.engine.parts import Parts
 from yieldmon.engine.results import PlateCommand, Result
 from yieldmon.engine.runs import FrameRun
 from yieldmon.engine.sampling.impact_sensors import RunFeeding
-from yieldmon.engine.uneven import evened
 from yieldmon.frames import ActuatorState, Frame
 
 _FORMED_TOGETHER = 64
@@ -210,5 +209,4 @@ class Timeline:
         self._parts.schedule.formed(held[-1].time_s)
         jumps = self._parts.clock.jumps
         readings = [self._parts.measurement.read(window, inputs, jumps) for window, inputs in zip(windows, held, strict=True)]
-        machine = self._parts.machine
-        return evened(readings, self._parts.first_estimator, self._parts.settings, machine.sensor.gain_n_per_mv)
+        return self._parts.uneven.evened(readings)
