@@ -2,21 +2,48 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from engine_bench import MACHINE, ZERO_MV
 from test_measurement_by_a_table import GAIN_N_PER_MV, SETTINGS, Seconds
 
 from yieldmon.engine.flow import estimates
+from yieldmon.engine.flow_estimator import FlowEstimator
 from yieldmon.engine.measurement import Reading
 from yieldmon.engine.uneven import UnevenSeconds
-from yieldmon.estimation.open_loop import OpenLoop
+from yieldmon.estimation.open_loop import FlowEstimate, OpenLoop
 from yieldmon.files import parameter_file
+from yieldmon.physics.machine import RPM
 from yieldmon.physics.model import ForwardModel
+from yieldmon.physics.numerics import Array
 from yieldmon.resources import shipped
 
 CORN = parameter_file.load(shipped("config/parameters/corn.yaml"))
-ESTIMATOR = OpenLoop(ForwardModel(MACHINE, CORN.effects), CORN)
+SLOPES = {
+    f"moisture_dependence.{name}_per_pct": slope
+    for name, slope in (("friction", 0.03), ("density", -0.007), ("restitution", -0.02))
+}
+MOIST = replace(CORN, values=dict(CORN.values) | SLOPES)
+
+
+class WithThreshold:
+    """A curve that gives no flow below 5 N."""
+
+    parameters = CORN
+
+    def estimate(self, force_n: Array, plate_angle_rad: Array, elevator_speed_rad_s: Array, *_: object) -> FlowEstimate:
+        flow_kg_s = 0.08 * np.maximum(np.asarray(force_n) - 5.0, 0.0) ** 1.2
+        return FlowEstimate(flow_kg_s, 0.05 * flow_kg_s, np.zeros(flow_kg_s.shape, np.int8))
+
+
+ESTIMATORS: dict[str, FlowEstimator] = {
+    "corn": OpenLoop(ForwardModel(MACHINE, CORN.effects), CORN),
+    "corn by its moisture": OpenLoop(ForwardModel(MACHINE, MOIST.effects), MOIST),
+    "a curve with a threshold": WithThreshold(),
+}
+ESTIMATOR = ESTIMATORS["corn"]
 
 
 def second(forces_n: list[float], **of: float) -> Reading:
@@ -24,27 +51,39 @@ def second(forces_n: list[float], **of: float) -> Reading:
     seconds = Seconds()
     seconds.harvest(3)
     means_mv = tuple(ZERO_MV + force_n / GAIN_N_PER_MV for force_n in forces_n)
-    return seconds.second(float(np.mean(forces_n)), pulse_mv=90.0, pattern_means_mv=means_mv, **of)  # type: ignore[arg-type]
+    window = {"pattern_means_mv": means_mv, "pulse_mv": 90.0} | of
+    return seconds.second(float(np.mean(forces_n)), {"moisture": 19.0}, **window)  # type: ignore[arg-type]
 
 
-def flow_kg_s(reading: Reading) -> float:
-    [found] = estimates(ESTIMATOR, [reading])
+def flow_kg_s(reading: Reading, estimator: FlowEstimator = ESTIMATOR) -> float:
+    [found] = estimates(estimator, [reading])
     assert found is not None
     return found.rate_kg_s
 
 
-def even(reading: Reading) -> Reading:
-    [found] = UnevenSeconds(SETTINGS, MACHINE, ESTIMATOR).evened([reading])
+def even(reading: Reading, estimator: FlowEstimator = ESTIMATOR) -> Reading:
+    [found] = UnevenSeconds(SETTINGS, MACHINE, estimator).evened([reading])
     return found
 
 
+@pytest.mark.parametrize("by", ESTIMATORS)
 @pytest.mark.parametrize(
-    "forces_n", [[90.0] * 3 + [0.0] * 3, [0.0, 0.0, 0.0, 0.0, 90.0, 90.0], [30.0, 90.0, 90.0, 90.0, 60.0, 5.0]]
+    "forces_n", [[90.0] * 3 + [0.0] * 3, [0.0, 0.0, 0.0, 0.0, 90.0, 90.0], [30.0, 90.0, 90.0, 90.0, 60.0, 8.0]]
 )
-def test_the_flow_is_the_mean_of_the_patterns(forces_n: list[float]) -> None:
-    wanted_kg_s = np.mean([flow_kg_s(second([force_n] * 6)) if force_n > 0.0 else 0.0 for force_n in forces_n])
+def test_the_flow_is_the_mean_of_the_patterns(forces_n: list[float], by: str) -> None:
+    estimator = ESTIMATORS[by]
+    wanted_kg_s = np.mean([flow_kg_s(second([force_n] * 6), estimator) if force_n > 0.0 else 0.0 for force_n in forces_n])
     reading = second(forces_n)
-    assert flow_kg_s(even(reading)) == pytest.approx(wanted_kg_s, rel=2e-3)
+    assert flow_kg_s(even(reading, estimator), estimator) == pytest.approx(wanted_kg_s, rel=0.01)
+    assert flow_kg_s(reading, estimator) < 0.97 * wanted_kg_s
+
+
+@pytest.mark.parametrize(("rpm", "force_n"), [(260.0, 50.0), (300.0, 50.0), (347.0, 80.0), (411.0, 90.0), (590.0, 160.0)])
+def test_it_is_so_at_other_speeds(rpm: float, force_n: float) -> None:
+    forces_n = [0.0] * 4 + [force_n] * 2
+    wanted_kg_s = flow_kg_s(second([force_n] * 6, speed_rad_s=rpm * RPM)) / 3.0
+    reading = second(forces_n, speed_rad_s=rpm * RPM)
+    assert flow_kg_s(even(reading)) == pytest.approx(wanted_kg_s, rel=0.02)
     assert flow_kg_s(reading) < 0.97 * wanted_kg_s
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from math import exp, log
 
 import numpy as np
 
@@ -25,6 +26,8 @@ _UNEVEN = 0.6
 _LEAST_PATTERNS = 3
 _LEAST_N, _MOST_N, _POINTS = 0.1, 2000.0, 200
 """Of the curve, each 5 % above the one before."""
+_SPEED_STEP = 0.05
+"""Of the logarithm of speed, between two curves."""
 
 
 class UnevenSeconds:
@@ -35,15 +38,16 @@ class UnevenSeconds:
     settings : EngineSettings
     machine : Machine
     estimator : FlowEstimator
-        Its curve of force over flow is used, at the plate's home angle and nominal speed; its scale hardly matters.
+        Its curve of force over flow is used, at the plate's home angle; its scale hardly matters.
     """
 
     def __init__(self, settings: EngineSettings, machine: Machine, estimator: FlowEstimator) -> None:
         self._settings = settings
         self._machine = machine
         self._estimator = estimator
-        self._curve: tuple[Array, Array] | None = None
-        """Force, N, and flow, kg/s, both rising from 0; worked out when first needed."""
+        self._curves: dict[int, tuple[Array, Array]] = {}
+        """Force, N, and flow, kg/s, both rising from 0, by steps of speed from the nominal one; each worked out when first
+        needed, at the moisture of then."""
 
     def evened(self, readings: Sequence[Reading]) -> list[Reading]:
         """The readings, those of uneven seconds with the force of a steady flow of the same size."""
@@ -74,25 +78,32 @@ class UnevenSeconds:
 
     def _steady_force_n(self, reading: Reading, forces_n: Array) -> float:
         """forces_n: of the patterns (n,). The reading's own force where one of them has no flow."""
-        if self._curve is None:
-            self._curve = _curve(self._estimator, self._machine)
-        curve_n, curve_kg_s = self._curve
-        # What a paddle holds goes with force over speed squared: at another speed the curve has the same shape.
-        to_nominal = (self._machine.nominal_elevator_speed_rad_s / reading.window.speed_rad_s) ** 2
+        step = round(log(reading.window.speed_rad_s / self._machine.nominal_elevator_speed_rad_s) / _SPEED_STEP)
+        speed_rad_s = self._machine.nominal_elevator_speed_rad_s * exp(_SPEED_STEP * step)
+        if step not in self._curves:
+            found = self._curve(speed_rad_s, reading.inputs.fresh["moisture"])
+            if found[0].size == 1:
+                # With another moisture, one that is known, there may be a curve.
+                return reading.force_n
+            self._curves[step] = found
+        curve_n, curve_kg_s = self._curves[step]
+        # At a speed so near force goes with its square, for what a paddle holds.
+        to_step = (speed_rad_s / reading.window.speed_rad_s) ** 2
         mean_n = forces_n.mean()
-        if not (max(forces_n.max(), reading.force_n) * to_nominal < curve_n[-1] and mean_n > 0.0 and reading.force_n > 0.0):
+        if not (max(forces_n.max(), reading.force_n) * to_step < curve_n[-1] and mean_n > 0.0 and reading.force_n > 0.0):
             return reading.force_n
-        of_pattern = np.interp(np.append(forces_n, (mean_n, reading.force_n)) * to_nominal, curve_n, curve_kg_s)
+        of_pattern = np.interp(np.append(forces_n, (mean_n, reading.force_n)) * to_step, curve_n, curve_kg_s)
         # The window's mean is weighted over its edges: its flow changes by as much as that of the patterns' plain mean does.
         wanted_kg_s = of_pattern[-1] * of_pattern[:-2].mean() / of_pattern[-2]
-        return float(np.interp(wanted_kg_s, curve_kg_s, curve_n)) / to_nominal
+        return float(np.interp(wanted_kg_s, curve_kg_s, curve_n)) / to_step
 
-
-def _curve(estimator: FlowEstimator, machine: Machine) -> tuple[Array, Array]:
-    """Force, N, and flow, kg/s, up to where a paddle is full; of 0 alone where flow does not rise with force."""
-    force_n = np.geomspace(_LEAST_N, _MOST_N, _POINTS)
-    found = estimator.estimate(force_n, machine.home_plate_angle_rad, machine.nominal_elevator_speed_rad_s, 0.01 * force_n)
-    flow_kg_s = np.broadcast_to(found.mass_flow_kg_s, force_n.shape)
-    rises = np.diff(flow_kg_s, prepend=0.0) > 0.0
-    count = int(np.argmin(np.append(rises, False)))
-    return np.append(0.0, force_n[:count]), np.append(0.0, flow_kg_s[:count])
+    def _curve(self, speed_rad_s: float, moisture_pct: float) -> tuple[Array, Array]:
+        """Force, N, and flow, kg/s, up to where a paddle is full; 0 alone where flow does not rise with force."""
+        force_n = np.geomspace(_LEAST_N, _MOST_N, _POINTS)
+        found = self._estimator.estimate(force_n, self._machine.home_plate_angle_rad, speed_rad_s, 0.01 * force_n, moisture_pct)
+        flow_kg_s = np.broadcast_to(found.mass_flow_kg_s, force_n.shape)
+        rises = np.append(np.diff(flow_kg_s, prepend=0.0) > 0.0, False)
+        # Some curves give no flow below a force.
+        first = int(np.argmax(rises))
+        last = first + int(np.argmin(rises[first:]))
+        return np.append(0.0, force_n[first:last]), np.append(0.0, flow_kg_s[first:last])

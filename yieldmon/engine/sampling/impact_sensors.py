@@ -157,7 +157,7 @@ def combined(windows: Sequence[Window]) -> Window:
 
 
 def _sums(of_each: Sequence[tuple[float, ...]]) -> tuple[float, ...]:
-    """None where one has lost a pattern."""
+    """Pattern by pattern; empty where one has lost some."""
     return tuple(map(sum, zip(*of_each, strict=True))) if len({len(means) for means in of_each}) == 1 else ()
 
 
