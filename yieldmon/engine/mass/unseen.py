@@ -2,8 +2,8 @@
 
 It is in no load. As much as would have come if grain had gone on at the mean of the flows before and after is one standard
 deviation of the load's mass. All of it is missing, never too much, so several such times add, also over a load. While the daemon
-was stopped, or the bus silent for more than a minute, the machine may have stood: the smaller of the two flows counts, for an hour
-at most.
+was stopped, or the bus silent for more than a minute, the machine may have stood: the smaller of the two flows counts, for an
+hour at most.
 """
 
 from __future__ import annotations
