@@ -444,6 +444,23 @@ def test_every_line_of_vectors_that_should_be_a_frame_is_one_or_is_reported(tmp_
 
 
 @pytest.mark.parametrize("base", ["hex", "dec"])
+def test_messages_of_vector_logged_by_name_have_the_number_behind_their_data(tmp_path: Path, base: str) -> None:
+    """EEC1x was read as the identifier 0xEEC1, in silence."""
+    rows = [
+        f"base {base}  timestamps absolute",
+        "   0.010000 1  EEC1x    Rx   d 2 01 02  Length = 551804 BitCount = 142 ID = 217056256x",
+        "   0.020000 1  VEP1x    Rx   d 2 01 02  Length = 551804 BitCount = 142 ID = 419362560x",
+        "   0.030000 1  FACE     Rx   d 2 01 02  Length = 551804 BitCount = 142 ID = 290",
+        "   0.040000 1  Wheels   Tx   r",
+    ]
+    notes = LogNotes()
+    path = written(tmp_path, "names.asc", "\n".join(rows) + "\n")
+    found = [(message.arbitration_id, message.is_extended_id) for message in read_log(path, notes)]
+    assert found == [(0x0CF00400, True), (0x18FEF700, True), (290, False)]
+    assert [str(damage) for damage in notes.damages] == [f"{path}:5: 'Wheels' is a message's name; log identifiers as numbers"]
+
+
+@pytest.mark.parametrize("base", ["hex", "dec"])
 def test_times_of_vector_since_the_line_before(tmp_path: Path, base: str) -> None:
     identifier = {"hex": "18FF1380x", "dec": "419369856x"}[base]
     rows = [
@@ -484,6 +501,8 @@ def test_times_of_vector_since_the_line_before(tmp_path: Path, base: str) -> Non
         ("date Fri Nov 27 11:57:02 2026\nBegin Triggerblock Fri Nov 27 11:58:02 2026", (2026, 11, 27, 11, 57, 2)),
         ("date Mo Mrz 2 02:13:20.500 nachm. 2026", (2026, 3, 2, 14, 13, 20, 500_000)),
         ("date Mo Jän 5 12:13:20 vorm. 2026", (2026, 1, 5, 0, 13, 20)),
+        # As BUSMASTER's converter writes it.
+        ("date Thu Mar 28 11:8:4 am 2024", (2024, 3, 28, 11, 8, 4)),
         ("date Xyz Ventôse 3 10:00:00 2026", None),
         ("date 2026-09-21 14:13:20", None),
         ("base hex  timestamps absolute", None),

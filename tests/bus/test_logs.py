@@ -223,6 +223,17 @@ def test_damaged_candump_lines_are_reported_and_the_rest_is_read(tmp_path: Path)
     assert "0x00" in notes.damages[1].problem
 
 
+def test_error_frames_of_a_blf_are_no_damage_whatever_their_length_says(tmp_path: Path) -> None:
+    """Vector's converter writes a length code of 15 where there are no data; each error frame was a damaged place."""
+    path = tmp_path / "errors.blf"
+    with can.BLFWriter(path) as writer:
+        writer.on_message_received(can.Message(timestamp=1.0, arbitration_id=0x123, is_extended_id=False, data=b"\x07"))
+        writer.on_message_received(can.Message(timestamp=2.0, is_error_frame=True, dlc=15, data=bytes(8)))
+    notes = LogNotes()
+    assert [message.is_error_frame for message in read_log(path, notes)] == [False, True]
+    assert (notes.error_frames, notes.damages) == (1, [])
+
+
 def test_what_candump_says_of_error_frames_is_no_damage(tmp_path: Path) -> None:
     """Three damaged places for each error frame of a recording with -e."""
     path = tmp_path / "e.log"

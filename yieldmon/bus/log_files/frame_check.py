@@ -8,7 +8,8 @@ from yieldmon.identifiers import CLASSIC_BYTES, FD_BYTES, LARGEST_EXTENDED_ID, L
 
 
 def impossible(message: can.Message) -> str | None:
-    """Why no CAN bus carries a frame: its identifier, or its number of bytes.
+    """Why no CAN bus carries a frame: its identifier, or its number of bytes. An error frame has neither; what loggers write in
+    their place, as Vector's .blf does, only has to be small enough to be kept.
 
     Parameters
     ----------
@@ -19,11 +20,13 @@ def impossible(message: can.Message) -> str | None:
     str or None
         None for a frame that may be.
     """
-    if not 0 <= message.arbitration_id <= (LARGEST_EXTENDED_ID if message.is_extended_id else LARGEST_STANDARD_ID):
+    is_error, is_long = message.is_error_frame, message.is_extended_id
+    if not 0 <= message.arbitration_id <= (LARGEST_EXTENDED_ID if is_long or is_error else LARGEST_STANDARD_ID):
         return f"identifier 0x{message.arbitration_id:X}"
     limit = FD_BYTES if message.is_fd else CLASSIC_BYTES
-    if message.dlc > limit or len(message.data) > limit:
-        return f"{max(message.dlc, len(message.data))} bytes of data"
-    if not message.is_remote_frame and not message.is_error_frame and len(message.data) != message.dlc:
+    length = len(message.data) if is_error else max(message.dlc, len(message.data))
+    if length > limit:
+        return f"{length} bytes of data"
+    if not message.is_remote_frame and not is_error and len(message.data) != message.dlc:
         return f"{len(message.data)} bytes of data where the length says {message.dlc}"
     return None

@@ -4,13 +4,14 @@
     base hex  timestamps absolute                           or dec; relative: since the line before, whatever it is
        2.501000 1  ErrorFrame
        2.510001 1  100        Rx   d 8 00 01 02 03 04 05 06 07  Length = 0 BitCount = 64 ID = 256
+       2.515002 1  EEC1x      Rx   d 8 00 01 02 03 04 05 06 07  Length = 0 BitCount = 64 ID = 217056256x   with names logged
        2.520002 1  18FEF100x  Tx   r 8
        4.876870 CANFD   1 Rx   300  [name]  1 0 9 12 01 02 03 04 05 06 07 08 09 0A 0B 0C  102203 133 303000 ...
 
 Times count from the date of the header, taken as UTC, or from that of the trigger block with which the measurement starts;
 without one they are as they stand. The header may lack any of its lines. Lines of other buses, comments, statistics and other
-events are no frames; what looks like a frame and is none is reported. `TxRq` is a frame that was only asked for; the one that was
-sent has a line of its own.
+events are no frames; what looks like a frame and is none is reported, as is a message's name without its number behind the data.
+`TxRq` is a frame that was only asked for; the one that was sent has a line of its own.
 
 Source: Vector, "CAN ASC logging file format".
 """
@@ -28,7 +29,7 @@ from .fields import Form, clock_s, data_bytes, error_frame, fd_length, message, 
 
 _HEADER = re.compile(r"base\s+(hex|dec)(?:\s+timestamps\s+(absolute|relative))?\b", re.IGNORECASE)
 _DATE = re.compile(
-    r"(date|begin\s+triggerblock)\s+\S+\s+(\w+)\.?\s+(\d{1,2})\s+(\d{1,2}):(\d\d):(\d\d)(?:\.(\d{1,6}))?"
+    r"(date|begin\s+triggerblock)\s+\S+\s+(\w+)\.?\s+(\d{1,2})\s+(\d{1,2}):(\d{1,2}):(\d{1,2})(?:\.(\d{1,6}))?"
     r"(?:\s+(?:([ap])m|(?:(v)or|(n)ach)m\.?))?\s+(\d{4})\b",
     re.IGNORECASE,
 )
@@ -43,6 +44,9 @@ _NUMBERED = re.compile(r"[\d(]")
 _EVENT = re.compile(r"\d{1,12}\.\d{1,9}(?:\s|$)")
 _OF_AN_IDENTIFIER = re.compile(r"\d{1,12}\.\d{1,9}\s+\d{1,3}\s+[0-9A-F]{1,8}x?\s", re.IGNORECASE)
 _BYTE = re.compile(r"[0-9A-F]{1,3}", re.IGNORECASE | re.ASCII)
+_NUMBER = re.compile(r"\bID\s*=\s*(\d{1,10})(x?)", re.IGNORECASE | re.ASCII)
+"""Behind a classic frame's data: its identifier in decimals, whatever the base, and where messages are logged by name."""
+_NAME = re.compile(r"[^\W\d]\w*")
 _ASKED_FOR = "txrq"
 _FD_FLAG = 1 << 12
 """In the flags behind a CANFD line's data: set for a frame of CAN FD, not for a classic one on such a channel."""
@@ -121,7 +125,7 @@ class Vector:
             return None
         if kind not in ("d", "r"):
             raise ValueError(f"{' '.join(fields)[:40]!r} is neither a data (d) nor a remote (r) frame")
-        form = self._form(fields[1], direction)._replace(is_remote=kind == "r")
+        form = self._named_form(fields[1], direction, fields[5:])._replace(is_remote=kind == "r")
         if form.is_remote:
             length = whole(fields[4], "length", self._base) if len(fields) > 4 and fields[4].isdigit() else 0
             return message(time_s, channel, form, b"", length)
@@ -152,6 +156,18 @@ class Vector:
         return message(
             time_s, channel, form, data_bytes(data, self._base), min(code, CLASSIC_BYTES) if form.is_remote else length
         )
+
+    def _named_form(self, identifier: str, direction: str, behind: Sequence[str]) -> Form:
+        """As _form(), also of a message's name, which may look like a number, as EEC1 does; what is behind the data tells."""
+        number = _NUMBER.search(" ".join(behind)) if _NAME.fullmatch(identifier) else None
+        if number is not None:
+            return Form(int(number[1]), bool(number[2]), is_rx=direction == "rx")
+        try:
+            return self._form(identifier, direction)
+        except ValueError as error:
+            if _NAME.fullmatch(identifier):
+                raise ValueError(f"{identifier[:40]!r} is a message's name; log identifiers as numbers") from error
+            raise
 
     def _form(self, identifier: str, direction: str) -> Form:
         is_extended = identifier[-1:].lower() == "x"
