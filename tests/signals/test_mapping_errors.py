@@ -145,6 +145,12 @@ CASES = {
         "impact_voltage: {dbc: nested.dbc, message: Nested, signal: Deep, rate_hz: 100}",
         "impact_voltage.mux", "missing", "2 or 5 or 6", "(Sub)",
     ),
+    "a page that does not hold it": (
+        "impact_voltage: {dbc: nested.dbc, message: Nested, signal: Deep, rate_hz: 100, mux: [2, 3]}",
+        "impact_voltage.mux", "2 or 3", "2 or 5 or 6", "several of them as a list",
+    ),
+    "no page": (IMPACT.replace("}", ", mux: []}"), "impact_voltage.mux", "[]", "a list of them"),
+    "a page below 0": (IMPACT.replace("}", ", mux: [1, -1]}"), "impact_voltage.mux", "-1", "from 0 on"),
     "a factor of 0": (IMPACT.replace("0.1", "0"), "impact_voltage.scale", "0", "other than 0"),
     "a decimal comma": (IMPACT.replace("0.1", '"0,1"'), "impact_voltage.scale", "'0,1'", "number"),
     "a rate with its unit": (IMPACT.replace("100}", "100 Hz}"), "impact_voltage.rate_hz", "100 Hz", "10 to 5000 Hz"),

@@ -17,6 +17,7 @@ from yieldmon.bus.bulk import block_of
 from yieldmon.bus.databases import MessageBits, load_messages
 from yieldmon.cli.main import main
 from yieldmon.physics.machine import Machine
+from yieldmon.service.config.configuration import load
 from yieldmon.signals.binding import Binding
 from yieldmon.signals.decoding import MapDecoder
 from yieldmon.signals.mapping import build
@@ -80,6 +81,24 @@ def test_pages_below_pages_as_cantools_reads_them(frames: list[tuple[int, int, b
         columns, _ = decoder.decode_block(block.time_s, block.can_id, block.length, block.payload)
         in_block = columns[0].signals[quantity] if columns else np.empty(0)
         assert in_block.tolist() == pytest.approx(known, nan_ok=True)
+
+
+def test_a_signal_of_several_pages_may_be_taken_from_all_of_them(tmp_path: Path, messages: dict[str, MessageBits]) -> None:
+    """One page had to be chosen, and the samples of the others went."""
+    (tmp_path / "pages.dbc").write_text(DBC)
+    (tmp_path / "c.yaml").write_text(
+        "signals:\n  impact_voltage: {dbc: pages.dbc, message: All, signal: Voltage, rate_hz: 100, mux: [6, 0x2]}\n"
+    )
+    bindings = load(tmp_path / "c.yaml").signals.bindings
+    sent = [bytes([page, sub << 4]) + struct.pack(">h", 4 * number) + bytes(4) for number, (page, sub) in enumerate(
+        [(1, 2), (1, 5), (4, 6), (1, 3), (0, 2), (4, 2)]
+    )]  # fmt: skip
+    decoder = MapDecoder(build(bindings, lambda _name: messages, Machine()))
+    taken = [value for data in sent for frame in decoder.decode(0.0, 1000, False, data) for value in frame.signals.values()]
+    assert taken == [0.0, 2.0, 5.0]
+    block = block_of([can.Message(arbitration_id=1000, is_extended_id=False, data=data) for data in sent])
+    ((column,), _) = decoder.decode_block(block.time_s, block.can_id, block.length, block.payload)
+    assert [values.tolist() for values in column.signals.values()] == [taken]
 
 
 def written(folder: Path, frames: list[tuple[float, int, bytes]]) -> str:

@@ -65,7 +65,7 @@ class SignalEntry(StrictModel, defer_build=True):
     ratio: float = Field(1.0, gt=0.0, description="turns of the elevator shaft per turn of the shaft that is measured")
     unit: str | None = Field(None, description="unit of the value then; null: the DBC's")
     source: Any = Field(None, description="any, an address, a NAME or fields of one; null: as the DBC's identifier says")
-    mux: int | None = Field(None, ge=0, description="value of the message's multiplexer")
+    mux: int | list[int] | None = Field(None, description="value of the message's multiplexer, or several as a list")
     valid: dict[str, int | list[int]] = Field(
         default_factory=dict,
         max_length=4,
@@ -95,7 +95,7 @@ _EXPECTED = {
     "scale": "a factor, a number other than 0",
     "offset": "a number",
     "unit": "a unit such as rpm, deg or mV",
-    "mux": "a whole number from 0 on",
+    "mux": "a whole number from 0 on, or a list of them",
     "valid": "a signal of the message and its raw value or values, such as {SpeedValid: 1}",
     "not_available": "raw values as a list, such as [255]",
     "pulses_per_turn": "a number above 0",
@@ -214,7 +214,7 @@ def _binding(quantity: str, entry: Any, where: str) -> Binding:
         offset=found.offset,
         unit=found.unit,
         source=_source(found.source, f"{where}.source"),
-        mux=found.mux,
+        mux=_pages(found.mux, f"{where}.mux"),
         valid={name: tuple(raw) if isinstance(raw, list) else (raw,) for name, raw in found.valid.items()},
         low=low,
         high=high,
@@ -227,6 +227,14 @@ def _binding(quantity: str, entry: Any, where: str) -> Binding:
         time_constant_s=found.time_constant_s,
         value=found.value,
     )
+
+
+def _pages(mux: int | list[int] | None, where: str) -> tuple[int, ...]:
+    """Values of the multiplexer, in order. Raises InputError where there is none in a list, or one below 0."""
+    given = [] if mux is None else mux if isinstance(mux, list) else [mux]
+    if mux == [] or any(value < 0 for value in given):
+        raise InputError(where, f"{mux}", _EXPECTED["mux"])
+    return tuple(sorted(set(given)))
 
 
 def _refuse_keys_of_samples(entry: Mapping[Any, Any], where: str) -> None:
@@ -242,7 +250,7 @@ def _hexadecimal(entry: Any) -> Any:
         return entry
     found = dict(entry)
     if "mux" in found:
-        found["mux"] = whole(found["mux"])
+        found["mux"] = [whole(value) for value in found["mux"]] if isinstance(found["mux"], list) else whole(found["mux"])
     if isinstance(found.get("not_available"), list):
         found["not_available"] = [whole(raw) for raw in found["not_available"]]
     if isinstance(found.get("values"), Mapping):
