@@ -214,17 +214,75 @@ def test_a_weighed_mass_shows_what_all_loads_of_the_scale_are_off_by(restart: bo
     assert loads.totals.total_budget.parameters_kg == pytest.approx(10.0)
 
 
-def test_a_scale_that_a_ticket_showed_to_be_off_is_doubted_again_by_another_once_that_ticket_is_taken_back() -> None:
+@pytest.mark.parametrize("restart", [False, True])
+def test_a_scale_that_a_ticket_showed_to_be_off_is_doubted_again_by_another_once_that_ticket_is_taken_back(restart: bool) -> None:
     loads = Loads(EngineSettings())
     harvest(loads, 60)
     loads.scale_is_off(0.1, by_load=1)
     loads.scale_is_set()
+    if restart:
+        loads.stop(60.0)
+        loads = resumed(loads)
     loads.scale_is_off(0.1, by_load=2)
     assert loads.totals.load_budget.parameters_kg == pytest.approx(60.0), "of the scale that was set nothing is measured yet"
     loads.scale_was_right({1})
     assert loads.totals.load_budget.parameters_kg == pytest.approx(3.0)
     loads.scale_is_off(0.2, by_load=2)
     assert loads.totals.load_budget.parameters_kg == pytest.approx(120.0)
+
+
+@pytest.mark.parametrize("restart", [False, True])
+def test_a_scale_that_a_wrong_ticket_found_right_is_doubted_by_the_right_one(restart: bool) -> None:
+    loads = Loads(EngineSettings())
+    harvest(loads, 60)
+    loads.stop(60.0)
+    loads.scale_is_set([1])
+    if restart:
+        loads = resumed(loads)
+    loads.scale_is_set()
+    assert loads.scale_was_right({1}) == ()
+    loads.scale_is_off(0.2, by_load=1)
+    assert loads.totals.load_budget.parameters_kg == pytest.approx(120.0)
+
+
+def test_a_scale_is_doubted_by_the_weights_of_its_own_crop_over_a_restart() -> None:
+    loads = Loads(EngineSettings())
+    harvest(loads, 60)
+    loads.stop(60.0)
+    loads.change_crop("corn", "wheat")
+    loads.start(70.0)
+    harvest(loads, 60)
+    loads.stop(130.0)
+    loads = resumed(loads)
+    loads.scale_is_off(0.3, by_load=2)
+    loads.change_crop("wheat", "corn")
+    loads.scale_is_off(0.2, by_load=1)
+    known = {state.number: state.budget.parameters_kg for state in loads.closed_states}
+    assert known == {1: pytest.approx(120.0), 2: pytest.approx(180.0)}
+
+
+def test_tickets_of_another_crop_that_are_taken_back_say_nothing_of_the_loads_that_the_scale_in_use_has_measured() -> None:
+    loads = Loads(EngineSettings())
+    harvest(loads, 60)
+    loads.scale_is_off(0.2, by_load=1)
+    loads.scale_is_set([1])
+    loads.stop(60.0)
+    loads.change_crop("corn", "wheat")
+    loads.scale_was_right({1}, crop="corn")
+    assert loads.scale_is_off(0.5, by_load=2) == ()
+    loads.change_crop("wheat", "corn")
+    loads.scale_is_off(0.1, by_load=1)
+    assert loads.totals.load_budget.parameters_kg == pytest.approx(60.0)
+
+
+def test_what_a_doubted_ticket_made_of_the_open_load_goes_with_it() -> None:
+    loads = Loads(EngineSettings())
+    harvest(loads, 60)
+    loads.widen(90.0, by_load=7)
+    harvest(loads, 60)
+    assert loads.totals.load_budget.parameters_kg == pytest.approx(93.0)
+    loads.forget_weights({7})
+    assert loads.totals.load_budget.parameters_kg == loads.totals.total_budget.parameters_kg == pytest.approx(6.0)
 
 
 def test_totals_that_were_kept_know_nothing_of_what_was_measured_before_them() -> None:
@@ -234,7 +292,7 @@ def test_totals_that_were_kept_know_nothing_of_what_was_measured_before_them() -
     assert (state.shared is not None, state.of_scale_kg) == (True, pytest.approx(600.0))
     loads.restore(loads.totals)
     (state,) = loads.closed_states
-    assert (state.shared, state.of_scale_kg, state.off_kg) == (None, 0.0, ())
+    assert (state.shared, state.of_scale_kg, state.shown) == (None, 0.0, ())
 
 
 def test_a_budget_that_is_not_known_stays_so() -> None:

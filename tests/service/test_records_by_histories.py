@@ -469,6 +469,25 @@ def test_wrong_tickets_that_were_replaced_leave_nothing(seed: int, tmp_path: Pat
     same_without(History(seed, replaces=True).steps(), tmp_path)
 
 
+@pytest.mark.parametrize("factor", [1.12, 1.0 / TRUE], ids=["off", "as measured"])
+def test_a_run_that_ends_before_a_wrong_ticket_is_taken_back_changes_no_standard_deviation(factor: float, tmp_path: Path) -> None:
+    """The right ticket shows how far all loads of the scale are off, also those that a run before measured."""
+    found = []
+    for ends in (False, True):
+        desk = Desk(tmp_path / str(ends))
+        desk.play(14, 0.0)
+        for step in (*HARVESTED, weighing(1, 5, factor, wrong=True), seconds(3)):
+            desk.do(step)
+        if ends:
+            desk.again()
+        for step in (seconds(3), undo(1), weighing(2, 5), seconds(3)):
+            desk.do(step)
+        found.append({row["number"]: row["std_dev_kg"] for row in desk.ask("loads")["loads"]})
+        assert all(found[-1][number] > 0.1 * desk.grain_kg[number] for number in (2, 3, 4, 5))
+        desk.end()
+    assert found[1] == pytest.approx(found[0], rel=0.01)
+
+
 def test_what_the_store_does_not_say_in_time_is_known_from_the_ticket_before(tmp_path: Path) -> None:
     """A disk that is slow between two commands: the second one's store lacks the ticket that the first one entered."""
     desk = Desk(tmp_path / "a")

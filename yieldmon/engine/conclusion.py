@@ -203,13 +203,13 @@ class Conclusion:
         error, found = updater.load_error, updater.scale_alarm.state.contradiction
         restated = loads.restate(error, updater.estimator.parameters.version) if error != model_error else ()
         if found is not None and found is not contradiction:
-            relative = abs(found.weighed_kg / found.measured_kg - 1.0)
+            relative, by_load = abs(found.weighed_kg / found.measured_kg - 1.0), updater.masses.load_of(found)
             if changes or updater.calibrator is None:
-                restated = (*restated, *loads.scale_is_off(relative, updater.masses.load_of(found)))
+                restated = (*restated, *loads.scale_is_off(relative, by_load))
             else:
-                loads.widen(relative * loads.totals.load_kg)
-        if any(change.origin == "ticket" for change in changes):
-            loads.scale_is_set()
+                loads.widen(relative * loads.totals.load_kg, by_load)
+        if weighed := [change for change in changes if change.origin == "ticket"]:
+            loads.scale_is_set([number for change in weighed for number, _ in change.references])
         return restated
 
     def _hold_moisture(self, changes: Sequence[ParametersChanged]) -> None:

@@ -383,7 +383,9 @@ class Monitor(MonitorView):
         """
         gone, known = frozenset(load_numbers), None if rests_on is None else frozenset(rests_on)
         self._parts.updater.update_again(gone, again, known, loads=self.loads, now_s=self._parts.bus_now, crop=crop, stay=stay)
-        return self._parts.loads.scale_was_right(gone) if known is not None else ()
+        if known is not None:
+            return self._parts.loads.scale_was_right(gone, again={weighing.load_number for weighing in again}, crop=crop)
+        return () if crop or gone & self.counted_loads else self._parts.loads.forget_weights(gone)
 
     # Sweeps and faults
 
@@ -466,7 +468,8 @@ class Monitor(MonitorView):
     def take_over(self, before: Monitor, *, tickets: bool) -> None:
         """After `restore` from the monitor that measured until now: what of it no state carries.
 
-        A zero calibration under way, what was measured since the last one, and the noise measured with grain and without.
+        A zero calibration under way, what was measured since the last one, signs of grain in the last second, and the noise
+        measured with grain and without.
 
         Parameters
         ----------

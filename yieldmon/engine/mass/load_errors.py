@@ -5,8 +5,8 @@ Numbers in, numbers out: a load is known by its number, and `Loads` states the s
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Container, Iterable, Mapping
+from dataclasses import dataclass, replace
 
 from yieldmon.engine.flow import Flow
 from yieldmon.engine.mass.budget import MassBudget
@@ -15,6 +15,15 @@ from yieldmon.estimation.self_calibration.angle_error import NO_ERROR, AngleErro
 
 Deviations = tuple[tuple[int, float], ...]
 """Number of a load, and the standard deviation of its mass by its parameters, kg, from now on."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Shown:
+    """What the weight of one load has shown of the scale that another was measured with, kg: by how much its deviation is more,
+    and how much of it that scale has measured."""
+
+    more_kg: float
+    of_scale_kg: float
 
 
 class LoadErrors:
@@ -27,25 +36,39 @@ class LoadErrors:
         """Mass, kg, measured since the parameters' scale was set last, by load."""
         self._of_crop: dict[str, dict[int, float]] = {}
         """The same of crops harvested before, with their own parameters."""
-        self._off: dict[tuple[int, int], float] = {}
-        """What of a load's deviation, kg, is there because the scale was found to be off, by load and by the load weighed."""
+        self._shown: dict[tuple[int, int], _Shown] = {}
+        """By load and by the load weighed."""
 
     def clear(self) -> None:
         """Nothing is known of any load."""
-        self._shared, self._of_scale, self._of_crop, self._off = {}, {}, {}, {}
+        self._shared, self._of_scale, self._of_crop, self._shown = {}, {}, {}, {}
 
     def keep(self, numbers: Container[int]) -> None:
         """Only these loads can be stated anew."""
         self._shared = {number: shared for number, shared in self._shared.items() if number in numbers}
-        self._of_scale = {number: mass_kg for number, mass_kg in self._of_scale.items() if number in numbers}
-        self._off = {key: more_kg for key, more_kg in self._off.items() if key[0] in numbers}
+        for masses_kg in (self._of_scale, *self._of_crop.values()):
+            for number in [number for number in masses_kg if number not in numbers]:
+                del masses_kg[number]
+        self._shown = {key: shown for key, shown in self._shown.items() if key[0] in numbers}
 
     def forget_parameters(self, number: int) -> None:
         """By which parameters the load was measured is not known any more."""
         self._shared.pop(number, None)
 
-    def scale_is_set(self) -> None:
-        """From now on the parameters have another scale: by a weighed mass, or from outside."""
+    def widened(self, number: int, by_load: int, more_kg: float) -> None:
+        """The deviation of the load, of whose parameters no more is known, is more by so much for the weight of another."""
+        self.forget_parameters(number)
+        self._show(number, by_load, more_kg, self._of_scale.get(number, 0.0))
+
+    def _show(self, number: int, by_load: int, more_kg: float, of_scale_kg: float) -> None:
+        before = self._shown.get((number, by_load))
+        self._shown[number, by_load] = _Shown(more_kg + (before.more_kg if before is not None else 0.0), of_scale_kg)
+
+    def scale_is_set(self, by_loads: Iterable[int] = ()) -> None:
+        """From now on the parameters have another scale: by the weights of these loads, or from outside."""
+        for by_load in by_loads:
+            for number, mass_kg in self._of_scale.items():
+                self._shown.setdefault((number, by_load), _Shown(0.0, mass_kg))
         self._of_scale = {}
 
     def change_crop(self, before: str, now: str) -> None:
@@ -109,36 +132,49 @@ class LoadErrors:
             self._shared.pop(number, None)
             known = budget_of(number)
             if known is not None and relative * mass_kg > known.parameters_kg:
-                more_kg = relative * mass_kg - known.parameters_kg
-                self._off[number, by_load] = self._off.get((number, by_load), 0.0) + more_kg
-                found.append((number, known.parameters_kg + more_kg))
+                self._show(number, by_load, relative * mass_kg - known.parameters_kg, mass_kg)
+                found.append((number, relative * mass_kg))
         return tuple(found)
 
-    def scale_was_right(self, by_loads: Container[int], masses_kg: Mapping[int, float]) -> Deviations:
-        """What the tickets for these loads have shown of the scale is taken back, with the parameters that they led to.
+    def scale_was_right(
+        self, by_loads: Container[int], masses_kg: Mapping[int, float], *, again: Container[int] = (), crop: str = ""
+    ) -> Deviations:
+        """The parameters are those from before the tickets for by_loads, which are taken back, and for `again`, which are to
+        update them again; what those for by_loads have shown is taken back.
 
-        masses_kg: of the loads of this run, by number. Returns by how much, kg, the deviations of loads are less, a pair for each
-        ticket.
+        masses_kg: of the loads of this run, by number. crop: whose parameters they are, where another one is harvested now, else
+        "". Returns as `forget_weights`.
         """
+        of_scale = self._of_crop.setdefault(crop, {}) if crop else self._of_scale
+        for (number, by_load), shown in self._shown.items():
+            if by_load in by_loads or by_load in again:
+                of_scale[number] = masses_kg.get(number, max(shown.of_scale_kg, of_scale.get(number, 0.0)))
+        return self.forget_weights(by_loads)
+
+    def forget_weights(self, by_loads: Container[int]) -> Deviations:
+        """What the weights of these loads have shown of the scale is taken back. Returns by how much, kg, the deviations of loads
+        are less, a pair for each weight."""
         found: list[tuple[int, float]] = []
-        for number, by_load in [key for key in self._off if key[1] in by_loads]:
-            more_kg, shared = self._off.pop((number, by_load)), self._shared.get(number)
-            if number in masses_kg:
-                self._of_scale[number] = masses_kg[number]
-            if shared is not None:
-                self._shared[number] = replace(shared, before_kg=max(shared.before_kg - more_kg, 0.0))
-            found.append((number, more_kg))
+        for number, by_load in [key for key in self._shown if key[1] in by_loads]:
+            more_kg, shared = self._shown.pop((number, by_load)).more_kg, self._shared.get(number)
+            if more_kg > 0.0:
+                found.append((number, more_kg))
+                if shared is not None:
+                    self._shared[number] = replace(shared, before_kg=max(shared.before_kg - more_kg, 0.0))
         return tuple(found)
 
     def state(self, number: int, budget: MassBudget) -> ClosedLoadState:
         """What of a load is to outlive a restart."""
-        off = tuple((by_load, more_kg) for (load, by_load), more_kg in self._off.items() if load == number)
-        return ClosedLoadState(number, budget, self._shared.get(number), self._of_scale.get(number, 0.0), off)
+        shown = tuple((by, one.more_kg, one.of_scale_kg) for (load, by), one in self._shown.items() if load == number)
+        of_crop = next(((crop, masses_kg[number]) for crop, masses_kg in self._of_crop.items() if number in masses_kg), ("", 0.0))
+        crop, of_scale_kg = ("", self._of_scale[number]) if number in self._of_scale else of_crop
+        return ClosedLoadState(number, budget, self._shared.get(number), of_scale_kg, crop, shown)
 
     def resume(self, state: ClosedLoadState, version: int) -> None:
         """A load of a run before. version: of the parameters in use."""
         if state.shared is not None and state.shared.version == version:
             self._shared[state.number] = state.shared
         if state.of_scale_kg > 0.0:
-            self._of_scale[state.number] = state.of_scale_kg
-        self._off |= {(state.number, by_load): more_kg for by_load, more_kg in state.off_kg}
+            of_scale = self._of_crop.setdefault(state.crop, {}) if state.crop else self._of_scale
+            of_scale[state.number] = state.of_scale_kg
+        self._shown |= {(state.number, by): _Shown(more_kg, mass_kg) for by, more_kg, mass_kg in state.shown}

@@ -186,20 +186,29 @@ class Loads:
         the load that was weighed."""
         return self._state(self._errors.scale_is_off(relative, by_load, self._budget_of))
 
-    def scale_was_right(self, by_loads: Container[int]) -> LoadEvents:
+    def scale_was_right(self, by_loads: Container[int], *, again: Container[int] = (), crop: str = "") -> LoadEvents:
         """The tickets for these loads are taken back, what they have shown of the scale, and the parameters that they led to; as
-        `scale_is_off`."""
-        events: list[LoadClosed | LoadOpened | LoadRestated] = []
+        `scale_is_off`. again: loads whose tickets are to update the parameters again. crop: of these parameters, where another
+        one is harvested now, else ""."""
         masses_kg = {load.number: load.measured_kg for load in self.all}
-        for number, less_kg in self._errors.scale_was_right(by_loads, masses_kg):
+        return self._less(self._errors.scale_was_right(by_loads, masses_kg, again=again, crop=crop))
+
+    def forget_weights(self, by_loads: Container[int]) -> LoadEvents:
+        """The tickets for these loads are taken back, and what they have shown; the parameters do not rest on them."""
+        return self._less(self._errors.forget_weights(by_loads))
+
+    def _less(self, deviations: Deviations) -> LoadEvents:
+        """State loads as surer by so much, kg; closed ones that this changes are returned."""
+        events: list[LoadClosed | LoadOpened | LoadRestated] = []
+        for number, less_kg in deviations:
             known = self._budget_of(number)
             if known is not None:
                 events += self._restated(number, max(known.parameters_kg - less_kg, 0.0))
         return tuple(events)
 
-    def scale_is_set(self) -> None:
-        """From now on the parameters have another scale: by a weighed mass, or from outside."""
-        self._errors.scale_is_set()
+    def scale_is_set(self, by_loads: Iterable[int] = ()) -> None:
+        """From now on the parameters have another scale: by the weights of these loads, or from outside."""
+        self._errors.scale_is_set(by_loads)
 
     def change_crop(self, before: str, now: str) -> None:
         """From now on another crop is measured with the parameters that it had when it was harvested last."""
@@ -264,14 +273,15 @@ class Loads:
         budget = self._before.get(load.number, load.budget)
         return replace(load, std_dev_kg=budget.std_dev_kg, budget=budget)
 
-    def widen(self, error_kg: float) -> None:
-        """What the open load holds turns out to be less sure: by error_kg at least, one standard deviation, by its parameters."""
+    def widen(self, error_kg: float, by_load: int = 0) -> None:
+        """What the open load holds turns out to be less sure: by error_kg at least, one standard deviation, by its parameters.
+        by_load: number of the load whose weight shows it."""
         totals = self.totals
         if not (totals.load_open and error_kg > 0.0):
             return
-        self._errors.forget_parameters(totals.load_number)
         load = totals.load_budget.with_common(error_kg)
         more_kg = load.parameters_kg - totals.load_budget.parameters_kg
+        self._errors.widened(totals.load_number, by_load, more_kg)
         total = totals.total_budget.with_common(totals.total_budget.parameters_kg + more_kg)
         self.totals = replace(totals, load_budget=load, total_budget=total)
 

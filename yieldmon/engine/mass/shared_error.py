@@ -73,22 +73,25 @@ class SharedError:
 class ClosedLoadState:
     """What of a load outlives a restart, so that it can be stated anew and a ticket held against it. budget: of its mass, as
     stated last. shared: None where other parameters than those in use have measured it. of_scale_kg: mass measured since the
-    parameters' scale was set last. off_kg: what of the deviation is there because a weighed mass showed that scale to be off, by
-    the number of the load that was weighed."""
+    scale of the crop's parameters was set last; crop: "" for that of the parameters in use. shown: by the number of the load that
+    was weighed, what of the deviation is there because that showed the scale to be off, and the mass of that scale, kg."""
 
     number: int
     budget: MassBudget
     shared: SharedError | None
     of_scale_kg: float = 0.0
-    off_kg: tuple[tuple[int, float], ...] = ()
+    crop: str = ""
+    shown: tuple[tuple[int, float, float], ...] = ()
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> ClosedLoadState:
         """Inverse of `dataclasses.asdict`. Raises KeyError or TypeError."""
         shared = None if data["shared"] is None else SharedError.from_dict(data["shared"])
-        off = tuple((int(number), float(more_kg)) for number, more_kg in data.get("off_kg", ()))
+        # An older state does not say how much of the load that scale has measured.
+        before = ((number, more_kg, 0.0) for number, more_kg in data.get("off_kg", ()))
+        shown = tuple((int(number), float(more_kg), float(mass_kg)) for number, more_kg, mass_kg in data.get("shown", before))
         budget, of_scale_kg = MassBudget(**data["budget"]), float(data.get("of_scale_kg", 0.0))
-        return cls(int(data["number"]), budget, shared, of_scale_kg, off)
+        return cls(int(data["number"]), budget, shared, of_scale_kg, str(data.get("crop", "")), shown)
 
 
 def _with(at_nodes: tuple[float, ...], more: float, plate_angle_rad: float) -> tuple[float, ...]:
