@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.service.bench import PATIENCE_S, running, wait_for
+from tests.service.bench import PATIENCE_S, running, wait_for, warm_up
 from yieldmon.errors import InputError
 from yieldmon.service import reloading
 from yieldmon.service.config import configuration
@@ -46,6 +46,16 @@ def test_measuring_goes_on_while_a_configuration_is_read(tmp_path, monkeypatch):
             disk.released.set()
         wait_for(lambda: bench.status["configuration"]["reloads"] == 2, "both reloads")
         assert bench.status["configuration"]["reload"] == "taken"
+
+
+def test_a_zero_is_refused_in_grain_also_before_the_first_second_after_a_reload(tmp_path: Path) -> None:
+    with running(tmp_path) as bench:
+        warm_up(bench)
+        for number in (1, 2):
+            bench.daemon.request_reload()
+            wait_for(lambda number=number: bench.status["configuration"]["reloads"] == number, "the reload")
+            with pytest.raises(InputError, match="zero: there is grain: the paddle pulses have an amplitude of"):
+                bench.daemon.command({"command": "zero"})
 
 
 def test_a_configuration_that_cannot_be_read_in_time_is_refused(tmp_path, monkeypatch, caplog):

@@ -105,6 +105,11 @@ class Measurement:
         self._tank = TankRise(settings.reference_masses.scale_std_dev_kg)
         self._last: tuple[Window, float] | None = None
 
+    def go_on_with(self, before: Measurement) -> None:
+        """What another one has seen last holds until the first window, and its zero calibration under way is this one's."""
+        self.zero.go_on_with(before.zero)
+        self._last = before._last
+
     @property
     def zero_waits_for(self) -> str:
         """What the zero that is wanted waits for, "" where none is."""

@@ -78,7 +78,7 @@ def remember_tickets(parts: Parts, tickets: Sequence[TicketState]) -> None:
 def take_over(parts: Parts, before: Parts, *, tickets: bool) -> None:
     """What of the parts that measured until now no state carries; see `Monitor.take_over`."""
     parts.since_zero.add(before.since_zero.seconds)
-    parts.measurement.zero.go_on_with(before.measurement.zero)
+    parts.measurement.go_on_with(before.measurement)
     if parts.waveform is not None and before.waveform is not None:
         parts.waveform.go_on_with(before.waveform)
     if tickets:
