@@ -38,7 +38,7 @@ from yieldmon.files.crops import crop
 from yieldmon.frames import EstimateQuality, Frame
 from yieldmon.service.config import configuration
 from yieldmon.service.history.journal import Journal
-from yieldmon.service.operator.command_queue import CommandQueue
+from yieldmon.service.operator.command_queue import CommandQueue, Job
 from yieldmon.service.operator.control_protocol import ControlError
 from yieldmon.service.storage.store import Store
 from yieldmon.service.storage.writer import StoreWriter
@@ -196,6 +196,15 @@ def test_a_command_that_was_not_answered_is_not_carried_out_later():
     with pytest.raises(ControlError, match="did not answer in time; nothing was done"):
         queued.ask({"command": "load-start"})
     assert list(queued.take()) == []
+
+
+def test_a_command_that_the_engine_has_begun_is_not_waited_for_without_end() -> None:
+    """Whoever asked is told that it may be done; an answer that never came would keep another's place."""
+    begun: list[Job] = []
+    queued = CommandQueue(timeout_s=0.01, wake=lambda: begun.extend(queued.take()))
+    with pytest.raises(ControlError, match="may be done all the same: see `yieldmon status`"):
+        queued.ask({"command": "load-start"})
+    assert [job.request for job in begun] == [{"command": "load-start"}]
 
 
 def test_a_command_is_not_carried_out_once_who_asked_has_gone(tmp_path: Path) -> None:

@@ -33,20 +33,26 @@ class CommandQueue:
         self._timeout_s = timeout_s
 
     def ask(self, request: Mapping[str, Any], stored: Sequence[StoredLoad] = (), left_s: float = inf) -> Answer:
-        """Waits for the answer, no longer than left_s. Raises InputError for a request that is refused, ControlError where the
-        engine does not answer in time."""
+        """Waits for the answer, no longer than left_s; of one that the engine has begun, twice as long as for it to begin. Raises
+        InputError for a request that is refused, ControlError where the engine does not answer in time."""
         if left_s <= 0.0:
             raise ControlError("reading the store took too long; nothing was done, ask again")
-        job = Job(request, stored)
+        job, wait_s = Job(request, stored), min(self._timeout_s, left_s)
         self._jobs.put(job)
         self._wake()
         try:
-            return job.answer.result(min(self._timeout_s, left_s))
+            return job.answer.result(wait_s)
         except TimeoutError:
             # What was said to have failed must not be done later.
-            if not job.answer.cancel():
-                return job.answer.result()
-            raise ControlError("the engine did not answer in time; nothing was done") from None
+            if job.answer.cancel():
+                raise ControlError("the engine did not answer in time; nothing was done") from None
+        try:
+            return job.answer.result(min(self._timeout_s, left_s - wait_s))
+        except TimeoutError:
+            raise ControlError(
+                "the engine has begun and did not end in time; it may be done all the same: see `yieldmon status` and the lists "
+                "of loads, tickets and calibrations before you ask again"
+            ) from None
 
     @property
     def waiting(self) -> bool:
