@@ -210,11 +210,23 @@ def test_places_that_say_not_known_are_no_ground(unknown: tuple[int, int], capsy
     assert 0.8 * AREA_M2 < found["area_ha"] * 1e4 < AREA_M2
 
 
+def test_logs_of_four_digits_are_not_said_to_be_left_out(capsys: pytest.CaptureFixture[str]) -> None:
+    """Beside another table they were read, and called of no known kind."""
+    folder = task_data([device(1, [("DET-1", "1", 0)])], WHOLE, TASK.replace("TLG00001", "TLG0001"))
+    for ending in ("xml", "bin"):
+        (folder / f"TLG00001.{ending}").rename(folder / f"TLG0001.{ending}")
+    (folder / "TLG0001.CSV").write_text("Date,'99/-1\n2013-06-09,150000\n")
+    found = mapped(folder, capsys)
+    assert found["mass_kg"]["integrated"] == pytest.approx(MASS_KG, rel=0.01)
+    assert [part["part"] for part in found["sources"][0]["skipped"]] == ["TLG0001.CSV"]
+
+
 @pytest.mark.parametrize(
     ("values", "says"),
     [
         ([(86, "DET-1", [9000] * COUNT), WIDE], "has yield as a volume (DDI 86), whose density it does not state"),
         ([WIDE], "has no yield); expected mass in the log (DDI 87, 84 or 90; dried 182, 181 or 183)"),
+        ([(99, "DET-1", [150_000] * COUNT)], "has no yield); expected mass in the log (DDI 87, 84 or 90; dried 182, 181 or 183)"),
         ([(87, "DET-1", [round(FLOW_MG_S)] * COUNT)], "expected --width M"),
     ],
 )

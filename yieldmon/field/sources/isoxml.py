@@ -49,7 +49,8 @@ ORDER = 10
 TASK_FILE = "TASKDATA.XML"
 MAX_MEMBER_BYTES = 1 << 30
 
-_PART_NAME = re.compile(r"^[A-Z]{3}\d{5}\.(XML|BIN)$")
+# Some tasks' logs have four digits.
+_PART_NAME = re.compile(r"^([A-Z]{3}\d{5}|TLG\d+)\.(XML|BIN)$")
 _LOG_NAME = re.compile(r"^TLG\d+$", re.IGNORECASE)
 _LONGEST_INTERVAL_S = 10.0
 _AT_ONCE_S = 60.0
@@ -338,9 +339,10 @@ def _log(folder: Folder, task: _Task, device: Devices, options: ReadOptions) -> 
     of = Values(log.values, device)
     interval, way = _steps(log.time_s, places["longitude_deg"], places["latitude_deg"])
     width = of.width_m() if options.width_m is None else np.full(count, options.width_m)
+    # Asked first: a log without a yield is not made one by --width.
+    flow, notes = flow_kg_s(of, Driven(interval, way, np.full(count, np.nan) if width is None else width), where)
     if width is None:
         raise InputError(where, f"has no working width (DDI {WIDTH}, {DEFAULT_WIDTH} or {MAX_WIDTH})", "--width M")
-    flow, notes = flow_kg_s(of, Driven(interval, way, width), where)
     moisture = of.one(MOISTURE, 1e-4)
     to_header, of_header = header_from_antenna(of, count)
     columns, limits = plausible(
