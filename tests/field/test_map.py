@@ -128,6 +128,18 @@ def test_csv_and_texts(corn: Path, corn_map: tuple[Path, dict[str, Any]]) -> Non
     assert sum(clean) == pytest.approx(document["mass_kg"]["kept"], rel=1e-4)
 
 
+def test_texts_have_the_mass_of_a_log_whose_seconds_are_not_quite_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """An interval of 1.004 s was written as 1."""
+    rows = ["time (s),latitude,longitude,flow (kg/s),width (m),interval (s),moisture (%)"]
+    rows += [f"{1.6e9 + 1.004 * k:.3f},{55.0 + 1.2e-5 * k:.7f},13.5,6.25,9.0,1.004,15" for k in range(300)]
+    (tmp_path / "harvest.csv").write_text("\n".join(rows) + "\n")
+    document = mapped(capsys, tmp_path / "out", tmp_path / "harvest.csv", "--products", "agleader", "--flow-delay", "0")
+    for name, mass_kg in (("raw", document["mass_kg"]["integrated"]), ("clean", document["mass_kg"]["kept"])):
+        with (tmp_path / "out" / f"agleader_{name}.txt").open(encoding="ascii") as stream:
+            written = [float(row[2]) * 0.45359237 * float(row[4]) for row in csv.reader(stream)]
+        assert sum(written) == pytest.approx(mass_kg, rel=2e-4)
+
+
 @pytest.mark.isoxml
 def test_task_data_by_isoxml(corn_map: tuple[Path, dict[str, Any]]) -> None:
     modules = ROOT / "out" / "node" / "node_modules"

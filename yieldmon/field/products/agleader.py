@@ -87,7 +87,7 @@ def _write(
                 strict=True,
             )
             stream.writelines(
-                f"{x:.8f},{y:.8f},{f:.3f},{t},{i:.3g},{d:.2f},{w:.1f},{m:.2f},{h},{p},{serial[s]},"
+                f"{x:.8f},{y:.8f},{f:.3f},{t},{i:.4g},{d:.2f},{w:.1f},{m:.2f},{h},{p},{serial[s]},"
                 f'"F{a + 1}:{names["field"][a]}","L{b + 1}:{names["load"][b]}","{names["crop"][c]}",1,0.0,{e:.1f}{mark}\r\n'
                 for x, y, f, t, i, d, w, m, h, p, s, a, b, c, e, mark in fields
             )
