@@ -47,6 +47,10 @@ CASES = {
         [("1", KG[1]), ("2", LB * KG[2])], set(), "tickets of loads 1 and 2 contradict each other, 1 and 2.2 times what", None
     ),
     "one alone": ([("1", 1.3 * KG[1])], set(), "", 1.3),
+    "one alone in pounds": (
+        [("1", LB * KG[1])], set(),
+        "ticket of load 1 weighs 1764 kg, 2.2 times what was measured, as where pounds were taken for kilograms: are", LB,
+    ),
 }  # fmt: skip
 
 

@@ -120,6 +120,45 @@ def test_a_ticket_of_no_such_machine_is_refused(capsys: pytest.CaptureFixture[st
     assert "names the machine 'c.txt'; expected one of a.txt, b.txt, or all" in said.splitlines()[-1]
 
 
+def test_a_ticket_may_name_the_file_with_or_without_its_ending(capsys: pytest.CaptureFixture[str]) -> None:
+    two_files()
+    Path("b.txt").write_text(Path("b.txt").read_text().replace(",0,", ",4711,"))
+    text = "load,weighed_kg,machine\n1,5000,a\n1,6000,{}\n"
+    for machine in ("4711", "b", "b.txt"):
+        code, document, said = mapped(capsys, "a.txt", "b.txt", *tickets(text.format(machine)))
+        assert code == 0, said
+        assert {load["load"]: load["weighed_kg"] for load in document["loads"]} == {
+            "L1:<1>, a.txt": 5000.0, "L1:<1>, 4711": 6000.0
+        }  # fmt: skip
+
+
+def test_a_load_number_that_begins_two_names_is_asked_about(capsys: pytest.CaptureFixture[str]) -> None:
+    """Load 1 of two files, which write the rest of its name in different ways: the ticket went to the last one."""
+    two_files()
+    Path("b.txt").write_text(Path("b.txt").read_text().replace("L1:<1>", "L1:monday"))
+    code, _, said = mapped(capsys, "a.txt", "b.txt", *tickets("load,weighed_kg\n1,5000\n"))
+    assert code == 2
+    assert "is of 2 machines or files: a.txt, b.txt" in said.splitlines()[-1]
+    rows = "load,weighed_kg,machine\n1,5000,a.txt\n1,6000,b.txt\n"
+    _, document, said = mapped(capsys, "a.txt", "b.txt", *tickets(rows))
+    assert {load["load"]: load["weighed_kg"] for load in document["loads"]} == {"L1:<1>": 5000.0, "L1:monday": 6000.0}, said
+    _, document, said = mapped(capsys, "a.txt", "b.txt", *tickets("load,weighed_kg,machine\n1,12000,all\n"))
+    assert sum(load["corrected_kg"] for load in document["loads"]) == pytest.approx(12_000.0), said
+
+
+def test_two_loads_of_one_number_on_one_machine_are_asked_about(capsys: pytest.CaptureFixture[str]) -> None:
+    two_files()
+    for name, load in (("a.txt", "<1>"), ("b.txt", "monday")):
+        Path(name).write_text(Path(name).read_text().replace(",0,", ",4711,").replace("<1>", load))
+    code, _, said = mapped(capsys, "a.txt", "b.txt", *tickets("load,weighed_kg\n1,5000\n"))
+    assert code == 2
+    assert "is of 2 loads of 4711; expected one of 'L1:<1>', 'L1:monday', or the file" in said.splitlines()[-1]
+    for word in ("L1:monday,5000,", "monday,5000,", "1,5000,b"):
+        code, document, said = mapped(capsys, "a.txt", "b.txt", *tickets(f"load,weighed_kg,machine\n{word}\n"))
+        assert code == 0, said
+        assert [load["weighed_kg"] for load in document["loads"]] == [None, 5000.0]
+
+
 def test_one_machine_in_two_files_has_one_load(capsys: pytest.CaptureFixture[str]) -> None:
     ag_leader(Path("monday.txt"), delay_s=9, seed=5, passes=6)
     ag_leader(Path("tuesday.txt"), delay_s=9, seed=6, passes=6, longitude_deg=-90.0 + BESIDE_DEG, start_s=60_000)

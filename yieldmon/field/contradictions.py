@@ -15,6 +15,8 @@ _NEAR_LN = 0.07
 """Within which a factor may be that of a unit."""
 _FAR_LN = 0.2
 """By which two tickets that are all there are contradict each other."""
+_DOUBTFUL_LN = 0.7
+"""By which a ticket differs from the monitor, with no third one that bears it out, where it is asked about: twice."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +32,8 @@ class HeldTicket:
 def contradictions(
     tickets: Sequence[HeldTicket], measured_kg: Mapping[int, float], owner: Mapping[int, int]
 ) -> tuple[frozenset[int], tuple[str, ...]]:
-    """Which tickets are left out, and lines on these and on pairs of which either may be wrong.
+    """Which tickets are left out, and lines on these, on pairs of which either may be wrong, and on one or two that are far from
+    what was measured.
 
     Parameters
     ----------
@@ -65,10 +68,24 @@ def contradictions(
                 f"tickets of loads {names} contradict each other, {factors[0]:.3g} and {factors[1]:.3g} times what was measured: "
                 "one is of another unit or load"
             )
+        elif len(numbers) < LEAST_LOADS:
+            lines += [
+                _far(tickets[n], factor) for n, factor in zip(numbers, factors, strict=True) if abs(log(factor)) > _DOUBTFUL_LN
+            ]
     return frozenset(left_out), tuple(lines)
 
 
+def _far(ticket: HeldTicket, times: float) -> str:
+    return (
+        f"ticket of load {ticket.name} weighs {ticket.mass_kg:.0f} kg, {times:.3g} times what was measured{_slip(times)}: "
+        "are its unit and load right?"
+    )
+
+
+def _slip(times: float) -> str:
+    return next((f", as where {what}" for factor, what in UNIT_SLIPS if abs(log(times / factor)) < _NEAR_LN), "")
+
+
 def _left_out(ticket: HeldTicket, times: float) -> str:
-    slip = next((f", as where {what}" for factor, what in UNIT_SLIPS if abs(log(times / factor)) < _NEAR_LN), "")
     says = f"{ticket.mass_kg:.0f} kg, {times:.3g} times what the other tickets say of it"
-    return f"ticket of load {ticket.name} weighs {says}{slip}: left out"
+    return f"ticket of load {ticket.name} weighs {says}{_slip(times)}: left out"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -71,13 +71,20 @@ def correct(table: HarvestTable, tickets: Sequence[WeighedTicket]) -> Corrected:
         it is not known whose load it is: several machines have one of that name, or the rows of two are mixed in it.
     """
     label, owners = table.labels["load"], Owners.of(table)
-    together = {number for ticket in tickets if ticket.machine.lower() == ALL for number in _numbers_of(ticket, label.names)}
+    together = {
+        number
+        for ticket in tickets
+        if ticket.machine.lower() == ALL
+        for numbers in _numbers_of(ticket, label.names)
+        for number in numbers
+    }
     key = np.where(np.isin(label.codes, list(together)), 0, owners.of_row)
     count = len(owners.names)
     pairs, firsts, codes = np.unique(label.codes.astype(np.intp) * count + key, return_index=True, return_inverse=True)
     loads = [divmod(int(pair), count) for pair in pairs]
     measured = np.bincount(codes, measured_mass_kg(table), len(loads))
-    given = with_parts_added((ticket, _held(ticket, loads, label.names, measured, owners, together)) for ticket in tickets)
+    found = _Loads(loads, label.names, owners, _files_of(codes, table), together)
+    given = with_parts_added((ticket, _held(ticket, found, measured)) for ticket in tickets)
     held = [HeldTicket(ticket.name, ticket.mass_kg, places) for ticket, places in given]
     _refuse_mixed({loads[load][0] for ticket in held for load in ticket.loads} - together, label.names, table)
     owner_of = {place: owner for place, (_, owner) in enumerate(loads)}
@@ -141,10 +148,10 @@ def _refuse_mixed(loads: set[int], names: Sequence[str], table: HarvestTable) ->
         )
 
 
-def _numbers_of(ticket: WeighedTicket, names: Sequence[str]) -> list[int]:
-    """The loads of a ticket, by their place in the names."""
+def _numbers_of(ticket: WeighedTicket, names: Sequence[str]) -> list[tuple[int, ...]]:
+    """The loads of a ticket, each by its place in the names; by several where names begin with the same number."""
     if ticket.name in names:
-        return [names.index(ticket.name)]
+        return [(names.index(ticket.name),)]
     if ticket.first == ticket.last:
         return [_number_of(ticket.first, names)]
     if int(ticket.last) < int(ticket.first):
@@ -152,18 +159,21 @@ def _numbers_of(ticket: WeighedTicket, names: Sequence[str]) -> list[int]:
     return [_number_of(str(number), names) for number in range(int(ticket.first), int(ticket.last) + 1)]
 
 
-def _number_of(load_name: str, names: Sequence[str]) -> int:
-    plain = {" ".join(name.split()): number for number, name in enumerate(names)}
-    short = {name.split(":")[0].removeprefix("L"): number for name, number in plain.items()}
-    behind = [name.split(":", 1)[1].strip() if ":" in name else "" for name in plain]
-    load = plain.get(load_name, short.get(load_name.removeprefix("L")))
-    if load is None and behind.count(load_name) == 1:
-        load = list(plain.values())[behind.index(load_name)]
-    if load is None:
+def _number_of(load_name: str, names: Sequence[str]) -> tuple[int, ...]:
+    plain = [" ".join(name.split()) for name in names]
+    alike: tuple[Callable[[str], bool], ...] = (
+        lambda name: name == load_name,
+        lambda name: name.split(":")[0].removeprefix("L") == load_name.removeprefix("L"),
+        lambda name: ":" in name and name.split(":", 1)[1].strip() == load_name,
+    )
+    found: tuple[int, ...] = ()
+    for is_alike in alike:
+        found = found or tuple(number for number, name in enumerate(plain) if is_alike(name))
+    if not found:
         known = ", ".join(name for name in plain if name)
         expected = f"one of {known}" if known else "a harvest whose rows name their loads"
         raise InputError(f"ticket of load {load_name!r}", "names a load that the harvest does not have", expected)
-    return load
+    return found
 
 
 @dataclass(frozen=True)
@@ -175,16 +185,40 @@ class _Weighed:
     common_kg: float
 
 
-def _held(
-    ticket: WeighedTicket,
-    loads: Sequence[tuple[int, int]],
-    names: Sequence[str],
-    measured: Array,
-    owners: Owners,
-    together: set[int],
-) -> tuple[int, ...]:
+@dataclass(frozen=True)
+class _Loads:
+    """The loads of a harvest. of: name and owner of each, by their places; files: how the one file with its rows may be called;
+    together: names of loads that several machines filled."""
+
+    of: Sequence[tuple[int, int]]
+    names: Sequence[str]
+    owners: Owners
+    files: Sequence[frozenset[str]]
+    together: set[int]
+
+    def called(self, load: int, machine: str) -> bool:
+        """Whether a load is that of a machine or file of this name."""
+        return machine in (self.owners.names[self.of[load][1]], *self.files[load])
+
+    def whose(self, load: int) -> str:
+        """Whose it is, for a message."""
+        return self.owners.names[self.of[load][1]]
+
+
+def _files_of(codes: NDArray[np.intp], table: HarvestTable) -> list[frozenset[str]]:
+    """Of each load the name of the one file with its rows, with and without ending; of one in several files nothing."""
+    sources = [Path(source.path) for source in table.sources]
+    pairs = np.unique(np.stack([codes.reshape(-1), table.source_of_row]), axis=1) if len(codes) else np.empty((2, 0), np.intp)
+    files: list[set[int]] = [set() for _ in range(int(codes.max()) + 1 if len(codes) else 0)]
+    for load, source in pairs.T.tolist():
+        files[load].add(source)
+    called = [sources[min(of)] if len(of) == 1 else None for of in files]
+    return [frozenset() if one is None else frozenset((one.name, one.stem)) for one in called]
+
+
+def _held(ticket: WeighedTicket, loads: _Loads, measured: Array) -> tuple[int, ...]:
     """The loads with grain that a ticket is for. Raises InputError where there is none."""
-    held = [_held_by(ticket, number, loads, owners, together) for number in _numbers_of(ticket, names)]
+    held = [load for numbers in _numbers_of(ticket, loads.names) for load in _held_by(ticket, numbers, loads)]
     if not float(sum(measured[load] for load in held)) > 0:
         raise InputError(f"ticket of load {ticket.name!r}", "is of a load that measured nothing", "a load with grain")
     return tuple(load for load in held if measured[load] > 0)
@@ -201,21 +235,28 @@ def _by_load(tickets: Sequence[tuple[WeighedTicket, tuple[int, ...]]], measured:
     return out
 
 
-def _held_by(ticket: WeighedTicket, number: int, loads: Sequence[tuple[int, int]], owners: Owners, together: set[int]) -> int:
-    """Index into `loads` of the machine's load that a ticket is of."""
+def _held_by(ticket: WeighedTicket, numbers: Sequence[int], loads: _Loads) -> list[int]:
+    """Places of the machine's load that a ticket is of, by its names; of several that machines filled together."""
     where = f"ticket of load {ticket.name!r}"
-    held = [load for load, (name, _) in enumerate(loads) if name == number]
-    whose = [owners.names[loads[load][1]] for load in held]
-    if ticket.machine and number not in together:
-        if ticket.machine not in whose:
-            raise InputError(where, f"names the machine {ticket.machine!r}", f"one of {', '.join(whose)}, or {ALL}")
-        return held[whose.index(ticket.machine)]
-    if len(held) > 1:
-        expected = f"a column machine with one of these, or with {ALL!r} where they filled it together"
-        raise InputError(where, f"is of {len(held)} machines or files: {', '.join(whose)}", expected)
+    held = [load for load, (name, _) in enumerate(loads.of) if name in numbers]
     if not held:
         raise InputError(where, "is of a load that measured nothing", "a load with grain")
-    return held[0]
+    if loads.together.issuperset(numbers):
+        return held
+    if ticket.machine:
+        own = [load for load in held if loads.called(load, ticket.machine)]
+        if not own:
+            known = ", ".join(dict.fromkeys(map(loads.whose, held)))
+            raise InputError(where, f"names the machine {ticket.machine!r}", f"one of {known}, or {ALL}")
+        held = own
+    if len(held) == 1:
+        return held
+    whose = list(dict.fromkeys(map(loads.whose, held)))
+    if len(whose) > 1:
+        expected = f"a column machine with one of these, or with {ALL!r} where they filled it together"
+        raise InputError(where, f"is of {len(whose)} machines or files: {', '.join(whose)}", expected)
+    called = ", ".join(repr(loads.names[loads.of[load][0]]) for load in held)
+    raise InputError(where, f"is of {len(held)} loads of {whose[0]}", f"one of {called}, or the file as the ticket's machine")
 
 
 def _common(factors: Sequence[tuple[float, float]]) -> tuple[float, float | None]:
