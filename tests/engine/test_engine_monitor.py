@@ -143,6 +143,12 @@ def test_silence_is_not_available_and_totals_keep_what_was_measured() -> None:
     # 0.9 s measured in a window that counts whole, and half a pattern left over, at the speed that was known then.
     assert target.totals.total_kg - before == pytest.approx(10.0, rel=0.08)
     assert [r.mass_kg > 0.0 for r in target.records[29:]] == [True, True, *[False] * (len(target.records) - 31)]
+    # The speed of a shaft that nobody reports any more is not known.
+    assert [math.isnan(r.elevator_speed_rad_s) for r in target.records[29:]] == [
+        False,
+        False,
+        *[True] * (len(target.records) - 31),
+    ]
     assert {FaultCode.SENSOR_MISSING, FaultCode.SPEED_MISSING, FaultCode.PLATE_FEEDBACK_STALE} <= set(target.faults.active)
     assert states(out)[-1] is OperatingState.FAULT
 

@@ -177,8 +177,9 @@ class Measurement:
         settings, machine = self._settings, self._machine
         if not isfinite(self._started_s):
             self._started_s = window.start_s
-        # With everything silent, what the last window left over was still measured at a known speed.
-        speed_was_known = inputs.speed_known or window.last_frame_s - inputs.speed_time_s <= settings.inputs.speed_timeout_s
+        # With everything silent, what samples the last window left over were still taken at a known speed.
+        at_samples = window.covered_s > 0.0 and window.last_frame_s - inputs.speed_time_s <= settings.inputs.speed_timeout_s
+        speed_was_known = inputs.speed_known or at_samples
         in_range = machine.min_elevator_speed_rad_s <= window.speed_rad_s <= machine.max_elevator_speed_rad_s
         still = window.plate_max_rad - window.plate_min_rad <= self._rest_rad
         at_home = abs(window.plate_angle_rad - machine.home_plate_angle_rad) <= self._rest_rad
