@@ -69,7 +69,14 @@ def test_no_yield_without_mass_or_area(kg: float | None, m2: float | None) -> No
         ("9,072 kg (20,000 lb) is a lot", "9,072 kg (20,000 lb) is a lot", "20,000 lb (9,072 kg) is a lot"),
         ("25.3 kg/s", "25.3 kg/s", "3,586 bu/h"),
         ("a gap of +0.4536 kg", "a gap of +0.4536 kg", "a gap of +1.00 lb"),
-        ("from 0.001 to 1e+06 kg", "from 0.001 to 1e+06 kg", "from 0.001 to 2,204,623 lb"),
+        ("from 1 to 1e+06 kg", "from 1 to 1e+06 kg", "from 2.20 to 2,204,623 lb"),
+        (
+            "leaves -454 +- 27 kg of the 1,000 kg",
+            "leaves -454 +- 27 kg of the 1,000 kg",
+            "leaves -1,001 +- 59.5 lb of the 2,205 lb",
+        ),
+        ("1.2 +- 0.3 kg/s", "1.2 +- 0.3 kg/s", "170 +- 42.5 bu/h"),
+        ("loads 3 to 5, 9072 kg", "loads 3 to 5, 9072 kg", "loads 3 to 5, 20,000 lb"),
         ("720 kg/m3, 9.8 m/s2, load 7, 12kg, 3 kgf", "720 kg/m3, 9.8 m/s2, load 7, 12kg, 3 kgf", None),
     ],
 )

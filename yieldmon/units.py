@@ -7,6 +7,7 @@ appendix B (pound, inch, foot, acre, mile, kilogram-force).
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 from math import isfinite
@@ -33,8 +34,8 @@ S_PER_DAY = 86_400.0
 _TONNES_FROM_KG = 10_000.0
 UNKNOWN = "-"
 _NUMBER = r"(?<![\w.,])[+-]?\d[\d,]*(?:\.\d+)?(?:e[+-]?\d+)?"
-_IN_SI = re.compile(rf"({_NUMBER})(?: kg \(({_NUMBER}) lb\)| (kg/s|kg)(?![\w/]))")
-"""A mass or flow in a text; a mass may have its pounds behind it."""
+_IN_SI = re.compile(rf"(?:({_NUMBER}) (\+-|to) )?({_NUMBER})(?: kg \(({_NUMBER}) lb\)| (kg/s|kg)(?![\w/]))")
+"""A mass or flow in a text, or two of one unit; a mass may have its pounds behind it."""
 
 
 class UnitSystem(StrEnum):
@@ -135,15 +136,18 @@ class Units:
 
         >>> Units(UnitSystem.US).in_text("load 6 weighed 9072 kg, measured 1,840 kg (4,056 lb): 12.0 kg/s")
         'load 6 weighed 20,000 lb, measured 4,056 lb (1,840 kg): 26.5 lb/s'
+        >>> Units(UnitSystem.US).in_text("leaves -1000 +- 27 kg; expected a mass from 1 to 1e+06 kg")
+        'leaves -2,205 +- 59.5 lb; expected a mass from 2.20 to 2,204,623 lb'
         """
         return _IN_SI.sub(self._restated, text) if self._us else text
 
     def _restated(self, found: re.Match[str]) -> str:
-        kg, pounds, unit = found.groups()
+        first, between, kg, pounds, unit = found.groups()
+        shown = self.flow if unit == "kg/s" else self.mass
+        before = "" if first is None else f"{_signed(first, shown).rpartition(' ')[0]} {between} "
         if pounds is not None:
-            return f"{pounds} lb ({kg} kg)"
-        value, sign = float(kg.replace(",", "")), "+" * kg.startswith("+")
-        return sign + (self.flow(value) if unit == "kg/s" else self.mass(value))
+            return f"{before}{pounds} lb ({kg} kg)"
+        return before + _signed(kg, shown)
 
     def flow(self, kg_s: float | None) -> str:
         """A mass flow."""
@@ -162,6 +166,11 @@ class Units:
         """A ground speed, to a tenth."""
         unit = self.speed_unit
         return UNKNOWN if m_s is None or not isfinite(m_s) else f"{unit.of(m_s):.1f} {unit.name}"
+
+
+def _signed(number: str, shown: Callable[[float], str]) -> str:
+    """A number of a text as a quantity, with the plus that it has."""
+    return "+" * number.startswith("+") + shown(float(number.replace(",", "")))
 
 
 def moisture(pct: float | None) -> str:

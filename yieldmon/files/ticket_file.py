@@ -150,7 +150,7 @@ def own_part(
         raise InputError(where, f"is {other_kg:g} +- {other_sd_kg:g} kg", "masses of 0 and above")
     own_kg, own_sd_kg = weighed_kg - other_kg, hypot(std_dev_kg, other_sd_kg)
     if not own_kg > own_sd_kg:
-        problem = f"leaves {own_kg:.0f} +- {own_sd_kg:.0f} kg of the {weighed_kg:.0f} kg"
+        problem = f"leaves {own_kg:.7g} +- {own_sd_kg:.0f} kg of the {weighed_kg:.7g} kg"
         raise InputError(where, problem, "the part of another combine, and more left than it is uncertain by")
     return own_kg, own_sd_kg
 
