@@ -131,6 +131,10 @@ def test_what_is_written_passes_check_config(tmp_path, capsys, changes):
         ({"crop": "oats"}, "expected one of corn"),
         ({"bus_interface": "socket-can"}, "bus_interface: is 'socket-can'; expected socketcan"),
         ({"bus_interface": "carrier pigeon"}, "bus_interface: is 'carrier pigeon'; expected one of canalystii"),
+        (
+            {"bus_interface": "socketcan", "bus_channel": "can 0"},
+            "bus_channel: is 'can 0'; expected the name of a network device",
+        ),
         ({"machine_name": ["old", "green"]}, "machine_name: is ['old', 'green']; expected a word"),
         ({"cell_full_scale_mv": 600}, "cell_full_scale_mv: is 600, but a weight reads 695.1 mV; expected at least 695.1 mV"),
     ],

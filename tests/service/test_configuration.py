@@ -205,6 +205,8 @@ WRONG = [
     ("bus: {bitrate_bit_s: fast}", "bus.bitrate_bit_s: 'fast'; expected a whole number from 10000 to 1000000 bit/s or null"),
     ("bus: {options: {a: [1]}}", "bus.options.a: [1]; expected keys with plain values"),
     ("bus: {interface: sockcan}", "bus.interface: 'sockcan'; expected one of"),
+    ("bus: {channel: can 0}", "bus.channel: is 'can 0'; expected the name of a network device"),
+    ("bus: {channel: can0-of-the-header}", "bus.channel: is 'can0-of-the-header'; expected the name of a network device"),
     ("logging: {level: loud}", "logging.level: 'loud'; expected one of debug, info, warning, error"),
     ("gate: {grain_on_n: 0.1}", "gate.grain_off_n: 0.5; expected at most gate.grain_on_n, 0.1 N"),
     ("network: {enabled: false, task_controller: true}", "network.task_controller: true; expected network.enabled: true"),

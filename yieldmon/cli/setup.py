@@ -120,6 +120,7 @@ def _refuse_present(names: Iterable[str], folder: Path, *, force: bool) -> None:
 
 def write(answers: dict[str, Any], folder: Path, *, force: bool) -> SetupDocument:
     """The files; returns what they rest on. Raises InputError, and then writes none."""
+    derive.check_channel(answers)
     machine, parameters = derive.machine(answers), derive.parameters(answers)
     if (problem := plausible.cell_problem(machine, parameters)) is not None:
         raise InputError("cell_full_scale_mv", *problem)

@@ -14,6 +14,7 @@ from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files.crops import crop
 from yieldmon.physics.machine import RPM, ImpactSensor, Machine
+from yieldmon.service.config.contradictions import channel_problem
 from yieldmon.units import N_PER_KGF
 
 _READING_SD_MV = 0.5
@@ -91,6 +92,14 @@ def check_at_once(answers: Mapping[str, Any], key: str) -> None:
         cell_gain(answers["cell_weights_kg"], answers[key])
     elif key == "plate_reported_deg" and "plate_measured_deg" in answers:
         plate_offset_deg(answers["plate_measured_deg"], answers[key])
+    elif key == "bus_channel" and "bus_interface" in answers:
+        check_channel(answers)
+
+
+def check_channel(answers: Mapping[str, Any]) -> None:
+    """Raises InputError for a channel that the interface cannot have."""
+    if (problem := channel_problem(answers["bus_interface"], answers["bus_channel"])) is not None:
+        raise InputError("bus_channel", *problem)
 
 
 def offset_deg(answers: Mapping[str, Any]) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -27,6 +28,17 @@ _NAMED_BUS_OPTIONS = frozenset({
 })  # fmt: skip
 
 
+_NETWORK_DEVICE = re.compile(r"[^\s/:]+")
+_LONGEST_DEVICE_BYTES = 15
+
+
+def channel_problem(interface: str, channel: str) -> tuple[str, str] | None:
+    """Why a bus cannot have this channel, and what is expected of it; None where it can."""
+    if interface != "socketcan" or (_NETWORK_DEVICE.fullmatch(channel) and len(os.fsencode(channel)) <= _LONGEST_DEVICE_BYTES):
+        return None
+    return f"is {channel!r}", f"the name of a network device, as `ip link` lists it: 1 to {_LONGEST_DEVICE_BYTES} bytes, no space"
+
+
 def contradictions(document: Document, engine: EngineSettings, machine: Machine) -> Iterator[tuple[str, str, str]]:
     """(key, value, expected) where keys that are right by themselves do not go together."""
     yield from _of_the_service(document)
@@ -40,6 +52,8 @@ def _of_the_service(document: Document) -> Iterator[tuple[str, str, str]]:
 
         if document.bus.interface not in can.VALID_INTERFACES:
             yield "bus.interface", repr(document.bus.interface), f"one of {', '.join(sorted(can.VALID_INTERFACES))}"
+    if (wrong := channel_problem(document.bus.interface, document.bus.channel)) is not None:
+        yield "bus.channel", *wrong
     for key in sorted(_NAMED_BUS_OPTIONS & set(document.bus.options)):
         yield f"bus.options.{key}", "is set by a key of bus, or by the daemon", "options that the bus section has no key for"
     if document.network.task_controller and not document.network.enabled:
