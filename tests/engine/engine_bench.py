@@ -78,6 +78,10 @@ class ForceProportional:
         known = (status != FlowStatus.SATURATED) & (status != FlowStatus.NOT_AVAILABLE)
         return FlowEstimate(np.where(known, flow, np.nan), np.where(known, std_dev, np.nan), status)
 
+    def force_curve(self, plate_angle_rad: float, elevator_speed_rad_s: float, moisture_pct: float = 0.0) -> tuple[Any, Any]:
+        flow = np.linspace(0.0, FULL_FLOW_KG_S, 31)
+        return N_PER_KG_S * angle_factor(np.degrees(plate_angle_rad)) * flow, flow
+
 
 def angle_factor(angle_deg: Any) -> Any:
     """Force at an angle over force at home."""

@@ -37,6 +37,10 @@ class WithThreshold:
         flow_kg_s = 0.08 * np.maximum(np.asarray(force_n) - 5.0, 0.0) ** 1.2
         return FlowEstimate(flow_kg_s, 0.05 * flow_kg_s, np.zeros(flow_kg_s.shape, np.int8))
 
+    def force_curve(self, plate_angle_rad: float, elevator_speed_rad_s: float, *_: object) -> tuple[Array, Array]:
+        force_n = np.linspace(0.0, 400.0, 401)
+        return force_n, np.asarray(self.estimate(force_n, plate_angle_rad, elevator_speed_rad_s).mass_flow_kg_s)
+
 
 ESTIMATORS: dict[str, FlowEstimator] = {
     "corn": OpenLoop(ForwardModel(MACHINE, CORN.effects), CORN),

@@ -144,6 +144,13 @@ def test_a_parabola_that_bends_back_is_saturated_above_its_top() -> None:
     assert found.mass_flow_kg_s == pytest.approx([12.495, np.nan], nan_ok=True)
 
 
+def test_the_force_curve_ends_where_the_curve_has_no_answer() -> None:
+    loop = known(FlowCurve(AlphaBeta(5.0, -0.5, HOME), 0.02))
+    force, flow = loop.force_curve(HOME, 400.0 * RPM)
+    assert 12.4 < np.nanmax(flow) <= 12.5
+    assert list(np.isnan(flow)) == list(force > 5.0 * 400.0 * RPM)
+
+
 @settings(max_examples=40)
 @given(st.lists(st.floats(0.9, 1.1), min_size=8, max_size=8))
 def test_a_table_rises_whatever_the_noise(noise: list[float]) -> None:

@@ -46,6 +46,25 @@ def test_round_trip_with_effects(effects: tuple[str, ...], values: dict[str, flo
     assert OpenLoop(model, ParameterSet(known)).invert(force, 1.2, 42.0) == pytest.approx(FLOWS, rel=1e-8)
 
 
+@pytest.mark.parametrize(
+    "added",
+    [{}, {"gravity.acceleration_m_s2": 9.81}, {"zero_offset.force_n": 3.0}, {"paddle_leakage.loss_at_full": 0.1}],
+    ids=str,
+)
+@pytest.mark.parametrize(("angle_deg", "rpm"), [(70.0, 400.0), (50.0, 300.0), (90.0, 550.0)])
+def test_the_force_curve_goes_to_a_full_paddle_and_is_what_flows_give(
+    added: dict[str, float], angle_deg: float, rpm: float
+) -> None:
+    angle, speed, known = np.radians(angle_deg), rpm * RPM, GRAIN | added
+    model = ForwardModel(MACHINE, tuple(name.split(".")[0] for name in added))
+    force, flow = OpenLoop(model, ParameterSet(known)).force_curve(angle, speed)
+    wanted = model.force(Conditions(angle, speed, mass_flow_kg_s=flow[1:-1]), known)
+    assert force[1:-1] == pytest.approx(np.real(wanted), rel=1e-8)
+    assert flow[0] == 0.0
+    assert np.all(np.diff(flow) > 0.0)
+    assert flow[-1] == pytest.approx(model.throw(angle, speed, known).full_mass_kg * MACHINE.passes_per_s(speed), rel=1e-12)
+
+
 def loop(sd: tuple[float, float, float] = (0.0, 0.0, 0.0), calibrated: CalibratedRange = CalibratedRange()) -> OpenLoop:  # noqa: B008
     return OpenLoop(ForwardModel(MACHINE), ParameterSet(GRAIN, NAMES, np.diag(np.square(sd)), calibrated))
 

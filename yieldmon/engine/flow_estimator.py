@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 
 from yieldmon.estimation.open_loop import FlowEstimate
 from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.physics.numerics import Array
 
 
 class FlowEstimator(Protocol):
@@ -26,3 +27,6 @@ class FlowEstimator(Protocol):
         moisture_pct: ArrayLike | None = ...,
     ) -> FlowEstimate:
         """Mass flow, standard deviation and status; inputs that are nan give a status, never an exception."""
+
+    def force_curve(self, plate_angle_rad: float, elevator_speed_rad_s: float, moisture_pct: float = ...) -> tuple[Array, Array]:
+        """Force, N, and mass flow, kg/s, (g,) each, by rising flow, as far as the estimator has one for the other."""

@@ -24,8 +24,6 @@ from yieldmon.physics.numerics import Array
 _UNEVEN = 0.6
 """Range of the patterns' forces over their mean; paddles that scatter by 16 % reach 0.3."""
 _LEAST_PATTERNS = 3
-_LEAST_N, _MOST_N, _POINTS = 0.1, 2000.0, 200
-"""Of the curve, each 5 % above the one before."""
 _SPEED_STEP = 0.05
 """Of the logarithm of speed, between two curves."""
 
@@ -99,10 +97,9 @@ class UnevenSeconds:
 
     def _curve(self, speed_rad_s: float, moisture_pct: float) -> tuple[Array, Array]:
         """Force, N, and flow, kg/s, up to where a paddle is full; 0 alone where flow does not rise with force."""
-        force_n = np.geomspace(_LEAST_N, _MOST_N, _POINTS)
-        found = self._estimator.estimate(force_n, self._machine.home_plate_angle_rad, speed_rad_s, 0.01 * force_n, moisture_pct)
-        flow_kg_s = np.broadcast_to(found.mass_flow_kg_s, force_n.shape)
-        rises = np.append(np.diff(flow_kg_s, prepend=0.0) > 0.0, False)
+        force_n, flow_kg_s = self._estimator.force_curve(self._machine.home_plate_angle_rad, speed_rad_s, moisture_pct)
+        rises = (np.diff(force_n, prepend=0.0) > 0.0) & (np.diff(flow_kg_s, prepend=0.0) > 0.0)
+        rises = np.append(rises, False)
         # Some curves give no flow below a force.
         first = int(np.argmax(rises))
         last = first + int(np.argmin(rises[first:]))

@@ -235,6 +235,13 @@ class CurveEstimator:
         outside = (away > 0.0) | self._curve.calibrated.outside(flow, None, speed, moist)
         return with_status(flow, sd, noise_sd, outside=outside, empty=force <= 0.0, usable=usable)
 
+    def force_curve(
+        self, plate_angle_rad: float, elevator_speed_rad_s: float, moisture_pct: float = float("nan")
+    ) -> tuple[Array, Array]:
+        """Force, N, and mass flow, kg/s, (g,) each: `invert` of forces of 0.1 to 2000 N, each 5 % above the one before."""
+        force_n = np.geomspace(0.1, 2000.0, 200)
+        return force_n, self.invert(force_n, plate_angle_rad, elevator_speed_rad_s)
+
     def _flow(self, force: Array, angle: Array, speed: Array) -> Array:
         shape = np.shape(force)
         flat = [np.ravel(v) for v in (np.maximum(force, 0.0), angle, speed)]

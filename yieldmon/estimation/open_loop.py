@@ -20,6 +20,8 @@ from .load_pattern import following
 from .parameters import ParameterSet
 
 _GRID = chebyshev_points(24)
+_ALONG_CURVE = np.linspace(0.0, 1.0, 161)
+"""Heap thicknesses over that of a full paddle at which `OpenLoop.force_curve` is given."""
 _STENCIL = np.array([-1.0, 0.0, 1.0])
 _NEAR = np.arange(4)
 _LEAST_STEP = 1e-9
@@ -310,6 +312,28 @@ class OpenLoop:
             sd, noise_sd = spread / np.abs(gain), noise / np.abs(gain)
         outside = self.parameters.calibrated.outside(flow, angle, speed, moist)
         return with_status(flow, sd, noise_sd, outside=outside, empty=flow <= 0.0, usable=usable)
+
+    def force_curve(
+        self, plate_angle_rad: float, elevator_speed_rad_s: float, moisture_pct: float = float("nan")
+    ) -> tuple[Array, Array]:
+        """Force over mass flow, from an empty to a full paddle.
+
+        Parameters
+        ----------
+        plate_angle_rad, elevator_speed_rad_s, moisture_pct
+            As in `invert`, one of each.
+
+        Returns
+        -------
+        force_n : ndarray (g,)
+            N; nan where moisture is missing.
+        mass_flow_kg_s : ndarray (g,)
+            kg/s, rising from 0.
+        """
+        throw = self._throw(plate_angle_rad, elevator_speed_rad_s, moisture_pct)
+        mass, momentum = throw.load_curve(_ALONG_CURVE)
+        passes = throw.passes_per_s
+        return momentum * passes, mass * passes
 
     def _usable(self, inputs: tuple[Array, ...], usable: NDArray[np.bool_]) -> tuple[tuple[Array, ...], NDArray[np.bool_]]:
         """What `broadcast_inputs` gave, with the inputs of an empty machine at home in place of what cannot be used."""
