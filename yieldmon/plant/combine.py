@@ -8,6 +8,7 @@ from functools import lru_cache
 from math import floor
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
 
 from yieldmon import frames
@@ -188,7 +189,7 @@ class VirtualCombine:
         mass = 10.0 * self.machine.paddle_spacing_m / self.machine.paddle_speed_m_s(speed)
         home = self.machine.home_plate_angle_rad
         times = self._table.arrival_times_s(mass, home, speed, self.scenario.crop.moisture_pct)
-        return float(np.trapezoid(times, QUANTILES)) + 2.0 * self.scenario.sensor.response_s
+        return float(scipy.integrate.trapezoid(times, QUANTILES)) + 2.0 * self.scenario.sensor.response_s
 
     @property
     def time_s(self) -> float:
