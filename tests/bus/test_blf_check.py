@@ -6,9 +6,12 @@ import struct
 import zlib
 from pathlib import Path
 
+import can
 import pytest
 
 from yieldmon.bus.log_files.blf_check import first_flaw
+from yieldmon.bus.log_files.log_notes import LogNotes
+from yieldmon.bus.log_files.logs import read_log
 
 HEADER_BYTES = 144
 SMALLEST_BYTES = 32
@@ -86,3 +89,22 @@ def test_a_container_whose_packed_part_ends_early_or_is_none(tmp_path: Path) -> 
         assert found is not None
         assert found[0] == HEADER_BYTES
         assert found[1].startswith(problem)
+
+
+def test_frames_behind_a_marker_are_read_wherever_a_container_ends(tmp_path: Path) -> None:
+    """Vector's programs write a marker of 24 bytes more than they state; everything behind it was lost."""
+    with can.BLFWriter(tmp_path / "a.blf") as writer:
+        for number in range(4):
+            writer.on_message_received(can.Message(timestamp=number + 1.0, arbitration_id=0x123, data=bytes([number] * 8)))
+    whole = (tmp_path / "a.blf").read_bytes()
+    frames = zlib.decompress(whole[HEADER_BYTES + 32 :])
+    frame = len(frames) // 4
+    texts = struct.pack("<3L", 7, 4, 12) + bytes(12) + b"harvest" + b"rain" + b"it is raining"[:12]
+    marker = (struct.pack("<4sHHLL", b"LOBJ", 32, 1, 72 + 23 - 24, 96) + bytes(16 + 16) + texts) + bytes(1)
+    content = frames[:frame] + marker + frames[frame:]
+    for at in range(len(content) + 1):
+        path = log(tmp_path / "b.blf", *(container(part, packed=True) for part in (content[:at], content[at:])))
+        path.write_bytes(whole[:HEADER_BYTES] + path.read_bytes()[HEADER_BYTES:])
+        notes = LogNotes()
+        assert [message.data[0] for message in read_log(path, notes)] == [0, 1, 2, 3], at
+        assert notes.damages == []

@@ -10,12 +10,13 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import can
 
 from yieldmon.bus.log_files import capture, mf4
 from yieldmon.bus.log_files.blf_check import first_flaw
+from yieldmon.bus.log_files.blf_reading import Blf
 from yieldmon.bus.log_files.frame_check import impossible
 from yieldmon.bus.log_files.gunzip import early_end_of, open_bytes
 from yieldmon.bus.log_files.log_notes import LogNotes
@@ -76,8 +77,7 @@ def _binary_reader(path: Path, suffix: str, end: int | None) -> Any:
         return Mf4Log(path)
     if suffix in capture.SUFFIXES:
         return capture.Capture(path)
-    reader = cast("Any", can.io.player.MESSAGE_READERS[suffix])
-    return reader(str(path)) if end is None else reader(io.BufferedReader(_Head(path, end)))
+    return Blf(str(path)) if end is None else Blf(io.BufferedReader(_Head(path, end)))
 
 
 class _Head(io.RawIOBase):
