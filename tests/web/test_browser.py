@@ -20,8 +20,9 @@ import pytest
 from tests.service.bench import running
 from tests.web.browser import CAB, OFFICE, Watched, chromium, opened
 from tests.web.standin import StandIn, fault, page, standing_in
+from yieldmon.files import parameter_file
 from yieldmon.service.operator.control_client import ask as ask_daemon
-from yieldmon.service.storage.batch import FaultEvent, Load, SweepRecord
+from yieldmon.service.storage.batch import FaultEvent, Load, ParameterVersion, SweepRecord
 
 pytest.importorskip("playwright")
 pytestmark = pytest.mark.skipif(chromium() is None, reason="needs chromium (Debian: apt-get install chromium)")
@@ -379,6 +380,26 @@ def many_points(count: int, west_deg: float = 12.15) -> bytes:
     longitude = (longitude + 180.0) % 360.0 - 180.0
     places = [np.round(column * 1e7).astype("<i4").tobytes() for column in (longitude, latitude)]
     return b"".join((struct.pack("<II", count, count), *places, np.sin(number / 50.0).astype("<f4").tobytes()))
+
+
+def test_the_history_on_a_phone_has_rows_of_some_lines_and_charts_of_some_days(browser: Browser, tmp_path: Path) -> None:
+    """Of long names and faults, and of parameters that have one version."""
+    said = "samples for 96 % of the second, no frame missing: if this persists, check rate_hz"
+    with standing_in(tmp_path, field_name="far behind the old station, on the left of the river, 12b") as daemon:
+        version = ParameterVersion(1, daemon.start_s, "file", parameter_file.to_document(parameter_file.load()))
+        daemon.commit(parameter_versions=(version,), faults=(FaultEvent(daemon.start_s, "FramesLost", True, said),))
+        daemon.seconds(60)
+        with page(daemon.socket) as site, Watched(browser, {"width": 390, "height": 844}) as watched:
+            watched.page.goto(site + "/history")
+            watched.wait("document.querySelectorAll('.charts figure [data-seconds]').length === 3")
+            seconds = watched.page.evaluate(
+                "[...document.querySelectorAll('[data-seconds]')].map(e => Number(e.dataset.seconds))"
+            )
+            assert seconds == [2 * 86_400] * 3
+            watched.wait(f"{TEXT}.includes('check rate_hz')")
+            heights = watched.page.evaluate("[...document.querySelectorAll('tbody tr')].map(row => row.offsetHeight)")
+            assert max(heights) < 130
+            same_site(watched, site)
 
 
 def test_110_000_points_are_drawn_and_moved(browser: Browser, tmp_path: Path) -> None:

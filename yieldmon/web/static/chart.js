@@ -14,6 +14,7 @@ function moment(seconds, step) {
 export class BandChart {
   #plot;
   #element;
+  #moments = 0;
 
   constructor(element, { height = 0, steps = false, points = false } = {}) {
     this.#element = element;
@@ -26,7 +27,7 @@ export class BandChart {
         ...this.#size(height),
         legend: { show: false },
         cursor: { show: false },
-        scales: { x: { time: true }, y: { range: (_, low, high) => this.#range(low, high) } },
+        scales: { x: { time: true, range: (_, from, to) => this.#span(from, to) }, y: { range: (_, low, high) => this.#range(low, high) } },
         axes: [{ ...axis, space: 80, values: (_, at, __, ___, step) => at.map((seconds) => moment(seconds, step)) }, { ...axis, size: 56 }],
         series: [
           {},
@@ -46,6 +47,13 @@ export class BandChart {
     return { width: Math.max(50, this.#element.clientWidth), height: height || Math.max(50, this.#element.clientHeight) };
   }
 
+  // Around one moment alone the days beside it: by itself uPlot shows years.
+  #span(from, to) {
+    const [first, last] = this.#moments === 1 ? [from - DAY, from + DAY] : [from, to];
+    this.#element.dataset.seconds = last - first;
+    return [first, last];
+  }
+
   #range(low, high) {
     if (low === null || high === null) return [0, 1];
     const margin = 0.05 * (high - low) || 0.05 * Math.abs(high) || 1;
@@ -55,6 +63,7 @@ export class BandChart {
   // time: Unix seconds; value and deviation: null where not known.
   show(time, value, deviation) {
     const side = (sign) => value.map((v, i) => (v === null || deviation[i] === null ? null : v + sign * deviation[i]));
+    this.#moments = time.length;
     this.#plot.setData([time, value, side(1), side(-1)]);
   }
 }

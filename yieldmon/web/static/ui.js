@@ -73,6 +73,8 @@ export function time(seconds) {
   return seconds === null ? "-" : new Date(1000 * seconds).toLocaleString("sv").slice(0, 16);
 }
 
+// From so many letters on a column is wide enough to read, on a phone beyond its edge.
+const LONG = 30;
 const MOMENT = /^\d{4}-\d\d-\d\d \d\d:\d\d$/;
 
 export function table(element, columns, rows) {
@@ -82,7 +84,7 @@ export function table(element, columns, rows) {
     const line = make("tr");
     for (const [, cell, isNumber] of columns) {
       const text = String(cell(row));
-      line.append(make("td", text, isNumber ? "number" : MOMENT.test(text) ? "moment" : ""));
+      line.append(make("td", text, isNumber ? "number" : MOMENT.test(text) ? "moment" : text.length >= LONG ? "long" : ""));
     }
     return line;
   });
