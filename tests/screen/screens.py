@@ -52,8 +52,8 @@ ZERO_FAULT = {
 MANY_FAULTS = [{**ZERO_FAULT, "code": f"{ZERO_FAULT['code']}{letter}"} for letter in "ABCDEFGH"]
 
 
-def traffic(seconds: int = 12) -> Traffic:
-    """Traffic of every message of ours, a factory monitor's, and two that are nobody's."""
+def traffic(seconds: int = 12, silent_s: float = 0.0) -> Traffic:
+    """Traffic of every message of ours, a factory monitor's, and two that are nobody's; silent_s: with none since."""
     found = Traffic(CODEC)
     for tick in range(seconds * 20 + 1):
         at = 100.0 + 0.05 * tick
@@ -61,6 +61,8 @@ def traffic(seconds: int = 12) -> Traffic:
             found.observe(message)
         if tick % 5 == 0:
             found.mark(at)
+    if silent_s > 0.0:
+        found.mark(at + silent_s)
     return found
 
 
@@ -119,6 +121,9 @@ SCREENS: dict[str, tuple[RenderableType, int, int]] = {
         "cab-zeroing": _cab(**ZEROING),
         "cab-question": _cab(prompt="load 7 weighed 9,120 kg: right? y n"),
         "cab-from-frames": Cab(from_frames(traffic()), Units(), "", View(cab=True)),
+        "cab-from-old-frames": Cab(from_frames(traffic(silent_s=30.0)), Units(), "", View(cab=True)),
+        "cab-no-monitor": Cab(from_frames(Traffic(CODEC)), Units(), "", View(cab=True)),
+        "bus-old-frames": Screen(traffic(silent_s=30.0), View(source="socketcan can0")),
     }.items()
 }
 

@@ -32,6 +32,8 @@ from .traffic import Traffic
 
 Status = Mapping[str, Any]
 KEYS = "l load  x crop  t ticket  z zero  w sweep  u units  c bus  space pause  q quit"
+NO_MONITOR = "no monitor on the bus"
+"""In place of a state."""
 _BESIDE = 16
 """Columns of a line with two figures beside these."""
 _GOOD = ("harvesting", "sweeping", "not_harvesting")
@@ -152,7 +154,7 @@ class Cab:
         """Each fault with its remedy; where there is no room for all, the last line counts those that are left out."""
         faults = self._status["faults"]
         if not faults:
-            return [Text(" no faults", style="green")]
+            return [Text("" if self._status["state"] == NO_MONITOR else " no faults", style="green")]
         paragraphs = []
         for fault in faults:
             detail = f" ({self._units.in_text(fault['detail'])})" if fault["detail"] else ""
@@ -176,9 +178,10 @@ class Cab:
 
 def from_frames(traffic: Traffic) -> Status:
     """What frames report of a monitor on the bus, in the shape of a daemon's status."""
-    flow, mass, state = (traffic.latest(name) for name in (MASS_FLOW, ACCUMULATED_MASS, YIELD_MONITOR_STATUS))
-    plate, grain, moving = (traffic.latest(name) for name in (PLATE_ACTUATOR_FEEDBACK, GRAIN_CONDITION, VEHICLE_DIRECTION_SPEED))
-    calibration = traffic.latest(SELF_CALIBRATION_STATUS)
+    mass, state = (traffic.latest(name) for name in (ACCUMULATED_MASS, YIELD_MONITOR_STATUS))
+    flow, calibration = (traffic.fresh(name) for name in (MASS_FLOW, SELF_CALIBRATION_STATUS))
+    plate, grain, moving = (traffic.fresh(name) for name in (PLATE_ACTUATOR_FEEDBACK, GRAIN_CONDITION, VEHICLE_DIRECTION_SPEED))
+    silent_s = traffic.overdue_s(YIELD_MONITOR_STATUS)
 
     def signal(frame: Any, name: str) -> float | None:
         value: Value | None = frame.signals[name] if frame is not None else None
@@ -188,9 +191,9 @@ def from_frames(traffic: Traffic) -> Status:
     number, operating = signal(mass, "LoadNumber"), signal(state, "OperatingState")
     speed_km_h = signal(moving, "NavigationSpeed")
     return {
-        "state": "no monitor on the bus" if operating is None else OperatingState(int(operating)).name.lower(),
-        "stale": False,
-        "age_s": 0.0,
+        "state": NO_MONITOR if operating is None else OperatingState(int(operating)).name.lower(),
+        "stale": silent_s is not None,
+        "age_s": silent_s or 0.0,
         "zero_waits_for": None,
         "crop": {"name": "", "bushel_kg": None, "market_moisture_pct": None},
         "now": {

@@ -84,9 +84,9 @@ class Screen:
         traffic, units = self._traffic, self._view.units
         flow, quality = self._flow()
         unit = units.flow_unit
-        mass, calibration = traffic.latest(ACCUMULATED_MASS), traffic.latest(SELF_CALIBRATION_STATUS)
-        plate, status = traffic.latest(PLATE_ACTUATOR_FEEDBACK), traffic.latest(YIELD_MONITOR_STATUS)
-        spread = traffic.latest(MASS_FLOW)
+        mass, calibration = traffic.latest(ACCUMULATED_MASS), traffic.fresh(SELF_CALIBRATION_STATUS)
+        plate, status = traffic.fresh(PLATE_ACTUATOR_FEEDBACK), traffic.latest(YIELD_MONITOR_STATUS)
+        spread, silent_s = traffic.fresh(MASS_FLOW), traffic.overdue_s(YIELD_MONITOR_STATUS)
         around = units.flow(_number(spread.signals["MassFlowStdDev"])) if spread else f"{UNKNOWN} {unit.name}"
         side = [
             f"{'+-' if plain else '±'} {around}   {quality}",
@@ -113,7 +113,8 @@ class Screen:
         else:
             on = [name for name, value in status.signals.items() if name != "OperatingState" and value == 1]
             active = f"faults: {', '.join(on)}" if on else "no faults"
-            lines += wrapped(f"{state}   {active}", width, style="bold red" if on else "green")
+            old = f"   STALE: as it was {silent_s:.0f} s ago" if silent_s is not None else ""
+            lines += wrapped(f"{state}   {active}{old}", width, style="bold red" if on or old else "green")
         return [*lines, rule(width, plain=plain)]
 
     def _flow(self) -> tuple[float | None, str]:

@@ -174,6 +174,16 @@ class Traffic:
         row = self._by_name.get(name)
         return self.decoded(row) if row is not None else None
 
+    def fresh(self, name: str) -> Frame | None:
+        """The same, None also where its next frame is overdue."""
+        row = self._by_name.get(name)
+        return None if row is None or row.is_stale(self.now_s) else self.decoded(row)
+
+    def overdue_s(self, name: str) -> float | None:
+        """Age of the last frame of a message of ours whose next one is overdue, s; None where none is."""
+        row = self._by_name.get(name)
+        return row.age_s(self.now_s) if row is not None and row.is_stale(self.now_s) else None
+
     @property
     def factory_kg_s(self) -> float | None:
         """What a factory monitor on the bus said within the last seconds, None where there is none."""

@@ -40,6 +40,7 @@ class CabView:
         self.dialog = Dialog(mass, _shipped_crop, _shipped_crops)
         self._system: str | None = args.units
         self._status: Status | None = None
+        self._said = "metric", ""
         self._heard_s = time.monotonic()
 
     def look(self) -> None:
@@ -57,8 +58,10 @@ class CabView:
     def screen(self, traffic: Traffic) -> RenderableType:
         """What to draw now."""
         status = self._status
-        crop = status["crop"]["name"] if status is not None else ""
-        self.view.units = units_of(self._system, status["units"] if status is not None else "metric", crop)
+        if status is not None:
+            # Those of a daemon that answers no more stay.
+            self._said = status["units"], status["crop"]["name"]
+        self.view.units = units_of(self._system, *self._said)
         if not self.view.cab:
             return Screen(traffic, self.view)
         shown = from_frames(traffic) if status is None else aged(status, time.monotonic() - self._heard_s)
