@@ -165,6 +165,11 @@ def test_a_capture_that_is_cut_off_is_read_up_to_there(tmp_path: Path, suffix: s
         (b"not a capture at all", "neither a pcap nor a pcapng"),
         (pcap([packet(FRAMES[0])[:12]]), "a frame that is cut off; capture whole packets"),
         (pcap([struct.pack(">IBB", 1, 0x80, 0x80) + bytes(20)]), "a CAN XL frame, which is not read"),
+        # 0x123 as CSS Electronics' converter writes it.
+        (
+            pcap([packet((0x23010000, 2, 0, b"\1\2"), SLL)], SLL),
+            "identifiers with their bytes in reverse, as `mdf2pcap` writes them",
+        ),
     ],
 )
 def test_what_is_no_capture_of_a_can_bus_is_refused_in_a_line(tmp_path: Path, content: bytes, problem: str, capsys) -> None:

@@ -32,6 +32,8 @@ _HEADS = {_SOCKETCAN: (0, None), _SLL: (16, 14), _SLL2: (20, 0)}
 _CAN_PROTOCOLS = (0x000C, 0x000D)
 _FRAME = struct.Struct(">IBBH")
 _BIT_RATE_SWITCH, _ERROR_STATE, _FD = 0x01, 0x02, 0x04
+_LARGEST_ERROR = 0xFFFF
+"""Kinds of errors in an identifier; Linux knows those up to 0x200."""
 _XL = 0x80
 """In the place of a length."""
 
@@ -184,6 +186,10 @@ def _message(interface: _Interface, time_s: float, packet: bytes) -> can.Message
     is_remote, is_error = bool(identifier & REMOTE_FLAG), bool(identifier & ERROR_FLAG)
     if len(data) < length and not is_remote:
         raise ValueError("a frame that is cut off; capture whole packets")
+    if is_error and identifier & LARGEST_EXTENDED_ID > _LARGEST_ERROR:
+        raise ValueError(
+            "identifiers with their bytes in reverse, as `mdf2pcap` writes them; expected the recording that it converts"
+        )
     # Behind the length of a classic frame there may be anything: programs that send leave it as it was.
     are_flags = not reserved and not flags & ~(_BIT_RATE_SWITCH | _ERROR_STATE | _FD)
     is_fd = length > CLASSIC_BYTES or (are_flags and bool(flags & _FD))
