@@ -63,6 +63,21 @@ def test_a_trickle_too_small_to_see_pulls_it_by_no_more_than_its_own_force() -> 
     assert np.nanmax(found) <= 150.0 + 0.1 * 4.0 / 0.4448 + 0.4
 
 
+def turns(time_s: float) -> float:
+    """12 kg/s for 32 s, then 12 s without crop, in which the last grain comes within seconds."""
+    into_s = (time_s - 1010.0) % 44.0
+    if time_s < 1010.0:
+        return 0.0
+    return 12.0 * (1.0 - np.exp(-into_s / 0.7)) if into_s < 32.0 else 12.0 * np.exp(-(into_s - 32.0) / 0.7)
+
+
+@pytest.mark.parametrize("bench", [Bench(), SHAKING], ids=["quiet", "shaking"])
+def test_the_last_grain_before_each_turn_does_not_pull_the_zero(bench: Bench) -> None:
+    found = zeros(replace(bench, flow=turns), 1200)
+    assert found[15:] == pytest.approx(150.0, abs=0.4)
+    assert found[600:].mean() == pytest.approx(150.0, abs=0.2)
+
+
 def test_no_zero_is_learnt_while_cutting() -> None:
     header = [Frame(1000.0 + 0.5 * i, bus.HARVEST_STATE, {"HeaderDown": 1, "WorkState": 1}) for i in range(60)]
     target = monitor()

@@ -102,6 +102,12 @@ class Model:
             self.refusal = self.waited_s + 1.0, None
 
     @property
+    def usual_mv(self) -> float:
+        """Half of the last windows read no more, half no less."""
+        levels = sorted(one.level_mv for one in self.last)
+        return (levels[(len(levels) - 1) // 2] + levels[len(levels) // 2]) / 2.0
+
+    @property
     def waited_s(self) -> float:
         return 0.0 if self.refusal is None else self.refusal[0]
 
@@ -139,11 +145,11 @@ class Model:
         rows = self.last
         if len(rows) == SETTLE and self.quiet(rows) and all(abs(one.level_mv - zero.mv) <= 4.0 for one in rows):
             found = self.learnt(rows)
-            self.zero = Zero(found.mv, zero.first_mv, found.speed, found.pulse_mv, found.beat_mv)
+            self.zero = Zero(self.usual_mv, zero.first_mv, found.speed, found.pulse_mv, found.beat_mv)
             self.known_s = rows[-1].end_s
 
     def follow(self, zero: Zero, shown: Shown) -> None:
-        away = self.last[0].level_mv - zero.mv
+        away = min(self.last[0].level_mv, self.usual_mv) - zero.mv
         if self.looks_empty and abs(away) <= 16.0:
             self.known_s, self.far_mv = shown.end_s, 0.0
             step = max(-0.25, min(0.25, away / 16.0))

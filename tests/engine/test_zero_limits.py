@@ -159,16 +159,33 @@ def test_limit(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("step_mv", "moved_mv"), [(2.0, 0.125), (-2.0, -0.125), (4.0, 0.25), (8.0, 0.25), (-8.0, -0.25), (16.0, 0.25), (16.5, 0.0)]
+    ("steps_mv", "moved_mv"),
+    [
+        ([2.0] * 4, 0.125),
+        ([-2.0] * 4, -0.125),
+        ([4.0] * 4, 0.25),
+        ([8.0] * 4, 0.25),
+        ([-8.0] * 4, -0.25),
+        ([16.0] * 4, 0.25),
+        ([16.5] * 4, None),
+        ([15.0, 2.0, 2.0, 2.0], 0.125),
+        ([2.0, 2.0, 2.0, 15.0], 0.125),
+        ([2.0, 8.0, 8.0, 8.0], 0.125),
+        ([8.0, 3.0, 1.0, 0.0], 0.125),
+    ],
+    ids=[
+        *["slowly", "slowly down", "at the fastest", "no faster", "no faster down", "as far as it follows", "too far"],
+        *["the last grain after a stop", "grain in the last second", "a trickle begins", "grain dies away"],
+    ],
 )
-def test_the_zero_follows_the_oldest_window_and_no_faster_than_its_rate(step_mv: float, moved_mv: float) -> None:
+def test_the_zero_follows_what_is_empty_of_the_last_windows(steps_mv: list[float], moved_mv: float | None) -> None:
     machine = known()
     machine.tracker.interrupt()
-    machine.sees(ZERO_MV + step_mv, *[ZERO_MV] * 2, harmonics=(4.0, 16.0))
+    machine.sees(*[ZERO_MV + step_mv for step_mv in steps_mv[:3]], harmonics=(4.0, 16.0))
     assert machine.zero_mv == ZERO_MV, "too few windows to say that it is empty"
-    machine.sees(ZERO_MV, harmonics=(4.0, 16.0))
-    assert machine.zero_mv == ZERO_MV + moved_mv
-    assert machine.tracker.known_s == (104.0 if moved_mv == 0.0 else 108.0)
+    machine.sees(ZERO_MV + steps_mv[3], harmonics=(4.0, 16.0))
+    assert machine.zero_mv == ZERO_MV + (moved_mv or 0.0)
+    assert machine.tracker.known_s == (104.0 if moved_mv is None else 108.0)
     state = machine.tracker.state
     assert state is not None
     assert (state.first_zero_mv, state.speed_rad_s, state.window_pulse_mv, state.vibration_mv) == (

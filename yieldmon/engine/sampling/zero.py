@@ -18,6 +18,7 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isfinite
+from statistics import median
 
 from yieldmon.engine.sampling.windows import Window, coherent_amplitudes
 from yieldmon.engine.settings import ZeroSettings
@@ -303,16 +304,16 @@ class ZeroTracker:
         if near and len(windows) == self._settings.settle_windows and self._quiet(windows):
             found = self._measured(windows)
             self._state = ZeroState(
-                found.zero_mv, state.first_zero_mv, found.speed_rad_s, found.window_pulse_mv, found.vibration_mv
+                _middle_level(windows), state.first_zero_mv, found.speed_rad_s, found.window_pulse_mv, found.vibration_mv
             )
             self.known_s = windows[-1].end_s
 
     def _follow(self, state: ZeroState, window: Window) -> None:
         settings = self._settings
-        # The oldest window's level: at the onset of a trickle the newest are loaded before their mean amplitude shows it.
-        step = self._recent[0].mean_mv - state.zero_mv
         if not self.looks_empty:
             return
+        # Grain only adds. A trickle that begins has loaded most windows before their mean amplitude shows it, but not the oldest.
+        step = min(self._recent[0].mean_mv, _middle_level(self._recent)) - state.zero_mv
         if abs(step) > settings.max_step_mv:
             self.far_mv = self._far_mv(state)
             return
@@ -370,6 +371,11 @@ def _pulse_mv(windows: Sequence[Window]) -> float:
 
 def _mean_level(windows: Sequence[Window]) -> float:
     return sum(window.mean_mv for window in windows) / len(windows)
+
+
+def _middle_level(windows: Sequence[Window] | deque[Window]) -> float:
+    """Median of the levels, above which the last grain after a stop is and a trickle that has just begun."""
+    return median([window.mean_mv for window in windows])
 
 
 def _mean_speed(windows: Sequence[Window] | deque[Window]) -> float:
