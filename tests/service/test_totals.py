@@ -46,9 +46,12 @@ def test_totals_are_archived_and_reset_and_stay_so(tmp_path: Path, capsys: pytes
         assert bench.status["store"]["note"] is None
 
 
-@pytest.mark.parametrize(("system", "whole_line"), [(UnitSystem.METRIC, False), (UnitSystem.METRIC, True), (UnitSystem.US, True)])
+@pytest.mark.parametrize(
+    ("system", "what"),
+    [(UnitSystem.METRIC, "figure"), (UnitSystem.METRIC, "line"), (UnitSystem.US, "line"), (UnitSystem.US, "number")],
+)
 def test_totals_are_reset_by_the_figure_that_status_shows(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], system: UnitSystem, whole_line: bool
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], system: UnitSystem, what: str
 ) -> None:
     with running(tmp_path, f"units: {system}\nbus: {{transmit_max_age_s: 60}}\n") as bench:
         bench.play(14, 0.0)
@@ -58,7 +61,9 @@ def test_totals_are_reset_by_the_figure_that_status_shows(
         assert main(["status", *socket]) == 0
         shown = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("total"))
         figure, around = shown.removeprefix("total").split("±")
-        assert main(["totals", "reset", *(f"{figure}±{around}" if whole_line else figure).split(), *socket]) == 0
+        number = figure.strip().removesuffix(" lb")
+        typed = {"line": f"{figure}±{around}", "figure": figure, "number": number.replace(",", "")}[what]
+        assert main(["totals", "reset", *typed.split(), *socket]) == 0
         assert capsys.readouterr().out == f"totals: {figure.strip()} set to 0; load 2 begins\n"
 
 

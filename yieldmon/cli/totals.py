@@ -74,6 +74,8 @@ def _named(args: argparse.Namespace) -> int:
     if typed.removesuffix("kg") == f"{total_kg:.0f}" or typed in map(_plain, shown):
         return round(total_kg)
     total = units_of(None, status["units"]).mass(total_kg)
+    if typed == _plain(total).removesuffix("lb"):
+        return round(total_kg)
     raise InputError("totals reset", f"the total is {total}", "this figure, to confirm the reset")
 
 
