@@ -239,13 +239,11 @@ class OpenLoop:
         self.parameters = parameters
         names = parameters.covariance_names
         base = {name: np.asarray(value) for name, value in parameters.values.items()}
-        self._base = base
         # One row as it is and one a parameter: a step of a thousandth of its standard deviation keeps the difference linear and
         # above rounding.
         steps = np.array([1e-3 * parameters.standard_deviation(name) for name in names])
         self._steps = steps
         moves = np.diag(steps)
-        self._curves = _curves_of(model, tuple(parameters.values.items()))
         self._rows = {
             name: value + (np.concatenate(([0.0], moves[names.index(name)])) if name in names else 0.0)
             for name, value in base.items()
@@ -330,7 +328,7 @@ class OpenLoop:
         mass_flow_kg_s : ndarray (g,)
             kg/s, rising from 0.
         """
-        throw = self._throw(plate_angle_rad, elevator_speed_rad_s, moisture_pct)
+        throw = _throw(self.model, self.parameters.values, plate_angle_rad, elevator_speed_rad_s, moisture_pct)
         mass, momentum = throw.load_curve(_ALONG_CURVE)
         passes = throw.passes_per_s
         return momentum * passes, mass * passes
@@ -350,37 +348,11 @@ class OpenLoop:
     def _inverted(
         self, force: Array, angle: Array, speed: Array, moisture: Array, varied: Throw | None = None
     ) -> tuple[Array, Array]:
-        """`invert_force`, begun near its end where that is known. varied: a throw at these settings, the first of whose sets of
-        parameters are ours."""
-        if self.model.needs_moisture:
-            return invert_force(self._throw(angle, speed, moisture), force)
-        shape = force.shape
-        if not force.size:
-            return np.empty(shape), np.empty(shape)
-        rows = [column.ravel() for column in (force, angle, speed)]
-        near = self._curves.near(*rows[1:])
-        sure = decided_by(near, rows[0], self.model.machine.passes_per_s(rows[2]))
-        flow, gain = np.empty(sure.shape), np.empty(sure.shape)
+        """As `inverted`. varied: a throw at these settings, the first of whose sets of parameters are ours."""
         missed = None
         if varied is not None:
-            missed = np.broadcast_to(varied.miss_rotation_rad[..., :1, :], (*shape, 1, 1)).reshape(-1, 1, 1)
-        for part, curve in ((sure, near[sure]), (~sure, None)):
-            if part.any():
-                force, angle, speed = (column[part] for column in rows)
-                throw = self._throw(angle, speed, None, None if missed is None else missed[part])
-                flow[part], gain[part] = invert_force(throw, force, near=curve)
-        return flow.reshape(shape), gain.reshape(shape)
-
-    def _throw(
-        self, angle: ArrayLike, speed: ArrayLike, moisture: ArrayLike | None, miss_rotation_rad: AnyArray | None = None
-    ) -> Throw:
-        return self.model.throw(
-            np.asarray(angle)[..., None],
-            np.asarray(speed)[..., None],
-            self._base,
-            None if moisture is None else np.asarray(moisture)[..., None],
-            miss_rotation_rad=miss_rotation_rad,
-        )
+            missed = np.broadcast_to(varied.miss_rotation_rad[..., :1, :], (*force.shape, 1, 1)).reshape(-1, 1, 1)
+        return inverted(self.model, self.parameters.values, force, angle, speed, moisture, missed)
 
     def _parameter_force_sd(self, flow: Array, throw: Throw | None) -> Array:
         """Standard deviation of the predicted force from the parameters' covariance, N. throw: with a set of parameters as they
@@ -395,6 +367,53 @@ class OpenLoop:
             for j in range(jacobian.shape[-1]):
                 variance = variance + jacobian[..., i] * jacobian[..., j] * self.parameters.covariance[i, j]
         return np.sqrt(np.maximum(variance, 0.0))
+
+
+def inverted(
+    model: ForwardModel,
+    values: Mapping[str, float],
+    force_n: Array,
+    plate_angle_rad: Array,
+    elevator_speed_rad_s: Array,
+    moisture_pct: Array | None = None,
+    miss_rotation_rad: AnyArray | None = None,
+) -> tuple[Array, Array]:
+    """`invert_force` of arrays of one shape, begun near its end where the load curve of these values is at hand.
+
+    miss_rotation_rad: (n, 1, 1), of the settings one after the other, where another throw has found it.
+    """
+    if model.needs_moisture:
+        return invert_force(_throw(model, values, plate_angle_rad, elevator_speed_rad_s, moisture_pct), force_n)
+    shape = force_n.shape
+    if not force_n.size:
+        return np.empty(shape), np.empty(shape)
+    rows = [column.ravel() for column in (force_n, plate_angle_rad, elevator_speed_rad_s)]
+    near = _curves_of(model, tuple(values.items())).near(*rows[1:])
+    sure = decided_by(near, rows[0], model.machine.passes_per_s(rows[2]))
+    flow, gain = np.empty(sure.shape), np.empty(sure.shape)
+    for part, curve in ((sure, near[sure]), (~sure, None)):
+        if part.any():
+            force, angle, speed = (column[part] for column in rows)
+            missed = None if miss_rotation_rad is None else miss_rotation_rad[part]
+            flow[part], gain[part] = invert_force(_throw(model, values, angle, speed, None, missed), force, near=curve)
+    return flow.reshape(shape), gain.reshape(shape)
+
+
+def _throw(
+    model: ForwardModel,
+    values: Mapping[str, float],
+    angle: ArrayLike,
+    speed: ArrayLike,
+    moisture: ArrayLike | None,
+    miss_rotation_rad: AnyArray | None = None,
+) -> Throw:
+    return model.throw(
+        np.asarray(angle)[..., None],
+        np.asarray(speed)[..., None],
+        values,
+        None if moisture is None else np.asarray(moisture)[..., None],
+        miss_rotation_rad=miss_rotation_rad,
+    )
 
 
 @lru_cache(maxsize=4)

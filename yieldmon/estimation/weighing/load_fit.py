@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yieldmon.estimation.load_pattern import following
-from yieldmon.estimation.open_loop import invert_force
+from yieldmon.estimation.open_loop import invert_force, inverted
 from yieldmon.estimation.other_monitor import with_bias, with_new_bias
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.recent import Recent
@@ -121,6 +121,9 @@ class LoadProblem:
         return self._flows.of(tuple(known.values.items()), lambda: self._inverted(known))
 
     def _inverted(self, known: ParameterSet) -> tuple[Array, Array]:
+        if known is self.start:
+            # A set in use: the seconds have asked for its load curve.
+            return inverted(self.model, known.values, self.force, self.angle, self.speed, self.moisture)
         moisture = None if self.moisture is None else self.moisture[:, None]
         self._throw = self.model.throw(self.angle[:, None], self.speed[:, None], known.values, moisture, like=self._throw)
         return invert_force(self._throw, self.force)
