@@ -267,6 +267,7 @@ _SCRIPTS = (
     _VERSION_13,
     _VERSION_14,
     _VERSION_15,
+    "",  # the monitor's state holds how a run ended, which an older version would take for damage
 )
 _SQL_KINDS = {float: "REAL", int: "INTEGER", str: "TEXT"}
 _WITHOUT = {float: "0.0", int: "0", str: "''"}
