@@ -74,3 +74,24 @@ def test_errors_come_through_a_pipe(error: InputError) -> None:
     assert (type(again), str(again), again.where) == (type(error), str(error), error.where)
     if isinstance(error, ConfigurationError):
         assert list(map(str, again.problems)) == list(map(str, error.problems))
+
+
+def test_no_more_run_at_a_time_than_asked_for(tmp_path: Path) -> None:
+    def others(name: str) -> int:
+        (tmp_path / name).touch()
+        time.sleep(0.05)
+        running = len(list(tmp_path.iterdir()))
+        (tmp_path / name).unlink()
+        return running
+
+    assert max(in_processes(others, list("abcdef"), processes=2)) <= 2
+
+
+def test_ctrl_c_of_a_terminal_is_for_the_one_that_waits() -> None:
+    """A terminal sends it to all of a program's processes."""
+
+    def interrupted(name: str) -> str:
+        os.kill(os.getpid(), signal.SIGINT)
+        return name
+
+    assert list(in_processes(interrupted, ["a", "b"], processes=2)) == ["a", "b"]

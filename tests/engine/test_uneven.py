@@ -99,6 +99,7 @@ def test_it_is_so_at_other_speeds(rpm: float, force_n: float) -> None:
         pytest.param([90.0, 0.0], {}, id="too few patterns"),
         pytest.param([90.0, 90.0, 90.0, 0.0, 0.0, 0.0], {"covered_s": 0.7}, id="not whole"),
         pytest.param([90.0, 90.0, 90.0, 0.0, 0.0, 0.0], {"surplus_frames": 1}, id="two senders"),
+        pytest.param([90.0, 90.0, 90.0, 0.0, 0.0, 0.0], {"samples": 50}, id="single samples of the pulses"),
         pytest.param([90.0, 90.0, 90.0, 0.0, 0.0, 0.0], {"saturated_share": 0.5}, id="cut off"),
         pytest.param([900.0, 0.0, 0.0, 0.0, 0.0, 0.0], {}, id="more than a paddle holds"),
     ],
@@ -107,3 +108,42 @@ def test_others_count_as_they_are(forces_n: list[float], of: dict[str, float]) -
     reading = second(forces_n, **of)
     assert reading.quality is None or forces_n[0] < 10.0
     assert even(reading) is reading or even(reading).force_n == reading.force_n
+
+
+def test_three_patterns_are_enough() -> None:
+    assert even(second([90.0, 90.0, 0.0])).force_n > 1.03 * 60.0
+
+
+def test_a_pattern_below_the_zero_has_no_flow() -> None:
+    below, none = second([90.0] * 3 + [-9.0] * 3), second([90.0] * 3 + [0.0] * 3)
+    assert even(replace(below, force_n=none.force_n)).force_n == pytest.approx(even(none).force_n)
+
+
+def test_a_mean_that_is_weighted_over_its_edges_changes_by_as_much_as_the_plain_one() -> None:
+    plain = second([90.0] * 3 + [0.0] * 3)
+    weighted = replace(plain, force_n=1.2 * plain.force_n)
+    assert flow_kg_s(even(weighted)) / flow_kg_s(weighted) == pytest.approx(flow_kg_s(even(plain)) / flow_kg_s(plain), rel=1e-3)
+
+
+class FromTheSecond(WithThreshold):
+    """A curve that there is from the second time on."""
+
+    asked = 0
+
+    def force_curve(self, *at: object) -> tuple[Array, Array]:
+        self.asked += 1
+        return super().force_curve(*at) if self.asked > 1 else (np.zeros(0), np.zeros(0))  # type: ignore[arg-type]
+
+
+def test_a_curve_that_there_is_not_yet_is_asked_for_again() -> None:
+    uneven, reading = UnevenSeconds(SETTINGS, MACHINE, FromTheSecond()), second([90.0] * 3 + [0.0] * 3)
+    found_n = [uneven.evened([reading])[0].force_n for _ in range(3)]
+    assert found_n[0] == reading.force_n < found_n[1] == found_n[2]
+
+
+@pytest.mark.parametrize("rpm", [351.0, 359.0, 367.0])
+def test_between_two_curves_it_is_as_on_them(rpm: float) -> None:
+    """By a curve for each speed: the flow as without steps of speed."""
+    reading = second([0.0] * 4 + [90.0] * 2, speed_rad_s=rpm * RPM)
+    wanted_kg_s = flow_kg_s(second([90.0] * 6, speed_rad_s=rpm * RPM)) / 3.0
+    assert flow_kg_s(even(reading)) == pytest.approx(wanted_kg_s, rel=0.007)

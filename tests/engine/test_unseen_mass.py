@@ -8,6 +8,7 @@ import pytest
 from engine_bench import Bench, Kept, monitor
 
 from yieldmon import frames as bus
+from yieldmon.engine.mass.unseen import FlowAtStop, UnseenMass
 from yieldmon.engine.state import EngineState
 
 SAMPLES, SPEED = (bus.IMPACT_SENSOR_SAMPLES,), (bus.ELEVATOR_SPEED,)
@@ -161,3 +162,47 @@ def test_a_machine_that_is_switched_off_in_grain_missed_nothing(hours: float) ->
         target.feed(frame._replace(time_s=frame.time_s + 40.0 + off_s))
     assert target.totals.load_kg == pytest.approx(before.load_kg, rel=0.05)
     assert target.totals.load_budget.std_dev_kg < before.load_budget.std_dev_kg + FLOW_KG_S
+
+
+#: Seconds that are not measured, after a flow of 10 kg/s: how many, whether no grain can have come in them, whether the bus is
+#: silent; then a flow, kg/s, and whether it shows that none can have come; kg that may have.
+GAPS = {
+    "no speed": ([(5.0, False, False)], (4.0, True), 35.0),
+    "the elevator stands": ([(5.0, True, False)], (4.0, True), 0.0),
+    "the elevator stands, and grain comes at once": ([(5.0, True, False)], (4.0, False), 35.0),
+    "no speed, then the elevator stands": ([(5.0, False, False), (5.0, True, False)], (4.0, True), 70.0),
+    "a silent bus of a minute": ([(30.0, False, True)] * 2, (4.0, False), 420.0),
+    "a silent bus of more than a minute": ([(30.0, False, True), (31.0, False, True)], (4.0, False), 244.0),
+    "and on": ([(61.0, False, True), (10.0, False, True)], (4.0, True), 284.0),
+    "no sensor for more than a minute": ([(61.0, False, False)], (4.0, True), 427.0),
+}
+
+
+@pytest.mark.parametrize("gap", GAPS)
+def test_what_a_gap_may_hold_by_what_was_silent(gap: str) -> None:
+    missing, (then_kg_s, whole), unseen_kg = GAPS[gap]
+    unseen = UnseenMass.since(FlowAtStop(1000.0, 10.0))
+    for seconds, none, silent in missing:
+        unseen.missing(seconds, whole=none, silent=silent)
+    assert unseen.measured(then_kg_s, whole=whole) == pytest.approx(unseen_kg)
+    assert unseen.measured(then_kg_s) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("stopped_s", "again_s", "unseen_kg"), [(1.9, 0.0, 0.0), (2.0, 0.0, 8.0), (20.0, 5.0, 100.0), (20.0, 1e6, 14400.0)]
+)
+def test_what_stops_may_hold_adds_up_to_an_hour_of_the_smaller_flow(stopped_s: float, again_s: float, unseen_kg: float) -> None:
+    first = UnseenMass.since(FlowAtStop(1000.0, 10.0))
+    first.resume(stopped_s)
+    second = UnseenMass.since(first.at_stop(1000.0, 10.0))
+    second.resume(again_s)
+    assert second.measured(4.0) == pytest.approx(unseen_kg)
+
+
+@pytest.mark.parametrize(("none", "unseen_kg"), [(False, 50.0), (True, 0.0)])
+def test_a_load_that_ends_in_a_gap_may_lack_the_flow_before(none: bool, unseen_kg: float) -> None:
+    unseen = UnseenMass.since(FlowAtStop(1000.0, 10.0))
+    unseen.missing(5.0, whole=none)
+    assert unseen.cut() == pytest.approx(unseen_kg)
+    unseen.missing(5.0, whole=False)
+    assert unseen.measured(4.0) == pytest.approx(35.0)
