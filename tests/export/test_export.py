@@ -22,6 +22,7 @@ from tests.seconds import measured_second
 from yieldmon import data_dictionary as ddi
 from yieldmon.cli import main as cli
 from yieldmon.errors import InputError
+from yieldmon.export import agleader
 from yieldmon.export.points import PointSettings, yield_points
 from yieldmon.export.taskdata import ENTRIES, binary_log, files, write
 from yieldmon.frames import EstimateQuality
@@ -236,6 +237,23 @@ def test_agleader_text_gives_the_same_yield(exported):
         assert kg_m2 == pytest.approx(point.yield_kg_m2, rel=3e-3)
         assert (moisture_pct, header) == (20.0, 33.0)
     assert lines[0][11:14] == ["F1:north", "L1:<1>", "corn"]
+
+
+@pytest.mark.parametrize("swath_m", [9.1, 4.57])
+def test_agleader_text_has_the_swath_that_was_given(exported, swath_m):
+    """9.1 m were written as 358 inches, 0.1 % less."""
+    with exported("p.txt", *WORDS, "--swath", str(swath_m)).open(encoding="ascii", newline="") as stream:
+        swaths_m = [float(line[6]) * 0.0254 for line in csv.reader(stream)]
+    assert swaths_m == pytest.approx([swath_m] * len(swaths_m), rel=3e-5)
+
+
+def test_agleader_text_of_half_seconds_has_each_second_once(tmp_path):
+    """Times of 0.5, 1.5 and 2.5 s were written as 0, 2 and 2; an interval of 1.25 s as 1."""
+    points = [dataclasses.replace(p, time_s=p.time_s + 0.4, duration_s=1.25) for p in yield_points(ROWS, SETTINGS)]
+    agleader.write(tmp_path / "p.txt", points, lambda _: ("north", "corn"))
+    lines = [line.split(",") for line in (tmp_path / "p.txt").read_text().splitlines()]
+    assert len({line[3] for line in lines}) == len(lines)
+    assert {line[4] for line in lines} == {"1.25"}
 
 
 #: The example line of Ag Leader's GPS 2000/2100 Operator's Manual (April 1998), page 8-7.

@@ -13,8 +13,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from yieldmon.files import whole_file
 from yieldmon.files.plain_text import quotable
+from yieldmon.files.whole_seconds import whole_seconds
 from yieldmon.units import KG_PER_LB, M_PER_IN
 
 from .points import YieldPoint
@@ -27,8 +30,9 @@ NO_LOAD = 0
 _DIFFERENTIAL_FIX, _PDOP, _ALTITUDE_FT = 1, 0.0, 0.0
 
 
-def line(point: YieldPoint, field: str, grain: str) -> str:
-    """One point. A moisture that is not known is 0, as these tools expect; position quality is not known to yieldmon either.
+def line(point: YieldPoint, time_s: int, field: str, grain: str) -> str:
+    """One point. time_s: its time in whole seconds. A moisture that is not known is 0, as these tools expect; position quality is
+    not known to yieldmon either.
 
     The format knows no way to write a double quote within a name: it becomes a single one.
     """
@@ -36,10 +40,10 @@ def line(point: YieldPoint, field: str, grain: str) -> str:
         f"{point.longitude_deg:.7f}",
         f"{point.latitude_deg:.7f}",
         f"{point.mass_flow_kg_s * LB_PER_KG:.3f}",
-        f"{round(point.time_s)}",
-        f"{point.duration_s:.0f}",
+        f"{time_s}",
+        f"{point.duration_s:.4g}",
         f"{point.distance_m * IN_PER_M:.1f}",
-        f"{point.swath_m * IN_PER_M:.0f}",
+        f"{point.swath_m * IN_PER_M:.2f}",
         f"{0.0 if point.moisture_pct is None else point.moisture_pct:.1f}",
         f"{HEADER_DOWN}",
         f"{point.pass_number}",
@@ -56,5 +60,7 @@ def line(point: YieldPoint, field: str, grain: str) -> str:
 
 def write(path: Path, points: Sequence[YieldPoint], names_of: Callable[[int | None], tuple[str, str]]) -> None:
     """One line a point. names_of: field and grain of a load, by its number; None for grain between loads."""
-    text = "".join(line(point, *names_of(point.load_number)) + "\r\n" for point in points)
+    times = whole_seconds(np.array([point.time_s for point in points])).tolist()
+    lines = (line(point, at, *names_of(point.load_number)) for point, at in zip(points, times, strict=True))
+    text = "".join(f"{one}\r\n" for one in lines)
     whole_file.write(path, text.encode("ascii", "replace"))

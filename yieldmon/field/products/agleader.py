@@ -1,7 +1,8 @@
 """Ag Leader advanced text, twice: `agleader_raw.txt` as measured, with no delay taken out, for Yield Editor and the like, and
 `agleader_clean.txt`, the points kept with their grain at its place.
 
-Columns and units as in the reader of this format. The cleaned text has one more, the last: that the delay was taken out.
+Columns and units as in the reader of this format; one row a second and machine. The cleaned text has one more, the last: that
+the delay was taken out.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from yieldmon.files.whole_file import scratch_for
 from yieldmon.units import KG_PER_LB, M_PER_FT, M_PER_IN
 
 from . import FILES
+from .text_rows import text_rows
 
 CHUNK = 50_000
 DOWN, UP = 33, 32
@@ -58,31 +60,32 @@ def _write(
     marks: np.ndarray | None = None,
 ) -> None:
     table = result.table
-    swath = table["width_m"] if width is None else width
+    found = text_rows(result, rows, flow=flow, moisture=moisture, width=table["width_m"] if width is None else width)
     names = {name: [_name(text) for text in table.labels[name].names] for name in ("field", "load", "crop", "product")}
     serial = [_serial(text) for text in table.labels["machine"].names]
     passes = result.steps.pass_number[result.steps.step_of_row]
     # With the header up a row belongs to the pass before it.
     passes = np.maximum.accumulate(passes) + 1 if len(passes) else passes
     with scratch_for(path) as scratch, scratch.open("w", encoding="ascii", errors="replace", newline="") as stream:
-        for first in range(0, len(rows), CHUNK):
-            part = rows[first : first + CHUNK]
+        for first in range(0, len(found.row), CHUNK):
+            here = slice(first, first + CHUNK)
+            part = found.row[here]
             fields = zip(
-                table["longitude_deg"][part].tolist(),
-                table["latitude_deg"][part].tolist(),
-                (np.nan_to_num(flow[part]) / KG_PER_LB).tolist(),
-                np.round(table["time_s"][part]).astype(np.int64).tolist(),
-                np.nan_to_num(table["interval_s"][part]).tolist(),
-                (np.nan_to_num(table["distance_m"][part]) / M_PER_IN).tolist(),
-                (np.nan_to_num(swath[part]) / M_PER_IN).tolist(),
-                np.nan_to_num(moisture[part]).tolist(),
+                found.longitude_deg[here].tolist(),
+                found.latitude_deg[here].tolist(),
+                (found.flow_kg_s[here] / KG_PER_LB).tolist(),
+                found.time_s[here].tolist(),
+                found.interval_s[here].tolist(),
+                (found.distance_m[here] / M_PER_IN).tolist(),
+                (found.width_m[here] / M_PER_IN).tolist(),
+                found.moisture_pct[here].tolist(),
                 np.where(down[part], DOWN, UP).tolist(),
                 passes[part].tolist(),
                 table.labels["machine"].codes[part].tolist(),
                 table.labels["field"].codes[part].tolist(),
                 table.labels["load"].codes[part].tolist(),
                 table.labels["crop"].codes[part].tolist(),
-                (np.nan_to_num(table["elevation_m"][part]) / M_PER_FT).tolist(),
+                (found.elevation_m[here] / M_PER_FT).tolist(),
                 [""] * len(part) if marks is None else marks[part].tolist(),
                 strict=True,
             )

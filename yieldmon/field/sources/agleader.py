@@ -30,6 +30,7 @@ from .columns.crop_names import crop_names
 from .columns.delimited import Rows, delimiter_of, encoding_of, has_decimal_comma, number, read_rows, rows_of
 from .columns.naming import QUANTITIES, plain_name, split_unit
 from .columns.positions import plausible
+from .columns.side_by_side import beside, numbered
 from .options import ReadOptions
 
 KIND = "Ag Leader text"
@@ -223,6 +224,11 @@ def _table(path: Path, rows: Rows, layout: _Layout, options: ReadOptions, of_hea
     )
     if options.width_m is not None:
         columns["width_m"] = np.full(rows.count, options.width_m)
+    codes = np.zeros(rows.count, np.int32) if machine is None else machine.codes
+    section = numbered(columns["longitude_deg"], columns["latitude_deg"], columns["width_m"], time, codes)
+    if section is not None:
+        columns["section"] = section
+        notes += (beside(section),)
     if layout.elevation is not None:
         columns["elevation_m"] = values[layout.elevation] * M_PER_FT
     labels = {name: rows.texts[column] for name, column in layout.labels.items() if column is not None}

@@ -26,7 +26,7 @@ from .positions import on_the_globe, plausible, without_marks
 from .raw_table import Raw
 from .repeated_rows import without_repeats
 from .row_times import ColumnTimes, column_times, row_times
-from .side_by_side import numbered
+from .side_by_side import beside, numbered
 
 _TABLE_NAMES = {
     "longitude": "longitude_deg",
@@ -71,7 +71,7 @@ def assemble(raw: Raw, where: str, kind: str, options: ReadOptions) -> HarvestTa
         section = numbered(*places, values["width"], clock.time_s, raw.machine_of_row)
         if section is not None:
             values["section"] = section
-            unknown += (f"rows of one time stand side by side: they are taken as {int(section.max())} sections of the header",)
+            unknown += (beside(section),)
     times = row_times(raw, values, clock, where)
     time = times.time_s
     held: tuple[str, ...] = ()

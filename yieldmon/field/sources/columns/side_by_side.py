@@ -75,6 +75,11 @@ def numbered(longitude: Array, latitude: Array, width_m: Array, time_s: Array, m
     return out
 
 
+def beside(section: Array) -> str:
+    """What is said of rows that are taken as sections. section: their numbers."""
+    return f"rows of one time stand side by side: they are taken as {int(section.max())} sections of the header"
+
+
 def _are_beside(groups: list[NDArray[np.intp]], x: Array, y: Array, width_m: Array) -> bool:
     """Whether rows of one time lie across the way, as far apart as they are wide."""
     along, across, apart = [], [], []
