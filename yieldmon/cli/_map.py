@@ -22,6 +22,7 @@ from yieldmon.field.header_place import FARTHEST_M, HeaderPlace
 from yieldmon.field.products import FILES, FORMATS, write_products
 from yieldmon.field.sources.options import ReadOptions
 from yieldmon.field.table import HarvestTable, Skipped, joined
+from yieldmon.field.units import known_crops
 from yieldmon.files import ticket_file
 from yieldmon.files.whole_file import real_path
 from yieldmon.units import UnitSystem
@@ -124,6 +125,11 @@ def _print_summary(result: harvest.HarvestMap) -> None:
         + (f"{middle:.2f} {crop_yield.name}{span}" if isfinite(middle) else "no yield: no point is kept")
     )
     lines += [note for note in result.notes if "cannot be estimated" not in note]
+    if result.system is UnitSystem.US and result.bushel_kg is None:
+        lines.append(
+            f"the bushel of {result.crop or 'an unknown crop'} is not known: yields are in lb/ac; expected --crop, one of "
+            f"{', '.join(known_crops())}"
+        )
     for line in lines:
         print(f"yieldmon: {line}", file=sys.stderr)
 

@@ -84,7 +84,7 @@ _ALIASES = {"roggen": "rye", "hafer": "oats"}
 
 def crop(name: str) -> Crop | None:
     """The crop that a file's name means, None for one that is not known (its bushel is then not known either)."""
-    plain = " ".join(name.lower().replace("_", " ").split())
+    plain = " ".join(name.lower().replace("_", " ").replace('"', " ").split())
     return known_crops().get(_ALIASES.get(plain, _NAMES.get(shipped_name(plain) or "", plain)))
 
 

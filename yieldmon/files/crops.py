@@ -22,15 +22,21 @@ _FILE = "config/crops.yaml"
 SHIPPED_CROP = "corn"
 """Of the shipped parameter file."""
 _NAMES = {
-    "corn": "maize, yellow corn, mais, körnermais, maiz, milho, majs, granturco, kukurydza, maissi",
+    # Corn wet: what John Deere's exports call corn for grain. All classes of corn have one bushel (7 CFR 810, subpart D).
+    "corn": (
+        "maize, yellow corn, corn yellow, white corn, corn white, corn wet, grain corn, corn grain, field corn, mais, "
+        "körnermais, maiz, milho, majs, granturco, kukurydza, maissi"
+    ),
     "soybean": (
         "soybeans, soy bean, soy beans, soya, soyabean, soyabeans, soya bean, soya beans, soy, sb, soja, sojabohne, "
         "sojabohnen, sojaböna, sojabönor, soia, feijão soja"
     ),
     "wheat": (
-        "winter wheat, spring wheat, durum, weizen, winterweizen, sommerweizen, hartweizen, trigo, blé, blé tendre, "
-        "blé dur, grano, frumento, vete, höstvete, vårvete, hvede, vinterhvede, vårhvede, hvete, høsthvete, vårhvete, "
-        "tarwe, wintertarwe, pszenica, vehnä"
+        "winter wheat, wheat winter, spring wheat, wheat spring, durum, durum wheat, wheat durum, hard red winter wheat, "
+        "wheat hard red winter, hard red spring wheat, wheat hard red spring, soft red winter wheat, wheat soft red winter, "
+        "soft white winter wheat, wheat soft white winter, weizen, winterweizen, sommerweizen, hartweizen, trigo, blé, "
+        "blé tendre, blé dur, grano, frumento, vete, höstvete, vårvete, hvede, vinterhvede, vårhvede, hvete, høsthvete, "
+        "vårhvete, tarwe, wintertarwe, pszenica, vehnä"
     ),
     "barley": (
         "winter barley, spring barley, malting barley, gerste, wintergerste, sommergerste, braugerste, cebada, "
@@ -55,6 +61,8 @@ _OTHER_CROPS = frozenset({"bete", "ruis"})
 """Names of crops that are not shipped, one slip from a name of one that is: beet, Finnish rye."""
 _OTHER_LETTERS = {"ø": "o", "æ": "ae", "ł": "l", "ß": "ss"}
 """Letters that are not a letter with a mark."""
+_BETWEEN_WORDS = str.maketrans(dict.fromkeys("_-,\"'", " "))
+"""As in `Corn, White` and in names that a program wrote with its quotation marks."""
 _SHORTEST_SLIP = 4
 """Letters; of shorter words, and one slip from shorter ones, many are another crop's."""
 _HEAP_OVER_TEST_WEIGHT = 1.49
@@ -115,7 +123,7 @@ def crops() -> Mapping[str, Crop]:
 def _plain(name: str) -> str:
     """A name as names are compared: small letters of the English alphabet, with one space between words."""
     small = "".join(_OTHER_LETTERS.get(letter, letter) for letter in name.casefold())
-    apart = unicodedata.normalize("NFKD", small.replace("_", " ").replace("-", " "))
+    apart = unicodedata.normalize("NFKD", small.translate(_BETWEEN_WORDS))
     return " ".join("".join(letter for letter in apart if not unicodedata.combining(letter)).split())
 
 

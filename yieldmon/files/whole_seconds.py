@@ -12,8 +12,8 @@ _TOGETHER = 0.5
 
 
 def whole_seconds(time_s: NDArray[np.float64]) -> NDArray[Any]:
-    """One clock's times to whole seconds. Where they lie about one fraction of a second that is taken off before they are rounded,
-    so that rows a second apart stay a second apart: halves would be rounded to one number by twos.
+    """One clock's times to whole seconds. Where they lie about one fraction of a second that is taken off before they are
+    rounded, so that rows a second apart stay a second apart: halves would be rounded to one number by twos.
 
     Parameters
     ----------
