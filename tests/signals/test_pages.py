@@ -119,7 +119,16 @@ def test_the_page_that_comes_most_is_written(tmp_path: Path) -> None:
         page = bytes([1, 0x20 if number % 10 == 0 else 0x50])
         frames.append((0.01 * number, 1000, page + struct.pack(">h", number) + bytes(4)))
     text = written(tmp_path, frames)
-    assert "impact_voltage: {dbc: pages.dbc, message: All, signal: Voltage, rate_hz: 90, mux: 5}" in text
+    assert "\n  impact_voltage: {dbc: pages.dbc, message: All, signal: Voltage, rate_hz: 90, mux: 5}\n" in text
+    # Whether each page has a sensor of its own the bus does not show.
+    assert (
+        "\n  # Voltage comes with mux 2, 5. A sensor each: take one. One sensor in all:"
+        "\n  # impact_voltage: {dbc: pages.dbc, message: All, signal: Voltage, rate_hz: 100, mux: [2, 5]}\n"
+    ) in text
+    for line in text.splitlines():
+        (tmp_path / "all.yaml").write_text(f"signals:\n  {line[4:]}\n")
+        if line.startswith("  # impact_voltage: {"):
+            assert load(tmp_path / "all.yaml").signals.bindings[0].pages == (2, 5)
 
 
 def test_each_sender_is_written_by_itself_and_no_line_twice(tmp_path: Path) -> None:

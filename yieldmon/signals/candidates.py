@@ -25,7 +25,8 @@ _FITS_ALIKE = 0.02
 class Candidate:
     """A signal that could serve a quantity.
 
-    unit: as the DBC says; mux: value of the multiplexer with which it is sent most; source: of the sender where the DBC does
+    unit: as the DBC says; mux: value of the multiplexer with which it is sent most, and every_mux all values with which it is,
+    where these are several, at every_rate_hz together; source: of the sender where the DBC does
     not distinguish it from others; node: the sender's NAME then, where it is known; moved: that node came from several
     addresses; span: lowest and highest value; not_available: raw values that the DBC's value table calls so; values: raw value
     and code of a switch whose names say that they differ; valid: the one signal of the message that says by 1 that it is; score:
@@ -39,6 +40,8 @@ class Candidate:
     unit: str
     rate_hz: float
     mux: int | None = None
+    every_mux: tuple[int, ...] = ()
+    every_rate_hz: float = 0.0
     source: int | None = None
     node: Name | None = None
     moved: bool = False
@@ -81,6 +84,8 @@ def candidates_of(survey: Survey) -> dict[str, list[Candidate]]:
                         unit=signal.bits.unit,
                         rate_hz=rate_hz,
                         mux=mux,
+                        every_mux=tuple(sorted(signal.pages)) if len(signal.pages) > 1 else (),
+                        every_rate_hz=message.rate_hz * sum(signal.pages.values()) / message.frames,
                         source=source,
                         node=node,
                         moved=node is not None and homes[node] > 1,

@@ -72,6 +72,7 @@ def mapping_text(survey: Survey, paths: Mapping[str, str]) -> str:
             used.update((free[0].message, signal) for signal in _samples(free[0], candidates))
             lines.append(f"  {quantity}: {entries.pop(0)}")
         lines += [f"  # or {quantity}: {entry}" for entry in entries]
+        lines += [f"  # {said}" for said in _every_page(free[0], paths, candidates)]
         lines += [f"  # {said}" for said in _alike(shown, candidates)]
         lines += [f"  # {said}" for alike in channels for said in _which_channel(alike)]
     lines += [
@@ -172,6 +173,15 @@ def _called(one: Candidate) -> str:
     return f"{one.message}.{one.signal}" + (f" ({', '.join(of)})" if of else "")
 
 
+def _every_page(found: Candidate, paths: Mapping[str, str], candidates: Mapping[str, Sequence[Candidate]]) -> list[str]:
+    """The entry of a signal that comes with several values of the multiplexer, for one sensor in all of them."""
+    if not found.every_mux:
+        return []
+    every = _entries(found, paths, candidates, every_page=True)[0]
+    values = ", ".join(map(str, found.every_mux))
+    return [f"{found.signal} comes with mux {values}. A sensor each: take one. One sensor in all:", f"{found.quantity}: {every}"]
+
+
 def _is_pulsed(found: Candidate) -> bool:
     """Whether a speed comes as a frequency of pulses or as the time between two."""
     return is_of_pulses(found.unit, found.span[1]) or period_s(found.unit) is not None
@@ -183,22 +193,26 @@ def _overlap(one: tuple[float, float], other: tuple[float, float]) -> bool:
     return both >= 0.5 * (max(one[1], other[1]) - min(one[0], other[0]))
 
 
-def _frames(found: Candidate) -> list[str]:
+def _frames(found: Candidate, *, every_page: bool) -> list[str]:
     """Keys that say which of the message's frames hold a candidate."""
-    page = [] if found.mux is None else [f"mux: {found.mux}"]
+    page = [] if found.mux is None else [f"mux: {list(found.every_mux) if every_page else found.mux}"]
     return page if found.valid is None else [*page, f"valid: {{{found.valid}: 1}}"]
 
 
-def _entries(found: Candidate, paths: Mapping[str, str], candidates: Mapping[str, Sequence[Candidate]]) -> list[str]:
-    """What a mapping says of a candidate: its sender by address, by NAME, or both, the better one first."""
+def _entries(
+    found: Candidate, paths: Mapping[str, str], candidates: Mapping[str, Sequence[Candidate]], *, every_page: bool = False
+) -> list[str]:
+    """What a mapping says of a candidate: its sender by address, by NAME, or both, the better one first. every_page: in all
+    pages that have it, not in the one that comes most."""
+    rate_hz = found.every_rate_hz if every_page else found.rate_hz
     keys = [f"dbc: {paths[found.dbc]}", f"message: {found.message}"]
     samples = _samples(found, candidates)
     if len(samples) > 1:
-        keys += [f"signals: [{', '.join(samples)}]", f"rate_hz: {found.rate_hz * len(samples):.4g}"]
+        keys += [f"signals: [{', '.join(samples)}]", f"rate_hz: {rate_hz * len(samples):.4g}"]
     else:
         keys.append(f"signal: {found.signal}")
         if found.quantity in IMPACT:
-            keys.append(f"rate_hz: {found.rate_hz:.4g}")
+            keys.append(f"rate_hz: {rate_hz:.4g}")
     if found.quantity in IMPACT and found.unit in BARE:
         keys += ["unit: counts", _COUNTS]
     if found.quantity in IMPACT and found.unit == "mV/V":
@@ -211,7 +225,7 @@ def _entries(found: Candidate, paths: Mapping[str, str], candidates: Mapping[str
         keys.append(f"not_available: {list(found.not_available)}")
     if found.values:
         keys.append(f"values: {{{', '.join(f'{raw}: {code}' for raw, code in found.values)}}}")
-    keys += _frames(found)
+    keys += _frames(found, every_page=every_page)
     if found.quantity == "elevator_speed" and of_another_shaft(found.message, found.signal):
         keys.append(_RATIO)
     sources = [] if found.source is None or found.moved else [f"source: {found.source}"]
