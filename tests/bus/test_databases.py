@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from yieldmon.bus.databases import MessageBits, load_messages
+from yieldmon.cli.main import main
 from yieldmon.errors import InputError
 from yieldmon.service.config import configuration
 
@@ -130,3 +131,64 @@ def test_a_message_that_is_there_again_with_the_same_signals_counts_once(tmp_pat
     path = tmp_path / "c.yaml"
     path.write_text("signals:\n  tank_mass: {dbc: m.dbc, message: Shaft, signal: Load}\n")
     assert [group.message.frame_id for group in configuration.load(path).signals.groups] == [0x18FEF1FE]
+
+
+OTHER = 'BO_ 7 Other: 8 A\n SG_ X : 0|8@1+ (1,0) [0|0] "%" A\n\n'
+ODD = 'BO_ 9 Odd: 8 A\n SG_ Y : 0|8@1+ (1,0) [0|0] "" A\n SG_ Z : 8|8@1+ (1,0) [0|0] "" A\n\n'
+
+
+@pytest.mark.parametrize(
+    ("odd", "name", "said"),
+    [
+        (ODD.replace("SG_ Z", "SG_ 2Z"), "Odd", "`SG_ 2Z : 8|8@1"),
+        (ODD.replace("SG_ Y", "SG_ Y-1"), "Odd", "`SG_ Y-1 : 0|8@1"),
+        (ODD.replace("8@1+ (1,0)", "8@1+ (0,5,0)"), "Odd", "(0,5,0)"),
+        (ODD.replace("9 Odd", "9 4Odd"), "4Odd", "`BO_ 9 4Odd: 8 A` is no line of a DBC"),
+        (ODD.replace("BO_ 9", "BO_ 5000000000"), "Odd", "the identifier 5000000000 has more than 29 bits"),
+    ],
+)
+def test_a_message_that_no_dbc_may_have_leaves_the_others(
+    tmp_path: Path, odd: str, name: str, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One such name refused a maker's whole file."""
+    text = PLAIN.replace("BA_DEF_ BO_", OTHER + odd + "BA_DEF_ BO_").replace("VAL_ 25", 'VAL_ 9 2Z 0 "off" ;\nVAL_ 25')
+    found: dict[str, MessageBits] = messages(tmp_path, text)  # type: ignore[assignment]
+    plain: dict[str, MessageBits] = messages(tmp_path, PLAIN)  # type: ignore[assignment]
+    assert found["Shaft"] == plain["Shaft"]
+    assert list(found["Other"].signals) == ["X"]
+    assert not found[name].signals
+    assert said in found[name].contradiction
+    path = tmp_path / "c.yaml"
+    (tmp_path / "m.dbc").write_text(text)
+    path.write_text("signals:\n  moisture: {dbc: m.dbc, message: Other, signal: X}\n")
+    assert [group.message.name for group in configuration.load(path).signals.groups] == ["Other"]
+    path.write_text(f"signals:\n  moisture: {{dbc: m.dbc, message: {name}, signal: Y}}\n")
+    with pytest.raises(InputError) as refused:
+        configuration.load(path)
+    assert said in str(refused.value)
+    (tmp_path / "bus.log").write_text("(0.0) can0 007#1100000000000000\n(1.0) can0 009#1100000000000000\n")
+    assert main(["signals", str(tmp_path / "bus.log"), "--dbc", str(tmp_path / "m.dbc")]) == 0
+    shown = capsys.readouterr()
+    assert f"message ignored: {name}: " in shown.err
+    assert "Y" not in shown.out.split()
+
+
+@pytest.mark.parametrize(
+    "odd",
+    [
+        ODD.replace("SG_ Z", "SG_ 2Z") + ODD.replace("9 Odd", "9 Again"),
+        ODD.replace("BO_ 9 Odd", "BO_9 Odd"),
+        ODD.replace("BO_ 9 Odd", "BO_ x Odd"),
+        ODD.replace('"" A', '" A', 1),
+    ],
+)
+def test_what_may_belong_to_another_message_refuses_the_file_or_that_message(tmp_path: Path, odd: str) -> None:
+    """Signals below a line that is not seen as a message's would be those of the message before."""
+    try:
+        found: dict[str, MessageBits] = messages(  # type: ignore[assignment]
+            tmp_path, PLAIN.replace("BA_DEF_ BO_", OTHER + odd + "BA_DEF_ BO_").replace("BS_:", "BS_: 1:1,2")
+        )
+    except InputError:
+        return
+    assert not {"Y", "Z"} & {signal for message in found.values() for signal in message.signals}
+    assert "Other" not in found or found["Other"].contradiction

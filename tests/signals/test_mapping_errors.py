@@ -119,7 +119,7 @@ CASES = {
     "a signal beyond the message": ("plate_angle: {dbc: beyond.dbc, message: Linear, signal: Tilt}", "beyond.dbc", "Tilt", "fit"),
     "more than 29 bits": (
         "plate_angle: {dbc: marks.dbc, message: Linear, signal: Tilt}",
-        "marks.dbc", "11 bits", "Linear",
+        "marks.dbc", "more than 29 bits", "Linear",
     ),
     "the null address": (
         "elevator_speed: {dbc: counts.dbc, message: EEC1, signal: EngineSpeed, source: 0xFE}",

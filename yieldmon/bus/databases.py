@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from yieldmon.bus import dbc_file
+from yieldmon.bus.dbc_essentials import LeftOut
 from yieldmon.bus.layout import largest_valid_raw, smallest_not_available_raw
 from yieldmon.errors import InputError
-from yieldmon.identifiers import CLASSIC_BYTES, group_of
+from yieldmon.identifiers import CLASSIC_BYTES, EXTENDED_FLAG, group_of
 from yieldmon.repeats import repeated
 
 if TYPE_CHECKING:
@@ -110,14 +111,16 @@ def load_messages(path: Path | str) -> dict[str, MessageBits]:
     `gnss_pos 0x13`. A message that stands there again with the same signals counts once.
 
     Makers' files often have a message whose signals overlap, do not fit or have a factor of 0, or two of one name and identifier
-    with different signals: it has no signals then, and `contradiction` says why.
+    with different signals, or a name or identifier that no DBC may have: it has no signals then, and `contradiction` says why.
     Raises InputError, one line, for a file that cannot be read, is no DBC, or is in an encoding other than UTF-8 or Windows-1252.
     """
     where, text = str(path), dbc_file.text_of(path)
-    database, renamed = dbc_file.parsed(where, text, strict=False), dbc_file.names_that_differ(text)
+    database, left_out = dbc_file.sound(where, text)
+    renamed = dbc_file.names_that_differ(text)
     if not database.messages:
         raise InputError(where, "names no message", "a DBC file")
     messages = [_with_differing_names(_message(message), renamed) for message in database.messages]
+    messages += [_left_out(one) for one in left_out]
     alike = set(repeated(message.name for message in messages))
     named = [
         replace(message, name=with_identifier(message.name, message.frame_id)) if message.name in alike else message
@@ -125,6 +128,13 @@ def load_messages(path: Path | str) -> dict[str, MessageBits]:
     ]
     twice = set(repeated(message.name for message in named))
     return {message.name: _contradicted(message) if message.name in twice else message for message in named}
+
+
+def _left_out(found: LeftOut) -> MessageBits:
+    """A message that cannot be read, in its place: other messages take none of its frames."""
+    extended = found.number >= EXTENDED_FLAG
+    frame_id = found.number - EXTENDED_FLAG if extended else found.number
+    return MessageBits(found.name, frame_id, extended, CLASSIC_BYTES, None, {}, contradiction=f"{found.name}: {found.why}")
 
 
 def _with_differing_names(message: MessageBits, signals: Collection[tuple[int, str]]) -> MessageBits:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from yieldmon.bounded import read_whole
-from yieldmon.bus.dbc_essentials import essentials
+from yieldmon.bus.dbc_essentials import LeftOut, essentials, sound_part
 from yieldmon.errors import InputError
 from yieldmon.identifiers import EXTENDED_FLAG, LARGEST_EXTENDED_ID, LARGEST_STANDARD_ID
 
@@ -142,6 +142,18 @@ def parsed(where: str, text: str, *, strict: bool = True) -> Database:
         raise InputError(where, " ".join(str(error).split()), "a DBC file without contradictions") from error
     except _OTHER_ERRORS as error:
         raise InputError(where, f"cannot be read: {error!r}", "a DBC file") from error
+
+
+def sound(where: str, text: str) -> tuple[Database, tuple[LeftOut, ...]]:
+    """`parsed`, not strictly, and the messages that had to be left out for that: with a line that no DBC may have, or a number
+    that is no identifier."""
+    try:
+        return parsed(where, text, strict=False), ()
+    except InputError:
+        found = sound_part(text)
+        if found is None or not found[1]:
+            raise
+        return parsed(where, found[0], strict=False), found[1]
 
 
 def _loaded(text: str, strict: bool) -> Database:
