@@ -1,4 +1,4 @@
-"""ISO 11783-10 task data as measured: a task and a binary time log for each machine, zipped.
+"""ISO 11783-10 task data as measured: a task and a binary time log for each machine and field, zipped.
 
 No delay is taken out; it stands in the log as the latency of its values. The last total of a log is its measured mass.
 Layout: ISO 11783-10:2015; values by the data dictionary of ISO 11783-11.
@@ -17,6 +17,7 @@ from yieldmon import data_dictionary as ddi
 from yieldmon.field.grid import Grid
 from yieldmon.field.harvest import HarvestMap
 from yieldmon.field.table import Array
+from yieldmon.field.tracks import Flags, Index
 from yieldmon.files import task_data
 from yieldmon.files.whole_file import scratch_for
 from yieldmon.units import S_PER_DAY
@@ -33,13 +34,13 @@ ENTRIES = (
     task_data.Entry(ddi.WORK_STATE, "Actual work state", ""),
     task_data.Entry(ddi.LATENCY, "Actual value time latency", "ms"),
 )
+_NAMELESS = "field"
+"""Name of one that has none."""
 
 
 def write(folder: Path, result: HarvestMap, grid: Grid) -> list[Path]:
     """`taskdata.zip` with the folder TASKDATA in it."""
-    logs = [
-        log for log in (_log(result, stream, number + 1) for number, stream in enumerate(np.unique(result.steps.stream))) if log
-    ]
+    logs = [_log(result, mine, number) for number, mine in enumerate(_parts(result), 1)]
     if not logs:
         return []
     content = task_data.files_of(_tasks(result, logs), ENTRIES, [log for _, log in logs])
@@ -50,17 +51,36 @@ def write(folder: Path, result: HarvestMap, grid: Grid) -> list[Path]:
     return [path]
 
 
-def _log(result: HarvestMap, stream: int, number: int) -> tuple[str, task_data.Log] | None:
-    """The field of a machine's first row, and its log; None for one without positions and times."""
+def _parts(result: HarvestMap) -> list[Index]:
+    """The steps of each machine in each field, as far as it has a position and a time there; those of a field without any are
+    with the machine's first."""
     steps = result.steps
-    rows = np.flatnonzero((steps.stream == stream) & np.isfinite(steps.x_m) & np.isfinite(steps.time_s))
-    if not len(rows):
-        return None
+    _, first_row = np.unique(steps.step_of_row, return_index=True)
+    field = result.table.labels["field"].codes[first_row].copy()
+    placed = _placed(result)
+    parts = []
+    for stream in np.unique(steps.stream):
+        mine = steps.stream == stream
+        fields = list(dict.fromkeys(field[mine & placed].tolist()))
+        if fields:
+            field[mine & ~np.isin(field, fields)] = fields[0]
+        parts += [np.flatnonzero(mine & (field == one)) for one in fields]
+    return parts
+
+
+def _placed(result: HarvestMap) -> Flags:
+    return np.isfinite(result.steps.x_m) & np.isfinite(result.steps.time_s)
+
+
+def _log(result: HarvestMap, mine: Index, number: int) -> tuple[str, task_data.Log]:
+    """The field of some of a machine's steps, and their log."""
+    steps = result.steps
+    stream = steps.stream[mine[0]]
+    rows = mine[_placed(result)[mine]]
     longitude, latitude = steps.plane.to_deg(steps.x_m[rows], steps.y_m[rows])
     flow = np.nan_to_num(steps.flow_kg_s[rows])
     # Each row of a step has the step's time; what the rows without a position measured goes with the next that has one.
     mass = np.bincount(steps.step_of_row, np.nan_to_num(result.table["flow_kg_s"] * result.table["interval_s"]), len(steps))
-    mine = np.flatnonzero(steps.stream == stream)
     running = np.cumsum(mass[mine])
     total = running[np.searchsorted(mine, rows)]
     total[-1] = running[-1]
@@ -85,7 +105,7 @@ def _log(result: HarvestMap, stream: int, number: int) -> tuple[str, task_data.L
     first_row = int(np.flatnonzero(steps.step_of_row == rows[0])[0])
     first_s, last_s = float(time[0]), float(time[-1])
     first, last = (task_data.EPOCH + timedelta(seconds=since_s) for since_s in (first_s, last_s))
-    return label.names[label.codes[first_row]] or "field", task_data.Log(
+    return label.names[label.codes[first_row]] or _NAMELESS, task_data.Log(
         f"TLG{number:05d}",
         _records(time, longitude, latitude, raw),
         first,
@@ -129,13 +149,15 @@ def _tasks(result: HarvestMap, logs: list[tuple[str, task_data.Log]]) -> ET.Elem
         ET.SubElement(root, "CTP", A="CTP1", B=result.crop[:32])
     task_data.add_combine(root, ENTRIES)
     fields = {name: f"PFD{number + 1}" for number, name in enumerate(dict.fromkeys(field for field, _ in logs))}
-    area = round(result.totals.area_m2 / len(fields))
+    label = result.table.labels["field"]
+    area = np.bincount(label.codes, result.ground.area_m2, len(label.names))
     for name, key in fields.items():
-        ET.SubElement(root, "PFD", {"A": key, "C": _clean(name), "D": str(area)} | ({"G": "CTP1"} if result.crop else {}))
+        own = round(sum(m2 for one, m2 in zip(label.names, area.tolist(), strict=True) if (one or _NAMELESS) == name))
+        ET.SubElement(root, "PFD", {"A": key, "C": _clean(name), "D": str(own)} | ({"G": "CTP1"} if result.crop else {}))
     for number, (field, log) in enumerate(logs, 1):
         task_data.add_task(root, f"TSK{number}", f"Harvest {_clean(field)}"[:32], fields[field], log)
     return root
 
 
 def _clean(name: str) -> str:
-    return "".join(letter for letter in name if letter.isprintable())[:32] or "field"
+    return "".join(letter for letter in name if letter.isprintable())[:32] or _NAMELESS
