@@ -104,6 +104,29 @@ def test_an_undo_gives_each_load_and_the_totals_what_they_would_have(
     assert target.totals.total_kg == pytest.approx(whole.totals.total_kg, rel=5e-4)
 
 
+@pytest.mark.parametrize("command", [Monitor.start_load, Monitor.reset_totals], ids=["two loads", "totals reset"])
+def test_an_undo_states_a_load_of_which_nothing_was_counted_as_if_nobody_had_pressed_it(
+    command: Callable[[Monitor], object],
+) -> None:
+    frames, whole, target = BENCH.frames(72), monitor(), monitor()
+    for one in (whole, target):
+        feed(one, run_of([f for f in frames if f.time_s < 1036.0]))
+        if one is target:
+            one.calibrate_zero()
+        feed(one, run_of([f for f in frames if 1036.0 <= f.time_s < 1054.0]))
+        command(one)
+        feed(one, run_of([f for f in frames if 1054.0 <= f.time_s < 1064.0]))
+    assert target.totals.load_kg == 0.0
+    target.undo_zero()
+    for one in (whole, target):
+        feed(one, run_of([f for f in frames if f.time_s >= 1064.0]))
+    stated, expected = target.totals.load_budget, whole.totals.load_budget
+    assert stated.std_dev_kg == pytest.approx(expected.std_dev_kg, rel=0.03)
+    assert stated.noise_kg2 == pytest.approx(expected.noise_kg2, rel=0.2)
+    assert stated.zero_kg >= expected.zero_kg
+    assert target.totals.total_budget.std_dev_kg == pytest.approx(whole.totals.total_budget.std_dev_kg, rel=0.03)
+
+
 @pytest.mark.parametrize("reload_s", [1042.0, 1080.0], ids=["while it is taken", "after it"])
 def test_a_zero_is_taken_and_taken_back_across_a_reload(reload_s: float) -> None:
     loaded, frames = configuration.load(shipped("config/yieldmon.yaml"), {}), BENCH.frames(100)

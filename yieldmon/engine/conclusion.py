@@ -12,6 +12,7 @@ from yieldmon.engine.faults import FAULTS, FaultCode, Observation, Severity
 from yieldmon.engine.flow import Circumstances, Estimate, Flow, away_from_home
 from yieldmon.engine.flow_estimator import FlowEstimator
 from yieldmon.engine.health import conditions
+from yieldmon.engine.mass.budget import EMPTY, MassBudget
 from yieldmon.engine.mass.load_summary import LoadEvents
 from yieldmon.engine.mass.missed_mass import NO_LOAD, MissedMass
 from yieldmon.engine.mass.silences import Missing
@@ -190,7 +191,8 @@ class Conclusion:
         if missed_kg > 0.0:
             number = totals.load_number if totals.load_open else NO_LOAD
             self._parts.since_zero.add_scale(number, missed_kg)
-            loads.correct({number: MissedMass().plus(missed_kg, None, area_known=True)})
+            by_scale = MassBudget(noise_kg2=2.0 * self._parts.settings.reference_masses.scale_std_dev_kg**2)
+            loads.correct({number: MissedMass(budget=EMPTY).plus(missed_kg, None, area_known=True, budget=by_scale)})
         if totals.load_open and forces is not None:
             updater.masses.tickets.measured(totals.load_number, mass_kg, forces)
 

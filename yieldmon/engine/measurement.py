@@ -6,7 +6,7 @@ Comes before the flow: nothing here knows what an estimator makes of the force.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import degrees, hypot, isfinite, radians
+from math import degrees, hypot, isfinite, radians, sqrt
 
 from yieldmon.engine.inputs import InputSnapshot
 from yieldmon.engine.mass.gates import GateInputs, HarvestGate
@@ -251,6 +251,11 @@ class Measurement:
             return noise
         share = max(aliasing_share(source, machine, window.speed_rad_s) for source in self._aliasing)
         return hypot(noise, share * force_n) if share > 0.0 else noise
+
+    def scatter_n(self, force_n: float, speed_rad_s: float, seconds: float) -> float:
+        """Standard deviation of a mean force by the scatter of its paddles, as it is known now, N."""
+        paddles = speed_rad_s * self._machine.sprocket_pitch_radius_m / self._spacing_m * seconds
+        return abs(force_n) * sqrt(self._scatter.square / max(1.0, paddles))
 
     def _struck_at_rest(self, window: Window, force_n: float) -> bool:
         """Whether grain strikes the plate although the elevator is reported to stand."""

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from functools import partial
+
+from yieldmon.engine.budget_again import budgets
 from yieldmon.engine.mass.load_summary import LoadEvents
 from yieldmon.engine.mass.missed_mass import MissedMass
 from yieldmon.engine.parts import Parts
@@ -23,7 +26,9 @@ def undo(parts: Parts) -> tuple[dict[int, MissedMass], LoadEvents]:
     if known is None:
         raise ValueError("there is no zero calibration by an operator that could be undone")
     gain, on_n, least = parts.machine.sensor.gain_n_per_mv, settings.gate.grain_on_n, settings.windows.min_coverage
-    found = parts.since_zero.missed(known.zero_mv, parts.updater.estimator, gain, on_n, least, parts.loads.dry_kg)
+    found = parts.since_zero.missed(
+        known.zero_mv, parts.updater.estimator, gain, on_n, least, parts.loads.dry_kg, partial(budgets, parts)
+    )
     parts.since_zero.clear()
     parts.measurement.undo_zero()
     parts.updater.masses.zero_undone()

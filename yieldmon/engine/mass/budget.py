@@ -118,25 +118,20 @@ class MassBudget:
             motion_kg=self.motion_kg - before.motion_kg,
         )
 
-    def of_mass(self, before_kg: float, after_kg: float) -> MassBudget:
-        """Of a mass that was corrected from before_kg to after_kg: relatively the same; unknown where there was none before."""
-        if before_kg == after_kg:
-            return self
-        if not before_kg > 0.0:
-            return MassBudget.unknown()
-        factor = after_kg / before_kg
-        causes = (self.noise_kg2, self.parameters_kg, self.zero_kg, self.moisture_kg, self.motion_kg)
-        return MassBudget(*(cause * factor for cause in causes))
-
-    def with_missed(self, missed_kg: float, before_kg: float, after_kg: float) -> MassBudget:
+    def with_missed(self, missed_kg: float, before_kg: float, after_kg: float, again: MassBudget | None) -> MassBudget:
         """Of a mass that was corrected, before_kg to after_kg, by what a wrong zero had missed.
 
         Where the zero was doubted, its error held about as much, which it does not any more; all else is relatively the same.
+        Where there was no mass before, that of what was measured again comes to it; None: not known.
         """
-        known = self.of_mass(before_kg, after_kg)
-        if not self.zero_kg >= _DOUBTED_SHARE * abs(missed_kg) > 0.0:
-            return known
-        return replace(known, zero_kg=max(self.zero_kg - abs(missed_kg), 0.0))
+        doubted = self.zero_kg >= _DOUBTED_SHARE * abs(missed_kg) > 0.0
+        zero_kg = max(self.zero_kg - abs(missed_kg), 0.0) if doubted else self.zero_kg
+        if not before_kg > 0.0 and after_kg > 0.0:
+            return MassBudget.unknown() if again is None else replace(self, zero_kg=zero_kg).with_more(again)
+        factor = after_kg / before_kg if before_kg != after_kg else 1.0
+        causes = (self.noise_kg2, self.parameters_kg, self.zero_kg, self.moisture_kg, self.motion_kg)
+        known = MassBudget(*(cause * factor for cause in causes))
+        return replace(known, zero_kg=zero_kg) if doubted else known
 
     def with_unseen(self, unseen_kg: float, before_kg: float) -> MassBudget:
         """The budget of a mass of which so much more may be missing, before_kg of it already."""

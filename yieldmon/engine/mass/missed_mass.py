@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from yieldmon.engine.mass.budget import MassBudget
+
 NO_LOAD = 0
 """In place of a load's number: no load was open."""
 
@@ -11,18 +13,21 @@ NO_LOAD = 0
 @dataclass(frozen=True, slots=True)
 class MissedMass:
     """Mass of one load that was missed, kg; below 0 what it had too much. dry_kg: of what had a known moisture;
-    unknown_moisture_kg, unknown_area_kg: of kg what has no known moisture, no known area."""
+    unknown_moisture_kg, unknown_area_kg: of kg what has no known moisture, no known area. budget: of the load as far as it was
+    measured again, which it has where nothing was counted before; None: not known."""
 
     kg: float = 0.0
     dry_kg: float = 0.0
     unknown_moisture_kg: float = 0.0
     unknown_area_kg: float = 0.0
+    budget: MassBudget | None = None
 
-    def plus(self, kg: float, dry_kg: float | None, *, area_known: bool) -> MissedMass:
-        """With kg more. dry_kg: None where it is not known."""
+    def plus(self, kg: float, dry_kg: float | None, *, area_known: bool, budget: MassBudget | None = None) -> MissedMass:
+        """With kg more. dry_kg: None where it is not known. budget: of what was measured again to find them, None: not known."""
         return MissedMass(
             self.kg + kg,
             self.dry_kg + (0.0 if dry_kg is None else dry_kg),
             self.unknown_moisture_kg + (kg if dry_kg is None else 0.0),
             self.unknown_area_kg + (0.0 if area_known else kg),
+            None if self.budget is None or budget is None else self.budget.with_more(budget),
         )

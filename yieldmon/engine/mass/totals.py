@@ -147,8 +147,8 @@ class Totals:
             load_kg=load_kg,
             load_dry_kg=max(self.load_dry_kg + share * missed.dry_kg, 0.0),
             load_unknown_moisture_kg=max(self.load_unknown_moisture_kg + share * missed.unknown_moisture_kg, 0.0),
-            total_budget=self.total_budget.with_missed(missed.kg, self.total_kg, total_kg),
-            load_budget=self.load_budget.with_missed(share * missed.kg, self.load_kg, load_kg),
+            total_budget=self.total_budget.with_missed(missed.kg, self.total_kg, total_kg, missed.budget),
+            load_budget=self.load_budget.with_missed(share * missed.kg, self.load_kg, load_kg, missed.budget),
             load_unknown_area_kg=max(self.load_unknown_area_kg + share * missed.unknown_area_kg, 0.0),
         )
 

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from math import isfinite
 
 import numpy as np
 
 from yieldmon.engine.flow_estimator import FlowEstimator
+from yieldmon.engine.mass.budget import EMPTY, FlowBudget
 from yieldmon.engine.mass.missed_mass import NO_LOAD, MissedMass
 from yieldmon.engine.records import WindowRecord
+from yieldmon.estimation.open_loop import FlowEstimate
+from yieldmon.physics.numerics import Array
 
 KEPT_S = 7200
 """Newest seconds that are kept."""
@@ -39,6 +42,10 @@ class KeptSecond:
     def of(cls, record: WindowRecord) -> KeptSecond:
         """Of a window's record."""
         return cls(*(getattr(record, name) for name in cls.__dataclass_fields__))
+
+
+Budgets = Callable[[Sequence[KeptSecond], Array, FlowEstimate], Sequence[FlowBudget]]
+"""Of seconds whose force, N, and flow are these by another zero."""
 
 
 class SinceZero:
@@ -84,11 +91,12 @@ class SinceZero:
         grain_on_n: float,
         min_coverage: float,
         dry_kg: Callable[[float, float], float | None],
+        budgets: Budgets | None = None,
     ) -> dict[int, MissedMass]:
         """Load number -> what its seconds miss where zero_mv is the zero; up to grain_on_n there is no grain where none counted.
 
-        min_coverage: of a second that counts whole. dry_kg: of a wet mass, kg, at a moisture, %. Contested seconds stay in no
-        total; those without a flow by this zero stay as they were counted.
+        min_coverage: of a second that counts whole. dry_kg: of a wet mass, kg, at a moisture, %. budgets: how sure the flows by
+        this zero are; None: not known. Contested seconds stay in no total; those without a flow by this zero stay as they were.
         """
         rows = [
             s for s in self._seconds if isfinite(s.zero_mv) and isfinite(s.force_n) and s.coverage > 0.0 and not s.surplus_frames
@@ -97,18 +105,22 @@ class SinceZero:
         # A second that counted is measured again whatever is left of its force: a zero that was too low made grain of nothing.
         loaded = (force > grain_on_n) | np.array([s.mass_kg > 0.0 for s in rows], dtype=bool)
         rows, force = [s for s, ok in zip(rows, loaded, strict=True) if ok], force[loaded]
-        missed = {number: MissedMass().plus(-kg, None, area_known=True) for number, kg in self._by_scale.items()}
+        nothing = MissedMass(budget=EMPTY)
+        missed = {n: nothing.plus(-kg, None, area_known=True, budget=EMPTY) for n, kg in self._by_scale.items()}
         if not rows:
             return missed
         columns = np.array([(s.plate_angle_rad, s.elevator_speed_rad_s, s.force_std_dev_n, s.moisture_pct) for s in rows]).T
-        flow = np.where(force > 0.0, estimator.estimate(force, *columns).mass_flow_kg_s, 0.0)
-        for second, rate in zip(rows, flow.tolist(), strict=True):
+        found = estimator.estimate(force, *columns)
+        flow = np.where(force > 0.0, found.mass_flow_kg_s, 0.0)
+        sure = [None] * len(rows) if budgets is None else budgets(rows, force, found)
+        for second, rate, budget in zip(rows, flow.tolist(), sure, strict=True):
             if not isfinite(rate):
                 # Above a full paddle, say: what was counted stays.
                 continue
             seconds = second.duration_s if second.coverage >= min_coverage else second.duration_s * second.coverage
             kg = rate * seconds - second.mass_kg
             # Where the bus reports nothing of the header, a second without grain has no area.
-            known = missed.get(second.load_number, MissedMass())
-            missed[second.load_number] = known.plus(kg, dry_kg(kg, second.moisture_pct), area_known=second.area_m2 > 0.0)
+            known, dry, with_area = missed.get(second.load_number, nothing), dry_kg(kg, second.moisture_pct), second.area_m2 > 0.0
+            again = None if budget is None else EMPTY.plus(budget, seconds)
+            missed[second.load_number] = known.plus(kg, dry, area_known=with_area, budget=again)
         return missed
