@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,10 @@ import yaml
 
 from yieldmon import api
 from yieldmon.cli.main import main
+from yieldmon.estimation.beyond_range import error_beyond
 from yieldmon.estimation.parameters import CalibratedRange
+from yieldmon.estimation.weighing.load_inputs import WeighedLoad
+from yieldmon.estimation.weighing.loads import calibrate_loads
 
 MODEL = api.ForwardModel(api.Machine(), ())
 GRAIN = {"friction": 0.3, "restitution": 0.5, "density": 1100.0, "shape_ratio": 2.0}
@@ -65,6 +69,43 @@ def test_the_deviation_covers_laws_of_other_authors_outside_the_range(case: str)
     rms = float(np.sqrt(np.mean(np.square(z))))
     assert 0.3 < rms < 1.3
     assert np.mean(np.abs(z) < 2.0) > 0.9
+
+
+def _by_loads(law, flows, rng: np.random.Generator) -> api.ParameterSet:
+    """Of loads that were weighed at these mean flows."""
+    machine, shipped, loads = api.Machine(), api.load_parameters(), []
+    angle, speed = np.full(60, machine.home_plate_angle_rad), np.full(60, machine.nominal_elevator_speed_rad_s)
+    for name, mean in enumerate(flows):
+        flow = mean * np.linspace(0.8, 1.2, 60)
+        weighed = flow.sum() * (1.0 + 0.003 * rng.standard_normal())
+        force = law(flow, angle, speed)
+        loads.append(WeighedLoad(str(name), weighed, 0.003 * weighed, np.ones(60), force, angle, speed, noise_sd=0.001))
+    known = calibrate_loads(api.ForwardModel(machine, shipped.effects), shipped, loads).parameter_set
+    return replace(known, provenance={"scale": "weighed"})
+
+
+def test_the_deviation_covers_laws_of_other_authors_above_the_weighed_flows() -> None:
+    machine, flow, z = api.Machine(), np.array([12.0, 14.0, 16.0]), []
+    angle, speed = machine.home_plate_angle_rad, machine.nominal_elevator_speed_rad_s
+    for seed in range(14):
+        rng = np.random.default_rng([seed, 77])
+        law = _law(rng)
+        known = _by_loads(law, [4.0, 6.0, 9.0, 5.0, 7.0, 8.0], rng)
+        found = api.OpenLoop(api.ForwardModel(machine, known.effects), known).estimate(law(flow, angle, speed), angle, speed)
+        z.append((found.mass_flow_kg_s - flow) / np.hypot(found.std_dev_kg_s, 0.002 * flow))
+    assert np.sqrt(np.mean(np.square(z))) < 1.3
+    assert np.mean(np.abs(z) < 2.0) > 0.9
+
+
+def test_weighed_loads_bound_the_flow_above_them_less_than_a_table_does() -> None:
+    flow, angle, speed = np.array([3.0, 10.0, 18.0]), np.full(3, np.radians(70.0)), np.full(3, 400.0 * api.RPM)
+    table = _known(0.0, mass_flow_kg_s=(6.0, 15.0))
+    loads = replace(table, provenance={"scale": "weighed"})
+    below, within, above = error_beyond(loads, flow, angle, speed) - error_beyond(table, flow, angle, speed)
+    assert (below, within) == (0.0, 0.0)
+    assert 0.008 < above < 0.02
+    # What the table has shown to be off more counts for both.
+    assert np.array_equal(*(error_beyond(replace(one, model_error=0.01), flow, angle, speed) for one in (table, loads)))
 
 
 def _shares(known: api.ParameterSet, flow, angle_deg, speed_rpm) -> np.ndarray:

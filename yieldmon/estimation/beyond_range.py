@@ -23,6 +23,9 @@ PER_RAD = 0.4
 11 to 15 % at 90 deg."""
 PER_LN_FLOW, PER_LN_SPEED = (effect_parameter(f"load_pattern.{name}").prior_sd for name in ("exponent", "speed"))
 """Powers of flow and speed beside the model's, as weighed loads take them."""
+_LEFT_BY_LOADS = 0.007
+"""Relative error of the force over the flow that weighed loads, which the curve is fitted to, leave unseen between them: on
+machines of other laws flows between the loads are off by as much beside what tickets are."""
 _BEND = 180.0**0.5
 """Slope at the end of a parabola over a range of 1, of which a line is taken off, over its rms there."""
 
@@ -82,7 +85,11 @@ def _by_flow(parameters: ParameterSet, flow: Array) -> Array:
         return np.zeros(flow.shape)
     # Thin streams have the error of that share of the highest flow, as within the range.
     low, high, at = (0.5 * np.log(np.square(v / limits[1]) + LEAST_LEVEL**2) for v in (*np.array(limits), flow))
-    return _slope(PER_LN_FLOW, float(high - low), parameters.model_error) * _distance(at, low, high)
+    span, left = float(high - low), parameters.model_error
+    below = _slope(PER_LN_FLOW, span, left)
+    # What a machine has beside the model grows with the load, so that less is known of more grain than was weighed.
+    above = _slope(PER_LN_FLOW, span, max(left, _LEFT_BY_LOADS)) if left is not None and parameters.is_weighed else below
+    return np.where(at > high, above, below) * _distance(at, low, high)
 
 
 def _slope(before: float, span: float, model_error: float | None) -> float:
