@@ -8,6 +8,7 @@ import itertools
 import shutil
 import sqlite3
 import sys
+import tempfile
 from importlib.machinery import PathFinder
 from pathlib import Path
 
@@ -107,6 +108,26 @@ def test_mf4_without_its_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     with pytest.raises(ModuleNotFoundError) as caught:
         list(read_log(tmp_path / "drive.mf4"))
     assert caught.value.name == "asammdf"
+
+
+@MF4[0]
+@MF4[1]
+@pytest.mark.parametrize("frames_taken", [None, 3], ids=["read to its end", "left early"])
+def test_an_mf4_that_its_recorder_has_not_finalised_leaves_no_copy_behind(
+    frames_taken: int | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log, copies = tmp_path / "drive.mf4", tmp_path / "temporary"
+    write(log, sample_log())
+    content = bytearray(log.read_bytes())
+    content[:8], content[60:62] = b"UnFinMF ", (1).to_bytes(2, "little")  # cycle counters are to be updated
+    log.write_bytes(content)
+    copies.mkdir()
+    monkeypatch.setenv("TMPDIR", str(copies))
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    frames = read_log(log)
+    assert len(list(itertools.islice(frames, frames_taken))) == (frames_taken or len(sample_log()))
+    frames.close()
+    assert list(copies.iterdir()) == []
 
 
 @MF4[0]

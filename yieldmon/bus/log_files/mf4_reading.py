@@ -1,16 +1,19 @@
 """MF4 logs, read in a process of its own: asammdf goes in circles on some damaged files, and prints what it meets.
 
-The process is ended where no frame comes for long, in processor time. It writes records: a kind, and a frame or a text.
+The process is ended where no frame comes for long, in processor time. It writes records: a kind, and a frame or a text. Of a log
+that its recorder has not finalised asammdf makes a copy; it stands in a folder that goes with the process.
 """
 
 from __future__ import annotations
 
 import os
 import resource
+import shutil
 import signal
 import struct
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -46,7 +49,9 @@ class Mf4Log:
         _refuse_older(path)
         stalled_s = _STALLED_S + _STALLED_S_PER_MB * path.stat().st_size / 1e6
         # -P: no module of the folder where the user happens to be.
-        command = [sys.executable, "-P", "-m", "yieldmon.bus.log_files.mf4_reading", str(path.absolute()), str(stalled_s)]
+        self._copies = tempfile.TemporaryDirectory(prefix="yieldmon-mf4-", ignore_cleanup_errors=True)
+        command = [sys.executable, "-P", "-m", "yieldmon.bus.log_files.mf4_reading"]
+        command += [str(path.absolute()), str(stalled_s), self._copies.name]
         self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
 
     def __iter__(self) -> Iterator[can.Message]:
@@ -70,6 +75,7 @@ class Mf4Log:
         self._process.wait()
         if self._process.stdout is not None:
             self._process.stdout.close()
+        self._copies.cleanup()
 
     def _ended(self) -> str:
         code = self._process.wait()
@@ -101,8 +107,12 @@ def _packed(message: can.Message) -> bytes:
     return _FRAME + _HEAD.pack(message.timestamp, message.arbitration_id, flags, channel, message.dlc, len(data)) + data
 
 
-def main(path: str, stalled_s: float) -> None:
-    """The process: frames to standard output, which nothing else reaches. It ends after stalled_s of CPU time without."""
+def main(path: str, stalled_s: float, copies: str) -> None:
+    """The process: frames to standard output, which nothing else reaches. It ends after stalled_s of CPU time without.
+
+    copies: folder for asammdf's own files, removed at the end; whoever asked may not be there any more.
+    """
+    tempfile.tempdir = copies
     stalled_s = max(stalled_s, _STALLED_OF_START * time.process_time())
     signal.signal(signal.SIGPROF, signal.SIG_DFL)
     signal.setitimer(signal.ITIMER_PROF, stalled_s)
@@ -117,6 +127,7 @@ def main(path: str, stalled_s: float) -> None:
                     signal.setitimer(signal.ITIMER_PROF, stalled_s)
                 out.write(_packed(message))
         except BrokenPipeError:
+            shutil.rmtree(copies, ignore_errors=True)
             os._exit(0)
         except Exception as error:  # noqa: BLE001 - parsers of binary formats raise anything on damaged bytes
             text = f"{type(error).__name__} {error}".encode("utf-8", "replace")[:2000]
@@ -124,9 +135,10 @@ def main(path: str, stalled_s: float) -> None:
         else:
             out.write(_END)
         out.flush()
+        shutil.rmtree(copies, ignore_errors=True)
         # What asammdf would still do at an orderly end can fail as well.
         os._exit(0)
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], float(sys.argv[2]))
+    main(sys.argv[1], float(sys.argv[2]), sys.argv[3])
