@@ -57,6 +57,7 @@ class Model:
     looked_empty: bool = False
     """As a calibration despite signs of grain began."""
     known_s: float | None = None
+    before_known_s: float | None = None
     taken_from_s: float = inf
     refusal: tuple[float, tuple[float, float] | None] | None = None
     """Seconds waited; pulses and range of the last windows, None for one that could not be looked at."""
@@ -68,14 +69,14 @@ class Model:
     def calibrate(self, against: bool, despite: bool) -> bool:
         goes_on = self.suspect and self.before is not None
         if not goes_on:
-            self.before = self.zero
+            self.before, self.before_known_s = self.zero, self.known_s
         self.looked_empty = despite and self.looks_empty
         self.calibrating, self.despite, self.against, self.row = True, despite, against or goes_on, []
         return goes_on
 
     def undo(self) -> None:
         self.zero, self.before, self.calibrating, self.suspect, self.row = self.before, None, False, False, []
-        self.far_mv = 0.0
+        self.far_mv, self.known_s, self.before_known_s = 0.0, self.before_known_s, None
 
     def signs(self, text: str) -> bool:
         if not self.calibrating or not text:

@@ -81,6 +81,18 @@ def test_a_calibration_learns_zero_and_vibration_of_all_its_windows() -> None:
     assert machine.tracker.state is None
 
 
+def test_an_undo_brings_back_a_zero_that_is_as_old_as_it_was() -> None:
+    machine = known()
+    assert machine.tracker.known_s == 104.0
+    machine.now_s = 4000.0
+    for _ in range(2):
+        machine.tracker.calibrate(against_signs=True)
+        machine.sees(*[ZERO_MV + 60.0] * 4, harmonics=(4.0, 16.0))
+        assert machine.tracker.known_s == machine.now_s
+    machine.tracker.undo()
+    assert (machine.zero_mv, machine.tracker.known_s) == (ZERO_MV, 104.0)
+
+
 def refused(*levels_mv: float, harmonics: tuple[complex, ...]) -> tuple[float, float, float] | None:
     refusal = Machine().sees(*levels_mv, harmonics=harmonics).tracker.refusal
     return (refusal.waited_s, refusal.pulse_mv, refusal.level_range_mv) if refusal else None

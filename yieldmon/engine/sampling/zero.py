@@ -75,6 +75,7 @@ class ZeroTracker:
         self._against_signs = False
         self._despite_signs = False
         self._before: ZeroState | None = None
+        self._before_known_s: float | None = None
         self.suspect = False
         """Whether the zero in use was taken against the signs of grain, and is another than the one before it."""
         self._refusal: ZeroRefusal | None = None
@@ -98,7 +99,8 @@ class ZeroTracker:
         self._despite_signs = despite_signs
         # What looks empty under a suspect zero need not be.
         self._against_signs = against_signs or goes_on
-        self._before = self._before if goes_on else self._state
+        if not goes_on:
+            self._before, self._before_known_s = self._state, self.known_s
         self.level_is_empty = despite_signs and self.looks_empty
         self.interrupt()
         return goes_on
@@ -122,8 +124,9 @@ class ZeroTracker:
         self._before, self.suspect = before, suspect
 
     def undo(self) -> None:
-        """The zero before the operator's last calibration again."""
+        """The zero before the operator's last calibration again, as old as it is."""
         self._state, self._before = self._before, None
+        self.known_s, self._before_known_s = self._before_known_s, None
         self._calibrating = self.suspect = False
         self.far_mv = 0.0
         self.interrupt()
