@@ -27,7 +27,8 @@ class _Fork:
 
     def __init__(self, command: list[str], **_: object) -> None:
         # Counting steps makes everything slower.
-        path, limit_s = command[-2], float(command[-1]) * (_COUNTED if guided.current is not None else 1.0)
+        path, stalled_s, copies = command[-3:]
+        limit_s = float(stalled_s) * (_COUNTED if guided.current is not None else 1.0)
         self._steps = Path(tempfile.mkdtemp()) / "steps"
         reads, writes = os.pipe()
         self._child = os.fork()
@@ -35,12 +36,12 @@ class _Fork:
             os.close(reads)
             os.dup2(writes, 1)
             os.close(writes)
-            self._be_the_process(path, limit_s)
+            self._be_the_process(path, limit_s, copies)
         os.close(writes)
         self.stdout: IO[bytes] = os.fdopen(reads, "rb")
         self._code: int | None = None
 
-    def _be_the_process(self, path: str, limit_s: float) -> None:
+    def _be_the_process(self, path: str, limit_s: float, copies: str) -> None:
         leave = os._exit
 
         def reported(code: int) -> None:
@@ -53,7 +54,7 @@ class _Fork:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
         try:
             with mock.patch("os._exit", reported):
-                mf4_reading.main(path, limit_s)
+                mf4_reading.main(path, limit_s, copies)
         finally:
             leave(1)
 
