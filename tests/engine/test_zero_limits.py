@@ -89,6 +89,7 @@ def test_an_undo_brings_back_a_zero_that_is_as_old_as_it_was() -> None:
         machine.tracker.calibrate(against_signs=True)
         machine.sees(*[ZERO_MV + 60.0] * 4, harmonics=(4.0, 16.0))
         assert machine.tracker.known_s == machine.now_s
+        assert machine.tracker.before_age_s == machine.now_s - 4.0 - 104.0
     machine.tracker.undo()
     assert (machine.zero_mv, machine.tracker.known_s) == (ZERO_MV, 104.0)
 

@@ -119,7 +119,7 @@ def mass(text: str, where: str = "mass") -> float:
             point += "; bushels are reckoned from the mass, often less shrink: enter the pounds or kilograms of the slip"
         raise InputError(where, repr(text), f"kilograms above 0, such as 9120, 9120kg, 9.12t or 20106lb{point}")
     if mass_kg < TICKET_KG[0]:
-        raise InputError(where, repr(text), "at least 1 g; look at the unit")
+        raise InputError(where, repr(text), f"at least {1000.0 * TICKET_KG[0]:g} g; look at the unit")
     if mass_kg > TICKET_KG[1]:
         raise InputError(where, repr(text), f"at most {TICKET_KG[1] / KG_PER_T:,.0f} t; look at the unit")
     return mass_kg

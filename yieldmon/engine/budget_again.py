@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import hypot, radians
+from math import hypot
 
 import numpy as np
 
@@ -37,16 +37,15 @@ def budgets(parts: Parts, seconds: Sequence[KeptSecond], force_n: Array, found: 
     moisture = MoistureReference(settings.budget)
     if parts.flow_meter.moisture.state is not None:
         moisture.restore(parts.flow_meter.moisture.state)
-    known, rest_rad = estimator.parameters, radians(2.0 * settings.plate.at_target_tolerance_deg)
-    # The zero before is older than the one undone by a time that is not known.
-    age_s = np.cumsum([second.duration_s for second in seconds]).tolist()
+    known = estimator.parameters
+    age_s = (parts.measurement.zero.before_age_s + np.cumsum([second.duration_s for second in seconds])).tolist()
     rows = []
     for k, second in enumerate(seconds):
         force, rate, spread = float(force_n[k]), float(found.mass_flow_kg_s[k]), float(found.std_dev_kg_s[k])
         share = second.force_std_dev_n / force if force > 0.0 else float("nan")
         noise = rate * share if own is None else float(own[k])
         per_error = noise / share if share > 0.0 else 0.0
-        at_home = abs(second.plate_angle_rad - parts.machine.home_plate_angle_rad) <= rest_rad
+        at_home = parts.measurement.at_home(second.plate_angle_rad)
         factor, error = (
             (1.0, updater.load_error.home) if at_home else (away_factor, updater.load_error.at(second.plate_angle_rad))
         )

@@ -182,7 +182,7 @@ class Measurement:
         speed_was_known = inputs.speed_known or at_samples
         in_range = machine.min_elevator_speed_rad_s <= window.speed_rad_s <= machine.max_elevator_speed_rad_s
         still = window.plate_max_rad - window.plate_min_rad <= self._rest_rad
-        at_home = abs(window.plate_angle_rad - machine.home_plate_angle_rad) <= self._rest_rad
+        at_home = self.at_home(window.plate_angle_rad)
         self._stuck_s = self._stuck_s + 1 if window.samples and window.span_mv == 0.0 and in_range else 0
         stuck = self._stuck_s >= settings.faults.stuck_windows
         idle_s = self._idle_s(inputs)
@@ -252,9 +252,13 @@ class Measurement:
         share = max(aliasing_share(source, machine, window.speed_rad_s) for source in self._aliasing)
         return hypot(noise, share * force_n) if share > 0.0 else noise
 
+    def at_home(self, plate_angle_rad: float) -> bool:
+        """Whether the plate is at home, as far as it is held there."""
+        return abs(plate_angle_rad - self._machine.home_plate_angle_rad) <= self._rest_rad
+
     def scatter_n(self, force_n: float, speed_rad_s: float, seconds: float) -> float:
         """Standard deviation of a mean force by the scatter of its paddles, as it is known now, N."""
-        paddles = speed_rad_s * self._machine.sprocket_pitch_radius_m / self._spacing_m * seconds
+        paddles = float(self._machine.passes_per_s(speed_rad_s)) * seconds
         return abs(force_n) * sqrt(self._scatter.square / max(1.0, paddles))
 
     def _struck_at_rest(self, window: Window, force_n: float) -> bool:

@@ -142,6 +142,9 @@ class LookUpTable:
         return np.asarray((low + share * (high - low)) * faster)
 
 
+_CURVE_N = np.geomspace(0.1, 2000.0, 200)
+"""Forces at which a curve is given, each 5 % above the one before."""
+
 KINDS = (AlphaBeta.kind, LookUpTable.kind)
 """Names of the laws."""
 
@@ -238,9 +241,8 @@ class CurveEstimator:
     def force_curve(
         self, plate_angle_rad: float, elevator_speed_rad_s: float, moisture_pct: float = float("nan")
     ) -> tuple[Array, Array]:
-        """Force, N, and mass flow, kg/s, (g,) each: `invert` of forces of 0.1 to 2000 N, each 5 % above the one before."""
-        force_n = np.geomspace(0.1, 2000.0, 200)
-        return force_n, self.invert(force_n, plate_angle_rad, elevator_speed_rad_s)
+        """Force, N, and mass flow, kg/s, (g,) each, as `OpenLoop.force_curve`: flow nan where the curve has no answer."""
+        return _CURVE_N, self.invert(_CURVE_N, plate_angle_rad, elevator_speed_rad_s)
 
     def _flow(self, force: Array, angle: Array, speed: Array) -> Array:
         shape = np.shape(force)

@@ -111,6 +111,13 @@ class ZeroTracker:
         return self._before
 
     @property
+    def before_age_s(self) -> float:
+        """How old the zero that an undo brings back was when the one in use was taken, s; 0 where that is not known."""
+        if self._before_known_s is None or not isfinite(self.taken_from_s):
+            return 0.0
+        return max(self.taken_from_s - self._before_known_s, 0.0)
+
+    @property
     def state(self) -> ZeroState | None:
         """The zero in use."""
         return self._state
