@@ -63,7 +63,7 @@ def messages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, MessageBits]
 def test_pages_below_pages_as_cantools_reads_them(frames: list[tuple[int, int, bytes]], messages: dict[str, MessageBits]) -> None:
     sent = [bytes([page, sub << 4]) + rest for page, sub, rest in frames]
     for signal, (quantity, mux, unit) in BOUND.items():
-        bindings = [Binding("test", quantity, "pages.dbc", "All", (signal,), unit=unit, mux=mux)]
+        bindings = [Binding("test", quantity, "pages.dbc", "All", (signal,), unit=unit, mux=(mux,))]
         expected = []
         for data in sent:
             try:
@@ -128,7 +128,7 @@ def test_the_page_that_comes_most_is_written(tmp_path: Path) -> None:
     for line in text.splitlines():
         (tmp_path / "all.yaml").write_text(f"signals:\n  {line[4:]}\n")
         if line.startswith("  # impact_voltage: {"):
-            assert load(tmp_path / "all.yaml").signals.bindings[0].pages == (2, 5)
+            assert load(tmp_path / "all.yaml").signals.bindings[0].mux == (2, 5)
 
 
 def test_each_sender_is_written_by_itself_and_no_line_twice(tmp_path: Path) -> None:

@@ -35,8 +35,8 @@ def decoders(tmp_path: Path) -> tuple[MapDecoder, MapDecoder]:
     path = tmp_path / "two.dbc"
     path.write_text(DBC)
     bound = [
-        Binding("plate_angle", "plate_angle", "", "Two", ("Angle",), mux=1),
-        Binding("elevator_speed", "elevator_speed", "", "Two", ("Speed",), mux=2),
+        Binding("plate_angle", "plate_angle", "", "Two", ("Angle",), mux=(1,)),
+        Binding("elevator_speed", "elevator_speed", "", "Two", ("Speed",), mux=(2,)),
         Binding("tank_mass", "tank_mass", "", "Scale", ("Mass",)),
     ]
     found = build(bound, lambda _: load_messages(path), machine_file.load())

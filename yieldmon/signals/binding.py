@@ -32,10 +32,10 @@ class Binding:
 
     where: place in the configuration, for messages. value: a constant, and nothing is bound. signals: one, or for impact
     samples several of one frame, oldest first. scale, offset: value = physical value of the DBC * scale + offset, in `unit`
-    (None: the DBC's). ratio: a further factor, of speeds. source: see `Source`. mux: value of the message's multiplexer, or
-    values with each of which it is sent. valid: other signals of the message -> their raw values, without which there is no
-    value. low, high: range in the quantity's unit in which a value can be true. not_available: raw values that mean it. values:
-    raw value -> the quantity's code. rate_hz: impact samples per second. counter, status: signals of the same message.
+    (None: the DBC's). ratio: a further factor, of speeds. source: see `Source`. mux: values of the message's multiplexer, with
+    each of which it is sent; empty: it has none. valid: other signals of the message -> their raw values, without which there
+    is no value. low, high: range in the quantity's unit in which a value can be true. not_available: raw values that mean it.
+    values: raw value -> the quantity's code. rate_hz: impact samples per second. counter, status: signals of the same message.
     pulses_per_turn: the signal counts pulses of a turning shaft, or is their frequency or the time between two.
     time_constant_s: of a filter in the sensor.
     """
@@ -50,7 +50,7 @@ class Binding:
     offset: float = 0.0
     unit: str | None = None
     source: Source = None
-    mux: int | tuple[int, ...] | None = None
+    mux: tuple[int, ...] = ()
     valid: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
     low: float | None = None
     high: float | None = None
@@ -67,11 +67,6 @@ class Binding:
     def is_impact(self) -> bool:
         """Whether these are an impact sensor's samples."""
         return self.quantity in IMPACT
-
-    @property
-    def pages(self) -> tuple[int, ...]:
-        """Values of the multiplexer; none: it has none."""
-        return self.mux if isinstance(self.mux, tuple) else () if self.mux is None else (self.mux,)
 
     def refuse(self, key: str, problem: str, expected: str) -> InputError:
         """The error that names a key of this binding."""

@@ -150,7 +150,7 @@ def _check_overlaps(bindings: Sequence[Binding]) -> None:
             continue
         beside = (binding.counter, binding.status) if binding.is_impact else ()
         for signal in (*binding.signals, *filter(None, beside)):
-            key = (binding.dbc, binding.message, signal, str(binding.source), binding.pages)
+            key = (binding.dbc, binding.message, signal, str(binding.source), binding.mux)
             if key in seen and (signal in binding.signals or seen[key] is binding):
                 raise binding.refuse("signal", f"{signal} is bound to {seen[key].quantity} as well", "a signal of its own")
             seen[key] = binding
@@ -219,7 +219,7 @@ def _signal(binding: Binding, message: MessageBits, name: str, key: str = "signa
     for above, values in message.pages(signal):
         wanted = set(taken.get(above.name, ()))
         if not wanted or not wanted <= set(values):
-            given = any_of(binding.pages) if binding.pages else "is missing"
+            given = any_of(binding.mux) if binding.mux else "is missing"
             several = ", or several of them as a list" if len(values) > 1 else ""
             expected = f"{any_of(values)}, the multiplexer value with which {name} is sent{several}"
             raise binding.refuse("mux", given, expected if message.multiplexer == above.name else f"{expected} ({above.name})")
@@ -240,16 +240,16 @@ def _pages(binding: Binding, message: MessageBits) -> Pages:
 
 
 def _multiplexers(binding: Binding, message: MessageBits) -> Pages:
-    if not binding.pages:
+    if not binding.mux:
         return ()
     signal = message.signals.get(binding.signals[0])
     by = signal.mux_by if signal is not None and signal.mux_by is not None else message.multiplexer
     if by is None:
-        raise binding.refuse("mux", any_of(binding.pages), f"no such key: {message.name} has no multiplexer")
+        raise binding.refuse("mux", any_of(binding.mux), f"no such key: {message.name} has no multiplexer")
     above = message.signals[by]
-    if max(binding.pages) >= 1 << above.bits:
-        raise binding.refuse("mux", f"{max(binding.pages)}", f"0 to {(1 << above.bits) - 1}, what {above.name} can say")
-    pages = [(above, binding.pages), *message.pages(above)]
+    if max(binding.mux) >= 1 << above.bits:
+        raise binding.refuse("mux", f"{max(binding.mux)}", f"0 to {(1 << above.bits) - 1}, what {above.name} can say")
+    pages = [(above, binding.mux), *message.pages(above)]
     return tuple((Extraction(page, 1.0, 0.0), values) for page, values in pages)
 
 
