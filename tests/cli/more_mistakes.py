@@ -93,7 +93,7 @@ MISTAKES = {
     "estimate table.csv --estimator p.yaml": "p.yaml: is a parameter file; expected a curve that `calibrate --estimator` has",
     "estimate table.csv --estimator nowhere.yaml": "nowhere.yaml: No such file or directory; expected a readable YAML file",
     "process log.log --estimator p.yaml --out x.csv": "p.yaml: is a parameter file; expected a curve that `calibrate --estimator`",
-    "calibrate table.csv --starts -3": "--starts: is -3; expected 1 or more",
+    "calibrate table.csv --starts -3": "--starts: is -3; expected a whole number from 1",
     "calibrate table.csv --bounds friction=a:b": "table.csv: --bounds friction: is 'a'; expected a finite number",
     "calibrate table.csv --bounds colour=0:1": "table.csv: --bounds: colour is not a parameter; expected one of friction,",
     "calibrate table.csv --fix friction=nan": "--fix friction: is 'nan'; expected a finite number",

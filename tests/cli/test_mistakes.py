@@ -86,7 +86,7 @@ MISTAKES = {
     "friction of 9": ("calibrate table.csv --fix friction=9", "--fix friction: is 9; expected 0 to"),
     "bounds the wrong way": ("calibrate table.csv --bounds friction=1:0", "--bounds friction: is 1:0; expected the lower end"),
     "bounds that are none": ("calibrate table.csv --bounds friction=1", "expected NAME=LOW:HIGH"),
-    "no starts": ("calibrate table.csv --starts 0", "--starts: is 0; expected 1 or more"),
+    "no starts": ("calibrate table.csv --starts 0", "--starts: is 0; expected a whole number from 1"),
     "an effect that is none": ("calibrate table.csv --effects magic", "--effects:"),
     "an angle that is not there": ("calibrate table.csv --plate-angle 33", "--plate-angle: is 33; expected an angle that"),
     "a scale for newtons": ("calibrate table.csv --response-scale 2", "expected a table of `response`"),

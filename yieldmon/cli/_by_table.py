@@ -15,6 +15,7 @@ import numpy as np
 
 from yieldmon.cli import _named_files, _notes, _outputs, _provenance, _table_model, model_options
 from yieldmon.cli._json import print_document, print_json
+from yieldmon.cli._limits import whole_number
 from yieldmon.cli._table_report import report, text
 from yieldmon.documents.calibrate import ComparedModel
 from yieldmon.errors import InputError
@@ -76,10 +77,8 @@ def run(args: argparse.Namespace) -> int:
 
 def _check_options(args: argparse.Namespace) -> None:
     """What can be refused before anything is read."""
-    if args.starts < 1:
-        raise InputError("--starts", f"is {args.starts}", "1 or more")
-    if args.seed < 0:
-        raise InputError("--seed", f"is {args.seed}", "a whole number from 0")
+    whole_number("--starts", args.starts, 1)
+    whole_number("--seed", args.seed, 0)
     if args.stop_gap:
         for option, given in (("--prior", args.prior), ("--by-moisture", args.by_moisture), ("--robust", args.robust)):
             if given:

@@ -20,6 +20,13 @@ def within_if_given(option: str, value: float | None, low: float, high: float = 
     return None if value is None else within(option, value, low, high)
 
 
+def whole_number(option: str, value: int, low: int, high: int | None = None) -> int:
+    """A whole number from low to high, if there is a highest one. Raises InputError that names the option."""
+    if value < low or (high is not None and value > high):
+        raise InputError(option, f"is {value}", f"a whole number from {low}" + ("" if high is None else f" to {high}"))
+    return value
+
+
 def above_0(option: str, value: float) -> float:
     """A number above 0. Raises InputError that names the option."""
     if not 0.0 < value < inf:

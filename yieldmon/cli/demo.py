@@ -13,7 +13,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from yieldmon.bus.codec import Codec
 from yieldmon.cli import _outputs
 from yieldmon.cli._json import print_json
-from yieldmon.cli._limits import within
+from yieldmon.cli._limits import whole_number, within
 from yieldmon.cli._named_files import scenario_path
 from yieldmon.errors import InputError
 from yieldmon.files import whole_file
@@ -49,8 +49,7 @@ def run(args: argparse.Namespace) -> int:
     if args.picture is not None:
         canvas.check_name(args.picture, "--picture")
         whole_file.check_place(args.picture)
-    if args.seed < 0:
-        raise InputError("--seed", f"is {args.seed}", "a whole number from 0")
+    whole_number("--seed", args.seed, 0)
     chosen = scenarios.load(scenario_path(args.scenario or "demo"))
     if args.duration is not None:
         within("--duration", args.duration, 10.0, 400_000.0, "s")

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from yieldmon.cli import _named_files, _notes, _outputs, model_options
 from yieldmon.cli._json import print_json
+from yieldmon.cli._limits import whole_number
 from yieldmon.discrepancy import adoption, diagnosis, planning, report
 from yieldmon.discrepancy.choice import Step
 from yieldmon.discrepancy.diagnosis_document import to_document
@@ -151,8 +152,7 @@ def _check(args: argparse.Namespace) -> None:
             check_place(place)
     if args.plan is not None:
         _outputs.refuse(planning.schedule_path(Path(args.plan)), "--plan", force=args.force)
-    if args.seed < 0:
-        raise InputError("--seed", f"is {args.seed}", "a whole number from 0")
+    whole_number("--seed", args.seed, 0)
 
 
 def _check_adopt(args: argparse.Namespace, source: _Source) -> None:
@@ -193,8 +193,8 @@ def _from_csv(args: argparse.Namespace) -> _Source:
 
 def _from_store(args: argparse.Namespace, machine: Machine) -> _Source:
     """A daemon's model has effects that its parameters speak of; they are not looked for again."""
-    if args.sweeps is not None and args.sweeps < 1:
-        raise InputError("--sweeps", f"is {args.sweeps}", "at least 1")
+    if args.sweeps is not None:
+        whole_number("--sweeps", args.sweeps, 1)
     path = _named_files.parameters_path(args.params) if args.params is not None else None
     parameters = parameter_file.load(path) if path is not None else sweep_table.given_parameters(args.data)
     parameters = without_stop_gap(parameters)

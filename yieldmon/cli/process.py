@@ -17,6 +17,7 @@ from yieldmon.bus.log_files.logs import SUFFIXES, require_package
 from yieldmon.cli import _channels, _flow_curve, _named_files, _notes, _outputs
 from yieldmon.cli._forks import in_processes
 from yieldmon.cli._json import print_json
+from yieldmon.cli._limits import whole_number, within
 from yieldmon.cli._log_progress import log_progress
 from yieldmon.cli._units import add_units
 from yieldmon.documents.process import ProcessSummary, ReprocessSummary
@@ -148,16 +149,14 @@ def _check(args: argparse.Namespace) -> None:
     for log in args.logs:
         # Here, where a package that is not installed costs one line: processes that read would print tracebacks.
         require_package(real_path(log))
-    if args.jobs < 1:
-        raise InputError("--jobs", f"is {args.jobs}", "a whole number from 1")
+    whole_number("--jobs", args.jobs, 1)
 
 
 def _store_again(args: argparse.Namespace, loaded: configuration.Configuration, units: Units) -> int:
     """A store's seconds, measured again with what is known of them."""
     if len(args.logs) > 1 or args.separate:
         raise InputError("LOG", "names a store together with other sources", "one store alone")
-    if not 0 <= args.delay <= _LONGEST_DELAY_S:
-        raise InputError("--delay", f"is {args.delay}", f"0 to {_LONGEST_DELAY_S} s")
+    within("--delay", args.delay, 0, _LONGEST_DELAY_S, "s")
     if args.params is None and args.estimator is None and args.zero_mv is None and not args.delay:
         expected = "--params, --estimator, --zero-mv or --delay to measure it again"
         # What is no store is named as that.

@@ -20,7 +20,7 @@ from yieldmon.bus.opening import add_bus_arguments, open_bus_from
 from yieldmon.bus.waiting import receive
 from yieldmon.cli import _named_files, _outputs
 from yieldmon.cli._json import print_json
-from yieldmon.cli._limits import within
+from yieldmon.cli._limits import whole_number, within
 from yieldmon.documents.simulate import SimulationDocument
 from yieldmon.errors import NO_ROOM, OF_THE_MEDIUM, InputError
 from yieldmon.files import whole_file
@@ -58,9 +58,8 @@ def run(args: argparse.Namespace) -> int:
     """Exit code 0; InputError for what cannot be used."""
     scenario = scenarios.load(_named_files.scenario_path(args.scenario))
     if args.duration is not None:
-        scenario = scenario.model_copy(update={"duration_s": _duration(args.duration)})
-    if args.seed < 0:
-        raise InputError("--seed", f"is {args.seed}", "a whole number from 0")
+        scenario = scenario.model_copy(update={"duration_s": within("--duration", args.duration, 1.0, 400_000.0, "s")})
+    whole_number("--seed", args.seed, 0)
     within("--start-time", args.start_time, 0.0, LATEST_S, "s")
     if args.truth is not None:
         whole_file.check_place(args.truth)
@@ -89,12 +88,6 @@ def run(args: argparse.Namespace) -> int:
             write_csv(args.truth, combine.truth)
     _report(combine, counts, args)
     return 0
-
-
-def _duration(seconds: float) -> float:
-    if not 1.0 <= seconds <= 400_000.0:
-        raise InputError("--duration", f"is {seconds:g}", "1 to 400000 s")
-    return seconds
 
 
 def _write_log(combine: VirtualCombine, codec: Codec, args: argparse.Namespace, counts: Counter[str]) -> None:

@@ -12,6 +12,9 @@ from yieldmon.cli._channels import add_channels
 if TYPE_CHECKING:
     Words = argparse._SubParsersAction[argparse.ArgumentParser]
 
+MOST_WORKERS = 1024
+"""Processes that --workers may ask for."""
+
 
 def run(words: Words) -> None:
     """Of `fleet run`."""

@@ -6,10 +6,11 @@ import argparse
 from functools import partial
 from math import isfinite
 
+from yieldmon.cli._fleet.arguments import MOST_WORKERS
 from yieldmon.cli._forks import in_processes
 from yieldmon.cli._json import print_document
+from yieldmon.cli._limits import whole_number
 from yieldmon.documents.fleet import FleetDiagnosisDocument, FleetEffect, MachineEffects, VisibleEffect
-from yieldmon.errors import InputError
 from yieldmon.fleet.diagnosis import POLICY, FleetDiagnosis, MachineVerdict, Named, diagnose, sweeps_of
 
 _JUDGED = ("none", "effect", "unknown")
@@ -18,8 +19,7 @@ _JUDGED = ("none", "effect", "unknown")
 
 def run(args: argparse.Namespace) -> int:
     """Exit code 0 when all machines were diagnosed, 1 when one could not be."""
-    if not 1 <= args.workers <= 1024:
-        raise InputError("--workers", f"is {args.workers}", "a whole number from 1 to 1024")
+    whole_number("--workers", args.workers, 1, MOST_WORKERS)
     found = diagnose(sweeps_of(args.dataset), each=partial(in_processes, processes=args.workers))
     document = _document(found)
     print_document(document, _text, as_json=args.json)

@@ -16,7 +16,9 @@ from pathlib import Path
 from yieldmon.bus.log_files.logs import mend_of
 from yieldmon.cli import _named_files
 from yieldmon.cli._channels import with_channels
+from yieldmon.cli._fleet.arguments import MOST_WORKERS
 from yieldmon.cli._json import print_json
+from yieldmon.cli._limits import whole_number
 from yieldmon.documents.fleet import FleetRunDocument, PartitionProblem, PoisonedDocument
 from yieldmon.errors import InputError
 from yieldmon.files.crops import misspelt
@@ -92,8 +94,7 @@ def _why_left_out(path: str) -> str:
 
 
 def _check_options(args: argparse.Namespace) -> None:
-    if not 0 <= args.workers <= 1024:
-        raise InputError("--workers", f"is {args.workers}", "a whole number from 0 to 1024")
+    whole_number("--workers", args.workers, 0, MOST_WORKERS)
     if meant := misspelt(args.crop):
         raise InputError("--crop", f"is {args.crop!r}", meant)
     if args.scheduler and args.adaptive:
