@@ -10,6 +10,7 @@ import pty
 import re
 import select
 import signal
+import socket
 import struct
 import subprocess
 import sys
@@ -420,3 +421,32 @@ def test_a_key_pressed_while_the_program_starts_counts(log):
     terminal = Terminal("monitor", str(log), "--speed", "0.2")
     terminal.press(b"q")
     assert terminal.exit_code() == 0
+
+
+@pytest.fixture
+def hung(tmp_path):
+    """The socket of a daemon that was stopped: the kernel takes connections, nobody answers them."""
+    with socket.socket(socket.AF_UNIX) as listening:
+        listening.bind(str(tmp_path / "hung.sock"))
+        listening.listen()
+        yield str(tmp_path / "hung.sock")
+
+
+@pytest.mark.parametrize(
+    ("words", "state"), [(["--cab"], b"WAITING FOR THE DAEMON"), (["-i", "virtual"], b"no monitor on the bus")]
+)
+def test_a_daemon_that_hangs_is_said_on_the_screen(hung, words, state):
+    """And not after the ten seconds that an answer may take."""
+    terminal = Terminal("monitor", *words, "--socket", hung)
+    terminal.until(b"the daemon has not answered for 2 s; if it lasts,")
+    assert state in terminal.seen
+    terminal.press(b"q")
+    assert terminal.exit_code() == 0
+
+
+def test_once_says_that_the_daemon_hangs(hung, capsys):
+    with pytest.raises(SystemExit, match="1"):
+        main(["monitor", "--cab", "--once", "--socket", hung])
+    assert "the daemon does not answer" in capsys.readouterr().err
+    assert main(["monitor", "--cab", "--once", "--socket", hung, "-i", "virtual", "--seconds", "0.1"]) == 0
+    assert "the daemon has not answered for" in capsys.readouterr().out

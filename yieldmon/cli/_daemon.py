@@ -14,7 +14,7 @@ from typing import Any
 
 from yieldmon.errors import InputError
 from yieldmon.service.folders import runtime_folder
-from yieldmon.service.operator.control_client import ask
+from yieldmon.service.operator.control_client import ANSWER_S, SilentDaemonError, ask
 from yieldmon.service.operator.control_protocol import TICKET_KG, ControlError
 from yieldmon.units import KG_PER_DT, KG_PER_LB, KG_PER_SHORT_TON, KG_PER_T, Units, UnitSystem
 
@@ -28,14 +28,29 @@ def add_daemon_arguments(parser: argparse.ArgumentParser) -> None:
     which.add_argument("--config", metavar="FILE", help="the daemon's configuration, to find its socket")
 
 
-def ask_daemon(args: argparse.Namespace, request: Mapping[str, Any]) -> dict[str, Any]:
-    """The daemon's answer; ends the program with one line and exit code 1 when there is none."""
+def ask_daemon(args: argparse.Namespace, request: Mapping[str, Any], timeout_s: float = ANSWER_S) -> dict[str, Any]:
+    """The daemon's answer; ends the program with one line and exit code 1 when there is none within timeout_s seconds."""
     socket = daemon_socket(args)
     try:
-        return ask(socket, request)
+        return ask(socket, request, timeout_s)
     except ControlError as error:
-        print(f"yieldmon: {_in_units(str(error), args, socket)}", file=sys.stderr)
-        raise SystemExit(1) from error
+        raise _ended(error, args, socket) from error
+
+
+def require_daemon(args: argparse.Namespace, timeout_s: float) -> None:
+    """Ends the program as `ask_daemon` does where no daemon listens; one that is silent for timeout_s seconds may yet answer."""
+    socket = daemon_socket(args)
+    try:
+        ask(socket, {"command": "status"}, timeout_s)
+    except SilentDaemonError:
+        return
+    except ControlError as error:
+        raise _ended(error, args, socket) from error
+
+
+def _ended(error: ControlError, args: argparse.Namespace, socket: Path) -> SystemExit:
+    print(f"yieldmon: {_in_units(str(error), args, socket)}", file=sys.stderr)
+    return SystemExit(1)
 
 
 def _in_units(text: str, args: argparse.Namespace, socket: Path) -> str:

@@ -7,7 +7,7 @@ import os
 import sys
 import time
 from collections.abc import Callable
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from pathlib import Path
 
 import can
@@ -23,7 +23,7 @@ from yieldmon.cli._daemon import add_daemon_arguments, daemon_socket
 from yieldmon.cli._json import print_json
 from yieldmon.cli._limits import above_0, within
 from yieldmon.cli._monitor.cab_view import CabView
-from yieldmon.cli._monitor.daemon_link import DaemonLink
+from yieldmon.cli._monitor.daemon_link import SILENT_S, DaemonLink
 from yieldmon.cli._monitor.frame_sources import REFRESH_S, Source, source_of
 from yieldmon.cli._monitor.recorder import Recorder
 from yieldmon.cli._monitor.traffic_document import document
@@ -195,8 +195,10 @@ def _print_once(traffic: Traffic, cab: CabView, as_json: bool) -> None:
         print_json(document(traffic, cab.view))
         return
     if cab.daemon is not None:
-        with suppress(ControlError):
-            cab.know(ask(cab.daemon.path, {"command": "status"}))
+        try:
+            cab.know(ask(cab.daemon.path, {"command": "status"}, SILENT_S))
+        except ControlError as error:
+            cab.know(error)
     console = Console()
     height = max(console.height, _UNBOUND_LINES + len(traffic.rows)) if not sys.stdout.isatty() else console.height
     console.print(cab.screen(traffic), height=height)

@@ -32,7 +32,7 @@ from .traffic import Traffic
 
 Status = Mapping[str, Any]
 KEYS = "l load  x crop  t ticket  z zero  w sweep  u units  c bus  space pause  q quit"
-NO_MONITOR = "no monitor on the bus"
+NO_MONITOR, WAITS = "no monitor on the bus", "waiting for the daemon"
 """In place of a state."""
 _BESIDE = 16
 """Columns of a line with two figures beside these."""
@@ -92,6 +92,8 @@ class Cab:
         line = Text(no_wrap=True)
         line.append(f" {state} ", style="reverse green" if status["state"] in _GOOD else "reverse bold yellow")
         lines = [line]
+        if self._view.silence:
+            lines += wrapped(self._view.silence, width, style="bold red")
         if status["stale"]:
             lines += wrapped(f"STALE: as it was {status['age_s']:.0f} s ago", width, style="bold red")
         if line.cell_len + len(title) + 2 <= width:
@@ -154,7 +156,7 @@ class Cab:
         """Each fault with its remedy; where there is no room for all, the last line counts those that are left out."""
         faults = self._status["faults"]
         if not faults:
-            return [Text("" if self._status["state"] == NO_MONITOR else " no faults", style="green")]
+            return [Text("" if self._status["state"] in (NO_MONITOR, WAITS) else " no faults", style="green")]
         paragraphs = []
         for fault in faults:
             detail = f" ({self._units.in_text(fault['detail'])})" if fault["detail"] else ""
@@ -176,8 +178,8 @@ class Cab:
         return [*lines, Text(" PAUSED", style="bold yellow")] if self._view.paused else lines
 
 
-def from_frames(traffic: Traffic) -> Status:
-    """What frames report of a monitor on the bus, in the shape of a daemon's status."""
+def from_frames(traffic: Traffic, absent: str = NO_MONITOR) -> Status:
+    """What frames report of a monitor on the bus, as a daemon's status; its state is `absent` where they report none."""
     mass, state = (traffic.latest(name) for name in (ACCUMULATED_MASS, YIELD_MONITOR_STATUS))
     flow, calibration = (traffic.fresh(name) for name in (MASS_FLOW, SELF_CALIBRATION_STATUS))
     plate, grain, moving = (traffic.fresh(name) for name in (PLATE_ACTUATOR_FEEDBACK, GRAIN_CONDITION, VEHICLE_DIRECTION_SPEED))
@@ -191,7 +193,7 @@ def from_frames(traffic: Traffic) -> Status:
     number, operating = signal(mass, "LoadNumber"), signal(state, "OperatingState")
     speed_km_h = signal(moving, "NavigationSpeed")
     return {
-        "state": NO_MONITOR if operating is None else OperatingState(int(operating)).name.lower(),
+        "state": absent if operating is None else OperatingState(int(operating)).name.lower(),
         "stale": silent_s is not None,
         "age_s": silent_s or 0.0,
         "zero_waits_for": None,

@@ -42,7 +42,7 @@ _DIGITS_AND_TREND = 4
 
 @dataclass(slots=True)
 class View:
-    """What the operator of the screen has chosen. selected: place in the list."""
+    """What the operator of the screen has chosen. selected: place in the list; silence: why the daemon's words are missing."""
 
     order: str = "id"
     needle: str = ""
@@ -52,6 +52,7 @@ class View:
     recording: str = ""
     source: str = ""
     cab: bool = False
+    silence: str = ""
     units: Units = field(default_factory=Units)
 
 
@@ -115,6 +116,8 @@ class Screen:
             active = f"faults: {', '.join(on)}" if on else "no faults"
             old = f"   STALE: as it was {silent_s:.0f} s ago" if silent_s is not None else ""
             lines += wrapped(f"{state}   {active}{old}", width, style="bold red" if on or old else "green")
+        if self._view.silence:
+            lines += wrapped(self._view.silence, width, style="bold red")
         return [*lines, rule(width, plain=plain)]
 
     def _flow(self) -> tuple[float | None, str]:

@@ -14,6 +14,8 @@ from yieldmon.service.operator.control_protocol import ControlError
 
 Status = Mapping[str, Any]
 _INTERVAL_S = 1.0
+PATIENCE_S = 2.0
+"""What a daemon may take for an answer before the screen says that there is none."""
 SILENT_S = 5.0
 """A status is asked for once a second; after so long without one the last is no longer fresh."""
 
@@ -30,7 +32,7 @@ class DaemonLink:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._requests: queue.SimpleQueue[Mapping[str, Any] | None] = queue.SimpleQueue()
-        self._news: queue.SimpleQueue[Status | str | None] = queue.SimpleQueue()
+        self._news: queue.SimpleQueue[Status | str | ControlError] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._run, name="status", daemon=True)
 
     def __enter__(self) -> DaemonLink:
@@ -45,8 +47,8 @@ class DaemonLink:
         for request in requests:
             self._requests.put(request)
 
-    def news(self) -> list[Status | str | None]:
-        """What came since the last call: a status, None where no daemon answers, a text for the operator."""
+    def news(self) -> list[Status | str | ControlError]:
+        """What came since the last call: a status, the error in place of one, a text for the operator."""
         found = []
         while not self._news.empty():
             found.append(self._news.get())
@@ -59,7 +61,7 @@ class DaemonLink:
             try:
                 answer = ask(self.path, request)
             except ControlError as error:
-                self._news.put(None if asked_status else str(error))
+                self._news.put(error if asked_status else str(error))
             else:
                 self._news.put(answer if asked_status else _answered(request, answer))
             try:

@@ -16,9 +16,12 @@ from yieldmon.bus.opening import open_bus_from
 from yieldmon.bus.replay import Schedule
 from yieldmon.bus.waiting import receive
 from yieldmon.cli._channels import SharedIdentifiers
-from yieldmon.cli._daemon import ask_daemon
+from yieldmon.cli._daemon import ask_daemon, require_daemon
+from yieldmon.cli._monitor.daemon_link import SILENT_S
 
 REFRESH_S = 0.25
+_FIRST_S = 0.5
+"""A daemon may take for its first answer before there is a screen."""
 Source = Iterator[can.Message | None]
 """Frames as they come; None where none came within a refresh period. Ends with a log."""
 
@@ -35,7 +38,10 @@ def source_of(args: argparse.Namespace, stack: ExitStack, shared: SharedIdentifi
         require_log(args.log)
         return _log_source(args.log, 0.0 if args.once else args.speed, getattr(args, "channel", None), shared)
     if args.cab and "interface" not in args:
-        ask_daemon(args, {"command": "status"})
+        if args.once or args.json:
+            ask_daemon(args, {"command": "status"}, SILENT_S)
+        else:
+            require_daemon(args, _FIRST_S)
         return _no_bus()
     return _bus_source(stack.enter_context(open_bus_from(args)))
 

@@ -13,8 +13,17 @@ from yieldmon import __version__
 from yieldmon.errors import reason
 from yieldmon.service.operator.control_protocol import PIECE_BYTES, ControlError
 
+ANSWER_S = 10.0
 _RETRY_S = 0.02
 _MAX_ANSWER_BYTES = 64 * 1024 * 1024
+
+
+class NoDaemonError(ControlError):
+    """Nobody listens at the socket."""
+
+
+class SilentDaemonError(ControlError):
+    """A daemon has the socket and says nothing."""
 
 
 class OtherVersionError(ControlError, KeyError):
@@ -46,8 +55,9 @@ def _connect(connection: socket.socket, path: Path, end_s: float) -> None:
             sleep(_RETRY_S)
 
 
-def ask(path: Path, request: Mapping[str, Any], timeout_s: float = 10.0) -> dict[str, Any]:
-    """The daemon's answer to a request. Raises ControlError when there is none within timeout_s seconds or it is an error."""
+def ask(path: Path, request: Mapping[str, Any], timeout_s: float = ANSWER_S) -> dict[str, Any]:
+    """The daemon's answer to a request. Raises ControlError when it is an error or there is none: NoDaemonError where no daemon
+    listens, SilentDaemonError where one says nothing for timeout_s seconds."""
     received = _received(path, request, timeout_s)
     if not received:
         raise ControlError(f"{path}: the daemon closed the connection without an answer")
@@ -79,12 +89,12 @@ def _received(path: Path, request: Mapping[str, Any], timeout_s: float) -> bytea
                 if monotonic() > end_s:
                     raise TimeoutError("timed out")
     except (FileNotFoundError, ConnectionRefusedError) as error:
-        raise ControlError(f"{path}: no daemon answers there; is the service running? (`systemctl status yieldmon`)") from error
+        raise NoDaemonError(f"{path}: no daemon answers there; is the service running? (`systemctl status yieldmon`)") from error
     except PermissionError as error:
         raise ControlError(f"{path}: {reason(error)}; expected sudo, or a user of the group that status.group names") from error
     except TimeoutError as error:
         said = "the daemon does not answer; expected an answer within a second: if it lasts, `systemctl restart yieldmon`"
-        raise ControlError(f"{path}: {said}") from error
+        raise SilentDaemonError(f"{path}: {said}") from error
     except OSError as error:
         raise ControlError(f"{path}: {reason(error)}") from error
     return received
