@@ -81,6 +81,18 @@ def test_a_sweep_of_the_log_updates_from_the_same_windows_as_live() -> None:
     assert {event.code for event in target.fault_events} == set()
 
 
+def test_a_log_is_stated_as_live_until_its_first_sweep_shows_something() -> None:
+    frames, seen_live, _ = live()
+    target, _, _ = followed(frames)
+    first = next(k for k, record in enumerate(seen_live.records) if record.usable_for_calibration)
+    stated = [
+        [(r.mass_flow_kg_s, r.std_dev_kg_s, r.load_std_dev_kg, r.total_std_dev_kg) for r in of.records[: first + 1] if r.mass_kg]
+        for of in (target, seen_live)
+    ]
+    assert stated[0] == stated[1]
+    assert stated[0][-1][2] > 0.04 * seen_live.records[first].load_kg, "with what the sweep may show"
+
+
 def test_one_by_one_and_in_runs_are_the_same_for_a_log_too() -> None:
     frames, _, _ = live()
 

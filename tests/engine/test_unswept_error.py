@@ -27,9 +27,9 @@ SETTINGS = EngineSettings()
 AWAY_RAD = np.radians(40.0)
 
 
-def updater(settings: EngineSettings = SETTINGS, *, drives_plate: bool = True, learns: bool = True) -> ParameterUpdater:
+def updater(settings: EngineSettings = SETTINGS, *, learns: bool = True) -> ParameterUpdater:
     calibrator = ClosedLoopCalibrator(MODEL, CalibratorSettings()) if learns else None
-    return ParameterUpdater(settings, MACHINE, OpenLoop(MODEL, PARAMETERS), calibrator, drives_plate=drives_plate)
+    return ParameterUpdater(settings, MACHINE, OpenLoop(MODEL, PARAMETERS), calibrator)
 
 
 def swept(of: ParameterUpdater) -> ParameterUpdater:
@@ -70,7 +70,6 @@ def test_it_is_of_the_angles_that_the_sweep_visits_and_counts_the_calibrations_o
     [
         pytest.param(lambda: updater(replace(SETTINGS, sweep=replace(SETTINGS.sweep, enabled=False))), id="sweeps off"),
         pytest.param(lambda: updater(replace(SETTINGS, sweep=replace(SETTINGS.sweep, when="information"))), id="by information"),
-        pytest.param(lambda: updater(drives_plate=False), id="of a log"),
         pytest.param(lambda: updater(learns=False), id="nothing learns"),
     ],
 )

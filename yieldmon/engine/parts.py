@@ -87,7 +87,7 @@ class Parts:
             plate=Plate(settings, machine, driven=drives_plate),
             faults=FaultBook(),
             since_zero=SinceZero(),
-            updater=ParameterUpdater(settings, machine, estimator, calibrator, drives_plate=drives_plate),
+            updater=ParameterUpdater(settings, machine, estimator, calibrator),
             publisher=Publisher(ranges),
         )
 

@@ -52,17 +52,13 @@ class ParameterUpdater:
         machine: Machine,
         estimator: FlowEstimator,
         calibrator: SelfCalibrator | None,
-        *,
-        drives_plate: bool = False,
     ) -> None:
         self.calibrator = calibrator
         self.disagreement = Disagreement(settings.disagreement, machine)
         self._sweeps = settings.sweep
         self._home_rad = machine.home_plate_angle_rad
-        self._leaves_home = drives_plate and settings.sweep.enabled
-        self._sweeps_come = (
-            drives_plate and calibrator is not None and settings.sweep.enabled and settings.sweep.when == "interval"
-        )
+        self._leaves_home = settings.sweep.enabled
+        self._sweeps_come = calibrator is not None and settings.sweep.enabled and settings.sweep.when == "interval"
         self._weighed = False
         self._put(estimator, None, weighed=False)
         self.outcome: CalibrationOutcome | None = None
