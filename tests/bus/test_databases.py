@@ -92,9 +92,9 @@ BA_ "SystemSignalLongSymbol" SG_ 2566844926 Speed "Speed_of_the_clean_grain_elev
 @pytest.mark.parametrize(
     ("sound", "odd", "said"),
     [
-        ("Speed m2", "Dreh-zahl m2", "line 13"),
+        ("Speed m2", "Dreh-zahl m2", "line 13: `SG_ Dreh` cannot be followed by `-zahl"),
         ("(0.5,0)", "(0,5,0)", "line 13"),
-        ('"kg" A', '"kg A', "Invalid syntax"),
+        ('"kg" A', '"kg A', "cannot be followed by"),
         ("VAL_ 25", 'CM_ "a plate of 5" steel";\nVAL_ 25', "line 20"),
     ],
 )
@@ -173,22 +173,70 @@ def test_a_message_that_no_dbc_may_have_leaves_the_others(
     assert "Y" not in shown.out.split()
 
 
+AFTER_OTHER = PLAIN.replace("BA_DEF_ BO_", OTHER + "ODD" + "BA_DEF_ BO_")
+
+
 @pytest.mark.parametrize(
-    "odd",
+    ("odd", "said"),
     [
-        ODD.replace("SG_ Z", "SG_ 2Z") + ODD.replace("9 Odd", "9 Again"),
-        ODD.replace("BO_ 9 Odd", "BO_9 Odd"),
-        ODD.replace("BO_ 9 Odd", "BO_ x Odd"),
-        ODD.replace('"" A', '" A', 1),
+        (ODD.replace("SG_ Z", "SG_ 2Z") + ODD.replace("9 Odd", "9 Again"), "`SG_` cannot be followed by `2Z"),
+        (ODD.replace("BO_ 9 Odd", "BO_ x Odd"), "`BO_` cannot be followed by `x Odd"),
+        (ODD.replace('"" A', '" A', 1), '`VAL_ 2566844926 Page 2 "Speed` cannot be followed by'),
     ],
 )
-def test_what_may_belong_to_another_message_refuses_the_file_or_that_message(tmp_path: Path, odd: str) -> None:
-    """Signals below a line that is not seen as a message's would be those of the message before."""
-    try:
-        found: dict[str, MessageBits] = messages(  # type: ignore[assignment]
-            tmp_path, PLAIN.replace("BA_DEF_ BO_", OTHER + odd + "BA_DEF_ BO_").replace("BS_:", "BS_: 1:1,2")
-        )
-    except InputError:
-        return
-    assert not {"Y", "Z"} & {signal for message in found.values() for signal in message.signals}
-    assert "Other" not in found or found["Other"].contradiction
+def test_what_may_belong_to_another_message_refuses_the_file(tmp_path: Path, odd: str, said: str) -> None:
+    with pytest.raises(InputError) as refused:
+        messages(tmp_path, AFTER_OTHER.replace("ODD", odd))
+    assert said in str(refused.value)
+
+
+def test_signals_below_a_line_that_is_not_seen_as_a_message_s_are_no_one_s(tmp_path: Path) -> None:
+    """They would be those of the message before."""
+    text = AFTER_OTHER.replace("ODD", ODD.replace("BO_ 9 Odd", "BO_9 Odd"))
+    found: dict[str, MessageBits] = messages(tmp_path, text)  # type: ignore[assignment]
+    assert {name: list(message.signals) for name, message in found.items()} == {"Shaft": ["Page", "Speed", "Load"], "Other": []}
+    assert "`BO_9 Odd: 8 A` is no line of a DBC" in found["Other"].contradiction
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(504), "is an old Excel file"),
+        (b"\x03\x7e\x01\x01" + bytes(28) + b"NAME" + bytes(30), "is a dBase table"),
+        (b"PK\x03\x04" + bytes(60), "is a zip archive or workbook"),
+        (b"%PDF-1.4\n%\xe2\xe3\xcf\xd3\n", "is a PDF"),
+        (b"\xef\xbb\xbf<!DOCTYPE html>\n<html>404</html>\n", "is a web page"),
+        (b"version https://git-lfs.github.com/spec/v1\noid sha256:4d\n", "is a pointer of Git LFS"),
+        (PLAIN.encode("utf-16"), "is UTF-16 text"),
+        (b"A\x00B", "is no text"),
+        (b"id;message;signal\r\n0x123;Force;Value\r\n", "is no DBC; expected a DBC file, with lines such as `BO_ 291 "),
+        (b"(0.0) can0 123#0011\n", "is no DBC"),
+        (b"\r\n \r\n", "is empty"),
+    ],
+)
+def test_another_kind_of_file_is_told_as_what_it_is(
+    tmp_path: Path, content: bytes, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """cantools told where its grammar ended."""
+    (tmp_path / "m.dbc").write_bytes(content)
+    (tmp_path / "bus.log").write_text("(0.0) can0 007#1100000000000000\n")
+    (tmp_path / "c.yaml").write_text("signals:\n  moisture: {dbc: m.dbc, message: Other, signal: X}\n")
+    for words in (
+        ["signals", str(tmp_path / "bus.log"), "--dbc", str(tmp_path / "m.dbc")],
+        ["check-config", str(tmp_path / "c.yaml")],
+    ):
+        assert main(words) == 2
+        line = capsys.readouterr().err
+        assert f"m.dbc: {said}" in line
+        assert line.count("\n") == 1
+        assert "syntax" not in line
+
+
+def test_the_line_of_a_mistake_is_that_of_the_file(tmp_path: Path) -> None:
+    """Not of what is left of it without the copies of messages."""
+    odd = 'CM_ "a plate of 5" steel";'
+    text = PLAIN.replace("BA_DEF_ BO_", OTHER + OTHER + "BA_DEF_ BO_").replace("VAL_ 25", f"{odd}\nVAL_ 25")
+    with pytest.raises(InputError) as refused:
+        messages(tmp_path, text)
+    line = 1 + text.split("\n").index('VAL_ 2566844926 Page 2 "Speed" ;')
+    assert f": line {line}: `VAL_ " in str(refused.value)

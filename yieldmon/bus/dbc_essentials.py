@@ -134,7 +134,9 @@ def _too_large(number: int, name: str) -> str:
 
 
 def _said(statement: str) -> str:
-    line = " ".join(statement.split("\n", 1)[0].split())
+    """The line that is wrong: below a signal that is as it has to be, the one that is not seen as another statement."""
+    lines = [" ".join(line.split()) for line in statement.split("\n") if line.strip()]
+    line = lines[1] if len(lines) > 1 and _signal(lines[0]) is not None else lines[0]
     return f"`{line[:_LONGEST_SAID]}` is no line of a DBC: names are letters, digits and _, and begin with no digit"
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from yieldmon.bounded import read_whole
 from yieldmon.bus.dbc_essentials import LeftOut, essentials, sound_part
 from yieldmon.errors import InputError
+from yieldmon.file_kinds import kind_of
 from yieldmon.identifiers import EXTENDED_FLAG, LARGEST_EXTENDED_ID, LARGEST_STANDARD_ID
 
 if TYPE_CHECKING:
@@ -30,6 +31,8 @@ _IDENTIFIER = re.compile(
 
 _OTHER_ERRORS = (ValueError, KeyError, TypeError, IndexError, AttributeError)
 """What cantools raises beside its own."""
+_INVALID = re.compile(r'Invalid syntax at line \d+, column \d+: "(.*?)>>!<<(.*?)"*$')
+"""The line as cantools quotes it, and where it is no line of a DBC any more."""
 _PART = re.compile(r"^[ \t]*(?:BO_[ \t]+(\d+)|SG_[ \t]+(\w+))", re.MULTILINE)
 _LONGEST_NUMBER = len(str(EXTENDED_FLAG | LARGEST_EXTENDED_ID))
 """Digits of an identifier."""
@@ -112,8 +115,10 @@ def text_of(path: Path | str) -> str:
     if file.suffix.lower() in _OTHER_DATABASES and file.exists():
         raise InputError(where, "is no DBC", f"a DBC file; `cantools convert {file.name} {file.stem}.dbc` makes one")
     data = read_whole(path, "a readable DBC file", LARGEST_BYTES)
+    if kind := kind_of(data):
+        raise InputError(where, f"is {kind}", "a DBC file in UTF-8 or Windows-1252")
     if b"\x00" in data:
-        raise InputError(where, "is in UTF-16 or no text at all", "a DBC file in UTF-8 or Windows-1252")
+        raise InputError(where, "is no text", "a DBC file in UTF-8 or Windows-1252")
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -139,9 +144,24 @@ def parsed(where: str, text: str, *, strict: bool = True) -> Database:
         if plain is not None:
             with suppress(DbcError, *_OTHER_ERRORS):
                 return _loaded(plain, strict)
-        raise InputError(where, " ".join(str(error).split()), "a DBC file without contradictions") from error
+        raise _refusal(where, text, str(error)) from error
     except _OTHER_ERRORS as error:
         raise InputError(where, f"cannot be read: {error!r}", "a DBC file") from error
+
+
+def _refusal(where: str, text: str, said: str) -> InputError:
+    """Of a text that is no DBC, or of a line that cannot be one's; what cantools says of contradictions stays."""
+    if not _MESSAGE.search(text):
+        return InputError(
+            where, "is no DBC" if text.strip() else "is empty", "a DBC file, with lines such as `BO_ 291 Force: 8 Node`"
+        )
+    found = _INVALID.search(said)
+    if found is None:
+        return InputError(where, " ".join(said.split()), "a DBC file without contradictions")
+    begin, rest = found[1], found[2]
+    lines = text.split("\n")
+    at = f"{where}: line {lines.index(begin + rest) + 1}" if begin + rest in lines else where
+    return InputError(at, f"`{begin.strip()}` cannot be followed by `{rest}`", "a DBC file")
 
 
 def sound(where: str, text: str) -> tuple[Database, tuple[LeftOut, ...]]:

@@ -6,7 +6,6 @@ file that each row stands on.
 
 from __future__ import annotations
 
-import codecs
 import csv
 import hashlib
 import io
@@ -19,6 +18,7 @@ from typing import Any
 
 from yieldmon import bounded
 from yieldmon.errors import InputError, brief
+from yieldmon.file_kinds import kind_of
 from yieldmon.repeats import repeated
 
 UNKNOWN = ("", "-", "nan", "na", "n/a", "null")
@@ -26,8 +26,15 @@ UNKNOWN = ("", "-", "nan", "na", "n/a", "null")
 WORKBOOK = ".xlsx"
 LARGEST_BYTES = 256_000_000
 """Of a table; its cells take ten times as much memory."""
-_GZIP, _ZIP, _OLD_EXCEL = b"\x1f\x8b", b"PK\x03\x04", b"\xd0\xcf\x11\xe0"
-_SQLITE = b"SQLite format 3\0"
+_ZIP = b"PK\x03\x04"
+#: What a file is -> what would do; a CSV file for all others.
+_EXPECTED = {
+    "compressed": "a plain CSV file; gunzip it",
+    "an old Excel file": f"a CSV file, or the workbook saved as *{WORKBOOK}",
+    "an OpenDocument file": f"a CSV file, or the workbook saved as *{WORKBOOK}",
+    "a database, as a daemon's store is": "a table; of a store: `calibrate --loads STORE` takes its loads, "
+    "`diagnose STORE --table FILE` its sweeps",
+}
 _SEPARATORS = ",;\t"
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?")
 
@@ -129,15 +136,8 @@ def _point(cell: str) -> str:
 
 
 def _text(raw: bytes, where: str) -> str:
-    if raw.startswith(_GZIP):
-        raise InputError(where, "is compressed", "a plain CSV file; gunzip it")
-    if raw.startswith(_OLD_EXCEL):
-        raise InputError(where, "is an old Excel file", f"a CSV file, or the workbook saved as *{WORKBOOK}")
-    if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        raise InputError(where, "is UTF-16 text", "a UTF-8 CSV file")
-    if raw.startswith(_SQLITE):
-        expected = "a table; of a store: `calibrate --loads STORE` takes its loads, `diagnose STORE --table FILE` its sweeps"
-        raise InputError(where, "is a database, as a daemon's store is", expected)
+    if kind := kind_of(raw):
+        raise InputError(where, f"is {kind}", _EXPECTED.get(kind, "a UTF-8 CSV file"))
     try:
         return raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:

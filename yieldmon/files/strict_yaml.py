@@ -22,6 +22,7 @@ from yaml.resolver import Resolver
 
 from yieldmon.bounded import TIMEOUT_S, content
 from yieldmon.errors import InputError, reason
+from yieldmon.file_kinds import kind_of
 from yieldmon.files.yaml_slips import in_plain_words
 
 MAX_BYTES = 100_000
@@ -202,4 +203,6 @@ def read(path: Path | str) -> str:
             raise
         raise InputError(str(path), reason(error), "a readable YAML file") from error
     except UnicodeDecodeError as error:
-        raise InputError(str(path), f"byte {error.start} is not UTF-8", "a YAML file in UTF-8") from error
+        kind = kind_of(error.object)
+        problem = f"is {kind}" if kind else f"byte {error.start} is not UTF-8"
+        raise InputError(str(path), problem, "a YAML file in UTF-8") from error
