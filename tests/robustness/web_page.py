@@ -100,12 +100,12 @@ def soak(folder: Path, options: argparse.Namespace) -> tuple[dict[str, Any], boo
             try:
                 while not heaps or heaps[-1][0] < until:
                     watched.page.wait_for_timeout(2000)
-                    heaps.append((int(watched.page.evaluate("document.body.dataset.last")), watched.page.evaluate(_HEAP) / 1e6))
+                    heaps.append((int(watched.evaluate("document.body.dataset.last")), watched.evaluate(_HEAP) / 1e6))
                     assert playing.is_alive() or daemon.number == until
             finally:
                 stop.set()
                 playing.join()
-            missed = int(watched.page.evaluate("document.body.dataset.missed"))
+            missed = int(watched.evaluate("document.body.dataset.missed"))
             complaints = watched.complaints
     begin = next(heap for number, heap in heaps if number >= min(_WARM_UP_S, until // 4))
     growth_mb = heaps[-1][1] - begin
@@ -135,18 +135,18 @@ def large_map(folder: Path, options: argparse.Namespace) -> tuple[dict[str, Any]
             for _ in range(5):
                 watched.page.goto(site + "/history?map=all")
                 watched.wait(f"document.querySelector('#map canvas')?.dataset.points === '{count}'", 300.0)
-                shown_ms = watched.page.evaluate("performance.now()")
+                shown_ms = watched.evaluate("performance.now()")
                 canvas = watched.page.locator("#map canvas")
                 canvas.focus()
                 for _ in range(5):
-                    before = watched.page.evaluate(_DRAWN)
+                    before = watched.evaluate(_DRAWN)
                     began_s = time.monotonic()
                     watched.page.keyboard.press("ArrowLeft")
                     watched.wait(f"{_DRAWN} > {before}")
                     moves_s.append(time.monotonic() - began_s)
                     if len(moves_s) % 5 == 1:
-                        moved_ms = watched.page.evaluate("performance.now()")
-                loaded_ms = watched.page.evaluate("performance.getEntriesByType('navigation')[0].loadEventEnd")
+                        moved_ms = watched.evaluate("performance.now()")
+                loaded_ms = watched.evaluate("performance.getEntriesByType('navigation')[0].loadEventEnd")
                 shown_s.append((shown_ms - loaded_ms) / 1000.0)
                 moved_s.append((moved_ms - loaded_ms) / 1000.0)
                 from_start_s.append(shown_ms / 1000.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import shutil
 import time
@@ -36,6 +37,10 @@ def opened() -> Iterator[Browser]:
             browser.close()
 
 
+ANSWER_S = 60.0
+"""A page may take for an expression."""
+
+
 class Watched:
     """A page, and what it asked for and complained of."""
 
@@ -56,11 +61,21 @@ class Watched:
             self.page.wait_for_timeout(rest_ms)
             rest_ms = min(1.3 * rest_ms, 200.0)
 
+    def evaluate(self, expression: str, timeout_s: float = ANSWER_S) -> Any:
+        """What a JavaScript expression gives, which has to be of JSON's kinds. playwright's own waits without end for a page that
+        hangs. Raises TimeoutError."""
+        # Its public calls take no limit.
+        answer = self.page._impl_obj.evaluate(expression, None)  # noqa: SLF001
+        try:
+            return self.page._sync(asyncio.wait_for(answer, timeout_s))  # noqa: SLF001
+        except TimeoutError as error:
+            raise TimeoutError(f"no answer in {timeout_s:g} s to {expression}; {self.complaints}") from error
+
     def _holds(self, condition: str) -> bool:
         from playwright.sync_api import Error
 
         try:
-            return bool(self.page.evaluate(condition))
+            return bool(self.evaluate(condition))
         except Error as error:
             # Asked on the way from one page to the next.
             if "context was destroyed" in str(error):

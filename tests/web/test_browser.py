@@ -65,6 +65,14 @@ def same_site(watched: Watched, site: str) -> None:
     assert watched.complaints == []
 
 
+def test_a_page_that_hangs_ends_what_asks_it(browser: Browser) -> None:
+    """And the browser has others."""
+    with Watched(browser) as watched, pytest.raises(TimeoutError, match="no answer in 1 s to"):
+        watched.evaluate("(() => { while (true); })()", timeout_s=1.0)
+    with Watched(browser) as watched:
+        assert watched.evaluate("[1, {two: 3.5}]") == [1, {"two": 3.5}]
+
+
 @pytest.mark.parametrize("size", [CAB, OFFICE], ids=["cab", "office"])
 def test_the_live_page_shows_what_the_daemon_says(browser: Browser, daemon: StandIn, site: str, size: dict[str, int]) -> None:
     with Watched(browser, size) as watched:
@@ -79,7 +87,7 @@ def test_the_live_page_shows_what_the_daemon_says(browser: Browser, daemon: Stan
         assert watched.page.inner_text("#state") == "harvesting"
         assert watched.page.inner_text("#flow-band") == "± 0.25 kg/s"
         # All of it on one screen, and large enough for a thumb in a glove.
-        assert watched.page.evaluate(FITS)
+        assert watched.evaluate(FITS)
         for button in watched.page.query_selector_all("button:visible"):
             box = button.bounding_box()
             assert box is not None
@@ -95,7 +103,7 @@ def test_a_fault_comes_and_goes(browser: Browser, daemon: StandIn, site: str) ->
             daemon.faults = [fault("FramesLost", MARKUP)]
             watched.wait("document.querySelectorAll('.fault').length === 1")
             assert watched.page.inner_text(".fault") == f"FramesLost ({MARKUP}) What it does. What to do."
-            assert watched.page.evaluate("document.querySelector('.fault').closest('[role=alert]') !== null")
+            assert watched.evaluate("document.querySelector('.fault').closest('[role=alert]') !== null")
         finally:
             daemon.faults = []
         watched.wait("document.querySelectorAll('.fault').length === 0")
@@ -116,7 +124,7 @@ def test_markup_in_names_stays_text(browser: Browser, tmp_path: Path) -> None:
             watched.page.keyboard.press("Escape")
             watched.page.goto(site + "/history")
             watched.wait("document.querySelectorAll('#faults-table td').length === 4")
-            assert watched.page.evaluate("document.querySelectorAll('main img, main b').length") == 0
+            assert watched.evaluate("document.querySelectorAll('main img, main b').length") == 0
             assert watched.page.inner_text("#sweeps-table").count(name) == 1
             assert watched.page.title() == "yieldmon: history"
             assert [url for url in watched.asked if not url.startswith(site + "/")] == []
@@ -311,16 +319,16 @@ def test_a_button_by_keyboard_alone(browser: Browser, daemon: StandIn, site: str
         watched.wait(READY)
         for _ in range(40):
             watched.page.keyboard.press("Tab")
-            if watched.page.evaluate("document.activeElement.textContent") == "End load":
+            if watched.evaluate("document.activeElement.textContent") == "End load":
                 break
         watched.page.keyboard.press("Enter")
         for _ in range(5):
-            if watched.page.evaluate("document.activeElement.className") == "yes":
+            if watched.evaluate("document.activeElement.className") == "yes":
                 break
             watched.page.keyboard.press("Tab")
         watched.page.keyboard.press("Enter")
         watched.wait("document.getElementById('answer').textContent.startsWith('Load 1 ended')")
-        assert watched.page.evaluate("document.activeElement.textContent") == "End load"
+        assert watched.evaluate("document.activeElement.textContent") == "End load"
     assert daemon.asked == [{"command": "load-stop"}]
 
 
@@ -350,8 +358,8 @@ def test_signing_in(browser: Browser, daemon: StandIn, tmp_path: Path) -> None:
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_axe_finds_no_serious_fault(browser: Browser, daemon: StandIn, site: str, scheme: str) -> None:
     def faults_of(watched: Watched) -> list[str]:
-        watched.page.evaluate(AXE)
-        result = watched.page.evaluate("axe.run(document, {resultTypes: ['violations']})")
+        watched.evaluate(AXE)
+        result = watched.evaluate("axe.run(document, {resultTypes: ['violations']})")
         serious = [found for found in result["violations"] if found["impact"] in ("serious", "critical")]
         return [f"{found['id']}: {[node['target'] for node in found['nodes']]}" for found in serious]
 
@@ -392,12 +400,10 @@ def test_the_history_on_a_phone_has_rows_of_some_lines_and_charts_of_some_days(b
         with page(daemon.socket) as site, Watched(browser, {"width": 390, "height": 844}) as watched:
             watched.page.goto(site + "/history")
             watched.wait("document.querySelectorAll('.charts figure [data-seconds]').length === 3")
-            seconds = watched.page.evaluate(
-                "[...document.querySelectorAll('[data-seconds]')].map(e => Number(e.dataset.seconds))"
-            )
+            seconds = watched.evaluate("[...document.querySelectorAll('[data-seconds]')].map(e => Number(e.dataset.seconds))")
             assert seconds == [2 * 86_400] * 3
             watched.wait(f"{TEXT}.includes('check rate_hz')")
-            heights = watched.page.evaluate("[...document.querySelectorAll('tbody tr')].map(row => row.offsetHeight)")
+            heights = watched.evaluate("[...document.querySelectorAll('tbody tr')].map(row => row.offsetHeight)")
             assert max(heights) < 130
             same_site(watched, site)
 
@@ -421,7 +427,7 @@ def test_110_000_points_are_drawn_and_moved(browser: Browser, tmp_path: Path) ->
                 ".getImageData(0, 0, c.width, c.height).data; let n = 0, x = 0; for (let i = 3; i < d.length; i += 4)"
                 " if (d[i]) { n++; x += (i >> 2) % c.width; } return [n, x / n]; })()"
             )
-            painted, middle = watched.page.evaluate(picture)
+            painted, middle = watched.evaluate(picture)
             assert painted > 5000
             canvas = watched.page.locator("#map canvas")
             canvas.scroll_into_view_if_needed()
@@ -430,7 +436,7 @@ def test_110_000_points_are_drawn_and_moved(browser: Browser, tmp_path: Path) ->
             x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
             drawn = "Number(document.querySelector('#map canvas').dataset.drawn)"
             for act, shift in (("mouse", 40.0), ("keyboard", -60.0)):
-                before = watched.page.evaluate(drawn)
+                before = watched.evaluate(drawn)
                 if act == "mouse":
                     watched.page.mouse.move(x, y)
                     watched.page.mouse.down()
@@ -440,7 +446,7 @@ def test_110_000_points_are_drawn_and_moved(browser: Browser, tmp_path: Path) ->
                     canvas.focus()
                     watched.page.keyboard.press("ArrowRight")
                 watched.wait(f"{drawn} > {before}")
-                _, moved = watched.page.evaluate(picture)
+                _, moved = watched.evaluate(picture)
                 assert moved - middle == pytest.approx(shift, abs=2.0)
                 middle = moved
             same_site(watched, site)
@@ -453,7 +459,7 @@ def test_a_field_across_the_180th_meridian_fills_the_map(browser: Browser, tmp_p
             watched.page.route("**/api/points*", lambda route: route.fulfill(body=many_points(20_000, 179.998)))
             watched.page.goto(site + "/history?map=all")
             watched.wait("document.querySelector('#map canvas')?.dataset.points === '20000'")
-            painted = watched.page.evaluate(
+            painted = watched.evaluate(
                 "(() => { const c = document.querySelector('#map canvas'); const d = c.getContext('2d')"
                 ".getImageData(0, 0, c.width, c.height).data; let n = 0; for (let i = 3; i < d.length; i += 4)"
                 " if (d[i]) n++; return n / (c.width * c.height); })()"
@@ -479,14 +485,14 @@ def test_at_120_times_the_pace_no_second_is_missed(browser: Browser, tmp_path: P
             try:
                 heap = "(gc(), performance.memory.usedJSHeapSize)"
                 watched.wait("Number(document.body.dataset.last) >= 3700")
-                before = watched.page.evaluate(heap)
+                before = watched.evaluate(heap)
                 watched.wait("Number(document.body.dataset.last) >= 4200", timeout_s=60.0)
-                after = watched.page.evaluate(heap)
+                after = watched.evaluate(heap)
             finally:
                 stop.set()
                 playing.join()
             watched.wait(f"Number(document.body.dataset.last) === {daemon.number}")
-            assert watched.page.evaluate("document.body.dataset.missed") == "0"
+            assert watched.evaluate("document.body.dataset.missed") == "0"
             assert after - before < 5e6
             same_site(watched, site)
 
@@ -528,7 +534,7 @@ def test_a_server_that_hangs_is_no_harvest(browser: Browser, tmp_path: Path) -> 
             watched.wait(f"{TEXT}.includes('harvesting')")
             os.kill(site.pid, signal.SIGSTOP)
             # The page's clock goes ahead by less than its patience beyond what a server that lives leaves between two events.
-            watched.page.evaluate(f"const real = performance.now.bind(performance); performance.now = () => real() + {AHEAD_MS};")
+            watched.evaluate(f"const real = performance.now.bind(performance); performance.now = () => real() + {AHEAD_MS};")
             try:
                 watched.wait(f"{TEXT}.includes('no news for') && document.body.classList.contains('stale')")
             finally:
