@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from .plane import Sites
 from .table import Array, HarvestTable, Label
 
-_FASTEST_M_S, _BESIDE_M = 5.0, 5.0
+FASTEST_M_S, BESIDE_M = 5.0, 5.0
 """Of a combine at work, and metres beside it, within which a row goes on from the one before."""
 _LONGEST_GAP_S, _LONGEST_GAP = 12.0, 4.0
 """Between two rows of a track, s and usual intervals: the longer of them."""
@@ -193,7 +193,7 @@ def _followed(time_s: Array, x_m: Array, y_m: Array) -> tuple[NDArray[np.int32],
     usual_s = float(np.median(gap[gap > 0])) if np.any(gap > 0) else 0.0
     longest_s = max(_LONGEST_GAP_S, _LONGEST_GAP * usual_s)
     # A gap of a damaged time may be any number.
-    reach_m = _FASTEST_M_S * np.minimum(gap, longest_s) + _BESIDE_M
+    reach_m = FASTEST_M_S * np.minimum(gap, longest_s) + BESIDE_M
     leaps = (np.hypot(np.diff(x_m), np.diff(y_m)) > reach_m) & (gap <= longest_s)
     if leaps.sum() < _LEAST_TURNS:
         return of_row, 0
@@ -237,7 +237,7 @@ def _stretches(time_s: list[float], x_m: list[float], y_m: list[float], longest_
         nearest, least_m = None, inf
         for one in alive:
             away_m = hypot(east - one.x_m, north - one.y_m)
-            if away_m < least_m and away_m <= _FASTEST_M_S * (time - one.time_s) + _BESIDE_M:
+            if away_m < least_m and away_m <= FASTEST_M_S * (time - one.time_s) + BESIDE_M:
                 nearest, least_m = one, away_m
         if nearest is None:
             nearest = _Stretch([], time, east, north)

@@ -10,6 +10,7 @@ import numpy as np
 from yieldmon.errors import InputError
 from yieldmon.field.mixed import machine_names
 from yieldmon.field.plane import Sites
+from yieldmon.field.repeated_hour import counted_on
 from yieldmon.field.sources.options import ReadOptions
 from yieldmon.field.table import LABELS, REQUIRED, Array, HarvestTable, Label, Source, build
 from yieldmon.field.units import FACTORS, factor, is_bushels
@@ -60,7 +61,7 @@ def assemble(raw: Raw, where: str, kind: str, options: ReadOptions) -> HarvestTa
     values["longitude"], values["latitude"], turned = on_the_globe(values["longitude"], values["latitude"])
     clock = column_times(raw, options, where)
     raw, values, clock = without_repeats(raw, values, clock)
-    raw = _machines_apart(raw, values, clock)
+    raw, clock = _machines_apart(raw, values, clock)
     if options.width_m is not None:
         values["width"] = np.full(raw.count, options.width_m)
     if "width" not in values:
@@ -106,7 +107,7 @@ def assemble(raw: Raw, where: str, kind: str, options: ReadOptions) -> HarvestTa
             *ways,
             *times.notes,
             *strange,
-            *(_backwards(time) if clock.time_s is not None else ()),
+            *(_backwards(time) if clock.time_s is not None and not clock.hour_again else ()),
             *derived,
             *limits,
         ),
@@ -141,21 +142,25 @@ def _limited(values: dict[str, Array], columns: Mapping[str, Column]) -> tuple[s
     return notes
 
 
-def _machines_apart(raw: Raw, values: Mapping[str, Array], clock: ColumnTimes) -> Raw:
-    """With a name of its own for each of several machines whose rows are mixed: intervals and ways are those of one."""
+def _machines_apart(raw: Raw, values: Mapping[str, Array], clock: ColumnTimes) -> tuple[Raw, ColumnTimes]:
+    """With a name of its own for each of several machines whose rows are mixed: intervals and ways are those of one. And with
+    times that go on where local time comes twice."""
     if clock.time_s is None or "section" in values:
-        return raw
+        return raw, clock
     column = raw.columns.get("machine")
     label = None if column is None else raw.texts.get(column.name)
     places, _ = plausible({"longitude_deg": values["longitude"], "latitude_deg": values["latitude"]})
     plane = Sites.about(places["longitude_deg"], places["latitude_deg"])
     x_m, y_m = plane.to_m(places["longitude_deg"], places["latitude_deg"])
-    named, note = machine_names(clock.time_s, x_m, y_m, label or Label.constant("", raw.count))
+    machine = label or Label.constant("", raw.count)
+    time_s, twice = counted_on(clock.time_s, x_m, y_m, machine)
+    clock = replace(clock, time_s=time_s, notes=(*clock.notes, twice), hour_again=True) if twice else clock
+    named, note = machine_names(time_s, x_m, y_m, machine)
     if not note:
-        return raw
+        return raw, clock
     name = " machine"
     columns = {**raw.columns, "machine": Column(name, "machine", "")}
-    return replace(raw, columns=columns, texts={**raw.texts, name: named}, notes=(*raw.notes, note))
+    return replace(raw, columns=columns, texts={**raw.texts, name: named}, notes=(*raw.notes, note)), clock
 
 
 def _numbers(raw: Raw, where: str, crop: str) -> tuple[dict[str, Array], tuple[str, ...]]:

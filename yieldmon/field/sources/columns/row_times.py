@@ -46,6 +46,8 @@ class ColumnTimes:
         Of the column.
     date_order : DateOrder or None
         See `Source`.
+    hour_again : bool
+        Whether an hour comes twice in the column, and the times after it were counted on.
     """
 
     time_s: Array | None
@@ -53,6 +55,7 @@ class ColumnTimes:
     notes: tuple[str, ...]
     name: str = ""
     date_order: DateOrder | None = None
+    hour_again: bool = False
 
 
 @dataclass(frozen=True)
