@@ -12,7 +12,7 @@ from yieldmon.estimation.waveform.kernel_noise import (
     kernel_flow,
     kernel_impulse,
 )
-from yieldmon.estimation.waveform.spectral_density import density, in_pulses
+from yieldmon.estimation.waveform.spectral_density import densities, density, in_pulses
 
 FORCE_N, IMPULSE_N_S, KERNEL_KG = 73.0, 3.6e-3, 4.0e-4
 FINE = 20
@@ -200,3 +200,15 @@ def test_density_of_white_noise_is_its_variance_times_the_interval() -> None:
     assert found.density.mean() == pytest.approx(4.0e-3, rel=0.02)
     with pytest.raises(ValueError, match="at least one segment of 256"):
         density(quiet(100, 3), 1e-3)
+
+
+def test_stretches_side_by_side_have_the_densities_that_each_has_alone() -> None:
+    rng = np.random.default_rng(12)
+    stretches = [rng.standard_normal(length) for length in (1003, 256, 640, 997, 383)]
+    for stretch, found in zip(stretches, densities(stretches, 1e-3), strict=True):
+        alone = density(stretch, 1e-3)
+        assert found.density.tobytes() == alone.density.tobytes()
+        assert found.averages == alone.averages
+    assert densities([], 1e-3) == []
+    with pytest.raises(ValueError, match="255 samples, expected at least one segment of 256"):
+        densities([stretches[0], stretches[0][:255]], 1e-3)

@@ -11,8 +11,9 @@ from studies.waveform.arrival import calibrate_arrival, sample_noise_n
 from studies.waveform.load_contrast import contrast, expected_exponent, flow_of
 from tests.estimation.one_window import fold, harmonics_of, residual
 from yieldmon.estimation.waveform import arrival_law, pulse_fit, pulse_model, pulse_shape
-from yieldmon.estimation.waveform.pattern_fold import FoldedPattern, PatternWave, residual_of_pulses
+from yieldmon.estimation.waveform.pattern_fold import FoldedPattern, PatternWave
 from yieldmon.estimation.waveform.pulse_model import PulseModel, PulseSettings
+from yieldmon.estimation.waveform.pulse_residuals import residuals_of_pulses
 from yieldmon.physics import pulse
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import ForwardModel
@@ -292,13 +293,31 @@ def test_pulses_that_creep_and_differ_leave_only_their_noise(late_turns: float, 
     shown = force(phase, 1.0 + spread * drawn[0], late_turns * drawn[1], 1.0 + wider * drawn[2]) + noise
     fine = 5.0 + (np.arange(512) + 0.5) / 512
     mean = FoldedPattern(force(fine, np.ones(82), np.zeros(82), np.ones(82)), np.zeros(512), np.full(512, 100.0), 100.0)
-    plain, (own, late) = residual(shown, phase, mean), residual_of_pulses(shown, phase, mean, spacings)
+    plain, (own, late) = residual(shown, phase, mean), residuals_of_pulses([shown], [phase], [mean], spacings)[0]
     if late_turns > 0.0:
         # The first pulse that the samples hold as a whole is the fifth of those that were made.
         assert np.corrcoef(late, drawn[1][4 : 4 + late.size])[0, 1] > 0.99
         assert np.std(late) == pytest.approx(late_turns * np.std(drawn[1]), rel=0.15)
     assert np.std(own) == pytest.approx(np.std(noise), rel=0.06)
     assert bool(np.std(plain) > 1.5 * np.std(noise)) is (late_turns > 0.0 or spread > 0.0 or wider > 0.0)
+
+
+@pytest.mark.parametrize("spacings", [(0.19,), (0.1656, 0.2071), (0.15, 0.2, 0.18)])
+def test_windows_side_by_side_leave_what_each_leaves_alone(spacings: tuple[float, ...]) -> None:
+    """Windows of other lengths and speeds, down to fewer samples than a pulse has."""
+    rng = np.random.default_rng(11)
+    lengths = (1003, 997, 40, 5, 1000)
+    phases = [rng.uniform(0.0, 5.0) + rng.uniform(3e-3, 9e-3) * np.arange(length) for length in lengths]
+    samples = [50.0 + 20.0 * rng.standard_normal(length) for length in lengths]
+    pulses = 50.0 * np.exp(-(((np.arange(512) % 200 - 60) / 30.0) ** 2))
+    means = [FoldedPattern(pulses + rng.standard_normal(512), np.zeros(512), np.ones(512), 9.0) for _ in lengths]
+    together = residuals_of_pulses(samples, phases, means, spacings)
+    for number, (left, late) in enumerate(together):
+        ((alone, late_alone),) = residuals_of_pulses([samples[number]], [phases[number]], [means[number]], spacings)
+        assert left.tobytes() == alone.tobytes()
+        assert late.tobytes() == late_alone.tobytes()
+        assert left.size == lengths[number]
+    assert together[0][1].size >= 2
 
 
 def test_a_law_is_the_sum_of_its_terms_and_every_two_of_load_cosine_speed_and_friction_have_one() -> None:

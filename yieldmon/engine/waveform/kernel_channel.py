@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import isfinite
 
 import numpy as np
@@ -12,20 +12,17 @@ from yieldmon.engine.flow_estimator import FlowEstimator
 from yieldmon.engine.measurement import Reading
 from yieldmon.engine.sampling.windows import Trace
 from yieldmon.engine.settings import WaveformSettings
+from yieldmon.engine.waveform.window_noise import SEGMENT, LoadedSamples, LoadedWindow, WindowNoise, noise_of
 from yieldmon.estimation.waveform import noise_by_phase, pulse_times, spectral_density
 from yieldmon.estimation.waveform.kernel_noise import CLEAR_OF_ALIASES, KernelImpulse, KernelNoiseSettings, kernel_impulse
-from yieldmon.estimation.waveform.noise_by_phase import PhaseNoise
 from yieldmon.estimation.waveform.noise_gain import power_gain
 from yieldmon.estimation.waveform.noise_scatter import excess_scatter
-from yieldmon.estimation.waveform.pattern_fold import FoldedPattern, PatternWave, residual_of_pulses
-from yieldmon.estimation.waveform.pulse_times import PulseTimes
+from yieldmon.estimation.waveform.pattern_fold import PatternWave
 from yieldmon.estimation.waveform.running_pulses import RunningPulses
 from yieldmon.estimation.waveform.spectral_density import Density
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.numerics import Array
 
-SEGMENT = 256
-"""Samples of which a spectrum is made."""
 _APART = 3
 """Windows between grain and a window of the empty machine."""
 _CHANGING = 0.1
@@ -35,25 +32,7 @@ _BY_PHASE_EVERY = 5
 """Windows; a fifth of them tells noise between the pulses well enough."""
 _EVERY, _GROWN = 5, 0.25
 """The mean over the windows kept moves slowly: it is formed anew after so many, or while there are few when they have grown by so
-much."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Noise:
-    """Of one window with grain; flow_kg_s: by the mean force, of the estimator in use. by_phase, times: of every fifth window."""
-
-    density: Density
-    by_phase: PhaseNoise | None
-    times: PulseTimes | None
-    force_n: float
-    plate_angle_rad: float
-    speed_rad_s: float
-    moisture_pct: float
-    flow_kg_s: float
-
-    @property
-    def impulse_per_kg(self) -> float:
-        return self.force_n / self.flow_kg_s
+much. Pulses are taken off so many windows together."""
 
 
 class KernelChannel:
@@ -72,7 +51,9 @@ class KernelChannel:
             averaged=settings.samples_averaged,
         )
         self._pulses = RunningPulses()
-        self._loaded: deque[_Noise] = deque(maxlen=settings.kernel_windows)
+        self._loaded: deque[WindowNoise] = deque(maxlen=settings.kernel_windows)
+        self._samples: list[LoadedSamples] = []
+        """Of the windows after those, until their pulses are taken off."""
         self._estimator: FlowEstimator | None = None
         self._apparent: KernelImpulse | None = None
         self._heard = 0
@@ -101,11 +82,14 @@ class KernelChannel:
     @property
     def missing(self) -> str:
         """What it waits for, in words; empty where empty machine and grain have both been measured for long enough."""
-        needed = self._settings.quiet_windows
-        if min(len(self._quiet), len(self._loaded)) >= needed:
+        needed, empty, loaded = self._settings.quiet_windows, len(self._quiet), self._heard_windows
+        if min(empty, loaded) >= needed:
             return ""
-        measured = f"{len(self._quiet)} s of the empty machine and {len(self._loaded)} s of steady grain measured"
-        return f"{measured}, {needed} s of each needed"
+        return f"{empty} s of the empty machine and {loaded} s of steady grain measured, {needed} s of each needed"
+
+    @property
+    def _heard_windows(self) -> int:
+        return min(len(self._loaded) + len(self._samples), self._settings.kernel_windows)
 
     def _changed(self, force_n: float) -> bool:
         before, self._force_before_n = self._force_before_n, force_n
@@ -122,12 +106,15 @@ class KernelChannel:
         have been measured.
         """
         if estimator is not self._estimator:
-            self._estimate_anew(estimator)
+            self._estimate_anew(estimator, trace.interval_s)
         if reading.at_home:
             self._hear(force_n, trace, wave, reading, flow_kg_s)
-        if min(len(self._quiet), len(self._loaded)) < self._settings.quiet_windows:
+        if len(self._samples) >= _EVERY:
+            self._take_pulses_off(trace.interval_s)
+        if min(len(self._quiet), self._heard_windows) < self._settings.quiet_windows:
             return None
-        if self._apparent is None or self._heard >= min(_EVERY, _GROWN * (len(self._loaded) - self._heard)):
+        if self._apparent is None or self._heard >= min(_EVERY, _GROWN * (self._heard_windows - self._heard)):
+            self._take_pulses_off(trace.interval_s)
             self._apparent, self._heard = self._apparent_mass(trace.interval_s), 0
         return replace(self._apparent, impulse_n_s=self._apparent.impulse_n_s * reading.force_n / flow_kg_s)
 
@@ -135,7 +122,7 @@ class KernelChannel:
         """A kernel's impulse over that of a kilogram, of the windows kept."""
         densities = [noise.density for noise in self._loaded]
         weights = [shown.averages for shown in densities]
-        sizes = [noise.force_n * noise.impulse_per_kg for noise in self._loaded]
+        sizes = [noise.window.force_n * noise.window.impulse_per_kg for noise in self._loaded]
         per_kg = sum(w * size for w, size in zip(weights, sizes, strict=True))
         low_hz, high_hz = self._band_hz(interval_s)
         return kernel_impulse(
@@ -157,10 +144,10 @@ class KernelChannel:
         if not (high_hz > low_hz and shown):
             return 0.0
         empty = self._empty_noise()
-        speeds = [noise.speed_rad_s for _, noise in shown]
+        speeds = [noise.window.speed_rad_s for _, noise in shown]
         return noise_by_phase.steady_noise(
             [by_phase for by_phase, _ in shown],
-            [noise.impulse_per_kg for _, noise in shown],
+            [noise.window.impulse_per_kg for _, noise in shown],
             quiet_n2=noise_by_phase.band_power(empty.frequency_hz, empty.density, low_hz, high_hz),
             pattern_s=self._machine.pattern_length_m / self._machine.paddle_speed_m_s(sum(speeds) / len(speeds)),
             interval_s=interval_s,
@@ -183,7 +170,7 @@ class KernelChannel:
             empty.frequency_hz[band], self._machine.sensor.response_s, interval_s, averaged=self._settings.samples_averaged
         )
         power = [spacing_hz * float((noise.density.density - empty.density)[band].sum()) for _, noise in shown]
-        felt_n = spacing_hz * float(gain.sum()) * sum(noise.force_n for _, noise in shown)
+        felt_n = spacing_hz * float(gain.sum()) * sum(noise.window.force_n for _, noise in shown)
         return pulse_times.misplaced_share([times for times, _ in shown], sum(power) / felt_n, power)
 
     def _band_hz(self, interval_s: float) -> tuple[float, float]:
@@ -197,49 +184,40 @@ class KernelChannel:
             "plate_angle_rad": window.plate_angle_rad,
             "elevator_speed_rad_s": window.speed_rad_s,
         }
-        trace = replace(trace, phase=trace.phase - self._pulses.late_turns(wave.amplitudes_n, **kind))
-        like = self._pulses.take(force_n, trace.phase, **kind)
+        phase = trace.phase - self._pulses.late_turns(wave.amplitudes_n, **kind)
+        like = self._pulses.take(force_n, phase, **kind)
         if like is None or changed:
             return
-        mean, own = like
-        left, late_turns = residual_of_pulses(force_n, trace.phase, mean, self._machine.paddle_spacings_m)
-        crest = mean.mean_n.size * float(mean.mean_n @ mean.mean_n) / float(mean.mean_n.sum()) ** 2
-        shown = spectral_density.in_pulses(spectral_density.density(left, trace.interval_s, segment=SEGMENT), crest)
-        shown = replace(shown, density=shown.density / (1.0 + own))
-        by_phase = times = None
-        if self._until_by_phase == 0:
-            by_phase = self._by_phase(left / (1.0 + own) ** 0.5, force_n, trace)
-            times = self._times(late_turns, mean, window.speed_rad_s, trace.interval_s)
+        mean, own_variance = like
+        heard = LoadedWindow(
+            reading.force_n, window.plate_angle_rad, window.speed_rad_s, reading.inputs.fresh["moisture"], flow_kg_s
+        )
+        by_phase = self._until_by_phase == 0
         self._until_by_phase = (self._until_by_phase - 1) % _BY_PHASE_EVERY
-        moisture_pct = reading.inputs.fresh["moisture"]
+        self._samples.append(LoadedSamples(heard, force_n, phase, mean, own_variance, by_phase))
         self._heard += 1
-        self._loaded.append(
-            _Noise(shown, by_phase, times, reading.force_n, window.plate_angle_rad, window.speed_rad_s, moisture_pct, flow_kg_s)
-        )
 
-    def _times(self, late_turns: Array, mean: FoldedPattern, speed_rad_s: float, interval_s: float) -> PulseTimes:
-        low_hz, high_hz = self._band_hz(interval_s)
-        pattern_s = self._machine.pattern_length_m / self._machine.paddle_speed_m_s(speed_rad_s)
-        pulses = len(self._machine.paddle_spacings_m)
-        return pulse_times.pulse_times(
-            late_turns, mean.mean_n, pulses=pulses, pattern_s=pattern_s, low_hz=low_hz, high_hz=high_hz
-        )
+    def _take_pulses_off(self, interval_s: float) -> None:
+        """The noise of the windows whose samples wait."""
+        self._loaded.extend(noise_of(self._samples, self._machine, interval_s, self._band_hz(interval_s)))
+        self._samples.clear()
 
-    def _by_phase(self, left_n: Array, force_n: Array, trace: Trace) -> PhaseNoise:
-        low_hz, high_hz = self._band_hz(trace.interval_s)
-        given = {"interval_s": trace.interval_s, "low_hz": low_hz, "high_hz": high_hz}
-        return noise_by_phase.noise_by_phase(left_n, force_n, trace.phase, **given)
-
-    def _estimate_anew(self, estimator: FlowEstimator) -> None:
+    def _estimate_anew(self, estimator: FlowEstimator, interval_s: float) -> None:
         """The flows of the windows kept, by another estimator."""
+        self._take_pulses_off(interval_s)
         self._estimator, self._apparent = estimator, None
         if not self._loaded:
             return
-        columns = np.array([(n.force_n, n.plate_angle_rad, n.speed_rad_s, 0.0, n.moisture_pct) for n in self._loaded]).T
-        flows = np.broadcast_to(estimator.estimate(*columns).mass_flow_kg_s, len(self._loaded)).tolist()
-        kept = [replace(noise, flow_kg_s=flow) for noise, flow in zip(self._loaded, flows, strict=True)]
+        windows = [noise.window for noise in self._loaded]
+        columns = np.array([(w.force_n, w.plate_angle_rad, w.speed_rad_s, 0.0, w.moisture_pct) for w in windows]).T
+        flows = np.broadcast_to(estimator.estimate(*columns).mass_flow_kg_s, len(windows)).tolist()
+        kept = [
+            replace(noise, window=replace(noise.window, flow_kg_s=flow))
+            for noise, flow in zip(self._loaded, flows, strict=True)
+            if isfinite(flow) and flow > 0.0
+        ]
         self._loaded.clear()
-        self._loaded.extend(noise for noise in kept if isfinite(noise.flow_kg_s) and noise.flow_kg_s > 0.0)
+        self._loaded.extend(kept)
 
     def _empty_noise(self) -> Density:
         if self._quiet_mean is None:

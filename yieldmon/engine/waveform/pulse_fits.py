@@ -10,7 +10,7 @@ from yieldmon.engine.flow_estimator import FlowEstimator
 from yieldmon.engine.measurement import Reading
 from yieldmon.engine.sampling.windows import Trace
 from yieldmon.engine.settings import WaveformSettings
-from yieldmon.engine.waveform.kernel_channel import SEGMENT
+from yieldmon.engine.waveform.window_noise import SEGMENT
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.waveform.arrival_law import ArrivalLaw
 from yieldmon.estimation.waveform.pattern_fold import PatternWave, fold_all, harmonics_of_all, later
@@ -105,7 +105,7 @@ class PulseFits:
         """Samples and wave with their phase counted from the pulses themselves: the phase from ten speeds a second creeps."""
         turns_per_s = self._machine.paddle_speed_m_s(reading.window.speed_rad_s) / self._machine.pattern_length_m
         late = shape.values["shift_s"] * turns_per_s
-        return replace(trace, phase=trace.phase - late), later(wave, -late)
+        return Trace(trace.samples_mv, trace.phase - late, trace.interval_s), later(wave, -late)
 
     def outside(self, volume_flow_m3_s: float, reading: Reading, estimator: FlowEstimator) -> str:
         """Why the shape says nothing at a volume flow; empty where it does."""

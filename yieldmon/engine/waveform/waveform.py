@@ -19,10 +19,11 @@ from yieldmon.engine.self_calibration.kernel_measurements import KernelMeasureme
 from yieldmon.engine.settings import WaveformSettings
 from yieldmon.engine.waveform.channel_scales import ChannelScales, Scale, local_exponent
 from yieldmon.engine.waveform.heap_slopes import HeapSlopes
-from yieldmon.engine.waveform.kernel_channel import SEGMENT, KernelChannel
+from yieldmon.engine.waveform.kernel_channel import KernelChannel
 from yieldmon.engine.waveform.pulse_fits import PulseFits
 from yieldmon.engine.waveform.shape_difference import NO_FIT
 from yieldmon.engine.waveform.waveform_reading import NOTHING, WaveformReading
+from yieldmon.engine.waveform.window_noise import SEGMENT
 from yieldmon.estimation.self_calibration.sweep_worth import OtherChannels
 from yieldmon.estimation.waveform.channel_combination import combine, relative_covariance
 from yieldmon.estimation.waveform.kernel_noise import KernelImpulse, KernelVerdict, kernel_flow

@@ -42,7 +42,7 @@ def excess_scatter(windows: Sequence[Density], quiet: Density, sizes: Sequence[f
     band = (quiet.frequency_hz >= low_hz) & (quiet.frequency_hz <= high_hz)
     if len(windows) < _LEAST_WINDOWS or not band.any():
         return 0.0
-    shown, ground = np.array([window.density[band] for window in windows]), quiet.density[band]
+    shown, ground = np.array([window.density for window in windows])[:, band], quiet.density[band]
     size, averages = np.asarray(sizes, dtype=float), np.array([window.averages for window in windows])
     typical = np.mean(shown, axis=0)
     weight = np.maximum(typical - ground, 0.0) / typical**2

@@ -5,6 +5,7 @@ Source: Welch, IEEE Trans. Audio Electroacoust. 15 (1967) 70.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -37,38 +38,52 @@ class Density:
 
 
 def density(samples_n: Array, sample_interval_s: float, *, segment: int = 256) -> Density:
-    """Averaged spectral density of a stretch of samples (Welch, Hann window, half overlapped).
+    """Averaged spectral density of a stretch of samples; see `densities`."""
+    return densities((samples_n,), sample_interval_s, segment=segment)[0]
+
+
+def densities(stretches_n: Sequence[Array], sample_interval_s: float, *, segment: int = 256) -> list[Density]:
+    """Averaged spectral density of each stretch of samples (Welch, Hann window, half overlapped).
 
     Parameters
     ----------
-    samples_n : ndarray (n,)
-        Evenly spaced, none missing.
+    stretches_n : sequence of ndarray (n,)
+        Evenly spaced samples, none missing.
     sample_interval_s : float
     segment : int
         Samples in a segment; n must hold at least one.
 
     Returns
     -------
-    Density
-        Frequencies above 0 and below Nyquist.
+    list of Density
+        Frequencies above 0 and below Nyquist; each as if its stretch were alone, to the last bit.
 
     Raises
     ------
     ValueError
         For fewer samples than one segment.
     """
-    count = (len(samples_n) - segment) // (segment // 2) + 1
-    if count < 1:
-        raise ValueError(f"{len(samples_n)} samples, expected at least one segment of {segment}")
+    counts = [(len(stretch) - segment) // (segment // 2) + 1 for stretch in stretches_n]
+    if not counts:
+        return []
+    if min(counts) < 1:
+        raise ValueError(f"{min(map(len, stretches_n))} samples, expected at least one segment of {segment}")
     window, power_of_window = _hann(segment)
-    parts = np.asarray(samples_n, dtype=float)[_segments(count, segment)]
+    parts = np.concatenate(
+        [np.asarray(stretch, dtype=float)[_segments(count, segment)] for stretch, count in zip(stretches_n, counts, strict=True)]
+    )
     parts -= (parts.sum(axis=1) / segment)[:, None]
     parts *= window
     waves = np.fft.rfft(parts)
-    power = (waves.real**2 + waves.imag**2).sum(axis=0) * (sample_interval_s / (power_of_window * count))
-    # Hann segments that overlap by half: 1 / (1 + 2 (1/6)^2) of their number are independent (Welch, 1967).
-    independent = count if count == 1 else count / (1.0 + 2.0 * (1.0 - 1.0 / count) / 36.0)
-    return Density(frequencies_hz(segment, sample_interval_s), power[1:-1], independent / _HANN_NEIGHBOURS)
+    powers = np.split(waves.real**2 + waves.imag**2, np.cumsum(counts)[:-1])
+    frequency_hz = frequencies_hz(segment, sample_interval_s)
+    found = []
+    for power, count in zip(powers, counts, strict=True):
+        # Hann segments that overlap by half: 1 / (1 + 2 (1/6)^2) of their number are independent (Welch, 1967).
+        independent = count if count == 1 else count / (1.0 + 2.0 * (1.0 - 1.0 / count) / 36.0)
+        mean = power.sum(axis=0) * (sample_interval_s / (power_of_window * count))
+        found.append(Density(frequency_hz, mean[1:-1], independent / _HANN_NEIGHBOURS))
+    return found
 
 
 @lru_cache(maxsize=8)

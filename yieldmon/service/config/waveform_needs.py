@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from yieldmon.engine.waveform.kernel_channel import SEGMENT
+from yieldmon.engine.waveform.window_noise import SEGMENT
 from yieldmon.estimation.waveform.kernel_noise import CLEAR_OF_ALIASES, KernelImpulse, KernelNoiseSettings, KernelVerdict
 from yieldmon.estimation.waveform.kernel_reach import expected_impulse
 from yieldmon.physics.model import Conditions, ForwardModel
