@@ -24,9 +24,9 @@ with scratch_for(sys.argv[1]) as scratch:
 """
 
 
-def aged(folder: Path) -> Path:
-    an_hour_ago = time.time() - 3600.0
-    os.utime(folder, (an_hour_ago, an_hour_ago))
+def aged(folder: Path, since_s: float = 3600.0) -> Path:
+    then = time.time() - since_s
+    os.utime(folder, (then, then))
     return folder
 
 
@@ -76,3 +76,19 @@ def test_a_file_is_whole_while_the_next_command_begins(tmp_path: Path) -> None:
         remove_abandoned(path)
     assert path.read_text() == "whole"
     assert [found.name for found in tmp_path.iterdir()] == ["o.csv"]
+
+
+@pytest.mark.parametrize(("since_s", "stays"), [(50.0, True), (61.0, False)])
+def test_a_folder_has_a_minute_to_be_locked(since_s: float, stays: bool, tmp_path: Path) -> None:
+    folder = aged(make_folder(tmp_path / "o.csv"), since_s)
+    remove_abandoned(tmp_path / "o.csv")
+    assert folder.exists() is stays
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root gives a folder to another user")
+def test_what_another_user_left_is_his(tmp_path: Path) -> None:
+    folder = make_folder(tmp_path / "o.csv")
+    os.chown(folder, 12345, -1)
+    aged(folder)
+    remove_abandoned(tmp_path / "o.csv")
+    assert folder.exists()
