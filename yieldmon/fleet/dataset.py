@@ -149,6 +149,11 @@ class Dataset:
         """The partitions' names, of which `commit_of` says whether they are whole."""
         return self._partitions()
 
+    def whole(self, names: Collection[str]) -> list[str]:
+        """Those of these partitions that are there and whole, by name."""
+        self._files.invalidate_cache()
+        return [name for name in self._partitions() if name in names and self._files.exists(f"{self._root}/{name}/{MARK}")]
+
     def commits(self) -> list[Commit]:
         """All partitions, by name. Raises InputError where there is no dataset, or a mark is damaged."""
         self._files.invalidate_cache()

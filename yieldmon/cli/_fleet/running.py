@@ -74,9 +74,10 @@ def run(args: argparse.Namespace) -> int:
 
             scheduling.run_all(tasks, scheduling.Cluster(args.scheduler, args.workers, args.adaptive), take, _say)
     except KeyboardInterrupt:
-        there = sum(outcome.status in (DONE, SKIPPED) for outcome in outcomes)
-        _say(f"interrupted; {there} of {len(partitions)} days are in {args.out}; run again to continue")
         dataset.abandon(token)
+        # A worker may have finished more than it has answered for.
+        there = len(dataset.whole({partition.name for partition in partitions}))
+        _say(f"interrupted; {there} of {len(partitions)} days are in {args.out}; run again to continue")
         raise
     dataset.withdraw_failures([outcome.name for outcome in outcomes if outcome.status == SKIPPED], token)
     dataset.end(token)
