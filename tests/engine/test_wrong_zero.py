@@ -127,6 +127,48 @@ def test_an_undo_states_a_load_of_which_nothing_was_counted_as_if_nobody_had_pre
     assert target.totals.total_budget.std_dev_kg == pytest.approx(whole.totals.total_budget.std_dev_kg, rel=0.03)
 
 
+def silent(frame: Frame) -> list[Frame]:
+    """No samples, from 1052 to 1056 s."""
+    return [] if frame.message == frames_of_bus.IMPACT_SENSOR_SAMPLES and 1052.0 <= frame.time_s < 1056.0 else [frame]
+
+
+@pytest.mark.parametrize("then_kg_s", [14.0, 20.0, 7.0], ids=["hidden", "hidden in part", "hidden by more than it is"])
+@pytest.mark.parametrize("changed", [thinned, silent, lambda frame: [frame]], ids=["little measured", "silent", "all measured"])
+@pytest.mark.parametrize(
+    ("at_s", "command"),
+    [
+        pytest.param(1061.5, Monitor.stop_load, id="closed load"),
+        pytest.param(1050.0, Monitor.start_load, id="two loads"),
+        pytest.param(1061.5, lambda monitor: None, id="open load"),
+    ],
+)
+def test_an_undo_states_what_may_have_come_unseen_as_if_nobody_had_pressed_it(
+    at_s: float, command: Callable[[Monitor], object], changed: Callable[[Frame], list[Frame]], then_kg_s: float
+) -> None:
+    def flow(time_s: float) -> float:
+        return (14.0 if time_s < 1048.0 else then_kg_s) if time_s >= 1020.0 else 0.0
+
+    frames = [one for frame in replace(BENCH, flow=flow).frames(70) for one in changed(frame)]
+    whole, target = monitor(), monitor()
+    for one in (whole, target):
+        feed(one, run_of([f for f in frames if f.time_s < 1036.0]))
+        if one is target:
+            one.calibrate_zero()
+        feed(one, run_of([f for f in frames if 1036.0 <= f.time_s < at_s]))
+        command(one)
+        feed(one, run_of([f for f in frames if at_s <= f.time_s < 1062.5]))
+        if one is target:
+            one.undo_zero()
+        # A spell without samples still counts where the load goes on.
+        feed(one, run_of([f for f in frames if f.time_s >= 1062.5]))
+    for found, expected in zip(target.loads, whole.loads, strict=True):
+        assert found.std_dev_kg == pytest.approx(expected.std_dev_kg, rel=0.05)
+        assert found.budget.noise_kg2**0.5 == pytest.approx(expected.budget.noise_kg2**0.5, rel=0.05, abs=0.5)
+        assert found.budget.zero_kg == pytest.approx(expected.budget.zero_kg, abs=1.0)
+    if command is not Monitor.stop_load:
+        assert target.totals.total_budget.std_dev_kg == pytest.approx(whole.totals.total_budget.std_dev_kg, rel=0.05)
+
+
 @pytest.mark.parametrize("reload_s", [1042.0, 1080.0], ids=["while it is taken", "after it"])
 def test_a_zero_is_taken_and_taken_back_across_a_reload(reload_s: float) -> None:
     loaded, frames = configuration.load(shipped("config/yieldmon.yaml"), {}), BENCH.frames(100)

@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from math import hypot, isfinite, sqrt
 
+from yieldmon.engine.mass.unseen import SAME, UnseenChange
 from yieldmon.engine.quick import maker_of
 from yieldmon.engine.settings import BudgetSettings
 
@@ -118,20 +119,38 @@ class MassBudget:
             motion_kg=self.motion_kg - before.motion_kg,
         )
 
-    def with_missed(self, missed_kg: float, before_kg: float, after_kg: float, again: MassBudget | None) -> MassBudget:
+    def with_missed(
+        self,
+        missed_kg: float,
+        before_kg: float,
+        after_kg: float,
+        again: MassBudget | None,
+        unseen: UnseenChange = SAME,
+        again_kg: float = _NAN,
+    ) -> MassBudget:
         """Of a mass that was corrected, before_kg to after_kg, by what a wrong zero had missed.
 
-        Where the zero was doubted, its error held about as much, which it does not any more; all else is relatively the same.
-        Where there was no mass before, that of what was measured again comes to it; None: not known.
+        By the zero all is as sure as what was measured again; where that is not all since the wrong zero, and that was doubted,
+        its error held about as much, which it does not any more. All else is relatively the same. Where there was no mass before,
+        that of what was measured again comes to it; None: not known. unseen: of this mass; again_kg: of it what was measured
+        again, nan where that is not all.
         """
         doubted = self.zero_kg >= _DOUBTED_SHARE * abs(missed_kg) > 0.0
-        zero_kg = max(self.zero_kg - abs(missed_kg), 0.0) if doubted else self.zero_kg
+        zero_kg = max(self.zero_kg - abs(missed_kg) - unseen.hidden_kg, 0.0) if doubted else self.zero_kg
+        by_again = again is not None and isfinite(again.zero_kg) and again_kg > 0.0
+        seen_kg2, unseen_kg2 = max(self.noise_kg2 - unseen.before_kg**2, 0.0), unseen.after_kg**2
         if not before_kg > 0.0 and after_kg > 0.0:
-            return MassBudget.unknown() if again is None else replace(self, zero_kg=zero_kg).with_more(again)
+            if again is None:
+                return MassBudget.unknown()
+            zero_kg = 0.0 if by_again else zero_kg
+            return replace(self, noise_kg2=seen_kg2 + unseen_kg2, zero_kg=zero_kg).with_more(again)
+        if again is not None and by_again:
+            zero_kg = again.zero_kg * max(after_kg / again_kg, 1.0)
         factor = after_kg / before_kg if before_kg != after_kg else 1.0
-        causes = (self.noise_kg2, self.parameters_kg, self.zero_kg, self.moisture_kg, self.motion_kg)
+        causes = (seen_kg2, self.parameters_kg, self.zero_kg, self.moisture_kg, self.motion_kg)
         known = MassBudget(*(cause * factor for cause in causes))
-        return replace(known, zero_kg=zero_kg) if doubted else known
+        known = replace(known, noise_kg2=known.noise_kg2 + unseen_kg2)
+        return replace(known, zero_kg=zero_kg) if doubted or by_again else known
 
     def with_unseen(self, unseen_kg: float, before_kg: float) -> MassBudget:
         """The budget of a mass of which so much more may be missing, before_kg of it already."""

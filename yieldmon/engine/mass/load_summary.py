@@ -30,7 +30,7 @@ class LoadSummary:
     def with_missed(self, missed: MissedMass) -> LoadSummary:
         """With mass that was missed."""
         measured_kg = max(self.measured_kg + missed.kg, 0.0)
-        budget = self.budget.with_missed(missed.kg, self.measured_kg, measured_kg, missed.budget)
+        budget = self.budget.with_missed(missed.kg, self.measured_kg, measured_kg, missed.budget, missed.unseen, missed.again_kg)
         return replace(
             self,
             measured_kg=measured_kg,

@@ -53,6 +53,8 @@ class Loads:
         self._errors = LoadErrors()
         self._before: dict[int, MassBudget] = {}
         """Of loads that closed in a run before."""
+        self._closed_unseen_kg: dict[int, float] = {}
+        """What may have come unseen of loads that closed in this run."""
 
     @property
     def open(self) -> LoadSummary | None:
@@ -308,24 +310,36 @@ class Loads:
         stop = before_stop or FlowAtStop(_NAN, 0.0)
         self._unseen, self._last_kg_s, self._stopped_at_s = UnseenMass.since(stop), stop.grain_kg_s, stop.time_s
 
-    def correct(self, missed: Mapping[int, MissedMass]) -> LoadEvents:
+    def correct(self, missed: Mapping[int, MissedMass], since: UnseenMass | None = None) -> LoadEvents:
         """Mass that was missed, by load, joins its loads and, where it came since they were reset, the totals; closed loads are
-        returned."""
+        returned. since: what may have come unseen since the last second that was measured, where this is reckoned anew."""
         events: list[LoadClosed | LoadOpened | LoadRestated] = []
         for number, found in missed.items():
             self._errors.forget_parameters(number)
-            totals = self.totals
+            totals, known = self.totals, self._budget_of(number)
             here = number == totals.load_number
-            taken = max(found.kg, -totals.load_kg) if here else found.kg
+            taken, is_open = max(found.kg, -totals.load_kg) if here else found.kg, here and totals.load_open
+            of_closed_kg = self._closed_unseen_kg.get(number, found.unseen.before_kg)
+            before = self._unseen if is_open else replace(self._unseen, load_kg=of_closed_kg)
+            of_load, _ = before.changed_by(found.unseen)
             if number == NO_LOAD or number >= totals.first_load:
-                self.totals = totals.with_missed(replace(found, kg=taken), in_load=here)
+                self.totals = totals.with_missed(replace(found, kg=taken), in_load=here, before=before)
+                self._unseen.change(found.unseen, in_load=is_open)
             if self._before.pop(number, None) is not None and here:
                 # Of those before the last no mass is known here: they stay as their correction states them.
                 self._before[number] = self.totals.load_budget
             for place, load in enumerate(self._closed):
                 if load.number == number:
-                    self._closed[place] = load.with_missed(found)
+                    self._closed[place] = load.with_missed(replace(found, unseen=of_load))
+                    self._closed_unseen_kg[number] = of_load.after_kg
                     events.append(LoadClosed(self._closed[place]))
+            stated = self._budget_of(number)
+            if number >= totals.first_load and isfinite(found.again_kg) and known is not None and stated is not None:
+                # The load's zero is known anew as a whole, and the total's is that of all of its loads.
+                zero_kg = max(totals.total_budget.zero_kg - known.zero_kg, 0.0) + stated.zero_kg
+                self.totals = replace(self.totals, total_budget=replace(self.totals.total_budget, zero_kg=zero_kg))
+        if since is not None:
+            self._unseen.measured_again(since)
         return tuple(events)
 
     def dry_kg(self, wet_kg: float, moisture_pct: float) -> float | None:
@@ -358,9 +372,12 @@ class Loads:
 
     def _close(self, now_s: float) -> LoadEvents:
         self._miss(self._unseen.cut())
-        self._unseen.load_kg = 0.0
+        unseen_kg, self._unseen.load_kg = self._unseen.load_kg, 0.0
         if not self.totals.load_open:
             return ()
         self._closed.append(self._summary(now_s))
-        self._errors.keep({load.number for load in self._closed} | set(self._before))
+        kept = {load.number for load in self._closed}
+        self._errors.keep(kept | set(self._before))
+        self._closed_unseen_kg[self.totals.load_number] = unseen_kg
+        self._closed_unseen_kg = {number: kg for number, kg in self._closed_unseen_kg.items() if number in kept}
         return (LoadClosed(self._closed[-1]),)

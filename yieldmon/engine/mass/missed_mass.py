@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import nan
 
 from yieldmon.engine.mass.budget import MassBudget
+from yieldmon.engine.mass.unseen import SAME, UnseenChange
 
 NO_LOAD = 0
 """In place of a load's number: no load was open."""
@@ -14,20 +16,24 @@ NO_LOAD = 0
 class MissedMass:
     """Mass of one load that was missed, kg; below 0 what it had too much. dry_kg: of what had a known moisture;
     unknown_moisture_kg, unknown_area_kg: of kg what has no known moisture, no known area. budget: of the load as far as it was
-    measured again, which it has where nothing was counted before; None: not known."""
+    measured again, which it has where nothing was counted before; None: not known. unseen: what may have come beside.
+    again_kg: mass of the load that was measured again; nan where that is not all since the zero."""
 
     kg: float = 0.0
     dry_kg: float = 0.0
     unknown_moisture_kg: float = 0.0
     unknown_area_kg: float = 0.0
     budget: MassBudget | None = None
+    unseen: UnseenChange = SAME
+    again_kg: float = nan
 
     def plus(self, kg: float, dry_kg: float | None, *, area_known: bool, budget: MassBudget | None = None) -> MissedMass:
         """With kg more. dry_kg: None where it is not known. budget: of what was measured again to find them, None: not known."""
-        return MissedMass(
-            self.kg + kg,
-            self.dry_kg + (0.0 if dry_kg is None else dry_kg),
-            self.unknown_moisture_kg + (kg if dry_kg is None else 0.0),
-            self.unknown_area_kg + (0.0 if area_known else kg),
-            None if self.budget is None or budget is None else self.budget.with_more(budget),
+        return replace(
+            self,
+            kg=self.kg + kg,
+            dry_kg=self.dry_kg + (0.0 if dry_kg is None else dry_kg),
+            unknown_moisture_kg=self.unknown_moisture_kg + (kg if dry_kg is None else 0.0),
+            unknown_area_kg=self.unknown_area_kg + (0.0 if area_known else kg),
+            budget=None if self.budget is None or budget is None else self.budget.with_more(budget),
         )

@@ -135,10 +135,15 @@ class Totals:
             return self.load_area_m2 + area_m2, self.load_unknown_area_kg
         return self.load_area_m2, self.load_unknown_area_kg + mass_kg
 
-    def with_missed(self, missed: MissedMass, *, in_load: bool) -> Totals:
-        """Totals after a correction. in_load: it is the open load's as well. Nothing falls below 0."""
+    def with_missed(self, missed: MissedMass, *, in_load: bool, before: UnseenMass | None = None) -> Totals:
+        """Totals after a correction. in_load: it is the open load's as well. Nothing falls below 0. before: what may have come
+        unseen until then; None: of no seconds but those that were measured again."""
         share = 1.0 if in_load else 0.0
+        of_load, of_total = (missed.unseen, missed.unseen) if before is None else before.changed_by(missed.unseen)
         total_kg, load_kg = max(self.total_kg + missed.kg, 0.0), max(self.load_kg + share * missed.kg, 0.0)
+        load_budget = self.load_budget
+        if in_load:
+            load_budget = load_budget.with_missed(missed.kg, self.load_kg, load_kg, missed.budget, of_load, missed.again_kg)
         return replace(
             self,
             total_kg=total_kg,
@@ -147,8 +152,8 @@ class Totals:
             load_kg=load_kg,
             load_dry_kg=max(self.load_dry_kg + share * missed.dry_kg, 0.0),
             load_unknown_moisture_kg=max(self.load_unknown_moisture_kg + share * missed.unknown_moisture_kg, 0.0),
-            total_budget=self.total_budget.with_missed(missed.kg, self.total_kg, total_kg, missed.budget),
-            load_budget=self.load_budget.with_missed(share * missed.kg, self.load_kg, load_kg, missed.budget),
+            total_budget=self.total_budget.with_missed(missed.kg, self.total_kg, total_kg, missed.budget, of_total),
+            load_budget=load_budget,
             load_unknown_area_kg=max(self.load_unknown_area_kg + share * missed.unknown_area_kg, 0.0),
         )
 

@@ -8,7 +8,7 @@ hour at most.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 _LONGEST_SILENCE_S = 60.0
 """Of a bus on which the machine may have gone on."""
@@ -31,6 +31,20 @@ class FlowAtStop:
     stopped_s: float = 0.0
     load_kg: float = 0.0
     total_kg: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class UnseenChange:
+    """Seconds of a load are measured again with another zero: before_kg may have come unseen in them as it was stated, after_kg
+    by that zero; hidden_kg: of this what was stated as hidden by the zero before."""
+
+    before_kg: float = 0.0
+    after_kg: float = 0.0
+    hidden_kg: float = 0.0
+
+
+SAME = UnseenChange()
+"""Nothing was measured again."""
 
 
 @dataclass(slots=True)
@@ -62,6 +76,22 @@ class UnseenMass:
             load_kg=self.load_kg,
             total_kg=self.total_kg,
         )
+
+    def changed_by(self, change: UnseenChange) -> tuple[UnseenChange, UnseenChange]:
+        """The change of all that may have come unseen in the open load, of which it is a part, and in the total."""
+        more_kg = change.after_kg - change.before_kg
+        load, total = (replace(change, before_kg=kg, after_kg=max(kg + more_kg, 0.0)) for kg in (self.load_kg, self.total_kg))
+        return load, total
+
+    def change(self, change: UnseenChange, *, in_load: bool) -> None:
+        """Take the change over. in_load: it is the open load's as well."""
+        load, total = self.changed_by(change)
+        self.total_kg = total.after_kg
+        self.load_kg = load.after_kg if in_load else self.load_kg
+
+    def measured_again(self, since: UnseenMass) -> None:
+        """The seconds until now were measured again: since, as they leave it. Of a stop it says nothing."""
+        self._before_kg_s, self._silent_s, self._whole = since._before_kg_s, since._silent_s, since._whole
 
     def resume(self, stopped_s: float) -> None:
         """The run before ended so long before this one."""

@@ -65,7 +65,7 @@ class LoadBook:
         mass_kg = max(0.0, known.mass_kg + missed.kg)
         budget = known.budget
         if budget is not None:
-            budget = _known(budget.with_missed(missed.kg, known.mass_kg, mass_kg, missed.budget))
+            budget = _known(budget.with_missed(missed.kg, known.mass_kg, mass_kg, missed.budget, missed.unseen, missed.again_kg))
         std_dev_kg = known.std_dev_kg * mass_kg / known.mass_kg if known.std_dev_kg and known.mass_kg > 0.0 else None
         dry_known = known.dry_mass_kg is not None and missed.unknown_moisture_kg <= DRY_KNOWN_KG
         area_known = missed.unknown_area_kg <= _UNKNOWN_AREA_SHARE * mass_kg

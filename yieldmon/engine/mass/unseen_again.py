@@ -1,0 +1,92 @@
+"""What may have come unseen in seconds that are measured again with another zero."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from yieldmon.engine.mass.missed_mass import NO_LOAD
+from yieldmon.engine.mass.silences import Missing, Silences
+from yieldmon.engine.mass.unseen import UnseenChange, UnseenMass
+
+
+@dataclass(frozen=True, slots=True)
+class SecondAgain:
+    """A second as counted and as measured again. covered_s: of duration_s, 0 where nothing was measured; enough: its mean stands
+    for all of it. elevator_speed_rad_s: nan where it is not known, stands: too low to bring grain. before_kg_s, after_kg_s: flow
+    by the zero that is undone and by the one that is restored. hidden: the first of them took grain for an empty plate."""
+
+    load_number: int
+    duration_s: float
+    covered_s: float
+    enough: bool
+    elevator_speed_rad_s: float
+    stands: bool
+    before_kg_s: float
+    after_kg_s: float
+    hidden: bool
+
+
+def unseen_again(seconds: Sequence[SecondAgain], open_load: int) -> tuple[dict[int, UnseenChange], UnseenMass]:
+    """Reckon for seconds in order, as `Loads.count` does from one to the next, what may have come unseen.
+
+    Parameters
+    ----------
+    seconds : sequence of SecondAgain
+    open_load : int
+        Number of the load that is open after them, `NO_LOAD` for none.
+
+    Returns
+    -------
+    dict of int to UnseenChange
+        By load number.
+    UnseenMass
+        As the last second leaves it, by the zero that is restored.
+    """
+    before, _ = _reckoned(seconds, [None if s.hidden else s.before_kg_s for s in seconds], open_load)
+    after, since = _reckoned(seconds, [s.after_kg_s for s in seconds], open_load)
+    hidden: dict[int, float] = {}
+    for second in seconds:
+        if second.hidden and not second.enough:
+            _add(hidden, second.load_number, second.after_kg_s * max(second.duration_s - second.covered_s, 0.0))
+    numbers = sorted(before.keys() | after.keys())
+    return {n: UnseenChange(before.get(n, 0.0), after.get(n, 0.0), hidden.get(n, 0.0)) for n in numbers}, since
+
+
+def _reckoned(
+    seconds: Sequence[SecondAgain], rates: Sequence[float | None], open_load: int
+) -> tuple[dict[int, float], UnseenMass]:
+    """rates: flow of each second, kg/s, None where a zero hid it."""
+    found: dict[int, float] = {}
+    unseen, silences, number = UnseenMass(), _running(), NO_LOAD
+    for second, rate in zip(seconds, rates, strict=True):
+        if second.load_number != number:
+            _add(found, number, unseen.cut())
+            number = second.load_number
+        measured = second.covered_s > 0.0
+        speed = second.elevator_speed_rad_s
+        missing = Missing.of(sampled=measured, speed=speed, in_range=True, zeroed=True)
+        whole = silences.lacks_nothing(second.duration_s, None if measured else missing, stands=second.stands)
+        if rate is None:
+            continue
+        if measured:
+            _add(found, number, unseen.measured(rate, whole=whole))
+            if not second.enough:
+                _add(found, number, rate * max(second.duration_s - second.covered_s, 0.0))
+        elif not (second.stands and missing is Missing.ALL):
+            unseen.missing(second.duration_s, whole=whole, silent=not speed >= 0.0)
+    if number != open_load:
+        _add(found, number, unseen.cut())
+    return found, unseen
+
+
+def _running() -> Silences:
+    """After a second in which the elevator ran."""
+    silences = Silences()
+    silences.lacks_nothing(1.0, None)
+    return silences
+
+
+def _add(to: dict[int, float], number: int, kg: float) -> None:
+    if kg > 0.0:
+        to[number] = to.get(number, 0.0) + kg
