@@ -174,7 +174,7 @@ def test_a_counter_that_counts_no_frames_is_told(count, said: str, tmp_path: Pat
 
 
 @pytest.mark.parametrize(
-    ("second", "told"), [((0.0, 1.0), True), ((0.01, 1.01), True), ((0.0, 1.03), False), ((5.0, 6.0), False)]
+    ("second", "told"), [((0.0, 900.0), True), ((9.0, 909.0), True), ((0.0, 927.0), False), ((4500.0, 5400.0), False)]
 )
 def test_one_sensor_in_two_messages_is_told(second: tuple[float, float], told: bool, tmp_path: Path) -> None:
     """Its force counted twice."""
@@ -188,7 +188,7 @@ def test_one_sensor_in_two_messages_is_told(second: tuple[float, float], told: b
 
 
 def impact(config: Configuration, **figures: float) -> dict[str, QuantitySeen]:
-    good = QuantitySeen("mV", 9, 9, 500.0, 0.0, 1.0, 0.002, (0.0,), (0.0, 1.0))
+    good = QuantitySeen("mV", 9, 9, 500.0, 0.0, 900.0, 0.002, (0.0,), (0.0, 900.0))
     speed = QuantitySeen("rpm", 9, 9, 10.0, 400.0, 400.0, 0.1, (400.0,), (400.0, 400.0))
     return {"impact": replace(good, **figures), "elevator_speed": speed}
 
@@ -323,7 +323,9 @@ def test_notes_say_where_a_quantity_goes_and_what_it_can_carry(
         ("moisture", "signal: Load, unit: '%'", "moisture is Load in kg, taken as % number for number"),
         ("moisture", "signal: Load, unit: '%', scale: 0.01", None),
         ("moisture", "signal: Grain, unit: '%'", None),
-        ("tank_mass", "signal: Load, unit: lb", None),
+        ("tank_mass", "signal: Load, unit: lb", "tank_mass is Load in kg, taken as lb number for number"),
+        ("tank_mass", "signal: Load, unit: lb, scale: 2.2046", None),
+        ("tank_mass", "signal: Load, unit: kilogram", None),
         ("tank_mass", "signal: Number, unit: kg", None),
     ],
 )
@@ -331,7 +333,44 @@ def test_another_unit_than_the_dbcs_is_said(quantity: str, keys: str, said: str 
     told = [
         note for note in notes(load(tmp_path, f"  {quantity}: {{dbc: own.dbc, message: Long, {keys}}}\n")) if quantity in note
     ]
-    assert told == ([] if said is None else [f"{said}: if the DBC's unit is right, give `scale` and `offset`"])
+    mend = "leave `unit` out" if quantity == "tank_mass" else "give `scale` and `offset`"
+    assert told == ([] if said is None else [f"{said}: if the DBC's unit is right, {mend}"])
+
+
+@pytest.mark.parametrize(
+    ("unit", "keys", "said"),
+    [
+        (
+            "V",
+            "unit: mV",
+            "impact_voltage is Volt0 in V, taken as mV number for number: if the DBC's unit is right, leave `unit` out",
+        ),
+        (
+            "mV",
+            "unit: V",
+            "impact_voltage is Volt0 in mV, taken as V number for number: if the DBC's unit is right, leave `unit` out",
+        ),
+        ("V", "unit: mV, scale: 1000", None),
+        ("V", "scale: 1", None),
+        ("N", "unit: mV", None),
+        ("", "unit: mV", None),
+    ],
+)
+def test_another_unit_of_an_impact_sensor_is_said(unit: str, keys: str, said: str | None, tmp_path: Path) -> None:
+    """Volts taken as millivolts gave a valid configuration and no mass."""
+    load(tmp_path, cell=CELL)
+    (tmp_path / "own.dbc").write_text(DBC.replace('"mV"', f'"{unit}"'))
+    path = tmp_path / "c.yaml"
+    path.write_text(path.read_text().replace("rate_hz: 500", f"rate_hz: 500, {keys}"))
+    assert [note for note in notes(configuration.load(path)) if "number for number" in note] == ([] if said is None else [said])
+
+
+@pytest.mark.parametrize(("high_mv", "said"), [(1.12, True), (1.13, False)])
+def test_an_impact_sensor_that_no_grain_met_is_said(high_mv: float, said: bool, tmp_path: Path) -> None:
+    """0.5 N by the shipped gain of 0.4448 N/mV."""
+    config = load(tmp_path)
+    told = remarks(config, impact(config, low=0.0, high=high_mv))
+    assert ["less than any grain's" in note for note in told] == [True] * said
 
 
 BITS = {

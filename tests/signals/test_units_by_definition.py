@@ -75,7 +75,8 @@ def test_temperatures_have_a_zero_of_their_own(unit: str, water_freezes: float, 
     ("rpm", "rev/min", "rpm"), ("rpm", "R/min", "rpm"), ("rpm", "Unit_MinutInver", "rpm"), ("km/h", "km / h", "km/h"),
     ("km/h", "m/sec", "m/s"), ("km/h", "knots", "kn"), ("km/h", "Unit_KiloMeterPerHour", "km/h"), ("deg", "radians", "rad"),
     ("mV", "Volts", "V"), ("N", "Unit_KiloNewto", "kN"), ("kg", "LBS", "lb"), ("%", "Unit_PerCent", "%"),
-    ("mV", "µV", "uV"), ("mV", "\u03bcV", "uV"), ("mV", "ÂµV", "uV"),
+    ("mV", "µV", "uV"), ("mV", "\u03bcV", "uV"), ("mV", "ÂµV", "uV"), ("deg", "Grad", "deg"), ("%", "Prozent", "%"),
+    ("rpm", "Umdr/min", "rpm"), ("rpm", "U/s", "1/s"), ("rpm", "tr/min", "rpm"), ("rpm", "s-1", "1/s"), ("deg", "degrés", "deg"),
 ])  # fmt: skip
 def test_spellings_of_published_databases(quantity: str, spelt: str, as_defined: str) -> None:
     assert factor(quantity, spelt) == factor(quantity, as_defined)

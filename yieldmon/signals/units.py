@@ -65,11 +65,13 @@ _PERIODS_S = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "usec"
 _IN_ANY_CASE = ("rpm", "deg", "degree", "degrees", "percent", "kph", "mph", "km/h", "degC", "degF", "deg/s", "ft/s")
 """Those of which no other case means anything else, as mg and Mg do."""
 _SPELT = {
-    "rpm": "r/min min^-1 u/min umin upm rev/min revs/min turns/min unit_minutinver unit_revpermin",
-    "deg": "degs unit_degreofarc unit_degreeofarc",
+    "rpm": "r/min min^-1 u/min umin upm rev/min revs/min turns/min unit_minutinver unit_revpermin "
+    "umdr/min umdrehungen/min tr/min trs/min giri/min obr/min ot/min varv/min omw/min omdr/min",
+    "1/s": "s-1 s^-1 u/s umdr/s tr/s",
+    "deg": "degs grad winkelgrad degré degrés unit_degreofarc unit_degreeofarc",
     "rad": "radian radians unit_radian",
     "deg/s": "deg/sec degree/s degrees/s degrees/sec degrees/second",
-    "%": "pct unit_percent",
+    "%": "pct prozent unit_percent",
     "km/h": "km/hr kmh kilometer/hour unit_kilometerperhour",
     "m/s": "m/sec meter/s meters/s meters/sec unit_meterpersecond unit_meterpersecon unit_meterpersec",
     "mph": "miles/h mi/h miles/hour",

@@ -11,12 +11,12 @@ from yieldmon.engine.sampling.aliasing import ALIAS_FREE_HZ, aliasing_share
 from yieldmon.engine.sources import QUANTITIES, SampleSource
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.service.config.configuration import Configuration
-from yieldmon.signals.binding import Binding
+from yieldmon.signals.binding import IMPACT, Binding
 from yieldmon.signals.extraction import Extraction
 from yieldmon.signals.packing import Packing, span
 from yieldmon.signals.published import PUBLISHED
 from yieldmon.signals.state_names import codes_by_name
-from yieldmon.signals.units import factor
+from yieldmon.signals.units import factor, zero
 
 SPEEDS_RPM = (300.0, 400.0, 500.0)
 _WORTH_SAYING_PCT = 0.1
@@ -74,12 +74,12 @@ def notes(configuration: Configuration) -> list[str]:
     for name, value in configuration.signals.sources.fixed.items():
         if name != "plate_angle":
             found.append(f"{name} is taken to be {value:g} {QUANTITIES[name].unit} always")
-    stated = {binding.quantity: binding for binding in configuration.signals.bindings}
+    for binding, extraction in _bound(configuration):
+        if _takes_another_unit(binding, extraction.bits.unit):
+            said = f"{binding.quantity} is {extraction.bits.name} in {extraction.bits.unit}, taken as {binding.unit}"
+            found.append(f"{said} number for number: if the DBC's unit is right, {_mend_of_unit(binding, extraction.bits.unit)}")
     for taken in configuration.signals.groups:
         for name, extraction in taken.signals.items():
-            if (binding := stated.get(name)) is not None and _takes_another_unit(binding, extraction.bits.unit):
-                said = f"{name} is {extraction.bits.name} in {extraction.bits.unit}, taken as {binding.unit} number for number"
-                found.append(f"{said}: if the DBC's unit is right, give `scale` and `offset`")
             found += _of_value_names(name, extraction)
     for group in configuration.outputs.groups:
         when = "with each new value" if group.period_s is None else f"every {1000.0 * group.period_s:g} ms"
@@ -105,12 +105,36 @@ def _of_value_names(name: str, extraction: Extraction) -> list[str]:
     return found
 
 
+def _bound(configuration: Configuration) -> list[tuple[Binding, Extraction]]:
+    """What is stated of each quantity, and its signal; of an impact sensor's samples the first."""
+    stated = {binding.quantity: binding for binding in configuration.signals.bindings if not binding.is_impact}
+    stated |= {
+        f"impact{number}.0": binding
+        for number, binding in enumerate(binding for binding in configuration.signals.bindings if binding.is_impact)
+    }
+    taken = {name: extraction for group in configuration.signals.groups for name, extraction in group.signals.items()}
+    return [(binding, taken[name]) for name, binding in stated.items() if name in taken]
+
+
 def _takes_another_unit(binding: Binding, unit: str) -> bool:
-    """Whether a binding states a unit that the DBC's does not convert to, and nothing that would convert it."""
-    if binding.is_impact or binding.unit is None or binding.pulses_per_turn is not None or not unit:
+    """Whether a binding states another unit than the DBC, and nothing that would convert it."""
+    if binding.unit is None or binding.pulses_per_turn is not None or not unit:
         return False
-    unscaled = (binding.scale, binding.offset, binding.ratio) == (1.0, 0.0, 1.0)
-    return unscaled and factor(QUANTITIES[binding.quantity].unit, unit) is None
+    if (binding.scale, binding.offset, binding.ratio) != (1.0, 0.0, 1.0):
+        return False
+    own = _own_unit(binding)
+    given, stated = ((factor(own, each), zero(own, each)) for each in (unit, binding.unit))
+    # A force in N may be bound as a voltage on purpose: for a gain that weights gave.
+    return given != stated and not (binding.is_impact and given[0] is None)
+
+
+def _own_unit(binding: Binding) -> str:
+    return IMPACT[binding.quantity] if binding.is_impact else QUANTITIES[binding.quantity].unit
+
+
+def _mend_of_unit(binding: Binding, unit: str) -> str:
+    """What makes the DBC's unit count; a unit that is known converts by itself."""
+    return "give `scale` and `offset`" if factor(_own_unit(binding), unit) is None else "leave `unit` out"
 
 
 def _carried(packing: Packing, unit: str) -> str:

@@ -22,6 +22,8 @@ _SMOOTH_HZ = 400.0
 """From which on a paddle's pulse has many samples."""
 _JUMPING = 0.15
 """Share of the range from one sample to the next that is none of a pulse's (0.1 at most)."""
+_LEAST_PULSES_N = 0.5
+"""From the lowest sample of a harvest to the highest. The mean force of 1 kg/s is 9 N, an empty elevator's noise about 1 N."""
 _LEAST_SHARE = 0.25
 """Of the full scale, below 0: a cell that pulls."""
 _ALIKE = 0.02
@@ -177,6 +179,13 @@ def _impact_remarks(configuration: Configuration, seen: dict[str, QuantitySeen])
             found.append(
                 f"{name} goes from {entry.low:.6g} to {entry.high:.6g} mV; a cell of {full_mv:g} mV (full_scale_mv of the "
                 "machine file) counts as saturated from there on: look at unit, scale, sign and byte order (@0 or @1 in the DBC)"
+            )
+        most_n = configuration.machine.sensor.gain_n_per_mv * (entry.high - entry.low)
+        # A cell that says one value is told by the faults.
+        if 0.0 < most_n < _LEAST_PULSES_N:
+            found.append(
+                f"{name} stays from {entry.low:.4g} to {entry.high:.4g} mV, {most_n:.2g} N, less than any grain's: if the "
+                "machine harvested, look at unit and scale, and gain_n_per_mv of the machine file"
             )
         wide = entry.high - entry.low > 0.5 * full_mv
         if wide and source.rate_hz >= _SMOOTH_HZ and entry.step_share is not None and entry.step_share > _JUMPING:
