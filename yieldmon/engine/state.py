@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, fields
 from math import isfinite
-from typing import Any
+from typing import Any, TypeVar
 
 from yieldmon.engine.mass.budget import MassBudget, MoistureState
 from yieldmon.engine.mass.shared_error import ClosedLoadState
 from yieldmon.engine.mass.totals import Totals
 from yieldmon.engine.mass.unseen import FlowAtStop
 from yieldmon.engine.sampling.zero import ZeroState
-from yieldmon.engine.self_calibration.calibrator_state import CalibratorState, GrainState, PriorState
-from yieldmon.engine.self_calibration.earlier_parameters import EarlierParameters
-from yieldmon.engine.self_calibration.scale_alarm import ScaleAlarmState, ScaleCheck
-from yieldmon.engine.sweeps.disagreement import DisagreementState, SweepPattern
+from yieldmon.engine.self_calibration.calibrator_state import CalibratorState
+from yieldmon.engine.self_calibration.scale_alarm import ScaleAlarmState
+from yieldmon.engine.sweeps.disagreement import DisagreementState
+
+_Part = TypeVar("_Part")
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +27,12 @@ class ZeroUndo:
     before: ZeroState
     suspect: bool
     by_scale: tuple[tuple[int, float], ...] = ()
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> ZeroUndo:
+        """Inverse of `dataclasses.asdict`. Raises KeyError or TypeError."""
+        by_scale = tuple((int(number), float(kg)) for number, kg in data["by_scale"])
+        return cls(ZeroState.from_dict(data["before"]), bool(data["suspect"]), by_scale)
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,36 +100,25 @@ class EngineState:
         if set(data) != known:
             raise ValueError(f"engine state has keys {sorted(data)}; expected {sorted(known)}")
         try:
-            zero = None if data["zero"] is None else _zero(data["zero"])
-            undo = data["zero_undo"]
-            if undo is not None:
-                by_scale = tuple((int(number), float(kg)) for number, kg in undo["by_scale"])
-                undo = ZeroUndo(_zero(undo["before"]), bool(undo["suspect"]), by_scale)
-            kept = data["disagreement"]
-            disagreement = DisagreementState(
-                tuple(_pattern(pattern) for pattern in kept["patterns"]),
-                kept["present"],
-                tuple(_pattern(pattern) for pattern in kept.get("unfinished", ())),
-            )
-            calibrator = None if data["calibrator"] is None else _calibrator(data["calibrator"])
             parts = {
                 "totals": _totals(data["totals"]),
-                "zero": zero,
-                "disagreement": disagreement,
-                "calibrator": calibrator,
-                "scale_alarm": _scale_alarm(data["scale_alarm"]),
+                "zero": _or_none(ZeroState.from_dict, data["zero"]),
+                "disagreement": DisagreementState.from_dict(data["disagreement"]),
+                "calibrator": _or_none(CalibratorState.from_dict, data["calibrator"]),
+                "scale_alarm": ScaleAlarmState.from_dict(data["scale_alarm"]),
+                "zero_undo": _or_none(ZeroUndo.from_dict, data["zero_undo"]),
                 "tickets": tuple(TicketState(**ticket) for ticket in data["tickets"]),
                 "closed": tuple(ClosedLoadState.from_dict(load) for load in data["closed"] if _by_angle(load)),
-                "at_stop": None if data["at_stop"] is None else FlowAtStop(**data["at_stop"]),
-                "moisture": None if data["moisture"] is None else MoistureState(**data["moisture"]),
+                "at_stop": _or_none(lambda kept: FlowAtStop(**kept), data["at_stop"]),
+                "moisture": _or_none(lambda kept: MoistureState(**kept), data["moisture"]),
             }
-            return cls(**{**data, **parts, "zero_undo": undo})
+            return cls(**{**data, **parts})
         except (KeyError, TypeError) as error:
             raise ValueError(f"engine state: {error}") from error
 
 
-def _zero(data: Mapping[str, Any]) -> ZeroState:
-    return ZeroState(**{**data, "vibration_mv": tuple(data.get("vibration_mv", ()))})
+def _or_none(made: Callable[[Mapping[str, Any]], _Part], data: Mapping[str, Any] | None) -> _Part | None:
+    return None if data is None else made(data)
 
 
 def _by_angle(load: Mapping[str, Any]) -> bool:
@@ -137,61 +133,3 @@ def _totals(data: Mapping[str, Any]) -> Totals:
         for name, mass in (("total_budget", "total_kg"), ("load_budget", "load_kg"))
     }
     return Totals(**{**data, **budgets})
-
-
-def _pattern(data: Mapping[str, Any]) -> SweepPattern:
-    plain: dict[str, Any] = {name: tuple(value) if isinstance(value, list) else value for name, value in data.items()}
-    pattern = SweepPattern(**plain)
-    angles, forces, sds = len(pattern.plate_angle_deg), len(pattern.log_force), len(pattern.sd)
-    if not angles == forces == sds:
-        raise ValueError(f"engine state: a sweep's pattern has {angles} angles, {forces} forces and {sds} standard deviations")
-    return pattern
-
-
-def _scale_alarm(data: Mapping[str, Any]) -> ScaleAlarmState:
-    check = data.get("contradiction")
-    return ScaleAlarmState(**{**data, "contradiction": None if check is None else ScaleCheck(**check)})
-
-
-def _calibrator(data: Mapping[str, Any]) -> CalibratorState:
-    lists = {name: tuple(data.get(name, ())) for name in ("drifting", "rates", "weighed", "bias")}
-    grains = tuple(_grain(grain) for grain in data.get("grains", ()))
-    parts = {
-        "covariance": _rows(data["covariance"]),
-        "origin": _prior_or_none(data.get("origin")),
-        "grains": grains,
-        "spread": _rows(data.get("spread", ())),
-        "past": tuple(EarlierParameters.from_dict(place) for place in data.get("past", ())),
-    }
-    state = CalibratorState(**{**data, **lists, **parts})
-    count = len(state.drifting)
-    if len(state.rates) != count or len(state.covariance) != count or len({len(row) for row in state.covariance}) > 1:
-        raise ValueError(f"engine state: rates {state.rates} do not fit the parameters {state.drifting}")
-    if any(len(row) != len(state.spread) for row in state.spread):
-        raise ValueError(f"engine state: a spread of {len(state.spread)} rows is not square")
-    return state
-
-
-def _grain(data: Mapping[str, Any]) -> GrainState:
-    origin, left = (_prior_or_none(data.get(name)) for name in ("origin", "left"))
-    if (origin is None) != (left is None):
-        raise ValueError(f"engine state: of {data['crop']} it has parameters before weighed loads or after them, not both")
-    return GrainState(str(data["crop"]), tuple(data["weighed"]), str(data.get("doubted", "")), origin, left)
-
-
-def _prior_or_none(data: Mapping[str, Any] | None) -> PriorState | None:
-    return None if data is None else _prior(data)
-
-
-def _prior(data: Mapping[str, Any]) -> PriorState:
-    values, names = tuple((str(name), float(value)) for name, value in data["values"]), tuple(data["covariance_names"])
-    state = PriorState(
-        int(data["version"]), values, names, _rows(data["covariance"]), carried_from=str(data.get("carried_from", ""))
-    )
-    if {len(state.covariance), *map(len, state.covariance)} - {len(names)} or not set(names) <= dict(values).keys():
-        raise ValueError(f"engine state: the covariance of the parameters before does not fit {list(names)}")
-    return state
-
-
-def _rows(data: Sequence[Sequence[float]]) -> tuple[tuple[float, ...], ...]:
-    return tuple(tuple(row) for row in data)

@@ -15,10 +15,11 @@ is cutting: then the zero stands still.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
 from statistics import median
+from typing import Any
 
 from yieldmon.engine.sampling.windows import Window, coherent_amplitudes
 from yieldmon.engine.settings import ZeroSettings
@@ -36,6 +37,11 @@ class ZeroState:
     speed_rad_s: float
     window_pulse_mv: float
     vibration_mv: tuple[float, ...] = ()
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> ZeroState:
+        """Inverse of `dataclasses.asdict`. Raises TypeError."""
+        return cls(**{**data, "vibration_mv": tuple(data.get("vibration_mv", ()))})
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
-from yieldmon.engine.self_calibration.earlier_parameters import Places
+from yieldmon.engine.self_calibration.earlier_parameters import EarlierParameters, Places
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,6 +19,16 @@ class PriorState:
     covariance_names: tuple[str, ...]
     covariance: tuple[tuple[float, ...], ...]
     carried_from: str = ""
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> PriorState:
+        """Inverse of `dataclasses.asdict`. Raises KeyError or TypeError, and ValueError where names and covariance do not fit."""
+        values, names = tuple((str(name), float(value)) for name, value in data["values"]), tuple(data["covariance_names"])
+        covariance, carried_from = _rows(data["covariance"]), str(data.get("carried_from", ""))
+        state = cls(int(data["version"]), values, names, covariance, carried_from)
+        if {len(state.covariance), *map(len, state.covariance)} - {len(names)} or not set(names) <= dict(values).keys():
+            raise ValueError(f"engine state: the covariance of the parameters before does not fit {list(names)}")
+        return state
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +44,15 @@ class GrainState:
     doubted: str = ""
     origin: PriorState | None = None
     left: PriorState | None = None
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> GrainState:
+        """Inverse of `dataclasses.asdict`. Raises KeyError or TypeError, and ValueError where only one of origin and left is
+        there."""
+        origin, left = (_prior_or_none(data.get(name)) for name in ("origin", "left"))
+        if (origin is None) != (left is None):
+            raise ValueError(f"engine state: of {data['crop']} it has parameters before weighed loads or after them, not both")
+        return cls(str(data["crop"]), tuple(data["weighed"]), str(data.get("doubted", "")), origin, left)
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,3 +83,30 @@ class CalibratorState:
     grains: tuple[GrainState, ...] = ()
     spread: tuple[tuple[float, ...], ...] = ()
     past: Places = ()
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> CalibratorState:
+        """Inverse of `dataclasses.asdict`. Raises KeyError or TypeError, and ValueError where sizes do not fit."""
+        lists = {name: tuple(data.get(name, ())) for name in ("drifting", "rates", "weighed", "bias")}
+        parts = {
+            "grains": tuple(GrainState.from_dict(grain) for grain in data.get("grains", ())),
+            "covariance": _rows(data["covariance"]),
+            "origin": _prior_or_none(data.get("origin")),
+            "spread": _rows(data.get("spread", ())),
+            "past": tuple(EarlierParameters.from_dict(place) for place in data.get("past", ())),
+        }
+        state = cls(**{**data, **lists, **parts})
+        count = len(state.drifting)
+        if len(state.rates) != count or len(state.covariance) != count or len({len(row) for row in state.covariance}) > 1:
+            raise ValueError(f"engine state: rates {state.rates} do not fit the parameters {state.drifting}")
+        if any(len(row) != len(state.spread) for row in state.spread):
+            raise ValueError(f"engine state: a spread of {len(state.spread)} rows is not square")
+        return state
+
+
+def _prior_or_none(data: Mapping[str, Any] | None) -> PriorState | None:
+    return None if data is None else PriorState.from_dict(data)
+
+
+def _rows(data: Sequence[Sequence[float]]) -> tuple[tuple[float, ...], ...]:
+    return tuple(tuple(row) for row in data)

@@ -7,9 +7,10 @@ alarm, the next that agrees with them, or a calibration from outside, ends it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import erfc, hypot, isfinite, sqrt
+from typing import Any
 
 from yieldmon import utc
 from yieldmon.engine.self_calibration.reference_mass import ReferenceMass
@@ -87,6 +88,12 @@ class ScaleAlarmState:
     since: str = ""
     agreed: str = ""
     same_way: int = 1
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> ScaleAlarmState:
+        """Inverse of `dataclasses.asdict`. Raises TypeError."""
+        check = data.get("contradiction")
+        return cls(**{**data, "contradiction": None if check is None else ScaleCheck(**check)})
 
 
 class ScaleAlarm:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import degrees, isfinite
+from typing import Any
 
 import numpy as np
 
@@ -57,6 +58,18 @@ class SweepPattern:
             round(sweep.home_log_force, 6) if isfinite(sweep.home_log_force) else None,
         )
 
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> SweepPattern:
+        """Inverse of `dataclasses.asdict`. Raises TypeError, and ValueError where the columns differ in length."""
+        plain: dict[str, Any] = {name: tuple(value) if isinstance(value, list) else value for name, value in data.items()}
+        pattern = cls(**plain)
+        angles, forces, sds = len(pattern.plate_angle_deg), len(pattern.log_force), len(pattern.sd)
+        if not angles == forces == sds:
+            raise ValueError(
+                f"engine state: a sweep's pattern has {angles} angles, {forces} forces and {sds} standard deviations"
+            )
+        return pattern
+
     def reduced(self) -> ReducedSweep:
         """The same as arrays."""
         return ReducedSweep(
@@ -78,6 +91,14 @@ class DisagreementState:
     patterns: tuple[SweepPattern, ...] = ()
     present: bool = False
     unfinished: tuple[SweepPattern, ...] = ()
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> DisagreementState:
+        """Inverse of `dataclasses.asdict`. Raises KeyError or TypeError, and ValueError as `SweepPattern.from_dict`."""
+        patterns, unfinished = (
+            tuple(SweepPattern.from_dict(pattern) for pattern in rows) for rows in (data["patterns"], data.get("unfinished", ()))
+        )
+        return cls(patterns, data["present"], unfinished)
 
 
 class Disagreement:
