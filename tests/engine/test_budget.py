@@ -13,9 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from yieldmon.engine.faults import FaultCode
-from yieldmon.engine.mass.budget import EMPTY, FlowBudget, MassBudget, MoistureReference, zero_std_dev_mv
+from yieldmon.engine.mass.budget import EMPTY, FlowBudget, MassBudget, zero_std_dev_mv
 from yieldmon.engine.mass.load_summary import LoadClosed
 from yieldmon.engine.mass.loads import Loads
+from yieldmon.engine.mass.moisture_reference import MoistureReference
 from yieldmon.engine.mass.totals import Totals
 from yieldmon.engine.settings import BudgetSettings, EngineSettings
 from yieldmon.engine.state import EngineState

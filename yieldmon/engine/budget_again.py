@@ -7,7 +7,8 @@ from math import hypot
 
 import numpy as np
 
-from yieldmon.engine.mass.budget import FlowBudget, MoistureReference, zero_std_dev_mv
+from yieldmon.engine.mass.budget import FlowBudget, zero_std_dev_mv
+from yieldmon.engine.mass.moisture_reference import MoistureReference
 from yieldmon.engine.parts import Parts
 from yieldmon.engine.sampling.since_zero import KeptSecond
 from yieldmon.estimation.open_loop import FlowEstimate
@@ -37,7 +38,6 @@ def budgets(parts: Parts, seconds: Sequence[KeptSecond], force_n: Array, found: 
     moisture = MoistureReference(settings.budget)
     if parts.flow_meter.moisture.state is not None:
         moisture.restore(parts.flow_meter.moisture.state)
-    known = estimator.parameters
     age_s = (parts.measurement.zero.before_age_s + np.cumsum([second.duration_s for second in seconds])).tolist()
     rows = []
     for k, second in enumerate(seconds):
@@ -54,12 +54,7 @@ def budgets(parts: Parts, seconds: Sequence[KeptSecond], force_n: Array, found: 
         scatter_n = parts.measurement.scatter_n(force, second.elevator_speed_rad_s, second.duration_s * second.coverage)
         noise = hypot(noise, scatter_n * per_error / force) if force > 0.0 else noise
         zero_n = zero_std_dev_mv(settings.budget, age_s[k]) * parts.machine.sensor.gain_n_per_mv
-        wet = moisture.relative_std_dev(
-            second.moisture_pct,
-            known.version,
-            known.calibrated.moisture_pct,
-            followed="moisture_dependence" in known.effects,
-        )
+        wet = moisture.std_dev_by(second.moisture_pct, estimator.parameters)
         zero = zero_n * per_error / force if force > 0.0 else 0.0
         rows.append(FlowBudget(factor * noise, hypot(parameters, error * per_error), zero, wet * rate))
     return rows

@@ -11,7 +11,8 @@ import numpy as np
 
 from yieldmon.engine.flow_estimator import FlowEstimator
 from yieldmon.engine.flow_filter import FlowFilter
-from yieldmon.engine.mass.budget import NO_BUDGET, FlowBudget, MoistureReference, zero_std_dev_mv
+from yieldmon.engine.mass.budget import NO_BUDGET, FlowBudget, zero_std_dev_mv
+from yieldmon.engine.mass.moisture_reference import MoistureReference
 from yieldmon.engine.measurement import Reading
 from yieldmon.engine.quick import maker_of
 from yieldmon.engine.sampling.hidden_force import hidden_share
@@ -173,12 +174,7 @@ class FlowMeter:
             size = _change_by_angle(reading, rate, estimator, late_rad)[0]
             noise, motion = hypot(noise, size), size if angle_rad > before_rad else -size if angle_rad < before_rad else 0.0
         zero_n = zero_std_dev_mv(settings, reading.zero_age_s, reading.zero_away_mv) * self._gain_n_per_mv
-        relative = self.moisture.relative_std_dev(
-            reading.inputs.fresh["moisture"],
-            parameters.version,
-            parameters.calibrated.moisture_pct,
-            followed="moisture_dependence" in parameters.effects,
-        )
+        relative = self.moisture.std_dev_by(reading.inputs.fresh["moisture"], parameters)
         per_error = reading.force_n * per_n if reading.force_n > 0.0 and isfinite(per_n) else 0.0
         model_error = circumstances.model_error
         if model_error.moments and not reading.at_home and parameters.curve is None:

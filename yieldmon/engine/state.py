@@ -7,7 +7,8 @@ from dataclasses import asdict, dataclass, field, fields
 from math import isfinite
 from typing import Any, TypeVar
 
-from yieldmon.engine.mass.budget import MassBudget, MoistureState
+from yieldmon.engine.mass.budget import MassBudget
+from yieldmon.engine.mass.moisture_reference import MoistureState
 from yieldmon.engine.mass.shared_error import ClosedLoadState
 from yieldmon.engine.mass.totals import Totals
 from yieldmon.engine.mass.unseen import FlowAtStop

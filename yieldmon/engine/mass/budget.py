@@ -1,7 +1,7 @@
 """The error budget of mass: what averages out over seconds, and what all seconds of a load share.
 
-Noise of the windows is independent from one to the next: its variances add. While the plate moves the flow has another error that
-goes with the motion, out as much as back: it adds with its sign. Errors of the parameters (scale and model), of the zero and of a
+Noise is independent from window to window: its variances add. While the plate moves, the flow has a further error whose sign
+depends on the direction of motion: it adds with its sign. Errors of the parameters (scale and model), of the zero and of a
 moisture that the calibration does not follow are the same for neighbouring seconds: their standard deviations add, which is right
 within a load and an upper bound beyond it (JCGM 100:2008, 5.2.2 with correlation 1).
 """
@@ -16,6 +16,10 @@ from yieldmon.engine.quick import maker_of
 from yieldmon.engine.settings import BudgetSettings
 
 _NAN = float("nan")
+_DOUBTED_SHARE = 0.5
+"""Least share of the missed mass that the zero's stated error had covered, for the zero to count as doubted."""
+_CONTRADICTED = 3.0
+"""Standard deviations beyond which the level of the empty plate contradicts the expected drift of the zero."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,14 +37,13 @@ class FlowBudget:
     moisture_kg_s : float
         Grain whose moisture differs from the calibration's, or is not measured.
     covariance_kg_s : float
-        Of parameters_kg_s the part that is not the model's error by what sweeps show.
+        The part of parameters_kg_s that comes from the parameters' covariance, without the model error that sweeps show.
     per_error_kg_s : float
         Change of the flow by a relative error of 1 of the force.
     motion_kg_s : float
-        Of noise_kg_s the part of a plate that moves, with the sign that it has in this direction: on the way back it is of the
-        other.
+        The part of noise_kg_s due to the motion of the plate, signed: the sign is the opposite on the way back.
     taken_off : float
-        Relative error of the force away from home that was taken off the flow.
+        Relative error of the force away from home for which the flow was corrected.
     """
 
     noise_kg_s: float = _NAN
@@ -53,7 +56,7 @@ class FlowBudget:
     taken_off: float = 0.0
 
     def without(self, away: float, factor: float) -> FlowBudget:
-        """Of the flow multiplied by a factor, by which a relative error of the force, `away`, is taken off it."""
+        """The budget after the flow was multiplied by factor, to remove the relative error `away` of the force."""
         return FlowBudget(
             factor * self.noise_kg_s, factor * self.parameters_kg_s, factor * self.zero_kg_s, factor * self.moisture_kg_s,
             factor * self.covariance_kg_s, factor * self.per_error_kg_s, factor * self.motion_kg_s, away,
@@ -76,11 +79,11 @@ class MassBudget:
     Attributes
     ----------
     noise_kg2 : float
-        Variance of what no other mass shares, kg^2: noise, which averages out, and what may have come unseen.
+        Variance of the errors that no other mass shares, kg^2: noise, which averages out, and mass that was not measured.
     parameters_kg, zero_kg, moisture_kg : float
-        Standard deviations of what the seconds share, as in FlowBudget.
+        Standard deviations of the errors that all seconds share, as in FlowBudget.
     motion_kg : float
-        Of a moving plate, with its sign: all of it has one cause, by which grain strikes later than the plate's angle was read.
+        Error due to the motion of the plate, signed. Its one cause: the grain strikes later than the plate angle was read.
     """
 
     noise_kg2: float = 0.0
@@ -90,7 +93,7 @@ class MassBudget:
     motion_kg: float = 0.0
 
     def plus(self, flow: FlowBudget, seconds: float) -> MassBudget:
-        """The budget with `seconds` of a flow more."""
+        """The budget after `seconds` more of a flow."""
         return _made(
             self.noise_kg2 + (flow.noise_kg_s * seconds) ** 2 - (flow.motion_kg_s * seconds) ** 2,
             self.parameters_kg + flow.parameters_kg_s * seconds,
@@ -100,7 +103,7 @@ class MassBudget:
         )
 
     def with_more(self, more: MassBudget) -> MassBudget:
-        """The budget of both masses: what averages out does so over both, the rest they share."""
+        """The budget of both masses together: independent errors add in variance, shared ones in standard deviation."""
         return MassBudget(
             self.noise_kg2 + more.noise_kg2,
             self.parameters_kg + more.parameters_kg,
@@ -128,12 +131,12 @@ class MassBudget:
         unseen: UnseenChange = SAME,
         again_kg: float = _NAN,
     ) -> MassBudget:
-        """Of a mass that was corrected, before_kg to after_kg, by what a wrong zero had missed.
+        """The budget of a mass that was corrected from before_kg to after_kg, by what a wrong zero had missed.
 
-        By the zero all is as sure as what was measured again; where that is not all since the wrong zero, and that was doubted,
-        its error held about as much, which it does not any more. All else is relatively the same. Where there was no mass before,
-        that of what was measured again comes to it; None: not known. unseen: of this mass; again_kg: of it what was measured
-        again, nan where that is not all.
+        zero_kg becomes that of the mass measured again; where not all since the wrong zero was measured again and that zero was
+        doubted, zero_kg had covered about missed_kg, which is subtracted. The other errors stay the same relative to the mass.
+        Where there was no mass before, the budget of the mass measured again is added (again; None: not known). unseen: of this
+        mass. again_kg: the part of it that was measured again, nan where that is not all since the wrong zero.
         """
         doubted = self.zero_kg >= _DOUBTED_SHARE * abs(missed_kg) > 0.0
         zero_kg = max(self.zero_kg - abs(missed_kg) - unseen.hidden_kg, 0.0) if doubted else self.zero_kg
@@ -153,19 +156,19 @@ class MassBudget:
         return replace(known, zero_kg=zero_kg) if doubted or by_again else known
 
     def with_unseen(self, unseen_kg: float, before_kg: float) -> MassBudget:
-        """The budget of a mass of which so much more may be missing, before_kg of it already."""
+        """The budget when another unseen_kg may be missing, beside the before_kg that may be missing already."""
         return replace(self, noise_kg2=self.noise_kg2 + unseen_kg * (2.0 * before_kg + unseen_kg))
 
     def with_zero(self, more_kg: float) -> MassBudget:
-        """The budget of a mass that a wrong zero may have made less by so much more."""
+        """The budget when a wrong zero may have hidden another more_kg."""
         return replace(self, zero_kg=self.zero_kg + more_kg)
 
     def with_parameters(self, more_kg: float) -> MassBudget:
-        """The budget of a mass whose parameters turn out to be less sure by so much, or surer (below 0)."""
+        """The budget when the standard deviation by the parameters turns out more_kg larger (below 0: smaller)."""
         return replace(self, parameters_kg=max(self.parameters_kg + more_kg, 0.0))
 
     def with_common(self, parameters_kg: float) -> MassBudget:
-        """The budget of a mass whose parameters turn out to be less sure than they were taken to be, by so much at least."""
+        """The budget when the standard deviation by the parameters turns out to be at least parameters_kg."""
         return replace(self, parameters_kg=max(self.parameters_kg, parameters_kg))
 
     @property
@@ -175,135 +178,13 @@ class MassBudget:
 
     @classmethod
     def unknown(cls) -> MassBudget:
-        """Of a mass that was accumulated without one."""
+        """The budget of a mass that was accumulated without one."""
         return cls(_NAN, _NAN, _NAN, _NAN, _NAN)
 
 
 _made = maker_of(MassBudget)
-_DOUBTED_SHARE = 0.5
-"""Of what a zero missed, from which its stated error is one that was doubted."""
 EMPTY = MassBudget()
 """Of no mass."""
-_CONTRADICTED = 3.0
-"""Standard deviations from which on what is seen of the empty plate contradicts the drift that is expected of the zero."""
-_AVERAGED_READINGS = 6
-_NOW_VARIANCE = 1.0 / (2 * _AVERAGED_READINGS - 1)
-"""Of the mean of the newest readings, over that of one: their weights fall by the same share from each to the one before it."""
-_SCATTER_READINGS = 60
-"""Over which the scatter of readings is estimated."""
-_MOST_SCATTER_PCT = 0.5
-"""Standard deviation beyond which a reading that differs from the one before it is of other grain."""
-
-
-@dataclass(frozen=True, slots=True)
-class MoistureState:
-    """The moisture for which parameters hold. version: of the parameters. low_pct, high_pct: the moisture, or its range, %.
-    now_pct: mean of the newest readings, %. readings: of which low_pct and high_pct are the mean; 0: they are stated.
-    last_pct: newest reading, %, None before one. variance_pct2: of readings of the same grain, by so many differences from one
-    to the next."""
-
-    version: int
-    low_pct: float
-    high_pct: float
-    now_pct: float
-    readings: int = 0
-    last_pct: float | None = None
-    variance_pct2: float = 0.0
-    differences: int = 0
-
-
-class MoistureReference:
-    """The moisture for which the parameters hold: their calibrated range, that of the load which set their scale, or what was
-    first measured with them. A sweep does not change it, since it leaves the scale as it was.
-
-    Readings are averaged, about the newest six: a moisture sensor scatters by some tenths of a point. The square of what two
-    means are apart is larger than that of the grain's moistures by the variance of both, which is taken off.
-    """
-
-    def __init__(self, settings: BudgetSettings) -> None:
-        self._settings = settings
-        self._state: MoistureState | None = None
-
-    @property
-    def state(self) -> MoistureState | None:
-        """What is known; None before a reading."""
-        return self._state
-
-    def restore(self, state: MoistureState) -> None:
-        """Go on from a state that was kept."""
-        self._state = state
-
-    def forget(self) -> None:
-        """Other parameters come, of which no moisture is known."""
-        self._state = None
-
-    def relative_std_dev(
-        self, moisture_pct: float, version: int, calibrated: tuple[float, float] | None, *, followed: bool
-    ) -> float:
-        """Relative standard deviation of flow from moisture.
-
-        Parameters
-        ----------
-        moisture_pct : float
-            Measured now, %; nan where it is not measured.
-        version : int
-            Of the parameters in use.
-        calibrated : (float, float) or None
-            Moistures that the parameters were calibrated over, %.
-        followed : bool
-            Whether the model has moisture among its inputs.
-
-        Returns
-        -------
-        float
-        """
-        if followed:
-            return 0.0
-        known = self._state if self._state is not None and self._state.version == version else None
-        if not isfinite(moisture_pct):
-            unmeasured_pct = self._settings.unmeasured_moisture_pct
-            return self._settings.moisture_per_pct * hypot(unmeasured_pct, 0.0 if known is None else _away_pct(known))
-        known = _begun(version, moisture_pct, calibrated) if known is None else _with_reading(known, moisture_pct)
-        self._state = known
-        return self._settings.moisture_per_pct * _away_pct(known)
-
-    def hold(self, version: int, moisture_pct: float) -> None:
-        """Other parameters come, which hold for grain of this moisture, %; nan: for that of those before."""
-        if isfinite(moisture_pct):
-            if self._state is None:
-                self._state = MoistureState(version, moisture_pct, moisture_pct, moisture_pct)
-            else:
-                self._state = replace(self._state, version=version, low_pct=moisture_pct, high_pct=moisture_pct, readings=0)
-        elif self._state is not None:
-            self._state = replace(self._state, version=version)
-
-
-def _begun(version: int, moisture_pct: float, calibrated: tuple[float, float] | None) -> MoistureState:
-    if calibrated is not None:
-        return MoistureState(version, *calibrated, moisture_pct, last_pct=moisture_pct)
-    return MoistureState(version, moisture_pct, moisture_pct, moisture_pct, 1, moisture_pct)
-
-
-def _with_reading(known: MoistureState, moisture_pct: float) -> MoistureState:
-    """One reading more: the reference itself is the mean of the first few."""
-    variance, differences = known.variance_pct2, known.differences
-    if known.last_pct is not None:
-        differences = min(differences + 1, _SCATTER_READINGS)
-        variance += (min(0.5 * (moisture_pct - known.last_pct) ** 2, _MOST_SCATTER_PCT**2) - variance) / differences
-    low_pct, high_pct, readings = known.low_pct, known.high_pct, known.readings
-    if 0 < readings < _AVERAGED_READINGS:
-        readings += 1
-        low_pct = high_pct = now_pct = low_pct + (moisture_pct - low_pct) / readings
-    else:
-        now_pct = known.now_pct + (moisture_pct - known.now_pct) / _AVERAGED_READINGS
-    return MoistureState(known.version, low_pct, high_pct, now_pct, readings, moisture_pct, variance, differences)
-
-
-def _away_pct(known: MoistureState) -> float:
-    """Root of what the mean square of the grain's distance from the reference is expected to be."""
-    apart = max(known.low_pct - known.now_pct, known.now_pct - known.high_pct, 0.0)
-    of_means = _NOW_VARIANCE + (1.0 / known.readings if known.readings else 0.0)
-    return sqrt(max(apart**2 - of_means * known.variance_pct2, 0.0))
 
 
 def zero_std_dev_mv(settings: BudgetSettings, since_empty_s: float, away_mv: float = 0.0) -> float:
@@ -315,7 +196,7 @@ def zero_std_dev_mv(settings: BudgetSettings, since_empty_s: float, away_mv: flo
     since_empty_s : float
         Since the zero was last taken or followed, s.
     away_mv : float
-        How far the empty plate was seen from the zero since, mV: beyond three deviations it is the deviation.
+        Difference of the empty plate from the zero since then, mV; beyond three standard deviations it is the result.
 
     Returns
     -------
