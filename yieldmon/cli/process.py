@@ -293,7 +293,7 @@ def _one_record(
 
 def _home_deg(loaded: configuration.Configuration) -> tuple[float, float]:
     """Angles from and to which the plate rests at home, where a zero can be taken."""
-    home_deg, rest_deg = degrees(loaded.machine.home_plate_angle_rad), 2.0 * loaded.engine.plate.at_target_tolerance_deg
+    home_deg, rest_deg = degrees(loaded.machine.home_plate_angle_rad), loaded.engine.plate.rest_tolerance_deg
     return home_deg - rest_deg, home_deg + rest_deg
 
 

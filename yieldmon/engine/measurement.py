@@ -82,13 +82,12 @@ class Measurement:
         self.zero = ZeroTracker(settings.zero)
         self._settings = settings
         self._machine = machine
-        self._spacing_m = machine.paddle_spacing_m
         slow = any(source.rate_hz < ALIAS_FREE_HZ for source in sources.impact)
         self._aliasing = sources.impact if slow else ()
         """Sensors whose samples alias."""
         self._empty_spells = EmptySpells()
         self._gate = HarvestGate(settings.gate)
-        self._rest_rad = radians(2.0 * settings.plate.at_target_tolerance_deg)
+        self._rest_rad = radians(settings.plate.rest_tolerance_deg)
         self._idle_since_s: float | None = None
         self._cutting_s = float("-inf")
         self._obstacle = ""
@@ -236,8 +235,7 @@ class Measurement:
         """Standard deviation of the mean force: scatter within the window, drawn towards that of the windows before it, N."""
         settings, machine = self._settings.windows, self._machine
         gain = machine.sensor.gain_n_per_mv
-        paddles = window.speed_rad_s * machine.sprocket_pitch_radius_m / self._spacing_m * window.covered_s
-        per_scatter = (force_n / max(1.0, paddles) ** 0.5) ** 2
+        per_scatter = (force_n / self._paddles(window.speed_rad_s, window.covered_s) ** 0.5) ** 2
         variance = self._scatter.square * per_scatter
         if isfinite(window.std_dev_mv):
             seen, own = (window.std_dev_mv * gain) ** 2, float(window.patterns - 1)
@@ -258,8 +256,11 @@ class Measurement:
 
     def scatter_n(self, force_n: float, speed_rad_s: float, seconds: float) -> float:
         """Standard deviation of a mean force by the scatter of its paddles, as it is known now, N."""
-        paddles = float(self._machine.passes_per_s(speed_rad_s)) * seconds
-        return abs(force_n) * sqrt(self._scatter.square / max(1.0, paddles))
+        return abs(force_n) * sqrt(self._scatter.square / self._paddles(speed_rad_s, seconds))
+
+    def _paddles(self, speed_rad_s: float, seconds: float) -> float:
+        """Paddles that pass in a time, at least one."""
+        return max(1.0, float(self._machine.passes_per_s(speed_rad_s)) * seconds)
 
     def _struck_at_rest(self, window: Window, force_n: float) -> bool:
         """Whether grain strikes the plate although the elevator is reported to stand."""

@@ -165,6 +165,11 @@ class PlateSettings:
     )
     command_counter_modulus: int = 256
 
+    @property
+    def rest_tolerance_deg(self) -> float:
+        """Largest difference from home, and largest movement in a window, of a plate that rests at home, deg."""
+        return 2.0 * self.at_target_tolerance_deg
+
 
 @dataclass(frozen=True, slots=True)
 class SweepSettings:

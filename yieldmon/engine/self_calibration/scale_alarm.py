@@ -61,10 +61,15 @@ class ScaleCheck:
         return 100.0 * self.std_dev_kg / self.weighed_kg
 
 
+def name_of_load(number: int) -> str:
+    """Name of a weighed load, by which its ticket is known."""
+    return f"load {number}"
+
+
 def name_of(mass: ReferenceMass) -> str:
-    """The load by its number, other weighings by source, size and time: a coarse scale shows the same increment again."""
+    """Name of a load by its number, of another weighing by source, mass and time: a coarse scale repeats the same increment."""
     if mass.load_number:
-        return f"load {mass.load_number}"
+        return name_of_load(mass.load_number)
     return f"the {mass.source}'s {mass.reference_kg:.0f} kg of {_moment(mass.end_s)}"
 
 

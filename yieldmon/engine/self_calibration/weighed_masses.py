@@ -7,7 +7,7 @@ from collections.abc import Collection, Sequence
 from yieldmon.engine.self_calibration.crop_weighings import CropWeighings
 from yieldmon.engine.self_calibration.reference_mass import ReferenceMass
 from yieldmon.engine.self_calibration.reference_mass_inputs import checked, weighed, weighed_mass
-from yieldmon.engine.self_calibration.scale_alarm import ScaleCheck, name_of
+from yieldmon.engine.self_calibration.scale_alarm import ScaleCheck, name_of, name_of_load
 from yieldmon.engine.self_calibration.weighings import KEPT_LOADS
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.self_calibration.angle_error import AngleError
@@ -69,7 +69,7 @@ class WeighedMasses:
 
     def forget(self, load_numbers: frozenset[int]) -> None:
         """What was weighed of these loads counts no more and may be used anew."""
-        self.crops.forget({f"load {number}" for number in load_numbers})
+        self.crops.forget({name_of_load(number) for number in load_numbers})
         self.use_again({mass for mass in self.used | self._checked if mass.load_number in load_numbers})
 
     def new(self, masses: Sequence[ReferenceMass], model: ForwardModel, spans: Spans, model_error: AngleError) -> list[Found]:

@@ -16,8 +16,6 @@ from yieldmon.engine.sweeps.steady_home import SteadyHome, spread
 from yieldmon.engine.sweeps.sweep_inputs import PlateReading, SweepAbort, SweepWindow, plate_trouble
 from yieldmon.frames import ActuatorState, CommandMode, SweepState
 
-HOME_TOLERANCES = 2.0
-"""Of the plate's own tolerance, how far from home it may rest."""
 _ACTUATOR_REASONS = (SweepAbort.NOT_FOLLOWING, SweepAbort.FORCE_DOES_NOT_FOLLOW)
 """Ends after which the plate counts as not following until a movement arrives."""
 RESTING = frozenset({SweepState.IDLE, SweepState.WAITING, SweepState.ABORTED, SweepState.UPDATED, SweepState.NOT_LEARNED})
@@ -334,7 +332,7 @@ class SweepMachine:
 
     def _is_home(self, angle_deg: float) -> bool:
         """Whether the plate rests at home, as far as its feedback can tell."""
-        return abs(angle_deg - self._home_deg) <= HOME_TOLERANCES * self._plate.at_target_tolerance_deg
+        return abs(angle_deg - self._home_deg) <= self._plate.rest_tolerance_deg
 
     def _on_target(self, plate: PlateReading) -> bool:
         return abs(plate.angle_deg - self.sequence[self.step]) <= self._plate.at_target_tolerance_deg

@@ -10,7 +10,7 @@ from collections import deque
 from itertools import groupby
 
 from yieldmon.engine.settings import PlateSettings, SweepSettings
-from yieldmon.engine.sweeps.sweep import HOME_TOLERANCES, RESTING, SweepMachine, sweep_sequence
+from yieldmon.engine.sweeps.sweep import RESTING, SweepMachine, sweep_sequence
 from yieldmon.engine.sweeps.sweep_inputs import PlateReading, SweepAbort, SweepWindow, plate_trouble
 from yieldmon.frames import ActuatorState, SweepState
 
@@ -25,7 +25,7 @@ class SweepFollower(SweepMachine):
 
     def __init__(self, settings: SweepSettings, plate: PlateSettings, home_deg: float) -> None:
         super().__init__(settings, plate, home_deg)
-        self._tolerance_deg = HOME_TOLERANCES * plate.at_target_tolerance_deg
+        self._tolerance_deg = plate.rest_tolerance_deg
         self._configured = _stops(sweep_sequence(settings.angles_deg, home_deg, settings.home_every))
         self._before: deque[SweepWindow] = deque(maxlen=settings.windows_per_step)
         self._stop_deg = float("nan")
