@@ -19,7 +19,7 @@ from yieldmon.engine.self_calibration.closed_loop_calibrator import ClosedLoopCa
 from yieldmon.engine.self_calibration.curve_states import in_names
 from yieldmon.engine.self_calibration.load_forces import LoadForces, LoadForceSums, WindowForces
 from yieldmon.engine.self_calibration.parameter_updater import ParameterUpdater
-from yieldmon.engine.self_calibration.reference_mass import ReferenceMass, ReferenceSource
+from yieldmon.engine.self_calibration.reference_mass import ReferenceMass, ReferenceSource, Weighing
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.state import EngineState
 from yieldmon.engine.sweeps.sweep import SweepMachine
@@ -655,7 +655,7 @@ def test_a_ticket_that_waits_during_a_sweep_updates_as_one_before_it(
                 before = home_error_pct(updater.estimator, flow)  # type: ignore[arg-type]
                 sweep.state = SweepState.MEASURING if waits else SweepState.IDLE
             weighed_kg = load.reference_kg * (factor if number == 3 else 1.0)
-            updater.ticket(number, weighed_kg, 0.003 * weighed_kg, loads=(summary,), now_s=at_s)
+            updater.ticket(Weighing(number, weighed_kg, 0.003 * weighed_kg), loads=(summary,), now_s=at_s)
             updater.update(at_s, dataclasses.replace(windows[0], time_s=at_s + 600.0), sweep)
             assert [mass.load_number for mass in updater.masses.tickets.waiting] == [3] * (waits and number == 3)
         sweep.state = SweepState.MEASURING
@@ -708,7 +708,7 @@ def enter(updater: ParameterUpdater, number: int, factor: float = 1.0) -> float:
     at_s = 1000.0 * number
     load = ticket(updater.estimator, 12.0, at_s, at_s + 500.0)  # type: ignore[arg-type]
     summary = LoadSummary(number, load.start_s, load.end_s, load.measured_kg, 0.0, 0.0, complete=True)
-    updater.ticket(number, factor * load.reference_kg, 5.0, loads=(summary,), now_s=at_s)
+    updater.ticket(Weighing(number, factor * load.reference_kg, 5.0), loads=(summary,), now_s=at_s)
     return at_s + 600.0
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import isnan, nan
 from types import SimpleNamespace
 
@@ -12,8 +13,12 @@ from hypothesis import strategies as st
 
 from yieldmon.engine.mass.missed_mass import NO_LOAD, MissedMass
 from yieldmon.engine.sampling.since_zero import KEPT_S, KeptSecond, SinceZero
+from yieldmon.engine.settings import EngineSettings, GateSettings, WindowSettings
+from yieldmon.physics.machine import Machine
 
 GAIN_N_PER_MV, GRAIN_ON_N, LEAST_COVERAGE = 0.5, 2.0, 0.25
+SETTINGS = EngineSettings(gate=GateSettings(grain_on_n=GRAIN_ON_N), windows=WindowSettings(min_coverage=LEAST_COVERAGE))
+MACHINE = Machine(sensor=replace(Machine().sensor, gain_n_per_mv=GAIN_N_PER_MV))
 #: kg/s of one N.
 KG_S_PER_N = 0.25
 
@@ -30,7 +35,7 @@ def dry_kg(kg: float, moisture_pct: float) -> float | None:
 
 
 def missed(since: SinceZero, zero_mv: float) -> dict[int, MissedMass]:
-    return since.missed(zero_mv, Proportional(), GAIN_N_PER_MV, GRAIN_ON_N, LEAST_COVERAGE, dry_kg)
+    return since.missed(zero_mv, Proportional(), dry_kg)
 
 
 SECONDS = st.builds(
@@ -51,7 +56,7 @@ SECONDS = st.builds(
 def test_each_second_is_measured_again_and_the_scales_mass_taken_back(
     seconds: list[KeptSecond], by_scale: dict[int, float], zero_mv: float
 ) -> None:
-    since = SinceZero()
+    since = SinceZero(SETTINGS, MACHINE)
     since.add(seconds)
     for number, kg in by_scale.items():
         since.add_scale(number, 0.25 * kg)
@@ -90,7 +95,7 @@ def second(load_number: int, mass_kg: float = 0.0) -> KeptSecond:
 
 
 def test_a_reset_of_the_totals_forgets_what_no_load_was_open_for():
-    since = SinceZero()
+    since = SinceZero(SETTINGS, MACHINE)
     since.add([second(1), second(NO_LOAD), second(2)])
     since.add_scale(NO_LOAD, 5.0)
     since.add_scale(2, 6.0)
@@ -100,7 +105,7 @@ def test_a_reset_of_the_totals_forgets_what_no_load_was_open_for():
 
 
 def test_another_zero_forgets_everything():
-    since = SinceZero()
+    since = SinceZero(SETTINGS, MACHINE)
     since.add([second(1)])
     since.add_scale(1, 5.0)
     since.clear()
@@ -108,7 +113,7 @@ def test_another_zero_forgets_everything():
 
 
 def test_the_newest_are_kept_also_across_a_reset_of_the_totals():
-    since = SinceZero()
+    since = SinceZero(SETTINGS, MACHINE)
     since.add(second(1, float(number)) for number in range(KEPT_S + 5))
     assert (len(since.seconds), since.seconds[0].mass_kg) == (KEPT_S, 5.0)
     since.totals_reset()

@@ -1,4 +1,4 @@
-"""What follows from a window's reading and flow: mass, sweep, faults, the record, updates of the parameters, the frames."""
+"""The results of a window, from its reading and flow: mass, sweep, faults, record, updates of the parameters, frames."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import replace
 from math import isfinite, nan
 from typing import NamedTuple
 
+from yieldmon.engine.fast_dataclasses import maker_of
 from yieldmon.engine.faults import FAULTS, FaultCode, Observation, Severity
 from yieldmon.engine.flow import Circumstances, Estimate, Flow, away_from_home
 from yieldmon.engine.flow_estimator import FlowEstimator
@@ -19,7 +20,6 @@ from yieldmon.engine.mass.silences import Missing
 from yieldmon.engine.measurement import Reading
 from yieldmon.engine.parts import Parts
 from yieldmon.engine.publishing import Published
-from yieldmon.engine.quick import maker_of
 from yieldmon.engine.records import Second, WindowRecord, record_of
 from yieldmon.engine.results import Event, Result, WindowResult, ZeroTaken
 from yieldmon.engine.sampling.since_zero import KeptSecond
@@ -27,7 +27,7 @@ from yieldmon.engine.self_calibration.load_forces import WindowForces
 from yieldmon.engine.self_calibration.parameter_updater import ParametersChanged
 from yieldmon.engine.self_calibration.scale_alarm import ScaleCheck
 from yieldmon.engine.sweeps.sweep_inputs import SweepWindow, support_start_s
-from yieldmon.engine.waveform.later_samples import LaterSamples
+from yieldmon.engine.waveform.deferred_waveform import DeferredWaveform
 from yieldmon.engine.waveform.waveform_reading import NOTHING
 from yieldmon.estimation.self_calibration.angle_error import AngleError
 from yieldmon.frames import OperatingState
@@ -36,7 +36,7 @@ _result = maker_of(WindowResult)
 
 
 class _Measured(NamedTuple):
-    """What a window brought. flow: with what its samples show; by_mean_force: by the force alone."""
+    """Flow, mass and area of a window. by_mean_force: by the mean force alone; flow: corrected by sweeps and waveform."""
 
     by_mean_force: Flow
     flow: Flow
@@ -45,39 +45,47 @@ class _Measured(NamedTuple):
 
 
 class Conclusion:
-    """Concludes windows in order, and counts them. publishing: make the frames that publish a window. waveform_later: what a
-    window's samples hold beside their mean is looked at in `completed` and not at once."""
+    """Concludes windows in order, and counts them.
+
+    Attributes
+    ----------
+    windows : int
+        Windows concluded so far.
+    publishing : bool
+        Whether to make the frames that publish a window.
+    begun_with : tuple of LoadOpened
+        Loads that began before the first window; they are returned with it.
+    """
 
     def __init__(self, parts: Parts, *, waveform_later: bool) -> None:
         self._parts = parts
-        self._samples = None if parts.waveform is None else LaterSamples(parts.waveform)
+        self._deferred = None if parts.waveform is None else DeferredWaveform(parts.waveform)
         self._waveform_later = waveform_later
         self.windows = 0
         self.publishing = True
         self._zero_mv = nan
-        """With which the next window is measured; nan where that is not known yet."""
+        """Zero with which the next window is measured; nan until it is known."""
         self._counted_kg: deque[float] = deque(maxlen=parts.settings.zero.settle_windows + parts.settings.gate.off_windows)
-        """Mass of the seconds in which an elevator that looks empty can have counted as harvesting."""
+        """Masses of the newest seconds, in which an elevator that looks empty may still have counted as harvesting."""
         self._far = False
-        """Whether the empty plate reads so far from the zero that it does not follow."""
+        """Whether the empty plate reads too far from the zero for the zero to follow."""
         self.begun_with: LoadEvents = ()
-        """Loads that began before the first window; they come with it."""
 
     def restore(self, windows: int) -> None:
-        """Go on counting after so many windows."""
+        """Continue counting after this many windows."""
         self.windows = windows
 
     def conclude(self, reading: Reading, estimate: Estimate | None) -> WindowResult:
         """The window's result. estimate: None where there is no flow."""
         parts, window = self._parts, reading.window
-        if self._samples is not None:
-            self._samples.look()
+        if self._deferred is not None:
+            self._deferred.evaluate()
         updater, loads, sweep, bus_s = parts.updater, parts.loads, parts.plate.sweep, parts.clock.bus_time(window.end_s)
         self.windows += 1
         updater.add_age(window.end_s - window.start_s)
         estimator = updater.estimator
         measured = self._measured(reading, estimate, estimator)
-        # As the sweep before has measured the force, so that what is known of it ends none.
+        # By mean force alone: a correction found by sweeps must not end a sweep.
         step = sweep.window(self._sweep_window(reading, measured.by_mean_force))
         shown = parts.faults.observe_all(conditions(self._observation(reading, measured.flow)), bus_s)
         second = self._second(bus_s, reading, measured, step)
@@ -91,17 +99,17 @@ class Conclusion:
         emptied = parts.unloading.emptied(reading.inputs, window.end_s - window.start_s) and loads.totals.load_kg > 0.0
         started = loads.start(bus_s) if emptied else ()
         result: WindowResult = _result(record, frames, (*begun, *zero, *shown, *changes, *ended, *started), NOTHING)
-        if self._samples is None:
+        if self._deferred is None:
             return result
-        self._samples.add(second, measured.by_mean_force, estimator)
-        return result if self._waveform_later else self._samples.complete(result)
+        self._deferred.add(second, measured.by_mean_force, estimator)
+        return result if self._waveform_later else self._deferred.complete(result)
 
     def completed(self, results: Sequence[Result]) -> list[Result]:
-        """The last results handed out, their windows' samples looked at; see `Monitor.completed`."""
-        return list(results) if self._samples is None else self._samples.completed(results)
+        """The results last returned, with their windows' waveform; see `Monitor.completed`."""
+        return list(results) if self._deferred is None else self._deferred.completed(results)
 
     def _measured(self, reading: Reading, estimate: Estimate | None, estimator: FlowEstimator) -> _Measured:
-        """Flow, mass and area of the window; the mass is in its load and in the totals."""
+        """Flow, mass and area of the window; adds the mass to its load and to the totals."""
         parts, window = self._parts, reading.window
         updater, loads = parts.updater, parts.loads
         by_mean_force = self._by_mean_force(reading, estimate, estimator)
@@ -132,7 +140,7 @@ class Conclusion:
         self._zero_mv = record.zero_mv
 
     def _update_parameters(self, end_s: float, record: WindowRecord, estimator: FlowEstimator) -> tuple[Event, ...]:
-        """Updates of the parameters with this window, and the loads that are known otherwise for it."""
+        """Updates of the parameters with this window, and the loads whose standard deviation they change."""
         parts, updater, sweep = self._parts, self._parts.updater, self._parts.plate.sweep
         waveform, before = parts.waveform, (updater.load_error, updater.scale_alarm.state.contradiction)
         channels = None
@@ -153,7 +161,7 @@ class Conclusion:
         return parts.flow_meter.flow(reading, estimate, estimator, circumstances)
 
     def _corrected(self, by_mean_force: Flow, end_s: float, estimator: FlowEstimator) -> Flow:
-        """The flow with the scale that the samples of earlier windows have shown, where that is asked for."""
+        """The flow with the scale that the waveform of earlier windows has shown, where `waveform.combine` is set."""
         waveform = self._parts.waveform
         if waveform is None or not self._parts.settings.waveform.combine:
             return by_mean_force
@@ -161,7 +169,7 @@ class Conclusion:
         return by_mean_force if found is None else replace(by_mean_force, rate_kg_s=found[0], std_dev_kg_s=found[1])
 
     def _weigh(self, reading: Reading, flow: Flow, mass_kg: float) -> None:
-        """Hold the window's mass against the tank scale, which keeps the mass while the zero is doubted."""
+        """Compare the window's mass with the tank scale, whose mass replaces the measured one while the zero is suspect."""
         loads, updater, doubted = self._parts.loads, self._parts.updater, self._parts.measurement.zero.suspect
         totals = loads.totals
         if reading.windows_since_jump == 0 and reading.window.lost_frames:
@@ -199,8 +207,10 @@ class Conclusion:
     def _restate(
         self, model_error: AngleError, contradiction: ScaleCheck | None, changes: Sequence[ParametersChanged]
     ) -> LoadEvents:
-        """Loads are as unsure as sweeps and weighed masses have just shown them to be. Before: the model's error, and the mass
-        that contradicted. A mass that contradicts and is doubted says nothing of loads that are closed."""
+        """Restate the standard deviations of loads by what sweeps and weighed masses have just shown.
+
+        model_error, contradiction: before this window. A contradicting mass that is itself doubted does not change closed loads.
+        """
         loads, updater = self._parts.loads, self._parts.updater
         error, found = updater.load_error, updater.scale_alarm.state.contradiction
         restated = loads.restate(error, updater.estimator.parameters.version) if error != model_error else ()
@@ -215,7 +225,7 @@ class Conclusion:
         return restated
 
     def _hold_moisture(self, changes: Sequence[ParametersChanged]) -> None:
-        """The moisture for which changed parameters hold; where none is known, the one before."""
+        """Note the moisture for which changed parameters hold; where it is not known, that of the parameters before."""
         for change in changes:
             if change.moisture_pct is not None:
                 self._parts.flow_meter.moisture.hold(change.parameters.version, change.moisture_pct)
@@ -248,7 +258,7 @@ class Conclusion:
         return SweepWindow.of(window, support_s, flow.rate_kg_s, flow.force_n, whole, reading.still)
 
     def _second(self, bus_s: float, reading: Reading, measured: _Measured, sweep_step: int) -> Second:
-        """All of a window but what its samples hold beside their mean."""
+        """Everything known of a window except its waveform."""
         parts, counts = self._parts, sweep_step >= 0
         active, sweep = parts.faults.active, parts.plate.sweep
         return Second(

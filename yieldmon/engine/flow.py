@@ -9,12 +9,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from yieldmon.engine.fast_dataclasses import maker_of
 from yieldmon.engine.flow_estimator import FlowEstimator
 from yieldmon.engine.flow_filter import FlowFilter
 from yieldmon.engine.mass.budget import NO_BUDGET, FlowBudget, zero_std_dev_mv
 from yieldmon.engine.mass.moisture_reference import MoistureReference
 from yieldmon.engine.measurement import Reading
-from yieldmon.engine.quick import maker_of
 from yieldmon.engine.sampling.hidden_force import hidden_share
 from yieldmon.engine.sampling.windows import Window
 from yieldmon.engine.settings import EngineSettings

@@ -8,10 +8,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import degrees, hypot, isfinite, radians, sqrt
 
+from yieldmon.engine.fast_dataclasses import maker_of
 from yieldmon.engine.inputs import InputSnapshot
 from yieldmon.engine.mass.gates import GateInputs, HarvestGate
 from yieldmon.engine.mass.tank_rise import TankRise
-from yieldmon.engine.quick import maker_of
 from yieldmon.engine.sampling.aliasing import ALIAS_FREE_HZ, aliasing_share
 from yieldmon.engine.sampling.empty_spells import EmptySpells
 from yieldmon.engine.sampling.paddle_scatter import PaddleScatter

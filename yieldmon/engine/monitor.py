@@ -316,9 +316,8 @@ class Monitor(MonitorView):
         ValueError
             When the load is not known or a number makes no sense.
         """
-        return self._parts.updater.ticket(
-            load_number, mass_kg, std_dev_kg, loads=self.loads, now_s=self._parts.bus_now, crop=crop, common_kg=common_kg
-        )
+        weighing = Weighing(load_number, mass_kg, std_dev_kg, common_kg)
+        return self._parts.updater.ticket(weighing, loads=self.loads, now_s=self._parts.bus_now, crop=crop)
 
     def ticket_departure(
         self, load_number: int, mass_kg: float, std_dev_kg: float, *, of_crop: FlowEstimator | None = None
@@ -343,9 +342,8 @@ class Monitor(MonitorView):
         ValueError
             As `ticket`.
         """
-        return self._parts.updater.departure(
-            load_number, mass_kg, std_dev_kg, loads=self.loads, now_s=self._parts.bus_now, of_crop=of_crop
-        )
+        weighing = Weighing(load_number, mass_kg, std_dev_kg)
+        return self._parts.updater.departure(weighing, loads=self.loads, now_s=self._parts.bus_now, of_crop=of_crop)
 
     def update_again(
         self,

@@ -22,7 +22,7 @@ from yieldmon.engine.self_calibration.parameter_updater import ParameterUpdater
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.sources import Sources
 from yieldmon.engine.sweeps.plate import Plate
-from yieldmon.engine.uneven import UnevenSeconds
+from yieldmon.engine.uneven_seconds import UnevenSeconds
 from yieldmon.engine.waveform.waveform import Waveform
 from yieldmon.physics.machine import Machine
 from yieldmon.signal_ranges import SignalRanges
@@ -86,7 +86,7 @@ class Parts:
             unloading=Unloading(settings),
             plate=Plate(settings, machine, driven=drives_plate),
             faults=FaultBook(),
-            since_zero=SinceZero(),
+            since_zero=SinceZero(settings, machine),
             updater=ParameterUpdater(settings, machine, estimator, calibrator),
             publisher=Publisher(ranges),
         )

@@ -12,8 +12,8 @@ from enum import IntEnum
 from math import degrees, isfinite
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from yieldmon.engine.fast_dataclasses import maker_of
 from yieldmon.engine.faults import FaultCode
-from yieldmon.engine.quick import maker_of
 from yieldmon.estimation.waveform.kernel_noise import KernelVerdict
 from yieldmon.estimation.waveform.shape_verdict import ShapeVerdict
 from yieldmon.frames import EstimateQuality, OperatingState

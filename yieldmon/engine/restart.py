@@ -7,7 +7,7 @@ from math import isfinite
 
 from yieldmon.engine.mass.unseen import FlowAtStop
 from yieldmon.engine.parts import Parts
-from yieldmon.engine.self_calibration.reference_mass import ReferenceMass
+from yieldmon.engine.self_calibration.reference_mass import ReferenceMass, Weighing
 from yieldmon.engine.state import EngineState, TicketState, ZeroUndo
 
 
@@ -63,8 +63,8 @@ def remember_tickets(parts: Parts, tickets: Sequence[TicketState]) -> None:
     updater = parts.updater
     of_crop: dict[str | None, list[tuple[ReferenceMass, bool]]] = {None: []}
     for ticket in tickets:
-        weighing = ticket.load_number, ticket.weighed_kg, ticket.std_dev_kg, ticket.common_kg
-        known = updater.masses.tickets.of_earlier_load(*weighing)
+        weighing = Weighing(ticket.load_number, ticket.weighed_kg, ticket.std_dev_kg, ticket.common_kg)
+        known = updater.masses.tickets.of_earlier_load(weighing)
         if known is not None:
             of_crop.setdefault(ticket.crop, []).append((known, ticket.waits))
     for crop, pairs in of_crop.items():

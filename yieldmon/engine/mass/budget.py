@@ -11,8 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from math import hypot, isfinite, sqrt
 
+from yieldmon.engine.fast_dataclasses import maker_of
 from yieldmon.engine.mass.unseen import SAME, UnseenChange
-from yieldmon.engine.quick import maker_of
 from yieldmon.engine.settings import BudgetSettings
 
 _NAN = float("nan")

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from math import hypot
 from typing import Any
 
+from yieldmon.engine.fast_dataclasses import maker_of
 from yieldmon.engine.mass.budget import FlowBudget, MassBudget
-from yieldmon.engine.quick import maker_of
 from yieldmon.estimation.self_calibration.angle_error import NODES_RAD, AngleError, node_shares
 
 

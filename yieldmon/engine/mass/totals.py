@@ -6,10 +6,10 @@ from dataclasses import dataclass, fields, replace
 from math import isfinite
 from operator import attrgetter
 
+from yieldmon.engine.fast_dataclasses import maker_of
 from yieldmon.engine.mass.budget import EMPTY, NO_BUDGET, FlowBudget, MassBudget
 from yieldmon.engine.mass.missed_mass import MissedMass
 from yieldmon.engine.mass.unseen import UnseenMass
-from yieldmon.engine.quick import maker_of
 from yieldmon.engine.settings import TotalsSettings
 from yieldmon.physics.grain import DRIEST_PCT
 

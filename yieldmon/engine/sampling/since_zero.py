@@ -1,4 +1,4 @@
-"""Seconds since the operator's last zero calibration, kept so that they can be measured again with the zero before it."""
+"""Seconds since the operator's last zero calibration, kept so that an undo can measure them again with the zero before it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,9 @@ from yieldmon.engine.mass.missed_mass import NO_LOAD, MissedMass
 from yieldmon.engine.mass.unseen import UnseenChange, UnseenMass
 from yieldmon.engine.mass.unseen_again import SecondAgain, unseen_again
 from yieldmon.engine.records import WindowRecord
+from yieldmon.engine.settings import EngineSettings
 from yieldmon.estimation.open_loop import FlowEstimate
+from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.numerics import Array
 
 KEPT_S = 7200
@@ -24,8 +26,8 @@ KEPT_S = 7200
 
 @dataclass(frozen=True, slots=True)
 class KeptSecond:
-    """What of a second it takes to measure it again; nan where not known. zero_mv: with which it was measured, which is the zero
-    after the second before it. surplus_frames: of more than one sender, the second is contested."""
+    """What is needed of a second to measure it again; nan where not known. zero_mv: the zero it was measured with, which is that
+    after the second before it. surplus_frames: above 0 the second is contested by more than one sender."""
 
     load_number: int
     duration_s: float
@@ -47,18 +49,21 @@ class KeptSecond:
 
 
 Budgets = Callable[[Sequence[KeptSecond], Array, FlowEstimate], Sequence[FlowBudget]]
-"""Of seconds whose force, N, and flow are these by another zero."""
+"""Error budgets of seconds, from their forces, N, and flows by another zero."""
 
 
 class SinceZero:
-    """The seconds, and the mass that the tank scale put in their place."""
+    """The seconds, and the mass of the tank scale that was counted in their place."""
 
-    def __init__(self) -> None:
+    def __init__(self, settings: EngineSettings, machine: Machine) -> None:
+        self._gain_n_per_mv = machine.sensor.gain_n_per_mv
+        self._gate = settings.gate
+        self._min_coverage = settings.windows.min_coverage
         self._seconds: deque[KeptSecond] = deque(maxlen=KEPT_S)
         self._by_scale: dict[int, float] = {}
 
     def clear(self) -> None:
-        """Another zero from now on."""
+        """Forget all: another zero is in use from now on."""
         self._seconds.clear()
         self._by_scale.clear()
 
@@ -67,7 +72,7 @@ class SinceZero:
         self._seconds.extend(seconds)
 
     def totals_reset(self) -> None:
-        """The totals begin anew: what no load was open for is in none of those that are still counted."""
+        """The totals begin anew: seconds without an open load are in no mass that is still counted."""
         self._seconds = deque((s for s in self._seconds if s.load_number != NO_LOAD), maxlen=KEPT_S)
         self._by_scale.pop(NO_LOAD, None)
 
@@ -89,20 +94,30 @@ class SinceZero:
         self,
         zero_mv: float,
         estimator: FlowEstimator,
-        gain_n_per_mv: float,
-        grain_on_n: float,
-        min_coverage: float,
         dry_kg: Callable[[float, float], float | None],
         budgets: Budgets | None = None,
     ) -> dict[int, MissedMass]:
-        """Load number -> what its seconds miss where zero_mv is the zero; up to grain_on_n there is no grain where none counted.
+        """Mass that was missed because another zero than this one was in use.
 
-        min_coverage: of a second that counts whole. dry_kg: of a wet mass, kg, at a moisture, %. budgets: how sure the flows by
-        this zero are; None: not known. Contested seconds stay in no total; those without a flow by this zero stay as they were.
+        Parameters
+        ----------
+        zero_mv : float
+            The right zero, mV.
+        estimator : FlowEstimator
+            With the parameters in use.
+        dry_kg : callable
+            (wet mass, kg; moisture, %) -> dry mass, kg, None where it is not known.
+        budgets : callable, optional
+            Error budgets of the flows by this zero; None: not known.
+
+        Returns
+        -------
+        dict of int to MissedMass
+            By load number. Contested seconds are in no load; seconds without a flow by this zero stay as they were.
         """
         nothing = MissedMass(budget=EMPTY)
         missed = {n: nothing.plus(-kg, None, area_known=True, budget=EMPTY) for n, kg in self._by_scale.items()}
-        again = self._again(zero_mv, estimator, gain_n_per_mv, grain_on_n)
+        again = self._again(zero_mv, estimator)
         if again is None:
             return missed
         rows = [self._seconds[place] for place in again.places]
@@ -110,10 +125,10 @@ class SinceZero:
         again_kg, lacking = dict[int, float](), set[int]()
         for second, rate, budget in zip(rows, again.flow_kg_s.tolist(), sure, strict=True):
             if not isfinite(rate):
-                # Above a full paddle, say: what was counted stays.
+                # For example above a full paddle: what was counted stays.
                 lacking.add(second.load_number)
                 continue
-            seconds = _counted_s(second, min_coverage)
+            seconds = _counted_s(second, self._min_coverage)
             kg = rate * seconds - second.mass_kg
             # Where the bus reports nothing of the header, a second without grain has no area.
             known, dry, with_area = missed.get(second.load_number, nothing), dry_kg(kg, second.moisture_pct), second.area_m2 > 0.0
@@ -125,35 +140,28 @@ class SinceZero:
         return {n: replace(found, again_kg=nan if n in lacking else again_kg.get(n, nan)) for n, found in missed.items()}
 
     def unseen_again(
-        self,
-        zero_mv: float,
-        estimator: FlowEstimator,
-        gain_n_per_mv: float,
-        grain_on_n: float,
-        min_coverage: float,
-        min_turning_rad_s: float,
-        open_load: int,
+        self, zero_mv: float, estimator: FlowEstimator, open_load: int
     ) -> tuple[dict[int, UnseenChange], UnseenMass]:
-        """What may have come unseen where zero_mv is the zero; arguments as of `missed`, result as of `unseen_again`.
+        """Mass that may have come unmeasured, by the right zero; arguments as of `missed`, result as of `unseen_again`.
 
-        min_turning_rad_s: up to this speed the elevator stands. open_load: number of the load that is open now.
+        open_load: number of the load that is open now.
         """
-        again = self._again(zero_mv, estimator, gain_n_per_mv, grain_on_n)
+        again = self._again(zero_mv, estimator)
         rates = {} if again is None else dict(zip(again.places, again.flow_kg_s.tolist(), strict=True))
         seconds = []
         for place, second in enumerate(self._seconds):
             if second.surplus_frames:
                 continue
-            counted_s, rate = _counted_s(second, min_coverage), rates.get(place, 0.0)
+            counted_s, rate = _counted_s(second, self._min_coverage), rates.get(place, 0.0)
             before = second.mass_kg / counted_s if counted_s > 0.0 else 0.0
             seconds.append(
                 SecondAgain(
                     load_number=second.load_number,
                     duration_s=second.duration_s,
                     covered_s=second.duration_s * second.coverage if isfinite(second.force_n) else 0.0,
-                    enough=second.coverage >= min_coverage,
+                    enough=second.coverage >= self._min_coverage,
                     elevator_speed_rad_s=second.elevator_speed_rad_s,
-                    stands=second.elevator_speed_rad_s <= min_turning_rad_s,
+                    stands=second.elevator_speed_rad_s <= self._gate.min_turning_rpm * RPM,
                     before_kg_s=before,
                     after_kg_s=rate if isfinite(rate) else before,
                     hidden=second.mass_kg == 0.0 and rate > 0.0,
@@ -161,14 +169,14 @@ class SinceZero:
             )
         return unseen_again(seconds, open_load)
 
-    def _again(self, zero_mv: float, estimator: FlowEstimator, gain_n_per_mv: float, grain_on_n: float) -> _Again | None:
-        """Those seconds that have grain by this zero, or had some; None where there are none."""
+    def _again(self, zero_mv: float, estimator: FlowEstimator) -> _Again | None:
+        """The seconds with grain, by this zero or as counted, measured again; None where there are none."""
         places, forces = [], []
         for place, second in enumerate(self._seconds):
             known = isfinite(second.zero_mv) and isfinite(second.force_n) and second.coverage > 0.0 and not second.surplus_frames
-            force_n = second.force_n + (second.zero_mv - zero_mv) * gain_n_per_mv
-            # What counted is measured again whatever is left of its force: a zero that was too low made grain of nothing.
-            if known and (force_n > grain_on_n or second.mass_kg > 0.0):
+            force_n = second.force_n + (second.zero_mv - zero_mv) * self._gain_n_per_mv
+            # A second that counted is measured again whatever its force: with a zero too low, an empty plate counted as grain.
+            if known and (force_n > self._gate.grain_on_n or second.mass_kg > 0.0):
                 places.append(place)
                 forces.append(force_n)
         if not places:

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yieldmon.engine.duplicate_senders import DuplicateSenderWatch, angle_limits, speed_limits
+from yieldmon.engine.fast_dataclasses import maker_of
 from yieldmon.engine.interpolation import InterpolatedSignal, Knots
-from yieldmon.engine.quick import maker_of
 from yieldmon.engine.sampling import segments
 from yieldmon.engine.sampling.cut_off import cut_off
 from yieldmon.engine.sampling.sample_frames import SampleBuffer, SampleFrames

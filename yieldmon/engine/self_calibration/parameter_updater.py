@@ -106,7 +106,7 @@ class ParameterUpdater:
         Raises ValueError as `ticket`.
         """
         tickets = self.masses.tickets
-        references, kept = ([tickets.ticket(*one, loads=loads, now_s=now_s) for one in weighings] for weighings in (again, stay))
+        references, kept = ([tickets.ticket(one, loads=loads, now_s=now_s) for one in weighings] for weighings in (again, stay))
         gone = load_numbers | {reference.load_number for reference in (*references, *kept)}
         left = tickets.take_back(gone, references, crop, kept)
         counted = None
@@ -186,34 +186,22 @@ class ParameterUpdater:
         if self.calibration_age_s is not None:
             self.calibration_age_s += seconds
 
-    def ticket(
-        self,
-        load_number: int,
-        mass_kg: float,
-        std_dev_kg: float,
-        *,
-        loads: tuple[LoadSummary, ...],
-        now_s: float,
-        crop: str = "",
-        common_kg: float = 0.0,
-    ) -> ReferenceMass:
+    def ticket(self, weighing: Weighing, *, loads: tuple[LoadSummary, ...], now_s: float, crop: str = "") -> ReferenceMass:
         """A scale ticket for a load; see `Monitor.ticket`."""
-        reference = self.masses.tickets.ticket(load_number, mass_kg, std_dev_kg, common_kg, loads=loads, now_s=now_s)
+        reference = self.masses.tickets.ticket(weighing, loads=loads, now_s=now_s)
         self.masses.enter(reference, crop)
         return reference
 
     def departure(
         self,
-        load_number: int,
-        mass_kg: float,
-        std_dev_kg: float,
+        weighing: Weighing,
         *,
         loads: tuple[LoadSummary, ...],
         now_s: float,
         of_crop: FlowEstimator | None = None,
     ) -> tuple[float, float] | None:
         """See `Monitor.ticket_departure`."""
-        reference = self.masses.tickets.ticket(load_number, mass_kg, std_dev_kg, loads=loads, now_s=now_s)
+        reference = self.masses.tickets.ticket(weighing, loads=loads, now_s=now_s)
         return departure_of(reference, of_crop or self.estimator, self.drift_sd, self.model_error)
 
     def remember_tickets(self, tickets: Sequence[ReferenceMass], waiting: Sequence[ReferenceMass]) -> None:

@@ -9,7 +9,7 @@ from math import isclose, isfinite, nan
 from yieldmon.engine.mass.load_summary import LoadSummary
 from yieldmon.engine.sampling.since_zero import KeptSecond
 from yieldmon.engine.self_calibration.load_forces import LoadForces, LoadForceSums, WindowForces
-from yieldmon.engine.self_calibration.reference_mass import ReferenceMass, ReferenceSource
+from yieldmon.engine.self_calibration.reference_mass import ReferenceMass, ReferenceSource, Weighing
 from yieldmon.engine.state import TicketState
 
 _KEPT_TICKETS = 12
@@ -74,27 +74,17 @@ class TicketBook:
         """A window that added mass to a load."""
         self.forces.add(load_number, mass_kg, window)
 
-    def ticket(
-        self,
-        load_number: int,
-        mass_kg: float,
-        std_dev_kg: float,
-        common_kg: float = 0.0,
-        *,
-        loads: Sequence[LoadSummary],
-        now_s: float,
-    ) -> ReferenceMass:
-        """A ticket for a load, that is not entered yet.
+    def ticket(self, weighing: Weighing, *, loads: Sequence[LoadSummary], now_s: float) -> ReferenceMass:
+        """The reference mass of a ticket, which is not entered yet.
 
         Parameters
         ----------
-        load_number : int
-        mass_kg, std_dev_kg, common_kg : float
-            As of a `Weighing`.
+        weighing : Weighing
+            What the ticket says.
         loads : sequence of LoadSummary
             Of this run.
         now_s : float
-            Bus time, s: until now an open load lasts.
+            Bus time, s, at which an open load ends for the ticket.
 
         Returns
         -------
@@ -105,6 +95,7 @@ class TicketBook:
         ValueError
             When the load is not known or a number makes no sense.
         """
+        load_number, mass_kg, std_dev_kg, _ = weighing
         if not (isfinite(mass_kg) and mass_kg > 0.0):
             raise ValueError(f"ticket for load {load_number}: mass {mass_kg} kg; expected a mass above 0 kg")
         if not (isfinite(std_dev_kg) and std_dev_kg > 0.0):
@@ -116,7 +107,7 @@ class TicketBook:
         if load is None:
             known = sorted(load.number for load in loads)
             raise ValueError(f"ticket for load {load_number}: no such load; expected one of {known}")
-        return _ticket(load, forces, mass_kg, std_dev_kg, common_kg, now_s)
+        return _ticket(load, forces, weighing, now_s)
 
     def enter(self, ticket: ReferenceMass, crop: str = "") -> None:
         """A ticket that is to update the parameters. crop: for whose return it waits; "": it is of the one harvested now."""
@@ -185,11 +176,11 @@ class TicketBook:
             sums.add(load.number, second.mass_kg, window)
         self._earlier[load.number] = load, sums.of(load.number)
 
-    def of_earlier_load(self, load_number: int, mass_kg: float, std_dev_kg: float, common_kg: float) -> ReferenceMass | None:
+    def of_earlier_load(self, weighing: Weighing) -> ReferenceMass | None:
         """A ticket that an earlier run took for a load of its own; None for a load that is not known."""
-        if load_number not in self._earlier:
+        if weighing.load_number not in self._earlier:
             return None
-        return _ticket(*self._earlier[load_number], mass_kg, std_dev_kg, common_kg, nan)
+        return _ticket(*self._earlier[weighing.load_number], weighing, nan)
 
     def remember(self, tickets: Sequence[ReferenceMass], waiting: Sequence[ReferenceMass], crop: str | None = None) -> None:
         """After a restart: tickets entered before it, and those among them that wait; crop: None for the one harvested now."""
@@ -218,20 +209,18 @@ def _without(references: Iterable[ReferenceMass], load_numbers: frozenset[int]) 
     return [reference for reference in references if reference.load_number not in load_numbers]
 
 
-def _ticket(
-    load: LoadSummary, forces: LoadForces | None, mass_kg: float, std_dev_kg: float, common_kg: float, now_s: float
-) -> ReferenceMass:
+def _ticket(load: LoadSummary, forces: LoadForces | None, weighing: Weighing, now_s: float) -> ReferenceMass:
     end_s = load.end_s if isfinite(load.end_s) else now_s
     return ReferenceMass(
         source=ReferenceSource.TICKET,
         start_s=load.start_s,
         end_s=end_s,
-        reference_kg=mass_kg,
-        std_dev_kg=std_dev_kg,
+        reference_kg=weighing.mass_kg,
+        std_dev_kg=weighing.std_dev_kg,
         measured_kg=load.measured_kg,
         complete=load.complete,
         load_number=load.number,
         budget=load.budget,
         forces=forces,
-        common_kg=common_kg,
+        common_kg=weighing.common_kg,
     )

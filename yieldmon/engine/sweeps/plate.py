@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import degrees
 
-from yieldmon.engine.quick import maker_of
+from yieldmon.engine.fast_dataclasses import maker_of
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.sweeps.plate_commands import RELEASE, PlateCommander
 from yieldmon.engine.sweeps.sweep import SweepMachine

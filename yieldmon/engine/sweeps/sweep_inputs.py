@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from math import degrees, isfinite
 
-from yieldmon.engine.quick import maker_of
+from yieldmon.engine.fast_dataclasses import maker_of
 from yieldmon.engine.sampling.windows import Window
 from yieldmon.frames import ActuatorState
 from yieldmon.physics.machine import Machine

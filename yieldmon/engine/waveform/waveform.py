@@ -11,10 +11,10 @@ from collections.abc import Sequence
 from math import exp, hypot, isfinite, log, sqrt
 from statistics import median
 
+from yieldmon.engine.fast_dataclasses import changer_of
 from yieldmon.engine.flow import Flow
 from yieldmon.engine.flow_estimator import FlowEstimator
 from yieldmon.engine.measurement import Reading
-from yieldmon.engine.quick import changer_of
 from yieldmon.engine.self_calibration.kernel_measurements import KernelMeasurements
 from yieldmon.engine.settings import WaveformSettings
 from yieldmon.engine.waveform.channel_scales import ChannelScales, Scale, local_exponent

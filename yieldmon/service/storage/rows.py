@@ -11,7 +11,7 @@ from math import nan, radians
 from operator import attrgetter, itemgetter
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from yieldmon.engine.quick import maker_of
+from yieldmon.engine.fast_dataclasses import maker_of
 from yieldmon.engine.records import COLUMNS, WindowRecord
 from yieldmon.engine.sampling.since_zero import KeptSecond
 from yieldmon.physics.machine import RPM

@@ -7,7 +7,7 @@ from dataclasses import FrozenInstanceError, fields, replace
 
 import pytest
 
-from yieldmon.engine.quick import changer_of, maker_of
+from yieldmon.engine.fast_dataclasses import changer_of, maker_of
 from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.sampling.windows import Window
 from yieldmon.service.storage.rows import SecondRow

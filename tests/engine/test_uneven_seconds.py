@@ -12,7 +12,7 @@ from test_measurement_by_a_table import GAIN_N_PER_MV, SETTINGS, Seconds
 from yieldmon.engine.flow import estimates
 from yieldmon.engine.flow_estimator import FlowEstimator
 from yieldmon.engine.measurement import Reading
-from yieldmon.engine.uneven import UnevenSeconds
+from yieldmon.engine.uneven_seconds import UnevenSeconds
 from yieldmon.estimation.open_loop import FlowEstimate, OpenLoop
 from yieldmon.files import parameter_file
 from yieldmon.physics.machine import RPM

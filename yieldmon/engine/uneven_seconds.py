@@ -1,9 +1,10 @@
 """The force of a second in which the flow begins, ends or jumps.
 
-Force grows less than in proportion to flow, so that the mean force of a second in which grain came for half of the time is not
-that of half the flow. Its flow is the mean of those that its paddle patterns have, each by its own mean force; it counts with
-the force that a steady flow of this size has. What that is depends on how force bends over flow, not on its scale, and hardly on
-the crop; it is taken from one set of parameters for a whole run, so that what comes of a load does not depend on those in use.
+Force grows less than proportionally with flow, so the mean force of a second in which grain came for half of the time is not the
+force of half the flow. The flow of such a second is the mean of the flows of its paddle patterns, each by its own mean force; the
+second counts with the force that a steady flow of that size has. That force depends on the curvature of force over flow, not on
+its scale, and hardly on the crop. The curve is taken from one set of parameters for a whole run, so that the mass of a load does
+not depend on the parameters in use.
 """
 
 from __future__ import annotations
@@ -22,14 +23,14 @@ from yieldmon.physics.machine import Machine
 from yieldmon.physics.numerics import Array
 
 _UNEVEN = 0.6
-"""Range of the patterns' forces over their mean; paddles that scatter by 16 % reach 0.3."""
+"""Least range of the patterns' forces, relative to their mean; paddles that scatter by 16 % reach 0.3."""
 _LEAST_PATTERNS = 3
 _SPEED_STEP = 0.05
-"""Of the logarithm of speed, between two curves."""
+"""Step of ln(speed) between two curves."""
 
 
 class UnevenSeconds:
-    """Finds them, and gives them the force of a steady flow of the same size.
+    """Finds uneven seconds, and replaces their force by that of a steady flow of the same size.
 
     Parameters
     ----------
@@ -44,8 +45,8 @@ class UnevenSeconds:
         self._machine = machine
         self._estimator = estimator
         self._curves: dict[int, tuple[Array, Array]] = {}
-        """Force, N, and flow, kg/s, both rising from 0, by steps of speed from the nominal one; each worked out when first
-        needed, at the moisture of then."""
+        """Force, N, and flow, kg/s, both rising from 0, by the number of speed steps from the nominal speed; each computed when
+        first needed, at the moisture measured then."""
 
     def evened(self, readings: Sequence[Reading]) -> list[Reading]:
         """The readings, those of uneven seconds with the force of a steady flow of the same size."""
@@ -57,7 +58,7 @@ class UnevenSeconds:
         ]
 
     def _uneven_n(self, reading: Reading) -> Array | None:
-        """Mean forces of the patterns (n,), not below 0, where they differ so much that it matters."""
+        """Mean forces of the patterns (n,), N, not below 0; None where the second is not uneven."""
         window, zero, settings = reading.window, reading.zero, self._settings
         if reading.quality is not None or zero is None or len(window.pattern_means_mv) < _LEAST_PATTERNS:
             return None
@@ -75,28 +76,29 @@ class UnevenSeconds:
         return np.maximum((np.array(window.pattern_means_mv) - zero.zero_mv) * gain_n_per_mv, 0.0)
 
     def _steady_force_n(self, reading: Reading, forces_n: Array) -> float:
-        """forces_n: of the patterns (n,). The reading's own force where one of them has no flow."""
+        """Force of a steady flow of the second's size, N; the reading's own force where a pattern has no flow. forces_n: mean
+        forces of the patterns (n,)."""
         step = round(log(reading.window.speed_rad_s / self._machine.nominal_elevator_speed_rad_s) / _SPEED_STEP)
         speed_rad_s = self._machine.nominal_elevator_speed_rad_s * exp(_SPEED_STEP * step)
         if step not in self._curves:
             found = self._curve(speed_rad_s, reading.inputs.fresh["moisture"])
             if found[0].size == 1:
-                # With another moisture, one that is known, there may be a curve.
+                # Not kept: with a known moisture there may be a curve later.
                 return reading.force_n
             self._curves[step] = found
         curve_n, curve_kg_s = self._curves[step]
-        # At a speed so near force goes with its square, for what a paddle holds.
+        # Over so small a change of speed, force at a given paddle load grows with the square of speed.
         to_step = (speed_rad_s / reading.window.speed_rad_s) ** 2
         mean_n = forces_n.mean()
         if not (max(forces_n.max(), reading.force_n) * to_step < curve_n[-1] and mean_n > 0.0 and reading.force_n > 0.0):
             return reading.force_n
         of_pattern = np.interp(np.append(forces_n, (mean_n, reading.force_n)) * to_step, curve_n, curve_kg_s)
-        # The window's mean is weighted over its edges: its flow changes by as much as that of the patterns' plain mean does.
+        # The window's mean is weighted at its edges: its flow is changed by the same factor as that of the patterns' plain mean.
         wanted_kg_s = of_pattern[-1] * of_pattern[:-2].mean() / of_pattern[-2]
         return float(np.interp(wanted_kg_s, curve_kg_s, curve_n)) / to_step
 
     def _curve(self, speed_rad_s: float, moisture_pct: float) -> tuple[Array, Array]:
-        """Force, N, and flow, kg/s, up to where a paddle is full; 0 alone where flow does not rise with force."""
+        """Force, N, and flow, kg/s, from 0 up to a full paddle; 0 alone where flow does not rise with force."""
         force_n, flow_kg_s = self._estimator.force_curve(self._machine.home_plate_angle_rad, speed_rad_s, moisture_pct)
         rises = (np.diff(force_n, prepend=0.0) > 0.0) & (np.diff(flow_kg_s, prepend=0.0) > 0.0)
         rises = np.append(rises, False)

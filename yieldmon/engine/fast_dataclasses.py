@@ -1,4 +1,4 @@
-"""Frozen dataclasses of many fields made, and changed, in a fraction of the time, once a second of every log."""
+"""Fast construction and replacement of frozen dataclasses with many fields, for those made once a second of a log."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ T = TypeVar("T")
 
 
 def maker_of(kind: type[T]) -> Callable[..., T]:
-    """What makes an instance from the values of all fields, in order.
+    """A constructor that takes the values of all fields, in order.
 
     A frozen dataclass sets each field by a call of `object.__setattr__`. Here a class with the same slots, which is not frozen,
     takes the values, and its instance becomes one of `kind`.
@@ -35,17 +35,17 @@ def maker_of(kind: type[T]) -> Callable[..., T]:
 
 
 def changer_of(kind: type[T]) -> Callable[..., T]:
-    """What `dataclasses.replace` is, for one kind.
+    """`dataclasses.replace` for one class.
 
     Parameters
     ----------
     kind : type
-        As of `maker_of`, of two fields or more.
+        As for `maker_of`, with two fields or more.
 
     Returns
     -------
     callable
-        Takes an instance, and values by the names of fields.
+        Takes an instance, and the new values by field name.
     """
     names = [field.name for field in fields(kind)]  # type: ignore[arg-type]
     places = {name: place for place, name in enumerate(names)}
