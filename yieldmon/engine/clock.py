@@ -1,9 +1,10 @@
 """Bus time to engine time: the same while the bus's clock runs, and continuous when it is set.
 
-Engine time never runs back and never jumps. A step of the bus's clock changes the offset between the two and nothing else, so
-windows, time-outs and totals go on as if the clock had not been touched. Right behind a step a pause is another step: time stamps
-that go to and fro (a log of two recorders, line by line) would otherwise make a minute of silence of each. A long step forward
-from one log to the next is a pause of the recorder and no jump of the clock; engine time is continuous there too.
+Engine time never runs back and never jumps. A step of the bus's clock changes only the offset between the two, so windows,
+time-outs and totals continue as if the clock had not been set. Shortly after a step a pause counts as another step: time stamps
+that alternate between two clocks (a log of two recorders, line by line) would otherwise give a minute of silence each time. A
+long step forward from one log to the next is a pause of the recorder, not a jump of the clock; engine time is continuous there
+too.
 """
 
 from __future__ import annotations
@@ -16,9 +17,9 @@ from numpy.typing import NDArray
 from yieldmon.engine.settings import ClockSettings
 
 _LARGEST_TIME_S = 1e11
-"""Beyond this a double no longer resolves a sample interval well."""
+"""Largest time stamp that a double resolves well below a sample interval."""
 _FRAMES_TO_SETTLE, _LONGEST_PAUSE_S = 32, 1.0
-"""So many frames after a step of the clock show that it runs; until then a longer pause is a step as well."""
+"""Within this many frames after a step of the clock, a pause longer than this is another step."""
 
 
 class BusClock:
@@ -34,7 +35,7 @@ class BusClock:
         self._to_settle = 0
         self._between_logs = False
         self.paused_s = 0.0
-        """How long the recorder had paused when the recording went on; for whoever looks to set back to 0."""
+        """Length of the recorder's pause before the last frame, s; the reader sets it back to 0."""
 
     def begin_log(self) -> None:
         """The next frame is the first of another log."""
@@ -73,14 +74,14 @@ class BusClock:
         return time_s
 
     def regular(self, bus_times_s: NDArray[np.float64]) -> bool:
-        """Whether the times run on from now without a backward step or a jump, so that a block needs no frame-by-frame care."""
+        """Whether the times (n,) continue from now without a backward step or a jump, so that they can be taken as a block."""
         if self.now_s is None or self._to_settle or bus_times_s.size == 0:
             return False
         steps = np.diff(bus_times_s + self.offset_s, prepend=self.now_s)
         return bool(np.all((steps >= 0.0) & (steps <= self._settings.max_gap_s)))
 
     def passed(self, now_s: float) -> None:
-        """A block of times that `regular` admits has passed; now_s: the last of them, engine time."""
+        """Advance over a block of times that `regular` accepts; now_s: engine time of the last one."""
         self.now_s = now_s
         self._between_logs = False
 

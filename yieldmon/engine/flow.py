@@ -1,4 +1,4 @@
-"""From the force in a window to its mass flow: what the estimator says, what that is worth, and what is published of it."""
+"""From the force in a window to its mass flow: estimate, error budget, quality, and the flow to publish."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ answers after 16 ms, and grain flies for some 50 ms."""
 
 @dataclass(frozen=True, slots=True)
 class Flow:
-    """Flow of a window, nan where there is none, and what it is worth. budget: std_dev_kg_s by cause."""
+    """Flow of a window, nan where there is none. budget: std_dev_kg_s by cause."""
 
     rate_kg_s: float
     std_dev_kg_s: float
@@ -47,7 +47,7 @@ class Flow:
 
     @property
     def measured(self) -> bool:
-        """Whether there is a flow."""
+        """Whether the flow is known."""
         return isfinite(self.rate_kg_s)
 
 
@@ -64,8 +64,11 @@ class Estimate(NamedTuple):
 
 
 class Circumstances(NamedTuple):
-    """What bears on a flow beside its window: a sweep is under way, the fault CalibrationOld is shown; the model's error
-    by what sweeps show; drift_sd: relative, of the force, by drift since the last update."""
+    """What a flow depends on beside its window.
+
+    sweeping: a sweep is under way. calibration_old: the fault CalibrationOld is shown. model_error: of the force, as sweeps show.
+    drift_sd: relative standard deviation of the force by drift since the last update.
+    """
 
     sweeping: bool
     calibration_old: bool
@@ -74,7 +77,7 @@ class Circumstances(NamedTuple):
 
 
 def estimates(estimator: FlowEstimator, readings: Sequence[Reading]) -> list[Estimate | None]:
-    """The estimator's word on each window that needs one, asked for all at once."""
+    """The estimate of each window that has a force to estimate from, in one call of the estimator; else None."""
     undecided = [reading for reading in readings if reading.quality is None]
     if not undecided:
         return [None] * len(readings)
@@ -95,7 +98,7 @@ def estimates(estimator: FlowEstimator, readings: Sequence[Reading]) -> list[Est
 
 
 class FlowMeter:
-    """Judges estimates, and weighs each published flow with those before it."""
+    """Turns estimates into flows with budget and quality, and smooths the published ones."""
 
     def __init__(self, settings: EngineSettings, machine: Machine) -> None:
         self._settings = settings
@@ -104,11 +107,11 @@ class FlowMeter:
         self._home_rad = machine.home_plate_angle_rad
         self._filter = FlowFilter(settings.flow_filter)
         self._angle_rad = _NAN
-        """Of the window before."""
+        """Plate angle of the window before."""
         self.moisture = MoistureReference(settings.budget)
 
     def flow(self, reading: Reading, estimate: Estimate | None, estimator: FlowEstimator, circumstances: Circumstances) -> Flow:
-        """The flow of a window, as it is counted."""
+        """The flow of a window, as it is counted in the mass."""
         if estimate is None:
             assert reading.quality is not None, "without an estimate the reading says why"
             return Flow(_NAN, _NAN, reading.quality, reading.force_n, reading.force_std_dev_n)
@@ -120,7 +123,7 @@ class FlowMeter:
             return Flow(_NAN, _NAN, EstimateQuality.NOT_AVAILABLE, reading.force_n, reading.force_std_dev_n)
         if reading.inputs.angle_stale:
             held_rad = radians(self._settings.inputs.held_angle_std_dev_deg)
-            # A curve gives the same flow at any angle; how far that is wrong stands in its standard deviation.
+            # A curve gives the same flow at any angle; its standard deviation at the other angle contains the error.
             change, there = _change_by_angle(reading, rate, estimator, held_rad)
             std_dev = hypot(std_dev, change if change > 0.0 else there)
         saturated = status is FlowStatus.SATURATED or reading.window.saturated_share >= self._settings.windows.saturated_share
@@ -132,14 +135,14 @@ class FlowMeter:
         return _flow(rate, budget.std_dev_kg_s, quality, reading.force_n, reading.force_std_dev_n, outside, saturated, budget)
 
     def published(self, flow: Flow, *, plate_rests_at_home: bool, coverage: float = 1.0) -> Flow:
-        """The flow to publish: windows of a plate at rest at home weighed together; every other stands for itself. coverage: of
-        the window, below the least of which there is none."""
-        found = self._weighed(flow, plate_rests_at_home=plate_rests_at_home)
+        """The flow to publish: filtered over windows in which the plate rests at home, else as measured. coverage: of the window;
+        below the minimum no flow is published."""
+        found = self._filtered(flow, plate_rests_at_home=plate_rests_at_home)
         if not found.measured or coverage >= self._settings.windows.min_coverage:
             return found
         return replace(found, rate_kg_s=_NAN, std_dev_kg_s=_NAN, quality=EstimateQuality.NOT_AVAILABLE)
 
-    def _weighed(self, flow: Flow, *, plate_rests_at_home: bool) -> Flow:
+    def _filtered(self, flow: Flow, *, plate_rests_at_home: bool) -> Flow:
         usable = plate_rests_at_home and not flow.saturated and flow.force_n > 0.0 and flow.rate_kg_s > 0.0
         if not usable:
             self._filter.reset()
@@ -161,7 +164,8 @@ class FlowMeter:
         estimator: FlowEstimator,
         circumstances: Circumstances,
     ) -> FlowBudget:
-        """The flow's standard deviation by cause. std_dev: of noise and parameters; own: the estimator's word on the noise."""
+        """The flow's standard deviation by cause. std_dev: by noise and parameters; own: the estimator's noise, None:
+        unstated."""
         settings, parameters = self._settings.budget, estimator.parameters
         noise = _noise(rate, own, reading)
         per_n = noise / reading.force_std_dev_n if reading.force_std_dev_n > 0.0 else _NAN
@@ -169,7 +173,7 @@ class FlowMeter:
         angle_rad, before_rad = reading.window.plate_angle_rad, self._angle_rad
         self._angle_rad = angle_rad
         if not (reading.still or reading.inputs.angle_stale):
-            # Of the other sign on the way back.
+            # Signed: the motion back has the opposite error.
             late_rad = _late_rad(reading.window, self._settings.windows.max_ramp_s)
             size = _change_by_angle(reading, rate, estimator, late_rad)[0]
             noise, motion = hypot(noise, size), size if angle_rad > before_rad else -size if angle_rad < before_rad else 0.0
@@ -178,12 +182,12 @@ class FlowMeter:
         per_error = reading.force_n * per_n if reading.force_n > 0.0 and isfinite(per_n) else 0.0
         model_error = circumstances.model_error
         if model_error.moments and not reading.at_home and parameters.curve is None:
-            # What the model misses between home and here is what sweeps show, or may show.
+            # The parameters' own allowance for angles away from home is replaced by what sweeps show.
             away, at_home = angle_error_beyond(parameters, np.array([angle_rad, self._home_rad]))
             common = max(0.0, common**2 - max(0.0, away**2 - at_home**2) * per_error**2) ** 0.5
         parameters_kg_s = hypot(common, circumstances.drift_sd * per_error)
         if not reading.at_home:
-            # Each part by itself: what averages out goes on doing so.
+            # Each part by itself, so that noise still averages out.
             factor = self._settings.sweep.max_std_dev_factor
             noise, motion, parameters_kg_s = factor * noise, factor * motion, factor * parameters_kg_s
         error = model_error.home if reading.at_home else model_error.at(reading.window.plate_angle_rad)
@@ -191,7 +195,7 @@ class FlowMeter:
         return _flow_budget(noise, shared, zero_n * per_n, relative * rate, parameters_kg_s, per_error, motion, 0.0)
 
     def _hidden_kg_s(self, reading: Reading, rate: float, own: float | None) -> float:
-        """What samples at the end of the sensor's range hide. own: as in `_budget`."""
+        """Flow hidden by samples at the end of the sensor's range, kg/s. own: as in `_budget`."""
         window, zero_mv = reading.window, 0.0 if reading.zero is None else reading.zero.zero_mv
         limit_mv = window.ceiling_mv or self._full_scale_mv
         hidden = hidden_share(window.mean_mv - zero_mv, limit_mv - zero_mv, window.saturated_share)
@@ -210,7 +214,7 @@ class FlowMeter:
         return EstimateQuality.OK
 
     def _incomplete(self, window: Window) -> bool:
-        """Whether samples of a window are missing or doubtful."""
+        """Whether samples of a window are missing or unreliable."""
         settings = self._settings.windows
         return (
             window.coverage < settings.full_coverage
@@ -222,7 +226,7 @@ class FlowMeter:
 
 
 def away_from_home(flow: Flow, reading: Reading, error: AngleError) -> Flow:
-    """A flow away from home without the error that sweeps have measured there against home."""
+    """A flow away from home, corrected by the error that sweeps have measured there relative to home."""
     if reading.at_home or not (error.away and flow.rate_kg_s > 0.0 and isfinite(flow.budget.per_error_kg_s)):
         return flow
     away = error.away_at(reading.window.plate_angle_rad)
@@ -232,35 +236,35 @@ def away_from_home(flow: Flow, reading: Reading, error: AngleError) -> Flow:
 
 
 def _late_rad(window: Window, max_ramp_s: float) -> float:
-    """By how much the plate may have been at another angle than the feedback says, as it moved in a window."""
-    # The range of the angle is that of the window and of its ramp in the window before.
+    """Standard deviation of the plate angle in a window in which it moved, by the delay of its feedback, rad."""
+    # The range of the angle covers the window and its ramp in the window before.
     moved_s = window.end_s - window.start_s + max_ramp_s
     return (window.plate_max_rad - window.plate_min_rad) * _FEEDBACK_DELAY_S / moved_s
 
 
 def _change_by_angle(reading: Reading, rate: float, estimator: FlowEstimator, by_rad: float) -> tuple[float, float]:
-    """Change of the flow where the plate is at an angle less by so much, and the flow's standard deviation there, kg/s; where the
-    model has none there, all of the flow."""
-    other = _ask(reading, estimator, reading.force_n, reading.window.plate_angle_rad - by_rad)
+    """Change of the flow if the plate angle is by_rad less, and the flow's standard deviation there, kg/s; the whole flow for
+    both where the model gives none there."""
+    other = _estimate_at(reading, estimator, reading.force_n, reading.window.plate_angle_rad - by_rad)
     return (abs(other.rate_kg_s - rate), other.std_dev_kg_s) if isfinite(other.rate_kg_s) else (rate, rate)
 
 
 def _noise(rate: float, own: float | None, reading: Reading) -> float:
-    """The part of the standard deviation that changes from window to window."""
+    """The part of the standard deviation that is independent from window to window, kg/s."""
     if own is not None:
         return own
-    # An estimator that does not state it: flow is nearly proportional to force, so a share of one is one of the other.
+    # Not stated: flow is nearly proportional to force, so relative errors are equal.
     return rate * reading.force_std_dev_n / reading.force_n if reading.force_n > 0.0 else _NAN
 
 
 def _full_paddle(reading: Reading, estimator: FlowEstimator) -> tuple[Estimate, float]:
-    """Largest flow that the model knows at a window's angle and speed: what a force above it says at least; and by how much the
-    force is above it, relative, which the model cannot explain."""
+    """The largest flow of the model at a window's angle and speed, by bisection of the force; and by how much the measured force
+    exceeds that flow's force, relative."""
     low, high = 0.0, reading.force_n
     largest = Estimate(_NAN, _NAN, FlowStatus.SATURATED, None)
     for _ in range(12):
         middle = 0.5 * (low + high)
-        found = _ask(reading, estimator, middle, reading.window.plate_angle_rad)
+        found = _estimate_at(reading, estimator, middle, reading.window.plate_angle_rad)
         if found.status is FlowStatus.SATURATED:
             high = middle
         else:
@@ -268,8 +272,8 @@ def _full_paddle(reading: Reading, estimator: FlowEstimator) -> tuple[Estimate, 
     return largest, reading.force_n / low - 1.0 if low > 0.0 else 0.0
 
 
-def _ask(reading: Reading, estimator: FlowEstimator, force_n: float, angle_rad: float) -> Estimate:
-    """The estimator's word on a window with another force or angle."""
+def _estimate_at(reading: Reading, estimator: FlowEstimator, force_n: float, angle_rad: float) -> Estimate:
+    """The estimate of a window with another force or angle."""
     moisture_pct = reading.inputs.fresh["moisture"]
     found = estimator.estimate(force_n, angle_rad, reading.window.speed_rad_s, reading.force_std_dev_n, moisture_pct)
     noise = None if found.noise_std_dev_kg_s is None else float(found.noise_std_dev_kg_s)

@@ -1,4 +1,4 @@
-"""What the engine asks of whatever turns force into flow."""
+"""The interface of an estimator of mass flow from force, as the engine uses it."""
 
 from __future__ import annotations
 
@@ -29,4 +29,4 @@ class FlowEstimator(Protocol):
         """Mass flow, standard deviation and status; inputs that are nan give a status, never an exception."""
 
     def force_curve(self, plate_angle_rad: float, elevator_speed_rad_s: float, moisture_pct: float = ...) -> tuple[Array, Array]:
-        """Force, N, and mass flow, kg/s, (g,) each, by rising flow, as far as the estimator has one for the other."""
+        """Force, N, and mass flow, kg/s, (g,) each, by rising flow, over the range of the estimator."""

@@ -1,7 +1,7 @@
-"""What the engine holds of its slow inputs: the last usable value of each and when it came.
+"""The slow inputs: the last usable value of each, and its time.
 
-Two ways in, one set of rules: `Inputs.take` frame by frame, `Inputs.follow` over a run, in which each input becomes a `Track` of
-usable values. An `InputSnapshot` is what is held at one instant.
+`Inputs.take` reads frame by frame, `Inputs.follow` a run, in which each input becomes a `Track` of usable values; both apply the
+same rules. An `InputSnapshot` holds the inputs at one instant.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from yieldmon.places import is_somewhere
 
 DEGREE = pi / 180.0
 MOVING = ("elevator_speed", "plate_angle")
-"""Quantities that the windows follow while they are formed."""
+"""Quantities that windows interpolate, instead of using only the value at their end."""
 _NAN = float("nan")
 _NEVER = float("-inf")
 _ALWAYS = float("inf")
@@ -53,10 +53,10 @@ class Held:
 
 
 class InputSnapshot(NamedTuple):
-    """What is held at an instant of engine time.
+    """The inputs at an instant of engine time.
 
-    fresh: quantity -> value in the engine's unit, nan for what is too old. speed_time_s, scale_status and the last stable reading
-    of the tank scale are of any age. tank_disputed: of late two nodes have sent readings of the tank's scale.
+    fresh: quantity -> value in the engine's unit, nan where it is too old. speed_time_s, scale_status, tank_time_s and tank_kg
+    (the last stable reading of the tank scale) may be of any age. tank_disputed: two nodes have recently sent tank readings.
     """
 
     time_s: float
@@ -72,12 +72,12 @@ class InputSnapshot(NamedTuple):
 
     @property
     def angle_stale(self) -> bool:
-        """Whether there is no plate angle of late."""
+        """Whether there is no recent plate angle."""
         return not isfinite(self.angle_deg)
 
 
 class Track(NamedTuple):
-    """Usable values of an input over a run, by engine time, rising; both (n,)."""
+    """Usable values (n,) of an input in a run, and their engine times (n,), rising."""
 
     times_s: Array
     values: Array
@@ -104,7 +104,7 @@ class Inputs:
         return ActuatorState(int(self.held["actuator_state"].value))
 
     def take(self, message: str, now_s: float, signals: Mapping[str, Value]) -> Sequence[str]:
-        """One frame at engine time now_s; returns which of the `MOVING` quantities it brought."""
+        """Take one frame at engine time now_s; returns which of the `MOVING` quantities it contained."""
         sources = self._sources.get(message)
         if sources is None:
             return ()
@@ -121,7 +121,7 @@ class Inputs:
         return brought
 
     def follow(self, run: FrameRun, offset_s: float) -> RunInputs:
-        """The inputs over a run whose bus time plus offset_s is engine time; what is held stays as it is."""
+        """The inputs over a run; engine time is bus time plus offset_s. Does not change the values held."""
         found: dict[str, tuple[SignalRun, Array]] = {}
         for part in run.others:
             unknown = np.full(part.times_s.shape, np.nan)
@@ -140,7 +140,7 @@ class Inputs:
         return RunInputs(self, tracks)
 
     def snapshot(self, at_s: float) -> InputSnapshot:
-        """What is held now, seen from engine time at_s."""
+        """The inputs held now, their ages judged at engine time at_s."""
         held, timeouts = self.held, self._timeouts
         fresh = {name: held[name].within(at_s, timeouts[name]) for name in _NAMES}
         speed, tank = held["elevator_speed"], held["tank_mass"]
@@ -158,7 +158,7 @@ class Inputs:
         )
 
     def snapshots(self, tracks: Mapping[str, Track], disputes: Track, at_s: Array) -> list[InputSnapshot]:
-        """The same for several instants of a run (n,). disputes: when the tank's readings were last disputed, after each."""
+        """The same at several instants (n,) of a run. disputes: after each tank reading, when readings were last disputed."""
         times, values = {}, {}
         for name in _NAMES:
             held, track = self.held[name], tracks.get(name)
@@ -186,7 +186,7 @@ class Inputs:
         return [InputSnapshot(*row) for row in zip(*(column.tolist() for column in columns), held_fresh, disputed, strict=True)]
 
     def plate_at(self, held_angle: tuple[float, float], at_s: float) -> float:
-        """The plate angle, deg, of a reading (time s, angle deg) seen from at_s; nan when it is stale."""
+        """The plate angle, deg, at engine time at_s, from a reading (time s, angle deg); nan when it is stale."""
         time_s, angle_deg = held_angle
         return angle_deg if at_s - time_s <= self._timeouts["plate_angle"] else _NAN
 
@@ -197,7 +197,7 @@ class Inputs:
         return bool(QUANTITIES[other].usable(values[other]) and is_somewhere(values[name], values[other]))
 
     def _condition_holds(self, name: str, values: Mapping[str, float]) -> bool:
-        """Whether the quantity on which this one depends lets it be used."""
+        """Whether the quantity that this one depends on allows its use."""
         if name not in CONDITIONS:
             return True
         other, code, must_be = CONDITIONS[name]
@@ -244,7 +244,7 @@ class RunInputs:
         return self._tracks.get(name, _NOTHING)
 
     def snapshots(self, at_s: Sequence[float]) -> list[InputSnapshot]:
-        """What is held at instants of the run; frames of that very time or later have not come."""
+        """The inputs at instants (n,) of the run; frames at or after an instant do not count."""
         return self._inputs.snapshots(self._tracks, self._disputes, np.array(at_s))
 
     def plate_at(self, at_s: float) -> tuple[float, ActuatorState]:
@@ -262,7 +262,7 @@ class RunInputs:
         return self._inputs.plate_at(reading, at_s), state
 
     def finish(self) -> None:
-        """The run is over: hold what came last."""
+        """The run is over: hold its last values."""
         self._inputs.tank = self._tank
         for name, track in self._tracks.items():
             if track.times_s.size:

@@ -1,4 +1,4 @@
-"""Signals that come a few times a second, as a function of time: straight from one value to the next, and held after the last."""
+"""Signals sampled a few times a second, as functions of time: linear between values, constant after the last."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from yieldmon.physics.numerics import Array
 
 @dataclass(frozen=True, slots=True)
 class Knots:
-    """A signal over w windows, straight between knots; arrays (w, k), each row from a window's start to its end and then held."""
+    """A signal over w windows, linear between knots; arrays (w, k), each row from the window's start to its end."""
 
     times: Array
     values: Array
@@ -32,36 +32,42 @@ class Knots:
 
 
 class InterpolatedSignal:
-    """Measured values of a signal that wait for their window, and the value carried into it."""
+    """The values of a signal that belong to windows not closed yet, and the value carried into the first of them."""
 
     def __init__(self, carried: float, rivals: DuplicateSenderWatch) -> None:
-        """carried: the value before the first that is measured; nan: not known. rivals: judges whether two nodes send it."""
+        """carried: the value before the first measured one; nan: not known. rivals: detects a second sender."""
         self._carried = carried
         self._rivals = rivals
         self._times: list[float] = []
         self._values: list[float] = []
 
     def add(self, time_s: float, value: float) -> None:
-        """A value that follows those already there."""
+        """Append a value."""
         self._times.append(time_s)
         self._values.append(value)
 
     def extend(self, times_s: Sequence[float], values: Sequence[float]) -> None:
-        """Several of them."""
+        """Append several values."""
         self._times.extend(times_s)
         self._values.extend(values)
 
     def forget(self) -> None:
-        """What was measured no longer holds: the value is unknown until the next one."""
+        """Discard all values: the signal is unknown until the next one."""
         self._carried = float("nan")
         self._times.clear()
         self._values.clear()
 
     def take(self, edges: Array) -> tuple[Knots, NDArray[np.bool_], Counts]:
-        """The knots of the windows between edges, which of them were measured, and how many values of each window a second
-        sender accounts for; the values are used up.
+        """The signal in the windows between edges (w + 1,), and remove its values.
 
-        Before the first value ever the first one itself holds.
+        Returns
+        -------
+        knots : Knots
+            (w, k). Before the first value ever, the first value itself is used.
+        measured : ndarray of bool
+            (w, k), which knots are measured values.
+        surplus : ndarray of int
+            (w,), values that only a second sender explains.
         """
         starts, ends = edges[:-1, None], edges[1:, None]
         times, values = np.array(self._times), np.array([self._carried, *self._values])
@@ -70,7 +76,7 @@ class InterpolatedSignal:
         counts = np.diff(bounds)
         columns = np.arange(int(counts.max()) + 2)
         measured = (columns >= 1) & (columns <= counts[:, None])
-        # Column 0 is what was carried in, the last column and those between hold the window's last value.
+        # Column 0 is the value carried in; columns beyond the measured ones repeat the window's last value.
         places = bounds[:-1, None] + np.minimum(columns, counts[:, None])
         table = values[places]
         unknown = np.isnan(table[:, 0])

@@ -1,7 +1,4 @@
-"""From a window to the force in it: the zero taken off, whether the machine harvests, and how sure the force is.
-
-Comes before the flow: nothing here knows what an estimator makes of the force.
-"""
+"""From a window to the force in it: zero, harvest gate, and standard deviation of the force. Independent of the estimator."""
 
 from __future__ import annotations
 
@@ -25,16 +22,16 @@ from yieldmon.physics.machine import RPM, Machine
 _NAN = float("nan")
 _NEVER = 1 << 62
 _OTHER_SPEEDS = (("rad/s", 1.0 / RPM), ("turns a second", 60.0))
-"""Units in which a speed may come that is taken for rpm, and rpm in each."""
+"""Units that a speed taken for rpm may really be in, and rpm in one of each."""
 _ENOUGH = 0.8
-"""Share of a second whose samples give an empty elevator's level, where some are lost all the time."""
+"""Least coverage of a window that gives the level of an empty elevator, where the sensor loses samples all the time."""
 _PULSED = 0.5
-"""Range of a second's samples over their mean from which paddles strike the plate; grain that lies on it hardly moves."""
+"""Least range of a window's samples over their mean that means paddle strikes; grain lying on the plate hardly varies."""
 
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """What is known of a window before its flow is estimated.
+    """A window before its flow is estimated.
 
     quality: why there is no flow, None where an estimate decides. force_n, force_std_dev_n: nan where not known. speed_rad_s: of
     the window, nan where no frame reported it; speed_known: at the window's end; in_range: at a speed at which grain is measured.
@@ -76,7 +73,7 @@ _reading, _gate_inputs = maker_of(Reading), maker_of(GateInputs)
 
 
 class Measurement:
-    """Reads windows in order; holds what one needs of those before it: zero, gate and a few counts."""
+    """Reads windows in order; keeps the state that the next one needs: zero, gate and counts."""
 
     def __init__(self, settings: EngineSettings, machine: Machine, sources: Sources) -> None:
         self.zero = ZeroTracker(settings.zero)
@@ -84,7 +81,7 @@ class Measurement:
         self._machine = machine
         slow = any(source.rate_hz < ALIAS_FREE_HZ for source in sources.impact)
         self._aliasing = sources.impact if slow else ()
-        """Sensors whose samples alias."""
+        """Sensors too slow to sample the pulses without aliasing."""
         self._empty_spells = EmptySpells()
         self._gate = HarvestGate(settings.gate)
         self._rest_rad = radians(settings.plate.rest_tolerance_deg)
@@ -105,13 +102,13 @@ class Measurement:
         self._last: tuple[Window, float] | None = None
 
     def go_on_with(self, before: Measurement) -> None:
-        """What another one has seen last holds until the first window, and its zero calibration under way is this one's."""
+        """Take over from another one: its last window until the first of this one, and its zero calibration under way."""
         self.zero.go_on_with(before.zero)
         self._last = before._last
 
     @property
     def zero_waits_for(self) -> str:
-        """What the zero that is wanted waits for, "" where none is."""
+        """What the requested or first zero waits for, "" where none is awaited."""
         seen, wanted = self.zero.progress
         if not wanted:
             return ""
@@ -129,13 +126,13 @@ class Measurement:
 
     @property
     def signs_of_grain(self) -> str:
-        """What speaks against an empty elevator, "" where nothing does."""
+        """Signs of grain in the elevator, "" where there are none."""
         return self._signs(by_level=True)
 
     @property
     def signs_against_zero(self) -> str:
-        """What speaks against an operator's zero: `signs_of_grain` without the level of an elevator that looks empty by its
-        pulses. A new sensor, or something wedged behind the plate, shifts the level alone."""
+        """Signs of grain that make an operator's zero suspect: `signs_of_grain`, without the level where the pulses look empty.
+        A new sensor, or something wedged behind the plate, shifts the level alone."""
         return self._signs(by_level=not self.zero.level_says_nothing)
 
     def _signs(self, *, by_level: bool) -> str:
@@ -153,13 +150,13 @@ class Measurement:
         return " and ".join(signs)
 
     def undo_zero(self) -> None:
-        """The zero before the operator's last calibration again. What looked empty by the vibration of the one undone need not
-        have been."""
+        """Restore the zero before the operator's last calibration, and forget the empty spells: they were judged by the vibration
+        measured with the zero that is undone."""
         self.zero.undo()
         self._empty_spells = EmptySpells()
 
     def resume(self, now_s: float, paused_s: float) -> None:
-        """The recording goes on after a pause, in which the zero grew older and engine time did not."""
+        """The recording continues after a pause of paused_s, during which the zero aged but engine time stood."""
         self._paused = now_s, self._paused_since_zero_s + paused_s
 
     @property
@@ -176,7 +173,7 @@ class Measurement:
         settings, machine = self._settings, self._machine
         if not isfinite(self._started_s):
             self._started_s = window.start_s
-        # With everything silent, what samples the last window left over were still taken at a known speed.
+        # Samples left over from the last window were taken at a known speed, even if all inputs are silent by now.
         at_samples = window.covered_s > 0.0 and window.last_frame_s - inputs.speed_time_s <= settings.inputs.speed_timeout_s
         speed_was_known = inputs.speed_known or at_samples
         in_range = machine.min_elevator_speed_rad_s <= window.speed_rad_s <= machine.max_elevator_speed_rad_s
@@ -189,7 +186,7 @@ class Measurement:
         self._struck_s = self._struck_s + 1 if self._struck_at_rest(window, force) else 0
         self._last = (window, force) if window.samples else None
         self._tank.see(inputs)
-        # By the zero that the window is measured with; it may end with another.
+        # Of the zero that the window is measured with: a new one may be taken at its end.
         doubted_mv = self.zero.doubted_mv
         taken = self._follow_zero(window, inputs, inputs.speed_known and in_range and not stuck, still and at_home)
         sampled_before, self._sampled = self._sampled, window.coverage > 0.0
@@ -216,23 +213,23 @@ class Measurement:
         gate = _gate_inputs(force, self.zero.pulses(window), empty, self.zero.looks_loaded, in_range, idle_s)
         grain = self._gate.grain(gate)
         if not self._gate.see(gate):
-            # Grain on a plate that reads below empty came with a wrong zero.
+            # Pulses on a plate that reads far below empty: the zero is wrong.
             hidden = self.hides_grain(force) or (gate.pulses and force < -self._settings.gate.certain_force_n)
             return quality.NOT_AVAILABLE if hidden or (grain and not in_range) else quality.NOT_HARVESTING, force, noise
         held_long = window.held_s > 0.5 * self._settings.windows.window_s and abs(force) > self._settings.gate.grain_on_n
         if held_long:
             return quality.NOT_AVAILABLE, force, noise
-        # The state holds for some seconds after the grain; a second without any is no flow of 0.
+        # The state lasts some seconds beyond the grain; a second without grain is not a flow of 0.
         nothing = quality.NOT_AVAILABLE if self.hides_grain(force) else quality.NOT_HARVESTING
         return None if grain else nothing, force, noise
 
     def hides_grain(self, force_n: float) -> bool:
-        """Whether a suspect zero makes an empty plate of what is grain by the zero before it."""
+        """Whether the force means grain by the zero before, although the suspect zero in use shows an empty plate."""
         doubted_n = self.zero.doubted_mv * self._machine.sensor.gain_n_per_mv
         return doubted_n > 0.0 and force_n + doubted_n > self._settings.gate.grain_on_n
 
     def _force_std_dev(self, window: Window, force_n: float) -> float:
-        """Standard deviation of the mean force: scatter within the window, drawn towards that of the windows before it, N."""
+        """Standard deviation of the mean force, N: the scatter within the window, shrunk towards that of the windows before."""
         settings, machine = self._settings.windows, self._machine
         gain = machine.sensor.gain_n_per_mv
         per_scatter = (force_n / self._paddles(window.speed_rad_s, window.covered_s) ** 0.5) ** 2
@@ -251,11 +248,11 @@ class Measurement:
         return hypot(noise, share * force_n) if share > 0.0 else noise
 
     def at_home(self, plate_angle_rad: float) -> bool:
-        """Whether the plate is at home, as far as it is held there."""
+        """Whether the plate is at home, within the tolerance of rest."""
         return abs(plate_angle_rad - self._machine.home_plate_angle_rad) <= self._rest_rad
 
     def scatter_n(self, force_n: float, speed_rad_s: float, seconds: float) -> float:
-        """Standard deviation of a mean force by the scatter of its paddles, as it is known now, N."""
+        """Standard deviation of a mean force by the scatter of its paddles, as estimated so far, N."""
         return abs(force_n) * sqrt(self._scatter.square / self._paddles(speed_rad_s, seconds))
 
     def _paddles(self, speed_rad_s: float, seconds: float) -> float:
@@ -270,7 +267,7 @@ class Measurement:
         return window.span_mv * self._machine.sensor.gain_n_per_mv > _PULSED * force_n
 
     def _idle_s(self, inputs: InputSnapshot) -> float:
-        """How long header, work state or ground speed have said that no crop is taken in, s."""
+        """How long header, work state or ground speed have indicated that no crop is taken in, s."""
         fresh = inputs.fresh
         idle = (
             fresh["header_down"] == HeaderDown.UP
@@ -285,13 +282,13 @@ class Measurement:
         return inputs.time_s - self._idle_since_s
 
     def _follow_zero(self, window: Window, inputs: InputSnapshot, elevator_runs: bool, plate_rests_at_home: bool) -> bool:
-        """Show the window to the zero; returns whether a zero was taken from it."""
+        """Update the zero with the window; returns whether a zero was taken from it."""
         if inputs.fresh["header_down"] == HeaderDown.DOWN and inputs.fresh["work_state"] != WorkState.NOT_WORKING:
             self._cutting_s = window.end_s
         self._obstacle = self._zero_obstacle(window, inputs, elevator_runs, plate_rests_at_home)
         if not self._obstacle and self.zero.calibrating and self.zero.waits_for_grain_to_pass(signs := self.signs_against_zero):
             self._obstacle = f"an elevator that runs empty: {signs}; stop taking in crop"
-        self._look_at_empty(window, usable=not self._obstacle)
+        self._follow_empty_spells(window, usable=not self._obstacle)
         if self._obstacle:
             self.zero.interrupt()
             if elevator_runs and window.samples:
@@ -302,10 +299,10 @@ class Measurement:
         self.zero.see(window, may_be_empty=not self._gate.harvesting and emptied)
         return wanted and self.zero.state is not None and not self.zero.calibrating
 
-    def _look_at_empty(self, window: Window, usable: bool) -> None:
-        """Show the window to the spells of an empty elevator. usable: the zero may look at it.
+    def _follow_empty_spells(self, window: Window, usable: bool) -> None:
+        """Update the spells of an empty elevator with the window. usable: nothing hinders a zero.
 
-        A sensor too slow for the paddles shows no pulses in grain either: a force that means grain without them is not empty.
+        A sensor too slow for the paddles shows no pulses in grain either: a force that means grain without pulses is not empty.
         """
         zero = self.zero.state
         if zero is None or not usable or self.zero.pulses(window):
@@ -325,14 +322,14 @@ class Measurement:
         return max(seen_mv, abs(self.zero.far_mv), abs(doubted_mv))
 
     def _is_level(self, window: Window) -> bool:
-        """Whether a window's samples give its level: all of them, or most of them of a sensor that loses some all the time. One
-        that begins or ends within the window need not have settled."""
+        """Whether a window's samples determine its level: full coverage, or most of it from a sensor that loses samples all the
+        time. A sensor that starts or stops within the window may not have settled."""
         ended = window.end_s - window.last_frame_s > self._settings.inputs.sensor_timeout_s
         least = _ENOUGH if self._sampled and not ended else 1.0
         return window.coverage >= min(self._settings.windows.full_coverage, least)
 
     def _zero_obstacle(self, window: Window, inputs: InputSnapshot, elevator_runs: bool, plate_rests_at_home: bool) -> str:
-        """What a window lacks for a zero, "" where it lacks nothing."""
+        """What a window lacks for taking a zero, "" for nothing."""
         machine = self._machine
         if not inputs.speed_known:
             return "the elevator's speed, which no frame reports"
@@ -353,7 +350,7 @@ class Measurement:
 
 
 def _meant(found_rpm: float, low_rpm: float, high_rpm: float) -> str:
-    """What a speed would be in another unit, where it would be one of a working elevator."""
+    """A hint where the speed, read in another unit, would be that of a working elevator; else ""."""
     for unit, factor in _OTHER_SPEEDS:
         if found_rpm < low_rpm <= found_rpm * factor <= high_rpm:
             return f"; if {found_rpm:.3g} is in {unit}, that is {found_rpm * factor:.0f} rpm: mapping `unit`"

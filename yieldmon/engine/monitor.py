@@ -1,11 +1,11 @@
 """The yield monitor: frames in, results out, time only from the frames.
 
-`Parts` are the components, each with one task; `Timeline` runs them in order; `Conclusion` derives the results of a window. The
-monitor is their interface: frames and time, the operator's commands, and the state that survives a restart; what there is to see
-is in `MonitorView`.
+`Parts` are the components, each with one task; `Timeline` runs them in order of time; `Conclusion` makes the results of a window.
+The monitor is their interface: frames and time, the operator's commands, and the state that survives a restart. `MonitorView`
+holds the properties to read.
 
 `feed` and `feed_run` give the same bits for the same frames, one by one or in blocks. Nothing here raises on any sequence of
-frames: what cannot be used is left out and shown in quality and faults. One window ends each second,
+frames: unusable input is left out and shown in quality and faults. One window ends each second,
 `WindowSettings.grid_offset_s` after the full second of bus time.
 """
 
@@ -59,7 +59,7 @@ class Monitor(MonitorView):
     Notes
     -----
     `feed`, `feed_run` and `tick` never raise on any sequence of frames. Operator commands are plain methods; they take effect
-    with the next window or tick. `build_monitor` puts one together.
+    with the next window or tick. `build_monitor` makes a monitor from a configuration.
 
     Examples
     --------
@@ -220,7 +220,7 @@ class Monitor(MonitorView):
         return True
 
     def set_estimator(self, estimator: FlowEstimator, calibration_age_s: float | None, harvested_kg: float = 0.0) -> None:
-        """Other parameters.
+        """Use other parameters.
 
         Parameters
         ----------
@@ -229,7 +229,7 @@ class Monitor(MonitorView):
         calibration_age_s : float or None
             Time since they were calibrated, s; None where it is not known.
         harvested_kg : float
-            Grain since then, kg, by which drift widens what is stated. Parameters that were in use before keep their own.
+            Grain since then, kg: drift widens the standard deviations by it. Parameters that were in use before keep their own.
         """
         self._use(estimator, calibration_age_s, harvested_kg)
         self._parts.loads.scale_is_set()
@@ -241,7 +241,7 @@ class Monitor(MonitorView):
         self._parts.updater.scale_alarm.accept()
 
     def change_crop(self, estimator: FlowEstimator, calibration_age_s: float | None, *, before: str, now: str) -> None:
-        """Parameters of another crop. Tickets of the crop before wait for its return, and a sweep under way ends.
+        """Use the parameters of another crop. Waiting tickets of the crop before wait for its return; a sweep under way ends.
 
         Parameters
         ----------
@@ -278,7 +278,7 @@ class Monitor(MonitorView):
         Returns
         -------
         missed : dict of int to MissedMass
-            What was missed since, by load number, `since_zero.NO_LOAD` where none was open.
+            Mass that was missed since then, by load number; `missed_mass.NO_LOAD` where none was open.
         events : list of LoadOpened or LoadClosed
             The loads that changed.
 
@@ -322,7 +322,7 @@ class Monitor(MonitorView):
     def ticket_departure(
         self, load_number: int, mass_kg: float, std_dev_kg: float, *, of_crop: FlowEstimator | None = None
     ) -> tuple[float, float] | None:
-        """How far a scale ticket that is not entered yet is from its load.
+        """Compare a scale ticket that is not entered yet with its load.
 
         Parameters
         ----------
@@ -335,7 +335,7 @@ class Monitor(MonitorView):
         -------
         (float, float) or None
             ln of the weighed mass over the load's by these parameters, and its standard deviation; None where the load was
-            not measured whole or the parameters are no model's.
+            not measured completely, or the parameters are a curve without a model.
 
         Raises
         ------
@@ -354,25 +354,25 @@ class Monitor(MonitorView):
         crop: str = "",
         stay: Sequence[Weighing] = (),
     ) -> LoadEvents:
-        """Tickets were taken back: others update the parameters from before them again.
+        """Tickets were taken back: the parameters from before them are updated again by the other tickets.
 
         Parameters
         ----------
         load_numbers : sequence of int
             The loads that the tickets taken back covered.
         again : sequence of Weighing
-            Each that is to update them again, in the order of entry: a ticket with each window or sweep that ends.
+            Tickets that update them again, in the order of entry, one with each window or sweep that ends.
         rests_on : sequence of int, optional
             Loads with tickets that the parameters in use rest on; None where these are the same as before.
         crop : str
             Of all these, where another crop is harvested now: then they wait for its return.
         stay : sequence of Weighing
-            Of other tickets for the loads of those taken back or updating again: the parameters in use rest on them.
+            Other tickets for the same loads that the parameters in use rest on and that stay counted.
 
         Returns
         -------
         list of LoadClosed or LoadRestated
-            Loads whose standard deviation held what these tickets had shown.
+            Loads whose standard deviation these tickets had widened.
 
         Raises
         ------
@@ -402,21 +402,21 @@ class Monitor(MonitorView):
         return self.sweep.abort(self._parts.clock.now_s or 0.0)
 
     def report_fault(self, code: FaultCode, present: bool, detail: str = "") -> None:
-        """A condition that the service sees, such as a bus error or a store that fails; holds until reported gone.
+        """Report a condition that the service detects, such as a bus error or a failing store; it holds until reported gone.
 
         Parameters
         ----------
         code : FaultCode
         present : bool
         detail : str
-            What is to be said of it.
+            Shown with the fault.
         """
         self.faults.report(code, present, detail)
 
-    # What outlives a restart or a reload
+    # Restart and reload
 
     def snapshot(self) -> EngineState:
-        """What is to outlive a restart.
+        """The state to keep for a restart.
 
         Returns
         -------
@@ -425,7 +425,7 @@ class Monitor(MonitorView):
         return snapshot(self._parts, self._timeline.conclusion.windows)
 
     def restore(self, state: EngineState) -> None:
-        """Go on from a snapshot; to be called before the first frame.
+        """Continue from a snapshot; to be called before the first frame.
 
         Parameters
         ----------
@@ -435,7 +435,7 @@ class Monitor(MonitorView):
         self._timeline.conclusion.restore(state.windows)
 
     def remember_since_zero(self, seconds: Sequence[KeptSecond]) -> None:
-        """After a restart: what was measured since the operator's last zero calibration.
+        """After a restart: the seconds measured since the operator's last zero calibration.
 
         Parameters
         ----------
@@ -444,7 +444,7 @@ class Monitor(MonitorView):
         self._parts.since_zero.add(seconds)
 
     def know_load(self, load: LoadSummary, seconds: Sequence[KeptSecond]) -> None:
-        """A closed load that an earlier run measured: a ticket for it updates the parameters like one for this run's.
+        """Add a closed load of an earlier run, so that a ticket for it updates the parameters as one for a load of this run does.
 
         Parameters
         ----------
@@ -455,7 +455,7 @@ class Monitor(MonitorView):
         self._parts.updater.masses.tickets.know_load(self._parts.loads.as_stated(load), seconds)
 
     def remember_tickets(self, tickets: Sequence[TicketState]) -> None:
-        """After `restore` and `know_load`: the state's tickets, of which those for other loads are passed over.
+        """After `restore` and `know_load`: the tickets of the state; tickets for unknown loads are ignored.
 
         Parameters
         ----------
@@ -464,7 +464,7 @@ class Monitor(MonitorView):
         remember_tickets(self._parts, tickets)
 
     def take_over(self, before: Monitor, *, tickets: bool) -> None:
-        """After `restore` from the monitor that measured until now: what of it no state carries.
+        """After `restore` from the state of the monitor in use until now: take over what that state does not contain.
 
         A zero calibration under way, what was measured since the last one, signs of grain in the last second, and the noise
         measured with grain and without.
@@ -472,8 +472,8 @@ class Monitor(MonitorView):
         Parameters
         ----------
         before : Monitor
-            Of another machine or other settings of the waveform no noise is taken.
+            Its noise is not taken over where machine or waveform settings differ.
         tickets : bool
-            Its tickets too.
+            Whether to take over its tickets too.
         """
         take_over(self._parts, before._parts, tickets=tickets)

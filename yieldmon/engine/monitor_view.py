@@ -1,4 +1,4 @@
-"""What there is to see of a monitor."""
+"""The readable state of a monitor."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from yieldmon.physics.machine import Machine
 
 
 class MonitorView:
-    """A monitor to look at: nothing here changes it.
+    """Read-only view of a monitor.
 
     Attributes
     ----------
@@ -73,27 +73,27 @@ class MonitorView:
 
     @property
     def counted_loads(self) -> frozenset[int]:
-        """Loads whose tickets others are held against, of any crop."""
+        """Loads whose tickets new tickets are compared with, of any crop."""
         return self._parts.updater.counted_loads
 
     @property
     def scale_counted(self) -> bool:
-        """Whether masses of the tank scale are among what tickets are held against."""
+        """Whether masses of the tank scale are among those that new tickets are compared with."""
         return self._parts.updater.scale_counted
 
     @property
     def doubted_loads(self) -> frozenset[int]:
-        """Loads whose tickets contradict those and wait until another agrees with them, of any crop."""
+        """Loads whose tickets contradict the counted ones and wait until another ticket agrees with them, of any crop."""
         return self._parts.updater.doubted_loads
 
     @property
     def earlier_loads(self) -> tuple[LoadSummary, ...]:
-        """Closed loads of runs before that are known, whose tickets can update the parameters."""
+        """Closed loads of earlier runs whose tickets can update the parameters."""
         return self._parts.updater.masses.tickets.earlier_loads
 
     @property
     def masses_wait(self) -> bool:
-        """Whether a reference mass is still to update the parameters."""
+        """Whether a reference mass has not been used for an update yet."""
         return self._parts.updater.masses_wait
 
     @property
@@ -108,7 +108,7 @@ class MonitorView:
 
     @property
     def signs_against_zero(self) -> str:
-        """`signs_of_grain` without a force that comes without the paddles' pulses: what makes an operator's zero suspect."""
+        """`signs_of_grain` except a force without paddle pulses: the signs that make an operator's zero suspect."""
         return self._parts.measurement.signs_against_zero
 
     @property
@@ -123,7 +123,7 @@ class MonitorView:
 
     @property
     def sweep(self) -> SweepMachine:
-        """The sweep, to look at."""
+        """The plate sweeps."""
         return self._parts.plate.sweep
 
     @property
@@ -133,5 +133,5 @@ class MonitorView:
 
     @property
     def due_s(self) -> float:
-        """Bus time of the first frame that will make `feed` do more than take note of it; -inf before the first frame."""
+        """Bus time from which the next frame closes a window or commands the plate, s; -inf before the first frame."""
         return self._parts.clock.bus_time(self._parts.schedule.next_s)

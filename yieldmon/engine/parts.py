@@ -1,4 +1,4 @@
-"""The parts that a monitor composes, each with one idea; made once from settings and machine."""
+"""The parts that a monitor is composed of, each with one task; made once from settings and machine."""
 
 from __future__ import annotations
 
@@ -30,7 +30,44 @@ from yieldmon.signal_ranges import SignalRanges
 
 @dataclass(frozen=True, slots=True)
 class Parts:
-    """What works together on one bus, in the order in which a window passes through it. waveform: None where it is off."""
+    """The parts of one monitor, in the order in which a window passes through them.
+
+    Attributes
+    ----------
+    settings : EngineSettings
+    machine : Machine
+    clock : BusClock
+        Bus time to engine time.
+    schedule : Schedule
+        When windows end and plate commands are due.
+    inputs : Inputs
+        Last values of the slow inputs.
+    sensors : ImpactSensors
+        Samples to windows.
+    measurement : Measurement
+        Window to force: zero, harvest gate, noise.
+    uneven : UnevenSeconds
+        Force of the seconds in which the flow begins, ends or jumps.
+    flow_meter : FlowMeter
+        Force to flow and its error budget.
+    waveform : Waveform or None
+        Flow from pulse shape and kernel noise; None where it is off.
+    area : AreaCounter
+        Harvested area.
+    loads : Loads
+        Loads and totals.
+    unloading : Unloading
+        When the grain tank has been emptied, which begins a load.
+    plate : Plate
+        Sweeps and plate commands.
+    faults : FaultBook
+    since_zero : SinceZero
+        Seconds since the operator's zero calibration, for an undo.
+    updater : ParameterUpdater
+        The estimator in use and its updates.
+    publisher : Publisher
+        Records to frames.
+    """
 
     settings: EngineSettings
     machine: Machine
@@ -63,7 +100,7 @@ class Parts:
         ranges: SignalRanges | None,
         drives_plate: bool,
     ) -> Parts:
-        """Parts at the beginning; see `Monitor`."""
+        """New parts; arguments as in `Monitor`."""
         windows = settings.windows
         schedule = Schedule(
             window_s=windows.window_s,

@@ -1,4 +1,4 @@
-"""What of the parts is to outlive a restart: into an `EngineState`, and back; and what a reload carries over beside it."""
+"""The state of the parts over a restart, as an `EngineState` and back, and what a reload takes over beyond it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from yieldmon.engine.state import EngineState, TicketState, ZeroUndo
 
 
 def snapshot(parts: Parts, windows: int) -> EngineState:
-    """The state after so many windows."""
+    """The state after this many windows."""
     updater, sweep, totals = parts.updater, parts.plate.sweep, parts.loads.totals
     calibrator = updater.calibrator
     return EngineState(
@@ -35,7 +35,7 @@ def snapshot(parts: Parts, windows: int) -> EngineState:
 
 
 def restore(parts: Parts, state: EngineState) -> None:
-    """Go on from a state; to be called before the first frame."""
+    """Continue from a state; to be called before the first frame."""
     if state.zero_undo is not None:
         parts.measurement.zero.resume(state.zero_undo.before, suspect=state.zero_undo.suspect)
         for number, kg in state.zero_undo.by_scale:
@@ -45,7 +45,7 @@ def restore(parts: Parts, state: EngineState) -> None:
     parts.plate.restore(state.sweep_id, state.sweep_due_in_s, parts.settings.sweep.first_after_s)
     updater, parameters = parts.updater, parts.updater.estimator.parameters
     updater.restore_age(state.calibration_age_s)
-    # Where other parameters came from outside meanwhile, the patterns seen so far say nothing about them.
+    # The rest of the state belongs to the parameters in use then; others may have come from outside meanwhile.
     if state.parameter_version == parameters.version:
         updater.disagreement.restore(state.disagreement, parameters)
         updater.judge_model(weighed=state.calibrator is not None and bool(state.calibrator.weighed))
@@ -59,7 +59,7 @@ def restore(parts: Parts, state: EngineState) -> None:
 
 
 def remember_tickets(parts: Parts, tickets: Sequence[TicketState]) -> None:
-    """Tickets of the state, after it and the loads that they are for; see `Monitor.remember_tickets`."""
+    """Take the tickets of the state, once the state is restored and their loads are known; see `Monitor.remember_tickets`."""
     updater = parts.updater
     of_crop: dict[str | None, list[tuple[ReferenceMass, bool]]] = {None: []}
     for ticket in tickets:
@@ -76,7 +76,7 @@ def remember_tickets(parts: Parts, tickets: Sequence[TicketState]) -> None:
 
 
 def take_over(parts: Parts, before: Parts, *, tickets: bool) -> None:
-    """What of the parts that measured until now no state carries; see `Monitor.take_over`."""
+    """Take over from the parts in use until now what the state does not contain; see `Monitor.take_over`."""
     parts.since_zero.add(before.since_zero.seconds)
     parts.measurement.go_on_with(before.measurement)
     if parts.waveform is not None and before.waveform is not None:

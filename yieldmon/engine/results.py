@@ -1,6 +1,6 @@
-"""What the monitor hands back: for each closed window a `WindowResult`, and the plate commands between.
+"""What the monitor returns: a `WindowResult` for each closed window, and the plate commands between.
 
-Events are in the order in which they happened; each is handed back once, with the window or command it came with.
+Events are in the order in which they happened; each is returned once, with the window or command it belongs to.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class WindowResult:
     events : tuple
         In the order in which they happened: faults, loads opened and closed, parameters changed, sweeps ended, zeros taken.
     waveform : WaveformReading
-        What the window's samples say beside their mean; nan and None where they are not looked at.
+        Shape and kernel noise of the window's samples; nan and None where they are not evaluated.
 
     Examples
     --------

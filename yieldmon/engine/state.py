@@ -1,4 +1,4 @@
-"""What of the engine outlives a restart, as plain numbers for the store."""
+"""The engine's state over a restart, as plain numbers for the store."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ _Part = TypeVar("_Part")
 
 @dataclass(frozen=True, slots=True)
 class ZeroUndo:
-    """What an undo of the operator's zero calibration needs: the zero before it, whether the one in use is suspect, and mass, kg,
-    that joined loads (by number) because the tank scale showed it."""
+    """What an undo of the operator's zero calibration needs: the zero before it, whether the one in use is suspect, and masses of
+    the tank scale that were added to loads, (load number, kg)."""
 
     before: ZeroState
     suspect: bool
@@ -38,8 +38,8 @@ class ZeroUndo:
 
 @dataclass(frozen=True, slots=True)
 class TicketState:
-    """A ticket for a load, kg. waits: it has not been handed to the calibrator. crop: that it waits for or has updated; None: the
-    one in use. common_kg: the part of std_dev_kg by another combine's monitor."""
+    """A ticket for a load, kg. waits: it has not been handed to the calibrator. crop: that it belongs to; None: the one in use.
+    common_kg: the part of std_dev_kg by another combine's monitor."""
 
     load_number: int
     weighed_kg: float
@@ -85,7 +85,7 @@ class EngineState:
     def from_dict(cls, data: Mapping[str, Any]) -> EngineState:
         """Inverse of `as_dict`. Raises ValueError when a key is missing, unknown or of the wrong kind.
 
-        A state from before sweeps' patterns, the calibrator's, the scale's alarm or the moisture were kept has none.
+        Keys that older versions did not store get their defaults.
         """
         later: dict[str, Any] = {
             "calibrator": None,

@@ -1,6 +1,6 @@
-"""Frames and time in, results out, in order of time: what comes before what falls due, and what falls due before what comes.
+"""Frames and time in, results out, in order of time: windows and plate commands that are due are handled before later frames.
 
-Frames one by one and runs of frames give the same bits; runs close their windows a group at a time.
+Frames one by one and runs of frames give bit-identical results; runs close their windows in groups.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from yieldmon.engine.sampling.impact_sensors import RunFeeding
 from yieldmon.frames import ActuatorState, Frame
 
 _FORMED_TOGETHER = 64
-"""Windows of a run that are formed at once: enough to share the cost of array operations, few enough for the cache."""
+"""Most windows of a run formed in one call: enough to amortise array operations, few enough for the cache."""
 _READ_TOGETHER = 512
-"""Windows of a run that are read before the first of them is concluded."""
+"""Most windows of a run that are read before the first of them is concluded."""
 _ESTIMATED_TOGETHER = 256
-"""Flow estimates made at once, at most until a weighed mass may come; those after a change of the parameters are made anew."""
+"""Most flow estimates made in one call. It ends where a weighed mass may come; estimates after an update are made anew."""
 
 
 class Timeline:
-    """The order in which the parts work."""
+    """Runs the parts in order of time."""
 
     def __init__(self, parts: Parts, *, waveform_later: bool) -> None:
         self._parts = parts
@@ -106,7 +106,7 @@ class Timeline:
         return results
 
     def _regular(self, run: FrameRun) -> list[Result]:
-        """A run whose times neither step back nor jump: its windows are closed a group at a time."""
+        """A run whose times neither step back nor jump; its windows are closed in groups."""
         offset_s = self._parts.clock.offset_s
         last_s = float(run.times_s[-1]) + offset_s
         inputs = self._parts.inputs.follow(run, offset_s)
@@ -130,7 +130,7 @@ class Timeline:
         return results
 
     def advance(self, now: float) -> list[Result]:
-        """Do all that falls due up to now, in order of time."""
+        """Handle everything due up to engine time now, in order."""
         schedule = self._parts.schedule
         if not schedule.begun:
             schedule.begin(now)
@@ -145,7 +145,7 @@ class Timeline:
         return results
 
     def _due(self, angle_deg: float, actuator: ActuatorState) -> list[Result]:
-        """The tick that is due, the plate being at angle_deg (nan: unknown)."""
+        """Handle the tick that is due. angle_deg: of the plate, nan where unknown."""
         at_s = self._parts.schedule.next_s
         signals = self._parts.plate.tick(at_s, angle_deg, actuator)
         self._parts.schedule.done(driving=self._parts.plate.sweep.driving)
@@ -156,11 +156,10 @@ class Timeline:
         return [PlateCommand((frame,), self._parts.plate.ended(updater.last_update, updater.estimator.parameters.version))]
 
     def _close_windows(self, held: Sequence[InputSnapshot], feeding: RunFeeding | None = None) -> list[Result]:
-        """Close the windows at whose ends these inputs are held, one after the other.
+        """Close consecutive windows. held: the inputs at the windows' ends; a window whose angle is stale at its end comes alone.
 
-        What a window is worth is worked out for all of them together, in three passes: zero, gate and force, each after the one
-        before; the estimates, which know nothing of each other; all the rest, in order again. feeding: what comes before their
-        ends and is not with the sensors yet. Where the angle is stale at an end, that window comes alone.
+        Three passes: zero, gate and force, window by window; the independent flow estimates, together; all else, window by
+        window. feeding: samples of a run that the sensors have not been given yet.
         """
         results: list[Result] = []
         first = held[0]
@@ -188,7 +187,7 @@ class Timeline:
         return results
 
     def _estimated(self, readings: Sequence[Reading]) -> list[Estimate | None]:
-        """The estimates of these windows; pulses of several, where these are looked at, are fitted beside each other."""
+        """The flow estimates of these windows; where the waveform is on, the pulses of several windows are fitted together."""
         estimator, waveform = self._parts.updater.estimator, self._parts.waveform
         found = estimates(estimator, readings)
         if waveform is not None and len(readings) > 1:

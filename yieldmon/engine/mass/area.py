@@ -1,9 +1,8 @@
-"""Harvested area, brought to the grain that is at the plate.
+"""Harvested area, delayed so that it belongs to the grain at the plate.
 
-Grain reaches the plate some seconds after the header has cut it (`Implement.grain_delay_s`). The area that is counted with a
-second is the area cut that long before it, so that mass over area is a yield at any moment, and load by load. Where the bus
-says that the header is up or the drives are off, nothing is cut; where it says nothing of them, what is driven counts while
-grain comes.
+Grain reaches the plate some seconds after the header has cut it (`Implement.grain_delay_s`). The area counted with a second is
+the area cut that long before, so mass over area is a yield at any moment, and load by load. Where the bus reports the header up
+or the drives off, nothing is cut; where it reports neither, the area driven counts while grain comes.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from yieldmon.physics.machine import Implement
 
 
 class _Cut(NamedTuple):
-    """What the header did in a second. rate_m2_s: nan where it is not known. by_header: whether the bus reported that it cut."""
+    """Area rate in a second, nan where it is not known. by_header: whether the bus reported whether the header cuts."""
 
     end_s: float
     rate_m2_s: float

@@ -12,12 +12,12 @@ from yieldmon.engine.settings import GateSettings
 
 @dataclass(frozen=True, slots=True)
 class GateInputs:
-    """One window as the gate sees it.
+    """One window as input of the gate.
 
-    force_n: mean, zero taken off (nan: unknown). pulses: in this window, beyond vibration. looks_empty, looks_loaded: verdicts of
-    the windows before this one together; its own pulses overrule looks_empty. speed_in_range: the elevator turns at a speed at
-    which grain is measured. idle_s: how long header, work state or ground speed have said that no crop is taken in (0: they do
-    not say so, or are not fitted).
+    force_n: mean above the zero (nan: unknown). pulses: this window has paddle pulses beyond vibration. looks_empty,
+    looks_loaded: verdicts on the windows before; this window's own pulses overrule looks_empty. speed_in_range: the elevator
+    turns at a speed at which grain is measured. idle_s: how long header, work state or ground speed have indicated that no crop
+    is taken in (0: they do not, or are not fitted).
     """
 
     force_n: float
@@ -47,7 +47,7 @@ class HarvestGate:
         return inputs.force_n > self._settings.grain_on_n and (inputs.pulses or inputs.looks_loaded)
 
     def see(self, inputs: GateInputs) -> bool:
-        """State after one window."""
+        """Update the state with one window; returns whether the machine is harvesting."""
         emptied = inputs.idle_s >= self._settings.emptying_s and not inputs.force_n > self._settings.certain_force_n
         if emptied or not inputs.speed_in_range:
             self.harvesting = False

@@ -1,6 +1,6 @@
-"""What all of a load's mass may be off by together: the parameters that measured it, the model's error, the scale.
+"""The errors that all of a load's mass shares: of the parameters that measured it, of the model, and of the scale.
 
-Numbers in, numbers out: a load is known by its number, and `Loads` states the standard deviations that come back.
+Loads are identified by number; `Loads` applies the standard deviations that are returned.
 """
 
 from __future__ import annotations
@@ -14,37 +14,37 @@ from yieldmon.engine.mass.shared_error import ClosedLoadState, SharedError
 from yieldmon.estimation.self_calibration.angle_error import NO_ERROR, AngleError
 
 Deviations = tuple[tuple[int, float], ...]
-"""Number of a load, and the standard deviation of its mass by its parameters, kg, from now on."""
+"""Load number, and the new standard deviation of its mass by the parameters, kg."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Shown:
-    """What the weight of one load has shown of the scale that another was measured with, kg: by how much its deviation is more,
-    and how much of it that scale has measured."""
+    """Effect of one load's weight on another load, kg. more_kg: increase of its standard deviation, because the weight showed the
+    scale to be off. of_scale_kg: its mass that was measured with that scale."""
 
     more_kg: float
     of_scale_kg: float
 
 
 class LoadErrors:
-    """Of the loads of one machine."""
+    """The shared errors of one machine's loads, by load number."""
 
     def __init__(self) -> None:
         self._shared: dict[int, SharedError] = {}
-        """Of loads that the parameters in use have measured, by number."""
+        """Of loads measured with the parameters in use."""
         self._of_scale: dict[int, float] = {}
-        """Mass, kg, measured since the parameters' scale was set last, by load."""
+        """Mass of each load measured since the parameters' scale was last set, kg."""
         self._of_crop: dict[str, dict[int, float]] = {}
-        """The same of crops harvested before, with their own parameters."""
+        """The same for crops harvested before, which have their own parameters."""
         self._shown: dict[tuple[int, int], _Shown] = {}
-        """By load and by the load weighed."""
+        """By number of the load and number of the weighed load."""
 
     def clear(self) -> None:
-        """Nothing is known of any load."""
+        """Forget all loads."""
         self._shared, self._of_scale, self._of_crop, self._shown = {}, {}, {}, {}
 
     def keep(self, numbers: Container[int]) -> None:
-        """Only these loads can be stated anew."""
+        """Forget all other loads."""
         self._shared = {number: shared for number, shared in self._shared.items() if number in numbers}
         for masses_kg in (self._of_scale, *self._of_crop.values()):
             for number in [number for number in masses_kg if number not in numbers]:
@@ -52,11 +52,11 @@ class LoadErrors:
         self._shown = {key: shown for key, shown in self._shown.items() if key[0] in numbers}
 
     def forget_parameters(self, number: int) -> None:
-        """By which parameters the load was measured is not known any more."""
+        """The load keeps its standard deviation: which parameters measured it is no longer known."""
         self._shared.pop(number, None)
 
     def widened(self, number: int, by_load: int, more_kg: float) -> None:
-        """The deviation of the load, of whose parameters no more is known, is more by so much for the weight of another."""
+        """The weight of load by_load increased this load's standard deviation by more_kg; its parameters are no longer known."""
         self.forget_parameters(number)
         self._show(number, by_load, more_kg, self._of_scale.get(number, 0.0))
 
@@ -65,14 +65,14 @@ class LoadErrors:
         self._shown[number, by_load] = _Shown(more_kg + (before.more_kg if before is not None else 0.0), of_scale_kg)
 
     def scale_is_set(self, by_loads: Iterable[int] = ()) -> None:
-        """From now on the parameters have another scale: by the weights of these loads, or from outside."""
+        """The parameters have a new scale from now on, from the weights of these loads or from outside."""
         for by_load in by_loads:
             for number, mass_kg in self._of_scale.items():
                 self._shown.setdefault((number, by_load), _Shown(0.0, mass_kg))
         self._of_scale = {}
 
     def change_crop(self, before: str, now: str) -> None:
-        """From now on another crop is measured with the parameters that it had when it was harvested last."""
+        """Another crop from now on, measured with the parameters it had when it was last harvested."""
         self._of_crop[before] = self._of_scale
         self._of_scale = self._of_crop.pop(now, {})
 
@@ -87,7 +87,7 @@ class LoadErrors:
         plate_angle_rad: float,
         error: AngleError,
     ) -> Deviations:
-        """More of a load was measured.
+        """Add mass to a load.
 
         Parameters
         ----------
@@ -101,12 +101,17 @@ class LoadErrors:
             Of the parameters that measured it.
         plate_angle_rad : float
         error : AngleError
-            Of the model, at this angle and at those of the load before it; `NO_ERROR`: the budget holds it.
+            Of the model, at this angle and at those of the load before; `NO_ERROR`: the budget contains it.
+
+        Returns
+        -------
+        Deviations
+            Of the load; empty for `NO_ERROR`.
         """
         self._of_scale[number] = self._of_scale.get(number, 0.0) + mass_kg
         seconds, known = mass_kg / flow.rate_kg_s, self._shared.get(number)
         if known is None or known.version != version:
-            # What other parameters measured stays as stated.
+            # The part measured with other parameters keeps its standard deviation.
             self._shared = {n: shared for n, shared in self._shared.items() if shared.version == version}
             known = SharedError(version, budget.parameters_kg - flow.budget.parameters_kg_s * seconds)
         self._shared[number] = known = known.plus(flow.budget, seconds, plate_angle_rad)
@@ -115,18 +120,18 @@ class LoadErrors:
     def resume_share(
         self, number: int, mass_kg: float, budget: MassBudget, *, error: AngleError, version: int, home_rad: float
     ) -> None:
-        """A load was measured at home, rad, with the parameters of this version; its budget holds this error of the model."""
+        """Continue with a load measured at home_rad with the parameters of this version; its budget contains the model error."""
         if number not in self._shared:
             own_kg = max(budget.parameters_kg**2 - (error.home * mass_kg) ** 2, 0.0) ** 0.5
             self._shared[number] = SharedError.at(version, own_kg, mass_kg, home_rad)
 
     def by_model(self, error: AngleError, version: int) -> Deviations:
-        """Of all loads that these parameters have measured, with this error of the model."""
+        """The standard deviations of all loads that these parameters measured, with this model error."""
         return tuple((n, shared.parameters_kg(error)) for n, shared in self._shared.items() if shared.version == version)
 
     def scale_is_off(self, relative: float, by_load: int, budget_of: Callable[[int], MassBudget | None]) -> Deviations:
-        """The scale that the parameters have had since `scale_is_set` is off by so much, by the weight of a load: that is the
-        least deviation of all that was measured with it. budget_of: a load's, None where it is not known."""
+        """The weight of load by_load shows the scale in use since `scale_is_set` to be off by `relative`, which is then the least
+        relative standard deviation of all mass measured with it. budget_of: by load number, None where it is not known."""
         found: list[tuple[int, float]] = []
         for number, mass_kg in self._of_scale.items():
             self._shared.pop(number, None)
@@ -139,11 +144,11 @@ class LoadErrors:
     def scale_was_right(
         self, by_loads: Container[int], masses_kg: Mapping[int, float], *, again: Container[int] = (), crop: str = ""
     ) -> Deviations:
-        """The parameters are those from before the tickets for by_loads, which are taken back, and for `again`, which are to
-        update them again; what those for by_loads have shown is taken back.
+        """Tickets for by_loads are taken back, and the parameters are those from before them and before the tickets for `again`,
+        which will update them again.
 
-        masses_kg: of the loads of this run, by number. crop: whose parameters they are, where another one is harvested now, else
-        "". Returns as `forget_weights`.
+        masses_kg: of the loads of this run, by number. crop: of the parameters, where another crop is harvested now, else "".
+        Returns as `forget_weights`.
         """
         of_scale = self._of_crop.setdefault(crop, {}) if crop else self._of_scale
         for (number, by_load), shown in self._shown.items():
@@ -152,8 +157,8 @@ class LoadErrors:
         return self.forget_weights(by_loads)
 
     def forget_weights(self, by_loads: Container[int]) -> Deviations:
-        """What the weights of these loads have shown of the scale is taken back. Returns by how much, kg, the deviations of loads
-        are less, a pair for each weight."""
+        """Take back the effect of the weights of these loads. Returns (load number, decrease of its standard deviation in kg), a
+        pair for each weight."""
         found: list[tuple[int, float]] = []
         for number, by_load in [key for key in self._shown if key[1] in by_loads]:
             more_kg, shared = self._shown.pop((number, by_load)).more_kg, self._shared.get(number)
@@ -164,14 +169,14 @@ class LoadErrors:
         return tuple(found)
 
     def state(self, number: int, budget: MassBudget) -> ClosedLoadState:
-        """What of a load is to outlive a restart."""
+        """The state of a load to keep for a restart."""
         shown = tuple((by, one.more_kg, one.of_scale_kg) for (load, by), one in self._shown.items() if load == number)
         of_crop = next(((crop, masses_kg[number]) for crop, masses_kg in self._of_crop.items() if number in masses_kg), ("", 0.0))
         crop, of_scale_kg = ("", self._of_scale[number]) if number in self._of_scale else of_crop
         return ClosedLoadState(number, budget, self._shared.get(number), of_scale_kg, crop, shown)
 
     def resume(self, state: ClosedLoadState, version: int) -> None:
-        """A load of a run before. version: of the parameters in use."""
+        """Continue with a load of an earlier run. version: of the parameters in use."""
         if state.shared is not None and state.shared.version == version:
             self._shared[state.number] = state.shared
         if state.of_scale_kg > 0.0:

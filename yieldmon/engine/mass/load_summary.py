@@ -1,4 +1,4 @@
-"""A load as others see it, and what happens to loads."""
+"""The summary of a load, and the events of loads."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class LoadSummary:
     unknown_area_kg: float = 0.0
 
     def with_missed(self, missed: MissedMass) -> LoadSummary:
-        """With mass that was missed."""
+        """The summary corrected by mass that was missed."""
         measured_kg = max(self.measured_kg + missed.kg, 0.0)
         budget = self.budget.with_missed(missed.kg, self.measured_kg, measured_kg, missed.budget, missed.unseen, missed.again_kg)
         return replace(
@@ -58,14 +58,14 @@ class LoadClosed:
 
 @dataclass(frozen=True, slots=True)
 class LoadRestated:
-    """A load that closed in a run before is known otherwise than it was stated. budget: of its mass."""
+    """The error budget of a load that closed in an earlier run has changed."""
 
     number: int
     budget: MassBudget
 
     @property
     def std_dev_kg(self) -> float:
-        """Of its mass, all causes together."""
+        """Standard deviation of its mass, all causes together, kg."""
         return self.budget.std_dev_kg
 
 

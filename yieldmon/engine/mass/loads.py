@@ -1,9 +1,8 @@
 """Loads and totals: which mass belongs to which load, and whether every second of it was measured.
 
-A window that is partly lost counts its whole duration at the mean of what was measured in it, as long as that is at least
-`WindowSettings.min_coverage` of it; below that, only the time that was measured counts. A window without flow (not harvesting, no
-zero yet, an input missing) adds nothing. The mass of a window that more than one node sent samples for is contested: it is
-counted apart and in no total.
+A window whose coverage is at least `WindowSettings.min_coverage` counts its whole duration at its mean flow; below that, only the
+time that was measured counts. A window without flow (not harvesting, no zero yet, an input missing) adds nothing. The mass of a
+window for which more than one node sent samples is contested: it is counted separately and in no total.
 """
 
 from __future__ import annotations
@@ -30,10 +29,11 @@ from yieldmon.physics.machine import RPM
 
 _NAN = float("nan")
 _KEPT_LOADS = 256
+"""Closed loads kept."""
 _KEPT_CLOSED = 12
-"""Whose budgets and shares outlive a restart."""
+"""Newest loads whose budgets and shared errors are kept over a restart."""
 _RESTATED = 0.01
-"""Relative change of a closed load's standard deviation from which it is reported again."""
+"""Least relative change of a closed load's standard deviation for which it is reported again."""
 
 
 class Loads:
@@ -52,9 +52,9 @@ class Loads:
         self._stopped_at_s = _NAN
         self._errors = LoadErrors()
         self._before: dict[int, MassBudget] = {}
-        """Of loads that closed in a run before."""
+        """Budgets of loads that closed in an earlier run, by number."""
         self._closed_unseen_kg: dict[int, float] = {}
-        """What may have come unseen of loads that closed in this run."""
+        """Standard deviation by unmeasured mass of loads that closed in this run, by number."""
 
     @property
     def open(self) -> LoadSummary | None:
@@ -67,7 +67,7 @@ class Loads:
         return (*self._closed, self._summary(_NAN)) if self.totals.load_open else tuple(self._closed)
 
     def begin(self, now_s: float) -> LoadEvents:
-        """The first frame has come: a load without a start begins here."""
+        """With the first frame: begin the load, unless it has a start."""
         if isfinite(self._start_s):
             return ()
         self._start_s = now_s
@@ -77,7 +77,7 @@ class Loads:
         return (LoadOpened(self._summary(_NAN)),) if fresh else ()
 
     def start(self, now_s: float) -> LoadEvents:
-        """A new load."""
+        """Begin a new load."""
         closed = self._close(now_s)
         self.totals = self.totals.start_load()
         self._start_s = now_s
@@ -85,7 +85,7 @@ class Loads:
         return (*closed, LoadOpened(self._summary(_NAN)))
 
     def reset(self, now_s: float) -> LoadEvents:
-        """All masses from 0, in a load with the next number."""
+        """Set all masses to 0 and begin a load with the next number."""
         closed = self._close(now_s)
         number = self.totals.load_number + 1
         self._unseen.total_kg = 0.0
@@ -110,8 +110,27 @@ class Loads:
         *,
         silent: bool = False,
     ) -> float:
-        """Add a window and its area to the totals; returns its mass, kg. missing: of the inputs, where there is no flow. silent:
-        neither sensor nor elevator speed is reported any more."""
+        """Add a window to the totals.
+
+        Parameters
+        ----------
+        window : Window
+        flow : Flow
+            As it is counted.
+        moisture_pct : float
+            Wet basis, %; nan where it is not known.
+        area_m2 : float
+            Of the window's grain, m2; nan where it is not known.
+        missing : Missing
+            Which inputs are missing, where there is no flow.
+        silent : bool
+            Neither sensor nor elevator speed is reported any more.
+
+        Returns
+        -------
+        float
+            Mass added, kg.
+        """
         available = flow.measured or flow.quality is not EstimateQuality.NOT_AVAILABLE
         stands = window.speed_rad_s <= self._settings.gate.min_turning_rpm * RPM
         duration_s, self._counted_until_s = window.end_s - window.start_s, window.end_s
@@ -136,7 +155,7 @@ class Loads:
             self._complete = False
             self._miss(flow.rate_kg_s * max(duration_s - window.covered_s, 0.0))
         if window.contested:
-            # Whose samples they were is not known.
+            # Which node's samples are the plate's is not known.
             self._complete = False
             self.totals = self.totals.with_contested(mass_kg).with_area(area_m2, 0.0)
             return 0.0
@@ -145,15 +164,15 @@ class Loads:
         return mass_kg
 
     def _miss(self, unseen_kg: float) -> None:
-        """So much may have come unseen."""
+        """Add to the budgets that unseen_kg may have come unmeasured."""
         if unseen_kg > 0.0:
             self.totals = self.totals.with_unseen(unseen_kg, before=self._unseen)
             self._unseen.load_kg += unseen_kg
             self._unseen.total_kg += unseen_kg
 
     def resume_share(self, error: AngleError, version: int, home_rad: float) -> None:
-        """After `restore`: the open load was measured with the parameters of this version, which are in use, and its standard
-        deviation holds this error of the model. What of it was measured away from home, rad, is not known."""
+        """After `restore`: the open load was measured with the parameters of this version, which are in use, and its budget
+        contains this model error. All of it is taken as measured at home_rad."""
         totals = self.totals
         if totals.load_open and totals.load_kg > 0.0:
             self._errors.resume_share(
@@ -161,11 +180,11 @@ class Loads:
             )
 
     def share(self, mass_kg: float, flow: Flow, version: int, plate_angle_rad: float, error: AngleError = NO_ERROR) -> None:
-        """After `count`: what of the window's error all of the load shares. version: of the parameters that measured it. error:
-        of the model, at the window's angle and at those of the load before it."""
+        """After `count`: add the window's shared error to its load. version: of the parameters that measured it. error: of the
+        model, at the window's angle and at those of the load before it."""
         totals = self.totals
         if totals.load_open and mass_kg > 0.0:
-            self._state(
+            self._restated_all(
                 self._errors.measured(
                     totals.load_number,
                     mass_kg,
@@ -178,42 +197,41 @@ class Loads:
             )
 
     def restate(self, error: AngleError, version: int) -> LoadEvents:
-        """Sweeps show another error of the model with these parameters: all loads that these have measured are as unsure as that
-        says; closed ones that it changes are returned."""
-        return self._state(self._errors.by_model(error, version))
+        """Sweeps show another model error with these parameters: restate all loads measured with them. Returns the closed loads
+        that change."""
+        return self._restated_all(self._errors.by_model(error, version))
 
     def scale_is_off(self, relative: float, by_load: int = 0) -> LoadEvents:
-        """A weighed mass shows the scale that the parameters have had since `scale_is_set` to be off by so much: that is the
-        least standard deviation of all that was measured with it; closed loads that it changes are returned. by_load: number of
-        the load that was weighed."""
-        return self._state(self._errors.scale_is_off(relative, by_load, self._budget_of))
+        """A weighed mass shows the scale in use since `scale_is_set` to be off by `relative`: the least relative standard
+        deviation of all mass measured with it. by_load: number of the weighed load. Returns the closed loads that change."""
+        return self._restated_all(self._errors.scale_is_off(relative, by_load, self._budget_of))
 
     def scale_was_right(self, by_loads: Container[int], *, again: Container[int] = (), crop: str = "") -> LoadEvents:
-        """The tickets for these loads are taken back, what they have shown of the scale, and the parameters that they led to; as
-        `scale_is_off`. again: loads whose tickets are to update the parameters again. crop: of these parameters, where another
-        one is harvested now, else ""."""
+        """Take back the tickets for these loads with their effect on other loads; the parameters are those from before them.
+        again: loads whose tickets will update the parameters again. crop: of the parameters, where another crop is harvested
+        now, else "". Returns the closed loads that change."""
         masses_kg = {load.number: load.measured_kg for load in self.all}
-        return self._less(self._errors.scale_was_right(by_loads, masses_kg, again=again, crop=crop))
+        return self._decreased(self._errors.scale_was_right(by_loads, masses_kg, again=again, crop=crop))
 
     def forget_weights(self, by_loads: Container[int]) -> LoadEvents:
-        """The tickets for these loads are taken back, and what they have shown; the parameters do not rest on them."""
-        return self._less(self._errors.forget_weights(by_loads))
+        """Take back the tickets for these loads with their effect on other loads; the parameters in use do not rest on them."""
+        return self._decreased(self._errors.forget_weights(by_loads))
 
-    def _less(self, deviations: Deviations) -> LoadEvents:
-        """State loads as surer by so much, kg; closed ones that this changes are returned."""
+    def _decreased(self, deviations: Deviations) -> LoadEvents:
+        """Decrease the standard deviations of loads by so much, kg. Returns the closed loads that change."""
         events: list[LoadClosed | LoadOpened | LoadRestated] = []
-        for number, less_kg in deviations:
+        for number, by_kg in deviations:
             known = self._budget_of(number)
             if known is not None:
-                events += self._restated(number, max(known.parameters_kg - less_kg, 0.0))
+                events += self._restated(number, max(known.parameters_kg - by_kg, 0.0))
         return tuple(events)
 
     def scale_is_set(self, by_loads: Iterable[int] = ()) -> None:
-        """From now on the parameters have another scale: by the weights of these loads, or from outside."""
+        """The parameters have a new scale from now on, from the weights of these loads or from outside."""
         self._errors.scale_is_set(by_loads)
 
     def change_crop(self, before: str, now: str) -> None:
-        """From now on another crop is measured with the parameters that it had when it was harvested last."""
+        """Another crop from now on, measured with the parameters it had when it was last harvested."""
         self._errors.change_crop(before, now)
 
     def _budget_of(self, number: int) -> MassBudget | None:
@@ -222,8 +240,8 @@ class Loads:
         closed = next((load.budget for load in self._closed if load.number == number), None)
         return self._before.get(number) if closed is None else closed
 
-    def _state(self, deviations: Deviations) -> LoadEvents:
-        """State loads anew; closed ones that this changes are returned."""
+    def _restated_all(self, deviations: Deviations) -> LoadEvents:
+        """Set the standard deviations of loads. Returns the closed loads that change."""
         events: list[LoadClosed | LoadOpened | LoadRestated] = []
         for number, parameters_kg in deviations:
             events += self._restated(number, parameters_kg)
@@ -245,7 +263,7 @@ class Loads:
             more_kg = parameters_kg - before.parameters_kg
             self.totals = replace(totals, total_budget=totals.total_budget.with_parameters(more_kg))
         if number == totals.load_number:
-            # The last load, which is shown until the next one begins.
+            # The totals show the last load until the next one begins.
             self.totals = replace(self.totals, load_budget=budget)
         changed = abs(budget.std_dev_kg - before.std_dev_kg) > _RESTATED * before.std_dev_kg
         if place is None:
@@ -256,7 +274,7 @@ class Loads:
 
     @property
     def closed_states(self) -> tuple[ClosedLoadState, ...]:
-        """The newest loads, the open one among them."""
+        """States of the newest loads, the open one included."""
         budgets = {**self._before, **{load.number: load.budget for load in self._closed}}
         if self.totals.load_open:
             budgets[self.totals.load_number] = self.totals.load_budget
@@ -264,20 +282,20 @@ class Loads:
         return tuple(self._errors.state(number, budgets[number]) for number in known[-_KEPT_CLOSED:])
 
     def resume_closed(self, states: Iterable[ClosedLoadState], version: int) -> None:
-        """After `restore`: loads that a run before closed; version: of the parameters in use."""
+        """After `restore`: continue with loads that an earlier run closed; version: of the parameters in use."""
         for state in states:
             self._errors.resume(state, version)
             if not (self.totals.load_open and state.number == self.totals.load_number):
                 self._before[state.number] = state.budget
 
     def as_stated(self, load: LoadSummary) -> LoadSummary:
-        """A load of a run before, with its budget as that run stated it where that is kept."""
+        """A load of an earlier run with the budget that is kept of it, else as given."""
         budget = self._before.get(load.number, load.budget)
         return replace(load, std_dev_kg=budget.std_dev_kg, budget=budget)
 
     def widen(self, error_kg: float, by_load: int = 0) -> None:
-        """What the open load holds turns out to be less sure: by error_kg at least, one standard deviation, by its parameters.
-        by_load: number of the load whose weight shows it."""
+        """The standard deviation of the open load by the parameters turns out to be at least error_kg. by_load: number of the
+        load whose weight shows it."""
         totals = self.totals
         if not (totals.load_open and error_kg > 0.0):
             return
@@ -288,7 +306,7 @@ class Loads:
         self.totals = replace(totals, load_budget=load, total_budget=total)
 
     def doubt(self) -> None:
-        """What was counted last may be wrong: the load is no reference."""
+        """Mass counted last may be wrong: the load cannot be compared with a weight."""
         self._complete = False
 
     @property
@@ -302,7 +320,7 @@ class Loads:
         return self._unseen.at_stop(time_s, self._last_kg_s) if isfinite(time_s) else None
 
     def restore(self, totals: Totals, before_stop: FlowAtStop | None = None) -> None:
-        """Go on from totals that were kept; what passed since was not measured. before_stop: `at_stop` of then."""
+        """Continue from stored totals; grain since then was not measured. before_stop: what `at_stop` returned then."""
         self._errors.clear()
         self._before = {}
         self.totals = self._at_market(totals)
@@ -311,8 +329,8 @@ class Loads:
         self._unseen, self._last_kg_s, self._stopped_at_s = UnseenMass.since(stop), stop.grain_kg_s, stop.time_s
 
     def correct(self, missed: Mapping[int, MissedMass], since: UnseenMass | None = None) -> LoadEvents:
-        """Mass that was missed, by load, joins its loads and, where it came since they were reset, the totals; closed loads are
-        returned. since: what may have come unseen since the last second that was measured, where this is reckoned anew."""
+        """Add mass that was missed, by load number, to its loads, and to the totals where it came since their reset. Returns the
+        closed loads that change. since: mass that may have come since the last measured second, where computed anew."""
         events: list[LoadClosed | LoadOpened | LoadRestated] = []
         for number, found in missed.items():
             self._errors.forget_parameters(number)
@@ -326,7 +344,7 @@ class Loads:
                 self.totals = totals.with_missed(replace(found, kg=taken), in_load=here, before=before)
                 self._unseen.change(found.unseen, in_load=is_open)
             if self._before.pop(number, None) is not None and here:
-                # Of those before the last no mass is known here: they stay as their correction states them.
+                # The masses of earlier loads are not known here; whoever stores them corrects them.
                 self._before[number] = self.totals.load_budget
             for place, load in enumerate(self._closed):
                 if load.number == number:
@@ -343,11 +361,11 @@ class Loads:
         return tuple(events)
 
     def dry_kg(self, wet_kg: float, moisture_pct: float) -> float | None:
-        """At market moisture; None where the moisture is not known."""
+        """Mass at market moisture, kg; None where the moisture is not known."""
         return dry_mass(wet_kg, moisture_pct, self._settings.totals, self.totals.market_moisture_pct)
 
     def set_market_moisture(self, moisture_pct: float) -> None:
-        """Of the dry masses that are counted from now on; what the settings say goes before it."""
+        """Set the moisture of the dry masses counted from now on, %; the settings take precedence."""
         self.totals = self._at_market(replace(self.totals, market_moisture_pct=moisture_pct))
 
     def _at_market(self, totals: Totals) -> Totals:

@@ -1,4 +1,4 @@
-"""Mass that came and was not counted."""
+"""Mass that was not counted although it came."""
 
 from __future__ import annotations
 
@@ -14,10 +14,13 @@ NO_LOAD = 0
 
 @dataclass(frozen=True, slots=True)
 class MissedMass:
-    """Mass of one load that was missed, kg; below 0 what it had too much. dry_kg: of what had a known moisture;
-    unknown_moisture_kg, unknown_area_kg: of kg what has no known moisture, no known area. budget: of the load as far as it was
-    measured again, which it has where nothing was counted before; None: not known. unseen: what may have come beside.
-    again_kg: mass of the load that was measured again; nan where that is not all since the zero."""
+    """Mass of one load that was missed, kg; negative where too much was counted.
+
+    dry_kg: of the part with a known moisture. unknown_moisture_kg, unknown_area_kg: the parts of kg without a known moisture or
+    area. budget: of the mass that was measured again, used where nothing was counted before; None: not known. unseen: change of
+    the mass that may have come unmeasured. again_kg: mass of the load that was measured again; nan where that is not all since
+    the wrong zero.
+    """
 
     kg: float = 0.0
     dry_kg: float = 0.0
@@ -28,7 +31,7 @@ class MissedMass:
     again_kg: float = nan
 
     def plus(self, kg: float, dry_kg: float | None, *, area_known: bool, budget: MassBudget | None = None) -> MissedMass:
-        """With kg more. dry_kg: None where it is not known. budget: of what was measured again to find them, None: not known."""
+        """The sum with kg more. dry_kg: None where it is not known. budget: of the mass measured again, None: not known."""
         return replace(
             self,
             kg=self.kg + kg,

@@ -1,8 +1,8 @@
-"""What the seconds of a load share of the parameters' error and of the model's, so that it can be stated anew.
+"""The errors of parameters and model that the seconds of a load share, kept so that they can be restated.
 
-What sweeps show of the model's error holds for all that was measured with the same parameters, before a sweep as well as after
-it. So each load keeps by how much an error of the force would change its mass, and its standard deviation follows what is known
-now, while it is open and once it is closed.
+A model error that sweeps show holds for all mass measured with the same parameters, before and after the sweep. So each load
+keeps the sensitivity of its mass to an error of the force, and its standard deviation follows the knowledge of today, while the
+load is open and after it was closed.
 """
 
 from __future__ import annotations
@@ -19,20 +19,20 @@ from yieldmon.estimation.self_calibration.angle_error import NODES_RAD, AngleErr
 
 @dataclass(frozen=True, slots=True)
 class SharedError:
-    """Of one load, kg.
+    """The shared error of one load.
 
     Attributes
     ----------
     version : int
-        Of the parameters that measure it now.
+        Of the parameters that last measured it.
     before_kg : float
-        Standard deviation by all parameters before those, which stays as it was stated.
+        Standard deviation by all earlier parameters, kg, which no longer changes.
     own_kg : float
-        By the covariance of these.
+        Standard deviation by the covariance of the last parameters, kg.
     per_error_kg : tuple of float
-        Change of its mass by a relative error of 1 of the force at each node of the plate's angle, (nodes,).
+        Change of its mass, kg, per relative error of the force at each node of plate angle, (nodes,).
     taken_off_kg : float
-        Of its mass, because sweeps had shown by then how far the force is off away from home.
+        Correction of its mass, kg, for the error of the force away from home that sweeps had shown by then.
     """
 
     version: int
@@ -42,7 +42,7 @@ class SharedError:
     taken_off_kg: float = 0.0
 
     def plus(self, flow: FlowBudget, seconds: float, plate_angle_rad: float) -> SharedError:
-        """With `seconds` of a flow more, at a plate angle, rad."""
+        """The sum with `seconds` more of a flow at a plate angle, rad."""
         return _made(
             self.version,
             self.before_kg,
@@ -53,13 +53,13 @@ class SharedError:
 
     @classmethod
     def at(cls, version: int, own_kg: float, per_error_kg: float, plate_angle_rad: float) -> SharedError:
-        """All of it measured at one angle, rad, with parameters of a version; own_kg and per_error_kg as above."""
+        """The error of a load measured at one plate angle, rad; own_kg and per_error_kg as above."""
         return cls(version, 0.0, own_kg, _with((0.0,) * NODES_RAD.size, per_error_kg, plate_angle_rad))
 
     def parameters_kg(self, error: AngleError) -> float:
-        """Standard deviation by the parameters, where the model's error is as sweeps show it now."""
+        """Standard deviation by the parameters, kg, with the model error that sweeps show now."""
         to_take_off_kg = sum(kg * away for kg, away in zip(self.per_error_kg, error.away, strict=False))
-        # What was measured before a sweep showed it keeps its error, which is known now.
+        # Mass measured before a sweep showed the error was not corrected.
         left_kg = to_take_off_kg - self.taken_off_kg
         return self.before_kg + hypot(self.own_kg, error.of_sum(self.per_error_kg, left_kg))
 
@@ -71,10 +71,23 @@ class SharedError:
 
 @dataclass(frozen=True, slots=True)
 class ClosedLoadState:
-    """What of a load outlives a restart, so that it can be stated anew and a ticket held against it. budget: of its mass, as
-    stated last. shared: None where other parameters than those in use have measured it. of_scale_kg: mass measured since the
-    scale of the crop's parameters was set last; crop: "" for that of the parameters in use. shown: by the number of the load that
-    was weighed, what of the deviation is there because that showed the scale to be off, and the mass of that scale, kg."""
+    """State of a load over a restart, so that it can be restated and compared with a ticket.
+
+    Attributes
+    ----------
+    number : int
+    budget : MassBudget
+        Of its mass, as last stated.
+    shared : SharedError or None
+        None where other parameters than those in use measured it.
+    of_scale_kg : float
+        Its mass measured since the scale of the crop's parameters was last set, kg.
+    crop : str
+        Of that scale; "" for the parameters in use.
+    shown : tuple of (int, float, float)
+        Number of a weighed load whose weight showed the scale to be off, the increase of the standard deviation by it, and the
+        mass measured with that scale, kg.
+    """
 
     number: int
     budget: MassBudget
@@ -87,7 +100,7 @@ class ClosedLoadState:
     def from_dict(cls, data: Mapping[str, Any]) -> ClosedLoadState:
         """Inverse of `dataclasses.asdict`. Raises KeyError or TypeError."""
         shared = None if data["shared"] is None else SharedError.from_dict(data["shared"])
-        # An older state does not say how much of the load that scale has measured.
+        # Older states lack the mass measured with that scale.
         before = ((number, more_kg, 0.0) for number, more_kg in data.get("off_kg", ()))
         shown = tuple((int(number), float(more_kg), float(mass_kg)) for number, more_kg, mass_kg in data.get("shown", before))
         budget, of_scale_kg = MassBudget(**data["budget"]), float(data.get("of_scale_kg", 0.0))
@@ -95,7 +108,7 @@ class ClosedLoadState:
 
 
 def _with(at_nodes: tuple[float, ...], more: float, plate_angle_rad: float) -> tuple[float, ...]:
-    """With more at an angle, shared between the nodes on both sides of it."""
+    """The values at the nodes with `more` added at an angle, split between the two nodes around it."""
     first, share = node_shares(plate_angle_rad)
     row = list(at_nodes)
     row[first] += (1.0 - share) * more

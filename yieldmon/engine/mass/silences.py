@@ -1,4 +1,4 @@
-"""Silences of the sensors in which no grain comes: a load's begin, while their nodes still wake and no zero is known yet, and
+"""Times without measurement in which no grain can have come: the begin of a load, until all nodes send and a zero is known, and
 pauses."""
 
 from __future__ import annotations
@@ -7,32 +7,32 @@ from enum import Enum, auto
 from math import inf, isfinite
 
 _LONGEST_SILENCE_S, _LONGEST_WAKING_S = 60.0, 3.0
-"""How long all sensors' nodes may be silent at a load's begin, and one of them after another: assumed, by no study."""
+"""How long all nodes may be silent at the begin of a load, and then one of them alone: assumed, without a study."""
 _LONGEST_ZEROING_S, _LONGEST_SPIN_UP_S = 4.5, 6.0
-"""How long the elevator may turn at a load's begin until its first zero, at a speed at which one is taken: three seconds that are
-seen to be empty; and before, while it gets up to that speed."""
+"""How long the elevator may turn in its speed range until the first zero (three empty seconds), and before that until it reaches
+its speed range."""
 
 
 class Missing(Enum):
-    """What a second without a flow had of its inputs."""
+    """Which inputs of a second without a flow were missing."""
 
     ALL = auto()
     """No impact sample, and no elevator speed above 0."""
     SOME = auto()
+    """Any other combination."""
     ZERO = auto()
-    """Samples and speed were there, and no zero to take off."""
+    """The zero: samples and speed were there, the elevator turned in its speed range."""
     ZERO_STANDING = auto()
-    """Of such a second: the elevator stood."""
+    """The zero, while the elevator stood."""
     ZERO_OUT_OF_RANGE = auto()
-    """Of such a second: the elevator turned at a speed at which no zero is taken."""
-
+    """The zero, while the elevator turned at a speed at which none is taken."""
     HIDDEN = auto()
-    """Of such a second: nothing, but its zero is suspect, and by the one before it there was grain."""
+    """None, but the zero is suspect, and by the one before it there was grain."""
 
     @classmethod
     def of(cls, *, sampled: bool, speed: float, in_range: bool, zeroed: bool) -> Missing:
-        """speed: of the elevator in any unit, nan where it is not known. in_range: grain is measured at it. zeroed: a zero was
-        known."""
+        """What is missing, from sampled (impact samples came), speed (of the elevator in any unit, nan where not known), in_range
+        (grain is measured at that speed) and zeroed (a zero was known)."""
         if not sampled and not speed > 0.0:
             return cls.ALL
         if zeroed or not sampled or not isfinite(speed):
@@ -43,21 +43,21 @@ class Missing(Enum):
 
 
 class Silences:
-    """The seconds of a load without sensors that are taken for time without grain.
+    """The seconds of a load without measurement that are taken for time without grain.
 
-    These are those at its begin in which no sensor sends yet, because its node wakes later than the bus, the next few in which
-    one does and the other not, and those of the first zero; and a pause with the ignition off, of any length, if the elevator
-    stood before and stands after it.
+    At its begin: the seconds in which no sensor sends yet, because nodes wake later than the bus, the next few in which only one
+    sends, and those of the first zero. Later: a pause with the ignition off, of any length, if the elevator stood before and
+    stands after it.
     """
 
     def __init__(self) -> None:
         self._silent_s = self._waking_s = self._zeroing_s = self._spin_up_s = 0.0
         self._stood = False
-        """Whether the elevator stood when the sensors were last there."""
+        """Whether the elevator stood when the sensors last sent."""
 
     def lacks_nothing(self, duration_s: float, missing: Missing | None, *, stands: bool = False) -> bool:
-        """Whether a further second, or time without one, leaves the load whole. missing: None where its inputs were there.
-        stands: whether the elevator stood in it."""
+        """Whether the load is still complete after a further second. missing: None where all inputs were there. stands: the
+        elevator stood in it."""
         if missing is None:
             ran_unseen = self._stood and not stands and self._silent_s > _LONGEST_SILENCE_S
             self._silent_s, self._waking_s = 0.0 if stands else inf, 0.0
@@ -69,7 +69,7 @@ class Silences:
             if missing is Missing.ZERO_OUT_OF_RANGE:
                 self._spin_up_s += duration_s
             elif missing is not Missing.ZERO_STANDING:
-                # The second that ends with the zero has no flow either.
+                # The second at whose end the zero is taken has no flow either.
                 self._zeroing_s += duration_s
             return self._zeroing_s <= _LONGEST_ZEROING_S and self._spin_up_s <= _LONGEST_SPIN_UP_S
         if missing is Missing.ALL and (self._stood or self._waking_s == 0.0):

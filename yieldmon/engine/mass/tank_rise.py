@@ -8,9 +8,9 @@ from math import isfinite
 from yieldmon.engine.inputs import InputSnapshot
 
 _TANK_S = 60.0
-"""Stable readings of the tank's scale within this time are compared."""
+"""Time over which stable readings of the tank scale are compared."""
 _TANK_RISE = 3.0
-"""Rise between them that is grain, in standard deviations of the scale."""
+"""Least rise that means grain, in standard deviations of the scale."""
 
 
 class TankRise:
@@ -27,7 +27,7 @@ class TankRise:
         self._readings: deque[tuple[float, float]] = deque()
 
     def see(self, inputs: InputSnapshot) -> None:
-        """The reading that is held at a window's end; of two scales that disagree none counts."""
+        """Take the reading held at a window's end; none counts while two scales disagree."""
         readings = self._readings
         if inputs.tank_disputed:
             readings.clear()
@@ -38,7 +38,7 @@ class TankRise:
 
     @property
     def sign_of_grain(self) -> str:
-        """By how much it has risen, "" where that is no more than the scale's noise."""
+        """The rise of the tank mass in words, "" where it is within the scale's noise."""
         if len(self._readings) < 2:
             return ""
         (first_s, first_kg), (last_s, last_kg) = self._readings[0], self._readings[-1]

@@ -14,19 +14,21 @@ from yieldmon.engine.settings import TotalsSettings
 from yieldmon.physics.grain import DRIEST_PCT
 
 CORN_MARKET_MOISTURE_PCT = 15.5
-"""Where neither the configuration nor a crop says another."""
+"""Used where neither the configuration nor a crop gives another."""
 DRY_KNOWN_KG = 1e-6
-"""Mass of unknown moisture up to which a dry mass counts as known: what rounding leaves of one that was taken back."""
+"""Mass of unknown moisture up to which a dry mass counts as known: rounding left by a correction."""
 
 
 @dataclass(frozen=True, slots=True)
 class Totals:
-    """Masses in kg, wet and dry. total_unknown_moisture_kg, load_unknown_moisture_kg: wet mass missing from the dry figures, its
-    moisture not being known.
-    total_contested_kg, load_contested_kg: mass of seconds that more than one node sent samples for; it is in none of the others.
-    total_budget, load_budget: standard deviations of the wet masses. load_area_m2: harvested for the load's mass;
-    load_unknown_area_kg: mass of the load whose area is not known. market_moisture_pct: of the dry masses
-    that are counted from now on. first_load: number of the load with which the totals began."""
+    """Masses of the load and in total, kg.
+
+    total_kg, load_kg: wet mass. total_dry_kg, load_dry_kg: dry mass, without total_unknown_moisture_kg and
+    load_unknown_moisture_kg, the wet mass of unknown moisture. total_contested_kg, load_contested_kg: mass of seconds for which
+    more than one node sent samples; it is in none of the others. total_budget, load_budget: standard deviations of the wet
+    masses. load_area_m2: harvested for the load; load_unknown_area_kg: mass of the load whose area is not known.
+    market_moisture_pct: of the dry masses counted from now on. first_load: number of the load with which the totals began.
+    """
 
     total_kg: float = 0.0
     total_dry_kg: float = 0.0
@@ -158,7 +160,7 @@ class Totals:
         )
 
     def with_more(self, more: Totals) -> Totals:
-        """With all masses that were accumulated apart from these, whatever their loads; where a load is open they are in it."""
+        """The sum with separately accumulated totals, whatever their loads; an open load takes all of their mass."""
         share = 1.0 if self.load_open else 0.0
         return replace(
             self,
@@ -172,17 +174,17 @@ class Totals:
             load_contested_kg=self.load_contested_kg + share * more.total_contested_kg,
             total_budget=self.total_budget.with_more(more.total_budget),
             load_budget=self.load_budget.with_more(more.total_budget) if self.load_open else self.load_budget,
-            # Of its area only that of its last load is known.
+            # Only the area of its last load is known.
             load_unknown_area_kg=self.load_unknown_area_kg + share * more.total_kg,
         )
 
     def with_unseen(self, unseen_kg: float, *, before: UnseenMass) -> Totals:
-        """Totals of which so much more may be missing. before: what may have been already."""
+        """Totals of which another unseen_kg may be missing. before: what may have been missing already."""
         load = self.load_budget.with_unseen(unseen_kg, before.load_kg) if self.load_open else self.load_budget
         return replace(self, total_budget=self.total_budget.with_unseen(unseen_kg, before.total_kg), load_budget=load)
 
     def with_hidden(self, hidden_kg: float) -> Totals:
-        """Totals of which so much more may be missing by a wrong zero."""
+        """Totals of which another hidden_kg may be missing because of a wrong zero."""
         load = self.load_budget.with_zero(hidden_kg) if self.load_open else self.load_budget
         return replace(self, total_budget=self.total_budget.with_zero(hidden_kg), load_budget=load)
 

@@ -12,7 +12,7 @@ from yieldmon.engine.settings import EngineSettings
 from yieldmon.frames import Unloading as Auger
 
 _SHARE_OF_TANK = 0.5
-"""The tank has been emptied when at least this much of what was in it is gone."""
+"""Least share of the tank's mass that must be gone for the tank to count as emptied."""
 
 
 class Unloading:

@@ -1,9 +1,8 @@
 """Mass that may have come in seconds that were not measured.
 
-It is in no load. As much as would have come if grain had gone on at the mean of the flows before and after is one standard
-deviation of the load's mass. All of it is missing, never too much, so several such times add, also over a load. While the daemon
-was stopped, or the bus silent for more than a minute, the machine may have stood: the smaller of the two flows counts, for an
-hour at most.
+It is in no load. The mass at the mean of the flows before and after is taken as one standard deviation of the load's mass. Such
+mass can only be missing, never too much, so several such times add linearly, also over a load. While the daemon was stopped, or
+the bus silent for more than a minute, the machine may have stood: the smaller of the two flows counts, for an hour at most.
 """
 
 from __future__ import annotations
@@ -11,17 +10,20 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 _LONGEST_SILENCE_S = 60.0
-"""Of a bus on which the machine may have gone on."""
+"""Longest silence of the bus during which the machine is assumed to have harvested on."""
 _SHORTEST_STOP_S, _LONGEST_STOP_S = 2.0, 3600.0
-"""Of a run for which grain may have gone on: of a shorter one no whole second is missing, of a longer one the clock may have been
-another."""
+"""Lengths between two runs for which grain may have come: in a shorter one no whole second is missing, and a longer one counts no
+further because the clock may have changed."""
 
 
 @dataclass(frozen=True, slots=True)
 class FlowAtStop:
-    """How a run ended, for the next one. time_s: bus time of the end of its last window. flow_kg_s: of the last second that was
-    measured; grain_kg_s: of the last one with grain. silent_s: not measured since, stopped_s: since a stop before; whole: no
-    grain can have come in silent_s. load_kg, total_kg: as in `UnseenMass`."""
+    """How a run ended, for the next one.
+
+    time_s: bus time of the end of its last window. flow_kg_s: of the last measured second; grain_kg_s: of the last second with
+    grain. silent_s: time without measurement since then; whole: no grain can have come in it. stopped_s: time without measurement
+    during stops since then. load_kg, total_kg: as in `UnseenMass`.
+    """
 
     time_s: float
     flow_kg_s: float
@@ -49,8 +51,8 @@ SAME = UnseenChange()
 
 @dataclass(slots=True)
 class UnseenMass:
-    """Of the seconds since the last one that was measured. load_kg, total_kg: standard deviation of the open load's mass and of
-    the total by all of those before."""
+    """Mass that may have come since the last measured second. load_kg, total_kg: standard deviations of the open load's mass and
+    of the total by all such times before."""
 
     load_kg: float = 0.0
     total_kg: float = 0.0
@@ -61,7 +63,7 @@ class UnseenMass:
 
     @classmethod
     def since(cls, stop: FlowAtStop) -> UnseenMass:
-        """As a run before left it."""
+        """Continue from the end of an earlier run."""
         return cls(stop.load_kg, stop.total_kg, stop.flow_kg_s, stop.silent_s, stop.whole, stop.stopped_s)
 
     def at_stop(self, time_s: float, grain_kg_s: float) -> FlowAtStop:
@@ -94,13 +96,13 @@ class UnseenMass:
         self._before_kg_s, self._silent_s, self._whole = since._before_kg_s, since._silent_s, since._whole
 
     def resume(self, stopped_s: float) -> None:
-        """The run before ended so long before this one."""
+        """The run before ended stopped_s before this one."""
         if stopped_s >= _SHORTEST_STOP_S:
             self._stopped_s = min(self._stopped_s + stopped_s, _LONGEST_STOP_S)
 
     def missing(self, seconds: float, *, whole: bool, silent: bool = False) -> None:
-        """So many more were not measured. whole: and no grain can have come in them. silent: neither sensor nor speed is
-        reported; for long, the machine is switched off, which is the same as a stop."""
+        """Another `seconds` were not measured. whole: no grain can have come in them. silent: neither sensor nor speed is
+        reported; after a long silence the machine counts as switched off, like a stop."""
         if self._stopped_s > 0.0:
             self._stopped_s = min(self._stopped_s + seconds, _LONGEST_STOP_S)
             return
@@ -110,17 +112,17 @@ class UnseenMass:
             self._stopped_s, self._silent_s, self._whole = self._silent_s, 0.0, True
 
     def measured(self, rate_kg_s: float, *, whole: bool = True) -> float:
-        """A second was measured; returns what may have come unseen before it, kg. rate_kg_s: 0 without grain. whole: it shows
-        that none can have come."""
+        """A second was measured; returns the mass that may have come unmeasured before it, kg. rate_kg_s: 0 without grain. whole:
+        the second shows that none can have come."""
         silent_s = 0.0 if self._whole and whole else self._silent_s
-        # While no run was there the machine may have stopped as well.
+        # During a stop of the daemon the machine may have stopped as well.
         between_kg_s, stopped_kg_s = 0.5 * (self._before_kg_s + rate_kg_s), min(self._before_kg_s, rate_kg_s)
         missed_kg = silent_s * between_kg_s + self._stopped_s * stopped_kg_s
         self._begin(rate_kg_s)
         return missed_kg
 
     def cut(self) -> float:
-        """The load ends, what comes after it is not known; returns what may have come unseen, kg."""
+        """The load ends before the next measured second; returns the mass that may have come unmeasured, kg."""
         missed_kg = 0.0 if self._whole else self._silent_s * self._before_kg_s
         self._begin(self._before_kg_s)
         return missed_kg
