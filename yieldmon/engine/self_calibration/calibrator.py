@@ -1,4 +1,4 @@
-"""What the monitor asks of a self-calibration, and what comes of an update."""
+"""The interface of a self-calibration, as the monitor uses it, and the outcome of an update."""
 
 from __future__ import annotations
 
@@ -20,12 +20,24 @@ from yieldmon.estimation.waveform.common_bias import KernelMeasurement
 
 @dataclass(frozen=True, slots=True)
 class CalibrationStep:
-    """From one update to the next, as a smoother needs it to correct the time between.
+    """The step from one update to the next, as a smoother needs it to correct the time between.
 
-    from_version: parameters in use between them. begin_s, end_s: bus time. advance: states (parameters, then their rates) and
-    covariances at both ends, before the second update; state: what that made of them. widening: what it multiplied the
-    parameters' covariance before it by. sweep_alone: whether a sweep alone led to it, without a weighed mass or a known density.
-    names: of the parameters in the states; empty where they are not known.
+    Attributes
+    ----------
+    from_version : int
+        Of the parameters in use between the two updates.
+    begin_s, end_s : float
+        Bus times of the updates, s.
+    advance : Advance
+        States (parameters, then their rates) and covariances at both ends, before the second update.
+    state : tuple of float
+        State after the second update.
+    widening : float
+        Factor by which the second update widened the parameters' prior covariance.
+    sweep_alone : bool
+        Whether the second update rests on a sweep alone, without a weighed mass or a known density.
+    names : tuple of str
+        Of the parameters in the states; empty where not known.
     """
 
     from_version: int
@@ -40,12 +52,24 @@ class CalibrationStep:
 
 @dataclass(frozen=True, slots=True)
 class CalibrationOutcome:
-    """What a sweep or a weighed mass changed. estimator: the one to use from now on, or None where the parameters stay.
+    """Outcome of an update by a sweep or a weighed mass.
 
-    reason: one sentence for the operator. identifiable: what was to be determined was narrowed. weighed: a reference mass alone
-    changed it, no sweep. checks: masses weighed since the last call, held against the parameters as they were before it.
-    step: what a smoother needs to correct the time before; None where the update does not follow on the one before it.
-    moved_by_moisture: the parameters hold at the moisture of the last window, to which a map has moved them.
+    Attributes
+    ----------
+    estimator : FlowEstimator or None
+        To use from now on; None where the parameters stay.
+    reason : str
+        One sentence for the operator.
+    identifiable : bool
+        Whether the data made the parameters more certain.
+    weighed : bool
+        Whether it was an update by a reference mass, without a sweep.
+    checks : tuple of ScaleCheck
+        Masses weighed since the last call, compared with the parameters before the update.
+    step : CalibrationStep or None
+        None where the update does not follow on the one before it.
+    moved_by_moisture : bool
+        Whether a moisture map has moved the parameters to the moisture of the last window.
     """
 
     estimator: FlowEstimator | None
@@ -73,17 +97,17 @@ class SelfCalibrator(Protocol):
         estimator: FlowEstimator,
         model_error: AngleError = NO_ERROR,
     ) -> CalibrationOutcome:
-        """What reference masses change. record: the last window; references: all reference masses kept; model_error: that their
-        loads are stated with."""
+        """Update from reference masses. record: the last window; references: all reference masses kept; model_error: contained in
+        the standard deviations of their loads."""
 
     def update_from_kernels(
         self, record: WindowRecord, measurement: KernelMeasurement, estimator: FlowEstimator
     ) -> CalibrationOutcome:
-        """What kernel noise changes. record: the last window."""
+        """Update from kernel noise. record: the last window."""
 
     def follow(self, record: WindowRecord, estimator: FlowEstimator) -> CalibrationOutcome | None:
-        """Where the estimated drift has led the parameters since the last update; None: no further than is worth a
-        step. record: the last window."""
+        """The parameters moved by the estimated steady drift since the last update; None where that is negligible. record: the
+        last window."""
 
     def drift_std_dev(self, record: WindowRecord, estimator: FlowEstimator) -> float:
         """Relative standard deviation of the force by drift since the last update of the parameters, beyond their covariance.
@@ -92,12 +116,12 @@ class SelfCalibrator(Protocol):
     def sweep_worth(
         self, record: WindowRecord, stops_deg: Sequence[float], channels: OtherChannels, estimator: FlowEstimator
     ) -> SweepWorth | None:
-        """What a sweep from now on is worth. record: the last window, at home; stops_deg: plate angle of each window of
-        the sweep; None: not known."""
+        """The information gain of a sweep that begins now; None where it is not known. record: the last window, at home;
+        stops_deg: plate angle of each window of the sweep."""
 
     def use(self, estimator: FlowEstimator, harvested_kg: float = 0.0) -> None:
-        """Other parameters than the last update led to: those from before an update, since when they hold again; or from outside,
-        estimated so much grain ago."""
+        """Use other parameters than those of the last update: earlier ones, or new ones from outside, estimated harvested_kg of
+        grain ago."""
 
     @property
     def counted(self) -> frozenset[str]:
@@ -105,7 +129,7 @@ class SelfCalibrator(Protocol):
 
     @property
     def doubted(self) -> frozenset[str]:
-        """Names of those that contradict them and wait until another agrees with them, of any crop."""
+        """Names of the weighed loads that contradict them and wait until another agrees, of any crop."""
 
     def forget(
         self,
@@ -114,22 +138,24 @@ class SelfCalibrator(Protocol):
         counted: Sequence[ReferenceMass] | None = None,
         scale: Sequence[ReferenceMass] = (),
     ) -> bool:
-        """What was weighed of these loads counts no more and may be used anew. counted: tickets of the present crop that the
-        parameters in use rest on, which came back; None: the parameters are as before. scale: masses of the tank scale; those
-        that led to what went are used anew. Returns whether there are such."""
+        """Forget the weights of these loads, which may be used again.
+
+        counted: tickets of the present crop that the restored parameters rest on; None: the parameters did not change. scale:
+        masses of the tank scale; those used after the restored parameters are used again. Returns whether there are such masses.
+        """
 
     def change_grain(self, before: str, now: str, used: Sequence[ReferenceMass], estimator: FlowEstimator | None = None) -> None:
-        """Another crop from now on: what was weighed of the one before is kept for its return, and what its parameters were
-        before that. used: masses of the new one that were handed over before; estimator: in use from now on."""
+        """Another crop from now on. The weighed loads of the crop before, and its parameters before them, are kept for its
+        return. used: masses of the new crop that were handed over before; estimator: in use from now on."""
 
     def totals_reset(self, before_kg: float) -> None:
         """The total begins anew at 0; it was before_kg."""
 
     def snapshot(self, now_s: float, total_kg: float) -> CalibratorState | None:
-        """What is to outlive a restart beside the parameters; None: nothing."""
+        """The state to keep for a restart beside the parameters; None: nothing."""
 
     def restore(self, state: CalibratorState, parameters: ParameterSet, total_kg: float) -> None:
-        """Go on from a snapshot, with the parameters that were in use then."""
+        """Continue from a snapshot, with the parameters that were in use then."""
 
     def remember(self, masses: Sequence[ReferenceMass], estimator: FlowEstimator, model_error: AngleError = NO_ERROR) -> None:
         """After `restore`: reference masses that were handed over before. model_error: as `weigh` has it."""

@@ -1,4 +1,4 @@
-"""What self-calibration keeps over a restart beside the parameters."""
+"""The state of self-calibration over a restart, beside the parameters."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from yieldmon.engine.self_calibration.earlier_parameters import EarlierParameter
 
 @dataclass(frozen=True, slots=True)
 class PriorState:
-    """What was known of the parameters before those of this version: values by name; covariance: (n, n) of covariance_names;
-    carried_from: as `ParameterSet` has it."""
+    """The parameters before those of this version. values: by name; covariance: (n, n) of covariance_names; carried_from: as in
+    `ParameterSet`."""
 
     version: int
     values: tuple[tuple[str, float], ...]
@@ -33,10 +33,10 @@ class PriorState:
 
 @dataclass(frozen=True, slots=True)
 class GrainState:
-    """What weighed loads have said of a crop that is not harvested now, for its return.
+    """State of a crop that is not harvested now, for its return.
 
-    crop: its name. weighed, doubted: as in `CalibratorState`. origin: its parameters as they came from outside; left: those that
-    weighed loads made of them; None for both where they have made none.
+    crop: its name. weighed, doubted: as in `CalibratorState`. origin: its parameters as they came from outside; left: its
+    parameters after the weighed loads; None for both where weighed loads have not changed them.
     """
 
     crop: str
@@ -59,14 +59,36 @@ class GrainState:
 class CalibratorState:
     """What self-calibration knows beside the parameters.
 
-    waited_s, harvested_kg: since the last update. moisture_pct: of the grain for which the parameters hold. drifting: the r
-    parameters that have a steady rate; rates: (r,), per kilotonne; covariance: (r, n + r) of the rates with the n parameters that
-    have a variance, and with each other. at_s: bus time of the last update, None where it is not known. weighed: names of the
-    loads that a new one is held against; doubted: of the one that contradicts them, "" for none. bias: of kernel noise (value,
-    variance, largest variance, then its covariance with parameters and rates), empty where it has updated nothing. origin: the
-    parameters before weighed loads gave a curve of their own, None where they have not. grains: the crops before. spread: what
-    rates of unknown size may have added (`estimation.self_calibration.drift_spread`), (n + r + 1, n + r + 1), empty where no
-    update has said it. past: since when parameters that were in use before hold.
+    Attributes
+    ----------
+    waited_s, harvested_kg : float
+        Time, s, and grain, kg, since the last update.
+    moisture_pct : float or None
+        Of the grain for which the parameters hold, %.
+    drifting : tuple of str
+        The r parameters that have a steady drift rate.
+    rates : tuple of float
+        (r,), per kilotonne.
+    covariance : tuple of tuple of float
+        (r, n + r) of the rates with the n parameters that have a variance, and with each other.
+    at_s : float or None
+        Bus time of the last update, s; None where not known.
+    weighed : tuple of str
+        Names of the weighed loads that new ones are compared with.
+    doubted : str
+        Name of the load that contradicts them, "" for none.
+    bias : tuple of float
+        Of kernel noise: value, variance, largest variance, then covariance with parameters and rates; empty where kernel noise
+        has updated nothing.
+    origin : PriorState or None
+        The parameters before weighed loads gave a curve of their own; None where they have not.
+    grains : tuple of GrainState
+        Crops harvested before.
+    spread : tuple of tuple of float
+        Covariance that rates of unknown size may have added (`estimation.self_calibration.drift_spread`),
+        (n + r + 1, n + r + 1); empty where unknown.
+    past : tuple of EarlierParameters
+        When parameters that were in use before were estimated.
     """
 
     waited_s: float

@@ -1,7 +1,7 @@
 """Self-calibration for the monitor: sweeps and reference masses in, parameters out.
 
-Between sweeps the parameters' covariance grows (drift), and moisture moves the prior; what a sweep or a weighed load changes is
-`estimation.self_calibration.closed_loop`'s matter. Bus time comes with the records.
+Between sweeps the parameters' covariance grows (drift), and moisture moves the prior; updates by a sweep or a weighed load are
+made by `estimation.self_calibration.closed_loop`. Bus time comes with the records.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ from yieldmon.estimation.waveform.common_bias import KernelMeasurement
 from yieldmon.physics.model import ForwardModel
 
 _WORSE = 1.5
-"""Of the bias's prior variance, the lasting one of an update beyond which it is not of that bias any more."""
+"""Largest ratio of a measurement's lasting variance to the bias's largest variance, for the bias to count as the same."""
 _CONTRADICTION_SDS = 3.0
-"""Deviations of a difference beyond which kernel noise contradicts the mean force and updates nothing."""
+"""Standard deviations of a difference beyond which kernel noise contradicts the mean force and updates nothing."""
 
 
 class ClosedLoopCalibrator:
@@ -56,11 +56,11 @@ class ClosedLoopCalibrator:
         self._lineage = ParameterLineage()
         self._masses = WeighedMasses(self._settings.reference_error)
         self._model_error = NO_ERROR
-        """By which forces over weighed masses were taken last."""
+        """Model error by which the forces over weighed masses were last corrected."""
         self._before: CalibratorState | None = None
-        """What was known before a restart."""
+        """State before a restart."""
         self.last: Outcome | None = None
-        """Of the last sweep or weighed mass that was taken."""
+        """Outcome of the last sweep or weighed mass that was used."""
 
     def update(self, records: Sequence[WindowRecord], estimator: FlowEstimator, *, use_sweep: bool = True) -> CalibrationOutcome:
         """See calibrator.SelfCalibrator."""
@@ -122,7 +122,7 @@ class ClosedLoopCalibrator:
         try:
             masses, doubt = self._masses.take(found, self._model, prior, stated)
         except ValueError as error:
-            # A load that no parameters near these explain would be refused again with each mass that follows.
+            # Handed over all the same: otherwise the load would be refused again with each later mass.
             self._masses.handed_over(references)
             return CalibrationOutcome(None, f"{error}; the parameters stay", identifiable=False, weighed=True, checks=checks)
         if doubt and not masses:
@@ -245,8 +245,8 @@ class ClosedLoopCalibrator:
         return Instant(record.time_s, record.total_kg, moisture_pct)
 
     def _weighed_at(self, now: Instant, used: ParameterSet, ends_s: Sequence[float]) -> Instant:
-        """When masses say what they say: once their grain had passed, not when they were entered, as after a night; but not
-        before what is known already."""
+        """The instant that masses measure: when their grain had passed, not when they were entered, which may be a night later;
+        but not before the last update."""
         self._knowledge.now(used, now)
         last_s = max((end_s for end_s in ends_s if isfinite(end_s)), default=now.time_s)
         return now._replace(time_s=min(max(last_s, self._knowledge.since_s), now.time_s))
@@ -263,7 +263,8 @@ class ClosedLoopCalibrator:
     def _taken(
         self, outcome: Outcome, came: Carried, used: ParameterSet, at: Instant, *, sweep_alone: bool = False, now_s: float = nan
     ) -> CalibrationOutcome:
-        """The new parameters; came: the prior that the outcome began with. now_s: where they hold since an earlier time."""
+        """Take an outcome over; came: the prior it began with; now_s: bus time of the change where the masses are of earlier
+        grain."""
         prior = Carried(*aligned(*came, outcome.parameter_set)) if outcome.updated else came
         before = prior.drifting.parameters
         if not outcome.updated and before.values == self._knowledge.patterned(used).values:
@@ -284,7 +285,7 @@ class ClosedLoopCalibrator:
     def _step(
         self, outcome: Outcome, used: ParameterSet, begun_s: float, end_s: float, prior: Carried, *, sweep_alone: bool
     ) -> CalibrationStep | None:
-        """How the update that was taken last led on from the parameters used before; None where states have changed."""
+        """The step of the last update from the parameters used before; None where the states have other sizes or names."""
         now = self._knowledge.drifting
         names = now.parameters.covariance_names
         if now.state.shape != prior.step.after.shape or names != prior.drifting.parameters.covariance_names:
@@ -303,14 +304,14 @@ class ClosedLoopCalibrator:
         )
 
     def _replaced(self, used: ParameterSet, until_s: float, known: ParameterSet) -> None:
-        """Other parameters, in use from now on, than those used until a bus time."""
+        """Note that `known` replaces the parameters used until a bus time."""
         self._lineage.replaced(used, until_s, known, self._masses.used)
         self._lineage.seen(known)
 
     def _without_sweeps(self, used: ParameterSet, now_s: float) -> CalibrationOutcome:
-        """The model lacks something, so updates from sweeps were wrong: back to what was given, unless changed otherwise.
+        """Undo the updates by sweeps, which were wrong because the model lacks an effect, unless another update came since.
 
-        With a moisture map the values given hold at another moisture, and those in use stay.
+        With a moisture map the given values hold at another moisture, so the values in use stay.
         """
         mapped = self._settings.moisture_map is not None
         given = None if mapped else self._lineage.undo_sweeps(used, now_s, self._masses.used)

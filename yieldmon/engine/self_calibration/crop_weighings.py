@@ -1,4 +1,4 @@
-"""Weighed loads of the crop that is harvested now, and of the crops before, for their return."""
+"""Weighed loads of the crop harvested now, and of earlier crops, kept for their return."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from yieldmon.engine.self_calibration.weighings import Weighings
 from yieldmon.estimation.weighing.load_inputs import LoadSettings
 
 Origin = tuple[PriorState, PriorState]
-"""Parameters of a crop as they came from outside, and those that weighed loads made of them."""
+"""Parameters of a crop as they came from outside, and after the updates by weighed loads."""
 
 
 class CropWeighings:
@@ -50,7 +50,7 @@ class CropWeighings:
         return frozenset({*now, *(crop.doubted for crop in self._earlier.values())} - {""})
 
     def forget(self, names: Container[str]) -> None:
-        """Loads of these names were not weighed as they were said to be."""
+        """Forget the weights of the loads of these names."""
         for weighings in (self.current, *self._others.values()):
             weighings.forget(names)
         for name, crop in self._earlier.items():
@@ -72,7 +72,7 @@ class CropWeighings:
         origin : tuple of PriorState or None
             Of the crop that is harvested now.
         state : GrainState or None
-            What a run before counted of it, to be weighed again.
+            State of this crop from an earlier run, whose loads are to be compared again.
         """
         if origin is not None:
             self._origins[before] = origin
@@ -85,7 +85,7 @@ class CropWeighings:
         return back, state
 
     def states(self) -> tuple[GrainState, ...]:
-        """What of the crops before is to outlive a restart."""
+        """States of the crops before, to keep for a restart."""
         found = dict(self._earlier)
         for crop, weighings in self._others.items():
             names = tuple(load.name for load in weighings.counted)
@@ -95,5 +95,5 @@ class CropWeighings:
         return tuple(found.values())
 
     def restore(self, states: tuple[GrainState, ...]) -> None:
-        """Go on from the states of a run before."""
+        """Continue from the states of an earlier run."""
         self._earlier = {crop.crop: crop for crop in states}

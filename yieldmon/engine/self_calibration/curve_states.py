@@ -1,5 +1,5 @@
-"""States of the parameters in which what weighed loads add (the weights of `load_pattern`, the bias of another combine's monitor)
-or the form of the impact gain changes, so that updates before and after follow."""
+"""Alignment of states before and after an update that changes which parameters there are: weighed loads may add the weights of
+`load_pattern` or the bias of another combine's monitor, or change the form of the impact gain."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from yieldmon.physics.effects.other_monitor import BIAS
 from yieldmon.physics.numerics import Array
 
 _ADDED = (*NAMES, BIAS)
-"""What weighed loads add to a set's parameters."""
+"""Parameters that weighed loads may add to a set."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class _Change:
 
 
 def _change(have: Sequence[str], names: Sequence[str], rates: int) -> _Change | None:
-    """None where they differ by more than what weighed loads add and the form of the gain."""
+    """None where the names differ by more than added parameters and the form of the gain."""
     gone, come = ([name for name in these if name not in (*those, *_ADDED)] for these, those in ((have, names), (names, have)))
     if (gone, come) not in (([], []), (["restitution"], ["k2"]), (["k2"], ["restitution"])):
         return None
@@ -65,7 +65,7 @@ def _change(have: Sequence[str], names: Sequence[str], rates: int) -> _Change | 
 
 
 def aligned(drifting: DriftingParameters, step: Advance, to: ParameterSet) -> tuple[DriftingParameters, Advance]:
-    """What was known before an update, and how it came, in the names of the set that the update led to.
+    """The state before an update, and the step to it, in the parameter names after the update.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def aligned(drifting: DriftingParameters, step: Advance, to: ParameterSet) -> tu
     step : Advance
         That led to it.
     to : ParameterSet
-        With or without what weighed loads add in its covariance, its gain as restitution or as k2.
+        The set after the update.
 
     Returns
     -------
@@ -101,7 +101,7 @@ def aligned(drifting: DriftingParameters, step: Advance, to: ParameterSet) -> tu
 
 
 def in_names(step: CalibrationStep, names: Sequence[str]) -> CalibrationStep | None:
-    """A step with its states in other names of the parameters; None where they are not the same parameters, or not known."""
+    """A step with its states in other parameter names; None where these are other parameters, or not known."""
     if tuple(names) == step.names:
         return step
     change = _change(step.names, names, len(step.state) - len(step.names)) if step.names else None

@@ -1,4 +1,4 @@
-"""How far the force of parameters may be off by drift since their last update."""
+"""Standard deviation of the force by drift of the parameters since their last update."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from yieldmon.physics.numerics import Array
 
 @dataclass(frozen=True, slots=True)
 class DriftDeviation:
-    """relative: standard deviation of the force. parameters: that it is of. steps: of grain since then."""
+    """relative: standard deviation of the force. parameters: in use. steps: number of grain steps since the update."""
 
     relative: float
     parameters: ParameterSet
@@ -27,14 +27,14 @@ class DriftDeviation:
 
 @dataclass(frozen=True, slots=True)
 class RateSpread:
-    """What rates of unknown size may have added (`drift_spread`), (n + 1, n + 1), and the parameters that it is of."""
+    """Covariance that rates of unknown size may have added (`drift_spread`), (n + 1, n + 1), and its parameters."""
 
     covariance: Array
     parameters: ParameterSet
 
     @classmethod
     def at(cls, held: RateSpread | None, used: ParameterSet, step: Advance, later: DriftingParameters, forgotten: Array) -> Array:
-        """After a time that led from the parameters in use to `later`; held: at its start, None where it begins."""
+        """The spread after the time from the parameters in use to `later`; held: the spread at its start, None: it begins."""
         size = len(step.transition)
         if held is not None and held.parameters is used and len(held.covariance) == size + 1:
             start = held.covariance
@@ -60,12 +60,12 @@ def _joined(joint: Array, bias: CommonBias | None) -> Array:
 
 
 def as_stated(known: ParameterSet, spread: Array) -> ParameterSet:
-    """With the covariance that a flow's deviation is stated by."""
+    """The set with the covariance that the standard deviation of a flow is computed from."""
     return replace(known, covariance=known.covariance + drift_spread.beyond(spread, len(known.covariance_names)))
 
 
 def force_deviation(model: ForwardModel, used: ParameterSet, later: ParameterSet, record: WindowRecord) -> float:
-    """Relative standard deviation of a window's force by what the parameters in use have become unsure by.
+    """Relative standard deviation of a window's force by the growth of the parameters' covariance.
 
     Parameters
     ----------

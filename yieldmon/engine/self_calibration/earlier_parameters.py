@@ -1,4 +1,4 @@
-"""Since when parameters that were in use before hold, so that drift counts from there once they are back."""
+"""When parameters that were in use before were estimated, so that drift counts from then once they are restored."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ Places = tuple[EarlierParameters, ...]
 
 
 def remembered(places: Places, parameters: ParameterSet, at_s: float, at_kg: float) -> Places:
-    """With one more, where it is known since when these hold."""
+    """The list with these parameters added, if it is known when they were estimated."""
     if not (isfinite(at_s) and isfinite(at_kg)):
         return places
     values = tuple(sorted((name, float(value)) for name, value in parameters.values.items()))
@@ -40,11 +40,11 @@ def remembered(places: Places, parameters: ParameterSet, at_s: float, at_kg: flo
 
 
 def place_of(places: Sequence[EarlierParameters], parameters: ParameterSet) -> EarlierParameters | None:
-    """Of parameters with these values; None where they are not known."""
+    """The entry of parameters with these values; None where there is none."""
     values = tuple(sorted((name, float(value)) for name, value in parameters.values.items()))
     return next((place for place in reversed(places) if place.values == values), None)
 
 
 def moved(places: Places, by_kg: float) -> Places:
-    """After the total's begin has moved by so much."""
+    """The entries after the totals have shifted by by_kg."""
     return tuple(replace(place, at_kg=place.at_kg + by_kg) for place in places)

@@ -1,4 +1,4 @@
-"""Seconds of kernel noise, gathered until they make a measurement that updates the parameters."""
+"""Collects seconds with kernel noise until they make a measurement that updates the parameters."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from yieldmon.estimation.waveform.common_bias import KernelMeasurement, measurem
 
 
 class KernelMeasurements:
-    """Takes one second in so many as kernel noise is averaged over, so that what chance adds to them is independent."""
+    """Takes one second out of each averaging time of kernel noise, so that their random errors are independent."""
 
     def __init__(self, settings: WaveformSettings) -> None:
         self._settings = settings
@@ -34,7 +34,7 @@ class KernelMeasurements:
         self._lasting_sd = max(self._lasting_sd, sqrt(max(relative_sd**2 - random_sd**2, 0.0)))
 
     def take(self) -> KernelMeasurement | None:
-        """What has been gathered, once that is enough; then it begins anew."""
+        """The measurement, once there are enough seconds, else None; then it begins anew."""
         if not self._seconds or self._windows < self._settings.update_windows:
             return None
         found = measurement_of(self._seconds, self._random_sds, self._lasting_sd)

@@ -1,5 +1,5 @@
-"""The forces over each load, or between two readings of a tank's scale, summed up in few numbers, so that a weighed mass can be
-held against them."""
+"""The forces over each load, or between two readings of a tank scale, summarised in groups of windows, so that a weighed mass can
+be compared with the model."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from yieldmon.physics.numerics import Array
 
 _KEPT_LOADS = 64
 _ANGLE_RAD = 0.035
-"""Windows are summed up with others of like angle, of like speed (3 %) and of like force (10 %)."""
+"""Width of the groups of windows in plate angle, in ln(speed) and in ln(force)."""
 _LN_SPEED, _LN_FORCE = 0.03, 0.1
 
 
@@ -44,7 +44,7 @@ class WindowForces(NamedTuple):
 
 
 class LoadForceSums:
-    """Sums over the loads of a run."""
+    """Group sums over the loads of a run."""
 
     def __init__(self) -> None:
         self._loads: OrderedDict[int, dict[tuple[int, int, int], list[float]]] = OrderedDict()
@@ -77,14 +77,15 @@ class LoadForceSums:
             sums[5] += seconds
 
     def forget(self) -> None:
-        """The forces do not belong to the masses any more (another zero): those of what was measured until now are not known."""
+        """Another zero changed the masses: the forces measured until now no longer belong to them and become unknown."""
         self._loads.clear()
         for load_number, mass_kg in self._known_kg.items():
             self._unknown_kg[load_number] = self._unknown_kg.get(load_number, 0.0) + mass_kg
         self._known_kg.clear()
 
     def of(self, load_number: int) -> LoadForces | None:
-        """What is known of a load; its few windows without a usable force count like the others. None where most have none."""
+        """The groups of a load, scaled up for its few windows without a usable force; None where more than 10 % of the mass has
+        none."""
         groups = self._loads.get(load_number)
         known, unknown = self._known_kg.get(load_number, 0.0), self._unknown_kg.get(load_number, 0.0)
         if not groups or unknown > 0.1 * known:

@@ -1,7 +1,7 @@
-"""What weighed masses change: the parameters near the prior, or all of the last loads fitted together.
+"""The update by weighed masses: near the prior, or by fitting the last loads together.
 
-A ticket that the prior explains, drift included, moves the parameters as any observation does. One further off, or a machine
-that was never calibrated, is fitted together with the loads before it (`estimation.weighing.loads`).
+A ticket that the prior explains, drift included, updates the parameters as any observation does. A ticket further off, or one of
+a machine that was never calibrated, is fitted together with the loads before it (`estimation.weighing.loads`).
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from yieldmon.physics.effects.other_monitor import BIAS
 from yieldmon.physics.model import ForwardModel
 
 _DRIFT_WIDENING = 16.0
-"""Of the parameters' covariance: with up to so much of it, what a later ticket says is drift, and no other scale."""
+"""Largest widening of the parameters' covariance for which the deviation of a later ticket is drift, not another scale."""
 _DOUBLED = 4.0
 _DRIFT_SD = 0.02
-"""Relative, of a load: beyond it, parameters that are made more than twice as unsure do not tell drift from a wrong ticket."""
+"""Relative standard deviation of a load beyond which a widening above `_DOUBLED` could be a wrong ticket as well as drift."""
 _KNOWN_SCALE = 0.1
-"""Relative standard deviation of a load up to which the parameters know the machine's scale."""
+"""Relative standard deviation of a load below which the parameters determine the machine's scale."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +61,7 @@ class LoadUpdate:
     def of(
         self, drifting: DriftingParameters, masses: Sequence[WeighedMass], names: Container[str]
     ) -> tuple[Outcome, DriftingParameters]:
-        """The parameters after weighed masses of these names, and the prior as they leave it: wider where they contradict it.
+        """The parameters after weighed masses of these names, and the prior, widened where they contradict it.
 
         Raises ValueError where no parameters explain them.
         """
@@ -102,8 +102,8 @@ class LoadUpdate:
         return outcome, self._widened(drifting, outcome.parameter_set.covariance_names)
 
     def _widened(self, drifting: DriftingParameters, names: tuple[str, ...]) -> DriftingParameters:
-        """The prior with density and gain as uncertain as those of a machine that was never calibrated, where its covariance has
-        these names."""
+        """The prior with density and gain as uncertain as on a machine that was never calibrated, if its covariance has these
+        names; else unchanged."""
         prior = drifting.parameters
         wide = widened(prior, self.load_settings)
         if BIAS in names and any(load.common_kg > 0.0 for load in self.counted):
@@ -125,13 +125,13 @@ class LoadUpdate:
         return replace(outcome, reason=f"weighed loads moved the scale by {100.0 * moved:+.1f} %; {outcome.reason}")
 
     def _moved(self, now: ParameterSet, before: Sequence[float], names: Container[str]) -> float:
-        """By how much, as a share, parameters change the mass of the loads of these names; nan for none. before: as above."""
+        """Relative change of the mass of the loads of these names by the parameters; nan for no load. before: as above."""
         errors = [float(errors_of(self.model, now, [load])[0]) for load in self._of(names)]
         each = np.log1p([before, errors])
         return float(np.expm1(np.mean(each[1] - each[0]))) if errors else np.nan
 
     def _reason(self, found: LoadCalibration, prior: ParameterSet, names: Container[str]) -> str:
-        """What is said of a calibration by all weighed loads; those of these names are new. prior: until now."""
+        """The sentence for the operator on a calibration by all weighed loads; those of these names are new. prior: until now."""
         if found.refused:
             return " ".join(found.sentences)
         before = [float(errors_of(self.model, prior, [load])[0]) for load in self._of(names)]
@@ -156,7 +156,7 @@ class LoadUpdate:
         return [load for load in self.counted if load.name in names]
 
     def _without_curve(self, prior: ParameterSet) -> ParameterSet:
-        """What was known before weighed loads of this crop gave a curve of their own, to which all of them are to be fitted
+        """The parameters before weighed loads of this crop gave a curve of their own, as the prior for fitting all of them
         together."""
         origin = self.origin
         if LOAD_PATTERN not in prior.effects or prior.carried_from or origin is None:
@@ -166,7 +166,8 @@ class LoadUpdate:
         return in_form_of(replace(origin, version=prior.version), prior)
 
     def _leaves(self, earlier: Sequence[WeighedLoad], before: ParameterSet, now: ParameterSet) -> bool:
-        """Whether `now` measures a load otherwise than `before` by more than what `before` is uncertain by, drift included."""
+        """Whether the mass of any load by `now` differs from that by `before` by more than the uncertainty of `before`, drift
+        included."""
         for alike in _alike(earlier):
             was, std_dev = departures(self.model, before, alike, self.load_settings)
             error = errors_of(self.model, now, alike, self.load_settings)
@@ -176,7 +177,7 @@ class LoadUpdate:
 
 
 def _alike(loads: Sequence[WeighedLoad]) -> list[list[WeighedLoad]]:
-    """Those with moisture and those without."""
+    """The loads with moisture and those without, as groups that are not empty."""
     groups = ([load for load in loads if (load.moisture_pct is None) is without] for without in (False, True))
     return [group for group in groups if group]
 

@@ -1,7 +1,7 @@
-"""What is known of the parameters between updates, and how time, grain and moisture carry it on.
+"""The knowledge of the parameters between updates, and its change with time, grain and moisture.
 
-Updates are sweeps, weighed masses and kernel noise. Beside the parameters' own covariance it is the rates of their steady drift,
-what rates of unknown size may have added, and the bias of kernel noise; all of them hold from the last update on.
+Updates are sweeps, weighed masses and kernel noise. The knowledge consists of the parameters' covariance, the rates of their
+steady drift, the covariance that rates of unknown size may have added, and the bias of kernel noise, all as of the last update.
 """
 
 from __future__ import annotations
@@ -41,9 +41,10 @@ from yieldmon.physics.numerics import Array
 KERNEL_NOISE = "kernel_noise"
 """Key of the provenance of parameters that kernel noise has updated."""
 FOLLOWED_KG = 20_000.0
-"""Of grain, after which an estimated steady drift moves the parameters without an update, and drift widens what is stated."""
+"""Mass of grain after which an estimated steady drift moves the parameters without an update, and the standard deviations are
+widened for drift."""
 _LEAST_FOLLOWED = 1e-5
-"""Relative change of a parameter by steady drift below which it waits."""
+"""Least relative change of a parameter by steady drift for which the parameters are moved."""
 
 
 class Instant(NamedTuple):
@@ -55,14 +56,14 @@ class Instant(NamedTuple):
 
 
 class Carried(NamedTuple):
-    """What is known of parameters and rates now, and the step that led to it from the last update."""
+    """Parameters and rates as known now, and the step to them from the last update."""
 
     drifting: DriftingParameters
     step: Advance
 
 
 class ParameterKnowledge:
-    """What updates have left, as it is now.
+    """The knowledge left by the last update, carried to now.
 
     Parameters
     ----------
@@ -71,31 +72,32 @@ class ParameterKnowledge:
 
     Notes
     -----
-    `used` is the set of parameters in use: what is known of another set does not count for it.
+    `used` is the set of parameters in use, compared by identity: knowledge of another set does not apply to it.
     """
 
     def __init__(self, settings: CalibratorSettings) -> None:
         self._settings = settings
         self._at = Instant(nan, nan, nan)
-        """From when on all of this holds."""
+        """The last update, or since when the parameters in use are known to hold."""
         self._waited_s = 0.0
-        """Time since the last update, before a restart."""
+        """Time from the last update to a restart, s."""
         self._before_s: float | None = None
-        """Bus time of the last update, before a restart."""
+        """Bus time of the last update before a restart, s."""
         self._drifting: DriftingParameters | None = None
         self._bias: tuple[CommonBias, ParameterSet] | None = None
-        """Of kernel noise, with the parameters that its covariance is with; None where it has updated none of these."""
+        """Bias of kernel noise, and the parameters that its covariance refers to; None where kernel noise has not updated
+        these."""
         self._spread: RateSpread | None = None
         self._deviation: DriftDeviation | None = None
         self._past: Places = ()
         self._outside: tuple[ParameterSet, float] | None = None
-        """Parameters from outside that no window has been measured with yet, and the grain, kg, since they were estimated."""
+        """Parameters from outside with which no window was measured yet, and grain since their estimation, kg."""
         self._placed: ParameterSet | None = None
-        """Parameters in use that no update led to, of which it is known since when they hold."""
+        """Parameters in use that did not come from an update here, where it is known since when they hold."""
 
     @property
     def since_s(self) -> float:
-        """Bus time from which on it holds, s; nan before the first question."""
+        """Bus time of the last update, s; nan where not known yet."""
         return self._at.time_s
 
     @property
@@ -105,7 +107,7 @@ class ParameterKnowledge:
 
     @property
     def drifting(self) -> DriftingParameters:
-        """What the last update left. Raises LookupError before the first."""
+        """Parameters and rates after the last update. Raises LookupError before the first."""
         if self._drifting is None:
             raise LookupError("no update has been taken")
         return self._drifting
@@ -115,7 +117,7 @@ class ParameterKnowledge:
         return with_pattern(parameters, self._settings.pattern_sd) if self._settings.pattern_sd > 0.0 else parameters
 
     def now(self, used: ParameterSet, at: Instant) -> Carried:
-        """The parameters in use, moved by moisture and steady rates, widened by what wanders."""
+        """The parameters in use, moved by moisture and steady rates, and widened by random drift."""
         start = known = self._start(used)
         self.begin_counting(used, at.time_s, at.total_kg)
         moisture_map = self._settings.moisture_map
@@ -136,7 +138,8 @@ class ParameterKnowledge:
         return Carried(later, step)
 
     def stated(self, used: ParameterSet, later: Carried, total_kg: float) -> ParameterSet:
-        """The parameters in use as far as they are known now, the size of steady rates being unknown; later: as `now` gave it."""
+        """The parameters with the covariance to state standard deviations by, which allows for rates of unknown size. later: as
+        `now` returned it."""
         return as_stated(later.drifting.parameters, self._spread_at(used, later, total_kg))
 
     def bias(self, used: ParameterSet, step: Advance, total_kg: float) -> CommonBias | None:
@@ -146,14 +149,14 @@ class ParameterKnowledge:
         return common_bias.carried(self._bias[0], step.transition, total_kg - self._at.total_kg)
 
     def has_drifted(self, used: ParameterSet, total_kg: float) -> bool:
-        """Whether steady drift has moved the parameters by what is worth a step, over enough grain."""
+        """Whether steady drift has moved the parameters noticeably, over enough grain."""
         known, harvested_kg = self._drifting, total_kg - self._at.total_kg
         if known is None or known.parameters is not used or not harvested_kg >= FOLLOWED_KG:
             return False
         return bool(np.any(np.abs(known.rates) * (harvested_kg / KG_PER_KT) > _LEAST_FOLLOWED))
 
     def take(self, outcome: Outcome, used: ParameterSet, at: Instant, came: Carried, prior: Carried) -> ParameterSet:
-        """An update of sweeps, weighed masses or drift alone has changed the parameters.
+        """Take an update by sweeps, weighed masses or drift alone.
 
         Parameters
         ----------
@@ -162,7 +165,7 @@ class ParameterKnowledge:
             Until now.
         at : Instant
         came : Carried
-            As `now` gave it and the update's doubts widened it.
+            The prior, as `now` returned it, widened where the update contradicted it.
         prior : Carried
             The same in the names of the outcome's parameters.
 
@@ -193,7 +196,7 @@ class ParameterKnowledge:
             wide = widened(drifting.joint, before.covariance_names, outcome.prior_widening)
             spread = after_update(spread, wide, now, (before_update, bias))
         if bias is None and outcome.scale.observable and KERNEL_NOISE in now.parameters.provenance:
-            # What kernel noise said is not known any more, and no longer matters.
+            # The scale is determined without kernel noise, whose bias is no longer known.
             facts = {key: text for key, text in now.parameters.provenance.items() if key != KERNEL_NOISE}
             now = replace(now, parameters=replace(now.parameters, provenance=facts))
         self._hold(now, bias, spread)
@@ -202,13 +205,13 @@ class ParameterKnowledge:
     def take_kernel_update(
         self, update: KernelUpdate, used: ParameterSet, known: ParameterSet, at: Instant, came: Carried
     ) -> None:
-        """An update of kernel noise has led from the parameters used until now to those known; came: as `now` gave it."""
+        """Take an update by kernel noise, from the parameters used until now to `known`; came: as `now` returned it."""
         spread = drift_spread.updated(self._spread_at(used, came, at.total_kg), update.errors)
         self._supersede(used, at)
         self._hold(replace(update.drifting, parameters=known), update.bias, spread)
 
     def use(self, before: ParameterSet | None, used: ParameterSet, harvested_kg: float) -> None:
-        """Other parameters than the last update led to: those from before an update, since when they hold again; or from outside.
+        """Use other parameters than those of the last update: earlier ones, with the time of their estimation, or new ones.
 
         Parameters
         ----------
@@ -228,14 +231,14 @@ class ParameterKnowledge:
         self._at = self._at._replace(time_s=place.at_s, total_kg=place.at_kg)
 
     def begin_counting(self, used: ParameterSet, now_s: float, total_kg: float) -> None:
-        """Parameters from outside begin to count with the first window."""
+        """With the first window: start counting time and grain for parameters from outside."""
         if self._outside is not None and self._outside[0] is used:
             self._at = self._at._replace(time_s=now_s, total_kg=total_kg - self._outside[1])
             self._placed = used
         self._outside = None
 
     def _supersede(self, before: ParameterSet, at: Instant) -> None:
-        """What is known holds from now on, and since when the parameters before it held is remembered."""
+        """Note the time of an update, and remember that of the parameters before."""
         self._past = remembered(self._past, before, self._at.time_s, self._at.total_kg)
         self._at = at
 
@@ -245,19 +248,18 @@ class ParameterKnowledge:
         self._spread = None if spread is None else RateSpread(spread, drifting.parameters)
 
     def is_new(self, used: ParameterSet) -> bool:
-        """Whether other parameters than these were in use when the deviation was last asked for, and it is not known since when
-        these hold."""
+        """Whether these parameters came into use since the last call of `deviation`, and it is not known since when they hold."""
         seen = self._deviation
         return seen is not None and seen.parameters is not used and used is not self._placed
 
     def hold_from(self, record: WindowRecord) -> None:
-        """The parameters in use describe the machine as it is with this window."""
+        """Take the parameters in use as estimated at this window."""
         self._at = self._at._replace(time_s=record.time_s, total_kg=record.total_kg)
 
     def deviation(self, model: ForwardModel, used: ParameterSet, record: WindowRecord) -> float:
         """Relative standard deviation of the force by drift since the last update, beyond the parameters' covariance.
 
-        Worked out anew after each `FOLLOWED_KG` of grain.
+        Computed anew after each `FOLLOWED_KG` of grain.
         """
         if not isfinite(self._at.total_kg):
             self._at = self._at._replace(total_kg=record.total_kg)
@@ -281,14 +283,14 @@ class ParameterKnowledge:
         self._past = moved(self._past, -before_kg)
 
     def snapshot(self, now_s: float, total_kg: float) -> CalibratorState | None:
-        """What is to outlive a restart, without weighed loads and crops; None: nothing. now_s: bus time, nan before the first
-        frame."""
+        """The state to keep for a restart, without weighed loads and crops; None: nothing. now_s: bus time, s, nan before the
+        first frame."""
         if not isfinite(self._at.total_kg):
             return None
         known, timed = self._drifting, isfinite(self._at.time_s)
         count = 0 if known is None else len(known.parameters.covariance_names)
         return CalibratorState(
-            # Before the first frame of a run an undo brings back what held since a run before.
+            # Before the first frame of a run, an undo may restore parameters of an earlier run.
             waited_s=max(now_s - self._at.time_s, 0.0) if timed and isfinite(now_s) else self._waited_s,
             harvested_kg=self._harvested_kg(total_kg),
             moisture_pct=self._at.moisture_pct if isfinite(self._at.moisture_pct) else None,
@@ -314,23 +316,23 @@ class ParameterKnowledge:
         if len(state.spread) == 1 + len(fresh.joint) and fresh.parameters is parameters:
             self._spread = RateSpread(np.array(state.spread), parameters)
         if not state.drifting or fresh.names != state.drifting or len(state.covariance[0]) != len(fresh.joint):
-            return  # No rates, or others by now: they begin anew.
+            return  # No rates stored, or of other parameters: they begin anew.
         rows, joint = np.array(state.covariance), fresh.joint.copy()
         joint[-len(rows) :, :] = rows
         joint[:, -len(rows) :] = rows.T
         self._drifting = replace(fresh, rates=np.array(state.rates), joint=joint)
 
     def _start(self, used: ParameterSet) -> DriftingParameters:
-        """At the last update: what it left of the parameters in use, or these with rates that nothing is known of."""
+        """State at the last update: its result for the parameters in use, else these with unknown rates."""
         known = self._drifting
         if known is None or known.parameters is not used:
             return begin(self.patterned(used), self._settings.steady_per_kilotonne)
         return known
 
     def _begin_time(self, at: Instant) -> None:
-        """Before the first update of a run it holds from the first question on, less what a run before has waited."""
+        """Before the first update of a run: count from now, less the waiting time of the run before."""
         if not isfinite(self._at.time_s):
-            # A bus time that began anew says nothing of the time between.
+            # If bus time has begun anew, the stored time of the update is useless.
             before_s = self._before_s
             since_s = before_s if before_s is not None and before_s <= at.time_s else at.time_s - self._waited_s
             self._at = self._at._replace(time_s=since_s)
@@ -341,7 +343,7 @@ class ParameterKnowledge:
         return max(total_kg - self._at.total_kg, 0.0)
 
     def _spread_at(self, used: ParameterSet, later: Carried, total_kg: float) -> Array:
-        """What rates of unknown size may have added until now; later: as `now` gave it."""
+        """Covariance that rates of unknown size may have added until now; later: as `now` returned it."""
         gone = forgotten(
             self._start(used), self._harvested_kg(total_kg),
             per_kilotonne=self._settings.steady_per_kilotonne, memory_kt=self._settings.steady_drift_memory_kt,
@@ -349,7 +351,7 @@ class ParameterKnowledge:
         return RateSpread.at(self._spread, used, later.step, later.drifting, gone)
 
     def _at_last_update(self, used: ParameterSet) -> ParameterSet:
-        """The same with the covariance of the last update."""
+        """The parameters in use with the covariance to state standard deviations by, as of the last update."""
         spread = self._spread
         return used if spread is None or spread.parameters is not used else as_stated(used, spread.covariance)
 

@@ -16,11 +16,11 @@ from yieldmon.estimation.load_pattern import EFFECT as LOAD_PATTERN
 from yieldmon.estimation.parameters import ParameterSet
 
 _KEPT_SETS = 8
-"""Parameters before, of which a reference mass may have been measured with any."""
+"""Sets of parameters kept, with any of which a reference mass may have been measured."""
 
 
 class _Before(NamedTuple):
-    """Parameters before, the bus time until which they were in use, and the masses that had been handed over by then."""
+    """Earlier parameters, the bus time until which they were in use, and the masses that had been handed over by then."""
 
     until_s: float
     parameters: ParameterSet
@@ -28,27 +28,27 @@ class _Before(NamedTuple):
 
 
 class ParameterLineage:
-    """The sets of parameters of one machine in order of use; a set is known by its identity."""
+    """The sets of parameters of one machine in order of use, compared by identity."""
 
     def __init__(self) -> None:
         self._last: ParameterSet | None = None
         self._origin: ParameterSet | None = None
         self._given: ParameterSet | None = None
-        """As they came from outside, for as long as no update but sweeps' has changed them since."""
+        """Parameters from outside, as long as only sweeps have updated them since."""
         self._restored: ParameterSet | None = None
-        """Those in use at a restart or at a crop's return, where it is known what weighed loads made of them."""
+        """Parameters in use at a restart or at a crop's return, where their origin is known."""
         self._updated: ParameterSet | None = None
-        """The last set that an update led to."""
+        """Result of the last update."""
         self._history: tuple[_Before, ...] = ()
 
     @property
     def last(self) -> ParameterSet | None:
-        """Those seen in use last."""
+        """Parameters last seen in use."""
         return self._last
 
     @property
     def origin(self) -> ParameterSet | None:
-        """As they came from outside."""
+        """Parameters as they came from outside."""
         return self._origin
 
     def seen(self, used: ParameterSet) -> None:
@@ -56,22 +56,22 @@ class ParameterLineage:
         self._last = used
 
     def swept(self, used: ParameterSet) -> None:
-        """A sweep was made with these: unless an update led to them, they are what was given."""
+        """A sweep was made with these: unless they come from an update, they are the given ones."""
         if used is not self._updated:
             self._given = used
         self.weighed(used)
 
     def weighed(self, used: ParameterSet) -> None:
-        """A mass was weighed with these: unless an update led to them, they are where others come from."""
+        """A mass was weighed with these: unless they come from an update, they are the origin of later ones."""
         if used is not self._updated and used is not self._restored:
             self._origin, self._restored = used, None
 
     def forget_given(self) -> None:
-        """Another update than a sweep's has come: it is not undone with the sweeps'."""
+        """Another update than by a sweep has come, which an undo of the sweeps must keep."""
         self._given = None
 
     def undo_sweeps(self, used: ParameterSet, until_s: float, handed: frozenset[ReferenceMass]) -> ParameterSet | None:
-        """What was given, in use from now on in place of what sweeps made of it; None where these stay. As `replaced`."""
+        """The given parameters, in use again from now on; None where those in use stay. Arguments as of `replaced`."""
         if self._given is None or self._given is used:
             return None
         self._given = replace(self._given, version=used.version + 1)
@@ -79,7 +79,7 @@ class ParameterLineage:
         return self._given
 
     def from_outside(self, used: ParameterSet) -> bool:
-        """Whether no update led to these parameters, and no undo brought them back."""
+        """Whether these parameters come neither from an update nor from an undo."""
         before = any(dict(used.values) == dict(before.parameters.values) for before in self._history)
         return used is not self._updated and used is not self._restored and not before
 
@@ -101,12 +101,12 @@ class ParameterLineage:
         self._updated = known
 
     def spans(self, used: ParameterSet) -> tuple[tuple[float, ParameterSet], ...]:
-        """Bus time, s, until which parameters were in use, and these, in order; those in use now to inf."""
+        """(bus time until which they were in use, s; parameters) in order, the last one with inf."""
         return (*((before.until_s, before.parameters) for before in self._history), (inf, used))
 
     def handed_before(self, restored: ParameterSet, handed: frozenset[ReferenceMass]) -> frozenset[ReferenceMass]:
-        """The masses that had been handed over when parameters were in use that an undo has brought back; by the oldest that are
-        known where these are older. handed: those handed over by now."""
+        """The masses that had been handed over when the restored parameters were in use; where these are older than all kept,
+        those of the oldest set. handed: those handed over by now."""
         now = () if self._updated is None else (_Before(inf, self._updated, handed),)
         known: list[_Before] = [*self._history, *now]
         for before in reversed(known):
@@ -116,12 +116,12 @@ class ParameterLineage:
         return self._history[0].handed if self._history else handed
 
     def brought_back(self, used: ParameterSet) -> None:
-        """An undo brought these back: parameters from before an update come from where it came."""
+        """An undo restored these parameters: they have the same origin as the update that was undone."""
         if self._origin is not None:
             self._updated, self._restored = None, used
 
     def leave_crop(self) -> Origin | None:
-        """Another crop from now on. Returns the origin of the crop before and what updates made of it, None for no update."""
+        """Another crop from now on. Returns origin and last parameters of the crop before; None where nothing updated them."""
         origin, known = self._origin, self._updated or self._restored
         self._given = self._origin = self._restored = self._updated = None
         return None if origin is None or known is None else (as_prior_state(origin), as_prior_state(known))
@@ -132,7 +132,7 @@ class ParameterLineage:
             self._origin, self._restored = as_set(origin[0], back), back
 
     def snapshot(self) -> PriorState | None:
-        """The origin, to outlive a restart; None where no update led on from it."""
+        """The origin, to keep for a restart; None where nothing was updated from it."""
         origin, known = self._origin, self._updated or self._restored
         if origin is None or known is None or origin is known:
             return None
@@ -141,6 +141,6 @@ class ParameterLineage:
         return replace(as_prior_state(origin), version=known.version)
 
     def restore(self, origin: PriorState | None, parameters: ParameterSet) -> None:
-        """Go on with the parameters that were in use at a restart, from the origin of a snapshot."""
+        """Continue with the parameters in use at a restart, and the origin from the snapshot."""
         if origin is not None and origin.version == parameters.version:
             self._restored, self._origin = parameters, as_set(origin, parameters)

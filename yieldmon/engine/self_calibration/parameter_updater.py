@@ -31,9 +31,12 @@ from yieldmon.physics.machine import Machine
 
 @dataclass(frozen=True, slots=True)
 class ParametersChanged:
-    """Other parameters from now on. origin: "sweep", "ticket" (a reference mass alone), "kernels" or "drift"; reason: one
-    sentence; step: see `CalibrationOutcome`. moisture_pct: of the grain for which they hold, nan where it is not known;
-    None: as measured now. references: number and weighed mass, kg, of the loads whose tickets were handed over for it."""
+    """Other parameters are in use from now on.
+
+    origin: "sweep", "ticket" (a reference mass alone), "kernels" or "drift". reason: one sentence. step: see
+    `CalibrationOutcome`. moisture_pct: of the grain for which they hold, nan where not known; None: as measured now. references:
+    (load number, weighed mass in kg) of the tickets used.
+    """
 
     parameters: ParameterSet
     origin: str
@@ -44,7 +47,7 @@ class ParametersChanged:
 
 
 class ParameterUpdater:
-    """The estimator in use, and all that may change it."""
+    """The estimator in use, and the parts that update it."""
 
     def __init__(
         self,
@@ -62,14 +65,14 @@ class ParameterUpdater:
         self._weighed = False
         self._put(estimator, None, weighed=False)
         self.outcome: CalibrationOutcome | None = None
-        """What the last whole sweep or weighed mass changed; None once that is taken back or of another crop."""
+        """Outcome of the last complete sweep or weighed mass; None once it is taken back or of another crop."""
         self.scale_alarm = ScaleAlarm(settings.faults)
         self.masses = ReferenceMasses(settings.reference_masses)
         self._sweep_windows = SweepWindows(self.disagreement, machine.home_plate_angle_rad)
 
     @property
     def masses_wait(self) -> bool:
-        """Whether a reference mass has come that was not handed to the calibrator yet."""
+        """Whether a reference mass has not been handed to the calibrator yet."""
         return self.masses.wait and self.calibrator is not None
 
     @property
@@ -98,10 +101,10 @@ class ParameterUpdater:
         crop: str,
         stay: Sequence[Weighing] = (),
     ) -> None:
-        """Tickets for these loads were taken back; others (`again`) update the parameters from before them again.
+        """Tickets for these loads were taken back; those of `again` will update the parameters from before them.
 
-        rests_on: loads whose tickets the parameters rest on, None where these are as before. crop: of all, where another one is
-        harvested now, else "". stay: as `Monitor.update_again` has it.
+        rests_on: loads whose tickets the parameters in use rest on; None: the parameters did not change. crop: of all these,
+        where another crop is harvested now, else "". stay: as for `Monitor.update_again`.
 
         Raises ValueError as `ticket`.
         """
@@ -121,14 +124,14 @@ class ParameterUpdater:
 
     @property
     def last_update(self) -> str:
-        """What the last whole sweep or weighed mass changed, in a sentence."""
+        """The outcome of the last complete sweep or weighed mass, in a sentence."""
         if self.outcome is not None:
             return self.outcome.reason
         return "no calibrator" if self.calibrator is None else "the parameters have been replaced since"
 
     def use(self, estimator: FlowEstimator, calibration_age_s: float | None, harvested_kg: float = 0.0) -> None:
-        """Other parameters; calibration_age_s: time since they were calibrated, None where it is not known; harvested_kg: grain
-        since then."""
+        """Use other parameters. calibration_age_s: time since their calibration, None where not known; harvested_kg: grain since
+        then."""
         self._put(estimator, calibration_age_s, weighed=False)
         if self.calibrator is not None:
             self.calibrator.use(estimator, harvested_kg)
@@ -142,8 +145,8 @@ class ParameterUpdater:
         self.judge_model(weighed=weighed)
 
     def judge_model(self, *, weighed: bool | None = None) -> None:
-        """Ask the sweeps' patterns how far the force of the parameters in use may be off. weighed: whether a weighed mass has set
-        them; None: as before."""
+        """Update `model_error` and `load_error` from the sweeps. weighed: whether a weighed mass has set the parameters; None:
+        unchanged."""
         parameters = self.estimator.parameters
         self._weighed = parameters.is_weighed or (self._weighed if weighed is None else weighed)
         unseen = self._leaves_home and not self.disagreement.seen
@@ -151,15 +154,15 @@ class ParameterUpdater:
         found = disagreement.unswept_error(parameters, angles_deg) if unseen else disagreement.model_error(parameters)
         beyond = max(found.home**2 - parameters.own_error**2 - parameters.scale_error**2, 0.0) ** 0.5
         self.model_error = found.with_home(0.0 if unseen or self._weighed else beyond, self._home_rad)
-        """By what sweeps show, away from home before the first one by what it may show; at home beyond the parameters'
-        own_error, and none once a weighed mass has set the scale."""
+        """Error of the force as sweeps show it; before the first sweep, away from home, what a sweep may show. At home it is what
+        exceeds the parameters' own_error, and 0 once a weighed mass has set the scale."""
         unswept = unseen and self._sweeps_come and self._sweeps_update and not self._weighed
         self.load_error = found.with_home(beyond, self._home_rad) if unswept else self.model_error
-        """That loads and total are stated with: before the first sweep by schedule, what it may show at home too."""
+        """Error for the budgets of loads and total: before the first scheduled sweep, also what it may show at home."""
 
     def change_grain(self, before: str, now: str, estimator: FlowEstimator | None = None) -> None:
-        """Another crop from now on: weighed masses of the one before update its parameters alone, when it is back. estimator: in
-        use from now on."""
+        """Another crop from now on; waiting masses of the crop before update its parameters when it returns. estimator: in use
+        from now on."""
         used = self.masses.change_crop(before, now)
         self.outcome = None
         if self.calibrator is not None:
@@ -172,7 +175,7 @@ class ParameterUpdater:
             self.calibrator.totals_reset(before_kg)
 
     def take_tickets_of(self, before: ParameterUpdater) -> None:
-        """After a reload: the tickets of the one in use until now."""
+        """After a reload: take over the tickets of the updater in use until now."""
         tickets = before.masses.tickets
         self.masses.tickets.take_crops_of(tickets)
         self.remember_tickets(tickets.kept, tickets.waiting)
@@ -182,7 +185,7 @@ class ParameterUpdater:
         self.calibration_age_s = calibration_age_s
 
     def add_age(self, seconds: float) -> None:
-        """Time passes since the calibration."""
+        """Add to the age of the calibration, s."""
         if self.calibration_age_s is not None:
             self.calibration_age_s += seconds
 
@@ -205,7 +208,7 @@ class ParameterUpdater:
         return departure_of(reference, of_crop or self.estimator, self.drift_sd, self.model_error)
 
     def remember_tickets(self, tickets: Sequence[ReferenceMass], waiting: Sequence[ReferenceMass]) -> None:
-        """After a restart or a reload: tickets entered before it; `waiting` are those among them that have not been used."""
+        """After a restart or a reload: tickets entered before; `waiting`: those of them not used yet."""
         self.masses.remember(tickets, waiting)
         if self.calibrator is not None:
             self.calibrator.remember([a for a in tickets if a not in waiting], self.estimator, self.model_error)
@@ -213,12 +216,17 @@ class ParameterUpdater:
     def update(
         self, at_s: float, record: WindowRecord, sweep: SweepMachine, channels: OtherChannels | None = None
     ) -> tuple[ParametersChanged, ...]:
-        """Collect a sweep's windows, and at its end hand them to the calibrator; between sweeps reference masses update.
+        """Collect a sweep's windows, and hand them to the calibrator at its end; between sweeps, update from reference masses.
 
-        Where sweeps update nothing they are not begun by schedule: away from home such a model misses the most. channels: what
-        gives the flow beside the mean force, for `sweep.when: information`.
+        Parameters that sweeps cannot update start no scheduled sweeps: their flow is least accurate away from home. channels:
+        estimators beside the mean force, for `sweep.when: information`.
+
+        Returns
+        -------
+        tuple of ParametersChanged
+            In order.
         """
-        sweep.by_schedule = self.calibrator is None or (self._sweeps_update and self._worth_making(at_s, record, sweep, channels))
+        sweep.by_schedule = self.calibrator is None or (self._sweeps_update and self._may_begin(at_s, record, sweep, channels))
         windows, parameters = self._sweep_windows, self.estimator.parameters
         if not sweep.visiting and not sweep.completed:
             if windows.between(record, sweep, parameters):
@@ -239,14 +247,14 @@ class ParameterUpdater:
         weighed: tuple[ParametersChanged, ...] = ()
         changed: tuple[ParametersChanged, ...] = ()
         if self.calibrator is not None:
-            # Each weighed mass that came during the sweep first, by the same rule as between sweeps.
+            # First a weighed mass that came during the sweep, as between sweeps.
             weighed = self._update_from_masses(record)
             changed = self._take(self.calibrator.update(records, self.estimator, use_sweep=not self.disagreement.present))
         sweep.finish(at_s, bool(changed))
         return (*weighed, *changed)
 
-    def _worth_making(self, at_s: float, record: WindowRecord, sweep: SweepMachine, channels: OtherChannels | None) -> bool:
-        """Whether a sweep may begin by schedule; one that is due and not worth making is declined."""
+    def _may_begin(self, at_s: float, record: WindowRecord, sweep: SweepMachine, channels: OtherChannels | None) -> bool:
+        """Whether a sweep may begin by schedule; one that is due and gains too little is declined."""
         settings = self._sweeps
         if settings.when == "interval" or self.calibrator is None or sweep.state is SweepState.WAITING:
             return True
@@ -265,13 +273,13 @@ class ParameterUpdater:
         if self.calibrator is None:
             return ()
         outcome = self.calibrator.update_from_kernels(record, measurement, self.estimator)
-        # What the last sweep determined stays as it was.
+        # Kernel noise does not change whether the last sweep determined the parameters.
         known = self.outcome is None or self.outcome.identifiable
         return self._take(replace(outcome, identifiable=known), "kernels")
 
     def _update_from_masses(self, record: WindowRecord) -> tuple[ParametersChanged, ...]:
-        """Hand reference masses that have come since the last update to the calibrator; of several tickets one with each window,
-        in the order of entry, so that they lead to what they would have one by one."""
+        """Update from reference masses that came since the last update; of several tickets one with each window, in the order of
+        entry, as if they had been entered one at a time."""
         if not self.masses.wait:
             return ()
         if self.calibrator is None:
@@ -283,7 +291,7 @@ class ParameterUpdater:
         return tuple(replace(change, references=references) for change in changed)
 
     def _follow_drift(self, record: WindowRecord) -> tuple[ParametersChanged, ...]:
-        """Between updates the parameters go on as the updates together say that they drift."""
+        """Between updates, move the parameters by their estimated steady drift."""
         if self.calibrator is None:
             return ()
         outcome = self.calibrator.follow(record, self.estimator)
@@ -305,7 +313,7 @@ class ParameterUpdater:
         return (ParametersChanged(outcome.estimator.parameters, origin, outcome.reason, outcome.step, moisture_pct),)
 
     def _weighed_moisture_pct(self) -> float:
-        """Of the grain that was weighed last, mean over its time; nan where it is not known."""
+        """Mean moisture of the grain weighed last, %; nan where not known."""
         references = self.masses.kept
         forces = references[-1].forces if references else None
         if forces is None:

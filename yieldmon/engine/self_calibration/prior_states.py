@@ -1,4 +1,4 @@
-"""Sets of parameters as a state that outlives a restart has them, and back."""
+"""Conversion between sets of parameters and their stored states."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from yieldmon.estimation.parameters import CARRIED, CARRIED_FROM, SCALE, Paramet
 from yieldmon.physics.numerics import Array
 
 _ROUNDING = 1e-9
-"""Relative, of parameters that were stored."""
+"""Relative rounding of stored parameters."""
 
 
 def as_prior_state(known: ParameterSet) -> PriorState:
@@ -22,7 +22,7 @@ def as_prior_state(known: ParameterSet) -> PriorState:
 
 
 def as_set(state: PriorState, like: ParameterSet) -> ParameterSet:
-    """The set of a state, with version and provenance of another one but for a scale of another crop."""
+    """The set of a state, with the version and provenance of `like`, except a scale carried from another crop."""
     covariance = np.reshape(state.covariance, (len(state.covariance_names),) * 2)
     known = replace(like, values=dict(state.values), covariance_names=state.covariance_names, covariance=covariance)
     if not state.carried_from:
@@ -31,7 +31,7 @@ def as_set(state: PriorState, like: ParameterSet) -> ParameterSet:
 
 
 def agrees_with(known: ParameterSet, state: PriorState) -> bool:
-    """Whether a set is that of a state, whatever its version and provenance."""
+    """Whether a set has values and covariance of a state; version and provenance do not count."""
     values = dict(state.values)
     if known.values.keys() != values.keys() or known.covariance_names != state.covariance_names:
         return False
@@ -40,5 +40,5 @@ def agrees_with(known: ParameterSet, state: PriorState) -> bool:
 
 
 def as_tuples(rows: Array) -> tuple[tuple[float, ...], ...]:
-    """A matrix as a state has it."""
+    """A matrix as nested tuples."""
     return tuple(tuple(map(float, row)) for row in rows)

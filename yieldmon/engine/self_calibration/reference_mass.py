@@ -1,4 +1,4 @@
-"""Reference masses: what a scale weighed and what was measured of the same grain."""
+"""Reference masses: a weighed mass and the mass measured of the same grain."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from yieldmon.engine.self_calibration.load_forces import LoadForces
 
 
 class Weighing(NamedTuple):
-    """Of a load: its number, mass and standard deviation, and the part of the latter by another combine's monitor, kg."""
+    """The weighing of a load: mass and standard deviation, kg; common_kg: the part of the latter by another combine's monitor."""
 
     load_number: int
     mass_kg: float
@@ -45,14 +45,12 @@ class ReferenceMass:
     load_number: int = 0
     budget: MassBudget = EMPTY
     zero_doubted: bool = False
-    """Whether part of measured_kg rests on a zero that is doubted."""
+    """Whether part of measured_kg was measured with a suspect zero."""
     forces: LoadForces | None = field(default=None, compare=False, repr=False)
     common_kg: float = 0.0
 
     @property
     def comparable(self) -> bool:
-        """Whether it can be compared with the model: by the forces over it, else by its time.
-
-        The time is not known where the clock was set back.
-        """
+        """Whether it can be compared with the model: by its forces, else by its duration, which is unknown if the clock was set
+        back."""
         return self.complete and self.measured_kg > 0.0 and (self.forces is not None or self.end_s > self.start_s)

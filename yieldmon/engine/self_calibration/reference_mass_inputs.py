@@ -1,4 +1,4 @@
-"""Reference masses as self-calibration takes them: with the forces over the grain that was weighed."""
+"""Reference masses as inputs of self-calibration: with the forces over the weighed grain."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from yieldmon.physics.machine import SAME_ANGLE_RAD
 from yieldmon.physics.model import ForwardModel
 
 _STEP = 1e-3
-"""Relative, of the force, for the derivative of a mass."""
+"""Relative step of the force for the derivative of a mass."""
 
 
 def weighed_mass(
@@ -30,15 +30,27 @@ def weighed_mass(
     reference_error: float,
     error: AngleError = NO_ERROR,
 ) -> WeighedMass:
-    """The forces over the mass where they were kept, else the total in pieces, each with the parameters that made it.
+    """The weighed mass with the forces over it; where these were not kept, with the measured total split by the parameters in
+    use.
 
-    spans: the bus time, s, until which parameters were in use, and these, in the model's effects; the last ones to inf.
-    reference_error: relative standard deviation of a reference mass beside its own. error: of the model's force, of which what
-    sweeps have measured away from home is taken off the forces there.
+    Parameters
+    ----------
+    reference : ReferenceMass
+    model : ForwardModel
+    spans : iterable of (float, ParameterSet)
+        Bus time until which parameters were in use, s, and these, in the model's effects, in order; the last with inf.
+    reference_error : float
+        Relative standard deviation of a reference mass in addition to its own.
+    error : AngleError
+        Error of the model's force; the forces are corrected by what sweeps have measured of it away from home.
+
+    Returns
+    -------
+    WeighedMass
     """
     machine, span_s = model.machine, reference.end_s - reference.start_s
     zero_sd = reference.budget.zero_kg / reference.measured_kg if isfinite(reference.budget.zero_kg) else 0.0
-    # A force is off by a share of itself, whatever mass the parameters in use at the time made of it.
+    # Relative to the weighed mass: the errors of the force are relative, whatever mass the parameters in use then gave.
     relative = hypot(reference_error, _noise_sd(reference), zero_sd)
     sd = hypot(reference.std_dev_kg, relative * reference.reference_kg)
     forces = reference.forces
@@ -85,8 +97,8 @@ def _noise_sd(reference: ReferenceMass) -> float:
 
 
 def moisture_sd(references: Iterable[ReferenceMass]) -> float:
-    """Relative standard deviation of the flow, the largest of these masses', by grain of another measured moisture than that for
-    which the parameters in use hold."""
+    """Largest relative standard deviation of these masses by a measured moisture other than that for which the parameters
+    hold."""
     found = [0.0]
     for reference in references:
         known = reference.forces is not None and bool(np.all(np.isfinite(reference.forces.moisture_pct)))
@@ -96,9 +108,9 @@ def moisture_sd(references: Iterable[ReferenceMass]) -> float:
 
 
 def with_angle_error(mass: WeighedMass, model: ForwardModel, parameters: ParameterSet, error: AngleError) -> WeighedMass:
-    """The same where the force away from home may be off otherwise than at home, by a model's error that the gain has at home.
+    """The mass with a standard deviation widened for the model error away from home relative to home.
 
-    What a load that holds a sweep weighs says the less of the scale at home.
+    A load that contains a sweep determines the scale at home less well.
     """
     home_rad = model.machine.home_plate_angle_rad
     beside = error.with_home(0.0, home_rad)
@@ -117,7 +129,7 @@ def with_angle_error(mass: WeighedMass, model: ForwardModel, parameters: Paramet
 
 
 def weighed(reference: ReferenceMass, mass: WeighedMass) -> WeighedLoad:
-    """A weighed mass under its reference mass's name, with that one's own standard deviations."""
+    """A weighed mass as a load, with name and standard deviations of its reference mass."""
     return WeighedLoad(
         name=name_of(reference),
         weighed_kg=mass.reference_kg,
@@ -141,8 +153,8 @@ def checked(
     moisture_pct: float,
     model_error: float,
 ) -> ScaleCheck | None:
-    """A mass held against what the parameters make of the forces over it; None where it was not measured
-    whole and they make no number.
+    """Compare a mass with the mass that the parameters give for the forces over it; None where neither that nor the counted mass
+    is known.
 
     moisture_pct: for a mass without its own, wet basis, %. model_error: relative standard deviation of the model.
     """
@@ -151,7 +163,7 @@ def checked(
     measured_kg = float(mass.duration_s @ flow.mass_flow_kg_s)
     if not isfinite(measured_kg):
         return as_stated(reference)
-    # The mass's own deviation holds that of the zero where the forces over it were kept.
+    # With forces kept, the standard deviation of the mass contains that of the zero.
     budget, kept = reference.budget, reference.forces is not None
     shared_kg = budget.moisture_kg if kept else hypot(budget.zero_kg, budget.moisture_kg)
     std_dev_kg = hypot(
