@@ -39,7 +39,7 @@ class ReferenceMasses:
 
     @property
     def wait(self) -> bool:
-        """Whether one has come that was not handed over yet."""
+        """Whether a mass has not been handed over yet."""
         return self._wait
 
     @property
@@ -53,7 +53,7 @@ class ReferenceMasses:
         return tuple(self._scale.masses)
 
     def loads_named(self, names: frozenset[str]) -> frozenset[int]:
-        """Loads of these names that have a ticket, of any crop."""
+        """Numbers of the loads with a ticket that have these names, of any crop."""
         if not names:
             return frozenset()
         return frozenset(ticket.load_number for ticket in self.tickets.of_any_crop if name_of(ticket) in names)
@@ -76,10 +76,28 @@ class ReferenceMasses:
         forces: WindowForces | None,
         zero_doubted: bool,
     ) -> float:
-        """Match the tank scale's stable readings with what a window measured; budget: of the total after it; forces: of
-        its mass, None where it has none.
+        """Match the tank scale's stable readings with a measured window.
 
-        Returns kg that were missed, by the scale, while the zero was doubted.
+        Parameters
+        ----------
+        window : Window
+        inputs : InputSnapshot
+            Held at its end.
+        flow : Flow
+            As it is counted.
+        total_before_kg, mass_kg : float
+            Total before the window, and its mass.
+        budget : MassBudget
+            Of the total after the window.
+        forces : WindowForces or None
+            None where the window has no mass.
+        zero_doubted : bool
+            Whether the zero is suspect.
+
+        Returns
+        -------
+        float
+            Mass that the scale shows to be missed while the zero was suspect, kg.
         """
         if zero_doubted:
             self._scale.doubt_zero()
@@ -89,7 +107,7 @@ class ReferenceMasses:
         if inputs.tank_time_s != self._weighed_s:
             self._weighed_s = inputs.tank_time_s
             self._scale.reading(inputs.tank_time_s, inputs.tank_kg)
-        # Between passes the plate is watched as in them, and no grain comes.
+        # A window of not harvesting is measured too: no grain came.
         watched = (flow.measured or flow.quality is EstimateQuality.NOT_HARVESTING) and not window.contested
         weighed = self._scale.window(
             window.start_s, window.end_s, total_before_kg, mass_kg, measured=watched, budget=budget, forces=forces
@@ -104,49 +122,49 @@ class ReferenceMasses:
         return missed_kg
 
     def next_weighed(self, ahead: Iterable[InputSnapshot]) -> int:
-        """With which of the windows ahead a mass may be weighed that changes the parameters, counted from 1; 0 for none."""
+        """Position, from 1, of the first window ahead in which a mass may be weighed that updates the parameters; 0 for none."""
         return self._scale.next_mass(inputs.tank_kg for inputs in ahead)
 
     def empty_since(self, time_s: float) -> None:
-        """No grain came between a time and now, though no flow could be given."""
+        """No grain has come since a time, although the flow was not known."""
         self._scale.empty_since(time_s)
 
     def totals_reset(self) -> None:
-        """The total begins anew, so that the scale's next reading is the first."""
+        """The total begins anew: the scale's next reading is a new start."""
         self._scale.forget()
 
     def frames_missed(self) -> None:
-        """Grain may have come that was not measured, so that the scale's next reading is the first."""
+        """Grain may have come unmeasured: the scale's next reading is a new start."""
         self._scale.forget()
 
     def zero_undone(self) -> None:
-        """Masses have changed that were measured with another zero: forces over them say nothing, nor does the total's rise."""
+        """Masses measured with another zero were corrected: the forces over them and the rise of the total are useless."""
         self.tickets.forces.forget()
         self._scale.forget()
 
-    # What is handed over
+    # Handing over
 
     def enter(self, ticket: ReferenceMass, crop: str = "") -> None:
-        """A ticket that updates the parameters. crop: once this one is harvested again; "": the one harvested now."""
+        """Enter a ticket that is to update the parameters. crop: on whose return; "": the crop harvested now."""
         self.tickets.enter(ticket, crop)
         self._wait = self._wait or not crop
 
     def hand_over(self) -> tuple[tuple[ReferenceMass, ...], tuple[ReferenceMass, ...]]:
-        """All that are to be used now; of several tickets one with each call, in the order of entry.
+        """Hand over the masses to use now; of several tickets one with each call, in the order of entry.
 
         Returns
         -------
         tickets : tuple of ReferenceMass
             Those handed over with this call.
         masses : tuple of ReferenceMass
-            All that were handed over with this or an earlier one.
+            All that were handed over with this call or an earlier one.
         """
         handed, waiting = self.tickets.hand_over(), self.tickets.waiting
         self._wait = bool(waiting)
         return handed, tuple(mass for mass in self.kept if mass not in waiting)
 
     def compare(self) -> list[ScaleCheck]:
-        """Without a calibrator: new masses held against what was counted."""
+        """Without a calibrator: compare new masses with the counted ones."""
         self._wait = False
         self.tickets.none_waits()
         checks = [as_stated(mass) for mass in self.kept if mass not in self._compared]
@@ -154,7 +172,7 @@ class ReferenceMasses:
         return [check for check in checks if check is not None]
 
     def wait_again(self, *, scale: bool) -> None:
-        """Tickets wait again after others were taken back; scale: so do masses of the tank scale that had been used."""
+        """Let tickets wait again after others were taken back; scale: also masses of the tank scale that had been used."""
         scale_waits = scale or (self._wait and bool(self._scale.masses))
         self._wait = bool(self.tickets.waiting) or scale_waits
 
@@ -167,7 +185,7 @@ class ReferenceMasses:
         return used
 
     def remember(self, tickets: Sequence[ReferenceMass], waiting: Sequence[ReferenceMass]) -> None:
-        """After a restart or a reload: tickets entered before it; `waiting` are those among them that have not been used."""
+        """After a restart or a reload: tickets entered before; `waiting`: those of them not used yet."""
         self.tickets.remember(tickets, waiting)
         self._compared = frozenset(tickets)
         self._wait = self._wait or bool(waiting)

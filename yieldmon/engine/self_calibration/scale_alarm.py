@@ -1,8 +1,8 @@
-"""Whether weighed masses contradict the calibration: the one moment at which an error of scale can be seen.
+"""The alarm when weighed masses contradict the calibration, which alone can show an error of scale.
 
-A sweep cannot separate flow, density and impact gain, so chain slip, wear or a wrong gain show in nothing but a scale. A
-weighed mass is held against what the parameters in use make of the same grain; the first that they cannot explain raises the
-alarm, the next that agrees with them, or a calibration from outside, ends it.
+A sweep cannot separate flow, density and impact gain, so chain slip, wear or a wrong gain show only in a weighed mass. It is
+compared with the mass of the same grain by the parameters in use. The first mass that they cannot explain raises the alarm; the
+next that agrees with them, or a calibration from outside, ends it.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _CHANGED = (
 
 @dataclass(frozen=True, slots=True)
 class ScaleCheck:
-    """A weighed mass beside what was measured over the same grain.
+    """A weighed mass and the measured mass of the same grain.
 
     Attributes
     ----------
@@ -34,9 +34,9 @@ class ScaleCheck:
     start_s : float
         Bus time at which its grain began to pass, s.
     weighed_kg, measured_kg : float
-        By the scale; by the parameters in use.
+        By the scale, and by the parameters in use, kg.
     std_dev_kg : float
-        Of their difference: scale, parameters, model, noise, zero and moisture.
+        Of their difference, kg: scale, parameters, model, noise, zero and moisture.
     """
 
     name: str
@@ -52,7 +52,7 @@ class ScaleCheck:
 
     @property
     def error_pct(self) -> float:
-        """Measured over weighed, less 100 %."""
+        """Relative error of the measured mass, %."""
         return 100.0 * (self.measured_kg / self.weighed_kg - 1.0)
 
     @property
@@ -74,7 +74,7 @@ def name_of(mass: ReferenceMass) -> str:
 
 
 def as_stated(mass: ReferenceMass) -> ScaleCheck | None:
-    """A mass held against what was measured as it was counted; None where it was not measured whole."""
+    """Compare a mass with the counted one; None where it was not measured completely."""
     if not mass.complete or not mass.measured_kg > 0.0:
         return None
     known = mass.budget.std_dev_kg
@@ -84,9 +84,12 @@ def as_stated(mass: ReferenceMass) -> ScaleCheck | None:
 
 @dataclass(frozen=True, slots=True)
 class ScaleAlarmState:
-    """What outlives a restart: the newest mass that contradicts (None: no alarm), when the first one's grain began to pass, bus
-    time s, its name, and the newest mass that agreed ("": none). same_way: masses in a row that contradict in the same
-    direction, each the parameters that those before it have updated."""
+    """State of the alarm over a restart.
+
+    contradiction: the newest contradicting mass; None: no alarm. since_s, since: bus time, s, at which the grain of the first
+    contradicting mass began to pass, and its name. agreed: name of the newest mass that agreed, "" for none. same_way: successive
+    masses that contradict in the same direction, each after an update by those before it.
+    """
 
     contradiction: ScaleCheck | None = None
     since_s: float = 0.0
@@ -102,7 +105,7 @@ class ScaleAlarmState:
 
 
 class ScaleAlarm:
-    """The memory of weighed masses that contradict the calibration."""
+    """Raises and ends the alarm."""
 
     def __init__(self, settings: FaultSettings) -> None:
         self._settings = settings
@@ -110,20 +113,20 @@ class ScaleAlarm:
 
     @property
     def state(self) -> ScaleAlarmState:
-        """What has been seen."""
+        """State to keep for a restart."""
         return self._state
 
     def restore(self, state: ScaleAlarmState) -> None:
-        """Go on from a state that was kept."""
+        """Continue from a stored state."""
         self._state = state
 
     def see(self, checks: Sequence[ScaleCheck]) -> None:
-        """Masses weighed since the last call, each against the parameters that held before its update."""
+        """Take masses weighed since the last call, each compared with the parameters before its update."""
         for check in checks:
             state, p_value = self._state, check.p_value
             again = state.contradiction if state.contradiction is not None and state.contradiction.name == check.name else None
             if again is not None:
-                # Entered anew: what the wrong mass led to says nothing against the right one.
+                # Entered anew: the parameters before the wrong mass decide, not those that it led to.
                 before = replace(check, measured_kg=again.measured_kg, std_dev_kg=again.std_dev_kg)
                 p_value = max(p_value, before.p_value)
             if p_value >= self._settings.scale_agrees_p:
@@ -139,12 +142,12 @@ class ScaleAlarm:
                 self._state = ScaleAlarmState(check, state.since_s, state.since, state.agreed, same_way)
 
     def accept(self) -> None:
-        """Other parameters have come from outside: what was weighed before says nothing about them."""
+        """End the alarm: other parameters have come from outside."""
         self._state = ScaleAlarmState()
 
     @property
     def detail(self) -> str | None:
-        """What is wrong, by how much and since when; None where nothing is."""
+        """Size and begin of the contradiction, for the operator; None without an alarm."""
         state, check = self._state, self._state.contradiction
         if check is None:
             return None

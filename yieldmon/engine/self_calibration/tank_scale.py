@@ -1,4 +1,4 @@
-"""Reference masses from a tank scale: what it gained between two stable readings."""
+"""Reference masses from a tank scale: the increase between two stable readings."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from yieldmon.engine.self_calibration.reference_mass import ReferenceMass, Refer
 from yieldmon.engine.settings import ReferenceMassSettings
 
 _AS_BEFORE_SDS = 4.0
-"""Standard deviations of the scale within which two readings are of the same mass."""
+"""Standard deviations of the scale within which two readings mean the same mass."""
 _LACKING_SHARE = 0.5
-"""Of the mass measured between two readings, what no calibration is wrong by: the rest was unloaded."""
+"""Share of the measured mass missing in the tank above which grain was unloaded: no calibration is that wrong."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,35 +38,35 @@ class TankScale:
         self._zero_doubted = False
         self._forces = LoadForceSums()
         self._number = 0
-        """Of what comes in from the reading at the start, among the sums of forces."""
+        """Key of the increment under way in `_forces`."""
         self.masses: deque[ReferenceMass] = deque(maxlen=settings.keep)
 
     def reading(self, time_s: float, mass_kg: float) -> None:
-        """A stable reading; it is matched with the measured total when the window around it closes."""
+        """Take a stable reading; it is matched with the measured total when the window around it closes."""
         self._pending = (time_s, mass_kg)
 
     def forget(self) -> None:
-        """What it has read is not known to be the tank's: the next reading is the first."""
+        """Discard all readings: the next one is a new start."""
         self._pending = self._start = self._last = None
 
     def doubt_zero(self) -> None:
-        """What is measured now rests on a suspect zero: no update, but the scale still gives the mass."""
+        """The zero is suspect: the increment under way is no reference, but its mass can replace the measured one."""
         self._complete, self._zero_doubted = False, True
 
     def empty_since(self, time_s: float) -> None:
-        """No grain came between a time and now: what was not measured since then is missing nowhere."""
+        """No grain has come since a time: an increment that began then is complete although it was not measured."""
         if self._start is not None and self._start.time_s >= time_s:
             self._complete = True
 
     def counted(self, mass_kg: float) -> None:
-        """So much joined the total without having been measured."""
+        """Mass was added to the total without having been measured."""
         if self._start is not None:
             self._start = replace(self._start, measured_kg=self._start.measured_kg + mass_kg)
         if self._last is not None:
             self._last = replace(self._last, measured_kg=self._last.measured_kg + mass_kg)
 
     def next_mass(self, masses_kg: Iterable[float]) -> int:
-        """With which of the masses to come the tank may have gained enough to be weighed, counted from 1; 0 for none of them."""
+        """Position, from 1, of the first coming reading at which the tank may have gained enough for a reference; 0 for none."""
         least_kg = self._start.mass_kg if self._start is not None else float("inf")
         for number, mass_kg in enumerate(masses_kg, 1):
             if mass_kg - least_kg >= self._settings.min_increment_kg:
@@ -85,10 +85,25 @@ class TankScale:
         budget: MassBudget = EMPTY,
         forces: WindowForces | None = None,
     ) -> ReferenceMass | None:
-        """A window that measured (or failed to measure) mass_kg between two times; the total before it, its budget after it, the
-        forces of its mass.
+        """Add a window.
 
-        Returns the reference mass that has come of it.
+        Parameters
+        ----------
+        start_s, end_s : float
+            Engine time, s.
+        total_before_kg, mass_kg : float
+            Total before the window, and its mass.
+        measured : bool
+            Whether all of its grain was measured.
+        budget : MassBudget
+            Of the total after the window.
+        forces : WindowForces, optional
+            Of its mass.
+
+        Returns
+        -------
+        ReferenceMass or None
+            The increment that was completed with a reading in this window.
         """
         if not measured:
             self._complete = False
@@ -108,7 +123,7 @@ class TankScale:
             self._forces.add(self._number, share * mass_kg, forces.share(share))
 
     def _begin(self, now: _Weighing) -> None:
-        """The next mass is weighed from this reading on."""
+        """Start the next increment at this reading."""
         self._start, self._complete, self._zero_doubted = now, True, False
         self._number += 1
 
@@ -119,7 +134,7 @@ class TankScale:
             return None
         increment = now.mass_kg - start.mass_kg
         if not self._complete and not self._zero_doubted and abs(increment) <= _AS_BEFORE_SDS * self._settings.scale_std_dev_kg:
-            # What was not measured held no grain, as before the first zero.
+            # The scale shows that the unmeasured time held no grain, as before the first zero.
             self._begin(now)
             return None
         if increment < self._settings.min_increment_kg:
@@ -142,8 +157,8 @@ class TankScale:
         return self.masses[-1]
 
     def _interrupted(self, last: _Weighing, now: _Weighing) -> bool:
-        """Whether more than grain coming changed two stable readings: another scale speaks or it was reset, the tank weighs less,
-        or it lacks much of what was measured."""
+        """Whether something else than incoming grain changed the reading: another or a reset scale, unloading, or a tank that
+        lacks much of the measured mass."""
         gained_kg, counted_kg = now.mass_kg - last.mass_kg, now.measured_kg - last.measured_kg
         if tank_leaps(now.time_s - last.time_s, gained_kg):
             return True

@@ -1,4 +1,4 @@
-"""Scale tickets: what they say of their loads, which of them wait to update the parameters, and for which crop."""
+"""Scale tickets by crop: all that are kept, and those that wait to update the parameters."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from yieldmon.engine.self_calibration.reference_mass import ReferenceMass, Refer
 from yieldmon.engine.state import TicketState
 
 _KEPT_TICKETS = 12
-"""That outlive a restart."""
+"""Newest tickets of a crop that are kept over a restart."""
 
 
 class TicketBook:
-    """Tickets of the crop that is harvested now, and of the crops before, for their return.
+    """Tickets of the crop harvested now, and of earlier crops, kept for their return.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ class TicketBook:
         self._tickets: deque[ReferenceMass] = deque(maxlen=keep)
         self._waiting: list[ReferenceMass] = []
         self._of_crop: dict[str, tuple[list[ReferenceMass], list[ReferenceMass]]] = {}
-        """Of the crops before, by name: all that are kept, and those that wait for the crop's return."""
+        """By name of an earlier crop: all tickets kept, and those that wait for its return."""
         self._earlier: dict[int, tuple[LoadSummary, LoadForces | None]] = {}
         """Loads of an earlier run, by number."""
 
@@ -61,7 +61,7 @@ class TicketBook:
 
     @property
     def states(self) -> tuple[TicketState, ...]:
-        """What of the tickets is to outlive a restart."""
+        """States of the tickets, to keep for a restart."""
         in_use: tuple[None, list[ReferenceMass], list[ReferenceMass]] = None, list(self._tickets), self._waiting
         return tuple(
             TicketState(a.load_number, a.reference_kg, a.std_dev_kg, a in waiting, crop, a.common_kg)
@@ -110,7 +110,7 @@ class TicketBook:
         return _ticket(load, forces, weighing, now_s)
 
     def enter(self, ticket: ReferenceMass, crop: str = "") -> None:
-        """A ticket that is to update the parameters. crop: for whose return it waits; "": it is of the one harvested now."""
+        """Enter a ticket that is to update the parameters. crop: on whose return; "": the crop harvested now."""
         if not crop:
             self._tickets.append(ticket)
             self._waiting.append(ticket)
@@ -119,7 +119,7 @@ class TicketBook:
         self._of_crop[crop] = [*tickets, ticket], [*waiting, ticket]
 
     def hand_over(self) -> tuple[ReferenceMass, ...]:
-        """The first ticket that waits, and the others of one that covers several loads, go to the calibrator; these."""
+        """Hand the first waiting ticket to the calibrator, with its parts for all loads that it covers; returns these."""
         waited, self._waiting = self._waiting, _after_first_ticket(self._waiting)
         return tuple(waited[: len(waited) - len(self._waiting)])
 
@@ -130,7 +130,7 @@ class TicketBook:
     def take_back(
         self, load_numbers: frozenset[int], again: Sequence[ReferenceMass], crop: str, stay: Sequence[ReferenceMass] = ()
     ) -> tuple[ReferenceMass, ...]:
-        """Tickets for these loads are gone, and others are entered anew; those that are left.
+        """Remove the tickets for these loads, and enter others again.
 
         Parameters
         ----------
@@ -145,7 +145,7 @@ class TicketBook:
         Returns
         -------
         tuple of ReferenceMass
-            Left of that crop, `again` not among them.
+            Tickets kept of that crop, without `again`.
         """
         tickets, waiting = self._of_crop.get(crop, ([], [])) if crop else (list(self._tickets), self._waiting)
         tickets, waiting = [*_without(tickets, load_numbers), *stay], [*_without(waiting, load_numbers), *again]
@@ -167,7 +167,7 @@ class TicketBook:
         return [ticket for ticket in tickets if ticket not in self._waiting]
 
     def know_load(self, load: LoadSummary, seconds: Iterable[KeptSecond]) -> None:
-        """A closed load that an earlier run measured, or began to, so that a ticket for it updates the parameters."""
+        """Add a load that an earlier run measured or began, so that a ticket for it updates the parameters."""
         sums = LoadForceSums()
         for second in seconds:
             window = WindowForces(
@@ -183,7 +183,7 @@ class TicketBook:
         return _ticket(*self._earlier[weighing.load_number], weighing, nan)
 
     def remember(self, tickets: Sequence[ReferenceMass], waiting: Sequence[ReferenceMass], crop: str | None = None) -> None:
-        """After a restart: tickets entered before it, and those among them that wait; crop: None for the one harvested now."""
+        """After a restart: tickets entered before, and those of them that wait; crop: None for the one harvested now."""
         if crop is not None:
             self._of_crop[crop] = list(tickets), list(waiting)
             return
@@ -191,12 +191,13 @@ class TicketBook:
         self._waiting = list(waiting)
 
     def take_crops_of(self, before: TicketBook) -> None:
-        """After a reload: the tickets of the crops before."""
+        """After a reload: take over the tickets of earlier crops."""
         self._of_crop = dict(before._of_crop)
 
 
 def _after_first_ticket(waiting: Sequence[ReferenceMass]) -> list[ReferenceMass]:
-    """Those of later tickets: one for several loads shares its mass out over them by what was measured."""
+    """The references of later tickets. A ticket for several loads is divided between them in proportion to their measured mass,
+    so its parts have the same ratio and successive numbers."""
     for place in range(1, len(waiting)):
         last, reference = waiting[place - 1], waiting[place]
         same = isclose(reference.reference_kg * last.measured_kg, last.reference_kg * reference.measured_kg, rel_tol=1e-9)

@@ -1,4 +1,4 @@
-"""A scale ticket held against what the parameters in use make of its load, before it counts."""
+"""Comparison of a scale ticket with its load by the parameters in use, before it counts."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from yieldmon.estimation.weighing.load_departures import departure
 def departure_of(
     reference: ReferenceMass, estimator: FlowEstimator, drift_sd: float, model_error: AngleError
 ) -> tuple[float, float] | None:
-    """How far a weighed mass is from its load's.
+    """Deviation of a weighed mass from the mass of its load.
 
     Parameters
     ----------

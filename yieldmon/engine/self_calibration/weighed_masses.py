@@ -1,4 +1,4 @@
-"""Reference masses as the calibrator takes them: each once, held against those of its crop that counted before it."""
+"""Reference masses as the calibrator uses them: each once, compared with those of its crop that counted before it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from yieldmon.estimation.weighing.wrong_tickets import known_slip
 from yieldmon.physics.model import ForwardModel
 
 _LEAST_LOAD_ERROR = 1e-4
-"""Of a weighed load's measured mass."""
+"""Least relative error of a weighed load's measured mass."""
 
 Found = tuple[ReferenceMass, WeighedMass]
 """A reference mass with the forces over it."""
@@ -26,7 +26,7 @@ Spans = Sequence[tuple[float, ParameterSet]]
 
 
 class WeighedMasses:
-    """Which masses were handed over, which count, and which one contradicts these.
+    """The masses that were handed over, those that count, and the one that contradicts these.
 
     Parameters
     ----------
@@ -49,31 +49,31 @@ class WeighedMasses:
         self.crops = CropWeighings(self.settings)
         self.used: frozenset[ReferenceMass] = frozenset()
         self._checked: frozenset[ReferenceMass] = frozenset()
-        """Held against what was counted."""
+        """Masses compared with the counted ones."""
 
     def handed_over(self, masses: Collection[ReferenceMass]) -> None:
-        """All masses kept, which an update has used or refused."""
+        """Note all masses kept, which an update has used or refused."""
         self.used = frozenset(masses)
 
     def remember(self, masses: Collection[ReferenceMass]) -> None:
-        """All masses that were handed over, and held against what was counted, before now."""
+        """Note all masses that were handed over and compared before now."""
         self.used = self._checked = frozenset(masses)
 
     def rests_on(self, masses: Collection[ReferenceMass]) -> None:
-        """The parameters in use rest on these: handed over, and held against what was counted, before now."""
+        """Add masses that the parameters in use rest on: handed over and compared before now."""
         self.used, self._checked = self.used.union(masses), self._checked.union(masses)
 
     def use_again(self, masses: Collection[ReferenceMass]) -> None:
-        """These update the parameters and are held against what was counted as if they had not been handed over."""
+        """These masses update the parameters and are compared as if they had not been handed over."""
         self.used, self._checked = self.used.difference(masses), self._checked.difference(masses)
 
     def forget(self, load_numbers: frozenset[int]) -> None:
-        """What was weighed of these loads counts no more and may be used anew."""
+        """Forget the weights of these loads, which may be used again."""
         self.crops.forget({name_of_load(number) for number in load_numbers})
         self.use_again({mass for mass in self.used | self._checked if mass.load_number in load_numbers})
 
     def new(self, masses: Sequence[ReferenceMass], model: ForwardModel, spans: Spans, model_error: AngleError) -> list[Found]:
-        """Those that were measured whole and have not been handed over, each with the forces over it.
+        """The masses that were measured completely and not handed over yet, each with the forces over it.
 
         model_error: as `weighed_mass` has it, also of the methods below.
         """
@@ -87,7 +87,7 @@ class WeighedMasses:
     def checks(
         self, found: Sequence[Found], model: ForwardModel, stated: ParameterSet, *, moisture_pct: float, model_error: float
     ) -> tuple[ScaleCheck, ...]:
-        """New masses held against what is stated now; each mass once, although a refused update may come again.
+        """Comparison of new masses with the parameters as stated now; each mass once, although a refused one comes again.
 
         moisture_pct, model_error: as `reference_mass_inputs.checked` has them.
         """
@@ -99,7 +99,7 @@ class WeighedMasses:
     def take(
         self, found: Sequence[Found], model: ForwardModel, prior: ParameterSet, stated: ParameterSet
     ) -> tuple[list[WeighedMass], str]:
-        """The masses to update from, and one sentence about one that the loads before it contradict ("" where there is none).
+        """The masses to update from, and a sentence about a mass that contradicts the loads before it, "" for none.
 
         prior: what is known now; stated: with all that drift may have added to it. Raises ValueError as `Weighings.take`.
         """
@@ -119,7 +119,7 @@ class WeighedMasses:
         return accepted, doubt
 
     def go_on_with(self, masses: Sequence[ReferenceMass], model: ForwardModel, spans: Spans, model_error: AngleError) -> None:
-        """These count, by time, the newest of them; none is doubted."""
+        """From now on the newest of these masses count, by time, and none is doubted."""
         by_time = sorted(masses, key=lambda mass: mass.end_s)
         self.weigh_again([name_of(mass) for mass in by_time][-KEPT_LOADS:], "", by_time, model, spans, model_error)
 
@@ -132,7 +132,7 @@ class WeighedMasses:
         spans: Spans,
         model_error: AngleError,
     ) -> None:
-        """Go on with the loads of these names, that a run before counted, and the one that it doubted."""
+        """Continue with the loads of these names, which counted in an earlier run, and the doubted one."""
         # Of two tickets for one load the newer counts.
         known = {name_of(mass): mass for mass in masses}
         found = {

@@ -1,4 +1,4 @@
-"""Which weighed loads count: one that contradicts several others waits until a further one agrees with it."""
+"""The weighed loads that count: a load that contradicts several others waits until a further one agrees with it."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from yieldmon.estimation.weighing.wrong_tickets import LEAST_LOADS, contradicted
 from yieldmon.physics.model import ForwardModel
 
 KEPT_LOADS = 6
-"""Loads that count, which a new one is held against."""
+"""Newest loads that count, with which a new one is compared."""
 
 
 class Weighings:
     """Weighed loads in order.
 
-    A load counts, however far it is from the parameters. Only where it contradicts several others does it wait until a further
-    one agrees with it; then both count, and those before them no more.
+    A load counts however far it is from the parameters. Only one that contradicts several others waits until a further load
+    agrees with it; then both count, and the earlier ones no longer do.
     """
 
     def __init__(self, settings: LoadSettings) -> None:
@@ -37,12 +37,12 @@ class Weighings:
         return "" if self._doubted is None else self._doubted.name
 
     def take(self, load: WeighedLoad, model: ForwardModel, prior: ParameterSet, stated: ParameterSet) -> float | None:
-        """A further load, or one of these again: None where it counts, else its relative error by those before it.
+        """Add a load, or one of these again: None where it counts, else its relative error by the loads before it.
 
         prior: what is known now, in the model's effects; stated: with all that drift may have added to it. Raises
         ValueError as `loads.calibrate_loads`.
         """
-        # A mass whose update was refused comes again.
+        # A mass whose update was refused is handed over again.
         self._counted = tuple(known for known in self._counted if known.name != load.name)
         error = self._contradiction(load, model, prior, stated)
         if error is None:
@@ -56,21 +56,21 @@ class Weighings:
         return error
 
     def forget(self, names: Container[str]) -> None:
-        """Loads of these names were not weighed as they were said to be."""
+        """Forget the loads of these names."""
         self._counted = tuple(load for load in self._counted if load.name not in names)
         if self._doubted is not None and self._doubted.name in names:
             self._doubted = None
 
     def restore(self, counted: Sequence[WeighedLoad], doubted: WeighedLoad | None) -> None:
-        """Go on with the loads of a run before."""
+        """Continue with the loads of an earlier run."""
         self._counted, self._doubted = tuple(counted), doubted
 
     def _contradiction(self, load: WeighedLoad, model: ForwardModel, prior: ParameterSet, stated: ParameterSet) -> float | None:
-        """Relative error of a weighed mass by the loads before it, where neither scatter nor drift since then explains it."""
+        """Relative error of a weighed mass by the loads before it, None where scatter or drift since then explains it."""
         if len(self._counted) < LEAST_LOADS:
             return None
         away, std_dev = departure(model, stated, load, self._settings)
-        # The loads before may be of other grain and less wear; what is known by now allows for that.
+        # The stated parameters allow for other grain and more wear than at the loads before.
         if abs(away) < self._settings.outlier_sds * std_dev:
             return None
         return contradicted(model, prior, self._counted, load, self._settings)

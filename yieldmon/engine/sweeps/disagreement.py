@@ -1,4 +1,4 @@
-"""Residual patterns of the last sweeps, and whether together they say that the model disagrees."""
+"""Residual patterns of the last sweeps, and the verdict whether together they contradict the model."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class SweepPattern:
 
     @classmethod
     def of(cls, time_s: float, sweep: ReducedSweep) -> SweepPattern:
-        """Rounded: it is written with the state once a second."""
+        """Rounded, because it is stored with the state once a second."""
         return cls(
             time_s,
             _short(np.degrees(sweep.plate_angle_rad)),
@@ -85,8 +85,8 @@ class SweepPattern:
 
 @dataclass(frozen=True, slots=True)
 class DisagreementState:
-    """What outlives a restart: the patterns kept, oldest first, whether the model is said to disagree, and the patterns of sweeps
-    that ended early, oldest first."""
+    """State over a restart: the patterns kept, oldest first; whether the model disagrees; the patterns of sweeps that ended
+    early, oldest first."""
 
     patterns: tuple[SweepPattern, ...] = ()
     present: bool = False
@@ -102,7 +102,7 @@ class DisagreementState:
 
 
 class Disagreement:
-    """The memory of patterns. DisagreementSettings says when they begin and end to speak of the model."""
+    """Keeps the patterns and judges them by `DisagreementSettings`."""
 
     def __init__(self, settings: DisagreementSettings, machine: Machine) -> None:
         self._settings = settings
@@ -113,26 +113,26 @@ class Disagreement:
 
     @property
     def state(self) -> DisagreementState:
-        """To be kept, and given to `restore` after a restart."""
+        """State to keep for a restart."""
         return self._state
 
     @property
     def present(self) -> bool:
-        """Whether the sweeps' common pattern is more than the model can make."""
+        """Whether the model cannot explain the sweeps' common pattern."""
         return self._state.present
 
     @property
     def region(self) -> str:
-        """Where and how much, for the operator; "" where there is nothing to say."""
+        """Angles and size of the disagreement, for the operator; "" for none."""
         return self._region
 
     def restore(self, state: DisagreementState, parameters: ParameterSet) -> None:
-        """Go on from what was kept, with the parameters now in use."""
+        """Continue from a stored state, with the parameters now in use."""
         self._state = state
         self._region = _in_words(self._misfit(state, without_pattern(parameters)), len(state.patterns))
 
     def add(self, records: Sequence[WindowRecord], parameters: ParameterSet) -> None:
-        """Take the usable windows of one whole sweep, with the parameters in use; one without a pattern is passed over."""
+        """Add the usable windows of a complete sweep, with the parameters in use; a sweep without a pattern is ignored."""
         self._under_way = None
         pattern = self._pattern(records, parameters)
         if pattern is None:
@@ -143,26 +143,26 @@ class Disagreement:
         self._region = _in_words(misfit, len(kept.patterns))
 
     def look(self, records: Sequence[WindowRecord], parameters: ParameterSet) -> None:
-        """Take the usable windows of a sweep so far, in place of those taken before. They count in `model_error` alone."""
+        """Set the usable windows of the sweep under way, which count only in `model_error`."""
         self._under_way = self._pattern(records, parameters)
 
     def end_early(self, *, usable: bool) -> None:
-        """The sweep under way will not be whole. usable: what was looked at is kept."""
+        """The sweep under way ended early. usable: keep its pattern."""
         pattern, self._under_way = self._under_way, None
         if pattern is not None and usable:
             self._state = replace(self._state, unfinished=(*self._state.unfinished, pattern)[-self._settings.keep_sweeps :])
 
     def unswept_error(self, parameters: ParameterSet, angles_deg: Sequence[float]) -> AngleError:
-        """How far the force by these parameters may be off by what a first sweep of these angles may show."""
+        """Error of the force by these parameters that a first sweep of these angles may show."""
         return unswept_error(self._model(parameters), parameters, np.radians(angles_deg))
 
     @property
     def seen(self) -> bool:
-        """Whether any sweep, or a part of one, has been looked at."""
+        """Whether there is a pattern of any sweep, or of a part of one."""
         return bool(self._state.patterns or self._state.unfinished or self._under_way)
 
     def model_error(self, parameters: ParameterSet) -> AngleError:
-        """How far the force by these parameters may be off, by the patterns kept and that of the sweep under way."""
+        """Error of the force by these parameters, by the patterns kept and that of the sweep under way."""
         under_way = () if self._under_way is None else (self._under_way,)
         sweeps = [pattern.reduced() for pattern in (*self._state.patterns, *self._state.unfinished, *under_way)]
         if not sweeps:

@@ -1,4 +1,4 @@
-"""The plate: what the sweep wants of it, and the command that goes out."""
+"""The plate: demands of the sweep, and the commands sent."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Plate:
         self._ended_id = 0
 
     def tick(self, at_s: float, angle_deg: float, actuator: ActuatorState) -> dict[str, Value] | None:
-        """Let the sweep say what it wants; the signals of the command that is to go out, None for none."""
+        """Advance the sweep; returns the signals of the command to send, None for none."""
         demand = self.sweep.tick(_plate_reading(at_s, angle_deg, actuator))
         if demand is None:
             if not self.driving:
@@ -51,7 +51,7 @@ class Plate:
         return self._commander.command(demand, angle_deg)
 
     def ended(self, last_update: str, parameter_version: int) -> tuple[SweepEnded, ...]:
-        """The sweep's end, once for each: a plate fetched home later ends no sweep again. last_update: what it changed."""
+        """The end of the sweep, once for each sweep, even if the plate is driven home later. last_update: its outcome."""
         sweep = self.sweep
         if sweep.sweep_id == self._ended_id or sweep.state not in _ENDS:
             return ()
@@ -61,6 +61,6 @@ class Plate:
         return (SweepEnded(sweep.sweep_id, sweep.state, reason, tuple(sweep.sequence), parameter_version),)
 
     def restore(self, sweep_id: int, due_in_s: float, first_after_s: float) -> None:
-        """Go on from a snapshot."""
+        """Continue from a snapshot."""
         self._ended_id = sweep_id
         self.sweep.restore(sweep_id, max(first_after_s, due_in_s))

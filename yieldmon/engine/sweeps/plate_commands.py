@@ -1,7 +1,7 @@
 """The one place where a plate command is made: range, rate and counter of PlateActuatorCommand.
 
-Whatever asks for an angle, and whatever the bus said before, no frame leaves here with a target outside the machine's range or
-further from the last target than the rate allows.
+No command has a target outside the machine's range, or further from the last target than the rate allows, whatever is demanded
+and whatever was received before.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from yieldmon.physics.machine import Machine
 
 @dataclass(frozen=True, slots=True)
 class PlateDemand:
-    """What a part of the engine wants of the plate. target_deg: for GO_TO_ANGLE only."""
+    """A demand on the plate. target_deg: for GO_TO_ANGLE only."""
 
     mode: CommandMode
     target_deg: float | None = None
@@ -41,7 +41,7 @@ class PlateCommander:
     def command(self, demand: PlateDemand, measured_deg: float) -> dict[str, Value]:
         """Signals of the next command. measured_deg: where the plate is (nan: unknown), from where the first target starts.
 
-        A target that is no number is refused by going home.
+        With a target that is no number the plate goes home.
         """
         counter = self._counter
         self._counter = (counter + 1) % self._modulus

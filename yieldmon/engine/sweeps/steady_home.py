@@ -10,7 +10,7 @@ from yieldmon.engine.sweeps.sweep_inputs import SweepWindow
 
 
 class SteadyHome:
-    """The newest windows at home, without one between them that does not count.
+    """The newest successive windows at home.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ class SteadyHome:
         self._speeds_rad_s.append(window.speed_rad_s)
 
     def clear(self) -> None:
-        """A window that is none of them."""
+        """Forget them: a window did not qualify."""
         self._flows_kg_s.clear()
         self._speeds_rad_s.clear()
 

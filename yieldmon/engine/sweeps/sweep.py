@@ -1,4 +1,4 @@
-"""The plate sweep as a state machine: it sees ticks and windows and says what it wants of the plate (docs/internals/sweep.md).
+"""The plate sweep as a state machine: ticks and windows in, demands on the plate out (docs/internals/sweep.md).
 
 IDLE, ABORTED, UPDATED, NOT_LEARNED    at rest, the plate is not driven
 WAITING                                due; conditions do not hold yet
@@ -56,9 +56,9 @@ class SweepMachine:
         self.first_after_s = settings.first_after_s
         """Time from the first tick to the first sweep, s."""
         self.declined = 0
-        """Sweeps that were due and not worth making."""
+        """Number of sweeps that were due and gained too little."""
         self.declined_because = ""
-        """The last of them, in a sentence."""
+        """Reason of the last of them, in a sentence."""
         self._due_s: float | None = None
         self._requested = False
         self._aborts = 0
@@ -113,7 +113,7 @@ class SweepMachine:
         return due and self._home.steady
 
     def decline(self, now_s: float, reason: str) -> None:
-        """The sweep that is due is not worth making; the next one is due an interval later."""
+        """Skip the sweep that is due; the next one is due an interval later."""
         self.declined += 1
         self.declined_because = reason
         self.schedule(now_s, self._settings.interval_s)
@@ -152,7 +152,7 @@ class SweepMachine:
         self._enter(SweepState.UPDATED if updated else SweepState.NOT_LEARNED)
 
     def implausible_feedback(self) -> bool:
-        """Whether a plate that never moved explains the whole sweep: the force is steadier than the flow made from it."""
+        """Whether a plate that never moved explains the whole sweep: the force varies less than the flow computed from it."""
         if any(flow <= 0.0 or force <= 0.0 for flow, force in self._seen):
             return False
         flow_spread = spread([log(flow) for flow, _ in self._seen])
@@ -162,7 +162,7 @@ class SweepMachine:
         return flow_spread > least and force_spread < share * flow_spread
 
     def tick(self, plate: PlateReading) -> PlateDemand | None:
-        """Time passes; what is wanted of the plate now (None: nothing, it is not driven)."""
+        """Advance the time; returns the demand on the plate, None where it is not driven."""
         now = plate.time_s
         if self._due_s is None:
             self.schedule(now, self.first_after_s)
@@ -187,7 +187,7 @@ class SweepMachine:
         return self._demand(plate)
 
     def window(self, window: SweepWindow) -> int:
-        """A window closed. Returns the sweep step that it counts for, or -1."""
+        """Take a closed window. Returns the sweep step that it counts for, or -1."""
         good = window.whole and isfinite(window.flow_kg_s)
         if self.state in RESTING:
             if good and window.still and self._is_home(window.angle_deg):
@@ -241,7 +241,7 @@ class SweepMachine:
         return self._demand(plate)
 
     def _found_away(self, plate: PlateReading) -> bool:
-        """At rest away from home for long, and not driven by others: left there by a sweep that could not end well."""
+        """Whether the plate has rested away from home for long, not driven by others: a sweep left it there."""
         away = isfinite(plate.angle_deg) and plate.state is ActuatorState.IDLE and not self._is_home(plate.angle_deg)
         if not away:
             self._away_s = None
@@ -303,7 +303,7 @@ class SweepMachine:
         if abs(plate.angle_deg - self._home_deg) <= self._plate.at_target_tolerance_deg:
             self.not_following = self.not_following and self.abort_reason in _ACTUATOR_REASONS
         elif plate.state is ActuatorState.MANUAL:
-            # Not fought; once the hand is gone the plate is found away from home and taken there.
+            # Manual control has priority; afterwards the plate is found away from home and driven there.
             self._home_try_s = float("-inf")
         elif now > self._deadline_s:
             self.not_following = True
@@ -331,7 +331,7 @@ class SweepMachine:
         return PlateDemand(CommandMode.GO_TO_ANGLE, self.sequence[self.step])
 
     def _is_home(self, angle_deg: float) -> bool:
-        """Whether the plate rests at home, as far as its feedback can tell."""
+        """Whether the plate rests at home, by its feedback."""
         return abs(angle_deg - self._home_deg) <= self._plate.rest_tolerance_deg
 
     def _on_target(self, plate: PlateReading) -> bool:

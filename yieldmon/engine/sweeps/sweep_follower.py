@@ -1,7 +1,7 @@
 """Sweeps as a log shows them: the plate leaves home in steady flow, rests at other angles, and is at home again.
 
-Nothing is commanded, so nothing that was not commanded is missed: a plate that stays at home is no fault, and one that was moved
-otherwise than a sweep moves it is passed over. What a sweep of the log needs to count is what a live one needs (`sweep.py`).
+Nothing is commanded, so a plate that stays at home is no fault, and movements unlike a sweep are ignored. A sweep in a log counts
+under the same conditions as a live one (`sweep.py`).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from yieldmon.frames import ActuatorState, SweepState
 _LEAST_ANGLES = 3
 """Different angles, home among them, from which a sweep of another sequence than the configured one counts."""
 _LONGEST_STOP = 10.0
-"""Of `measure_timeout_s`: time at one angle away from home after which the plate stands there for good."""
+"""Time at one angle away from home, relative to `measure_timeout_s`, after which the movement is no sweep."""
 
 
 class SweepFollower(SweepMachine):
@@ -38,17 +38,17 @@ class SweepFollower(SweepMachine):
         return len(self._before) if self.state in RESTING else 0
 
     def request(self) -> None:
-        """A log takes no orders."""
+        """Without effect on a log."""
 
     def tick(self, plate: PlateReading) -> None:
-        """See where the plate is."""
+        """Follow the plate."""
         if not self.visiting or self.completed:
             return
         now, trouble = plate.time_s, plate_trouble(plate)
         if trouble is SweepAbort.MANUAL:
-            self._pass_over()
+            self._ignore()
         elif trouble is not None:
-            self._give_up(trouble)
+            self._end_aborted(trouble)
         elif plate.state is ActuatorState.MOVING or not self._near(plate.angle_deg, self._stop_deg):
             self._stop_deg = plate.angle_deg
             self._rest_since_s = None if plate.state is ActuatorState.MOVING else now
@@ -59,7 +59,7 @@ class SweepFollower(SweepMachine):
             self._arrive(now, plate.angle_deg)
 
     def window(self, window: SweepWindow) -> int:
-        """A window closed. Returns the sweep step that it counts for, or -1."""
+        """Take a closed window. Returns the sweep step that it counts for, or -1."""
         good = window.whole and window.flow_kg_s > 0.0
         at_home = self._near(window.angle_deg, self._home_deg)
         if not self.visiting:
@@ -77,7 +77,7 @@ class SweepFollower(SweepMachine):
         usable = settled and good and not window.trend > self._settings.signal_trend
         reason = self._window_trouble(window, usable, at_home)
         if reason is not None:
-            self._give_up(reason)
+            self._end_aborted(reason)
             return -1
         if usable:
             self._seen.append((window.flow_kg_s, window.force_n))
@@ -106,7 +106,7 @@ class SweepFollower(SweepMachine):
         self._enter(SweepState.MOVING)
 
     def _arrive(self, now_s: float, angle_deg: float) -> None:
-        """The plate has come to rest: at the angle of the last stop, or at another one."""
+        """The plate has come to rest, at the angle of the last stop or at another one."""
         self._settled_s = now_s
         self._enter(SweepState.MEASURING)
         if not self._near(angle_deg, self.sequence[-1]):
@@ -120,7 +120,7 @@ class SweepFollower(SweepMachine):
         rested_s = now_s - self._stop_since_s if self.state is SweepState.MEASURING else 0.0
         if not at_home:
             if rested_s > _LONGEST_STOP * self._settings.measure_timeout_s:
-                self._pass_over()
+                self._ignore()
             return
         as_configured = len(self.sequence) == len(self._configured) and all(map(self._near, self.sequence, self._configured))
         if as_configured and self._measured >= self._settings.windows_per_step:
@@ -129,29 +129,29 @@ class SweepFollower(SweepMachine):
             if len({round(angle) for angle in self.sequence}) >= _LEAST_ANGLES:
                 self.completed = True
             else:
-                self._pass_over()
+                self._ignore()
 
     def _near(self, one_deg: float, other_deg: float) -> bool:
         return abs(one_deg - other_deg) <= self._tolerance_deg
 
-    def _pass_over(self) -> None:
-        """No sweep."""
+    def _ignore(self) -> None:
+        """The movement is no sweep."""
         self.step = -1
         self._enter(SweepState.IDLE)
 
-    def _give_up(self, reason: SweepAbort) -> None:
-        """A sweep that cannot count from here on."""
+    def _end_aborted(self, reason: SweepAbort) -> None:
+        """End the sweep: it cannot count."""
         self.step = -1
         self.abort_reason = reason
         self._enter(SweepState.ABORTED)
 
     def abort(self, now_s: float, reason: SweepAbort = SweepAbort.OPERATOR) -> bool:
-        """The sweep of the log counts for nothing. False where there is none."""
+        """Discard the sweep of the log. False where there is none."""
         if not (self.visiting or self.completed):
             return False
         self.completed = False
         self.not_following = reason is SweepAbort.FORCE_DOES_NOT_FOLLOW
-        self._give_up(reason)
+        self._end_aborted(reason)
         return True
 
 

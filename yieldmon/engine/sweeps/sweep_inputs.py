@@ -1,4 +1,4 @@
-"""What a sweep sees: the plate at an instant, and the windows that close; and why it may end early."""
+"""Inputs of a sweep: the plate at an instant, closed windows, and the reasons for an early end."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class PlateReading:
 
 
 def plate_trouble(plate: PlateReading) -> SweepAbort | None:
-    """Why no sweep can go on with a plate that reads like this; None where it can."""
+    """Why no sweep can continue with this plate reading; None where it can."""
     if not isfinite(plate.angle_deg):
         return SweepAbort.FEEDBACK_STALE
     if plate.state is ActuatorState.MANUAL:
@@ -49,7 +49,7 @@ def plate_trouble(plate: PlateReading) -> SweepAbort | None:
 
 @dataclass(frozen=True, slots=True)
 class SweepWindow:
-    """A closed window as the sweep sees it.
+    """A closed window as input of a sweep.
 
     support_start_s: engine time of the earliest sample with weight. flow_kg_s: nan where it was not measured. whole: no part of
     it is missing or doubtful. still: the plate rested throughout. trend: see `windows.Window`.

@@ -1,4 +1,4 @@
-"""Window records as self-calibration takes them: a sweep's rows, the grain's median moisture and density."""
+"""Window records as inputs of self-calibration: the rows of a sweep, median moisture and density of the grain."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def sweep_of(records: Sequence[WindowRecord]) -> Sweep:
         raise ValueError("the sweep has no window with force, angle and speed")
     column = {name: np.array([getattr(r, name) for r in rows]) for name in SWEEP_COLUMNS}
     moisture = column.pop("moisture_pct")
-    # Within a sweep the grain stays the same; what its reading scatters by would count as friction.
+    # The grain does not change within a sweep, and scatter of the moisture reading would be fitted as friction.
     same = np.full(moisture.shape, np.mean(moisture)) if np.all(np.isfinite(moisture)) else None
     return replace(Sweep(**column), moisture_pct=same)
 
