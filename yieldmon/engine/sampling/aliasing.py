@@ -1,9 +1,8 @@
-"""What a slow impact sensor costs: the standard deviation that sampling paddle pulses too rarely adds to a second's mean force.
+"""The error of a slow impact sensor: the standard deviation that aliased paddle pulses add to a second's mean force.
 
 A steady train of pulses has harmonics at multiples of the paddle pattern's frequency f. Samples taken at the rate fs show the
-k-th at |k f - m fs| for whole m; the window (1 s, with edges one paddle pattern long) lets pass what comes near 0 there. Its
-zeros are not relied on: the envelope of its transform, 1 / (pi f t) beyond 1 / t, stands in for it, since speed and sample times
-waver.
+k-th at |k f - m fs| for whole m; the window (1 s, with edges one paddle pattern long) passes those near 0. The zeros of its
+transform are not relied on, because speed and sample times vary: its envelope, 1 / (pi f t) beyond 1 / t, is used instead.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ _AMPLITUDES = (0.31, 1.29, 0.41, 0.47, 0.24, 0.12, 0.10, 0.02)
 _NEGLIGIBLE = 1e-4
 _WINDOW_S = 1.0
 ALIAS_FREE_HZ = 200.0
-"""From this rate on no harmonic that matters is folded, at any speed at which grain is measured."""
+"""Sampling rate above which no relevant harmonic is aliased, at any speed at which grain is measured."""
 
 
 def aliasing_share(source: SampleSource, machine: Machine, speed_rad_s: float) -> float:

@@ -1,4 +1,4 @@
-"""Samples that end at a plateau below the range's end: an amplifier or a converter that goes no further."""
+"""Samples clipped at a plateau below the end of the range, by an amplifier or a converter."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from yieldmon.engine.sampling.segments import Counts
 from yieldmon.physics.numerics import Array
 
 _LEAST_SHARE, _LEAST = 0.02, 12
-"""Of a window's samples, and how many, that must have the largest value."""
+"""Least share and least number of a window's samples at the largest value."""
 _TIMES = 6.0
-"""As many as the next value below has. A crest of a parabola in coarse steps has at most 2.4 times as many, 1 / (sqrt(2) - 1)."""
+"""Least ratio to the number at the next lower value. The crest of a quantised parabola has at most 2.4, 1 / (sqrt(2) - 1)."""
 _LEAST_LEVELS = 8
-"""Values in a window; with fewer the steps are too coarse for a crest."""
+"""Least number of distinct values in a window; with fewer, the quantisation is too coarse to tell a crest."""
 _LEAST_PULSES = 3
-"""Crests that are cut off."""
+"""Least number of clipped crests."""
 
 
 def cut_off(frames: SampleFrames) -> tuple[Counts, Array]:

@@ -1,4 +1,4 @@
-"""How far the empty plate reads from the zero in spells too short to take a new one, such as turns at the headland."""
+"""Difference of the empty plate from the zero in spells too short for a new zero, such as turns at the headland."""
 
 from __future__ import annotations
 
@@ -9,24 +9,24 @@ _LEAST_WINDOWS = 3
 
 
 class EmptySpells:
-    """Levels of windows without paddle pulses. They move no zero: that takes a longer look."""
+    """Levels of spells without paddle pulses, which are too short to change the zero."""
 
     def __init__(self) -> None:
         self._windows = 0
         self._away_mv = inf
-        """Nearest to the zero of the spell under way."""
+        """Smallest difference from the zero in the spell under way, mV."""
         self._found: tuple[float, float] | None = None
         """Level of the last spell that was long enough, mV, and when it was seen."""
         self._level_mv = 0.0
 
     def interrupt(self) -> None:
-        """Grain, or a window that says nothing: the spell has ended."""
+        """End the spell: grain, or a window that cannot be judged."""
         self._windows, self._away_mv = 0, inf
 
     def see(self, level_mv: float, zero_mv: float, end_s: float) -> None:
         """A window without paddle pulses, by its mean level.
 
-        Of a spell the level nearest to the zero counts, as grain that still trickles adds to the others.
+        The level nearest to the zero counts for a spell, because grain that still trickles raises the others.
         """
         self._windows += 1
         if abs(level_mv - zero_mv) < self._away_mv:
@@ -44,12 +44,12 @@ class EmptySpells:
         known_s : float or None
             When it was last taken or followed, s.
         trickle_mv : float
-            Amplitude that pulses may have unseen: a trickle comes in short pulses, whose level is below their amplitude.
+            Amplitude below which pulses are not detected: a trickle comes in short pulses, whose mean is below their amplitude.
 
         Returns
         -------
         float
-            mV; 0 where the zero was looked at since, and where a trickle of grain would do.
+            mV; 0 where the zero was updated since, and where a trickle of grain explains the difference.
         """
         if self._found is None:
             return 0.0

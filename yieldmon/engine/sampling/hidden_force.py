@@ -1,9 +1,9 @@
-"""What samples at the end of the sensor's range hide of the mean force."""
+"""The part of the mean force that is lost in samples at the end of the sensor's range."""
 
 from __future__ import annotations
 
 _MOST = 1.0
-"""Of the measured force: of pulses that are cut off for longer than half of their time little is known."""
+"""Largest result: little is known of pulses that are clipped for more than half of their duration."""
 
 
 def hidden_share(mean_mv: float, limit_mv: float, share: float) -> float:

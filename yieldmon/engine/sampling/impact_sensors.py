@@ -26,7 +26,7 @@ _INTO_BUILDER = {"elevator_speed": 1.0, "plate_angle": DEGREE}
 
 
 class ImpactSensors:
-    """Forms the windows of all sensors; with one sensor its window is the window."""
+    """Forms the windows of all sensors together."""
 
     def __init__(self, settings: WindowSettings, machine: Machine, sources: Sources, *, traces: bool = False) -> None:
         """traces: windows keep their samples; only those of a single sensor do."""
@@ -74,12 +74,12 @@ class ImpactSensors:
                 builder.angle.add(now_s, value * DEGREE)
 
     def resume(self) -> None:
-        """What comes next was recorded after a pause."""
+        """The recording continues after a pause."""
         for _, builder in self._sensors:
             builder.samples.resume()
 
     def forget_angle(self) -> None:
-        """The last plate angle no longer holds; a fixed one always does."""
+        """Discard the last plate angle, unless the plate is fixed."""
         if not self._angle_fixed:
             for _, builder in self._sensors:
                 builder.forget_angle()
@@ -92,7 +92,7 @@ class ImpactSensors:
         return [combined(windows) for windows in zip(*of_each, strict=True)]
 
     def feeding(self, run: FrameRun, offset_s: float, inputs: RunInputs) -> RunFeeding:
-        """The run's samples, speeds and angles, to be handed on up to one end of a window after another."""
+        """The run's samples, speeds and angles, to be passed on up to the end of one window after another."""
         parts: list[_Part] = []
         moving = [(name, inputs.track(name)) for name in MOVING]
         for (_, builder), samples in zip(self._sensors, run.samples, strict=True):
@@ -109,7 +109,7 @@ _Part = tuple[Array, Callable[[int, int], None]]
 
 
 class RunFeeding:
-    """Hands a run to the builders piece by piece."""
+    """Passes a run to the builders piece by piece."""
 
     def __init__(self, parts: list[_Part], inputs: RunInputs) -> None:
         self.inputs = inputs
@@ -117,19 +117,19 @@ class RunFeeding:
         self._done = [0] * len(parts)
 
     def up_to(self, end_s: float) -> None:
-        """All that came before end_s."""
+        """Pass on everything before end_s."""
         for index, (times, add) in enumerate(self._parts):
             last = int(np.searchsorted(times, end_s, side="left"))
             add(self._done[index], last)
             self._done[index] = last
 
     def rest(self) -> None:
-        """All that is left."""
+        """Pass on the rest."""
         self.up_to(float("inf"))
 
 
 def combined(windows: Sequence[Window]) -> Window:
-    """One window of several sensors that carry the plate together: voltages add up; what one of them lacks, all lack."""
+    """One window of several sensors that carry the plate together: voltages add up; the worst sensor determines coverage."""
     first = windows[0]
     harmonics: tuple[complex, ...] = tuple(sum(column) for column in zip(*(w.harmonics_mv for w in windows), strict=False))
     return replace(

@@ -1,4 +1,4 @@
-"""Sample frames of one impact sensor: which count, what was lost on the way, and what only a second sender can have sent."""
+"""Sample frames of one impact sensor: accepted frames, lost frames, and frames of a second sender."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ ROW_COLUMNS = 3
 """Columns of a sample row before the samples: engine time, counter, status."""
 
 _BUNCHING_S = 0.015
-"""How late a frame may be because of others on the bus."""
+"""Largest delay of a frame by other traffic on the bus."""
 _CROWDED_SHARE, _CROWDED_FRAMES = 0.1, 5.0
-"""So many frames more than their interval allows are bunched by a gateway or a controller; beyond, a second node sends."""
+"""Share and number of frames beyond those due that a gateway or a controller may bunch; more come from a second sender."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,13 +64,13 @@ class SampleFrames:
 
 
 class SampleBuffer:
-    """Sample frames that wait for their window."""
+    """Sample frames that belong to windows not closed yet."""
 
     def __init__(self, source: SampleSource, full_scale_mv: float, plausible_full_scales: float) -> None:
         """source: layout of the frames. full_scale_mv: end of the sensor's range. plausible_full_scales: a sample beyond so many
         of them is no voltage that the sensor can give."""
         self.rows: list[tuple[Any, ...]] = []
-        """Those that came one by one (engine time, counter, status, samples...); the caller appends."""
+        """Rows that came one by one (engine time, counter, status, samples...); the caller appends."""
         self._blocks: list[Array] = []
         self._full_scale_mv = full_scale_mv
         self._limit_mv = plausible_full_scales * full_scale_mv
@@ -81,7 +81,7 @@ class SampleBuffer:
         self._last_s = float("nan")
         self._last_counter = float("nan")
         self._resumes = list[int]()
-        """Places among the rows that wait of those before which the recording paused: what the counter went on by is not lost."""
+        """Indices of waiting rows before which the recording paused: the counter's advance there means no lost frames."""
         self._crowding = Crowding(_CROWDED_SHARE, _CROWDED_FRAMES, self._interval_s)
 
     def add_block(self, rows: Array) -> None:
@@ -97,7 +97,7 @@ class SampleBuffer:
         self._resumes.append(len(self.rows) + sum(block.shape[0] for block in self._blocks))
 
     def take(self, edges: Array) -> SampleFrames:
-        """The frames of the windows between edges (w + 1,), engine time; they are used up."""
+        """The frames of the windows between edges (w + 1,), engine time, which are removed."""
         table = self._table()
         bounds = segments.bounds_at(table[:, 0], edges)
         last_frame_s = np.concatenate(([self._last_s], table[:, 0]))[bounds[1:]]
@@ -141,7 +141,7 @@ class SampleBuffer:
         )
 
     def _table(self) -> Array:
-        """All rows, which are used up."""
+        """All rows, which are removed."""
         blocks = self._blocks
         if self.rows:
             blocks = [*blocks, _as_array(self.rows)]
@@ -152,7 +152,7 @@ class SampleBuffer:
         return blocks[0] if len(blocks) == 1 else np.concatenate(blocks)
 
     def _steps(self, times: Array, counters: Array) -> Array:
-        """Frames from each frame to the one before by counter, the counter's turns known by time; 0 is a repeat."""
+        """Number of frames from the frame before to each frame, by counter, its wraps resolved by time; 0 is a repeat."""
         since = segments.steps(self._last_s, times)
         by_time = np.rint(since / self._interval_s)
         if not self._counted:
@@ -170,7 +170,7 @@ class SampleBuffer:
         return np.where(np.isfinite(steps), steps, 1.0)
 
     def _modulus_of(self, counters: Array) -> float | Array:
-        """At which the counter turns, as known at each frame (n,): a value beyond that shows that it does not."""
+        """Modulus of the counter at each frame (n,): a larger value shows that the assumed modulus is too small."""
         before = self._modulus
         if before >= self._counter_values or not (beyond := counters >= before).any():
             return before
@@ -179,7 +179,7 @@ class SampleBuffer:
 
 
 def _contradicted(table: Array, new: NDArray[np.bool_], bounds: Counts) -> Counts:
-    """Frames of each window (w,) whose counter comes again with other samples."""
+    """Frames of each window (w,) that repeat a counter with other samples."""
     if new.all():
         return np.zeros(bounds.size - 1, np.intp)
     samples = table[:, 1:]

@@ -1,7 +1,7 @@
 """Sums and counts over consecutive segments of an array, one segment a window.
 
-Sums run over one segment at a time, never over what is padded or stands beside, so that a window's result does not depend on how
-many windows are worked out together.
+Sums run over one segment at a time, without padding, so that a window's result does not depend on how many windows are computed
+together.
 """
 
 from __future__ import annotations

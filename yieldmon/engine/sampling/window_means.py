@@ -1,4 +1,4 @@
-"""Means and pulse amplitudes of windows under their weights; what a window leaves to the next goes along as a value."""
+"""Weighted means and pulse amplitudes of windows; sums that belong to the next window are returned as a value."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Leftover:
 def weighted_means(
     frames: SampleFrames, weights: WindowWeights, moving: Array, before: Array
 ) -> tuple[Array, tuple[Array, Array, Array], Array]:
-    """Total weight (w,); weighted means of sample, speed and angle, each (w,), nan without weight; what the last window leaves.
+    """Total weight (w,); weighted means of sample, speed and angle, each (w,), nan without weight; sums left by the last window.
 
     moving (2, n): speed and angle at the middle of each frame. before: `Leftover.sums`.
     """
@@ -59,11 +59,11 @@ def weighted_means(
 def pulse_harmonics(
     frames: SampleFrames, weights: WindowWeights, phase: Array, mean: Array, total: Array, before: Waves
 ) -> tuple[Waves, Waves]:
-    """Complex amplitudes (w, HARMONICS) at the first harmonics of the paddle pattern; what the last window leaves.
+    """Complex amplitudes (w, HARMONICS) at the first harmonics of the paddle pattern; sums left by the last window.
 
-    phase: of each sample (m,) along the chain. mean, total: of `weighted_means`. before: `Leftover.waves`. The mean is taken off
-    first, so that a window with samples missing does not turn its level into an amplitude. What an earlier window left has its
-    sums with and without the sample kept, for the mean that is not known yet.
+    phase: of each sample (m,) along the chain. mean, total: of `weighted_means`. before: `Leftover.waves`. The mean is subtracted
+    first, so that missing samples do not turn the level into an amplitude. The sums left by an earlier window are kept with and
+    without the sample as a factor, because the mean is not known yet.
     """
     samples, late = frames.samples.ravel(), weights.late
     turn = _turned_back(phase)

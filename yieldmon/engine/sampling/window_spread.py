@@ -1,4 +1,4 @@
-"""How the samples of a window spread: from one paddle pattern to the next, between its halves, from least to most."""
+"""Spread of a window's samples: from one paddle pattern to the next, between the halves, and their range."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How a sample's weight is shared between its window and the next, by the phase of the paddle pattern.
+"""Division of a sample's weight between its window and the next, by the phase of the paddle pattern.
 
 Window k ends at the engine second t_k. Its far and near edges are ramps in chain phase p, one paddle pattern long:
 
@@ -25,7 +25,7 @@ from yieldmon.physics.numerics import Array
 
 @dataclass(frozen=True, slots=True)
 class WindowWeights:
-    """How usable samples are shared between their own window and the next.
+    """Weights of usable samples in their own window and in the next.
 
     late: those of a window's last pattern, of which the next window takes kept, both (m,); all others are wholly their own
     window's. frame_weights, frame_kept (n,): sums over each frame, of the weights in its own window and in the next.
@@ -39,8 +39,8 @@ class WindowWeights:
 
 @dataclass(frozen=True, slots=True)
 class ChainMotion:
-    """The chain's way through w windows. phase: in paddle patterns from each window's start. weight_s (w,): whole weight of each
-    window. turns (w,): the part of a pattern, 0 .. 1, that had passed at each window's start since the first window's."""
+    """Motion of the chain through w windows. phase: in paddle patterns from each window's start. weight_s (w,): whole weight of
+    each window. turns (w,): the part of a pattern, 0 .. 1, that had passed at each window's start since the first window's."""
 
     phase: Knots
     weight_s: Array
@@ -53,7 +53,7 @@ class ChainMotion:
 
 
 class ChainPhase:
-    """The chain's way through one window after another."""
+    """Motion of the chain through one window after another."""
 
     def __init__(self, patterns_per_rad: float, min_rate: float) -> None:
         """patterns_per_rad: paddle patterns that pass in a radian of the sprocket. min_rate: the chain counts as moving at least
@@ -79,7 +79,7 @@ class ChainPhase:
 
 
 def _left_to_next(phase: Knots) -> Array:
-    """The integral of each window's far edge (w,), s: what it leaves to the next."""
+    """The integral of each window's far edge (w,), s: its weight left to the next window."""
     # The edge rises straight between knots.
     edge = phase.values - phase.values[:, -1:] + 1.0
     low, high = edge[:, :-1], edge[:, 1:]

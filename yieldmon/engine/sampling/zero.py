@@ -27,7 +27,7 @@ from yieldmon.engine.settings import ZeroSettings
 
 @dataclass(frozen=True, slots=True)
 class ZeroState:
-    """zero_mv and the first zero it is judged against; amplitudes with the elevator empty at speed_rad_s.
+    """The zero and the first zero, with which it is compared; amplitudes with the elevator empty at speed_rad_s.
 
     vibration_mv: each pattern harmonic over several windows, empty until measured. window_pulse_mv: largest of a single window.
     """
@@ -74,36 +74,36 @@ class ZeroTracker:
         self._state: ZeroState | None = None
         self._recent: deque[Window] = deque(maxlen=settings.settle_windows)
         self._pattern: tuple[tuple[float, ...], float] | None = None
-        """Amplitudes of the last windows' harmonics, and their speed."""
+        """Amplitudes of the last windows' harmonics, mV, and their speed, rad/s."""
         self._compared: tuple[tuple[float, ...], float, bool, bool] | None = None
-        """Vibration and its speed that this pattern was held against; whether it is above it; whether it is above or below."""
+        """Vibration and speed that `_pattern` was compared with; whether it is above; whether it is above or below."""
         self._calibrating = False
         self._against_signs = False
         self._despite_signs = False
         self._before: ZeroState | None = None
         self._before_known_s: float | None = None
         self.suspect = False
-        """Whether the zero in use was taken against the signs of grain, and is another than the one before it."""
+        """Whether the zero in use was taken despite signs of grain and differs from the one before it."""
         self._refusal: ZeroRefusal | None = None
         self.known_s: float | None = None
         """Engine time at which the zero was last taken or followed; None before."""
         self.taken_from_s = float("inf")
-        """Engine time from which on the windows were that the zero was last taken from."""
+        """Engine time at the begin of the windows from which the zero was last taken."""
         self.far_mv = 0.0
-        """How far from the zero the elevator read when it last looked empty, where that is too far to follow."""
+        """Difference from the zero when the elevator last looked empty, where it is too far to follow, else 0."""
         self.level_is_empty = False
-        """Whether the elevator looked empty, by its pulses, when an operator's calibration despite its level began."""
+        """Whether the elevator looked empty by its pulses when the operator's calibration began."""
 
     def calibrate(self, *, against_signs: bool = False, despite_signs: bool = True) -> bool:
-        """Operator's zero calibration: the next windows are empty by the operator's word; measure zero and vibration from them.
+        """Operator's zero calibration: the operator states that the next windows are empty; measure zero and vibration from them.
 
-        against_signs: what is measured speaks of grain all the same. despite_signs: so may the windows to come. Returns whether
-        an undo still brings back the zero before an earlier calibration: that one is suspect.
+        against_signs: there are signs of grain now. despite_signs: take the windows even if they show signs of grain. Returns
+        whether an undo restores the zero before an earlier calibration, because that one is suspect.
         """
         goes_on = self.suspect and self._before is not None
         self._calibrating = True
         self._despite_signs = despite_signs
-        # What looks empty under a suspect zero need not be.
+        # With a suspect zero, signs of an empty elevator are unreliable.
         self._against_signs = against_signs or goes_on
         if not goes_on:
             self._before, self._before_known_s = self._state, self.known_s
@@ -113,12 +113,12 @@ class ZeroTracker:
 
     @property
     def before(self) -> ZeroState | None:
-        """What an undo brings back."""
+        """The zero that an undo restores."""
         return self._before
 
     @property
     def before_age_s(self) -> float:
-        """How old the zero that an undo brings back was when the one in use was taken, s; 0 where that is not known."""
+        """Age of the zero that an undo restores, at the time when the zero in use was taken, s; 0 where not known."""
         if self._before_known_s is None or not isfinite(self.taken_from_s):
             return 0.0
         return max(self.taken_from_s - self._before_known_s, 0.0)
@@ -133,11 +133,11 @@ class ZeroTracker:
         self._state, self.far_mv = state, 0.0
 
     def resume(self, before: ZeroState, *, suspect: bool) -> None:
-        """After a restart: what an undo brings back, and whether the zero in use is suspect."""
+        """After a restart: the zero that an undo restores, and whether the zero in use is suspect."""
         self._before, self.suspect = before, suspect
 
     def undo(self) -> None:
-        """The zero before the operator's last calibration again, as old as it is."""
+        """Restore the zero before the operator's last calibration, with its age."""
         self._state, self._before = self._before, None
         self.known_s, self._before_known_s = self._before_known_s, None
         self._calibrating = self.suspect = False
@@ -146,7 +146,7 @@ class ZeroTracker:
 
     @property
     def doubted_mv(self) -> float:
-        """How far a suspect zero is above the one before it; 0 for one that is not."""
+        """How far a suspect zero is above the one before it, mV; 0 for a zero that is not suspect."""
         if not self.suspect or self._state is None or self._before is None:
             return 0.0
         return self._state.zero_mv - self._before.zero_mv
@@ -157,15 +157,15 @@ class ZeroTracker:
         return self._calibrating
 
     def go_on_with(self, before: ZeroTracker) -> None:
-        """A calibration by the operator that another tracker has under way is this one's, from its first window."""
+        """Take over the operator's calibration under way in another tracker; it begins anew."""
         if before._calibrating:
             self.calibrate(against_signs=before._against_signs, despite_signs=before._despite_signs)
             self.level_is_empty = before.level_is_empty
 
     def waits_for_grain_to_pass(self, signs: str) -> bool:
-        """Whether a zero calibration is to leave out the windows now, which show such signs of grain ("" for none).
+        """Whether the calibration must leave out the current window because of signs of grain ("" for none).
 
-        Where it takes them all the same, its zero counts as taken against them.
+        Where it takes the window nevertheless, its zero counts as taken against signs of grain.
         """
         if not (self._calibrating and signs):
             return False
@@ -179,7 +179,7 @@ class ZeroTracker:
 
     @property
     def progress(self) -> tuple[int, int]:
-        """Windows seen of the zero that is wanted, and how many it takes; (0, 0) while none is wanted."""
+        """Windows collected for the zero to take, and windows needed; (0, 0) while none is to be taken."""
         if self._calibrating:
             return len(self._recent), self._settings.settle_windows
         if self._state is not None:
@@ -189,7 +189,7 @@ class ZeroTracker:
 
     @property
     def looks_empty(self) -> bool:
-        """Whether the last windows hold nothing but the vibration that was measured; False also while that cannot be said."""
+        """Whether the last windows show only the measured vibration; False also while that is unknown."""
         return len(self._recent) == self._settings.settle_windows and self._excess(below=True) is False
 
     @property
@@ -199,7 +199,7 @@ class ZeroTracker:
 
     @property
     def looks_loaded(self) -> bool:
-        """Whether the last windows hold paddle pulses beyond the vibration; False also while that cannot be said."""
+        """Whether the last windows show paddle pulses beyond the vibration; False also while that is unknown."""
         return len(self._recent) == self._settings.settle_windows and self._excess(below=False) is True
 
     @property
@@ -212,7 +212,7 @@ class ZeroTracker:
         return away or self.below_empty or self._far_mv(state) != 0.0
 
     def _far_mv(self, state: ZeroState) -> float:
-        """How far the empty level is from the zero, or was when it was seen last; 0 where it is near enough to follow."""
+        """Difference of the empty level from the zero, mV, as last seen; 0 where it is near enough to follow."""
         if not self.looks_empty:
             return self.far_mv
         away_mv = self._recent[-1].mean_mv - state.zero_mv
@@ -235,20 +235,20 @@ class ZeroTracker:
 
     @property
     def below_empty(self) -> bool:
-        """Whether the plate has read less than empty for some time: the zero was taken with grain on it."""
+        """Whether the plate has read below empty for some time: the zero was taken with grain."""
         if self._state is None or len(self._recent) < self._settings.settle_windows:
             return False
         return all(window.mean_mv < self._state.zero_mv - self._settings.max_step_mv for window in self._recent)
 
     def pulses(self, window: Window) -> bool:
-        """Whether one window has paddle pulses beyond what vibration makes."""
+        """Whether one window has paddle pulses beyond vibration."""
         state = self._state
         if state is None:
             return window.pulse_mv > self._settings.first_pulse_limit_mv
         return window.pulse_mv > self._pulse_limit_mv(self._usual_pulse_mv(state, window))
 
     def unseen_pulse_mv(self, window: Window) -> float:
-        """What paddle pulses may have beyond what vibration makes before `pulses` sees them; inf where no zero is known."""
+        """Amplitude beyond vibration below which `pulses` does not detect pulses, mV; inf where no zero is known."""
         if self._state is None:
             return float("inf")
         usual = self._usual_pulse_mv(self._state, window)
@@ -261,12 +261,12 @@ class ZeroTracker:
         return state.window_pulse_mv * _speed_factor(window.speed_rad_s, state.speed_rad_s)
 
     def interrupt(self) -> None:
-        """The windows to come do not follow on those seen (sensor lost, plate moved, elevator out of its range)."""
+        """Discard the windows collected (sensor lost, plate moved, elevator out of its range)."""
         self._recent.clear()
         self._pattern = self._compared = None
 
     def lack(self, window: Window, obstacle: str) -> None:
-        """A window with the elevator turning in its range and with samples, which no zero can be taken from."""
+        """Note a window that has samples and a valid elevator speed, but from which no zero can be taken."""
         if self._state is None:
             self._refusal = ZeroRefusal(self._waited_s + window.end_s - window.start_s, obstacle=obstacle)
 
@@ -275,9 +275,9 @@ class ZeroTracker:
         return self._refusal.waited_s if self._refusal is not None else 0.0
 
     def see(self, window: Window, may_be_empty: bool) -> None:
-        """A whole window with the elevator turning in its range and the plate at home.
+        """Update with a complete window with a valid elevator speed and the plate at home.
 
-        may_be_empty: nothing that is known (harvesting, header down and working) speaks against it.
+        may_be_empty: neither harvesting nor header and work state exclude an empty elevator.
         """
         if not isfinite(window.mean_mv):
             self.interrupt()
@@ -354,7 +354,7 @@ class ZeroTracker:
         return ZeroState(zero, zero, _mean_speed(windows), pulse, coherent_amplitudes(windows))
 
     def _excess(self, *, below: bool) -> bool | None:
-        """Whether any harmonic is above (or, with below, also below) what vibration makes; None while it is not known."""
+        """Whether any harmonic is above (or, with below, also below) vibration; None while vibration is unknown."""
         state = self._state
         if state is None or not state.vibration_mv:
             return None
@@ -364,7 +364,7 @@ class ZeroTracker:
         return compared[3] if below else compared[2]
 
     def _departure(self, state: ZeroState) -> tuple[bool, bool]:
-        """Whether any harmonic is above what vibration makes, and whether any is above or below it."""
+        """Whether any harmonic is above vibration, and whether any is above or below it."""
         if self._pattern is None:
             self._pattern = coherent_amplitudes(self._recent), _mean_speed(self._recent)
         amplitudes, speed_rad_s = self._pattern
@@ -390,7 +390,7 @@ def _mean_level(windows: Sequence[Window]) -> float:
 
 
 def _middle_level(windows: Sequence[Window] | deque[Window]) -> float:
-    """Median of the levels, above which the last grain after a stop is and a trickle that has just begun."""
+    """Median of the levels, mV: the last grain after a stop, and a trickle that has just begun, do not raise it."""
     return median([window.mean_mv for window in windows])
 
 

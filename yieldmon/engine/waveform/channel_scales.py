@@ -1,4 +1,4 @@
-"""The scale that shape and kernels have found against the mean force of late, and the flow that it corrects."""
+"""The scales of shape and kernels relative to the mean force, as recently measured, and the flow corrected by them."""
 
 from __future__ import annotations
 
@@ -14,15 +14,16 @@ from yieldmon.estimation.self_calibration.sweep_worth import OtherChannels
 from yieldmon.estimation.waveform.channel_combination import combine, together_sd
 
 _HOLDS_S = 600.0
-"""How long the scale that shape or kernels have found counts where they determine nothing, as in a sweep."""
+"""How long a scale of shape or kernels is used after its last measurement, as during a sweep."""
 
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """A channel's flow over that by the mean force of one estimator, as it was at a time: it changes slowly.
+    """A channel's flow relative to that by the mean force of one estimator, at a time; it changes slowly.
 
-    lasting_sd, random_sd: relative standard deviations of that flow, but for the noise of the mean force; random_sd: of what
-    averages out. heap: what one standard deviation of the heap's shape moves the mean force's flow and this one by.
+    log_over_mean_force: logarithm of the ratio. lasting_sd, random_sd: relative standard deviations of the channel's flow;
+    random_sd: of the part that averages out. heap: relative change of the mean force's flow and of this one by one standard
+    deviation of the heap's shape.
     """
 
     log_over_mean_force: float
@@ -34,7 +35,7 @@ class Scale:
 
 
 class ChannelScales:
-    """Holds what each channel has found, for as long as it counts.
+    """Keeps the recent scales of each channel.
 
     difference: between shape and mean force, window by window.
     """
@@ -46,25 +47,25 @@ class ChannelScales:
         self._by_kernels: Scale | None = None
 
     def by_shape(self, found: Scale) -> None:
-        """Another window's."""
+        """Add the scale of a window by its pulses' shape."""
         self._shapes.append(found)
 
     def by_kernels(self, found: Scale | None) -> None:
-        """The last windows'; None where they have shown that there is none."""
+        """Set the scale by kernels over the last windows; None where there is none."""
         self._by_kernels = found
 
     def corrected(self, mean_flow: Flow, now_s: float, estimator: FlowEstimator) -> tuple[float, float] | None:
-        """The mean force's flow, whose scale shape and kernels correct as they have found it of late, and its standard deviation.
+        """The mean force's flow corrected by the recent scales of shape and kernels, and its standard deviation, kg/s.
 
-        kg/s; None where neither has found one. One that contradicts the mean force corrects nothing: no mean of two flows that
-        exclude each other has the deviation that it would be published with.
+        None where there is no scale. A channel that contradicts the mean force corrects nothing: the mean of two incompatible
+        flows would be published with too small a standard deviation.
         """
         rate = mean_flow.rate_kg_s
         if not rate > 0.0:
             return None
         lasting = _lasting(mean_flow)
         flow, sd = rate, lasting
-        # What lies outside its calibration corrects nothing, but is no less apart.
+        # A shape outside its calibration corrects nothing, but its difference still counts.
         contradicts, hit = self.difference.contradicts, 1.0
         apart = 0.0 if contradicts else self.difference.deviations(now_s, estimator, _HOLDS_S)
         corrected = apart > 1.0
@@ -78,7 +79,7 @@ class ChannelScales:
             flow, sd, corrected = both.mass_flow_kg_s, both.relative_sd, True
             apart, hit = max(apart, abs(both.z)), 1.0 - both.weight
         kernels = self._kernels(now_s, estimator)
-        # What updates the parameters is in the mean force's flow already.
+        # Where kernels update the parameters, the mean force's flow contains them already.
         if kernels is not None and not self._settings.update_parameters and not self._kernels_contradict(kernels, mean_flow):
             over, over_sd = kernels.log_over_mean_force, kernels.lasting_sd
             weight = sd**2 / (sd**2 + over_sd**2)
@@ -91,7 +92,7 @@ class ChannelScales:
         return flow, flow * hypot(together_sd(sd, z=apart, hit=hit, hit_sd=self._settings.hit_sd), _noise(mean_flow))
 
     def channels(self, now_s: float, estimator: FlowEstimator) -> OtherChannels:
-        """What shape and kernels are worth to the published flow now."""
+        """The current accuracy of shape and kernels, as far as they enter the published flow."""
         shapes = [scale for scale in self._shapes if self._holds(scale, now_s, estimator)]
         kernels = self._kernels(now_s, estimator)
         by_shape, by_kernels = self._settings.combine and shapes, self._settings.combine or self._settings.update_parameters
@@ -106,12 +107,12 @@ class ChannelScales:
         return self._kernels_contradict(kernels, mean_flow) if kernels is not None and mean_flow.rate_kg_s > 0.0 else ""
 
     def _kernels(self, now_s: float, estimator: FlowEstimator) -> Scale | None:
-        """The scale by kernels, where it still holds."""
+        """The scale by kernels, None where it is too old or of another estimator."""
         found = self._by_kernels
         return found if found is not None and self._holds(found, now_s, estimator) else None
 
     def _kernels_contradict(self, found: Scale, mean_flow: Flow) -> str:
-        # The noise of many windows is in each: no median of windows is needed.
+        # Kernel noise is averaged over many windows, so no median over windows is needed.
         z = found.log_over_mean_force / hypot(_lasting(mean_flow), found.lasting_sd)
         if not abs(z) > self._settings.contradiction_z:
             return ""
@@ -124,18 +125,18 @@ class ChannelScales:
 
 
 def _noise(mean_flow: Flow) -> float:
-    """Of a window's mean force, relative to its flow."""
+    """Relative noise of the flow by a window's mean force."""
     noise = mean_flow.budget.noise_kg_s / mean_flow.rate_kg_s
     return noise if isfinite(noise) else 0.0
 
 
 def _lasting(mean_flow: Flow) -> float:
-    """Relative standard deviation of a flow but for that noise."""
+    """Relative standard deviation of a flow without that noise."""
     return sqrt(max((mean_flow.std_dev_kg_s / mean_flow.rate_kg_s) ** 2 - _noise(mean_flow) ** 2, 0.0))
 
 
 def local_exponent(flow: Flow) -> float:
-    """d ln(force) / d ln(flow), from what the force's noise is worth in flow."""
+    """d ln(force) / d ln(flow), from the ratio of the noise of force and flow."""
     noise_kg_s, noise_n = flow.budget.noise_kg_s, flow.force_std_dev_n
     if not (noise_kg_s > 0.0 and noise_n > 0.0 and flow.force_n > 0.0) or flow.saturated:
         return 0.7

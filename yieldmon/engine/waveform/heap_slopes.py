@@ -1,4 +1,4 @@
-"""What the heap's shape, which is not known to the last, moves the mean force's flow and the pulses' by."""
+"""Effect of the uncertain heap shape on the flow by the mean force and on that by the pulses."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from yieldmon.physics.model import ForwardModel
 
 _NAN = float("nan")
 _MOST = 500
-"""Kept at a time."""
+"""Most slopes kept."""
 
 
 class HeapSlopes:
@@ -27,7 +27,7 @@ class HeapSlopes:
     def moved_by(
         self, shape: PulseEstimate, reading: Reading, rate_kg_s: float, estimator: FlowEstimator, model: ForwardModel
     ) -> tuple[float, float]:
-        """What one standard deviation of the heap's shape moves the mean force's flow and the shape's by, relative.
+        """Relative change of the mean force's flow and of the shape's by one standard deviation of the heap's shape ratio.
 
         rate_kg_s: by the mean force.
         """
@@ -36,7 +36,7 @@ class HeapSlopes:
         if estimator is not self._estimator:
             self._estimator, self._slopes = estimator, {}
         window, moisture = reading.window, reading.inputs.fresh["moisture"]
-        # It changes slowly: once for each tenth of flow, degree or so of the plate and 2 rad/s of the elevator.
+        # The slope changes slowly: one value per 10 % of flow, 0.01 rad of plate angle and 2 rad/s of elevator speed.
         here = (
             round(log(rate_kg_s), 1),
             round(window.plate_angle_rad, 2),
@@ -59,5 +59,5 @@ class HeapSlopes:
 
 
 def _per_cent(moisture_pct: float) -> float:
-    """Whole; one and the same nan where it is not known, so that it finds itself again."""
+    """Rounded; always the same nan object where not known, so that it matches as a dictionary key."""
     return round(moisture_pct) if isfinite(moisture_pct) else _NAN

@@ -1,4 +1,4 @@
-"""The impulse of a kernel, from the noise of the last seconds of grain and of the empty machine."""
+"""The impulse of a kernel, from the noise of recent windows with grain and of the empty machine."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ from yieldmon.physics.machine import Machine
 from yieldmon.physics.numerics import Array
 
 _APART = 3
-"""Windows between grain and a window of the empty machine."""
+"""Windows between grain and a window that counts as the empty machine."""
 _CHANGING = 0.1
-"""Of the mean force from one window to the next, relative; within such a window the pulses are not of one load."""
+"""Relative change of the mean force between windows above which the pulses of a window are not of one load."""
 
 _BY_PHASE_EVERY = 5
-"""Windows; a fifth of them tells noise between the pulses well enough."""
+"""One window in so many is evaluated for noise between the pulses, which is accurate enough."""
 _EVERY, _GROWN = 5, 0.25
 """The mean over the windows kept moves slowly: it is formed anew after so many, or while there are few when they have grown by so
 much. Pulses are taken off so many windows together."""
 
 
 class KernelChannel:
-    """Looks at one window after another."""
+    """Collects the noise of windows with grain and of the empty machine, and evaluates it."""
 
     def __init__(self, settings: WaveformSettings, machine: Machine) -> None:
         self._settings = settings
@@ -56,8 +56,8 @@ class KernelChannel:
         """Of the windows after those, until their pulses are taken off."""
         self._estimator: FlowEstimator | None = None
         self._apparent: KernelImpulse | None = None
-        self._heard = 0
-        """Windows since that was found."""
+        self._since_mean = 0
+        """Windows kept since `_apparent` was computed."""
         self._until_by_phase = 0
         self._force_before_n = 0.0
         self._quiet: deque[Density] = deque(maxlen=settings.kernel_windows)
@@ -65,7 +65,7 @@ class KernelChannel:
         self._waiting: deque[Density] = deque()
 
     def empty(self, force_n: Array, interval_s: float, mean_force_n: float) -> None:
-        """A window of the empty machine; it counts once grain has neither just gone nor comes with the next windows."""
+        """Add a window of the empty machine; it counts unless grain came shortly before or comes shortly after it."""
         if not abs(mean_force_n) < self._machine.sensor.gain_n_per_mv:
             self._waiting.clear()
             return
@@ -76,19 +76,19 @@ class KernelChannel:
             self._waiting.popleft()
 
     def grain(self) -> None:
-        """Grain is there: the windows before it do not count as empty."""
+        """Grain has come: the last windows do not count as empty."""
         self._waiting.clear()
 
     @property
     def missing(self) -> str:
-        """What it waits for, in words; empty where empty machine and grain have both been measured for long enough."""
-        needed, empty, loaded = self._settings.quiet_windows, len(self._quiet), self._heard_windows
+        """What is still to be measured, in words; "" where both empty machine and grain have been measured for long enough."""
+        needed, empty, loaded = self._settings.quiet_windows, len(self._quiet), self._since_mean_windows
         if min(empty, loaded) >= needed:
             return ""
         return f"{empty} s of the empty machine and {loaded} s of steady grain measured, {needed} s of each needed"
 
     @property
-    def _heard_windows(self) -> int:
+    def _since_mean_windows(self) -> int:
         return min(len(self._loaded) + len(self._samples), self._settings.kernel_windows)
 
     def _changed(self, force_n: float) -> bool:
@@ -98,28 +98,44 @@ class KernelChannel:
     def loaded(
         self, force_n: Array, trace: Trace, wave: PatternWave, reading: Reading, flow_kg_s: float, estimator: FlowEstimator
     ) -> KernelImpulse | None:
-        """A window with grain, the phase of trace and wave counted from the fitted pulses; flow_kg_s: by its mean force.
+        """The impulse of a kernel in a window with grain, and add the window's noise.
 
-        A kernel's impulse goes with the load, the plate and the speed as that of a kilogram does: the mean force's model brings
-        earlier windows to this one, and its scale drops out. Only windows of the plate at home count, the kernels' own
-        scatter over angles being unknown. None until enough of them, with pulses like earlier ones, and of the empty machine
-        have been measured.
+        A kernel's impulse varies with load, plate angle and speed as that of a kilogram does, so the mean force's model relates
+        earlier windows to this one, and its scale cancels. Only windows with the plate at home count, because the kernels' own
+        scatter over angles is unknown.
+
+        Parameters
+        ----------
+        force_n : ndarray
+            Of the samples, N, (n,).
+        trace : Trace
+        wave : PatternWave
+            Phases of trace and wave are counted from the fitted pulses.
+        reading : Reading
+        flow_kg_s : float
+            By the mean force.
+        estimator : FlowEstimator
+
+        Returns
+        -------
+        KernelImpulse or None
+            None until enough windows with pulses like earlier ones, and enough of the empty machine, have been measured.
         """
         if estimator is not self._estimator:
             self._estimate_anew(estimator, trace.interval_s)
         if reading.at_home:
-            self._hear(force_n, trace, wave, reading, flow_kg_s)
+            self._keep_noise(force_n, trace, wave, reading, flow_kg_s)
         if len(self._samples) >= _EVERY:
             self._take_pulses_off(trace.interval_s)
-        if min(len(self._quiet), self._heard_windows) < self._settings.quiet_windows:
+        if min(len(self._quiet), self._since_mean_windows) < self._settings.quiet_windows:
             return None
-        if self._apparent is None or self._heard >= min(_EVERY, _GROWN * (self._heard_windows - self._heard)):
+        if self._apparent is None or self._since_mean >= min(_EVERY, _GROWN * (self._since_mean_windows - self._since_mean)):
             self._take_pulses_off(trace.interval_s)
-            self._apparent, self._heard = self._apparent_mass(trace.interval_s), 0
+            self._apparent, self._since_mean = self._apparent_mass(trace.interval_s), 0
         return replace(self._apparent, impulse_n_s=self._apparent.impulse_n_s * reading.force_n / flow_kg_s)
 
     def _apparent_mass(self, interval_s: float) -> KernelImpulse:
-        """A kernel's impulse over that of a kilogram, of the windows kept."""
+        """A kernel's impulse relative to that of a kilogram, over the windows kept."""
         densities = [noise.density for noise in self._loaded]
         weights = [shown.averages for shown in densities]
         sizes = [noise.window.force_n * noise.window.impulse_per_kg for noise in self._loaded]
@@ -138,7 +154,7 @@ class KernelChannel:
         )
 
     def _steady_share(self, interval_s: float) -> float:
-        """What of the windows' noise beyond the empty machine's stays between the pulses."""
+        """Share of the windows' noise above that of the empty machine that is also present between the pulses."""
         low_hz, high_hz = self._band_hz(interval_s)
         shown = [(noise.by_phase, noise) for noise in self._loaded if noise.by_phase is not None]
         if not (high_hz > low_hz and shown):
@@ -156,7 +172,7 @@ class KernelChannel:
         ).share
 
     def _misplaced(self, interval_s: float) -> float:
-        """What of the windows' noise beyond the empty machine's pulses out of place have left."""
+        """Share of the windows' noise above that of the empty machine that comes from pulses at irregular times."""
         shown = [(noise.times, noise) for noise in self._loaded if noise.times is not None]
         if not shown:
             return 0.0
@@ -176,8 +192,8 @@ class KernelChannel:
     def _band_hz(self, interval_s: float) -> tuple[float, float]:
         return self.noise.low_hz, min(self.noise.high_hz, CLEAR_OF_ALIASES / interval_s)
 
-    def _hear(self, force_n: Array, trace: Trace, wave: PatternWave, reading: Reading, flow_kg_s: float) -> None:
-        """Keep the noise of a window whose flow does not just change."""
+    def _keep_noise(self, force_n: Array, trace: Trace, wave: PatternWave, reading: Reading, flow_kg_s: float) -> None:
+        """Keep the noise of a window, unless its flow is changing."""
         window, changed = reading.window, self._changed(reading.force_n)
         kind = {
             "mean_force_n": reading.force_n,
@@ -195,7 +211,7 @@ class KernelChannel:
         by_phase = self._until_by_phase == 0
         self._until_by_phase = (self._until_by_phase - 1) % _BY_PHASE_EVERY
         self._samples.append(LoadedSamples(heard, force_n, phase, mean, own_variance, by_phase))
-        self._heard += 1
+        self._since_mean += 1
 
     def _take_pulses_off(self, interval_s: float) -> None:
         """The noise of the windows whose samples wait."""
@@ -203,7 +219,7 @@ class KernelChannel:
         self._samples.clear()
 
     def _estimate_anew(self, estimator: FlowEstimator, interval_s: float) -> None:
-        """The flows of the windows kept, by another estimator."""
+        """Compute the flows of the windows kept again, by another estimator."""
         self._take_pulses_off(interval_s)
         self._estimator, self._apparent = estimator, None
         if not self._loaded:

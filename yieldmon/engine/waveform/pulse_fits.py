@@ -1,4 +1,4 @@
-"""Fits of the paddles' pulses to the windows' samples, begun at the mean force's flow."""
+"""Fits of the paddles' pulses to the windows' samples, started at the mean force's flow."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from yieldmon.physics.model import ForwardModel
 
 _BINS = 64
 _FITS = 1.0
-"""Misfit below which a fit counts whose steps have not settled: within the model's own error."""
+"""Misfit below which a fit counts even if its steps have not converged: it is within the model's own error."""
 _FLOW_SD = 10.0
 _ITERATIONS = 10
 _SEARCH_EVERY = 10
-"""Windows from one search for pulses that fit nowhere to the next."""
+"""Windows between two full searches, while no pulses fit."""
 _NO_RANGE = "no pulse-shape file says for which loads and plate angles the shape is calibrated"
 
 
 class PulseFits:
-    """Fits windows side by side, and gives each window's fit when it is asked for."""
+    """Fits several windows together, and returns each window's fit on request."""
 
     def __init__(self, settings: WaveformSettings, machine: Machine) -> None:
         self._settings = settings
@@ -40,12 +40,12 @@ class PulseFits:
         self._model: PulseModel | None = None
         self._model_of: FlowEstimator | None = None
         self._prepared: dict[float, tuple[PatternWave, PulseEstimate]] = {}
-        """Waves and fits by their windows' ends, and the estimator that they are of."""
+        """Waves and fits by end of window, made with `_fitted_with`."""
         self._fitted_with: FlowEstimator | None = None
         self._searchable_in = 0
 
     def prepare(self, readings: Sequence[Reading], rates_kg_s: Sequence[float], estimator: FlowEstimator) -> None:
-        """Fit the pulses of these windows side by side; `of` gives them one by one. rates_kg_s: by the mean force."""
+        """Fit the pulses of these windows together; `of` returns them one by one. rates_kg_s: by the mean force."""
         self._prepared.clear()
         near = [
             (reading, trace, zero, rate)
@@ -72,9 +72,9 @@ class PulseFits:
             self._prepared[window.end_s] = wave, found
 
     def of(self, reading: Reading, rate_kg_s: float, estimator: FlowEstimator) -> tuple[PatternWave, PulseEstimate] | None:
-        """A window's wave and the fit to it; where none was found near the mean force's flow, over all fills and shifts.
+        """A window's wave and the fit to it; if none is found near the mean force's flow, by a search over all fills and shifts.
 
-        rate_kg_s: by the mean force. None without a whole pattern, and where nothing fits.
+        rate_kg_s: by the mean force. None without a complete pattern, and where nothing fits.
         """
         if reading.window.end_s not in self._prepared or estimator is not self._fitted_with:
             self.prepare((reading,), (rate_kg_s,), estimator)
@@ -90,25 +90,26 @@ class PulseFits:
             return None
         found = estimate(self.model(estimator), wave)
         fits = _usable(found) and found.misfit < self._settings.largest_misfit
-        # A search over all fills and shifts costs as much as twenty fits; pulses that fit nowhere are not searched each second.
+        # A full search costs as much as twenty fits, so it is not repeated every second while nothing fits.
         self._searchable_in = 0 if fits else _SEARCH_EVERY - 1
         return (wave, found) if _usable(found) else None
 
     def model(self, estimator: FlowEstimator) -> PulseModel:
-        """Of the pulses, with an estimator's parameters."""
+        """The pulse model with an estimator's parameters."""
         if self._model is None or estimator is not self._model_of:
             self._model = pulse_model(self._settings, self._machine, estimator.parameters, self._law)
             self._model_of = estimator
         return self._model
 
     def aligned(self, trace: Trace, wave: PatternWave, shape: PulseEstimate, reading: Reading) -> tuple[Trace, PatternWave]:
-        """Samples and wave with their phase counted from the pulses themselves: the phase from ten speeds a second creeps."""
+        """Samples and wave with their phase counted from the fitted pulses, because the phase integrated from the speed
+        drifts."""
         turns_per_s = self._machine.paddle_speed_m_s(reading.window.speed_rad_s) / self._machine.pattern_length_m
         late = shape.values["shift_s"] * turns_per_s
         return Trace(trace.samples_mv, trace.phase - late, trace.interval_s), later(wave, -late)
 
     def outside(self, volume_flow_m3_s: float, reading: Reading, estimator: FlowEstimator) -> str:
-        """Why the shape says nothing at a volume flow; empty where it does."""
+        """Why the shape gives no flow at a volume flow; "" where it does."""
         if self._settings.shape is None:
             return _NO_RANGE
         speed = reading.window.speed_rad_s
@@ -122,12 +123,12 @@ def _shows_pulses(reading: Reading) -> bool:
 
 
 def pulse_model(settings: WaveformSettings, machine: Machine, parameters: ParameterSet, law: ArrivalLaw) -> PulseModel:
-    """Pulses of a machine with these parameters' grain, which arrives by a law."""
+    """The pulse model of a machine with these parameters' grain and an arrival law."""
     values = dict(parameters.values)
     values["friction"] = max(values["friction"], 0.02)
     sd = dict(PulseSettings().sd)
     sd |= {"log_friction": settings.friction_sd, "log_shape_ratio": settings.shape_ratio_sd}
-    # The mean force only says where to begin: a prior that is felt would make the two channels one.
+    # The mean force only gives the start: an informative prior would make the two channels dependent.
     sd |= {"log_cell": settings.response_error, "log_volume_flow": _FLOW_SD}
     return PulseModel(
         ForwardModel(machine, parameters.effects),
@@ -143,7 +144,8 @@ def pulse_model(settings: WaveformSettings, machine: Machine, parameters: Parame
 
 
 def law_of(settings: WaveformSettings) -> ArrivalLaw:
-    """How grain arrives by the settings: by the terms of the pulse-shape file, or one stretch and tail over the file's range."""
+    """The arrival law by the settings: with the terms of the pulse-shape file, or with one stretch and tail over the file's
+    range."""
     known = settings.shape or ArrivalLaw()
     if settings.shape_terms and settings.shape is not None:
         return known
@@ -156,5 +158,6 @@ def law_of(settings: WaveformSettings) -> ArrivalLaw:
 
 
 def _usable(found: PulseEstimate) -> bool:
-    """Steps that have not settled among nearly collinear parameters do not reject a fit; its residual does."""
+    """Whether a fit can be used. Steps that have not converged among nearly collinear parameters do not exclude it; its misfit
+    does."""
     return found.converged or (isfinite(found.misfit) and found.misfit < _FITS)

@@ -1,4 +1,4 @@
-"""How far the pulses' shape and the mean force are apart over the last windows, and whether they contradict each other."""
+"""The difference between the flows by pulse shape and by mean force over the last windows, and whether they contradict."""
 
 from __future__ import annotations
 
@@ -15,56 +15,56 @@ from yieldmon.estimation.waveform.pulse_model import PulseModel
 from yieldmon.estimation.waveform.pulse_shape import deviations_from
 
 NO_FIT = 1000.0
-"""Misfit that stands for pulses to which no fit settles."""
+"""Misfit used for pulses to which no fit converges."""
 _LOOKED_FROM = 1.0
-"""Deviations of the two flows from which a second fit is held at the mean force's."""
+"""Difference of the two flows, in standard deviations, above which a second fit is made at the mean force's flow."""
 _LOOK_EVERY = 10
-"""Windows from one such fit to the next, which costs as much as two."""
+"""Windows from one such fit to the next; it costs as much as two fits."""
 _ITERATIONS = 10
 
 
 class ShapeDifference:
-    """Deviations between shape and mean force, and misfits, window by window."""
+    """Differences between shape and mean force, in standard deviations, and misfits, window by window."""
 
     def __init__(self, settings: WaveformSettings) -> None:
         self._settings = settings
         self._seen: deque[tuple[float, float]] = deque(maxlen=settings.contradiction_windows)
         self._last: tuple[float, FlowEstimator] | None = None
-        self._times = 1.0
-        """By which pulses are farther from the mean force's flow than the two flows' deviations say."""
+        self._ratio = 1.0
+        """Ratio of the difference by the pulses to that by the two flows, at least 1."""
         self._look_in = 0
         self.contradicts = False
 
     def add(self, z: float, misfit: float, now_s: float, estimator: FlowEstimator) -> str:
-        """Another window; returns what contradicts, empty where nothing does."""
+        """Add a window; returns the contradiction in words, "" for none."""
         if isfinite(z):
             self._seen.append((z, min(misfit, NO_FIT)))
             self._last = now_s, estimator
-        against = self._against()
+        against = self._contradiction()
         self.contradicts = bool(against)
         return against
 
     def farther(
         self, together: Combined, pulses: PulseModel, wave: PatternWave, shape: PulseEstimate, volume_flow_m3_s: float
     ) -> float:
-        """The difference in deviations, with its sign: of the two flows, or of the pulses from those of the mean force's flow
-        where that is more. volume_flow_m3_s: by the mean force."""
+        """The signed difference in standard deviations: of the two flows, or, where that is more, of the pulses from the pulses
+        at the mean force's flow. volume_flow_m3_s: by the mean force."""
         if not abs(together.z) > _LOOKED_FROM:
             return together.z
         if self._look_in <= 0:
             off = deviations_from(pulses, wave, shape, volume_flow_m3_s, together.mean_volume_sd, iterations=_ITERATIONS)
-            self._times = max(1.0, off / abs(together.z)) if isfinite(off) else 1.0
+            self._ratio = max(1.0, off / abs(together.z)) if isfinite(off) else 1.0
             self._look_in = _LOOK_EVERY
         self._look_in -= 1
-        return self._times * together.z
+        return self._ratio * together.z
 
     def deviations(self, now_s: float, estimator: FlowEstimator, holds_s: float) -> float:
-        """Median over the last windows; 0 where there are none by this estimator within the time that one holds."""
+        """Absolute median over the last windows; 0 without a window by this estimator in the last holds_s seconds."""
         if self._last is None or self._last[1] is not estimator or now_s - self._last[0] > holds_s:
             return 0.0
         return abs(median(z for z, _ in self._seen))
 
-    def _against(self) -> str:
+    def _contradiction(self) -> str:
         if len(self._seen) < self._settings.contradiction_windows:
             return ""
         z, misfit = (median(column) for column in zip(*self._seen, strict=True))

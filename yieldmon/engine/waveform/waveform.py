@@ -1,7 +1,7 @@
-"""What the samples of a window hold beside their mean: volume flow from the pulses' shape, and scale from the noise of kernels.
+"""Evaluation of single samples: volume flow from the shape of the pulses, and the scale from the noise of kernels.
 
-Runs beside the mean force's estimate and knows it only to compare; what it finds in a window corrects the flows of the windows
-after it. Off unless the settings say otherwise.
+It is independent of the mean force's estimate and compares with it; its results correct the flows of later windows. Off by
+default.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from yieldmon.physics.machine import Machine
 
 _NAN = float("nan")
 _WHOLE = 0.98
-"""Coverage of a window from which a fit is missed for another reason than missing samples."""
+"""Coverage of a window above which a missing fit is not due to missing samples."""
 _with = changer_of(WaveformReading)
 
 
@@ -52,11 +52,11 @@ _NO_WEIGHT = "no thousand-kernel weight is known"
 
 
 class Waveform:
-    """Looks at one window after another."""
+    """Evaluates one window after another."""
 
     def __init__(self, settings: WaveformSettings, machine: Machine) -> None:
         self.kernel_weight_g = settings.thousand_kernel_weight_g
-        """Of a thousand kernels, as last entered; 0: not known. What a frame says goes before it."""
+        """Mass of a thousand kernels as last entered, g; 0: not known. A received value takes precedence."""
         self.last = NOTHING
         self._settings = settings
         self._machine = machine
@@ -69,16 +69,16 @@ class Waveform:
         self._biases: deque[float] = deque(maxlen=settings.kernel_windows)
 
     def go_on_with(self, before: Waveform) -> None:
-        """Noise that was measured on the same machine by the same settings is not measured again."""
+        """Take over the noise measured by another one, on the same machine with the same settings."""
         if (self._settings, self._machine) == (before._settings, before._machine):
             self._kernel_channel, self.kernel_measurements = before._kernel_channel, before.kernel_measurements
 
     def prepare(self, readings: Sequence[Reading], rates_kg_s: Sequence[float], estimator: FlowEstimator) -> None:
-        """Fit the pulses of these windows side by side; `see` then takes them up one by one. rates_kg_s: by the mean force."""
+        """Fit the pulses of these windows together, for the calls of `see`. rates_kg_s: by the mean force."""
         self._fits.prepare(readings, rates_kg_s, estimator)
 
     def see(self, reading: Reading, flow: Flow, estimator: FlowEstimator) -> WaveformReading:
-        """The window's own word beside flow, that of the mean force."""
+        """Evaluate a window. flow: by the mean force."""
         self.last = self._seen(reading, flow, estimator)
         return self.last
 
@@ -137,7 +137,7 @@ class Waveform:
         return self._counted(seen, reading, mean_flow, estimator)
 
     def _counted(self, seen: WaveformReading, reading: Reading, mean_flow: Flow, estimator: FlowEstimator) -> WaveformReading:
-        """The reading with all channels together, and with what the kernels' scale says against the mean force's."""
+        """The reading with the combined flow, and with a contradiction between kernels and mean force."""
         now_s = reading.window.end_s
         if against := self._scales.kernels_contradict(mean_flow, now_s, estimator):
             seen = _with(seen, contradiction=seen.contradiction or against)
@@ -149,11 +149,11 @@ class Waveform:
         return _with(seen, combined_kg_s=found[0], combined_std_dev_kg_s=found[1])
 
     def corrected(self, mean_flow: Flow, now_s: float, estimator: FlowEstimator) -> tuple[float, float] | None:
-        """The mean force's flow with the scale that shape and kernels have found of late; see `ChannelScales.corrected`."""
+        """The mean force's flow corrected by the recent scales of shape and kernels; see `ChannelScales.corrected`."""
         return self._scales.corrected(mean_flow, now_s, estimator)
 
     def channels(self, now_s: float, estimator: FlowEstimator) -> OtherChannels:
-        """What shape and kernels are worth to the published flow now; nothing of what contradicts the mean force."""
+        """The current accuracy of shape and kernels for the published flow; none while they contradict the mean force."""
         return OtherChannels() if self.last.contradiction else self._scales.channels(now_s, estimator)
 
     def _with_shape(
@@ -164,7 +164,7 @@ class Waveform:
         mean_flow: Flow,
         estimator: FlowEstimator,
     ) -> WaveformReading:
-        """A fit's flow, alone and with the mean force; none where either of them lies outside the calibrated range."""
+        """The reading with a fit's flow, alone and combined; without where fit or mean force is outside the calibrated range."""
         wave, shape = fit
         parameters, pulses = estimator.parameters, self._fits.model(estimator)
         density, rate = parameters.values["density"], mean_flow.rate_kg_s
@@ -174,7 +174,7 @@ class Waveform:
         together = combine(rate, relative_sd, flow, shape.relative_sd, exponent=exponent, parameters=parameters, heap=heap)
         of_mean = self._fits.outside(rate / density, reading, estimator)
         if not of_mean:
-            # There the law holds, and a shape that finds itself outside speaks against the mean force all the same.
+            # The law holds at the mean force's flow, so a shape whose flow is outside still contradicts the mean force.
             z = self._scales.difference.farther(together, pulses, wave, shape, rate / density)
             against = self._scales.difference.add(z, shape.misfit, reading.window.end_s, estimator)
             seen = _with(seen, contradiction=against, stretch=self._agreeing_stretch(shape, rate / density))
@@ -192,14 +192,14 @@ class Waveform:
         )
 
     def _weight_g(self, reading: Reading) -> float:
-        """Of a thousand kernels: as a frame says of late, else as last entered; 0: not known."""
+        """Mass of a thousand kernels, g: as recently received, else as last entered; 0: not known."""
         received_g = reading.inputs.fresh["thousand_kernel_weight"]
         return received_g if isfinite(received_g) else self.kernel_weight_g
 
     def _with_kernels(
         self, seen: WaveformReading, reading: Reading, kernels: KernelImpulse | None, missing: str
     ) -> WaveformReading:
-        """missing: why there is no fit, without which the pulses cannot be taken off."""
+        """The reading with the flow by kernel noise. missing: why there is no fit, without which pulses cannot be subtracted."""
         if kernels is None:
             early = missing or self._kernel_channel.missing
             return _with(seen, kernels=KernelVerdict.TOO_EARLY, kernels_reason=early)
@@ -222,12 +222,12 @@ class Waveform:
         )
 
     def _agreeing_bias(self, over_mean_force: float) -> float:
-        """The bias with which kernel noise would give the mean force's flow; kernel noise is in proportion to it."""
+        """The kernel bias that would give the mean force's flow, median over windows; the flow is proportional to its inverse."""
         self._biases.append(self._settings.kernel_bias / over_mean_force)
         return median(self._biases)
 
     def _agreeing_stretch(self, shape: PulseEstimate, volume_flow_m3_s: float) -> float:
-        """The stretch to which the window's posterior moves when the volume flow is given."""
+        """The stretch that the fit would have at a given volume flow, by its covariance; median over windows."""
         flow, stretch = (shape.names.index(name) for name in ("log_volume_flow", "log_stretch"))
         slope = shape.covariance[flow, stretch] / shape.covariance[flow, flow]
         moved = shape.values["log_stretch"] + slope * log(volume_flow_m3_s / shape.volume_flow_m3_s)

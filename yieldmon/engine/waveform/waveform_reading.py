@@ -1,4 +1,4 @@
-"""What the samples of one window say beside their mean."""
+"""Results of the evaluation of a window's single samples."""
 
 from __future__ import annotations
 
@@ -13,15 +13,33 @@ _NAN = float("nan")
 
 @dataclass(frozen=True, slots=True)
 class WaveformReading:
-    """What a window's samples say; nan where they say nothing.
+    """Flows of a window by its single samples; nan where there is none.
 
-    volume_m3_s, volume_std_dev_m3_s: volume flow on the paddles. shape_kg_s, shape_std_dev_kg_s: the same times density, the
-    density's standard deviation in it. shape, shape_reason: whether there is one, and why not. kernels_kg_s,
-    kernels_std_dev_kg_s: from kernel noise. kernels, kernels_reason: whether it gives a flow, and why not. kernel_weight_g:
-    of a thousand kernels, as used. mean_kg_s, mean_std_dev_kg_s: by the mean force alone. combined_kg_s,
-    combined_std_dev_kg_s: all of them together. contradiction: of shape or kernel noise with the mean force, over the last
-    windows; empty where they agree. stretch: the one with which the shape's flow would be that of the mean force, median over
-    the same windows. bias: the same of kernel noise. wave: harmonics of the paddle pattern, None where there is no fit.
+    Attributes
+    ----------
+    volume_m3_s, volume_std_dev_m3_s : float
+        Volume flow on the paddles, from the pulses' shape.
+    shape, shape_reason : ShapeVerdict, str
+        Whether the shape gives a flow, else why not.
+    shape_kg_s, shape_std_dev_kg_s : float
+        Volume flow times density, with the density's standard deviation.
+    kernels_kg_s, kernels_std_dev_kg_s : float
+        From kernel noise.
+    kernels, kernels_reason : KernelVerdict, str
+        Whether kernel noise gives a flow, else why not.
+    kernel_weight_g : float
+        Mass of a thousand kernels, as used.
+    mean_kg_s, mean_std_dev_kg_s : float
+        By the mean force alone.
+    combined_kg_s, combined_std_dev_kg_s : float
+        All of them combined.
+    contradiction : str
+        Of shape or kernel noise with the mean force, over the last windows; "" where they agree.
+    stretch, bias : float
+        Stretch of the shape, and bias of kernel noise, with which their flow would be that of the mean force; median over the
+        last windows.
+    wave : PatternWave or None
+        Harmonics of the paddle pattern; None without a fit.
     """
 
     volume_m3_s: float = _NAN
