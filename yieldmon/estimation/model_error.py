@@ -75,18 +75,18 @@ def orthonormal(columns: Array) -> Array:
     return u[:, s > 1e-9 * s[0]] if s.size and s[0] > 0.0 else u[:, :0]
 
 
-def left_out(residual: Array, tangent: Array, group: NDArray[np.int64], unseen: float = 1e-3) -> Array:
+def left_out(residual: Array, tangent: Array, group: NDArray[np.int64]) -> Array:
     """Whitened residual of each row when its group is left out of the fit, in the tangent plane, shape (n,).
 
     (I - T_g T_g')^-1 r_g with T the tangent's orthonormal basis; directions that only the group itself determines (less than
-    the share `unseen` of them is seen elsewhere) are left at their fitted residual.
+    the share `_UNSEEN` of them is seen elsewhere) are left at their fitted residual.
     """
     out = residual.copy()
     for number in range(int(group.max()) + 1):
         inside = group == number
         own = tangent[inside]
         kept, axes = np.linalg.eigh(np.eye(own.shape[0]) - own @ own.T)
-        kept = np.where(kept < unseen, 1.0, kept)
+        kept = np.where(kept < _UNSEEN, 1.0, kept)
         out[inside] = axes @ ((axes.T @ residual[inside]) / kept)
     return out
 

@@ -17,6 +17,8 @@ _MOST_OUTLIERS = 0.1
 _LEAST_CONSTANT = 0.01
 """Of the root mean square of all standard deviations: no reading near zero is taken as exact."""
 _LEAST_DISTINCT = 3
+_CHI_SQUARE_95 = 3.84
+"""95 % quantile of chi-square with one degree of freedom."""
 _SAME_STEP = 1e-3
 """Share of a step by which readings in whole steps may miss one."""
 
@@ -39,7 +41,7 @@ def fit_variances(variance: Array, dof: Array, level2: Array, pooled: float) -> 
         return float(np.sum(dof * (np.log(model) + variance / model)))
 
     best = (pooled, 0.0)
-    least = deviance(np.full_like(variance, pooled)) - 3.84
+    least = deviance(np.full_like(variance, pooled)) - _CHI_SQUARE_95
     top = float(level2.max())
     if np.ptp(level2) <= 1e-3 * top:
         return best

@@ -6,27 +6,24 @@ from dataclasses import replace
 
 import numpy as np
 
-from yieldmon.physics.numerics import exp, real
+from yieldmon.physics.numerics import AnyArray, exp, real
 from yieldmon.physics.stages import Arrival, Setting
 
 from .effect import Effect, EffectParameter, Values
 
 
 def _arrival(arrival: Arrival, values: Values, setting: Setting) -> Arrival:
-    finite = np.isfinite(real(arrival.flight_length_m))
-    length = np.where(finite, arrival.flight_length_m, 0.0)
-    kept = exp(-values["rate_per_m"] * np.where(real(length) > 0.0, length, 0.0))
-    return replace(
-        arrival,
-        normal_speed_m_s=arrival.normal_speed_m_s * kept,
-        tangential_speed_m_s=arrival.tangential_speed_m_s * kept,
-    )
+    return _slowed(arrival, values["rate_per_m"], arrival.flight_length_m)
 
 
 def _by_time(arrival: Arrival, values: Values, setting: Setting) -> Arrival:
-    finite = np.isfinite(real(arrival.flight_time_s))
-    time = np.where(finite, arrival.flight_time_s, 0.0)
-    kept = exp(-values["rate_per_s"] * np.where(real(time) > 0.0, time, 0.0))
+    return _slowed(arrival, values["rate_per_s"], arrival.flight_time_s)
+
+
+def _slowed(arrival: Arrival, rate: AnyArray, flight: AnyArray) -> Arrival:
+    """Speeds times exp(-rate flight), with flight its length or time; unchanged where that is not finite or not positive."""
+    known = np.where(np.isfinite(real(flight)), flight, 0.0)
+    kept = exp(-rate * np.where(real(known) > 0.0, known, 0.0))
     return replace(
         arrival,
         normal_speed_m_s=arrival.normal_speed_m_s * kept,

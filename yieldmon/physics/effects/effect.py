@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import wraps
 from typing import TypeVar
 
@@ -39,6 +39,24 @@ def where_restitution(hook: Callable[[_State, Values, Setting], _State]) -> Call
         return state if setting.restitution is None else hook(state, values, setting)
 
     return where
+
+
+def with_force(reading: Reading, force_n: AnyArray, setting: Setting) -> Reading:
+    """A reading with a force added that is constant in time.
+
+    Parameters
+    ----------
+    reading : Reading
+    force_n : ndarray
+        N, or the response's unit.
+    setting : Setting
+
+    Returns
+    -------
+    Reading
+        Its momentum per paddle pass is larger by the force's impulse between two passes.
+    """
+    return replace(reading, momentum_kg_m_s=reading.momentum_kg_m_s + force_n / setting.passes_per_s)
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,24 +8,24 @@ import numpy as np
 
 from yieldmon.physics.stages import Reading, Setting
 
-from .effect import Effect, EffectParameter, Values, where_restitution
+from .effect import Effect, EffectParameter, Values, where_restitution, with_force
 
 
 def _reading(reading: Reading, values: Values, setting: Setting) -> Reading:
     force = values["weight_n"] * np.cos(setting.plate_angle_rad)
-    return replace(reading, momentum_kg_m_s=reading.momentum_kg_m_s + force / setting.passes_per_s)
+    return with_force(reading, force, setting)
 
 
 def _zeroed(reading: Reading, values: Values, setting: Setting) -> Reading:
     angle, home = setting.plate_angle_rad, setting.machine.home_plate_angle_rad
     force = values["weight_n"] * (np.sin(angle) * np.cos(angle) - np.sin(home) * np.cos(home))
-    return replace(reading, momentum_kg_m_s=reading.momentum_kg_m_s + force / setting.passes_per_s)
+    return with_force(reading, force, setting)
 
 
 @where_restitution
 def _zeroed_across(reading: Reading, values: Values, setting: Setting) -> Reading:
     force = values["weight_n"] * (np.cos(setting.plate_angle_rad) - np.cos(setting.machine.home_plate_angle_rad))
-    return replace(reading, momentum_kg_m_s=reading.momentum_kg_m_s + force / setting.passes_per_s)
+    return with_force(reading, force, setting)
 
 
 EFFECT = Effect(

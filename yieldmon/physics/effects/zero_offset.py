@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from yieldmon.physics.stages import Reading, Setting
 
-from .effect import Effect, EffectParameter, Values
+from .effect import Effect, EffectParameter, Values, with_force
 
 
 def _reading(reading: Reading, values: Values, setting: Setting) -> Reading:
-    return replace(reading, momentum_kg_m_s=reading.momentum_kg_m_s + values["force_n"] / setting.passes_per_s)
+    return with_force(reading, values["force_n"], setting)
 
 
 EFFECT = Effect(
