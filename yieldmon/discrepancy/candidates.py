@@ -163,7 +163,7 @@ def refit_from_restarts(found: Fit) -> Fit:
     points = [{"friction": mu, "density": rho} for mu in evenly("friction", 3) for rho in evenly("density", 2)]
     points += [{name: null[name] + share * (found.values[name] - null[name])} for name in names for share in (0.4, 2.0)]
     points += [{found.parameters[i].name: v} for i in found.shapes for v in _elsewhere(found.parameters[i], float(found.x[i]))]
-    # A few steps show which starts are worth the rest of the way.
+    # A few steps show which starts to continue.
     begun = [f for f in fit_all(found.frame, found.effects, [found.values | p for p in points], iterations=5) if f is not None]
     begun = sorted(begun, key=lambda f: f.chi2)[:3]
     best = found

@@ -29,7 +29,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Step:
-    """One effect added: candidates in the order of their merit, and those that the data cannot tell from the first."""
+    """One effect added: candidates in the order of their merit, and those that the data cannot distinguish from the first."""
 
     added: str
     candidates: tuple[Candidate, ...]

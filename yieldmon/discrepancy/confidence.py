@@ -20,10 +20,10 @@ from .choice import Choice
 from .policy import Policy
 
 FEATURES = ("stability", "margin", "misfit", "strength", "further", "effects", "against")
-"""What the map goes by, see `features`."""
+"""Inputs of the map, see `features`."""
 _REACH = 2.0
 _FAR = 60.0
-"""Margin from which on a rival is out of the question."""
+"""Margin above which a larger one makes no difference."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +37,7 @@ class Logistic:
 
     def __call__(self, rows: Array) -> Array:
         """Probabilities, (n,), of features, (n, features)."""
-        # No further out than the cases reach that it was fitted to.
+        # Limited to the range of the cases that it was fitted to.
         z = self.bias + np.clip((rows - self.centre) / self.scale, -_REACH, _REACH) @ self.weights
         return np.asarray(1.0 / (1.0 + np.exp(-z)))
 
@@ -52,7 +52,7 @@ class Calibration:
 
 
 def features(choice: Choice) -> list[dict[str, float]]:
-    """What is known of each step of a choice, by name; those in `FEATURES` among them."""
+    """Features of each step of a choice, by name; contains those in `FEATURES`."""
     excess = max(choice.base.chi2 - choice.base.dof, 1.0)
     left = max(choice.best.chi2 - choice.best.dof, 0.0)
     return [

@@ -75,7 +75,7 @@ def of_own_law(choice: Choice, noise: Noise, policy: Policy) -> list[str]:
 
 
 def noise_assumed(choice: Choice) -> str:
-    """Why nothing is named where the rows do not say how much they scatter."""
+    """Why nothing is named where the rows do not show their noise."""
     return f"{' + '.join(choice.named)} is not named: how much these rows scatter is not known"
 
 

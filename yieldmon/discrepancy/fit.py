@@ -74,7 +74,8 @@ class Fit:
 
     @property
     def shapes(self) -> list[int]:
-        """Places of the parameters that say no size but the shape of an effect's law: a further law's, all but its first."""
+        """Indices of the parameters that shape an effect's law without giving its size: those of a further law, except its
+        first."""
         out, at = list[int](), len(self.frame.base)
         for effect in self.effects:
             count = len(get_effect(effect).parameters)
@@ -113,7 +114,7 @@ class Fit:
 
     @cached_property
     def shown_error(self) -> float | None:
-        """Relative size of the model's own error, from angles and loads left out; None where these say nothing."""
+        """Relative size of the model's own error, from angles and loads left out; None where these do not determine it."""
         return model_error.estimated(self.residual, self.tangent(), 1.0 / self.level, self.frame.groups)
 
     @property

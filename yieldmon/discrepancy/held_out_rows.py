@@ -21,7 +21,7 @@ _FAR_SD = 8.0
 _OFF_CELL_SD = 5.0
 """Standard deviations from the median of its repetitions beyond which a replicated row is one."""
 _REPLICATES = 3
-"""Repetitions from which the median of a condition tells an outlier."""
+"""Least number of repetitions for which the median of a condition identifies an outlier."""
 
 
 def score_held_out(

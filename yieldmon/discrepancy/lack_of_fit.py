@@ -177,7 +177,7 @@ def where(fit: Fit, noise: Noise, rng: np.random.Generator) -> tuple[Region, ...
     length = np.linalg.norm(changes, axis=1)
     changes = changes - (changes @ tangent) @ tangent.T
     norm = np.linalg.norm(changes, axis=1)
-    # A window that recalibration can all but absorb says nothing.
+    # A window that recalibration can almost absorb is no evidence.
     keep = norm > _LEAST_BEYOND * length
     inside, changes, norm, least = windows[keep] > 0.0, changes[keep], norm[keep], _LEAST_BEYOND * length[keep]
     directions = changes / norm[:, None]

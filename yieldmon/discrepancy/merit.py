@@ -1,4 +1,4 @@
-"""Which of two fits says more: evidence, what an effect weighs, how far ahead it is."""
+"""Comparison of two fits: evidence, complexity of an effect, margin."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def by_own_error(found: Fit) -> float:
 def left_by_own_law(found: Fit, steps: Sequence[Step], noise: Noise, excess: float, policy: Policy) -> bool:
     """Whether one effect, far ahead of all others, leaves a small misfit by its law as written that another shape explains.
 
-    What the model's own error makes of the chi-square is no part of the misfit.
+    The chi-square by the model's own error is not part of the misfit.
     """
     if not far_ahead(found, steps, policy):
         return False

@@ -35,7 +35,7 @@ _STATED_DOF = 1e6
 _REFUTED = 0.001
 """p value below which repetitions refute the standard deviations that rows state."""
 _ASSUMED = (0.002, 0.01)
-"""Standard deviation, as shares of the largest reading and of each, where rows say nothing of it."""
+"""Standard deviation, as shares of the largest reading and of each, where the rows do not show it."""
 
 
 @dataclass(frozen=True)
@@ -164,7 +164,7 @@ def _variance_model(grouped: Cells, robust_sd: float) -> Noise:
 
 
 def _from_smooth_surface(rows: Rows) -> tuple[Noise, NDArray[np.bool_]]:
-    """Scatter about a polynomial surface over angle, load, speed and moisture, which no model had a say in."""
+    """Scatter about a polynomial surface over angle, load, speed and moisture, independent of any model."""
     keep = np.ones(len(rows), dtype=bool)
     top = float(np.max(np.abs(rows.value)))
     noise = Noise(_ASSUMED[0] * top, _ASSUMED[1], 20.0, "assumed")

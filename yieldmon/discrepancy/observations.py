@@ -1,4 +1,4 @@
-"""Measurements as the diagnosis sees them: rows, the cells that repeat one condition, and rows held out."""
+"""Measurements as inputs of the diagnosis: rows, cells of repeated conditions, and rows held out."""
 
 from __future__ import annotations
 
@@ -122,7 +122,7 @@ class Cells:
         )
 
     def groups(self) -> dict[str, NDArray[np.int64]]:
-        """Numbers that say which cells share an angle, a load or a speed, for leaving one out whole."""
+        """Group numbers of the cells by angle, load and speed, for leaving out one group at a time."""
         out = {}
         for name, values, width in (
             ("plate_angle", self.plate_angle_rad, SAME_ANGLE_RAD),

@@ -16,7 +16,7 @@ class Policy:
     """The same for each further effect, where the model so far may be complete."""
     least_confidence: float = 0.2
     """Probability of being right below which the first effect is a leading candidate and no name: so many effects fit such rows
-    that one of them says nothing. A name carries its probability; what separates wrong from right ones is `Objections`."""
+    that one alone is no evidence. A name carries its probability; what separates wrong from right ones is `Objections`."""
     complete_f: float = 2.0
     """Lack of fit up to which it may be: above it and below `lack_of_fit_p` not, and `first_p` holds for a further effect."""
     lack_of_fit_p: float = 0.01

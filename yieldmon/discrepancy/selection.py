@@ -1,4 +1,4 @@
-"""Which effects to name: forward steps with exchange, a global false-alarm rate, ties, and the right to say "unknown".
+"""Which effects to name: forward steps with exchange, a global false-alarm rate, ties, and the verdict "unknown".
 
 An effect is judged as a family of laws: what its own law may be off is integrated out (`Fit.shape_error`), beside the model's own
 error, so neither a tie nor a misfit rests on one way to write it.

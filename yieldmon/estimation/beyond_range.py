@@ -72,7 +72,7 @@ def speed_error_beyond(calibrated: CalibratedRange, model_error: float | None, e
 def moisture_error_beyond(parameters: ParameterSet, moisture_pct: Array) -> Array:
     """Relative standard deviation of the flow by grain wetter or drier (%) than was calibrated; 0 where the model follows that.
 
-    No part of `error_beyond`: a monitor knows better what moisture its parameters hold for."""
+    Not part of `error_beyond`: the monitor keeps the moisture that its parameters hold for (`MoistureReference`)."""
     limits = parameters.calibrated.moisture_pct
     if limits is None or "moisture_dependence" in parameters.effects:
         return np.zeros(np.shape(moisture_pct))

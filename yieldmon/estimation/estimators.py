@@ -11,7 +11,7 @@ from .parameters import ParameterSet
 
 
 def estimator_of(machine: Machine, parameters: ParameterSet, model: ForwardModel | None = None) -> OpenLoop | CurveEstimator:
-    """The set's curve where it has one, else the open loop with the effects that it speaks of.
+    """The set's curve where it has one, else the open loop with the effects that it names.
 
     Parameters
     ----------

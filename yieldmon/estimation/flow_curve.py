@@ -25,7 +25,8 @@ from .parameters import CalibratedRange, ParameterSet
 LEAST_RELATIVE_STD_DEV = 0.002
 """Of a curve: no table is better, whatever its rows agree to."""
 OFFSET_SHARE = 0.1
-"""Errors are relative to the flow and this share of the highest calibrated one: of a thin stream no curve knows more."""
+"""Errors are relative to the flow plus this share of the highest calibrated flow, because no curve is accurate for a thin
+stream."""
 ANGLE_STD_DEV_PER_RAD = 1.5
 """Relative standard deviation of flow for each radian between the plate and the nearest calibrated angle: what the force of the
 published model changes by about 70 deg (table 11.2, 9 kg/s), over what the flow changes it by."""

@@ -1,4 +1,4 @@
-"""What a predicted force is worth: the errors of parameters and model in it."""
+"""Standard deviation of a predicted force, by parameters and model."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ _DEGREES = (3, 3, 2)
 LEAST_LEVEL = 0.05
 """Readings below this share of the largest have the error of that share."""
 _UNSEEN = 1e-3
-"""Share of a residual below which what a group leaves says nothing of it."""
+"""Share of a direction below which the rows outside a group do not determine it."""
 
 
 def level(predicted: Array) -> Array:
@@ -78,8 +78,8 @@ def orthonormal(columns: Array) -> Array:
 def left_out(residual: Array, tangent: Array, group: NDArray[np.int64]) -> Array:
     """Whitened residual of each row when its group is left out of the fit, in the tangent plane, shape (n,).
 
-    (I - T_g T_g')^-1 r_g with T the tangent's orthonormal basis; directions that only the group itself determines (less than
-    the share `_UNSEEN` of them is seen elsewhere) are left at their fitted residual.
+    (I - T_g T_g')^-1 r_g with T the tangent's orthonormal basis; directions that only the group itself determines (the
+    other rows hold less than the share `_UNSEEN` of it) keep their fitted residual.
     """
     out = residual.copy()
     for number in range(int(group.max()) + 1):

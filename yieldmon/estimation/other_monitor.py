@@ -21,7 +21,7 @@ _SD = OTHER_MONITOR.parameters[0].prior_sd
 
 
 def with_bias(known: ParameterSet) -> ParameterSet:
-    """The set with the bias, of which nothing is known but its size; one that has it comes back as it is."""
+    """The set with the bias at its prior; a set that has the bias already is returned unchanged."""
     return known if BIAS in known.covariance_names else with_new_bias(known)
 
 

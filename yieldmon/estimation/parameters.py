@@ -184,7 +184,7 @@ class ParameterSet:
 
     @cached_property
     def effects(self) -> tuple[str, ...]:
-        """Names of the effects that the values speak of, in alphabetical order; those alone that change a force."""
+        """Names of the effects with values in the set that change a force, in alphabetical order."""
         named = {name.partition(".")[0] for name in self.values if "." in name}
         return tuple(sorted(name for name in named if changes_force(name)))
 

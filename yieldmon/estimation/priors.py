@@ -61,11 +61,11 @@ def fitting_bounds(names: Iterable[str], scale: float = 1.0, given: Bounds | Non
 
 
 EXCHANGED = "restitution ends at its physical bound: the published exchange coefficients k1, k2 are fitted in its place"
-"""What calibration and diagnosis say where 1 + e cannot fit."""
+"""Sentence of calibration and diagnosis where 1 + e cannot fit."""
 
 
 def at_bound_sentence(name: str, side: str, value: float) -> str:
-    """What calibration and diagnosis say of a parameter whose best value lies on a bound; side: "lower" or "upper"."""
+    """Sentence of calibration and diagnosis on a parameter whose best value lies on a bound; side: "lower" or "upper"."""
     return f"{name} is at its {side} bound {value:.6g}: the best fit lies beyond it, so this value is not an estimate."
 
 
@@ -147,7 +147,7 @@ class Prior:
         return out, mean
 
     def restricted(self, names: Sequence[str]) -> Prior:
-        """The marginal over those of `names` that it speaks of."""
+        """The marginal over those of `names` that it contains."""
         index = [self.names.index(n) for n in names if n in self.names]
         return Prior(tuple(self.names[i] for i in index), self.mean[index], self.covariance[np.ix_(index, index)])
 

@@ -61,7 +61,7 @@ class GrainParameter:
     form
         "" for grain itself, else the form of the impact gain that it belongs to.
     default
-        Its value where a parameter file does not speak of it; None: the file must.
+        Its value where a parameter file does not contain it; None: the file must.
     follows_response
         Whether it is in the reading's own unit; limits, search, start, typical and step are then per unit of scale.
     offset, floor
@@ -152,7 +152,7 @@ def fitted(form: str) -> tuple[str, ...]:
 
 
 def drift_key(name: str) -> str:
-    """The parameter whose drift a parameter has; its own name where the registry does not know it."""
+    """The parameter whose drift a parameter has; its own name where it is not in the registry."""
     known = GRAIN.get(name)
     return known.drift_of or name if known is not None else name
 
@@ -165,7 +165,7 @@ def natural_scale(parameter: GrainParameter, value: float) -> float:
 
 
 def published(values: Mapping[str, float]) -> dict[str, float]:
-    """Signals of the frame SelfCalibrationStatus that speak of grain: friction, and the impact gain 1 + e or k1 + k2."""
+    """Signals of the frame SelfCalibrationStatus with grain parameters: friction, and the impact gain 1 + e or k1 + k2."""
     out: dict[str, float] = {}
     for p in _ALL:
         if p.signal and p.name in values:

@@ -175,7 +175,7 @@ class ForwardModel:
         miss_rotation_rad: AnyArray | None = None,
         like: Throw | None = None,
     ) -> Throw:
-        """All that does not depend on the load, worked out once; see `Throw`.
+        """The part of the model that does not depend on the load, computed once; see `Throw`.
 
         Parameters
         ----------

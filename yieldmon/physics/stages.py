@@ -16,7 +16,7 @@ from .machine import Machine
 from .numerics import AnyArray, distinct, perturbed
 
 GRAVITY_M_S2 = 9.81
-"""Where gravity counts and nothing says how strong it is."""
+"""Default where gravity acts and its strength is not a parameter."""
 STAGES = ("setting", "load", "jet", "arrival", "impulse", "reading")
 
 
@@ -158,7 +158,7 @@ class Impulse:
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """What the sensor makes of one paddle; here the node axis has length 1."""
+    """The sensor's reading of one paddle; here the node axis has length 1."""
 
     impulse: Impulse
     momentum_kg_m_s: AnyArray

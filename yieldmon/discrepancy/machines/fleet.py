@@ -101,7 +101,7 @@ def _consensus(lattice: Lattice, kept: NDArray[np.bool_], misfit: float) -> Fram
     seen = weight > 0.0
     rows = frame.cells.rows
     value = np.where(seen, np.exp(np.divide(total, weight, out=np.zeros(count), where=seen)), rows.value)
-    # A cell that none of them measured says nothing.
+    # A cell that none of them measured is left out.
     sigma = value * np.where(seen, np.sqrt(misfit * spread) / np.where(seen, weight, 1.0), 1e3)
     grouped = cells(replace(rows, value=value, sigma=sigma))
     return replace(frame, cells=grouped, sd=sigma)

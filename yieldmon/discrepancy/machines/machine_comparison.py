@@ -140,7 +140,7 @@ class Comparison:
         return gains, self.tail(state).limit(self._policy.next_p / len(kept))
 
     def state(self, kept: NDArray[np.bool_]) -> State:
-        """What the kept machines say of their grain's differences and of the visits' noise."""
+        """Estimates of the differences in grain and of the visits' noise from the machines kept."""
         places = [int(i) for i in np.flatnonzero(kept)]
         state = State(kept, np.full((len(kept), self._grain.shape[1]), GRAIN_SD**2), 1.0)
         for _ in range(_STATE_STEPS):

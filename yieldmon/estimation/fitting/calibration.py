@@ -42,7 +42,7 @@ _NO_NOISE = (
     "state it (column sigma), or measure more rows."
 )
 _OTHER_SIGMA = 3.0
-"""Times by which rows scatter more or less than a sigma says that is asked about."""
+"""Ratio of the rows' scatter to the stated sigma, or its inverse, above which the user is asked about the sigma."""
 _OTHER_STARTS = 3
 """Searches with plate angles from another line."""
 

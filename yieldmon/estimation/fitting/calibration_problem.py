@@ -216,7 +216,7 @@ class CalibrationProblem:
         return total if np.isfinite(total) else float("inf")
 
     def noise(self, error: Array, slopes: Array) -> Noise:
-        """What the residuals (rows,) of the best fit, with derivatives (rows, n) there, say about the rows' noise."""
+        """The rows' noise, from the residuals (rows,) of the best fit and the derivatives (rows, n) there."""
         weight = 1.0 / self.row_sd
         if self.robust:
             weight = weight * (1.0 + (error * weight / ROBUST_SCALE) ** 2) ** -0.25

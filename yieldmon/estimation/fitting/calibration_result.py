@@ -1,4 +1,4 @@
-"""What a calibration found: parameters, minima, quality of the fit, profiles, and what a reader should know of them."""
+"""What a calibration found: parameters, minima, quality of the fit, profiles, and sentences for the user."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ class Calibration:
     jacobian : ndarray
         (rows, n): derivatives of the predictions.
     sentences : tuple of str
-        What a reader should know of the fit.
+        On the fit, for the user.
 
     Examples
     --------
@@ -136,7 +136,7 @@ def sentences(
     quality: Residuals,
     effects: Sequence[str],
 ) -> Iterable[str]:
-    """What a reader should know about a fit of a model with these effects, one sentence each."""
+    """Sentences for the user on a fit of a model with these effects."""
     for parameter in fitted:
         yield from _determination(parameter)
     for i in range(len(fitted)):

@@ -77,7 +77,7 @@ def either_form(level: Array) -> Array:
 
 
 def usual_deviation(relative: Array) -> float:
-    """Standard deviation that most deviations speak for, all of them >= 0.
+    """Robust standard deviation from absolute deviations, all of them >= 0.
 
     Of readings in steps coarser than their noise most repetitions agree in every digit; there the usual
     difference of those that do not, a step, stands for it: where a tenth of the rows differ these are no outliers.

@@ -1,7 +1,7 @@
-"""A calibration where the model misses: grain that is physically likely, and a smooth error of no named cause beside it.
+"""A calibration for a model that does not fit: physically likely grain, and a smooth error without a named cause beside it.
 
-Least squares alone turns what the model misses into a friction of 0 or a density at the end of what grain can be. Such grain fits
-the table and follows neither moisture nor wear as grain does. Here the grain has a prior, the error is the weights of the effect
+Least squares alone turns the model's error into a friction of 0 or a density at the limit for grain. Such parameters fit the
+table, but do not respond to moisture and wear as grain does. Here the grain has a prior, the error is the weights of the effect
 `stop_gap`, and both are fitted together; the error's size is the likeliest one. It stands for causes that are not known yet,
 within the calibrated angles and loads alone.
 
@@ -54,7 +54,7 @@ def with_stop_gap(model: ForwardModel, data: Measurements, found: ParameterSet, 
     model : ForwardModel
         Of the calibration, without the effect.
     data : Measurements
-        Its rows, with a sigma, or enough repeats to see their noise.
+        Its rows, with a sigma, or with enough repetitions to estimate their noise.
     found : ParameterSet
         What the calibration without the effect found; what is not free stays as it is there.
     free : sequence of str
@@ -108,7 +108,7 @@ def without_stop_gap(parameters: ParameterSet) -> ParameterSet:
 
 
 def sentence(parameters: ParameterSet) -> str:
-    """What a reader should know of a set with a stop-gap."""
+    """The sentence for the user on a set with a stop-gap."""
     grain = [name for name in parameters.covariance_names if name in GRAIN]
     known = ", ".join(f"{name} {parameters.values[name]:.4g} +- {parameters.standard_deviation(name):.2g}" for name in grain)
     size = parameters.standard_deviation(_BEYOND[0])

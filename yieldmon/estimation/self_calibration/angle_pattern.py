@@ -26,7 +26,7 @@ _CALIBRATED = 2.0
 
 
 def with_pattern(parameters: ParameterSet, relative_sd: float) -> ParameterSet:
-    """The set with a pattern of which nothing is known but its size; one that has a pattern comes back as it is.
+    """The set with the pattern at its prior; a set that has a pattern already is returned unchanged.
 
     Parameters
     ----------

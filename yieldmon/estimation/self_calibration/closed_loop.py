@@ -38,10 +38,10 @@ from .steady_drift import widened
 
 _WIDENINGS = 4
 _ALL = 1e-9
-"""So little information of a weighed mass counts for something."""
+"""Least information of a weighed mass for an update: practically any."""
 _NARROWED = 0.995
 _LARGEST_MODEL_ERROR, _HALVINGS = 0.5, 12
-"""Relative, that is tried where windows disagree with the model, and how often its range is halved."""
+"""Largest relative model error tried where windows disagree with the model, and number of bisections of its range."""
 
 
 def self_calibrate(
@@ -117,7 +117,7 @@ def self_calibrate(
 
 
 def _not_determined(found: Outcome, prior: ParameterSet, ends: Sequence[str]) -> Outcome:
-    """Nothing of an update that ends where the search does: such a value is the range's, and the others' lean on it."""
+    """Refuse an update that ends at the limit of the search: such a value comes from the limit, and the others depend on it."""
     values = found.parameter_set.values
     at = " and ".join(f"{name} to {values[name]:.4g} {GRAIN[name].unit}".rstrip() + _range(name) for name in ends)
     return replace(
@@ -136,7 +136,7 @@ def _range(name: str) -> str:
 
 
 def _with_difference(flow: FlowPosterior, other: FlowPosterior) -> FlowPosterior:
-    """A flow with the deviation of another estimate of it and what they differ by: which of both is nearer is not known."""
+    """A flow with the standard deviation of another estimate of it, widened by their difference, as either may be right."""
     difference = float(np.log(flow.mass_flow_kg_s / other.mass_flow_kg_s))
     return replace(flow, log_sd=float(np.hypot(other.log_sd, difference)))
 
@@ -183,8 +183,8 @@ def update_from_tickets(
 ) -> Outcome:
     """`self_calibrate` from weighed masses alone. A scale counts: where it contradicts the parameters, they were less
     certain than they claimed, and their standard deviations are doubled until both agree, up to 16 times and no further than
-    half of a parameter's physical range. However little a weighed mass says beside those before it, it is taken: unlike a sweep
-    it has no error that comes back the same each time. Raises as `self_calibrate`.
+    half of a parameter's physical range. A weighed mass is used however little information it adds: unlike a sweep it has no
+    systematic error that repeats. Raises as `self_calibrate`.
     """
     widening = 1.0
     settings = replace(ClosedLoopSettings() if settings is None else settings, learned_information=_ALL, kept_ratio=1.0 - _ALL)
@@ -205,7 +205,7 @@ def _beyond_physics(wide: ParameterSet) -> bool:
 
 
 def _outcome(problem: ClosedLoopProblem, solution: Solution) -> Outcome:
-    """What to use from now on, and what the search says about it."""
+    """The outcome of a solved problem."""
     from scipy.special import chdtrc  # a quarter of a second that commands without a sweep do without
 
     width, settings = len(problem.names), problem.settings
@@ -243,7 +243,7 @@ def _outcome(problem: ClosedLoopProblem, solution: Solution) -> Outcome:
 def _parameter_updates(
     problem: ClosedLoopProblem, mean: Array, covariance: Array, consistent: bool
 ) -> tuple[ParameterUpdate, ...]:
-    """What became of each parameter; nothing where the data contradict the model."""
+    """Prior and posterior of each parameter; the prior for both where the data contradict the model."""
     prior, prior_sds = problem.prior.mean, problem.prior.standard_deviation
     sds = np.sqrt(np.diag(covariance))
     return tuple(

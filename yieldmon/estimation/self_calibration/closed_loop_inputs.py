@@ -95,7 +95,7 @@ class WeighedMass:
     Parameters
     ----------
     reference_kg, std_dev_kg : float
-        What the scale says and its standard deviation, kg.
+        Weighed mass and its standard deviation, kg.
     duration_s : array_like
         (n,) of each window, s.
     force_n, plate_angle_rad, elevator_speed_rad_s : array_like
@@ -207,7 +207,7 @@ class WeighedMass:
         Parameters
         ----------
         reference_kg, std_dev_kg : float
-            What the scale says and its standard deviation, kg.
+            Weighed mass and its standard deviation, kg.
         measured_kg : float
             What was measured, kg.
         model : ForwardModel

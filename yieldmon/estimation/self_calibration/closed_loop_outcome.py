@@ -78,7 +78,7 @@ class ScaleReport:
 
 
 NO_SCALE = ScaleReport(0.0, 0.0, 0.0, observable=False, unobservable_directions=())
-"""Where nothing is to be said of it."""
+"""Where the scale cannot be judged."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,5 @@
-"""The closed loop as a least-squares problem: parameters, one flow a sweep, and what windows, prior and masses say of them.
+"""The closed loop as a least-squares problem: with parameters and one flow per sweep as unknowns, and windows, prior and masses
+as data.
 
 The unknown is one vector: parameters (n), logarithm of each sweep's flow (S), slope of each (S) where the flow is a line, and the
 model's relative error at each plate angle (A) where several sweeps share it. Of one sweep alone that error counts as noise.
@@ -38,7 +39,7 @@ _NEWTON_STEPS = 4
 _LARGEST_ERROR = 0.9
 """Relative, of the model at an angle."""
 _LEAST_GAIN = 1e-8
-"""Of chi-square, that a further step is worth: one of 1e-4 standard deviations."""
+"""Least decrease of chi-square for a further step, as of one by 1e-4 standard deviations."""
 
 
 @dataclass(frozen=True, slots=True)

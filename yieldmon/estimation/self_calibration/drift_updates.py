@@ -1,4 +1,4 @@
-"""Updates of a drifting state taken again without those of sweeps: what weighed masses alone say of the time before.
+"""Updates of a drifting state repeated without those by sweeps, to correct the time before by weighed masses alone.
 
 A sweep is read through the model's profile over the plate angle. Its scatter, and a model error that comes back with each sweep,
 go into friction and with it into the flow at home; the drift of friction that the estimator expects lets them. While the machine
@@ -63,7 +63,7 @@ class DriftUpdate:
 
 @dataclass(frozen=True, slots=True)
 class _Readings:
-    """Independent readings of rows @ state, with their variances: what an update says whatever was known before it."""
+    """Independent readings of rows @ state, with their variances: the information of an update, independent of its prior."""
 
     rows: Array
     values: Array

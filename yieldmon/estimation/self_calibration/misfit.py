@@ -74,7 +74,7 @@ class ReducedSweep:
     home_log_force: float = float("nan")
 
     def measured_by(self, model: ForwardModel, parameters: ParameterSet) -> ReducedSweep:
-        """The same with the flow that other parameters make of the force at home; as it is where that is not known."""
+        """The same with the flow that other parameters give for the force at home; unchanged where that is not known."""
         if not np.isfinite(self.home_log_force):
             return self
         flow = OpenLoop(model, parameters).invert(

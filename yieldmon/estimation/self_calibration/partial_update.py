@@ -36,7 +36,7 @@ def determined_part(
     shrunk = np.sqrt(np.diag(joint)) / prior.standard_deviation < settings.kept_ratio
     if not np.any(shrunk):
         return prior.mean, prior.covariance
-    # Schmidt: the kept parameters have no gain of their own, and their error goes on counting in the others'.
+    # Schmidt: the kept parameters have no gain of their own, and their error stays in that of the others.
     gain = np.where(shrunk[:, None], gain, 0.0)
     noise = joint @ (white.T @ kept @ np.diag(values[used]) @ kept.T @ white) @ joint
     left = np.eye(theta.size) - gain

@@ -176,7 +176,7 @@ def with_gain_error(
     relative : float
         Standard deviation of the gain, 0 or more; parameters without a gain that is unsure stay as they are.
     all_along : bool
-        Whether it was so before the step as well, so that what an update says of it holds for the time before.
+        Whether the error existed before the step as well, so that an update of it also applies to the time before.
 
     Returns
     -------

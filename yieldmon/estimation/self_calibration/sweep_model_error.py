@@ -42,7 +42,7 @@ _LEAST_PATTERN = 0.5
 _NOT_HIDDEN = ("angle_pattern", "load_pattern", "moisture_dependence")
 """Effects that stand for no cause, or for one that is seen elsewhere. The stop-gap stays: a small error that nothing explains."""
 _MIDDLE = (400.0 * RPM, 10.0, 15.0)
-"""Elevator speed, rad/s, flow, kg/s, and moisture, %, where parameters do not say what they were calibrated over."""
+"""Elevator speed, rad/s, flow, kg/s, and moisture, %, used where the calibrated range of the parameters is unknown."""
 _NO_MOMENT = np.zeros((NODES_RAD.size, NODES_RAD.size))
 
 
@@ -91,7 +91,7 @@ def _unswept_error(
     away_rad: tuple[float, ...],
     *missing: Effect,
 ) -> AngleError:
-    """away_rad: angles of the sweep away from home; missing: effects that the parameters do not speak of."""
+    """away_rad: angles of the sweep away from home; missing: effects that the parameters do not contain."""
     parameters = ParameterSet(dict(values), calibrated=known)
     model = ForwardModel(machine, parameters.effects, nodes=nodes)
     home_rad = model.machine.home_plate_angle_rad

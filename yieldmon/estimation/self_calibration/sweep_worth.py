@@ -1,4 +1,4 @@
-"""How much a sweep would improve the flow, before it is made: its standard deviation after a sweep, and after as long at home.
+"""Expected benefit of a sweep: the standard deviation of the flow after a sweep, and after the same time at home.
 
 Linear about the parameters in use, as the closed loop reads a sweep: a flow that wanders, the model's error once for each plate
 angle, and only what `partial_update.determined_part` would take. The flow of the same sweep is not known and counts for nothing.
@@ -28,7 +28,7 @@ from .flow_process import correlation
 from .partial_update import determined_part
 
 _UNKNOWN_FLOW = 1e2
-"""Prior variance of ln(flow): none to speak of."""
+"""Prior variance of ln(flow), so large that the prior has no effect."""
 _MOVING_S = 2.0
 """Of the plate from one stop to the next, until its feedback and the signal have settled, about."""
 _LEAST_SD = 1e-3
@@ -75,7 +75,7 @@ class SweepWorth:
 
     @property
     def ratio(self) -> float:
-        """How many times as large the first is."""
+        """Ratio of the first to the second."""
         return self.at_home_sd / self.with_sweep_sd
 
 

@@ -84,7 +84,7 @@ class ArrivalLaw:
         return np.asarray(np.exp(law_and_slope(self.tail, fill, conditions)[0]))
 
     def outside(self, fill: float, plate_angle_rad: float, elevator_speed_rad_s: float) -> str:
-        """Why the law says nothing there; empty where it does.
+        """Why the law does not apply there; "" where it does.
 
         Values may lie beyond those of the calibration by BEYOND_FILL, BEYOND_SPEED (factors) and BEYOND_ANGLE_RAD.
         """

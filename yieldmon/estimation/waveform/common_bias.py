@@ -1,4 +1,4 @@
-"""Scale from kernel noise for updates of the parameters: all that it says shares one bias, which is a state of its own.
+"""Scale from kernel noise for updates of the parameters; all such measurements share one bias, which is a state of its own.
 
 Kernel noise gives flow times exp(bias). The bias (of the kernels' weight, of crop, cell and background) is the same today as
 tomorrow: a hundred hours of noise know the scale no better than the bias is known. So the bias has a value, a variance and a
@@ -96,7 +96,7 @@ def carried(bias: CommonBias, transition: Array, harvested_kg: float) -> CommonB
 
 
 def followed(bias: CommonBias, before: DriftingParameters, after: DriftingParameters, *, widening: float = 1.0) -> CommonBias:
-    """After an update by something else, which knows nothing of the bias: it follows by its covariance with the states.
+    """The bias after an update by other data: it follows by its covariance with the states.
 
     widening: as of `steady_drift.updated`. Raises ValueError where the states are not the same.
     """

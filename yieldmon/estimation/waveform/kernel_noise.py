@@ -59,7 +59,7 @@ class KernelNoiseSettings:
         J over (kernel mass times impulse per kilogram), and its standard deviation between crops, loads and restitutions
         (studies/waveform, discrete-element forces).
     largest_sd : float
-        Relative standard deviation of J above which the channel says nothing.
+        Relative standard deviation of J above which the channel gives no flow.
     averaged : bool
         Whether a sample is the mean over its interval; else it is the force at one instant, into which all aliases fold.
     """

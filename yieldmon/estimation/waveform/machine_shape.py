@@ -35,7 +35,7 @@ _LEAST_ANGLES = 4
 
 @dataclass(frozen=True, slots=True)
 class WeighedWave:
-    """A window's wave, the load that it is of, and the volume flow that the load's weighed mass makes of its mean force."""
+    """A window's wave, its load, and its volume flow by the mean force, scaled to the load's weighed mass."""
 
     load: str
     wave: PatternWave
@@ -57,7 +57,8 @@ class LoadShape:
 
 @dataclass(frozen=True)
 class MachineShape:
-    """The law, the terms that are free in it, and what its loads say of it. refused: why it is worse than the one in use."""
+    """The law fitted to loads, its free terms, and the evidence of the loads for it. refused: why it is worse than the one in
+    use."""
 
     law: ArrivalLaw
     terms: tuple[str, ...]

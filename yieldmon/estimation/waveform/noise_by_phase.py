@@ -45,7 +45,7 @@ class SteadyNoise:
     Attributes
     ----------
     share : float
-        Of the noise beyond that of the empty machine, less where chance explains it; 0 where pulses leave no time to see it in.
+        Of the noise beyond that of the empty machine, less what chance explains; 0 where no time is left between the pulses.
     sd : float
         Its standard deviation by chance; inf where it cannot be seen.
     """
@@ -130,7 +130,7 @@ def steady_noise(
     low_hz: float,
     high_hz: float,
 ) -> SteadyNoise:
-    """Share of noise that does not follow the force: what is there with the least force, less what kernels make of that force.
+    """Share of noise that does not depend on the force: the noise at the least force, less that of the kernels at that force.
 
     Parameters
     ----------

@@ -130,7 +130,7 @@ def deviations_from(
     if not np.all(np.isfinite(theta[0, [SHIFT, GAIN]])):
         return float("nan")
     held = fitted(pulses, shown, theta, mean, iterations, flow_sd=relative_sd)[0]
-    # The prior of a shift that no index gives is centred on its start, and says nothing.
+    # Without an index, the prior of the shift is centred on its start and carries no information.
     if not pulses.settings.indexed:
         mean[:, SHIFT] = free[SHIFT]
     rest = rise(pulses, shown, free, np.array([held.values[name] for name in pulses.names]), mean[0], relative_sd)

@@ -95,7 +95,7 @@ def misplaced_share(windows: Sequence[PulseTimes], impulse_n_s: float, power_n2:
     ----------
     windows : sequence of PulseTimes (w,)
     impulse_n_s : float
-        Of a kernel, as the noise says it.
+        Of a kernel, by the noise.
     power_n2 : sequence of float (w,)
         Mean square in the band beyond the empty machine's, of each window.
 

@@ -1,4 +1,4 @@
-"""What the weighed loads of many machines say of a crop, for a machine that has none yet: empirical Bayes.
+"""Prior for a crop from the weighed loads of many machines, for a machine that has none yet: empirical Bayes.
 
 Each machine's density and impact gain differ from the crop's shipped values by a vector of its own (in their logarithms), in
 which its sensor, its plate's angle and its grain are all contained; these vectors scatter about one of the crop. The crop's
@@ -214,7 +214,7 @@ def _held_slopes(model: ForwardModel, known: ParameterSet, loads: Sequence[Weigh
 
 
 def _held(known: ParameterSet) -> list[str]:
-    """Parameters with a standard deviation that loads say nothing of."""
+    """Parameters with a standard deviation that loads do not determine."""
     of_loads = (DENSITY, _scales(known)[0])
     return [name for name in known.covariance_names if name not in of_loads and known.standard_deviation(name) > 0.0]
 

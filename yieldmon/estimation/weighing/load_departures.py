@@ -33,7 +33,7 @@ def spread(model: ForwardModel, known: ParameterSet, load: WeighedLoad, settings
 def departures(
     model: ForwardModel, known: ParameterSet, loads: Sequence[WeighedLoad], settings: LoadSettings | None = None
 ) -> tuple[Array, Array]:
-    """`departure` of several loads, which all know their moisture or none does: (n,) errors and their standard deviations."""
+    """`departure` of several loads, all with a known moisture or all without: errors (n,) and their standard deviations (n,)."""
     problem = _measured(model, known, loads, settings)
     return np.expm1(_ln_errors(problem)), np.hypot(problem.spreads(known), problem.sd)
 

@@ -1,4 +1,4 @@
-"""Density and impact gain fitted to weighed loads, and each load held against the others.
+"""Density and impact gain fitted to weighed loads, and each load compared with the others.
 
 Sources: Huber and Ronchetti, "Robust Statistics"; Stone, "Cross-validatory choice and assessment of statistical predictions",
 J. R. Statist. Soc. B 36 (1974), for loads left out.
@@ -33,7 +33,7 @@ _STEP = 1e-4
 _RECENT = 64
 """Results that are kept of each kind: fits without a load begin where others were."""
 _SIGNIFICANT = 0.01
-"""Probability by chance below which loads speak against a fit."""
+"""Probability by chance below which loads contradict a fit."""
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,7 @@ class LoadProblem:
         return np.asarray(np.bincount(self.of_load, self.duration * flow, minlength=len(self.loads)), dtype=float)
 
     def mass(self, known: ParameterSet) -> Array:
-        """(n,) kg that these parameters make of each load."""
+        """Mass of each load by these parameters, kg, (n,)."""
         return self.total(self.flow(known)[0])
 
     def slopes(self, values: Sequence[Mapping[str, float]], flow: Array, by_flow: Array, steps: Sequence[float]) -> Array:
@@ -230,7 +230,7 @@ class LoadProblem:
         return np.asarray(np.sum(h * self.informed(h, active.astype(float)), axis=0))
 
     def cost(self, fit: LoadFit, active: NDArray[np.bool_]) -> float:
-        """Half the squares of what the active loads (by Huber's loss) and the prior say against a fit."""
+        """Half the sum of squares of the active loads (by Huber's loss) and of the prior."""
         limit = self.settings.huber_sds
         far = np.abs(fit.error[active]) / self._far[active] * limit
         loss = np.where(far > limit, 2.0 * limit * far - limit**2, far**2)
@@ -260,7 +260,7 @@ class LoadProblem:
         return float(np.expm1(-fit.error[-1])) if away >= self.settings.outlier_sds else None
 
     def _away(self, fit: LoadFit, others: NDArray[np.bool_], k: int) -> float:
-        """How many standard deviations load k is from what the others say of it, the law's error among them."""
+        """Deviation of load k from its prediction by the others, in standard deviations that include the law's error."""
         error = fit.error - fit.by_step @ fit.step
         h = fit.by_step @ np.linalg.cholesky(self.prior[-2:, -2:])
         limit = self.settings.huber_sds * np.hypot(self.sd, self.settings.law_error)
@@ -271,7 +271,7 @@ class LoadProblem:
         return float(abs(error[k] - between @ error[others]) / np.sqrt(variance))
 
     def contradicts(self, fit: LoadFit, active: NDArray[np.bool_], directions: int) -> bool:
-        """Whether the active loads speak against a fit along so many directions."""
+        """Whether the active loads contradict a fit along so many directions."""
         from scipy.special import chdtrc  # a quarter of a second that commands without loads do without
 
         misfit = float(fit.error @ self.informed(fit.error[:, None], active.astype(float))[:, 0])

@@ -324,7 +324,8 @@ def left_out(law: LawProblem, active: NDArray[np.bool_], near: Array) -> tuple[A
 
 @dataclass(frozen=True)
 class Against:
-    """A load as others have it: ln error, its standard deviation, and how many of these it is; 0 where they say nothing."""
+    """A load predicted by the others: ln error, its standard deviation, and their ratio; 0 where the others do not determine
+    it."""
 
     error: float
     std_dev: float
@@ -361,7 +362,7 @@ def inliers(problem: LoadProblem, law: LawProblem) -> NDArray[np.bool_]:
         except ValueError:  # The model's own curve has no flow for a force.
             pass
         said = {k: against_others(law, active & (np.arange(active.size) != k), k) for k in suspects}
-        # The least likely by the others, not the furthest: what these say of it may be little.
+        # The least likely by the others, not the furthest: its prediction by them may be uncertain.
         worst = max(said, key=lambda k: 0.5 * said[k].away ** 2 + np.log(said[k].std_dev))
         if said[worst].away < settings.outlier_sds:
             break

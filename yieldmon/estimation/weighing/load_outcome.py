@@ -1,4 +1,4 @@
-"""What a calibration by loads found, and what a reader should know of it."""
+"""The result of a calibration by loads, and sentences for the user."""
 
 from __future__ import annotations
 

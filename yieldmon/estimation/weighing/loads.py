@@ -74,7 +74,7 @@ def calibrate_loads(
     sweep_settings : ClosedLoopSettings, optional
         None: the defaults.
     in_prior : container of str
-        Names of loads that the prior was fitted to: that it measures these well says nothing for it.
+        Names of loads that the prior was fitted to: that it measures these well is no evidence for it.
 
     Returns
     -------
@@ -153,7 +153,7 @@ def _with_range(
 
 
 def _bears_out(problem: LoadProblem, active: NDArray[np.bool_]) -> bool:
-    """Whether the active loads weigh what the set given makes of them, within what it is uncertain by."""
+    """Whether the given set predicts the active loads within its uncertainty."""
     given = problem.given
     own = LoadProblem(problem.model, given, given, problem.loads, problem.settings)
     std_dev = np.hypot(np.hypot(own.spreads(given), own.sd), given.own_error)
@@ -194,7 +194,7 @@ def _calibration(
 
 
 def _by_other_monitor(problem: LoadProblem, active: NDArray[np.bool_], directions: int) -> bool:
-    """Whether the error of another combine's monitor explains those of loads left out, so that they say nothing against a fit."""
+    """Whether the error of another combine's monitor explains those of loads left out, so that they do not contradict a fit."""
     return bool(np.any(problem.common) and _rms(problem.left_out(active, directions).away[active]) <= _CONTRADICTED)
 
 
@@ -266,7 +266,7 @@ def _moved_names(given: ParameterSet, chosen: ParameterSet) -> tuple[str, ...]:
 
 
 def _is_another(found: LawAverage, problem: LoadProblem, active: NDArray[np.bool_]) -> bool:
-    """Whether what the loads say of the curve is to be used: not where enough loads have shown that it is the model's."""
+    """Whether to use the loads' evidence on the curve: not where enough loads have shown that it is the model's."""
     return EFFECT in problem.given.effects or active.sum() < LEAST_LOADS or found.law > _MODELS_OWN
 
 
@@ -276,7 +276,7 @@ def _by_another_law(
     """The calibration where the force may follow another curve over the flow than the model's."""
     errors, away = left_out(law, active, found.step)
     judged = _judged(problem, errors, active, in_prior)
-    # A load that another curve may well put there says nothing against the calibration, however far it is.
+    # A load that another likely curve explains does not contradict the calibration, however far it is.
     refused = judged.is_worse(found.error) and _rms(away[judged.judges]) > _CONTRADICTED
     posterior = problem.given if refused else _as_law_set(law, active, found)
     information = problem.information(LoadFit(found.step[:2], found.error, found.by_step[:, :2]), active)

@@ -1,4 +1,4 @@
-"""What weighed loads of one crop say of another on the same machine, before any load of that one is weighed.
+"""Prior for a crop from the weighed loads of another crop on the same machine, before any of its own is weighed.
 
 Density and impact gain are off the published ones by what the machine does to all grain (its geometry, its plate, grain that
 strikes grain), and so is the curve of the force over the load. Both go over to the other crop; what differs between crops beside

@@ -40,7 +40,7 @@ _UNLIKE = 1.3
 _LEAST_LN = 0.03
 """Error of a mass below which a slip is no gross one."""
 _TARES_LN, _TARE_SD = (-0.75, -0.45, -0.15, 0.15, 0.45, 0.75, 1.05), 0.15
-"""What a tare makes of ln of the lightest ticket, and its standard deviation about each; below 0, taken off twice."""
+"""Change of ln of the lightest ticket by a tare, and its standard deviation about each; negative: subtracted twice."""
 
 
 class SlipKind(Enum):

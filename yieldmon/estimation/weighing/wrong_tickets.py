@@ -19,7 +19,7 @@ from .load_outcome import WrongTicket
 from .ticket_slips import SlipKind, slips, tare_kg
 
 LEAST_LOADS = 3
-"""Fewer weighed loads say nothing against a further one."""
+"""Least number of weighed loads that can contradict a further one."""
 _WRONG, _PERHAPS_WRONG = 0.5, 0.2
 """Probability of a wrong ticket from which nothing is updated, and from which it is asked about (studies/load_laws)."""
 _WRONG_OF_TWO, _PERHAPS_WRONG_OF_TWO = 0.25, 0.1
