@@ -109,7 +109,9 @@ class ParameterUpdater:
         Raises ValueError as `ticket`.
         """
         tickets = self.masses.tickets
-        references, kept = ([tickets.ticket(one, loads=loads, now_s=now_s) for one in weighings] for weighings in (again, stay))
+        references, kept = (
+            [tickets.ticket(Weighing(*one), loads=loads, now_s=now_s) for one in weighings] for weighings in (again, stay)
+        )
         gone = load_numbers | {reference.load_number for reference in (*references, *kept)}
         left = tickets.take_back(gone, references, crop, kept)
         counted = None

@@ -82,13 +82,13 @@ class KernelChannel:
     @property
     def missing(self) -> str:
         """What is still to be measured, in words; "" where both empty machine and grain have been measured for long enough."""
-        needed, empty, loaded = self._settings.quiet_windows, len(self._quiet), self._since_mean_windows
+        needed, empty, loaded = self._settings.quiet_windows, len(self._quiet), self._kept_windows
         if min(empty, loaded) >= needed:
             return ""
         return f"{empty} s of the empty machine and {loaded} s of steady grain measured, {needed} s of each needed"
 
     @property
-    def _since_mean_windows(self) -> int:
+    def _kept_windows(self) -> int:
         return min(len(self._loaded) + len(self._samples), self._settings.kernel_windows)
 
     def _changed(self, force_n: float) -> bool:
@@ -127,9 +127,9 @@ class KernelChannel:
             self._keep_noise(force_n, trace, wave, reading, flow_kg_s)
         if len(self._samples) >= _EVERY:
             self._take_pulses_off(trace.interval_s)
-        if min(len(self._quiet), self._since_mean_windows) < self._settings.quiet_windows:
+        if min(len(self._quiet), self._kept_windows) < self._settings.quiet_windows:
             return None
-        if self._apparent is None or self._since_mean >= min(_EVERY, _GROWN * (self._since_mean_windows - self._since_mean)):
+        if self._apparent is None or self._since_mean >= min(_EVERY, _GROWN * (self._kept_windows - self._since_mean)):
             self._take_pulses_off(trace.interval_s)
             self._apparent, self._since_mean = self._apparent_mass(trace.interval_s), 0
         return replace(self._apparent, impulse_n_s=self._apparent.impulse_n_s * reading.force_n / flow_kg_s)
