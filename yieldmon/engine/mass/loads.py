@@ -252,7 +252,7 @@ class Loads:
         if totals.load_open and number == totals.load_number:
             more_kg = parameters_kg - totals.load_budget.parameters_kg
             load, total = totals.load_budget.with_parameters(more_kg), totals.total_budget.with_parameters(more_kg)
-            self.totals = replace(totals, load_budget=load, total_budget=total)
+            self.totals = totals.with_budgets(load=load, total=total)
             return ()
         place = next((place for place, load in enumerate(self._closed) if load.number == number), None)
         before = self._before.get(number) if place is None else self._closed[place].budget
@@ -303,7 +303,7 @@ class Loads:
         more_kg = load.parameters_kg - totals.load_budget.parameters_kg
         self._errors.widened(totals.load_number, by_load, more_kg)
         total = totals.total_budget.with_common(totals.total_budget.parameters_kg + more_kg)
-        self.totals = replace(totals, load_budget=load, total_budget=total)
+        self.totals = totals.with_budgets(load=load, total=total)
 
     def doubt(self) -> None:
         """Mass counted last may be wrong: the load cannot be compared with a weight."""

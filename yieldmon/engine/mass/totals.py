@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields, replace
 from math import isfinite
 from operator import attrgetter
 
-from yieldmon.engine.fast_dataclasses import maker_of
+from yieldmon.engine.fast_dataclasses import changer_of, maker_of
 from yieldmon.engine.mass.budget import EMPTY, NO_BUDGET, FlowBudget, MassBudget
 from yieldmon.engine.mass.missed_mass import MissedMass
 from yieldmon.engine.mass.unseen import UnseenMass
@@ -137,6 +137,11 @@ class Totals:
             return self.load_area_m2 + area_m2, self.load_unknown_area_kg
         return self.load_area_m2, self.load_unknown_area_kg + mass_kg
 
+    def with_budgets(self, *, load: MassBudget, total: MassBudget) -> Totals:
+        """Totals of which load and total are as unsure as these budgets say."""
+        changed: Totals = _with(self, load_budget=load, total_budget=total)
+        return changed
+
     def with_missed(self, missed: MissedMass, *, in_load: bool, before: UnseenMass | None = None) -> Totals:
         """Totals after a correction. in_load: it is the open load's as well. Nothing falls below 0. before: what may have come
         unseen until then; None: of no seconds but those that were measured again."""
@@ -208,7 +213,7 @@ class Totals:
         return replace(self, load_open=False)
 
 
-_made = maker_of(Totals)
+_made, _with = maker_of(Totals), changer_of(Totals)
 _before_area = attrgetter(*(field.name for field in fields(Totals)[:-3]))
 
 
