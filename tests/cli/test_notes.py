@@ -72,3 +72,22 @@ def test_a_configuration_whose_machine_file_has_no_end_is_refused_in_one_line(
     assert done.returncode == 2
     assert "friction: is 9" in done.stderr
     assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["pack", "cut.log", "--out", "cut.parquet"],
+        ["monitor", "cut.log", "--once"],
+        ["signals", "cut.log"],
+    ],
+    ids=lambda words: words[0],
+)
+def test_a_damaged_place_of_a_log_is_said_once(
+    words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("cut.log").write_text("(0.0) can0 123#00\n(1.0) can")
+    main(words)
+    lines = [line for line in capsys.readouterr().err.splitlines() if "candump" in line]
+    assert lines == ["yieldmon: cut.log:2: '(1.0) can' is not a candump line"]

@@ -64,3 +64,13 @@ def test_faults_of_a_recording_are_told(
     notes = [line for line in capsys.readouterr().out.splitlines() if line.startswith("note: ")]
     assert bool(notes) == bool(told)
     assert all(any(text in note for note in notes) for text in told)
+
+
+def test_a_damaged_place_of_a_recording_is_said_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The recording is read twice."""
+    log = recorded(tmp_path)
+    with log.open("a") as stream:
+        stream.write("(1790000000.0) can")
+    assert main(["check-config", "--log", str(log)]) == 0
+    lines = capsys.readouterr().err.splitlines()
+    assert [(line.startswith(f"yieldmon: {log}:"), line.endswith("is not a candump line")) for line in lines] == [(True, True)]

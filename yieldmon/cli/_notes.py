@@ -11,7 +11,7 @@ from contextvars import ContextVar
 from yieldmon.errors import InputError
 from yieldmon.files.plain_text import plain
 
-_READERS = logging.getLogger("yieldmon.files")
+_READERS = tuple(map(logging.getLogger, ("yieldmon.files", "yieldmon.bus.log_files")))
 _held: ContextVar[list[str] | None] = ContextVar("held", default=None)
 
 
@@ -47,7 +47,8 @@ def held() -> Iterator[list[str]]:
     """Around a command's work: notes wait for its end, and go where it raises InputError. Gives their lines."""
     lines: list[str] = []
     handler, token = _Handler(), _held.set(lines)
-    _READERS.addHandler(handler)
+    for reader in _READERS:
+        reader.addHandler(handler)
     try:
         yield lines
     except InputError:
@@ -55,6 +56,7 @@ def held() -> Iterator[list[str]]:
         raise
     finally:
         _held.reset(token)
-        _READERS.removeHandler(handler)
+        for reader in _READERS:
+            reader.removeHandler(handler)
         for line in lines:
             print(line, file=sys.stderr)
