@@ -52,12 +52,12 @@ class Busmaster:
             self._header(line)
             return None
         if self._protocol != "CAN":
-            raise ValueError(f"logged as protocol {self._protocol}; expected one of protocol CAN")
+            raise ValueError(f"logged as protocol {self._protocol}; expected protocol CAN")
         if self._base is None or not self._mode:
             raise ValueError("no header says whether numbers are HEX or DEC, and times SYSTEM, ABSOLUTE or RELATIVE")
         fields = line.split()
         if len(fields) < _FIELDS or fields[4].lower() not in _TYPES:
-            raise ValueError(f"{line[:40]!r} is no line of BUSMASTER: time, Rx or Tx, channel, identifier, type, length, bytes")
+            raise ValueError(f"{line[:40]!r} is not a BUSMASTER line: time, Rx or Tx, channel, identifier, type, length, bytes")
         time_s = self._time_s(fields[0])
         is_extended, is_remote = _TYPES[fields[4].lower()]
         form = Form(whole(fields[3], "identifier", self._base), is_extended, is_rx=fields[1].lower() == "rx", is_remote=is_remote)

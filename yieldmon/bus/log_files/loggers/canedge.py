@@ -13,36 +13,29 @@ from __future__ import annotations
 
 import can
 
-from .fields import Form, Parser, message, seconds, switch, whole
+from .fields import Form, Parser, hex_bytes, message, require_as_many, require_columns, seconds, switch, whole
 
 _NEEDED = ("TimestampEpoch", "BusChannel", "ID", "IDE", "DataLength", "DataBytes")
 _OPTIONAL = ("Dir", "EDL", "BRS", "ESI", "RTR")
 
 
 def parser(heading: str) -> Parser | None:
-    """What reads the lines behind this one; None where it is not CANedge's heading. Raises ValueError for one
+    """The reader of the lines after this one; None where it is not CANedge's heading. Raises ValueError for one
     that lacks a column."""
     if not heading.startswith(_NEEDED[0]):
         return None
     delimiter = heading[len(_NEEDED[0]) : len(_NEEDED[0]) + 1]
     columns = [column.strip() for column in heading.split(delimiter)] if delimiter else []
-    missing = [name for name in _NEEDED if name not in columns]
-    if missing:
-        raise ValueError(f"lacks the column {missing[0]}")
+    require_columns(columns, _NEEDED)
     place = {name: columns.index(name) for name in (*_NEEDED, *_OPTIONAL) if name in columns}
 
     def frame(line: str) -> can.Message | None:
         fields = [field.strip() for field in line.split(delimiter)]
         if fields == [""]:
             return None
-        if len(fields) != len(columns):
-            raise ValueError(f"{len(fields)} fields; expected {len(columns)}, as the heading has")
+        require_as_many(fields, len(columns))
         flags = {name: switch(fields[place[name]] or "0", name) for name in _OPTIONAL if name in place}
         length, text = whole(fields[place["DataLength"]], "length"), fields[place["DataBytes"]]
-        try:
-            data = bytes.fromhex(text)
-        except ValueError:
-            raise ValueError(f"data {text[:20]!r} are no hexadecimal bytes") from None
         form = Form(
             whole(fields[place["ID"]], "identifier", 16),
             switch(fields[place["IDE"]], "IDE"),
@@ -53,7 +46,7 @@ def parser(heading: str) -> Parser | None:
             error_state=flags.get("ESI", False),
         )
         return message(
-            seconds(fields[place["TimestampEpoch"]]), whole(fields[place["BusChannel"]], "channel"), form, data, length
+            seconds(fields[place["TimestampEpoch"]]), whole(fields[place["BusChannel"]], "channel"), form, hex_bytes(text), length
         )
 
     return frame

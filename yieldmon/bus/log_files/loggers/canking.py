@@ -38,7 +38,7 @@ def parse(line: str) -> can.Message | None:
     found = _FRAME.fullmatch(line)
     if found is None:
         raise ValueError(
-            f"{line[:60]!r} is no frame of CanKing's with hexadecimal numbers: channel, eight digits, flags, length, bytes, time"
+            f"{line[:60]!r} is not a CanKing frame with hexadecimal numbers: channel, eight digits, flags, length, bytes, time"
         )
     time_s, channel = seconds(found["time"]), whole(found["channel"], "channel")
     if found["length"] is None:

@@ -22,7 +22,7 @@ from datetime import UTC, datetime, timedelta
 
 import can
 
-from .fields import Form, extended, message, whole
+from .fields import Form, extended, hex_bytes, message, require_as_many, require_columns, whole
 
 _FIRST_LINE = "# Logger type:"
 _TIME = re.compile(r"# Time: (\d{8})T(\d{6})\s*")
@@ -41,7 +41,7 @@ def begins(start: bytes) -> bool:
 
 
 class Clx000:
-    """Reads line by line; the header tells how. lost: called with the frames that the logger says it lost before one."""
+    """Reads line by line, as the header says. lost: called with the number of frames that the logger reports as lost."""
 
     def __init__(self, lost: Callable[[int], None]) -> None:
         self._lost = lost
@@ -71,27 +71,21 @@ class Clx000:
 
     def _heading(self, line: str) -> list[str]:
         columns = line.split(self._separator)
-        missing = [name for name in _NEEDED if name not in columns]
-        if missing:
-            raise ValueError(f"lacks the column {missing[0]}; expected columns such as Timestamp;Type;ID;Data")
+        require_columns(columns, _NEEDED, "Timestamp;Type;ID;Data")
         if self._near == _UNKNOWN:
             raise ValueError("no line of the header says when the log begins (# Time: 20170101T022232)")
         return columns
 
     def _frame(self, line: str) -> can.Message:
         fields = line.split(self._separator)
-        if len(fields) != len(self._columns):
-            raise ValueError(f"{len(fields)} fields; expected {len(self._columns)}, as the heading has")
+        require_as_many(fields, len(self._columns))
         of = dict(zip(self._columns, fields, strict=True))
         time_s, arbitration_id = self._time_s(of["Timestamp"]), whole(of["ID"], "identifier", 16)
         kind = of.get("Type", "0")
         if kind not in _TYPES:
             raise ValueError(f"type {kind[:20]!r} is not 0, 1, 8 or 9")
         is_marked, is_rx = _TYPES[kind]
-        try:
-            data = bytes.fromhex(of["Data"])
-        except ValueError:
-            raise ValueError(f"data {of['Data'][:20]!r} are no hexadecimal bytes") from None
+        data = hex_bytes(of["Data"])
         form = Form(arbitration_id, extended(arbitration_id, marked=is_marked), is_rx)
         read = message(time_s, None, form, data, whole(of.get("Length", str(len(data))), "length"))
         self._lost(whole(of.get("Lost", "0"), "number of lost frames"))
@@ -122,7 +116,7 @@ class Clx000:
                 # A month without this day, or beyond the last year.
                 continue
         if not found:
-            raise ValueError(f"time {digits} is none of a calendar")
+            raise ValueError(f"time {digits} is not in the calendar")
         near = self._near
         return min(found, key=lambda moment: abs(moment - near))
 

@@ -1,9 +1,9 @@
-"""Fields of a logger's text line as numbers; ValueError, which names the field, where one is none."""
+"""Columns and fields of a logger's text lines as numbers; ValueError, which names the field, where one is not a number."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from datetime import UTC, datetime
 from typing import NamedTuple
 
@@ -11,11 +11,11 @@ import can
 
 from yieldmon.identifiers import FD_LENGTHS, LARGEST_STANDARD_ID
 
-#: Of one log: a line without its end in, its frame out; None for a line that holds none. Raises ValueError, which says why the
-#: line cannot be read.
+#: Takes a line of one log without its line end; returns its frame, or None for a line without one. Raises ValueError, which says
+#: why the line cannot be read.
 Parser = Callable[[str], can.Message | None]
 _LARGEST = 2**60
-"""Of what any field may hold; microseconds since 1970 need 51 bits."""
+"""Largest number that a field may hold; microseconds since 1970 need 51 bits."""
 
 
 class Form(NamedTuple):
@@ -30,6 +30,19 @@ class Form(NamedTuple):
     error_state: bool = False
 
 
+def require_columns(columns: Collection[str], needed: Iterable[str], example: str = "") -> None:
+    """Raises ValueError for a heading without a needed column; example: of such a heading."""
+    for name in needed:
+        if name not in columns:
+            raise ValueError(f"lacks the column {name}" + (f"; expected columns such as {example}" if example else ""))
+
+
+def require_as_many(fields: Sequence[str], columns: int) -> None:
+    """Raises ValueError for a line that has not one field for each column of the heading."""
+    if len(fields) != columns:
+        raise ValueError(f"{len(fields)} fields; expected {columns}, as in the heading")
+
+
 def whole(text: str, what: str, base: int = 10) -> int:
     """A whole number that is not negative; `base` 16 with or without 0x. Raises ValueError."""
     try:
@@ -37,7 +50,7 @@ def whole(text: str, what: str, base: int = 10) -> int:
     except ValueError:
         number = -1
     if not 0 <= number <= _LARGEST:
-        raise ValueError(f"{what} {text[:20]!r} is no {'hexadecimal ' if base == 16 else ''}number")
+        raise ValueError(f"{what} {text[:20]!r} is not a {'hexadecimal ' if base == 16 else ''}number")
     return number
 
 
@@ -48,7 +61,7 @@ def seconds(text: str, what: str = "time") -> float:
     except ValueError:
         number = math.nan
     if not abs(number) <= _LARGEST:
-        raise ValueError(f"{what} {text[:20]!r} is no number")
+        raise ValueError(f"{what} {text[:20]!r} is not a number")
     return number
 
 
@@ -68,6 +81,14 @@ def data_bytes(fields: Sequence[str], base: int = 16) -> bytes:
     return bytes(numbers)
 
 
+def hex_bytes(text: str) -> bytes:
+    """Two hexadecimal digits a byte, in one field. Raises ValueError."""
+    try:
+        return bytes.fromhex(text)
+    except ValueError:
+        raise ValueError(f"data {text[:20]!r} are not hexadecimal bytes") from None
+
+
 def fd_length(code: int) -> int:
     """Bytes of a CAN FD frame by its data length code. Raises ValueError for a code above 15."""
     if code >= len(FD_LENGTHS):
@@ -76,12 +97,12 @@ def fd_length(code: int) -> int:
 
 
 def clock_s(year: int, month: int, day: int, hour: int, minute: int, second: int) -> float:
-    """Seconds since 1970 of what a clock showed, taken as UTC: logs do not name their zone."""
+    """Unix time of a clock's reading, taken as UTC: logs do not name their time zone."""
     return datetime(year, month, day, hour, minute, second, tzinfo=UTC).timestamp()
 
 
 def message(time_s: float, channel: int | str | None, form: Form, data: bytes, length: int) -> can.Message:
-    """A frame. Raises ValueError where its data are not as many bytes as its length says; a remote frame has none."""
+    """A frame. Raises ValueError where the number of data bytes differs from its length; a remote frame has no data."""
     if not form.is_remote and len(data) != length:
         raise ValueError(f"{len(data)} bytes of data where the length says {length}")
     return can.Message(

@@ -24,7 +24,18 @@ import can
 
 from yieldmon.identifiers import CLASSIC_BYTES
 
-from .fields import Form, clock_s, data_bytes, error_frame, fd_length, message, seconds, whole
+from .fields import (
+    Form,
+    clock_s,
+    data_bytes,
+    error_frame,
+    fd_length,
+    message,
+    require_as_many,
+    require_columns,
+    seconds,
+    whole,
+)
 
 _FIRST_LINE = "CSV CAN data"
 _NEEDED = ("time", "channel", "id", "flags", "dlc", "counter")
@@ -40,13 +51,13 @@ _OVERRUN, _FD, _BIT_RATE_SWITCH, _ERROR_STATE = 0x600, 0x10000, 0x20000, 0x40000
 
 
 def parser(first_line: str, lost: Callable[[int], None]) -> Kvaser | None:
-    """What reads the lines behind this one; None where no CSV of Kvaser's begins so. lost: called with 1 for each frame before
-    which the logger says that it lost some."""
+    """The reader of the lines after this one; None where no CSV of Kvaser's begins so. lost: called with 1 for each frame before
+    which the logger reports lost frames."""
     return Kvaser(lost) if first_line.strip() == _FIRST_LINE else None
 
 
 class Kvaser:
-    """Reads line by line; the header tells how."""
+    """Reads line by line, as the header says."""
 
     def __init__(self, lost: Callable[[int], None]) -> None:
         self._lost = lost
@@ -63,7 +74,7 @@ class Kvaser:
             return self._frame(line) if line.strip() else None
         self._header_lines += 1
         if self._header_lines > _LONGEST_HEADER:
-            raise ValueError("no line begins Time, Channel, id, Flags, DLC; a CSV of Kvaser's without its heading is not read")
+            raise ValueError("no line begins Time, Channel, id, Flags, DLC; a Kvaser CSV file needs its heading")
         if found := _FORMAT.match(line):
             self._separator = found[2]
             self._bases[found[1]] = _BASES[found[3]]
@@ -77,9 +88,7 @@ class Kvaser:
         columns = [column.strip().lower() for column in line.split(self._separator)]
         if "pgn" in columns:
             raise ValueError("has parameter groups in place of identifiers; convert the log without the J1939 option")
-        missing = [name for name in _NEEDED if name not in columns]
-        if missing:
-            raise ValueError(f"lacks the column {missing[0]}")
+        require_columns(columns, _NEEDED)
         if not {"id", "data"} <= self._bases.keys():
             raise ValueError("does not say whether identifiers and data are hexadecimal; convert the log with its header")
         self._place = {name: columns.index(name) for name in _NEEDED}
@@ -88,8 +97,7 @@ class Kvaser:
 
     def _frame(self, line: str) -> can.Message | None:
         fields = [field.strip() for field in line.split(self._separator)]
-        if len(fields) != self._columns:
-            raise ValueError(f"{len(fields)} fields; expected {self._columns}, as the heading has")
+        require_as_many(fields, self._columns)
         text = {name: fields[place] for name, place in self._place.items()}
         flags, channel = whole(text["flags"], "flags"), whole(text["channel"], "channel")
         time_s = self._start_s + seconds(text["time"])
@@ -98,7 +106,7 @@ class Kvaser:
         if flags & _ERROR:
             return error_frame(time_s, channel)
         if flags & _REQUESTED and not flags & _SENT:
-            # That it was sent is a line of its own.
+            # The transmission has a line of its own.
             return None
         is_fd = bool(flags & _FD)
         code = whole(text["dlc"], "length")

@@ -9,8 +9,8 @@ Each version has its columns; from 2.0 on the file names them by letter, here us
          1)      1059.9  Rx         0300  7  00 00 00 00 04 00 00
          6)      1349.2  Error      0008  4  00 19 08 08
 
-Identifiers are hexadecimal, with more than four digits for 29 bits. Warnings, bus states, error counters and events are no
-frames.
+Identifiers are hexadecimal, with more than four digits for 29 bits. Warnings, bus states, error counters and events are
+not frames.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _CHANNEL = 1
 
 
 class Trace:
-    """Reads line by line; lines with `;$` say how."""
+    """Reads line by line, as the lines with `;$` say."""
 
     def __init__(self) -> None:
         self._version = "1.0"
@@ -58,7 +58,7 @@ class Trace:
         fields = line.split(maxsplit=len(self._columns) - 1)
         of = dict(zip(self._columns, fields, strict=False))
         if "O" not in of or ("T" in self._columns and "T" not in of):
-            raise ValueError(f"{line[:40]!r} is no line of a trace of version {self._version}")
+            raise ValueError(f"{line[:40]!r} is not a line of a trace of version {self._version}")
         return self._frame(of, self._start_s)
 
     @property
@@ -86,7 +86,7 @@ class Trace:
             try:
                 utc.moment(start_s)
             except (OverflowError, ValueError, OSError):
-                raise ValueError(f"start time {value[:20]} is no day") from None
+                raise ValueError(f"start time {value[:20]} is not a date") from None
             self._start_s = start_s
 
     def _frame(self, of: dict[str, str], start_s: float) -> can.Message | None:

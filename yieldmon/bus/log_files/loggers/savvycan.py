@@ -21,7 +21,7 @@ _HEADING = ("time stamp", "id", "extended", "bus", "len")
 
 
 def parser(heading: str) -> Parser | None:
-    """What reads the lines behind this one; None where it is not SavvyCAN's heading.
+    """The reader of the lines after this one; None where it is not SavvyCAN's heading.
 
     The reader raises ValueError for a line with too few fields.
     """

@@ -10,8 +10,8 @@
 
 Times count from the date of the header, taken as UTC, or from that of the trigger block with which the measurement starts;
 without one they are as they stand. The header may lack any of its lines. Lines of other buses, comments, statistics and other
-events are no frames; what looks like a frame and is none is reported, as is a message's name without its number behind the data.
-`TxRq` is a frame that was only asked for; the one that was sent has a line of its own.
+events are not frames; what looks like a frame and cannot be read is reported, as is a message's name without its number behind
+the data. `TxRq` is a frame that was only asked for; the one that was sent has a line of its own.
 
 Source: Vector, "CAN ASC logging file format".
 """
@@ -143,7 +143,7 @@ class Vector:
         if direction == _ASKED_FOR:
             return None
         if len(rest) < 4:
-            raise ValueError(f"{' '.join(fields)[:40]!r} is no frame as .asc has it")
+            raise ValueError(f"{' '.join(fields)[:40]!r} is not a frame of .asc")
         code, length = whole(rest[2], "length code", self._base), whole(rest[3], "length")
         data, behind = rest[4 : 4 + length], rest[4 + length :]
         flags = whole(behind[_FLAGS_AT], "flags", 16) if len(behind) > _FLAGS_AT else _FD_FLAG
@@ -158,7 +158,7 @@ class Vector:
         )
 
     def _named_form(self, identifier: str, direction: str, behind: Sequence[str]) -> Form:
-        """As _form(), also of a message's name, which may look like a number, as EEC1 does; what is behind the data tells."""
+        """As _form(), also for a message's name, which may look like a number, as EEC1 does: the ID behind the data decides."""
         number = _NUMBER.search(" ".join(behind)) if _NAME.fullmatch(identifier) else None
         if number is not None:
             return Form(int(number[1]), bool(number[2]), is_rx=direction == "rx")
@@ -181,7 +181,7 @@ def _bytes_of(fields: Sequence[str]) -> int:
 
 
 def _length(text: str, base: int, there: int) -> int:
-    """Bytes of a frame with this length field, of which so many are there. A classic frame's code may be up to 15, which is eight
+    """Bytes of a frame with this length field, where `there` bytes follow. A classic frame's code may be up to 15, which is eight
     bytes. CANedge's writer has frames of CAN FD like classic ones, their code in decimals; an old one of python-can has the
     length itself."""
     code = whole(text, "length", base)
@@ -196,9 +196,9 @@ def _length(text: str, base: int, there: int) -> int:
 
 
 def _unread(text: str) -> str | None:
-    """What is wrong with a line that should be a frame and is none; None for a line of the header and another kind of event."""
+    """Why a line that should be a frame cannot be read; None for a line of the header and another kind of event."""
     if not _NUMBERED.match(text):
         return None
     if _EVENT.match(text) and not _OF_AN_IDENTIFIER.match(text):
         return None
-    return f"{text[:60]!r} is no frame as .asc has it"
+    return f"{text[:60]!r} is not a frame of .asc"

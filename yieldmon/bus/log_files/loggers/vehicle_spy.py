@@ -25,7 +25,7 @@ _FLAGS = {"F": False, "T": True}
 
 
 def parser(first_line: str) -> Parser | None:
-    """What reads the lines behind this one; None where no file of Vehicle Spy's begins so."""
+    """The reader of the lines after this one; None where no Vehicle Spy file begins so."""
     plain = first_line.replace('"', "")
     if not plain.startswith((_FIRST_LINE, _HEADING)):
         return None
@@ -61,11 +61,11 @@ class _VehicleSpy:
 
     def _frame(self, fields: list[str]) -> can.Message:
         if len(fields) <= max(self._data_at, default=0):
-            raise ValueError(f"{len(fields)} fields; expected more, as the heading has")
+            raise ValueError(f"{len(fields)} fields; expected more, as in the heading")
         text = {name: fields[place] for name, place in self._place.items()}
         flags = [fields[self._remote_at], *(text[name] for name in (_EXTENDED, _ERROR, _SENT))]
         if not set(flags) <= _FLAGS.keys():
-            raise ValueError(f"{','.join(fields)[:60]!r} is no classic CAN frame: Remote, Xtd, Er and Tx are not T or F")
+            raise ValueError(f"{','.join(fields)[:60]!r} is not a classic CAN frame: Remote, Xtd, Er and Tx are not T or F")
         is_remote, is_marked, is_error, is_sent = (_FLAGS[flag] for flag in flags)
         time_s = seconds(text[_TIME])
         if is_error:
