@@ -6,6 +6,10 @@ import re
 
 HEAD_BYTES = 512
 """Of a file's start, that tell."""
+SQLITE = b"SQLite format 3\0"
+"""First bytes of every SQLite database (https://www.sqlite.org/fileformat2.html, section 1.3)."""
+PARQUET = b"PAR1"
+"""First bytes of every Parquet file (https://parquet.apache.org/docs/file-format/)."""
 _BEGINNINGS = {
     b"\xd0\xcf\x11\xe0": "an old Excel file",
     b"\x1f\x8b": "compressed",
@@ -13,7 +17,7 @@ _BEGINNINGS = {
     b"7z\xbc\xaf": "a 7z archive",
     b"PK\x03\x04": "a zip archive or workbook",
     b"PK\x05\x06": "a zip archive",
-    b"SQLite format 3\0": "a database, as a daemon's store is",
+    SQLITE: "a database, as a daemon's store is",
     b"%PDF-": "a PDF",
     b"\x89PNG": "a picture",
     b"\xff\xd8\xff": "a picture",

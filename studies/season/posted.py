@@ -31,8 +31,9 @@ from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.plant.scenario import Scenario
 from yieldmon.service.history import remeasuring
+from yieldmon.service.history.parameter_timeline import timeline
 from yieldmon.service.history.update_steps import step_document
-from yieldmon.service.logs.weighed_loads import loads_of
+from yieldmon.service.logs.measured_loads import measured_loads
 from yieldmon.service.storage.batch import Step
 from yieldmon.service.storage.rows import SecondRow, second_row
 
@@ -151,13 +152,13 @@ class DaemonKeeper(Keeper):
         """As the daemon does it with its store's rows."""
         begin, last = int(self.season.loads.start[self.ticketed]), int(self.season.loads.end[end - 1])
         new = [second_row(i, record) for i, record in enumerate(self._records(np.arange(begin, last)), begin + 1)]
-        known, now_s = remeasuring.timeline(self.steps, self.parameters), new[-1].time_s
-        self.seconds = remeasuring.whole([*self.seconds, *new], now_s - remeasuring.SPAN_S, None, 1)
-        whole = remeasuring.whole(self.seconds, remeasuring.begins(known, now_s), None, 1)
-        found = remeasuring.factors(loads_of(whole, self.versions), known, self.machine)
-        for name, factor in found.items():
+        known, now_s = timeline(self.steps, self.parameters), new[-1].time_s
+        self.seconds = remeasuring.rows_of_whole_loads([*self.seconds, *new], now_s - remeasuring.SPAN_S, None, 1)
+        whole = remeasuring.rows_of_whole_loads(self.seconds, remeasuring.earliest_s(known, now_s), None, 1)
+        found = remeasuring.remeasured(measured_loads(whole, self.versions), known, self.machine)
+        for name, again in found.items():
             windows = slice(int(self.season.loads.start[name - 1]), int(self.season.loads.end[name - 1]))
-            self.posted_kg[name - 1] = factor * float(np.nansum(self.flow[windows]))
+            self.posted_kg[name - 1] = again.factor * float(np.nansum(self.flow[windows]))
         first = slice(self.ticketed, end)
         self.evening_kg[first] = self.posted_kg[first]
         self.ticketed = end

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from yieldmon.cli._records import replaced
+from yieldmon.cli._answers import tickets_replaced
 from yieldmon.cli.main import main
 
 
@@ -15,13 +15,13 @@ def answer(**more: object) -> dict[str, object]:
 
 
 def test_several_tickets_and_loads_are_spoken_of_as_several() -> None:
-    said = replaced(answer())
+    said = tickets_replaced(answer())
     assert said.startswith(
         "tickets 1 and 2 stood for it; the newer one counts (`yieldmon ticket undo 3` if it is for another load"
     )
     assert "as if tickets 1 and 2 had never been entered" in said
     assert "; loads 1, 2 and 5 have no ticket any more: enter those, or one for all (`yieldmon ticket 1-5 MASS`)" in said
-    assert "; load 2 has no ticket any more: enter one for it, or" in replaced(answer(without_ticket=[2]))
+    assert "; load 2 has no ticket any more: enter one for it, or" in tickets_replaced(answer(without_ticket=[2]))
 
 
 @pytest.mark.parametrize(

@@ -148,7 +148,7 @@ def test_tickets_of_a_machine_that_are_all_far_from_what_was_measured_are_named(
     capsys.readouterr()
     assert main(["fleet", "report", str(tmp_path / "out")]) == 0
     printed = capsys.readouterr()
-    slip = "as where kilograms were taken for tonnes"
+    slip = "as if kilograms were taken for tonnes"
     said = rf"doubtful: kg d: the machine's tickets weigh \d+ times what was measured, {slip}\n"
     assert re.fullmatch(said, printed.err)
     assert "2 machines, 2 days, " in printed.out
@@ -561,7 +561,7 @@ def test_a_machine_whose_two_tickets_contradict_each_other_is_named_and_no_prior
     found = crop_prior(dataset, "corn")
     assert [machine.name for machine in found.machines] == ["m1", "m2", "m3", "m4"]
     (said,) = found.left_out
-    assert said.startswith("m0: its tickets contradict each other, as where a weight is wrong: they ask for grain ")
+    assert said.startswith("m0: its tickets contradict each other, as if a weight were wrong: they imply grain ")
     assert found.prior.parameter_set.standard_deviation("density") < 0.5 * found.prior.parameter_set.values["density"]
 
 
@@ -706,7 +706,7 @@ def test_a_machine_that_weighs_in_pounds_is_named_and_a_crop_is_one_under_all_it
     assert [*found["machines"]] == ["m0", "m1", "m2", "m4", "m5"]
     (said,) = found["left_out"]
     assert said.startswith("m3: its tickets weigh 2.")
-    assert said.endswith(", as where pounds were taken for kilograms")
+    assert said.endswith(", as if pounds were taken for kilograms")
     assert main(["fleet", "prior", dataset, "--crop", "wheat"]) == 2
     assert "0 machines for wheat; its tickets are for corn; expected" in capsys.readouterr().err
 

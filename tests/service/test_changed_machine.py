@@ -9,8 +9,8 @@ from tests.service.test_tickets_after_restart import TRUE, Season, ask
 from tests.service.test_undo_updates import RIGHT, enter, left, settle
 from yieldmon.cli import main as cli
 from yieldmon.service.config import configuration
+from yieldmon.service.logs.measured_loads import read
 from yieldmon.service.logs.recorded import changed_at
-from yieldmon.service.logs.weighed_loads import read
 from yieldmon.service.storage.store import Store
 
 WEAKER = 0.6
@@ -54,7 +54,7 @@ def test_tickets_before_it_do_not_pull_those_after_it(tmp_path, capsys) -> None:
         arguments = ["calibrations", "restart", "--note", "new sensor", "--socket", str(season.folder / "yieldmon.sock")]
         assert cli.main(arguments) == 0
         said = capsys.readouterr().out
-        assert said.startswith("calibration begins anew with version 5")
+        assert said.startswith("calibration starts over with version 5")
         assert "tickets 1, 2 and 3 no longer update it" in said
         assert "load 9 started" in said, "of an open load that both measured nothing could be said"
         assert "± 45 % until you weigh a load" in said

@@ -14,11 +14,11 @@ from yieldmon.cli.main import main
 from yieldmon.errors import InputError
 from yieldmon.resources import shipped
 from yieldmon.service.config import configuration
-from yieldmon.service.logs import tap_samples, weighed_loads, weighed_waves
+from yieldmon.service.logs import measured_loads, tap_samples, weighed_waves
 
 CONFIGURED = configuration.load(shipped("config/yieldmon.yaml"))
 READERS: dict[str, Callable[[Sequence[str]], object]] = {
-    "weighed loads": lambda paths: weighed_loads.read(paths, CONFIGURED),
+    "weighed loads": lambda paths: measured_loads.read(paths, CONFIGURED),
     "waves of weighed loads": lambda paths: weighed_waves.read(paths, CONFIGURED),
     "taps": lambda paths: tap_samples.read(paths, CONFIGURED.signals),
 }

@@ -20,9 +20,10 @@ from yieldmon.engine.self_calibration.reference_mass import ReferenceMass, Refer
 from yieldmon.estimation.weighing.load_inputs import WeighedLoad
 from yieldmon.service.config.configuration import calibrator_settings
 from yieldmon.service.config.document import Document
-from yieldmon.service.history import remeasuring
+from yieldmon.service.history.parameter_timeline import timeline
+from yieldmon.service.history.remeasuring import remeasured
 from yieldmon.service.history.update_steps import step_document
-from yieldmon.service.logs.weighed_loads import loads_of
+from yieldmon.service.logs.measured_loads import measured_loads
 from yieldmon.service.storage.batch import Action, Load, Step, Ticket
 from yieldmon.service.storage.ledger import PARAMETERS_UNDO, REMEASURED, TICKET, TICKET_UNDO, ledger
 from yieldmon.service.storage.rows import SecondRow, second_row
@@ -159,8 +160,8 @@ class Daemon:
 
     def listed(self) -> list[Any]:
         """The loads as `load list` has them, without the tickets' own correction."""
-        known = remeasuring.timeline(self.steps, self.estimator.parameters, self.versions)
-        found = remeasuring.measured_again(loads_of(self.rows, self.versions), known, laws.MACHINE)
+        known = timeline(self.steps, self.estimator.parameters, self.versions)
+        found = remeasured(measured_loads(self.rows, self.versions), known, laws.MACHINE)
         spreads = {str(n): one.spread.document for n, one in found.items() if one.spread is not None}
         return ledger([], [again(1, {str(n): one.factor for n, one in found.items()}, spreads)]).rows(self.loads)
 

@@ -234,7 +234,7 @@ def test_a_crop_of_which_nothing_is_known_takes_no_calibration_away(tmp_path, st
 def test_a_slip_of_a_finger_is_no_crop(typed: str, meant: str) -> None:
     monitor, journal = started()
     number, before = monitor.totals.load_number, monitor.estimator.parameters
-    with pytest.raises(InputError, match=rf"crop: '{typed}' is no known crop; expected {meant}; for another crop, a name"):
+    with pytest.raises(InputError, match=rf"crop: '{typed}' is not a known crop; expected {meant}; or, for another crop, a name"):
         commands.execute({"command": "load-start", "crop": typed}, monitor, journal, 1.7e9)
     assert (monitor.totals.load_number, journal.crop, monitor.estimator.parameters) == (number, "", before)
 

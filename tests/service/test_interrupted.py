@@ -79,7 +79,7 @@ def test_a_reader_whose_parent_was_killed_ends(endless, tmp_path):
     ("number", "code", "said"),
     [
         (signal.SIGINT, 130, "yieldmon: interrupted; {out} holds the tables of 0 logs\n"),
-        (signal.SIGKILL, 1, "yieldmon: {log}: its process was ended from outside, perhaps for want of memory\n"),
+        (signal.SIGKILL, 1, "yieldmon: {log}: its process was killed, perhaps because memory ran out\n"),
     ],
     ids=["Ctrl-C", "one killed"],
 )

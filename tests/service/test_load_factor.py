@@ -11,7 +11,7 @@ from tests.service.test_remeasuring import MACHINE, known, rows
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.effects import get_effect, registry
 from yieldmon.service.history.load_factor import load_factor
-from yieldmon.service.logs.weighed_loads import MeasuredLoad
+from yieldmon.service.logs.measured_loads import MeasuredLoad
 from yieldmon.service.storage.rows import SecondRow
 
 

@@ -16,7 +16,7 @@ from yieldmon.errors import InputError
 from yieldmon.resources import shipped
 from yieldmon.service.assembly import monitor_of
 from yieldmon.service.config import configuration
-from yieldmon.service.logs import tap_samples, weighed_loads, weighed_waves
+from yieldmon.service.logs import measured_loads, tap_samples, weighed_waves
 from yieldmon.service.logs.processing import process_logs
 
 CONFIGURED = configuration.load(shipped("config/yieldmon.yaml"))
@@ -141,7 +141,7 @@ def test_inputs_in_logs_apart_are_refused(tmp_path: Path, capsys: pytest.Capture
 
 
 READERS: dict[str, Callable[[list[str], configuration.Configuration], object]] = {
-    "weighed loads": weighed_loads.read,
+    "weighed loads": measured_loads.read,
     "waves": weighed_waves.read,
     "taps": lambda paths, configured: tap_samples.read(paths, configured.signals, configured.log_channels),
 }

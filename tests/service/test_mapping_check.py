@@ -107,7 +107,7 @@ def test_two_nodes_that_send_one_quantity_are_told(tmp_path: Path, second_rpm: f
     log = log_of(tmp_path, *cell, *shaft)
     seen, _ = seen_in(config, log)
     found = [problem for where, problem, _ in problems(config, seen, str(log)) if where.endswith(": elevator_speed")]
-    assert found == (["leaps between 160 and 401 rpm, as where two nodes send it"] if told else [])
+    assert found == (["leaps between 160 and 401 rpm, as if two nodes sent it"] if told else [])
 
 
 @pytest.mark.parametrize(
@@ -122,7 +122,7 @@ def test_two_nodes_that_send_one_quantity_are_told(tmp_path: Path, second_rpm: f
         (
             lambda k: (40, 41, 40)[k % 3],
             0.1,
-            ["pulses that each frame counts anew are a frequency: unit Hz, `scale` the frames per"],
+            ["pulses counted from 0 in each frame are a frequency: unit Hz, `scale` the frames per"],
         ),
     ],
 )

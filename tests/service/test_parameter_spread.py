@@ -11,10 +11,11 @@ import pytest
 from tests.service.test_load_factor import load
 from tests.service.test_remeasuring import HOUR_S, MACHINE, known, rows, update
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.service.history import remeasuring
 from yieldmon.service.history.load_factor import load_factor
 from yieldmon.service.history.parameter_spread import parameter_spread
-from yieldmon.service.logs.weighed_loads import loads_of
+from yieldmon.service.history.parameter_timeline import timeline
+from yieldmon.service.history.remeasuring import remeasured
+from yieldmon.service.logs.measured_loads import measured_loads
 from yieldmon.service.storage.load_spread import ParameterSpread
 
 WEIGHED = {"scale": "weighed"}
@@ -58,9 +59,9 @@ def test_seconds_without_a_force_do_not_count_and_nothing_is_known_of_none() -> 
 @pytest.mark.parametrize("wandering", [0.0, 0.02])
 def test_an_update_leaves_a_load_before_it_the_less_certain_the_more_there_is_between(wandering: float) -> None:
     learnt = replace(known(2, 840.0), covariance=np.array([[4.0]]), provenance=WEIGHED)
-    line = remeasuring.timeline([update(4.0, wandering, learnt)], learnt)
+    line = timeline([update(4.0, wandering, learnt)], learnt)
     seconds = [row for n in range(5) for row in rows(n + 1, n * HOUR_S)]
-    found = remeasuring.measured_again(loads_of(seconds, {1: known(), 2: learnt}), line, MACHINE)
+    found = remeasured(measured_loads(seconds, {1: known(), 2: learnt}), line, MACHINE)
     spreads = [total(found[n].spread) for n in range(1, 6)]
     if wandering:
         assert spreads[3] > 3.0 * spreads[4], "on the way it may have been elsewhere"
@@ -76,6 +77,6 @@ def test_an_update_leaves_a_load_before_it_the_less_certain_the_more_there_is_be
 
 def test_parameters_whose_scale_no_load_has_set_say_nothing_better_than_what_was_measured() -> None:
     learnt = known(2, 840.0)
-    line = remeasuring.timeline([update(4.0, 0.0, learnt)], learnt)
-    (found,) = remeasuring.measured_again(loads_of(rows(1, 100.0), {1: known(), 2: learnt}), line, MACHINE).values()
+    line = timeline([update(4.0, 0.0, learnt)], learnt)
+    (found,) = remeasured(measured_loads(rows(1, 100.0), {1: known(), 2: learnt}), line, MACHINE).values()
     assert found.spread is None

@@ -24,7 +24,7 @@ import pytest
 
 from tests.schema_check import problems
 from tests.service.bench import START_S, traffic
-from yieldmon.cli import _records
+from yieldmon.cli import _answers
 from yieldmon.errors import InputError
 from yieldmon.files import parameter_file
 from yieldmon.frames import Frame
@@ -48,7 +48,11 @@ SCHEMAS = {
     "ticket": "ticket", "ticket-undo": "ticket-undo", "tickets": "ticket-list", "loads": "load-list", "load-start": "load-start",
     "load-stop": "load-stop", "load-correct": "load-correct",
 }  # fmt: skip
-SAYS = {"ticket-undo": _records.taken_back, "calibration-undo": _records.back, "load-correct": _records.corrected}
+SAYS = {
+    "ticket-undo": _answers.ticket_undone,
+    "calibration-undo": _answers.calibration_undone,
+    "load-correct": _answers.loads_corrected,
+}
 
 
 class Step(NamedTuple):

@@ -6,6 +6,7 @@ import json
 import re
 import sqlite3
 import threading
+from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import replace
 
@@ -24,9 +25,10 @@ from yieldmon.files import parameter_file
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.service.history import remeasuring
+from yieldmon.service.history.parameter_timeline import Timeline, timeline
 from yieldmon.service.history.remeasuring_thread import RemeasuringJob, RemeasuringResult, RemeasuringThread
 from yieldmon.service.history.update_steps import step_document, step_from_document
-from yieldmon.service.logs.weighed_loads import loads_of
+from yieldmon.service.logs.measured_loads import MeasuredLoad, measured_loads
 from yieldmon.service.storage.batch import Batch, Load, ParameterVersion, Step
 from yieldmon.service.storage.rows import SecondRow
 from yieldmon.service.storage.store import Store
@@ -73,6 +75,10 @@ def rows(load: int, begin_s: float, version: int = 1, seconds: int = 5, flow: fl
     ]
 
 
+def factors_of(loads: Sequence[MeasuredLoad], line: Timeline) -> dict[int, float]:
+    return {number: again.factor for number, again in remeasuring.remeasured(loads, line, MACHINE).items()}
+
+
 def test_a_step_is_the_same_after_the_store() -> None:
     step = update(3.0, 0.02, known(2, 830.0))
     found = step_from_document(json.loads(json.dumps(step.document)))
@@ -110,7 +116,7 @@ def test_an_update_by_a_sweep_is_not_posted() -> None:
             CalibrationStep(2, 2.0 * HOUR_S, 4.0 * HOUR_S, between, (840.0,)),
         ]
         reported = [Step(version, step.end_s, step_document(step)) for version, step in zip((2, 3), steps, strict=True)]
-        lines.append(remeasuring.timeline(reported, learnt))
+        lines.append(timeline(reported, learnt))
     for line in lines:
         assert line.versions == {1, 2, 3}
         assert line.at(4.0 * HOUR_S).values["density"] == pytest.approx(840.0, abs=0.01)
@@ -124,7 +130,7 @@ def test_an_update_by_a_sweep_is_not_posted() -> None:
 def test_an_update_corrects_the_hours_before_it_by_as_much_as_they_have_in_common(wandering: float) -> None:
     early = 30.0**2 / (30.0**2 + (wandering * 800.0) ** 2 * 4.0)
     learnt = known(2, 840.0)
-    line = remeasuring.timeline([update(4.0, wandering, learnt)], learnt)
+    line = timeline([update(4.0, wandering, learnt)], learnt)
     moved = [line.at(t).values["density"] - 800.0 for t in (0.0, 2.0 * HOUR_S, 4.0 * HOUR_S)]
     assert moved[2] == pytest.approx(40.0)
     assert moved[0] == pytest.approx(40.0 * early, rel=1e-6)
@@ -137,11 +143,11 @@ def test_an_update_that_contradicts_the_drift_says_nothing_of_the_days_before(de
     _, step = advance(begin(known(2, 820.0), {}), DriftRates({"density": 0.005}, {}, {}), 48.0, 0.0)
     second = CalibrationStep(2, 30.0 * HOUR_S, 78.0 * HOUR_S, step, (density,))
     updates = [update(30.0, 0.005, known(2, 820.0)), Step(3, 78.0 * HOUR_S, step_document(second))]
-    line = remeasuring.timeline(updates, known(3, density))
+    line = timeline(updates, known(3, density))
     assert line.holds_from_s == from_s
-    assert remeasuring.begins(line, 78.0 * HOUR_S) == max(from_s, 6.0 * HOUR_S)
+    assert remeasuring.earliest_s(line, 78.0 * HOUR_S) == max(from_s, 6.0 * HOUR_S)
     # The day itself is measured again whatever its update says.
-    assert remeasuring.begins(line, 40.0 * HOUR_S) == min(max(from_s, -32.0 * HOUR_S), 16.0 * HOUR_S)
+    assert remeasuring.earliest_s(line, 40.0 * HOUR_S) == min(max(from_s, -32.0 * HOUR_S), 16.0 * HOUR_S)
 
 
 def test_the_time_before_a_gain_that_is_no_restitution_any_more_is_measured_again_too() -> None:
@@ -161,23 +167,23 @@ def test_the_time_before_a_gain_that_is_no_restitution_any_more_is_measured_agai
         CalibrationStep(2, 2.0 * HOUR_S, 4.0 * HOUR_S, second, state, names=names),
     ]
     stored = [Step(version, step.end_s, step_document(step)) for version, step in zip((2, 3), steps, strict=True)]
-    line = remeasuring.timeline(stored, learnt)
+    line = timeline(stored, learnt)
     assert line.versions == {1, 2, 3}
     gains = [line.at(hours * HOUR_S).values["k2"] for hours in (0.0, 2.0, 4.0)]
     assert gains == pytest.approx([2.3, 2.3, 2.3], abs=0.05)
     sets = {1: begun, 2: middle, 3: learnt}
-    found = remeasuring.factors(loads_of([*rows(1, 100.0), *rows(2, 9000.0, version=2)], sets), line, MACHINE)
+    found = factors_of(measured_loads([*rows(1, 100.0), *rows(2, 9000.0, version=2)], sets), line)
     assert sorted(found) == [1, 2]
     assert 0.4 < found[1] < found[2] < 1.0, "the more gain, the less grain makes the force"
     unnamed = [replace(step, document={**step.document, "names": []}) for step in stored]
-    assert remeasuring.timeline(unnamed, learnt).versions == {2, 3}, "a store from before the names were kept"
+    assert timeline(unnamed, learnt).versions == {2, 3}, "a store from before the names were kept"
 
 
 def test_loads_of_other_parameters_stay_as_they_were_measured() -> None:
     learnt = known(2, 840.0)
-    line = remeasuring.timeline([update(4.0, 0.0, learnt)], learnt)
+    line = timeline([update(4.0, 0.0, learnt)], learnt)
     seconds = [*rows(1, 100.0), *rows(2, 9000.0), *rows(3, 9100.0, version=7)]
-    found = remeasuring.factors(loads_of(seconds, {1: known(), 2: learnt, 7: known(7)}), line, MACHINE)
+    found = factors_of(measured_loads(seconds, {1: known(), 2: learnt, 7: known(7)}), line)
     assert sorted(found) == [1, 2]
     assert found[1] == pytest.approx(found[2])
     assert 0.94 < found[1] < 1.06
@@ -192,14 +198,14 @@ def test_parameters_that_a_change_of_crop_kept_as_another_version_count_as_one()
         7: replace(known(7), provenance={"crop": "barley"}),
     }  # fmt: skip
     step = update(4.0, 0.0, learnt)
-    line = remeasuring.timeline([replace(step, version=6, document={**step.document, "from_version": 5})], learnt, sets)
+    line = timeline([replace(step, version=6, document={**step.document, "from_version": 5})], learnt, sets)
     assert line.versions == {1, 3, 5, 6}
     assert line.at(0.0).values["density"] == pytest.approx(840.0)
 
 
 def test_an_update_that_does_not_follow_on_the_one_before_speaks_for_its_own_time_only() -> None:
     learnt = known(5, 840.0)
-    line = remeasuring.timeline([update(4.0, 0.0, known(2, 820.0))], learnt)
+    line = timeline([update(4.0, 0.0, known(2, 820.0))], learnt)
     assert line.versions == {5}
     assert line.at(0.0).values["density"] == 840.0
 
@@ -208,17 +214,17 @@ def test_updates_that_lead_to_themselves_come_to_an_end() -> None:
     """As a store that was tampered with may have them."""
     learnt = known(2, 840.0)
     step = update(4.0, 0.0, learnt)
-    line = remeasuring.timeline([replace(step, document={**step.document, "from_version": 2})], learnt)
+    line = timeline([replace(step, document={**step.document, "from_version": 2})], learnt)
     assert line.versions == {2}
 
 
 def test_loads_that_are_cut_or_open_are_left_alone() -> None:
     loads = (rows(1, 0.0), rows(2, 50.0), rows(3, 100.0))
     seconds = [replace(row, number=i) for i, row in enumerate((r for load in loads for r in load), 1)]
-    assert {r.load_number for r in remeasuring.whole(seconds, 2.0, 3, 1)} == {2}
+    assert {r.load_number for r in remeasuring.rows_of_whole_loads(seconds, 2.0, 3, 1)} == {2}
     later = [replace(r, number=r.number + 500) for r in seconds]
-    assert {r.load_number for r in remeasuring.whole(later, -1.0, None, 501)} == {2, 3}
-    assert {r.load_number for r in remeasuring.whole(later, -1.0, None, 1)} == {1, 2, 3}
+    assert {r.load_number for r in remeasuring.rows_of_whole_loads(later, -1.0, None, 501)} == {2, 3}
+    assert {r.load_number for r in remeasuring.rows_of_whole_loads(later, -1.0, None, 1)} == {1, 2, 3}
 
 
 DAY_S = 24.0 * HOUR_S
@@ -379,11 +385,11 @@ def test_a_job_that_is_under_way_has_nothing_to_take_and_stays_under_way(tmp_pat
 def test_seconds_without_a_known_force_count_neither_in_mass_nor_in_time() -> None:
     """One second of twenty has none; with three of twenty the load is left as it was measured."""
     learnt = known(2, 840.0)
-    line = remeasuring.timeline([update(4.0, 0.0, learnt)], learnt)
+    line = timeline([update(4.0, 0.0, learnt)], learnt)
     for unknown, found in ((1, [1]), (2, []), (3, [])):
         plain = rows(1, 9000.0, version=2, seconds=20)
         seconds = [replace(row, force_n=None if i < unknown else row.force_n) for i, row in enumerate(plain)]
-        factors = remeasuring.factors(loads_of(seconds, {1: known(), 2: learnt}), line, MACHINE)
+        factors = factors_of(measured_loads(seconds, {1: known(), 2: learnt}), line)
         assert list(factors) == found
         if found:
-            assert factors[1] == pytest.approx(remeasuring.factors(loads_of(plain, {1: known(), 2: learnt}), line, MACHINE)[1])
+            assert factors[1] == pytest.approx(factors_of(measured_loads(plain, {1: known(), 2: learnt}), line)[1])

@@ -13,7 +13,7 @@ import pytest
 
 from tests.service.bench import START_S, running, wait_for
 from yieldmon.cli import main as cli
-from yieldmon.cli._records import back
+from yieldmon.cli._answers import calibration_undone
 from yieldmon.engine.self_calibration.parameter_updater import ParametersChanged
 from yieldmon.files import parameter_file
 from yieldmon.service.storage.batch import Ticket
@@ -212,7 +212,7 @@ def test_an_undo_names_the_standing_ticket_whose_update_goes_with_it() -> None:
     assert log.history.standing_of({2, 3, 4, 5}) == (3, 4)
     assert log.history.standing_of({2}) == ()
     answer = {"undone": 2, "until": 5, "version": 6, "crop": "", "standing_tickets": [3, 4]}
-    assert back(answer) == (
+    assert calibration_undone(answer) == (
         "calibration 2 to 5 undone, what was in use before is version 6; the update by tickets 3 and 4 is undone with it: enter "
         "such a mass again if it is right"
     )

@@ -14,7 +14,7 @@ import pytest
 from tests.service.bench import running, wait_for
 from tests.service.test_tickets_after_restart import TRUE, Season, ask
 from yieldmon.cli import main as cli
-from yieldmon.cli._records import back, taken_back
+from yieldmon.cli._answers import calibration_undone, ticket_undone
 from yieldmon.files import parameter_file
 from yieldmon.service.history import remeasuring_thread
 from yieldmon.service.logs import recorded
@@ -139,7 +139,7 @@ def test_a_second_undo_takes_back_what_was_learnt_again(tmp_path) -> None:
         enter(season, bench, RIGHT)
         answer = ask(season.folder, "ticket", "undo", "1")
         assert (answer["updated_again"], answer["not_updated_again"], answer["sweeps_undone"]) == ([2, 3], [], 0)
-        assert taken_back(answer) == (
+        assert ticket_undone(answer) == (
             "ticket 1 undone; calibration 2 to 4 undone, what was in use before is version 5; "
             "the update by tickets 2 and 3 is made again without it"
         )
@@ -243,7 +243,7 @@ def test_a_calibration_undone_leaves_what_the_others_led_to(place: int, restart:
     assert (answer["silenced"], answer["updated_again"], answer["not_updated_again"]) == ([place + 1], others, [])
     assert found["corrected"][5] == pytest.approx(1.01 * TRUE * season.masses[5], rel=1e-6)
     same({"values": found["values"]}, {"values": never["values"]})
-    told = back(answer)
+    told = calibration_undone(answer)
     assert (
         f"; ticket {place + 1} still corrects its load and updates no parameters: `yieldmon ticket undo {place + 1}` takes that"
         in told

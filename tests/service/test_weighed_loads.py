@@ -18,7 +18,9 @@ from yieldmon.files import parameter_file
 from yieldmon.files.ticket_file import WeighedTicket, names_log
 from yieldmon.frames import EstimateQuality
 from yieldmon.physics.model import ForwardModel
-from yieldmon.service.logs.weighed_loads import MeasuredLoad, force_columns, loads_of, loads_on, match, sweeps_of
+from yieldmon.service.logs.force_seconds import force_seconds
+from yieldmon.service.logs.measured_loads import MeasuredLoad, measured_loads
+from yieldmon.service.logs.weighed_loads import loads_on, match, sweeps_of
 from yieldmon.service.storage.batch import Batch, Load, ParameterVersion
 from yieldmon.service.storage.rows import SecondRow
 from yieldmon.service.storage.store import Store
@@ -33,7 +35,7 @@ def test_a_second_without_moisture_stands_for_no_time_only_where_the_model_needs
     plain = known()
     parameters = replace(plain, values=plain.values | dict.fromkeys(effect_parameters, 0.0))
     seconds = [replace(row, moisture_pct=pct) for row, pct in zip(rows(1, 0.0, seconds=3), (15.0, None, 20.0), strict=True)]
-    duration_s = force_columns(seconds, parameters, MACHINE)[0]
+    duration_s = force_seconds(seconds, parameters, MACHINE).duration_s
     np.testing.assert_allclose(duration_s, [1.0, 1.0 if stands else np.nan, 1.0], rtol=1e-6)
 
 
@@ -43,7 +45,7 @@ UNKNOWN = [{"force_n": None}, {"force_n": 0.0}, {"plate_angle_deg": None}, {"ele
 @pytest.mark.parametrize("unknown", UNKNOWN)
 def test_a_second_without_force_angle_or_speed_stands_for_no_time(unknown: dict[str, Any]) -> None:
     first, second = rows(1, 0.0, seconds=2)
-    duration_s = force_columns([replace(first, **unknown), second], known(), MACHINE)[0]
+    duration_s = force_seconds([replace(first, **unknown), second], known(), MACHINE).duration_s
     np.testing.assert_allclose(duration_s, [np.nan, 1.0], rtol=1e-6)
 
 
@@ -51,7 +53,7 @@ def test_a_second_without_force_angle_or_speed_stands_for_no_time(unknown: dict[
 def test_the_scatter_of_a_loads_seconds_is_its_own(scatter_kg_s: tuple[float | None, ...], noise_sd: float) -> None:
     """Two seconds of 10 kg each."""
     seconds = [replace(r, noise_std_dev_kg_s=kg_s) for r, kg_s in zip(rows(1, 0.0, seconds=2), scatter_kg_s, strict=True)]
-    (load,) = match(loads_of(seconds, {1: known()}), [WeighedTicket("1", "1", 20.0, 0.1, "line 2")], MACHINE)
+    (load,) = match(measured_loads(seconds, {1: known()}), [WeighedTicket("1", "1", 20.0, 0.1, "line 2")], MACHINE)
     assert load.noise_sd == pytest.approx(noise_sd)
 
 

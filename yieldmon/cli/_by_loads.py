@@ -26,7 +26,7 @@ from yieldmon.resources import shipped
 
 if TYPE_CHECKING:
     from yieldmon.service.config.configuration import Configuration
-    from yieldmon.service.logs.weighed_loads import MeasuredLoad
+    from yieldmon.service.logs.measured_loads import MeasuredLoad
 
 _SAME_MACHINE = 0.05
 """Relative difference within which masses may be those of a geometry."""
@@ -95,11 +95,14 @@ def _measured(args: argparse.Namespace) -> tuple[Configuration, tuple[MeasuredLo
     if args.tickets is None:
         raise InputError("--tickets", "is missing", "a table with the columns load and weighed_kg, with --loads")
     refuse_table(args, "--loads")
-    from yieldmon.service.logs import weighed_loads  # The daemon's own modules, which a table of a test facility does not need.
+    from yieldmon.service.logs import (  # The daemon's own modules, which a table of a test facility does not need.
+        measured_loads,
+        weighed_loads,
+    )
 
     configured = configuration_of(args)
     tickets = ticket_file.load(args.tickets)
-    measured = weighed_loads.read(args.loads, configured)
+    measured = measured_loads.read(args.loads, configured)
     of_crop = weighed_loads.alike(measured, tickets)
     _require_machine(weighed_loads.times_what_a_machine_makes(of_crop, configured.machine), args)
     loads = weighed_loads.match(measured, tickets, configured.machine)

@@ -1,4 +1,4 @@
-"""List the calibrations of a running daemon, undo one, or begin anew after a change of the machine.
+"""List the calibrations of a running daemon, undo one, or start over after a change of the machine.
 
 The list shows parameter files, adopted effects, sweeps, tickets, crops and zeros, with operator and time.
 """
@@ -9,9 +9,10 @@ import argparse
 from collections.abc import Mapping
 from typing import Any
 
+from yieldmon.cli._answers import calibration_undone
 from yieldmon.cli._daemon import add_daemon_arguments, ask_daemon
 from yieldmon.cli._json import print_document, print_json
-from yieldmon.cli._records import back, named, show, when
+from yieldmon.cli._records import named, show, when
 from yieldmon.errors import InputError
 
 _SHOWN = 30
@@ -21,7 +22,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """The verb's arguments."""
     parser = subparsers.add_parser(
         "calibrations",
-        help="list calibrations and zeros, undo one, or begin anew",
+        help="list calibrations and zeros, undo one, or start over",
         description=f"{__doc__} undo removes a calibration. Later tickets update the parameters again; an undone ticket "
         "corrects only its load. To undo a zero use `yieldmon zero --undo`.",
         epilog="example: yieldmon calibrations list; yieldmon calibrations undo 14",
@@ -51,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
         raise InputError("VERSION", f"is {args.version}", "a version from `yieldmon calibrations list`")
     if args.action == "undo":
         answer = ask_daemon(args, {"command": "calibration-undo", "version": args.version})
-        print_document(answer, back, as_json=args.json)
+        print_document(answer, calibration_undone, as_json=args.json)
         return 0
     if args.action == "restart":
         note = {} if args.note is None else {"note": args.note}
@@ -75,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _restarted(answer: Mapping[str, Any]) -> str:
     """What beginning anew did, and what is to be done next."""
-    parts = [f"calibration begins anew with version {answer['version']}" + (f" of {answer['crop']}" if answer["crop"] else "")]
+    parts = [f"calibration starts over with version {answer['version']}" + (f" of {answer['crop']}" if answer["crop"] else "")]
     if answer["tickets"]:
         parts.append(f"{named('ticket', answer['tickets'])} no longer {'update' if len(answer['tickets']) > 1 else 'updates'} it")
     if answer["load"] is not None:

@@ -6,10 +6,11 @@ import argparse
 import sys
 from typing import Any
 
+from yieldmon.cli._answers import loads_corrected
 from yieldmon.cli._daemon import add_daemon_arguments, ask_daemon
 from yieldmon.cli._json import print_json
 from yieldmon.cli._load_sums import PAUSE_DAYS, load_sums, sum_rows
-from yieldmon.cli._records import corrected, load_numbers, show
+from yieldmon.cli._records import load_numbers, show
 from yieldmon.cli._units import add_units
 from yieldmon.files.units import units_of
 from yieldmon.service.storage.empty_loads import not_listed
@@ -43,7 +44,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         action="store_true",
         help=f"show sums by field and crop; a new harvest begins after {PAUSE_DAYS} days without a load",
     )
-    listing.add_argument("--all", action="store_true", help="list complete loads without grain too")
+    listing.add_argument("--all", action="store_true", help="also list complete loads without grain")
     correct = actions.add_parser(
         "correct",
         help="change crop or field of complete loads, or the field of the open one",
@@ -68,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
     elif args.action == "list":
         _list(args, answer)
     elif args.action == "correct":
-        print(corrected(answer))
+        print(loads_corrected(answer))
     elif args.action == "start":
         _say_started(answer)
     else:

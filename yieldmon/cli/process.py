@@ -19,9 +19,9 @@ from yieldmon.cli._forks import in_processes
 from yieldmon.cli._json import print_json
 from yieldmon.cli._limits import whole_number, within
 from yieldmon.cli._log_progress import log_progress
+from yieldmon.cli._process_text import summary_line
 from yieldmon.cli._units import add_units
 from yieldmon.documents.process import ProcessSummary, ReprocessSummary
-from yieldmon.engine.faults import FaultCode
 from yieldmon.errors import InputError
 from yieldmon.files import parameter_file
 from yieldmon.files.units import units_of
@@ -34,19 +34,15 @@ from yieldmon.service.logs.bulk_processing import EndOfLog, Stretch
 from yieldmon.service.logs.factory_comparison import FactoryComparison
 from yieldmon.service.logs.log_copies import refuse_copies, refuse_named_twice
 from yieldmon.service.logs.log_record import Progress
-from yieldmon.service.logs.record_check import SEPARATE_FILES, RecordCheck, record_lines
+from yieldmon.service.logs.record_check import RecordCheck
 from yieldmon.service.logs.recorded import is_store_not_log
 from yieldmon.service.logs.reprocessing import loads_of_rows, measured_again
 from yieldmon.service.logs.sample_spacing import SampleSpacing
 from yieldmon.service.logs.tables import FORMATS, open_table
-from yieldmon.service.logs.time_units import spacing_line
 from yieldmon.service.storage.rows import SecondRow
 from yieldmon.units import Units
 
 _LONGEST_DELAY_S = 60
-
-#: Share of a record's seconds from which on an input counts as not there.
-_MOSTLY = 0.5
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -124,7 +120,7 @@ def _together(args: argparse.Namespace, loaded: configuration.Configuration, uni
     if args.json:
         print_json(document)
     else:
-        print(_line(document, units), file=sys.stderr)
+        print(summary_line(document, units), file=sys.stderr)
 
 
 def _configured(
@@ -222,7 +218,7 @@ def _separately(args: argparse.Namespace, config: str | Path, units: Units) -> N
             if progress is not None:
                 progress(EndOfLog(log, []))
             if not args.json:
-                print(f"{log}: {_line(document, units)}", file=sys.stderr)
+                print(f"{log}: {summary_line(document, units)}", file=sys.stderr)
     if args.json:
         print_json(documents)
 
@@ -306,60 +302,3 @@ def _says_what_is_kept(out: str, done: Mapping[str, object] | None = None) -> It
         kept = f"{out} is not written" if done is None else f"{out} holds the tables of {len(done)} logs"
         print(f"yieldmon: interrupted; {'the table is incomplete' if out == '-' else kept}", file=sys.stderr)
         raise
-
-
-def _line(document: ProcessSummary, units: Units) -> str:
-    line = f"{document['frames']} frames, {document['windows']} s, {units.mass_with_bushels(document['total_mass_kg'])}"
-    if document["dry_mass_kg"] is not None and document["total_mass_kg"] > 0.0:
-        line += f" ({units.mass_with_bushels(document['dry_mass_kg'])} dry)"
-    if document["area_m2"] is not None:
-        line += f" on {units.area(document['area_m2'])}, {units.crop_yield(document['yield_kg_m2'])}"
-    line += f", {document['frames_malformed']} malformed frames" if document["frames_malformed"] else ""
-    incomplete = document["messages_incomplete"]
-    line += f", {incomplete} incomplete messages" if incomplete else ""
-    lines = [line, *(f"damaged: {damage}" for damage in document["damages"])]
-    if document["faults"]:
-        lines.append("faults: " + ", ".join(f"{code} {count} x" for code, count in document["faults"].items()))
-    lines += record_lines(document)
-    if why := _why_no_mass(document):
-        lines.append(f"no mass: {why}")
-    return "\n".join(lines)
-
-
-def _why_no_mass(document: ProcessSummary) -> str:
-    """What there is to say where nothing could be measured; "" where something was, or where there may have been no grain."""
-    shown = "run `yieldmon check-config CONFIG --log LOG`"
-    if "sensor_interval_s" in document and not (document["windows"] and document["zero_known"]):
-        return f"{spacing_line(document['sensor_interval_s'], document['mapped_interval_s'])}; {shown}"
-    if not document["windows"]:
-        return "the frames' times span less than a second: recorder without a clock, or candump -td"
-    if document["zero_known"]:
-        turned = not document["total_mass_kg"] and FaultCode.ZERO_DRIFTED in document["faults"]
-        return f"the zero drifted (ZeroDrifted): if there was grain, check the sensor's sign; {shown}" if turned else ""
-    if why := _why_no_zero(document):
-        return f"{why}; {shown}"
-    return (
-        "the elevator never runs empty in the log, so there is no zero; give one with --zero-mv, from the table of an earlier "
-        "log or `yieldmon status`; if the log begins empty, run `yieldmon check-config CONFIG --log LOG`: it tests whether the "
-        "samples can be a force"
-    )
-
-
-def _why_no_zero(document: ProcessSummary) -> str:
-    """What most of the seconds lack for a zero; "" where it is none of this."""
-    missing = document.get("missing", {})
-    if missing.get("elevator speed", 0.0) > _MOSTLY:
-        return "no frame reports the elevator speed, which the zero needs"
-    if missing.get("plate angle", 0.0) > _MOSTLY:
-        return "no frame reports the plate angle, which the zero needs; for a plate at a fixed angle set plate.fixed_angle_deg"
-    if document.get("plate_away_share", 0.0) > _MOSTLY:
-        return (
-            "the plate is away from home by its reported angle, and the zero needs it there: check unit, scale and offset of "
-            "plate_angle, and home_plate_angle_deg of the machine file"
-        )
-    if document.get("frames_lost_share", 0.0) > _MOSTLY:
-        return (
-            "every second lacks samples (FramesLost), so there is no zero: frames are lost, two nodes or channels send them, or "
-            f"the log has some twice; {SEPARATE_FILES}"
-        )
-    return ""

@@ -12,9 +12,10 @@ import sys
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from yieldmon.cli._answers import ticket_undone, tickets_replaced
 from yieldmon.cli._daemon import add_daemon_arguments, ask_daemon, in_thousands, mass
 from yieldmon.cli._json import print_json
-from yieldmon.cli._records import load_numbers, replaced, show, taken_back, undone, when
+from yieldmon.cli._records import load_numbers, show, undone_at, when
 from yieldmon.cli._units import add_units
 from yieldmon.errors import InputError
 from yieldmon.files.units import units_of
@@ -42,9 +43,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="mass: 9120kg, 9.12t, 91.2dt, 91.2q or 20106lb, weighed in parts 9.1t+8.4t; undo: number of the ticket",
     )
     parser.add_argument("--std-dev", metavar="MASS", help="standard deviation of the weighing (default: 0.5 %% of it)")
-    parser.add_argument("--other", metavar="MASS", help="of it from another combine that filled the same truck, by its monitor")
-    parser.add_argument("--other-std-dev", metavar="MASS", help="standard deviation of that (default: 3 %% of it)")
-    parser.add_argument("--note", metavar="TEXT", help="a note to keep with it")
+    parser.add_argument("--other", metavar="MASS", help="part of MASS that another combine put on the same truck, by its monitor")
+    parser.add_argument("--other-std-dev", metavar="MASS", help="standard deviation of --other (default: 3 %% of it)")
+    parser.add_argument("--note", metavar="TEXT", help="note to keep with the ticket")
     add_daemon_arguments(parser)
     add_units(parser, "the daemon's configuration")
     parser.add_argument("--json", action="store_true", help="print the answer as one JSON document")
@@ -109,7 +110,7 @@ def _warnings(answer: Mapping[str, Any], units: Units) -> Iterator[str]:
     if doubt:
         yield f"{units.in_text(doubt)}; if it is a slip, enter the right mass as another ticket"
     if answer.get("replaces"):
-        yield replaced(answer)
+        yield tickets_replaced(answer)
     if (alone := answer.get("sets_scale_pct")) is not None:
         yield (
             f"the first ticket, it alone sets the scale ({alone:+.1f} %); compare it with the slip, and weigh a second load, "
@@ -192,7 +193,7 @@ def _listed(args: argparse.Namespace) -> int:
             str(t["number"]), when(t["time_s"]), t["who"] or "-",
             str(t["first_load"]) if t["first_load"] == t["last_load"] else f"{t['first_load']}-{t['last_load']}",
             units.mass(t["measured_mass_kg"]), units.mass(t["weighed_mass_kg"]), _whole(t, units), t.get("state", "-"),
-            undone(t["undone_s"], t["undone_by"]), t["note"] or "-",
+            undone_at(t["undone_s"], t["undone_by"]), t["note"] or "-",
         )
         for t in answer["tickets"]
     )  # fmt: skip
@@ -214,5 +215,5 @@ def _undone(args: argparse.Namespace) -> int:
     if args.json:
         print_json(answer)
         return 0
-    print(taken_back(answer))
+    print(ticket_undone(answer))
     return 0

@@ -69,7 +69,7 @@ def _of_table(source: str) -> Manifest:
         if _may_be_read(path):
             logs.setdefault(key, []).append(path)
         else:
-            refused.append(InputError(table.where(row, "log"), f"{table.column('log')[row]} is no file", "a log"))
+            refused.append(InputError(table.where(row, "log"), f"{table.column('log')[row]} is not a file", "a log"))
     if not logs:
         raise refused[0] if refused else InputError(source, "has no row", "a row for each log")
     found = []

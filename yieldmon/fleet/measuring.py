@@ -1,4 +1,4 @@
-"""One partition: its logs through the same function as `process`, and what happened in them as tables."""
+"""Measures one partition with the same function as `process`, and collects its events as tables."""
 
 from __future__ import annotations
 
@@ -54,8 +54,18 @@ class Poisoned:
 
 @dataclass(frozen=True)
 class Measured:
-    """A partition's record in short (as `process --json`), the crop, what could not be used of it, and by each log's name a hash
-    of its impact sensors' samples, whatever their times."""
+    """A measured partition.
+
+    Parameters
+    ----------
+    document : ProcessSummary
+        As `process --json` prints it.
+    crop : str
+    poisoned : tuple of Poisoned
+        Logs and tickets that could not be used.
+    samples : mapping of str to str
+        Hash of the impact sensors' samples, without their times, by each log's name.
+    """
 
     document: ProcessSummary
     crop: str
@@ -65,8 +75,22 @@ class Measured:
 
 @dataclass(slots=True)
 class _Span:
-    """A log's frames, in time and number, how many the engine took, the first of the rows that came while it was read, a hash of
-    each impact sensor's samples, and whether it begins with frames of a log before it."""
+    """A log's part of a record.
+
+    Parameters
+    ----------
+    log : str
+    first_row : int
+        Of the rows that came while it was read.
+    frames, ours : int
+        Frames, and how many of them the engine took.
+    start_s, end_s : float
+        Times of the first and the last frame.
+    sensors : dict of int to hash
+        Hash of each impact sensor's samples.
+    repeats : bool
+        Whether it begins with frames of a log before it.
+    """
 
     log: str
     first_row: int

@@ -20,11 +20,12 @@ from yieldmon.files.ticket_file import WeighedTicket
 from yieldmon.fleet import tables
 from yieldmon.fleet.querying import Query, opened
 from yieldmon.fleet.repeats import contents_of
-from yieldmon.fleet.unlike_tickets import in_words, in_words_of_all, in_words_of_density
+from yieldmon.fleet.ticket_sentences import contradicting_density, contradicting_machine, contradicting_ticket
 from yieldmon.fleet.usable_seconds import Seen
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import ForwardModel
 from yieldmon.service.logs import weighed_loads
+from yieldmon.service.logs.measured_loads import MeasuredLoad
 from yieldmon.service.storage.rows import SecondRow
 
 _DAYS = "SELECT machine, day, machine_document FROM provenance WHERE lower(crop) = lower(?) ORDER BY machine, day"
@@ -82,7 +83,7 @@ def crop_prior(address: str, name: str) -> CropPrior:
         unlike = unlike_the_other_densities(densities)
         if unlike is not None:
             off = densities[unlike] - float(np.median(np.delete(densities, unlike)))
-            left_out.append(in_words_of_density(machines.pop(unlike).name, off))
+            left_out.append(contradicting_density(machines.pop(unlike).name, off))
             found = None
     if found is None:
         without = f"; {of_no_crop} tickets are of days without a crop" if of_no_crop else ""
@@ -147,7 +148,9 @@ def _alike_machines(machines: Sequence[MachineLoads], start: ParameterSet) -> tu
     errors = np.array([np.median(load_errors(of.model, start, of.loads)) for of in machines])
     unlike = unlike_the_other_machines(errors)
     usual = float(np.median(errors[~unlike])) if unlike.any() else 0.0
-    lines = [in_words_of_all(of.name, usual - error) for of, error, one in zip(machines, errors, unlike, strict=True) if one]
+    lines = [
+        contradicting_machine(of.name, usual - error) for of, error, one in zip(machines, errors, unlike, strict=True) if one
+    ]
     return [of for of, one in zip(machines, unlike, strict=True) if not one], lines
 
 
@@ -160,7 +163,7 @@ def _alike(
     unlike = unlike_the_others(errors)
     usual = float(np.exp(np.median(errors[~unlike]))) if unlike.any() else 1.0
     lines = [
-        f"{here} {in_words(load.weighed_kg, usual / np.exp(error))}"
+        f"{here} {contradicting_ticket(load.weighed_kg, usual / np.exp(error))}"
         for (here, load), error, one in zip(weighed, errors, unlike, strict=True)
         if one
     ]
@@ -199,9 +202,7 @@ def _weighed(
     for log in (log for log in logs if _covers(ticket, log)):
         # Two recorders' logs, or a log and its converted form, hold what was weighed once.
         kept += seen.new([row for row in rows if log["first_number"] <= row.number <= log["last_number"]])
-    measured = weighed_loads.MeasuredLoad(
-        ticket["name"], "", tuple(row for row in kept if row.mass_kg > 0.0), dict(_versions(query, where))
-    )
+    measured = MeasuredLoad(ticket["name"], "", tuple(row for row in kept if row.mass_kg > 0.0), dict(_versions(query, where)))
     paper = WeighedTicket(
         first=ticket["name"],
         last=ticket["name"],

@@ -22,7 +22,7 @@ from typing import Any
 from yieldmon.errors import InputError
 from yieldmon.fleet import preloading
 from yieldmon.fleet.dataset import Dataset, Superseded
-from yieldmon.fleet.worker import Outcome, Task, failed, left, there, work
+from yieldmon.fleet.worker import Outcome, Task, failed, found_in_dataset, left_to_next_run, work
 
 _RETRIES = 2
 """Of a task that failed for other reasons than its inputs, a storage that did not answer for instance."""
@@ -238,13 +238,13 @@ def _answer(future: Any, task: Task) -> Outcome:
     try:
         if isinstance(problem, Superseded):
             raise problem
-        known = there(task)
+        known = found_in_dataset(task)
         if known is not None:
             return known
         if isinstance(problem, MemoryError) or (isinstance(problem, OSError) and problem.errno is not None):
-            return left(task, problem)
+            return left_to_next_run(task, problem)
         return failed(task, f"{type(problem).__name__}: {' '.join(str(problem).split())[:300]}")
     except OSError as error:
-        return left(task, error)
+        return left_to_next_run(task, error)
     except Superseded:
         raise Dataset(task.dataset).taken_over() from None

@@ -27,7 +27,7 @@ from yieldmon.fleet.names import LATEST_DATE_S, in_order, off_by_days
 from yieldmon.fleet.overlaps import Overlap, overlaps
 from yieldmon.fleet.querying import Query, opened
 from yieldmon.fleet.repeats import Log, Repeats, logs_of, samples_of
-from yieldmon.fleet.unlike_tickets import in_words, in_words_of_measured
+from yieldmon.fleet.ticket_sentences import contradicting_measurement, contradicting_ticket
 from yieldmon.physics.grain import GRAIN, natural_scale
 from yieldmon.utc import EARLIEST_BUS_TIME_S
 
@@ -306,11 +306,11 @@ def _unlike_tickets(tickets: Rows) -> list[DayProblem]:
         usual = float(np.median(ratios[~unlike])) if not unlike.all() else 1.0
         off = -float(np.log(usual))
         if abs(off) > LEAST_OFF_OF_MACHINES:
-            found.append(_problem(rows[0], in_words_of_measured(off)))
+            found.append(_problem(rows[0], contradicting_measurement(off)))
         for row, ratio in zip(itertools.compress(rows, unlike), ratios[unlike], strict=True):
             weighed_kg = row["weighed_kg"]
             nothing = f"weighs {weighed_kg:.0f} kg, and nothing was measured"
-            said = in_words(weighed_kg, usual / ratio) if ratio > 0 else nothing
+            said = contradicting_ticket(weighed_kg, usual / ratio) if ratio > 0 else nothing
             found.append(_problem(row, f"the ticket of {row['name']} {said}"))
     return found
 

@@ -105,7 +105,7 @@ def _logs(files: Any, day: str, left_out: list[str], refused: list[InputError]) 
             refused.append(_other_spelling(path, TICKETS))
         elif kind == _FOLDER and not is_log(name):
             if log := _log_below(files, path):
-                refused.append(InputError(path, f"holds the log {log} and is no day", _LAYOUT))
+                refused.append(InputError(path, f"holds the log {log} and is not the folder of a day", _LAYOUT))
             else:
                 left_out.append(path)
         elif is_left_behind(name) or _is_notes(files, path, kind):

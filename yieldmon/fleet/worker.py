@@ -37,9 +37,22 @@ class Task:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a partition. status: DONE, SKIPPED (there already), FAILED, or, by no fault of its own, LEFT to the next
-    run; frames: read for it; damages: what of its logs could not be read or is none of ours, a line each; why_left: one
-    line."""
+    """The outcome of a partition.
+
+    Parameters
+    ----------
+    name : str
+    status : str
+        DONE; SKIPPED, as the dataset has it already; FAILED; or LEFT to the next run, by no fault of the partition.
+    frames, seconds : int
+        Read, and measured.
+    poisoned : tuple of Poisoned
+        Logs and tickets that could not be used.
+    damages : tuple of str
+        A line for each damaged place of its logs.
+    why_left : str
+        One line; "" unless LEFT.
+    """
 
     name: str
     status: str
@@ -68,11 +81,11 @@ def work(task: Task) -> Outcome:
         if error.errno not in OF_THE_MEDIUM:
             raise
         error.filename = Dataset(task.dataset).place_of(error.filename)
-        return left(task, error)
+        return left_to_next_run(task, error)
 
 
-def left(task: Task, error: BaseException) -> Outcome:
-    """A partition that the next run is to measure: what failed is the computer, of which nothing is noted in the dataset.
+def left_to_next_run(task: Task, error: BaseException) -> Outcome:
+    """A partition that the next run is to measure: the computer failed, so nothing is noted in the dataset.
 
     Raises Superseded.
     """
@@ -84,7 +97,7 @@ def left(task: Task, error: BaseException) -> Outcome:
 def _worked(task: Task) -> Outcome:
     dataset = Dataset(task.dataset)
     if software() != task.software:
-        # No fault of the day: noted as such, one worker that was not updated would soon have refused all of them.
+        # Not noted as a failure of the day: one worker that was not updated would soon have failed all of them.
         dataset.require(task.token)
         ours, theirs = (f"{s.version} ({s.source_sha256[:12]}, {s.libraries})" for s in (software(), task.software))
         why = f"a worker runs yieldmon {ours}; expected that of the client, {theirs}"
@@ -109,7 +122,7 @@ def refused(partition: Partition, dataset: Dataset, token: str, problem: str) ->
     return Outcome(partition.name, FAILED, poisoned=(Poisoned(partition.name, problem),))
 
 
-def there(task: Task) -> Outcome | None:
+def found_in_dataset(task: Task) -> Outcome | None:
     """The partition where the dataset has it from these inputs, parameters and software: a worker may have died, or have been
     thought dead, between its commit and its answer. None where it is not there, or its inputs cannot be looked at."""
     dataset = Dataset(task.dataset)
@@ -122,9 +135,26 @@ def there(task: Task) -> Outcome | None:
 
 @dataclass(frozen=True)
 class _Inputs:
-    """What a partition is to be measured from, on this machine. folder: to work in; names: of all logs, by path; hashes: name and
-    SHA-256 of those that are measured, usable: their paths; unreadable: name and reason, of logs or tickets; tickets: "" where
-    there are none to read; states: of each file, by path, before it was read."""
+    """The files that a partition is measured from, on this machine.
+
+    Parameters
+    ----------
+    folder : Path
+        To work in.
+    names : dict of str to str
+        Name of each log, by path.
+    hashes : list of (str, str)
+        Name and SHA-256 of each log that is measured.
+    usable : list of str
+        Paths of these.
+    unreadable : list of (str, InputError)
+        Name and reason, of logs or tickets.
+    tickets : str
+        Path of their table; "" where there is none to read.
+    identity : Identity
+    states : dict
+        Size and time of the last write of each file, by path, before it was read.
+    """
 
     folder: Path
     names: dict[str, str]
@@ -136,7 +166,7 @@ class _Inputs:
     states: dict[str, tuple[int, int] | None]
 
     def changed(self) -> list[str]:
-        """Names of the files that were written to since they were first looked at, as by a transfer that goes on."""
+        """Names of the files that were written to since `states` was taken, as by a transfer under way."""
         return [self.names.get(path, Path(path).name) for path, before in self.states.items() if _written(path) != before]
 
 

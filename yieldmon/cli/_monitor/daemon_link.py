@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from yieldmon.cli._records import corrected, without_ticket
+from yieldmon.cli._answers import loads_corrected, loads_without_ticket
 from yieldmon.service.operator.control_client import ask
 from yieldmon.service.operator.control_protocol import ControlError
 
@@ -99,7 +99,7 @@ def said(request: Mapping[str, Any], answer: Mapping[str, Any]) -> str:
             if answer.get("replaces"):
                 doubt += "; it replaces the one before: of a load weighed in parts enter the sum"
             if without := answer.get("without_ticket"):
-                doubt += f"; {without_ticket(without)}"
+                doubt += f"; {loads_without_ticket(without)}"
             if crop := answer.get("waits_for_crop"):
                 doubt += f"; it updates the parameters of {crop} once that is harvested again"
             return f"{taken}{doubt}" if answer["is_reference"] else f"{taken}; no reference: {answer['why_no_reference']}"
@@ -112,7 +112,7 @@ def said(request: Mapping[str, Any], answer: Mapping[str, Any]) -> str:
 
 def _said_of_load(command: str, answer: Mapping[str, Any]) -> str:
     if command == "load-correct":
-        return f"{corrected(answer)}; x, c and the former crop take it back"
+        return f"{loads_corrected(answer)}; x, c and the former crop take it back"
     if command == "load-stop":
         return f"load {answer['load']} complete"
     crop = answer["crop"]

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from yieldmon import file_kinds
 from yieldmon.errors import InputError, brief
 from yieldmon.field.table import HarvestTable
 
@@ -20,7 +21,6 @@ from .options import ReadOptions
 
 KIND = "Parquet"
 ORDER = 24
-_MAGIC = b"PAR1"
 _OF_PROCESS = frozenset({"number", "mass_flow_kg_s"})
 """Columns of `yieldmon process`, whose tables are read as stores are."""
 _UNSAID_CRS = "OGC:CRS84"
@@ -28,7 +28,7 @@ _UNSAID_CRS = "OGC:CRS84"
 
 def recognises(path: Path, head: bytes) -> bool:
     """A Parquet file that `yieldmon process` did not write."""
-    if not path.is_file() or not head.startswith(_MAGIC):
+    if not path.is_file() or not head.startswith(file_kinds.PARQUET):
         return False
     import pyarrow
     import pyarrow.parquet

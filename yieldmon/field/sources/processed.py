@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from yieldmon import file_kinds
 from yieldmon.field.table import HarvestTable
 from yieldmon.service.logs import recorded
 
@@ -12,12 +13,11 @@ from .store import table_of
 
 KIND = "table that yieldmon process wrote"
 ORDER = 25
-_PARQUET_MAGIC = b"PAR1"
 
 
 def recognises(path: Path, head: bytes) -> bool:
     """A Parquet file, or JSON Lines by name."""
-    return path.is_file() and (head.startswith(_PARQUET_MAGIC) or path.suffix.lower() == ".jsonl")
+    return path.is_file() and (head.startswith(file_kinds.PARQUET) or path.suffix.lower() == ".jsonl")
 
 
 def read(path: Path, options: ReadOptions) -> HarvestTable:

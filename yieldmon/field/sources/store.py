@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import median_filter
 
+from yieldmon import file_kinds
 from yieldmon.errors import InputError
 from yieldmon.field.table import DEFAULT_FLOW_S, UNKNOWN_SCALE_SD, Array, HarvestTable, KnownLoad, Label, Source, build
 from yieldmon.frames import EstimateQuality
@@ -18,7 +19,6 @@ from yieldmon.service.storage.batch import Load
 from yieldmon.service.storage.load_ends import between_loads, load_of
 from yieldmon.service.storage.rows import SecondRow
 from yieldmon.service.storage.store import Store
-from yieldmon.service.storage.store_names import SQLITE_MAGIC
 from yieldmon.service.tickets.ticket_history import TicketHistory
 
 from .columns.crop_names import crop_names
@@ -27,15 +27,15 @@ from .options import ReadOptions
 
 KIND = "yieldmon store"
 ORDER = 20
-_LEAST_WAY_M = 0.5
+_LEAST_DISTANCE_M = 0.5
 """Of a second whose area tells the width."""
 _SECONDS_OF_ONE_HEADER = 61
-"""Over which the width is the middle one: an area is noted when its grain comes, some seconds after the way."""
+"""Over which the width is the middle one: an area is noted when its grain comes, some seconds after the distance."""
 
 
 def recognises(path: Path, head: bytes) -> bool:
     """An SQLite file that is no GeoPackage."""
-    return path.is_file() and head.startswith(SQLITE_MAGIC) and path.suffix.lower() not in (".gpkg",)
+    return path.is_file() and head.startswith(file_kinds.SQLITE) and path.suffix.lower() not in (".gpkg",)
 
 
 def read(path: Path, options: ReadOptions) -> HarvestTable:
@@ -153,14 +153,14 @@ def table_of(rows: list[SecondRow], loads: Mapping[int, Load], path: Path, kind:
     return build(columns, labels, source, unix_time=True, default_flow_s=DEFAULT_FLOW_S)
 
 
-def _width_m(area_m2: Array, way_m: Array, path: Path) -> tuple[Array, tuple[str, ...]]:
+def _width_m(area_m2: Array, distance_m: Array, path: Path) -> tuple[Array, tuple[str, ...]]:
     """Of each second by the areas that the daemon reckoned with its header's width, which may change; and a note on it. Raises
     InputError where they do not tell it."""
     with np.errstate(invalid="ignore"):
-        known = np.flatnonzero((area_m2 > 0.0) & (way_m > _LEAST_WAY_M))
+        known = np.flatnonzero((area_m2 > 0.0) & (distance_m > _LEAST_DISTANCE_M))
     if known.size < _SECONDS_OF_ONE_HEADER // 2:
         raise InputError(str(path), "has no working width", "--width M")
-    widths = np.round(median_filter(area_m2[known] / way_m[known], _SECONDS_OF_ONE_HEADER, mode="nearest"), 1)
+    widths = np.round(median_filter(area_m2[known] / distance_m[known], _SECONDS_OF_ONE_HEADER, mode="nearest"), 1)
     nearest = np.searchsorted(0.5 * (known[1:] + known[:-1]), np.arange(area_m2.size))
     least, most = widths.min(), widths.max()
     said = f"{least:g} m" if least == most else f"{least:g} to {most:g} m"

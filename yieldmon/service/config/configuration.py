@@ -58,8 +58,11 @@ class ConfigurationError(InputError):
 
 @dataclass(frozen=True)
 class Configuration:
-    """All that the daemon runs with. Paths are absolute. calibrator is None where parameters are never updated. notes: a sentence
-    for each key that the file has under a former name, and on a curve that gives the flow."""
+    """All that the daemon runs with.
+
+    Paths are absolute. calibrator: None where parameters are never updated. notes: a sentence on each key that the file has under
+    a former name, and on a curve that gives the flow.
+    """
 
     path: Path
     document: Document
@@ -121,36 +124,21 @@ def load(path: Path | str, environment: Mapping[str, str] = os.environ) -> Confi
 
 def build(content: Any, path: Path, environment: Mapping[str, str] = os.environ) -> Configuration:
     """Configuration from the content of the file at `path`, as load() does. Raises ConfigurationError."""
-    try:
-        content, renamed = with_present_keys(content, str(path))
-    except InputError as error:
-        raise ConfigurationError([error]) from error
-    try:
-        document = Document.model_validate(content)
-    except ValidationError as error:
-        raise ConfigurationError(problems_of(error, str(path))) from error
+    document, renamed = _validated(content, path)
     named = _named_files(document, path)
     machine, curve = named.machine, named.curve
     engine = engine_settings(document)
     fixed_angle_deg = engine.plate.fixed_angle_deg
-    asked = (document.signals, path, machine, fixed_angle_deg)
-    try:
-        mapping, databases = signal_map(*asked)
-    except InputError as error:
-        raise ConfigurationError(mistakes(*asked) or [error]) from error
-    outputs, written = output_map(
+    mapping, databases = _mapped_signals(document, path, machine, fixed_angle_deg)
+    outputs, output_databases = output_map(
         document.outputs.signals, path, machine, mapping,
         with_shipped=document.outputs.shipped,
         network=document.network.enabled,
         fixed_plate=fixed_angle_deg is not None,
     )  # fmt: skip
-    runtime, prometheus = runtime_folder(environment), document.status.prometheus_file
-    named_path = state_folder(environment) / document.store.path
-    store_path = answer_or(lambda: where_sqlite_writes(named_path), lambda: named_path)
-    socket_path = runtime / document.status.socket
-    prometheus_path = runtime / prometheus if prometheus is not None else None
-    read = (path, *named.paths, *databases, *written)
-    conflicts = file_conflicts(store_path, socket_path, prometheus_path, read)
+    written = _written_files(document, environment)
+    read = (path, *named.paths, *databases, *output_databases)
+    conflicts = file_conflicts(written.store, written.socket, written.prometheus, read)
     problems = [InputError(f"{path}: {key}", *rest) for key, *rest in (*contradictions(document, engine, machine), *conflicts)]
     problems += out_of_reach(mapping, engine, machine)
     if problems:
@@ -168,17 +156,60 @@ def build(content: Any, path: Path, environment: Mapping[str, str] = os.environ)
         engine=_with_shape(_fitted(engine, document, mapping), named.shape),
         signals=mapping,
         outputs=outputs,
-        database_paths=tuple(dict.fromkeys((*databases, *written))),
+        database_paths=tuple(dict.fromkeys((*databases, *output_databases))),
         calibrator=calibrator_settings(document, named.moisture_map) if updates else None,
         machine=machine,
         machine_path=named.machine_path,
         parameters=parameters,
         parameter_path=named.parameter_path,
-        store_path=store_path,
+        store_path=written.store,
         retention=Retention(document.store.record_hours, document.store.size_mb, document.store.event_rows),
-        socket_path=socket_path,
-        prometheus_path=prometheus_path,
+        socket_path=written.socket,
+        prometheus_path=written.prometheus,
         notes=(*renamed, *([] if curve is None else [_on_curve(curve, Path(str(named.curve_path)))])),
+    )
+
+
+def _validated(content: Any, path: Path) -> tuple[Document, tuple[str, ...]]:
+    """The file's keys, and a note on each that it has under a former name. Raises ConfigurationError."""
+    try:
+        content, renamed = with_present_keys(content, str(path))
+    except InputError as error:
+        raise ConfigurationError([error]) from error
+    try:
+        return Document.model_validate(content), renamed
+    except ValidationError as error:
+        raise ConfigurationError(problems_of(error, str(path))) from error
+
+
+def _mapped_signals(
+    document: Document, path: Path, machine: Machine, fixed_angle_deg: float | None
+) -> tuple[SignalMap, tuple[Path, ...]]:
+    """The mapping of the engine's inputs, and the DBC files that it names. Raises ConfigurationError with all mistakes."""
+    asked = (document.signals, path, machine, fixed_angle_deg)
+    try:
+        mapping, databases = signal_map(*asked)
+    except InputError as error:
+        raise ConfigurationError(mistakes(*asked) or [error]) from error
+    return mapping, tuple(databases)
+
+
+@dataclass(frozen=True)
+class _WrittenFiles:
+    """Paths that the service makes."""
+
+    store: Path
+    socket: Path
+    prometheus: Path | None
+
+
+def _written_files(document: Document, environment: Mapping[str, str]) -> _WrittenFiles:
+    named_store = state_folder(environment) / document.store.path
+    runtime, prometheus = runtime_folder(environment), document.status.prometheus_file
+    return _WrittenFiles(
+        store=answer_or(lambda: where_sqlite_writes(named_store), lambda: named_store),
+        socket=runtime / document.status.socket,
+        prometheus=runtime / prometheus if prometheus is not None else None,
     )
 
 

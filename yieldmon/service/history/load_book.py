@@ -31,6 +31,10 @@ class LoadBook:
         """In order of their numbers."""
         return iter([self._loads[number] for number in sorted(self._loads)])
 
+    def among(self, numbers: range) -> list[Load]:
+        """Those of the loads with these numbers that are known, in order."""
+        return [load for load in self if load.number in numbers]
+
     def names(self, number: int) -> tuple[str, str] | None:
         """Field and crop of a load; None where it is not known."""
         known = self._loads.get(number)

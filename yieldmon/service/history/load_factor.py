@@ -8,7 +8,9 @@ from yieldmon.estimation.estimators import estimator_of
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import ForwardModel
-from yieldmon.service.logs.weighed_loads import LEAST_KNOWN_SHARE, MeasuredLoad, force_columns
+from yieldmon.service.logs.force_seconds import known_seconds
+from yieldmon.service.logs.measured_loads import MeasuredLoad
+from yieldmon.service.logs.weighed_loads import LEAST_KNOWN_SHARE
 
 
 def load_factor(load: MeasuredLoad, parameters: ParameterSet, machine: Machine) -> float | None:
@@ -31,21 +33,18 @@ def load_factor(load: MeasuredLoad, parameters: ParameterSet, machine: Machine) 
     versions = {row.parameter_version for row in load.seconds}
     if not versions or not versions <= set(load.parameters):
         return None
-    parts = [
-        force_columns([row for row in load.seconds if row.parameter_version == v], load.parameters[v], machine)
-        for v in sorted(versions)
-    ]
-    columns = np.concatenate(parts, axis=1)
-    duration, force, angle, speed, moisture, mass = columns[:, np.isfinite(columns[0]) & (columns[0] > 0.0)]
-    if not mass.sum() > LEAST_KNOWN_SHARE * load.mass_kg:
+    known = known_seconds(load.seconds, load.parameters, machine)
+    if not known.mass_kg.sum() > LEAST_KNOWN_SHARE * load.mass_kg:
         return None
     model = ForwardModel(machine, parameters.effects)
-    known = np.isfinite(moisture) if model.needs_moisture else np.full(mass.shape, fill_value=True)
-    flow = np.full(mass.shape, np.nan)
-    if np.any(known):
-        inputs = (column[known] for column in (force, angle, speed, moisture))
-        flow[known] = estimator_of(machine, parameters, model).invert(*inputs)
-    measured = np.isfinite(flow)
-    if not np.sum(mass[measured]) > LEAST_KNOWN_SHARE * load.mass_kg:
+    if model.needs_moisture:
+        known = known.take(np.isfinite(known.moisture_pct))
+    if not len(known.mass_kg):
         return None
-    return float(np.sum(duration[measured] * flow[measured]) / np.sum(mass[measured]))
+    inputs = known.force_n, known.plate_angle_rad, known.elevator_speed_rad_s, known.moisture_pct
+    flow = estimator_of(machine, parameters, model).invert(*inputs)
+    measured = np.isfinite(flow)
+    measured_kg = np.sum(known.mass_kg[measured])
+    if not measured_kg > LEAST_KNOWN_SHARE * load.mass_kg:
+        return None
+    return float(np.sum(known.duration_s[measured] * flow[measured]) / measured_kg)

@@ -23,7 +23,7 @@ from yieldmon.service.history.load_factor import load_factor
 from yieldmon.service.history.parameter_spread import parameter_spread
 from yieldmon.service.history.reference_loads import StoredLoad
 from yieldmon.service.history.request_context import RequestContext
-from yieldmon.service.logs.weighed_loads import MeasuredLoad
+from yieldmon.service.logs.measured_loads import MeasuredLoad
 from yieldmon.service.storage import ledger
 from yieldmon.service.storage.batch import Load, Ticket
 from yieldmon.service.storage.load_spread import ParameterSpread
@@ -117,7 +117,7 @@ def _tickets_of(loads: Sequence[Load], journal: Journal) -> dict[int, Ticket]:
     for number, ticket in standing.tickets.items():
         if number in replaced:
             continue
-        covered = {load.number for load in journal.loads if ticket.first_load <= load.number <= ticket.last_load}
+        covered = {load.number for load in journal.loads.among(ticket.loads)}
         if not covered & numbers:
             continue
         if not covered <= numbers:

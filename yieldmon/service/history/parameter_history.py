@@ -42,11 +42,27 @@ class ParameterHistory:
         return parameters.provenance.get("crop", named) or (SHIPPED_CROP if self.digest == self._shipped_digest else "")
 
     def change_crop(self, crop: str, in_use: ParameterSet, named: str, who: str = "", last_load: int = 0) -> ParameterSet | None:
-        """The parameters for another crop: what was last known of it, else what is shipped, with the plate's angle as it was
-        measured and the scale of a crop that was weighed, else a copy of those in use, which tickets then update this crop alone.
-        None where those in use stay: they are its own, or nothing says whose they are.
+        """Take the parameters of another crop into use; what is known of the crop before is kept.
 
-        What is known of the crop before is kept. named: the crop that an operator named last. last_load: number of the newest.
+        Parameters
+        ----------
+        crop : str
+            The new crop.
+        in_use : ParameterSet
+            The parameters in use.
+        named : str
+            The crop that an operator named last.
+        who : str
+            The user who asks.
+        last_load : int
+            Number of the newest load.
+
+        Returns
+        -------
+        ParameterSet or None
+            The crop's last known parameters; else the shipped ones, with the measured offset of the plate's angle and the scale
+            of a weighed crop; else a copy of those in use, which tickets from now on update for this crop alone. None where those
+            in use stay: they are its own, or nothing says whose they are.
         """
         before = self.crop_of(in_use, named)
         if crop == before or not before:
@@ -56,13 +72,13 @@ class ParameterHistory:
         self._of_crop[before] = kept
         self.use(kept, ledgers.CROP, who=who, reason=f"what is known of {before} is kept", last_load=last_load)
         if known is None:
-            # What was weighed was grain of the crop before.
+            # The scale was weighed with grain of the crop before.
             facts = {**in_use.provenance, SCALE: NOT_CALIBRATED, "crop": crop}
             chosen = replace(in_use, version=self.version + 1, provenance=facts)
             self.use(chosen, ledgers.CROP, who=who, reason=f"{crop} begins with what is known of {before}")
             return chosen
         chosen, left = replace(known, version=self.version + 1), self._of_crop.get(crop)
-        self.use(chosen, ledgers.CROP, who=who, reason=_said_of(chosen, crop))
+        self.use(chosen, ledgers.CROP, who=who, reason=_source_in_words(chosen, crop))
         if left is not None and left.values != chosen.values:
             # Its loads until now had another scale.
             self._actions.bring_back(chosen.version)
@@ -91,7 +107,7 @@ class ParameterHistory:
         known = self._of_crop.get(crop)
         if crop not in crops() or (known is not None and not _only_begun(known, crop)):
             return known
-        begun = self._begun(crop, ((self.crop_of(in_use, named), in_use),), _of_the_plate(in_use))
+        begun = self._begun(crop, ((self.crop_of(in_use, named), in_use),), _machine_values(in_use))
         return begun if known is None or known.carried_from or begun.carried_from else known
 
     def _begun(self, crop: str, in_use: Sequence[tuple[str, ParameterSet]], of_the_plate: Mapping[str, float]) -> ParameterSet:
@@ -108,7 +124,7 @@ class ParameterHistory:
         return published
 
     def unlike(self, configured: ParameterSet) -> ParameterSet | None:
-        """A parameter file read anew: the set to use from now on, None when it is the one that was read last."""
+        """The parameters to use from now on after their file was read again; None where the file has not changed."""
         return None if parameter_file.digest(configured) == self.digest else replace(configured, version=self.version + 1)
 
     def restart(self, in_use: ParameterSet, named: str, who: str, reason: str) -> ParameterSet:
@@ -121,7 +137,7 @@ class ParameterHistory:
         known = in_use
         if crop in crops():
             shipped = crops()[crop].parameters()
-            known = replace(shipped, values={**shipped.values, **_of_the_plate(in_use)})
+            known = replace(shipped, values={**shipped.values, **_machine_values(in_use)})
         facts = {**known.provenance, SCALE: NOT_CALIBRATED} | ({"crop": crop} if crop else {})
         chosen = replace(known, version=self.version + 1, provenance=facts)
         self.use(chosen, ledgers.HARDWARE, who=who, reason=reason)
@@ -130,7 +146,7 @@ class ParameterHistory:
         return chosen
 
     def take_fresh(self) -> ParameterSet | None:
-        """Parameters of `restart` with which a monitor has to begin anew, once."""
+        """Parameters of the last `restart`, with which a new monitor has to begin; None after they were taken."""
         fresh, self._fresh = self._fresh, None
         return fresh
 
@@ -149,29 +165,41 @@ class ParameterHistory:
         silenced: Sequence[int] = (),
         replaced: int = 0,
     ) -> tuple[ParameterSet, str]:
-        """The parameters before a version, as a new version in use; the crop, where that is another than is harvested now: then
-        those in use stay, and its own are kept for it. Raises InputError.
+        """Take a version and those that followed on it back.
 
-        named: the crop that an operator named last. silenced: tickets that no longer update the parameters. replaced:
-        the ticket that a newer one replaces; 0 where that is not why.
+        Parameters
+        ----------
+        version : int
+            The first to take back.
+        in_use : ParameterSet
+            The parameters in use.
+        named : str
+            The crop that an operator named last.
+        who : str
+            The user who asks.
+        now_s : float
+            Unix time.
+        silenced : sequence of int
+            Tickets that no longer update the parameters.
+        replaced : int
+            The ticket that a newer one replaces; 0 where that is not why.
+
+        Returns
+        -------
+        ParameterSet
+            In use from now on: those from before the version, as a new version; or those in use, where the version is of another
+            crop, for which those from before it are kept.
+        str
+            That other crop; "" where the version is of the crop harvested now.
+
+        Raises
+        ------
+        InputError
+            For a version that cannot be taken back.
         """
+        self._refuse_undo(version)
         changes = self._actions.history.updates
-        if version not in changes:
-            raise InputError(f"version {version}", "no such calibration", "a version that `yieldmon calibrations list` shows")
         before = int(changes[version].document.get("from_version", 0))
-        if version in self._actions.history.undone_versions:
-            raise InputError(f"version {version}", "is undone already", "one that stands")
-        if changes[version].document.get("origin") == ledgers.CROP:
-            raise InputError(f"version {version}", "is a change of crop", "a calibration, or `yieldmon load start --crop NAME`")
-        gone = self._actions.history.updates_gone_with(version)
-        if gone:
-            raise InputError(
-                f"version {version}",
-                f"is an undo, and what it took back rests on ticket {', '.join(map(str, gone))}, which updates no parameters now",
-                f"the mass once more if it is right: `yieldmon ticket {self._actions.history.as_entered(gone[0])}`",
-            )
-        if before not in self._versions:
-            raise InputError(f"version {version}", "the parameters before it are not known", "a later version")
         now, crop = self.crop_of(in_use, named), self._crop_at(version)
         of_now = not crop or not now or crop == now
         followed = self._followed(version, (crop, "") if of_now else (crop,))
@@ -195,16 +223,37 @@ class ParameterHistory:
         self._actions.bring_back(kept.version)
         # What is in use may have the scale of the version that is undone.
         anew = in_use.carried_from == crop and _only_begun(in_use, now)
-        left = self._begun(now, (), _of_the_plate(in_use)) if anew else in_use
+        left = self._begun(now, (), _machine_values(in_use)) if anew else in_use
         chosen = replace(left, version=self.version + 1, provenance={**left.provenance, "crop": now})
-        self.use(chosen, ledgers.CROP, who=who, reason=_said_of(chosen, now))
+        self.use(chosen, ledgers.CROP, who=who, reason=_source_in_words(chosen, now))
         if anew:
             self._actions.bring_back(chosen.version)
         return chosen, crop
 
+    def _refuse_undo(self, version: int) -> None:
+        """Raises InputError for a version that cannot be taken back."""
+        history = self._actions.history
+        change, where = history.updates.get(version), f"version {version}"
+        if change is None:
+            raise InputError(where, "no such calibration", "a version that `yieldmon calibrations list` shows")
+        if version in history.undone_versions:
+            raise InputError(where, "is undone already", "one that stands")
+        if change.document.get("origin") == ledgers.CROP:
+            raise InputError(where, "is a change of crop", "a calibration, or `yieldmon load start --crop NAME`")
+        gone = history.updates_gone_with(version)
+        if gone:
+            raise InputError(
+                where,
+                f"is an undo, and what it took back rests on ticket {', '.join(map(str, gone))}, which updates no parameters now",
+                f"the mass once more if it is right: `yieldmon ticket {history.as_entered(gone[0])}`",
+            )
+        if int(change.document.get("from_version", 0)) not in self._versions:
+            raise InputError(where, "the parameters before it are not known", "a later version")
+
     def withdraw(self, version: int, who: str, now_s: float, replaced: int = 0) -> None:
-        """A version that a parameter file has replaced since rests on what was taken back: masses measured again with it, or with
-        what followed on it before that file, go back. The parameters in use stay. replaced: as `undo` has it."""
+        """Take back the masses that were measured again with a version before the parameter file in use, or with versions that
+        followed on it before that file: they rest on something that was undone. The parameters in use stay. replaced: as `undo`
+        has it."""
         changes = self._actions.history.updates
         file = min(later for later in changes if later > version and ledgers.begins_anew(changes[later]))
         before_file = [later for later in self._followed(version, (self._crop_at(version), "")) if later < file]
@@ -239,8 +288,25 @@ class ParameterHistory:
         step: CalibrationStep | None = None,
         last_load: int | None = None,
     ) -> None:
-        """These are in use from now on. origin: where they come from. tickets: that led to them. step: how they came
-        of those before them. last_load: until which loads that were given no crop are of theirs."""
+        """Take parameters into use.
+
+        Parameters
+        ----------
+        parameters : ParameterSet
+            With their new version.
+        origin : str
+            Where they come from, as `ledger` names it.
+        who : str
+            The user who asked; "" for the monitor itself.
+        reason : str
+            As the list of calibrations shows it.
+        tickets : sequence of int
+            That led to them.
+        step : CalibrationStep, optional
+            How they followed from those before them.
+        last_load : int, optional
+            Last load that is of their crop if it was given none.
+        """
         document = {
             "version": parameters.version, "from_version": self.version, "origin": origin, "reason": reason,
             "effects": list(parameters.effects), "tickets": list(tickets),
@@ -275,8 +341,8 @@ class ParameterHistory:
             self._new.insert(0, self._in_use)
 
 
-def _said_of(parameters: ParameterSet, crop: str) -> str:
-    """Where those of a crop come from."""
+def _source_in_words(parameters: ParameterSet, crop: str) -> str:
+    """Where a crop's parameters come from, in words."""
     other = parameters.carried_from
     return f"{crop} begins with the scale of {other}" if other else f"what is known of {crop}"
 
@@ -291,6 +357,6 @@ def _only_begun(parameters: ParameterSet, crop: str) -> bool:
     return friction == (published.values["friction"], published.standard_deviation("friction"))
 
 
-def _of_the_plate(parameters: ParameterSet) -> dict[str, float]:
-    """What parameters hold that is the machine's whatever it harvests: by how much its plate's angle is reported wrong."""
+def _machine_values(parameters: ParameterSet) -> dict[str, float]:
+    """The parameters that are the machine's, whatever crop it harvests: the offset of the reported plate angle."""
     return {name: value for name, value in parameters.values.items() if name.partition(".")[0] == "plate_angle_offset"}

@@ -14,13 +14,14 @@ from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array
-from yieldmon.service.logs.weighed_loads import MeasuredLoad, force_columns
+from yieldmon.service.logs.force_seconds import known_seconds
+from yieldmon.service.logs.measured_loads import MeasuredLoad
 from yieldmon.service.storage.load_spread import ParameterSpread, divided
 
 _SECONDS = 100
-"""Of a load at most, evenly from all: what a parameter changes of its mass shows in few of them."""
+"""Seconds of a load that are looked at, evenly spaced: a parameter's change of the mass shows in few of them."""
 _STEP = 1e-2
-"""Of a standard deviation, and of the force, for the differences."""
+"""Share of a standard deviation, and of the force, for finite differences."""
 
 
 def parameter_spread(
@@ -42,13 +43,15 @@ def parameter_spread(
     ParameterSpread or None
         None where no second of it has a known force, or the forces make no number.
     """
-    columns = _some_seconds(load, machine)
-    if columns is None:
+    some = load.seconds[:: max(1, len(load.seconds) // _SECONDS)]
+    known = known_seconds(some, load.parameters, machine)
+    if not len(known.duration_s):
         return None
     model = ForwardModel(machine, parameters.effects)
     if model.needs_moisture:
-        columns = columns[:, np.isfinite(columns[4])]
-    duration, force, angle, speed, moisture = columns
+        known = known.take(np.isfinite(known.moisture_pct))
+    duration, force, angle = known.duration_s, known.force_n, known.plate_angle_rad
+    speed, moisture = known.elevator_speed_rad_s, known.moisture_pct
     estimator = estimator_of(machine, parameters, model)
     if not isinstance(estimator, OpenLoop):
         found = estimator.estimate(force, angle, speed, 0.0, moisture)
@@ -76,18 +79,6 @@ def parameter_spread(
     ]
     spread = ParameterSpread((*shared, scale), own)
     return spread if all(map(isfinite, (*spread.shared, own))) else None
-
-
-def _some_seconds(load: MeasuredLoad, machine: Machine) -> Array | None:
-    """(5, n): as `force_columns` without the mass, of seconds with a known force; None where there are none."""
-    kept = load.seconds[:: max(1, len(load.seconds) // _SECONDS)]
-    versions = {row.parameter_version for row in kept} & set(load.parameters)
-    parts = [
-        force_columns([row for row in kept if row.parameter_version == v], load.parameters[v], machine) for v in sorted(versions)
-    ]
-    columns = np.concatenate(parts, axis=1) if parts else np.zeros((6, 0))
-    columns = columns[:, np.isfinite(columns[0]) & (columns[0] > 0.0)]
-    return columns[:5] if columns.size else None
 
 
 def _directions(covariance: Array) -> Array:

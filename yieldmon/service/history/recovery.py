@@ -189,7 +189,7 @@ def _from_copy(path: Path, retention: Retention, why: str, notes: list[str]) -> 
                     found = _Remembered(remembered(store), store.identity(), store.computer())
                     break
             else:
-                raise StoreError(f"{path}: what is left of it makes no sense")
+                raise StoreError(f"{path}: what is left of it cannot be used")
     except (OSError, StoreError) as failure:
         if str(failure) not in why:
             _log.error("%s", failure)

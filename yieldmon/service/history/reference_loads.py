@@ -29,7 +29,8 @@ from yieldmon.service.storage.load_ends import between_loads, load_of
 from yieldmon.service.storage.rows import SecondRow, kept_second
 from yieldmon.service.storage.store import Store
 
-_MOST_LOADS = 64
+MOST_LOADS = 64
+"""Loads of an earlier run that one ticket, or one start, reads from the store."""
 _SAME_MASS = 1e-4
 """Relative difference of a load's mass from that of its seconds that is rounding."""
 
@@ -73,8 +74,8 @@ def of_standing_tickets(path: Path, named: Collection[int] = ()) -> tuple[Stored
 
 
 def of_store(store: Store, numbers: Collection[int]) -> tuple[StoredLoad, ...]:
-    """The closed loads with these numbers, the newest _MOST_LOADS of them at most, of which the store holds seconds."""
-    wanted = set(sorted(numbers)[-_MOST_LOADS:])
+    """The closed loads with these numbers, the newest MOST_LOADS of them at most, of which the store holds seconds."""
+    wanted = set(sorted(numbers)[-MOST_LOADS:])
     loads = [load for load in store.loads() if load.number in wanted and load.ended_s is not None]
     if not loads:
         return ()

@@ -12,22 +12,29 @@ from yieldmon.errors import InputError
 from yieldmon.estimation.estimators import estimator_of
 from yieldmon.service.assembly import calibration_age_s
 from yieldmon.service.history.journal import Journal
-from yieldmon.service.history.reference_loads import reference
+from yieldmon.service.history.reference_tickets import why_no_reference
 from yieldmon.service.history.request_context import RequestContext
-from yieldmon.service.storage import ledger
-from yieldmon.service.storage.batch import Load
 from yieldmon.service.tickets.ticket_history import TicketHistory
 
 _NOT_WEIGHED = frozenset({"sweep", "kernels"})
 """Origins of parameters that nothing updates again."""
-_UNKNOWN_ZERO = 0.1
-"""Share of a load's mass by which its zero may be off, from which the load says nothing of the scale."""
 
 
 @dataclass(frozen=True, slots=True)
 class Restored:
-    """Versions of the parameters that an undo took back, the first and the last; version, effects: of those from before them;
-    crop: whose these are, "" for the one harvested now."""
+    """Parameters from before versions that an undo took back.
+
+    Parameters
+    ----------
+    undone, until : int
+        The first and the last version that was taken back.
+    version : int
+        Of the restored parameters.
+    effects : tuple of str
+        Of the restored parameters.
+    crop : str
+        Whose parameters they are; "" for the crop harvested now.
+    """
 
     undone: int
     until: int
@@ -50,12 +57,21 @@ class Updating:
 
 
 def without_ticket(number: int, context: RequestContext) -> TicketUndone:
-    """Take a ticket back, as if it had never been entered, as near as what is kept allows; says what does not come back.
+    """Take a ticket back, as far as possible as if it had never been entered.
 
-    Where it has updated the parameters, these are those from before it, updated again by the standing tickets after it. What
-    sweeps and kernel noise changed since then goes. Where a parameter file has replaced them since, it stays, and masses
-    measured again with what the ticket led to go back. A ticket that it replaced stands again and updates.
-    Raises InputError.
+    If it has updated the parameters, those from before it come back and the standing tickets after it update them again; what
+    sweeps and kernel noise changed since then is lost. If a parameter file has replaced the parameters since, the file stays, and
+    masses measured again after the ticket go back to what they were before. A ticket that it replaced stands again and updates.
+
+    Returns
+    -------
+    TicketUndone
+        What was taken back and what was not.
+
+    Raises
+    ------
+    InputError
+        For a ticket that does not stand.
     """
     return _without(number, context, stands=())
 
@@ -63,12 +79,17 @@ def without_ticket(number: int, context: RequestContext) -> TicketUndone:
 def without_version(version: int, context: RequestContext) -> CalibrationUndone:
     """Take a calibration back, as if it had never come: the standing tickets that updated after it do so again.
 
-    Those whose own update it was (`silenced`) correct their loads alone. What sweeps and kernel noise changed since then
-    goes. Raises InputError.
+    The tickets that led to it (`silenced`) from now on only correct their loads. What sweeps and kernel noise changed since then
+    is lost.
+
+    Raises
+    ------
+    InputError
+        For a version that cannot be taken back.
     """
     journal, actions = context.journal, context.journal.actions
     before = actions.history
-    silenced = before.led_first_to(version)
+    silenced = before.first_led_to(version)
     since = min(silenced, default=before.last_ticket_before(version))
     loads = [load for n in silenced for load in before.entered(n).loads]
     back = _back_before(version, context, silenced)
@@ -98,12 +119,12 @@ def without_version(version: int, context: RequestContext) -> CalibrationUndone:
 
 
 def without_updates(numbers: Sequence[int], context: RequestContext) -> list[TicketUndone]:
-    """The same of tickets that stand, for loads that are of another crop than they have updated."""
+    """Take back the updates of tickets that stand, for loads of another crop than the one they have updated."""
     return [_without(number, context, stands=numbers) for number in numbers]
 
 
 def without_replaced(numbers: Sequence[int], context: RequestContext) -> list[TicketUndone]:
-    """The same of tickets that stand, which a newer one is about to replace."""
+    """Take back the updates of tickets that stand, which a newer one is about to replace."""
     return [_without(number, context, stands=numbers, replaced=number) for number in numbers]
 
 
@@ -136,7 +157,7 @@ def _without(number: int, context: RequestContext, *, stands: Sequence[int], rep
         try:
             back = _back_before(first, context, replaced=replaced)
         except InputError as error:
-            # The mass that it corrected comes back all the same.
+            # Its correction of the mass is taken back nevertheless.
             answer["update_kept_because"] = str(error)
     if number in stands:
         actions.wait_no_more([number])
@@ -179,11 +200,28 @@ def _not_weighed(versions: Iterable[int], history: TicketHistory) -> int:
 def _updating(
     judged: Collection[int], gone: Iterable[int], counts: Callable[[int], bool], history: TicketHistory
 ) -> tuple[list[int], list[int]]:
-    """Numbers of the tickets that are to update again, those to be judged anew and those for the same loads or for `gone` that
-    count; and those of the latter on which the parameters rest."""
+    """Which tickets are to update the parameters again.
+
+    Parameters
+    ----------
+    judged : collection of int
+        Tickets whose update was lost.
+    gone : iterable of int
+        Loads whose tickets go.
+    counts : callable
+        Whether a ticket counts, by its number.
+    history : TicketHistory
+
+    Returns
+    -------
+    list of int
+        Those to update again: `judged`, and those that count for the same loads or for `gone`.
+    list of int
+        Of the latter, those on which the parameters rest.
+    """
     ticketed = (history.entered(number) for number in judged)
     loads = {*gone, *(load for ticket in ticketed for load in ticket.loads)}
-    same, effective = [number for number in history.handed_for(loads) if counts(number)], history.effective()
+    same, effective = [number for number in history.references_for(loads) if counts(number)], history.in_effect()
     again = sorted({*judged, *same}.difference(effective))
     return again, [number for number in same if number in effective]
 
@@ -232,8 +270,8 @@ def _update_again(
     goes_back: bool,
     stay: Sequence[int] = (),
 ) -> Updating:
-    """These tickets update again, as far as they can. gone: loads whose tickets go. crop: see `Monitor.update_again`. goes_back:
-    the parameters are those from before a ticket. stay: tickets for the same loads on which these rest."""
+    """Let tickets update the parameters again, as far as they can. gone: loads whose tickets go. crop: as `Monitor.update_again`
+    has it. goes_back: the parameters are those from before a ticket. stay: tickets for the same loads on which these rest."""
     monitor, journal = context.monitor, context.journal
     history = journal.actions.history
     tickets = history.ledger.tickets
@@ -243,7 +281,7 @@ def _update_again(
     why_not: dict[int, str] = {}
     for number in sorted((*numbers, *stay)):
         ticket = tickets[number]
-        covered = [load for load in journal.loads if ticket.first_load <= load.number <= ticket.last_load]
+        covered = journal.loads.among(ticket.loads)
         why = why_no_reference(covered, context, crop)
         shares = () if why else history.reference_mass(number).shared_out(covered, ticket.measured_mass_kg)
         if number in stay:
@@ -253,46 +291,8 @@ def _update_again(
         else:
             updated.append(number)
             again += shares
-    effective = [load for n in history.effective() if n not in updated for load in tickets[n].loads]
+    effective = [load for n in history.in_effect() if n not in updated for load in tickets[n].loads]
     journal.happened(monitor.update_again(gone, again, rests_on=effective if goes_back or stays else None, crop=crop, stay=stays))
     journal.actions.wait_again(updated, crop)
     journal.actions.measure_lost_again()
     return Updating(tuple(updated), why_not)
-
-
-def why_no_reference(covered: Sequence[Load], context: RequestContext, crop: str) -> str:
-    """Why no part of a ticket is a reference mass for the calibration; "" where it is. The monitor gets to know those of its
-    loads that an earlier run measured. crop: whose parameters it is to update; "": those in use."""
-    monitor, journal = context.monitor, context.journal
-    in_use = crop or journal.crop_in_use(monitor.estimator.parameters)
-    named = sorted({journal.parameters.crop_of_load(load) for load in covered} - {""})
-    if len({name.lower() for name in named}) > 1:
-        both = " and ".join(named)
-        return f"loads of {both} on one ticket update the parameters of none; `yieldmon load correct` if one has the wrong crop"
-    other = next((found for found in named if in_use and found.lower() != in_use.lower()), None)
-    if other is not None:
-        return f"a load of {other}; the parameters in use are those of {in_use}; `yieldmon calibrate --loads` calibrates with it"
-    whole = {load.number: load.complete for load in monitor.loads}
-    # Of a load that goes on over a restart only the store has every second.
-    earlier = {load.load.number: load for load in context.stored if not whole.get(load.load.number, False)}
-    wanted = {load.number for load in covered}
-    for number, load in earlier.items():
-        if number not in wanted:
-            continue
-        found = reference(load, monitor.machine, monitor.settings)
-        if min(found.versions, default=0) < journal.actions.history.calibrated_version:
-            begun = journal.actions.history.updates[journal.actions.history.calibrated_version].document.get("origin")
-            changed = "the machine was changed" if begun == ledger.HARDWARE else "the parameter file in use"
-            return f"load {number} was measured before {changed}"
-        monitor.know_load(found.summary, found.seconds)
-        whole[number] = found.summary.complete
-    # What the store could not be asked for, as while it is written slowly, is as it was known before.
-    whole = {load.number: load.complete for load in monitor.earlier_loads if load.number not in earlier} | whole
-    if not all(whole.get(load.number, False) for load in covered):
-        return "not every second of it was measured"
-    for part in covered:
-        off_kg = 0.0 if part.budget is None else part.budget.zero_kg
-        if off_kg > _UNKNOWN_ZERO * part.mass_kg:
-            share = 100.0 * off_kg / part.mass_kg
-            return f"the zero was wrong or too old for load {part.number}: its mass may be off by {share:.0f} % for that"
-    return ""

@@ -96,10 +96,11 @@ def _refuse_apart(log: str, here: Mapping[str, set[int]], other: str, there: Map
     for one in (message for message in here if message not in there):
         for two in (message for message in there if message not in here):
             if len(here[one] & there[two]) >= _SHARED_S:
+                problem = f"has {_of_dbc(one)} and no {_of_dbc(two)}, which {other} has at the same times"
                 raise InputError(
                     log,
-                    f"has {_of_dbc(one)} and no {_of_dbc(two)}, which {other} has at the same times, as of a logger a channel",
-                    f"one log of both: `sort -m {other} {log} > both.log`, of candump's",
+                    f"{problem}, as if each channel had its own logger",
+                    f"both in one log: `sort -m {other} {log} > both.log`, for logs of candump",
                 )
 
 
@@ -118,7 +119,7 @@ def _refuse_shared(log: str, message: str, by_channel: Mapping[str, set[int]]) -
     if shared := _shared(message, by_channel):
         problem, one, other = shared
         expected = f"one channel: --channel {one} or {other} (bus.log_channels of the configuration)"
-        raise InputError(log, f"{problem}, as of bridged buses", expected)
+        raise InputError(log, f"{problem}, as on bridged buses", expected)
 
 
 def _shared(message: str, by_channel: Mapping[str, set[int]]) -> tuple[str, str, str] | None:

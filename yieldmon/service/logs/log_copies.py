@@ -1,4 +1,4 @@
-"""Logs that are named twice under different names: what they hold would count twice."""
+"""Logs that are named twice, also under different names: what they hold would count twice."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from pathlib import Path
 from yieldmon.bus.log_files.gunzip import open_bytes
 from yieldmon.errors import InputError
 from yieldmon.files.whole_file import real_path
+from yieldmon.repeats import repeated
 
 _BEGINNING_BYTES = 1 << 16
 
@@ -19,6 +20,13 @@ def refuse_named_twice(logs: Sequence[str]) -> None:
     for index, path in enumerate(resolved):
         if path in resolved[:index]:
             raise InputError(logs[index], "is named twice, which would double its mass", "each log once")
+
+
+def refuse_repeated_loads(sources: Sequence[str]) -> None:
+    """Raises InputError for a source of --loads that is named twice, by its name or its content."""
+    if twice := repeated(sources):
+        raise InputError("--loads", f"names {twice[0]} twice", "each log once")
+    refuse_copies(sources)
 
 
 def refuse_copies(logs: Sequence[str]) -> None:

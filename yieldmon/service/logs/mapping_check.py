@@ -38,46 +38,79 @@ _IMPACT_SIGNAL = re.compile(r"impact(\d+)\.\d+")
 _ALSO = {"elevator_speed": ", ratio, pulses_per_turn"}
 _INSTEAD = {"plate_angle": ", or plate.fixed_angle_deg for a plate at a fixed angle"}
 """Quantity -> what else may be wrong, or done, where its values or frames are not there."""
-_COUNTED_ANEW = "; pulses that each frame counts anew are a frequency: unit Hz, `scale` the frames per second"
+_COUNTED_ANEW = "; pulses counted from 0 in each frame are a frequency: unit Hz, `scale` the frames per second"
 
 
-def problems(configuration: Configuration, seen: dict[str, QuantitySeen], log: str) -> list[tuple[str, str, str]]:
-    """(where, problem, expected) of what the recording says against the mapping."""
+Problem = tuple[str, str, str]
+"""Where, what, and what was expected: as InputError takes them."""
+
+
+def problems(configuration: Configuration, seen: dict[str, QuantitySeen], log: str) -> list[Problem]:
+    """How a recording contradicts the mapping.
+
+    Parameters
+    ----------
+    configuration : Configuration
+    seen : dict of str to QuantitySeen
+        The recording's quantities.
+    log : str
+        The recording.
+    """
+    return [
+        *_missing_problems(configuration, seen, log),
+        *_angle_problems(configuration.machine, seen, log),
+        *_leaping_problems(configuration, seen, log),
+        *_sample_problems(configuration, seen, log),
+    ]
+
+
+def _missing_problems(configuration: Configuration, seen: dict[str, QuantitySeen], log: str) -> list[Problem]:
+    """Of quantities without which nothing is measured."""
     found = []
     for name in ("impact", "elevator_speed", "plate_angle"):
         entry = seen.get(name)
-        if entry is not None and not entry.usable:
-            what = "no usable value" if entry.values else "no frame of it"
-            instead = _instead(configuration, name, log) if not entry.values else None
-            if entry.values and entry.decoded is not None:
+        if entry is None or entry.usable:
+            continue
+        if entry.values:
+            problem, instead = "no usable value", ""
+            if entry.decoded is not None:
                 instead = "it decodes to " + " to ".join(f"{end:.6g}" for end in dict.fromkeys(entry.decoded)) + f" {entry.unit}"
             expected = f"values that it can have; look at signal, unit, scale{_ALSO.get(name, '')} and range"
-            if not entry.values:
-                expected = f"frames that are mapped{_INSTEAD.get(name, '')}"
-            found.append((f"{log}: {name}", f"{what}: {instead}".rstrip() if instead else what, expected))
-    found += _angle_problems(configuration.machine, seen, log)
+        else:
+            problem, instead = "no frame of it", _instead(configuration, name, log) or ""
+            expected = f"frames that are mapped{_INSTEAD.get(name, '')}"
+        found.append((f"{log}: {name}", f"{problem}: {instead}".rstrip() if instead else problem, expected))
+    return found
+
+
+def _leaping_problems(configuration: Configuration, seen: dict[str, QuantitySeen], log: str) -> list[Problem]:
+    """Of quantities that change between two values, as two senders make them do."""
     counted = _speed_is_counted(configuration)
-    found += [
+    return [
         (
             f"{log}: {name}",
-            f"leaps between {entry.low:.6g} and {entry.high:.6g} {entry.unit}, as where two nodes send it",
+            f"leaps between {entry.low:.6g} and {entry.high:.6g} {entry.unit}, as if two nodes sent it",
             _one_sender(configuration, name, log) + (_COUNTED_ANEW if counted and name == "elevator_speed" else ""),
         )
         for name, entry in seen.items()
         if entry.leaping_share > _MOSTLY
     ]
-    sensor = configuration.machine.sensor
-    most_mv = configuration.engine.windows.plausible_full_scales * sensor.full_scale_mv
+
+
+def _sample_problems(configuration: Configuration, seen: dict[str, QuantitySeen], log: str) -> list[Problem]:
+    """Of impact sensors' values and rates."""
+    found = []
+    most_mv = configuration.engine.windows.plausible_full_scales * configuration.machine.sensor.full_scale_mv
     for number, source in enumerate(configuration.signals.sources.impact):
-        rate_hz, low_mv, high_mv = (getattr(seen[impact_name(number)], key) for key in ("rate_hz", "low", "high"))
-        if low_mv is not None and not (low_mv <= most_mv and high_mv >= -most_mv):
+        name = impact_name(number)
+        where, entry = f"{log}: {name}", seen[name]
+        if entry.low is not None and entry.high is not None and not (entry.low <= most_mv and entry.high >= -most_mv):
             expected = f"samples within {most_mv:g} mV of the cell's zero; look at unit and scale"
-            found.append((f"{log}: {impact_name(number)}", f"{low_mv:.6g} to {high_mv:.6g} mV", expected))
-        if rate_hz is not None and abs(rate_hz / source.rate_hz - 1.0) > RATE_TOLERANCE:
-            where = f"{log}: {impact_name(number)}"
-            slip = unit_slip(source.rate_hz, rate_hz)
+            found.append((where, f"{entry.low:.6g} to {entry.high:.6g} mV", expected))
+        if entry.rate_hz is not None and abs(entry.rate_hz / source.rate_hz - 1.0) > RATE_TOLERANCE:
+            slip = unit_slip(source.rate_hz, entry.rate_hz)
             expected = f"{source.rate_hz:g}, as mapped{'; ' if slip else ''}{slip}"
-            found.append((where, f"{rate_hz:.4g} samples per second", expected))
+            found.append((where, f"{entry.rate_hz:.4g} samples per second", expected))
     return found
 
 
@@ -86,7 +119,7 @@ def _speed_is_counted(configuration: Configuration) -> bool:
     return any(group.pulses for group in configuration.signals.groups)
 
 
-def _angle_problems(machine: Machine, seen: dict[str, QuantitySeen], log: str) -> list[tuple[str, str, str]]:
+def _angle_problems(machine: Machine, seen: dict[str, QuantitySeen], log: str) -> list[Problem]:
     """Of a plate that is never near an angle that it can have."""
     entry = seen.get("plate_angle")
     if entry is None or entry.low is None or entry.high is None:

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from yieldmon import bounded
+from yieldmon import bounded, file_kinds
 from yieldmon.bus.log_files.sqlite_log import SUFFIX as LOG_SUFFIX
 from yieldmon.bus.log_files.sqlite_log import is_log
 from yieldmon.documents.tickets import ListedTicket
@@ -26,7 +26,6 @@ from yieldmon.service.storage.load_ends import between_loads
 from yieldmon.service.storage.rows import SecondRow
 from yieldmon.service.storage.store import Store
 from yieldmon.service.storage.store_errors import StoreDamagedError, StoreError
-from yieldmon.service.storage.store_names import SQLITE_MAGIC
 from yieldmon.service.tickets.action_log import ActionLog
 
 _log = logging.getLogger(__name__)
@@ -67,7 +66,7 @@ def _is_no_database(path: str | Path) -> bool:
     if not Path(path).is_file():
         return False
     with Path(path).open("rb") as file:
-        return file.read(len(SQLITE_MAGIC)) != SQLITE_MAGIC
+        return file.read(len(file_kinds.SQLITE)) != file_kinds.SQLITE
 
 
 def read_seconds(path: Path | str) -> list[SecondRow]:

@@ -15,13 +15,13 @@ from yieldmon.estimation.waveform.machine_shape import WeighedWave
 from yieldmon.estimation.waveform.pattern_fold import PatternWave
 from yieldmon.estimation.waveform.pulse_model import PulseModel
 from yieldmon.files.ticket_file import WeighedTicket
-from yieldmon.repeats import repeated
 from yieldmon.service.assembly import build_monitor
 from yieldmon.service.config.configuration import Configuration
 from yieldmon.service.logs.bulk_processing import process_in_bulk
-from yieldmon.service.logs.log_copies import refuse_copies
+from yieldmon.service.logs.log_copies import refuse_repeated_loads
+from yieldmon.service.logs.measured_loads import MeasuredLoad, loads_in_log
 from yieldmon.service.logs.recorded import is_store_not_log
-from yieldmon.service.logs.weighed_loads import MeasuredLoad, each_on_one, loads_in_log
+from yieldmon.service.logs.weighed_loads import each_on_one
 from yieldmon.service.storage.rows import SecondRow
 
 _STEADY = 0.15
@@ -47,9 +47,7 @@ def read(sources: Sequence[str], configured: Configuration) -> tuple[WavedLoad, 
     for source in sources:
         if is_store_not_log(source):
             raise InputError(source, "is a store, which holds no samples", "logs of weighed loads")
-    if twice := repeated(sources):
-        raise InputError("--loads", f"names {twice[0]} twice", "each log once")
-    refuse_copies(sources)
+    refuse_repeated_loads(sources)
     found: list[WavedLoad] = []
     for source in sources:
         found += _of_log(source, configured, len(found))

@@ -36,7 +36,7 @@ class CommandQueue:
         """Waits for the answer, no longer than left_s; of one that the engine has begun, twice as long as for it to begin. Raises
         InputError for a request that is refused, ControlError where the engine does not answer in time."""
         if left_s <= 0.0:
-            raise ControlError("reading the store took too long; nothing was done, ask again")
+            raise ControlError("reading the store took too long; nothing was done; ask again")
         job, wait_s = Job(request, stored), min(self._timeout_s, left_s)
         self._jobs.put(job)
         self._wake()
@@ -50,8 +50,8 @@ class CommandQueue:
             return job.answer.result(min(self._timeout_s, left_s - wait_s))
         except TimeoutError:
             raise ControlError(
-                "the engine has begun and did not end in time; it may be done all the same: see `yieldmon status` and the lists "
-                "of loads, tickets and calibrations before you ask again"
+                "the engine began it and did not finish in time; it may still be done: check `yieldmon status` and the lists "
+                "of loads, tickets and calibrations before asking again"
             ) from None
 
     @property

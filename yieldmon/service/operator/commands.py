@@ -19,17 +19,13 @@ from yieldmon.files.crops import crops, find_crop, misspelt, shipped_name
 from yieldmon.service.assembly import calibration_age_s
 from yieldmon.service.history import load_names, undo
 from yieldmon.service.history.journal import Journal
-from yieldmon.service.history.reference_loads import StoredLoad
+from yieldmon.service.history.reference_loads import MOST_LOADS, StoredLoad
 from yieldmon.service.operator.control_protocol import Answer
 from yieldmon.service.operator.order import Order, covered_loads
 from yieldmon.service.operator.requests import Request
 from yieldmon.service.operator.ticket_entry import enter_ticket
 from yieldmon.service.storage import ledger
 from yieldmon.service.storage.empty_loads import empty_loads, without_empty
-
-_MOST_LOADS = 63
-"""Between the first and the last of a ticket that is a reference mass for loads of an earlier run."""
-
 
 QUERIES = frozenset({"status", "loads", "tickets", "calibrations"})
 """Commands that change nothing."""
@@ -57,7 +53,7 @@ def ticketed_loads(request: Mapping[str, Any]) -> range:
     last = first if last is None else last
     if request.get("command") not in ("ticket", "load-correct") or not isinstance(first, int) or not isinstance(last, int):
         return range(0)
-    return range(first, last + 1) if 0 <= first <= last <= first + _MOST_LOADS else range(0)
+    return range(first, last + 1) if 0 <= first <= last < first + MOST_LOADS else range(0)
 
 
 def measures_again(request: Mapping[str, Any]) -> bool:
@@ -126,7 +122,7 @@ def _crop_named(request: Request, journal: Journal) -> str | None:
         return None
     meant = None if journal.parameters.keeps(name) else misspelt(name)
     if meant is not None:
-        raise InputError("crop", f"{name!r} is no known crop", f"{meant}; for another crop, a name less like it")
+        raise InputError("crop", f"{name!r} is not a known crop", f"{meant}; or, for another crop, a name that differs more")
     return shipped_name(name) or name
 
 
@@ -162,8 +158,7 @@ def _load_stop(order: Order) -> LoadStopped:
 
 def _load_correct(order: Order) -> LoadsCorrected:
     request, monitor, journal = order.request, order.monitor, order.journal
-    first = request.number_of("first_load", "load")
-    last = request.number_of("last_load", "load") if request.given("last_load") else first
+    first, last = request.load_numbers()
     field, crop = request.name("field"), _crop_named(request, journal)
     if field is None and crop is None:
         raise InputError("load correct", "names nothing to correct", "a crop or a field")
@@ -227,7 +222,7 @@ def _calibration_restart(order: Order) -> CalibrationsRestarted:
     if in_use.curve is not None:
         raise InputError("calibrations restart", "the flow comes from estimator_file", "another estimator_file, and a reload")
     history = journal.actions.history
-    standing = sorted(n for n in history.handed if n in history.updating)
+    standing = sorted(n for n in history.references if n in history.updating)
     load = None
     if totals.load_open and totals.load_kg > 0.0:
         # Of a load that both measured nothing could be said.

@@ -65,7 +65,7 @@ def ask(path: Path, request: Mapping[str, Any], timeout_s: float = ANSWER_S) -> 
         answer: dict[str, Any] = json.loads(received, object_hook=_Answer)
         problem = None if answer.pop("ok") else str(answer["error"])
     except (ValueError, RecursionError, KeyError, TypeError, AttributeError) as error:
-        raise ControlError(f"{path}: the daemon's answer is cut or makes no sense") from error
+        raise ControlError(f"{path}: the daemon's answer is cut off or cannot be read") from error
     if problem is not None:
         raise ControlError(problem)
     return answer

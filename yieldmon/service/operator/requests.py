@@ -53,11 +53,16 @@ class Request:
         return value.strip()
 
     def number_of(self, key: str, what: str) -> int:
-        """The number by which a load, a ticket or a version goes. Raises InputError."""
+        """The number of a load, ticket or version; what: names it in an error. Raises InputError."""
         value = self.values.get(key)
         if not isinstance(value, int) or isinstance(value, bool) or value < 0:
             raise InputError(key, brief(repr(value), _SHOWN), f"the number of a {what}")
         return value
+
+    def load_numbers(self) -> tuple[int, int]:
+        """First and last load that the request is about; the same where it names one only. Raises InputError."""
+        first = self.number_of("first_load", "load")
+        return first, self.number_of("last_load", "load") if self.given("last_load") else first
 
     def mass_or_none(self, key: str, low: float, high: float, unit: str) -> float | None:
         """A mass from low to high, None where there is none. Raises InputError."""

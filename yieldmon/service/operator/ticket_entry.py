@@ -15,7 +15,8 @@ from yieldmon.errors import InputError
 from yieldmon.estimation.estimators import estimator_of
 from yieldmon.files import ticket_file
 from yieldmon.files.crops import shipped_name
-from yieldmon.service.history.undo import why_no_reference, without_replaced
+from yieldmon.service.history.reference_tickets import why_no_reference
+from yieldmon.service.history.undo import without_replaced
 from yieldmon.service.operator.control_protocol import TICKET_KG
 from yieldmon.service.operator.order import Order, covered_loads
 from yieldmon.service.operator.requests import Request
@@ -50,9 +51,8 @@ def enter_ticket(order: Order) -> TicketEntered:
     InputError
         For loads that are unknown, open or without a measured mass, for masses that no load has, and where nothing is left.
     """
-    request, monitor, journal = order.request, order.monitor, order.journal
-    first = request.number_of("first_load", "load")
-    last = request.number_of("last_load", "load") if request.given("last_load") else first
+    request, journal = order.request, order.journal
+    first, last = request.load_numbers()
     truck, own = _weighed(request)
     covered = _closed_loads(order, first, last)
     measured_kg = sum(load.mass_kg for load in covered)
@@ -61,7 +61,7 @@ def enter_ticket(order: Order) -> TicketEntered:
     _refuse_impossible(order, own.mass_kg, covered)
     counting = (before.ledger.ticket_of(load.number) for load in covered)
     stood_for = sorted({found[0] for found in counting if found is not None})
-    # Before anything else is made of it: the parameters are to be what they would be without those that it replaces.
+    # First of all, so that the parameters are what they would be without the tickets that it replaces.
     replaced = before.replaced_by(ticket)
     left = {load for number in replaced for load in before.entered(number).loads}
     left -= set(empty_loads(journal.loads))
@@ -78,14 +78,8 @@ def enter_ticket(order: Order) -> TicketEntered:
         exact = TicketMass(own.mass_kg, _EXACT * own.mass_kg).shared_out(covered, measured_kg)
         best_kg, best_std_dev_kg = _best(own, known_kg, None if why_not else _departure(exact, order, crop))
         ticket = replace(ticket, weighed_mass_kg=best_kg)
-    waits = journal.actions.unfinished_of_crop.get(crop) if crop else journal.actions.waiting
-    first_moves = exp(departs.ln) - 1.0 if departs is not None and departs.first and not waits else None
-    if not why_not:
-        taken = [
-            monitor.ticket(number, mass_kg, std_dev_kg, crop=crop, common_kg=common_kg)
-            for number, mass_kg, std_dev_kg, common_kg in shares
-        ]
-        why_not = "" if any(mass.comparable for mass in taken) else _CLOCK_SET_BACK
+    sets_scale_pct = _sets_scale_pct(departs, order, crop)
+    why_not = why_not or _hand_over(shares, order, crop)
     number = journal.actions.ticket(
         ticket,
         order.who,
@@ -116,8 +110,24 @@ def enter_ticket(order: Order) -> TicketEntered:
         "taken_back": taken_back,
         "without_ticket": sorted(left.difference(range(first, last + 1))),
         "still_replaced": [{"ticket": older, "by": n} for n in replaced for older in after.count_again_without(n)],
-        "sets_scale_pct": None if first_moves is None else 100.0 * first_moves,
+        "sets_scale_pct": sets_scale_pct,
     }
+
+
+def _hand_over(shares: Sequence[Weighing], order: Order, crop: str) -> str:
+    """Hand a ticket's masses to the calibration. Why that cannot use them; "" where it can."""
+    taken = [
+        order.monitor.ticket(number, mass_kg, std_dev_kg, crop=crop, common_kg=common_kg)
+        for number, mass_kg, std_dev_kg, common_kg in shares
+    ]
+    return "" if any(mass.comparable for mass in taken) else _CLOCK_SET_BACK
+
+
+def _sets_scale_pct(departs: ticket_doubt.Departure | None, order: Order, crop: str) -> float | None:
+    """By how much the ticket moves the scale, %, where it is the first that does; else None."""
+    actions = order.journal.actions
+    waits = actions.unfinished_of_crop.get(crop) if crop else actions.waiting
+    return 100.0 * (exp(departs.ln) - 1.0) if departs is not None and departs.first and not waits else None
 
 
 def _closed_loads(order: Order, first: int, last: int) -> Sequence[Load]:
@@ -250,7 +260,7 @@ def _ln_of_waiting(numbers: Sequence[int], order: Order, of_crop: FlowEstimator 
     tickets = history.ledger.tickets
     for number in numbers:
         ticket = tickets[number]
-        loads = [load for load in order.journal.loads if ticket.first_load <= load.number <= ticket.last_load]
+        loads = order.journal.loads.among(ticket.loads)
         for load, mass_kg, sd_kg, _ in history.reference_mass(number).shared_out(loads, ticket.measured_mass_kg):
             # Of a load that an earlier run measured nothing may be known now.
             with suppress(ValueError):

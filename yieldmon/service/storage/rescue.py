@@ -14,6 +14,7 @@ from pathlib import Path
 from time import monotonic, time
 from typing import Any
 
+from yieldmon import file_kinds
 from yieldmon.bounded_sqlite import address
 from yieldmon.engine.records import COLUMNS
 from yieldmon.files.whole_file import sync
@@ -24,7 +25,7 @@ from yieldmon.service.storage.rows import SecondRow
 from yieldmon.service.storage.store import Store
 from yieldmon.service.storage.store_errors import StoreDetachedError, StoreError
 from yieldmon.service.storage.store_file import header_problem, is_orphaned, prepared, set_aside
-from yieldmon.service.storage.store_names import SQLITE_MAGIC, being_made_path, parts, ready_path, repaired_path
+from yieldmon.service.storage.store_names import being_made_path, parts, ready_path, repaired_path
 from yieldmon.service.storage.store_sql import second_is_sound
 
 #: How long copying one-second records may hold up a start; the newest come first, the others stay in the file set aside.
@@ -224,7 +225,7 @@ def _with_a_sound_header(content: bytes) -> bytes:
     """The file with the fields of the header that are the same in every store, or follow from the file's size
     (https://www.sqlite.org/fileformat2.html, section 1.3)."""
     header = bytearray(content[:_HEADER_BYTES].ljust(_HEADER_BYTES, b"\0"))
-    header[0:24] = SQLITE_MAGIC + _PAGE_BYTES.to_bytes(2, "big") + bytes((2, 2, 0, 64, 32, 32))
+    header[0:24] = file_kinds.SQLITE + _PAGE_BYTES.to_bytes(2, "big") + bytes((2, 2, 0, 64, 32, 32))
     header[28:40] = (len(content) // _PAGE_BYTES).to_bytes(4, "big") + bytes(8)
     header[44:60] = bytes((0, 0, 0, 4)) + bytes(8) + bytes((0, 0, 0, 1))
     header[64:72] = bytes(4) + schema.APPLICATION_ID.to_bytes(4, "big")

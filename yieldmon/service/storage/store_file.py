@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from yieldmon import file_kinds
 from yieldmon.bounded import why_no_file
 from yieldmon.bounded_sqlite import address, bound
 from yieldmon.errors import InputError, reason, remedy
@@ -19,7 +20,7 @@ from yieldmon.service.folders import where_sqlite_writes
 from yieldmon.service.storage import schema
 from yieldmon.service.storage.checksums import row_checksum
 from yieldmon.service.storage.store_errors import StoreError
-from yieldmon.service.storage.store_names import SQLITE_MAGIC, commit_note_path, file_state, parts
+from yieldmon.service.storage.store_names import commit_note_path, file_state, parts
 
 _LARGEST_VALUE_BYTES = 16 * 1024 * 1024
 _DEFENSIVE = 1010
@@ -91,7 +92,7 @@ def header_problem(path: Path) -> str | None:
             header = file.read(100)
     except OSError:
         return None
-    if len(header) < 100 or not header.startswith(SQLITE_MAGIC):
+    if len(header) < 100 or not header.startswith(file_kinds.SQLITE):
         return None
     if header[18] not in (1, 2) or header[19] not in (1, 2):
         return "its header asks for another version of the file format"
@@ -282,7 +283,7 @@ def refuse_foreign_file(path: Path, fstab: Path = Path("/etc/fstab")) -> None:
             begin = file.read(64)
     except OSError:
         return
-    a_store_was_here = begin.startswith(SQLITE_MAGIC) or not begin.strip(b"\0") or os.path.lexists(commit_note_path(path))
+    a_store_was_here = begin.startswith(file_kinds.SQLITE) or not begin.strip(b"\0") or os.path.lexists(commit_note_path(path))
     if not a_store_was_here:
         raise InputError(
             str(path), "is not a store; it is left as it is", "a store, or the name of a file that does not exist yet"

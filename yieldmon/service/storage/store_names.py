@@ -1,11 +1,8 @@
-"""The files of a store: what each is called, and the first bytes by which a store is known."""
+"""The files of a store: what each is called."""
 
 from __future__ import annotations
 
 from pathlib import Path
-
-#: First bytes of every SQLite database (https://www.sqlite.org/fileformat2.html, section 1.3).
-SQLITE_MAGIC = b"SQLite format 3\0"
 
 
 def parts(path: Path) -> tuple[Path, Path, Path]:

@@ -78,7 +78,7 @@ class StoredRows:
         try:
             return json.loads(text)
         except (ValueError, TypeError, RecursionError) as error:
-            raise StoreDamagedError(f"{self.path}: a document is no JSON: {error}") from error
+            raise StoreDamagedError(f"{self.path}: a document is not JSON: {error}") from error
 
     def seconds(self, first_number: int = 0, on_damage: Callable[[int], None] | None = None) -> list[SecondRow]:
         """One-second records from `first_number` on, in order.

@@ -39,7 +39,7 @@ class ActionLog:
         self.now_s = now_s
         """Unix time of an action of which nothing else is said."""
         self._history = TicketHistory(tuple(tickets), tuple(actions))
-        known, newest = range(1, len(tickets) + 1), self._history.newest_version
+        known, newest = range(1, len(tickets) + 1), self._history.newest_version_by_ticket
         left = [number for number in unfinished if number in known]
         crops = {crop: [number for number in numbers if number in known] for crop, numbers in (of_crop or {}).items()}
         self._updates = UpdateQueue([number for number in left if number not in newest], crops)
@@ -164,8 +164,8 @@ class ActionLog:
         to_measure = self._remeasuring.tickets
         if to_measure:
             # Of those whose update was taken back by an undo of another no loads are to be measured again.
-            led = {number for numbers in self._history.led.values() for number in numbers}
-            gone = led.difference(self._history.newest_version)
+            led = {number for numbers in self._history.tickets_by_version.values() for number in numbers}
+            gone = led.difference(self._history.newest_version_by_ticket)
             to_measure = tuple(number for number in to_measure if number not in gone)
         return (*to_measure, *self.waiting)
 

@@ -63,7 +63,7 @@ class RemeasuringQueue:
 
     def tickets_wait(self, history: TicketHistory) -> bool:
         """Whether there are tickets for `take`."""
-        return bool(self._tickets) and not history.newest_version.keys().isdisjoint(self._tickets)
+        return bool(self._tickets) and not history.newest_version_by_ticket.keys().isdisjoint(self._tickets)
 
     # What comes and goes
 
@@ -87,7 +87,7 @@ class RemeasuringQueue:
         that they led to; tickets from before or after another change are left for the next time. Those taken before of which
         nothing came are taken again.
         """
-        newest = history.newest_version
+        newest = history.newest_version_by_ticket
         left = [number for number in self.tickets if number in newest]
         self._taken_before = next_action
         changes = sorted(version for version, a in history.updates.items() if a.document.get("origin") == ledgers.CROP)

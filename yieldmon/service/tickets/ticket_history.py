@@ -75,44 +75,44 @@ class TicketHistory:
     # Which tickets led to which version
 
     @cached_property
-    def led(self) -> Mapping[int, tuple[int, ...]]:
+    def tickets_by_version(self) -> Mapping[int, tuple[int, ...]]:
         """As `ledger.updated_by`."""
         return ledgers.updated_by(self.actions)
 
     @cached_property
-    def newest_version(self) -> Mapping[int, int]:
+    def newest_version_by_ticket(self) -> Mapping[int, int]:
         """The newest standing version that each ticket has led to, by the ticket's number."""
         undone = self.undone_versions
-        return {number: v for v, numbers in sorted(self.led.items()) if v not in undone for number in numbers}
+        return {number: v for v, numbers in sorted(self.tickets_by_version.items()) if v not in undone for number in numbers}
 
     @cached_property
-    def handed(self) -> tuple[int, ...]:
+    def references(self) -> tuple[int, ...]:
         """Numbers of the tickets that were handed to the calibration since the parameter file in use came, or waited then."""
         file = self.updates.get(self.calibrated_version)
         since = 0 if file is None else file.number
-        led = {n for version, numbers in self.led.items() if version > self.calibrated_version for n in numbers}
+        led = {n for version, numbers in self.tickets_by_version.items() if version > self.calibrated_version for n in numbers}
         handed = (a for a in self.actions if a.kind == ledgers.TICKET and a.document.get("reference", False))
         return tuple(int(a.document["ticket"]) for a in handed if a.number > since or int(a.document["ticket"]) in led)
 
-    def effective(self) -> tuple[int, ...]:
+    def in_effect(self) -> tuple[int, ...]:
         """Numbers of the standing tickets that led to versions which stand."""
-        return tuple(sorted(number for number in self.newest_version if number in self.ledger.tickets))
+        return tuple(sorted(number for number in self.newest_version_by_ticket if number in self.ledger.tickets))
 
     def standing_of(self, versions: Collection[int]) -> tuple[int, ...]:
         """Numbers of the tickets that led to these versions; without those taken back, replaced or silenced."""
-        led = {number for version, numbers in self.led.items() if version in versions for number in numbers}
+        led = {number for version, numbers in self.tickets_by_version.items() if version in versions for number in numbers}
         return tuple(sorted(led & self.updating))
 
-    def led_first_to(self, version: int) -> tuple[int, ...]:
+    def first_led_to(self, version: int) -> tuple[int, ...]:
         """Numbers of the standing tickets that led to a version and to none before it that stands."""
-        standing, gone, led = self.ledger.tickets, self.undone_versions, self.led
+        standing, gone, led = self.ledger.tickets, self.undone_versions, self.tickets_by_version
         known = {number for earlier, numbers in led.items() if earlier < version and earlier not in gone for number in numbers}
         return tuple(sorted(number for number in led.get(version, ()) if number in standing and number not in known))
 
     def first_update(self, number: int, held_against: Callable[[int], bool] | None = None) -> int | None:
         """The first version of the parameters that rests on a ticket; None where none that stands does, or a parameter file has
         replaced it since. held_against: which tickets after it are held against it, though it may have led to no version."""
-        for version, led in sorted(self.led.items()):
+        for version, led in sorted(self.tickets_by_version.items()):
             if version in self.undone_versions or version <= self.calibrated_version:
                 continue
             if number in led or (held_against and any(other > number and held_against(other) for other in led)):
@@ -121,7 +121,7 @@ class TicketHistory:
 
     def update_before_file(self, number: int) -> int | None:
         """The first version that rests on a ticket, of those that a parameter file has replaced since; None: none that stands."""
-        led = (v for v, numbers in sorted(self.led.items()) if number in numbers and v not in self.undone_versions)
+        led = (v for v, numbers in sorted(self.tickets_by_version.items()) if number in numbers and v not in self.undone_versions)
         return next((version for version in led if version < self.calibrated_version), None)
 
     def update_without_replaced(self, number: int) -> int | None:
@@ -140,7 +140,7 @@ class TicketHistory:
             return ()
         before = [a for a in self.actions if a.kind == ledgers.PARAMETERS_UNDO and a.number < update.number]
         taken_back = {int(v) for a in before[-1:] for v in a.document.get("versions", ())}
-        led = {number for v, numbers in self.led.items() if v in taken_back for number in numbers}
+        led = {number for v, numbers in self.tickets_by_version.items() if v in taken_back for number in numbers}
         return tuple(sorted(led - self.updating))
 
     def last_ticket_before(self, version: int) -> int:
@@ -156,12 +156,12 @@ class TicketHistory:
     def without_update_after(self, number: int) -> tuple[int, ...]:
         """Numbers of the tickets after one, of the parameter file in use, that were handed to the calibration and led to no
         version that stands; without those taken back, replaced or silenced."""
-        return tuple(n for n in self.handed if n > number and n in self.updating and n not in self.newest_version)
+        return tuple(n for n in self.references if n > number and n in self.updating and n not in self.newest_version_by_ticket)
 
-    def handed_for(self, loads: Collection[int]) -> tuple[int, ...]:
+    def references_for(self, loads: Collection[int]) -> tuple[int, ...]:
         """Numbers of the tickets of the parameter file in use that were handed to the calibration for one of these loads, or for
         one that is on such a ticket too; without those taken back, replaced or silenced."""
-        left = {n: self.ledger.tickets[n].loads for n in self.handed if n in self.updating}
+        left = {n: self.ledger.tickets[n].loads for n in self.references if n in self.updating}
         covered, found = set(loads), list[int]()
         while more := [number for number, of_ticket in left.items() if not covered.isdisjoint(of_ticket)]:
             found += more
@@ -175,7 +175,7 @@ class TicketHistory:
         measured = {
             number for document in remeasured if set(document["tickets"]) <= set(standing) for number in document["tickets"]
         }
-        newest = self.newest_version.items()
+        newest = self.newest_version_by_ticket.items()
         return tuple(sorted(n for n, v in newest if n in standing and n not in measured and v > self.calibrated_version))
 
     # What replaces what
@@ -195,7 +195,7 @@ class TicketHistory:
         """Numbers of the references that only a standing ticket keeps from updating the parameters: those entered since the
         parameter file in use came, and those before it."""
         again = [n for n in self.count_again_without(number) if n not in self.silenced and self._entry(n).get("reference", False)]
-        return tuple(n for n in again if n in self.handed), tuple(n for n in again if n not in self.handed)
+        return tuple(n for n in again if n in self.references), tuple(n for n in again if n not in self.references)
 
     def factors_with(self, number: int) -> dict[tuple[int, ...], dict[int, float]]:
         """What loads were measured again with by what went as a ticket was replaced, by the tickets that this rests on.

@@ -60,4 +60,4 @@ class UpdateQueue:
 
 def _is_of(number: int, references: Sequence[tuple[int, float]], history: TicketHistory) -> bool:
     ticket, mass_kg = history.entered(number), history.reference_mass(number).mass_kg
-    return isclose(sum(kg for load, kg in references if ticket.first_load <= load <= ticket.last_load), mass_kg, rel_tol=1e-6)
+    return isclose(sum(kg for load, kg in references if load in ticket.loads), mass_kg, rel_tol=1e-6)
