@@ -36,7 +36,7 @@ CASES = {
     "all right": ([("1", 1.05 * KG[1]), ("2", 1.03 * KG[2]), ("3", 1.04 * KG[3])], set(), "", 1.04),
     "in pounds": (
         [("1", 1.0 * KG[1]), ("2", LB * KG[2]), ("3", 1.01 * KG[3]), ("5", 0.99 * KG[5])], {2},
-        "ticket of load 2 weighs 1808 kg, 2.2 times what the other tickets say of it, as where pounds were taken for kilograms",
+        "ticket of load 2 weighs 1808 kg, 2.2 times what the other tickets give for it, as if pounds were taken for kilograms",
         1.0,
     ),
     "of another load too": (
@@ -49,7 +49,7 @@ CASES = {
     "one alone": ([("1", 1.3 * KG[1])], set(), "", 1.3),
     "one alone in pounds": (
         [("1", LB * KG[1])], set(),
-        "ticket of load 1 weighs 1764 kg, 2.2 times what was measured, as where pounds were taken for kilograms: are", LB,
+        "ticket of load 1 weighs 1764 kg, 2.2 times what was measured, as if pounds were taken for kilograms: are", LB,
     ),
 }  # fmt: skip
 

@@ -196,13 +196,13 @@ def test_a_header_that_the_grain_contradicts_is_not_used(down: Any, up: Any, cap
 
 def test_a_height_is_no_state(capsys: pytest.CaptureFixture[str]) -> None:
     document, said = mapped(capsys, changed(lambda n, row: row | {"header": n % 37 + 1}))
-    assert "header holds 37 different numbers and is no state of a header" in said
+    assert "header holds 37 different numbers, so it is not a header state" in said
     is_the_harvest(document)
 
 
 def test_a_moisture_of_no_crop_is_named(capsys: pytest.CaptureFixture[str]) -> None:
     _, said = mapped(capsys, changed(lambda _, row: row | {"moisture": 0.155}))
-    assert "a moisture of 0.15 % is no crop's; expected another unit (--column moisture=moisture:fraction)" in said
+    assert "no crop has a moisture of 0.15 %; expected another unit (--column moisture=moisture:fraction)" in said
 
 
 def test_a_mass_that_goes_on_is_a_sum(capsys: pytest.CaptureFixture[str]) -> None:
@@ -229,7 +229,7 @@ def test_minutes_that_are_taken_as_seconds_are_named(quantity: str, capsys: pyte
     code, _, said = run(capsys, "h.csv")
     if quantity == "flow":
         assert code == 0, said
-        assert "m/s is none: expected other units of time, place, distance or speed" in said
+        assert "m/s: expected other units of time, place, distance or speed" in said
     else:
         assert code == 2
         assert "can be no harvest: 960 values of flow_kg_s outside 0 to 300 are taken as unknown" in said

@@ -118,7 +118,7 @@ def test_ground_without_a_yield_is_cut_and_said(mark: str, capsys: pytest.Captur
 def test_grain_of_rows_without_a_width_is_named(width: str, capsys: pytest.CaptureFixture[str]) -> None:
     document, said = mapped(capsys, changed(lambda n, row: row | {"width_m": width} if n % 20 == 7 else row))
     assert mass_kg(document) == pytest.approx(0.95 * MASS_KG, rel=0.01)
-    assert "48 rows have a yield and no width or way: their grain is not counted" in said
+    assert "48 rows have a yield and no width or distance: their grain is not counted" in said
     assert "flow_kg_s" not in said
 
 
@@ -148,7 +148,7 @@ def test_a_flow_that_contradicts_the_yield_is_named(times: float, capsys: pytest
         return row | {"flow_kg_s": times * row["yield_t_ha"] / 10 * SPEED_M_S * WIDTH_M / (1.0 if times < 9 else 3600.0 / 1.4)}
 
     _, said = mapped(capsys, changed(row_of))
-    assert "times what its yield says; the flow is used; expected another unit" in said
+    assert "times the flow that its yield gives; the flow is used; expected another unit" in said
 
 
 def test_grain_as_weighed_comes_before_dried_grain(capsys: pytest.CaptureFixture[str]) -> None:

@@ -114,7 +114,7 @@ def test_a_unit_that_the_places_contradict_is_named(name: str, value: float, cap
         capsys, f"{HEAD},yield (t/ha),width (m),{name}", lambda at: f"{PLACE.format(at)},{YIELD_KG_M2 * 10},6,{value:.4f}"
     )
     assert code == 0, said
-    assert "times the way between positions; expected another unit" in said
+    assert "times the distance between positions; expected another unit" in said
 
 
 def test_a_line_of_units_and_one_of_the_separator(capsys: pytest.CaptureFixture[str]) -> None:

@@ -50,7 +50,7 @@ def test_numbers_tell_units(system: str, tmp_path: Path, capsys: pytest.CaptureF
     assert code == 0, said
     assert document["mass_kg"]["integrated"] == pytest.approx(MASS_KG, rel=0.03)
     assert document["area_ha"] == pytest.approx(ROWS * WAY_M * WIDTH_M * 1e-4, rel=0.02)
-    assert "units that no name says: Crop_Flw_M" in said
+    assert "units that no column name states: Crop_Flw_M" in said
 
 
 @pytest.mark.parametrize(("dried", "intervals"), [(0.95, True), (1.0, False), (2.0, True)])

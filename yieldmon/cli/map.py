@@ -39,18 +39,23 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     add_units(parser, "metric")
     what = parser.add_argument_group("what the data do not state")
-    what.add_argument("--flow-delay", type=float, metavar="S", help="instead of the estimate")
-    what.add_argument("--moisture-delay", type=float, metavar="S", help="instead of the estimate")
-    what.add_argument("--width", type=float, metavar="M", help="working width, for sources that have none (or instead of theirs)")
-    what.add_argument("--crop", default="", metavar="NAME", help="crop of rows that have none")
+    what.add_argument("--flow-delay", type=float, metavar="S", help="delay of the flow (default: estimated)")
+    what.add_argument("--moisture-delay", type=float, metavar="S", help="delay of the moisture (default: estimated)")
+    what.add_argument("--width", type=float, metavar="M", help="working width (default: the source's)")
+    what.add_argument("--crop", default="", metavar="NAME", help="crop of rows without a crop")
     what.add_argument("--field", default="", metavar="NAME", help="name of the field")
-    what.add_argument("--date", metavar="YYYY-MM-DD", help="date of the first point, for clocks without one and 03/04/2026")
-    what.add_argument("--crs", default="", metavar="EPSG:CODE", help="coordinate system, for files that name none")
     what.add_argument(
-        "--header-ahead", type=float, metavar="M", help="from the antenna forward to the header (default: the file's)"
+        "--date", metavar="YYYY-MM-DD", help="date of the first point, if clocks have none or dates are like 03/04/2026"
+    )
+    what.add_argument("--crs", default="", metavar="EPSG:CODE", help="coordinate system of files that do not name one")
+    what.add_argument(
+        "--header-ahead", type=float, metavar="M", help="distance of the header ahead of the antenna (default: the file's)"
     )
     what.add_argument(
-        "--header-right", type=float, metavar="M", help="from the antenna right to its middle (default: the file's)"
+        "--header-right",
+        type=float,
+        metavar="M",
+        help="distance of its middle to the right of the antenna (default: the file's)",
     )
     what.add_argument(
         "--column",

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from .cleaning_rules import RULES, Context
 from .neighbours import local_outliers, shared
 from .placed import Placed
-from .tracks import Flags, Index
+from .table import Flags, Index
 
 KEPT = "kept"
 NO_PLACE = "no place"

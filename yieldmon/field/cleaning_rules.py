@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from .neighbours import shared
 from .placed import Placed
 from .plane import APART_M, astray
-from .table import Array, HarvestTable
-from .tracks import MIN_SPEED_M_S, Flags, Index, Tracks
+from .table import Array, Flags, HarvestTable, Index
+from .tracks import MIN_SPEED_M_S, Tracks
 
 if TYPE_CHECKING:
     from .swath import Swaths  # which needs the extra `map`
@@ -126,11 +126,11 @@ def _duplicate(at: Context) -> Flags:
 def _jump(at: Context) -> Flags:
     """A step that is further than the speeds of this field allow, and the one after it."""
     steps = at.steps
-    way = np.hypot(np.diff(steps.x_m, prepend=np.nan), np.diff(steps.y_m, prepend=np.nan))
+    distance_m = np.hypot(np.diff(steps.x_m, prepend=np.nan), np.diff(steps.y_m, prepend=np.nan))
     time = np.diff(steps.time_s, prepend=np.nan)
     joined = np.diff(steps.run, prepend=-1) == 0
     with np.errstate(invalid="ignore", divide="ignore"):
-        speed = np.where(joined & (time > 0), way / time, np.nan)
+        speed = np.where(joined & (time > 0), distance_m / time, np.nan)
     usual = speed[np.isfinite(speed) & steps.down & (speed > MIN_SPEED_M_S)]
     if not usual.size:
         return np.zeros(len(at.table), bool)
@@ -180,8 +180,8 @@ def _short_pass(at: Context) -> Flags:
     if not inside.any():
         return np.zeros(len(at.table), bool)
     count = int(steps.pass_number.max()) + 1
-    way = np.bincount(steps.pass_number[inside], np.nan_to_num(steps.speed_m_s * steps.interval_s)[inside], count)
-    short = way < _SHORT_PASS_WIDTHS * float(np.median(steps.width_m[inside]))
+    distance_m = np.bincount(steps.pass_number[inside], np.nan_to_num(steps.speed_m_s * steps.interval_s)[inside], count)
+    short = distance_m < _SHORT_PASS_WIDTHS * float(np.median(steps.width_m[inside]))
     return np.asarray(at.of_step(inside & short[np.maximum(steps.pass_number, 0)]), bool)
 
 

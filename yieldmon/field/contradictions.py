@@ -83,9 +83,9 @@ def _far(ticket: HeldTicket, times: float) -> str:
 
 
 def _slip(times: float) -> str:
-    return next((f", as where {what}" for factor, what in UNIT_SLIPS if abs(log(times / factor)) < _NEAR_LN), "")
+    return next((f", as if {what}" for factor, what in UNIT_SLIPS if abs(log(times / factor)) < _NEAR_LN), "")
 
 
 def _left_out(ticket: HeldTicket, times: float) -> str:
-    says = f"{ticket.mass_kg:.0f} kg, {times:.3g} times what the other tickets say of it"
+    says = f"{ticket.mass_kg:.0f} kg, {times:.3g} times what the other tickets give for it"
     return f"ticket of load {ticket.name} weighs {says}{_slip(times)}: left out"

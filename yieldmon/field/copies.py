@@ -117,7 +117,7 @@ class _OtherClocks:
     def copies(self, later: int, mine: NDArray[np.intp], former: int, theirs: NDArray[np.intp]) -> tuple[NDArray[np.intp], float]:
         """Which of `mine` have the place of one of `theirs`, as much later as nearly all have, and how much, s.
 
-        Nobody drives a way again to the second.
+        Nobody drives a path again to the second.
 
         later, former: the sources whose rows they are.
         """

@@ -18,8 +18,8 @@ import numpy as np
 from yieldmon.documents.harvest_map import DelayDocument
 
 from .pairs import Pairs, of_like_passes
-from .table import Array
-from .tracks import MIN_SPEED_M_S, Index, Tracks
+from .table import Array, Index
+from .tracks import MIN_SPEED_M_S, Tracks
 
 SHIFTS_S = np.arange(-45.0, 76.0)
 TICK_S = 0.5
@@ -326,6 +326,6 @@ def _objection(curve: Array, drawn: Array, peak: float) -> str:
 
 
 def _held_out(sums: Array) -> float:
-    """Correlation on blocks that the peak was not found on, the mean of both ways."""
+    """Correlation on blocks that the peak was not found on, the mean of both directions."""
     halves = [correlation_of(sums[:, k::2].sum(axis=1)) for k in (0, 1)]
     return float(np.mean([np.interp(_peak(halves[k]), SHIFTS_S, halves[1 - k]) for k in (0, 1)]))

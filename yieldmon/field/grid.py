@@ -7,8 +7,7 @@ from math import cos, radians
 
 import numpy as np
 
-from .table import Array
-from .tracks import Flags, Index
+from .table import Array, Flags, Index
 
 MAX_BLOCKS = 4_000_000
 _DEG_M = 111_320.0
@@ -68,39 +67,27 @@ class Grid:
 
 
 def block_means(longitude_deg: Array, latitude_deg: Array, mass_kg: Array, area_m2: Array, kept: Flags, size_m: float) -> Grid:
-    """Blocks of the kept points."""
+    """Blocks of the kept points.
+
+    Parameters
+    ----------
+    longitude_deg, latitude_deg, mass_kg, area_m2 : array, shape (n,)
+        Of all points.
+    kept : array of bool, shape (n,)
+        Points that cleaning kept.
+    size_m : float
+        Of a block.
+
+    Returns
+    -------
+    Grid
+        Of no block where no kept point has an area.
+    """
     use = np.flatnonzero(kept & (area_m2 > 0))
     if not len(use):
-        none = np.zeros(0)
-        return Grid(
-            row=none.astype(np.intp),
-            column=none.astype(np.intp),
-            yield_kg_m2=none,
-            standard_error_kg_m2=none,
-            points=none.astype(np.intp),
-            left_out=none,
-            west_deg=0.0,
-            north_deg=0.0,
-            width_deg=1.0,
-            height_deg=1.0,
-            shape=(1, 1),
-        )
-    middle = float(np.median(latitude_deg[use]))
-    reference = float(longitude_deg[use][0])
-    east = (longitude_deg - reference + 180.0) % 360.0 - 180.0
-    height = size_m / _DEG_M
-    width = height / max(cos(radians(middle)), 0.01)
-    west, north = float(east[use].min()), float(latitude_deg[use].max())
-    columns = int(np.ptp(east[use]) / width) + 1
-    rows = int(np.ptp(latitude_deg[use]) / height) + 1
-
-    def key_of(members: Index) -> Index:
-        column = np.clip(((east[members] - west) / width).astype(np.intp), 0, columns - 1)
-        row = np.clip(((north - latitude_deg[members]) / height).astype(np.intp), 0, rows - 1)
-        return row * columns + column
-
-    keys = key_of(use)
-    blocks, inverse = np.unique(keys, return_inverse=True)
+        return _NO_BLOCK
+    raster = _Raster.over(longitude_deg[use], latitude_deg[use], size_m)
+    blocks, inverse = np.unique(raster.block_of(longitude_deg[use], latitude_deg[use]), return_inverse=True)
     count = np.bincount(inverse)
     mass, area = np.bincount(inverse, mass_kg[use]), np.bincount(inverse, area_m2[use])
     mean = mass / area
@@ -108,29 +95,90 @@ def block_means(longitude_deg: Array, latitude_deg: Array, mass_kg: Array, area_
     weight = area_m2[use] / area[inverse]
     with np.errstate(invalid="ignore", divide="ignore"):
         variance = np.bincount(inverse, (weight * off) ** 2) * count / (count - 1)
-    inside = np.flatnonzero(
-        ~kept
-        & (east >= west)
-        & (east <= west + columns * width)
-        & (latitude_deg <= north)
-        & (latitude_deg >= north - rows * height)
-    )
-    dropped = np.zeros(len(blocks))
-    if len(inside):
-        others = key_of(inside)
-        place = np.minimum(np.searchsorted(blocks, others), len(blocks) - 1)
-        hit = blocks[place] == others
-        dropped = np.bincount(place[hit], minlength=len(blocks)).astype(float)
+    others = np.flatnonzero(~kept & raster.holds(longitude_deg, latitude_deg))
+    dropped = _counts(blocks, raster.block_of(longitude_deg[others], latitude_deg[others]))
     return Grid(
-        row=blocks // columns,
-        column=blocks % columns,
+        row=blocks // raster.columns,
+        column=blocks % raster.columns,
         yield_kg_m2=mean,
         standard_error_kg_m2=np.where(count > 1, np.sqrt(variance), np.nan),
         points=count,
         left_out=dropped / (dropped + count),
-        west_deg=west + reference,
-        north_deg=north,
-        width_deg=width,
-        height_deg=height,
-        shape=(rows, columns),
+        west_deg=raster.west_deg + raster.reference_deg,
+        north_deg=raster.north_deg,
+        width_deg=raster.width_deg,
+        height_deg=raster.height_deg,
+        shape=(raster.rows, raster.columns),
     )
+
+
+_NO_BLOCK = Grid(
+    row=np.zeros(0, np.intp),
+    column=np.zeros(0, np.intp),
+    yield_kg_m2=np.zeros(0),
+    standard_error_kg_m2=np.zeros(0),
+    points=np.zeros(0, np.intp),
+    left_out=np.zeros(0),
+    west_deg=0.0,
+    north_deg=0.0,
+    width_deg=1.0,
+    height_deg=1.0,
+    shape=(1, 1),
+)
+
+
+@dataclass(frozen=True)
+class _Raster:
+    """Rows and columns of blocks. west_deg is counted from reference_deg, -180 to 180: a field may lie across the date line."""
+
+    reference_deg: float
+    west_deg: float
+    north_deg: float
+    width_deg: float
+    height_deg: float
+    rows: int
+    columns: int
+
+    @classmethod
+    def over(cls, longitude_deg: Array, latitude_deg: Array, size_m: float) -> _Raster:
+        """That just holds these points."""
+        reference = float(longitude_deg[0])
+        east = _east_of(reference, longitude_deg)
+        height = size_m / _DEG_M
+        width = height / max(cos(radians(float(np.median(latitude_deg)))), 0.01)
+        return cls(
+            reference_deg=reference,
+            west_deg=float(east.min()),
+            north_deg=float(latitude_deg.max()),
+            width_deg=width,
+            height_deg=height,
+            rows=int(np.ptp(latitude_deg) / height) + 1,
+            columns=int(np.ptp(east) / width) + 1,
+        )
+
+    def block_of(self, longitude_deg: Array, latitude_deg: Array) -> Index:
+        """Number of the block of each point, row by row from the north-west corner."""
+        east = _east_of(self.reference_deg, longitude_deg)
+        column = np.clip(((east - self.west_deg) / self.width_deg).astype(np.intp), 0, self.columns - 1)
+        row = np.clip(((self.north_deg - latitude_deg) / self.height_deg).astype(np.intp), 0, self.rows - 1)
+        return row * self.columns + column
+
+    def holds(self, longitude_deg: Array, latitude_deg: Array) -> Flags:
+        """Which points lie on the raster."""
+        east = _east_of(self.reference_deg, longitude_deg)
+        return (
+            (east >= self.west_deg)
+            & (east <= self.west_deg + self.columns * self.width_deg)
+            & (latitude_deg <= self.north_deg)
+            & (latitude_deg >= self.north_deg - self.rows * self.height_deg)
+        )
+
+
+def _east_of(reference_deg: float, longitude_deg: Array) -> Array:
+    return (longitude_deg - reference_deg + 180.0) % 360.0 - 180.0
+
+
+def _counts(blocks: Index, found: Index) -> Array:
+    """How often each of the sorted block numbers is among those found."""
+    place = np.minimum(np.searchsorted(blocks, found), len(blocks) - 1)
+    return np.bincount(place[blocks[place] == found], minlength=len(blocks)).astype(float)

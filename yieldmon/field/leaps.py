@@ -1,4 +1,4 @@
-"""Places that leap away and back: errors of a receiver, of which the way between the places around them is no part."""
+"""Places that leap away and back: errors of a receiver, which the distance between the places around them does not contain."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from .table import Array
 
 _FASTEST_M_S, _BESIDE_M = 15.0, 5.0
-"""Of a combine on a road, and metres beside it, beyond which a place that is left again at once is no place."""
+"""Of a combine on a road, and metres beside it, beyond which a place that is left again at once is wrong."""
 _MOST_ASTRAY, _LONGEST_BRIDGE = 3, 6
-"""Rows one after another that may be astray, and rows from one known place to the next between which the way is even."""
+"""Consecutive rows that may be astray, and the rows from one known place to the next that are taken to be evenly spaced."""
 
 
 def bridged(x_m: Array, y_m: Array, time_s: Array, stream: NDArray[np.intp]) -> tuple[Array, Array]:

@@ -143,7 +143,7 @@ def _refuse_mixed(loads: set[int], names: Sequence[str], table: HarvestTable) ->
     for load in sorted(loads & set(mixed)):
         raise InputError(
             f"ticket of load {names[load]!r}",
-            f"two machines without names are mixed in it: its places leap to and fro {mixed[load]} times",
+            f"two machines without names are mixed in it: its places jump back and forth {mixed[load]} times",
             f"a file for each machine or a column with its name; or {ALL!r} as the ticket's machine where both filled it",
         )
 

@@ -14,8 +14,8 @@ import numpy as np
 from .delay import Decision, Delay, estimate_delay, given_delay
 from .pairs import Pairs, opposing_pairs
 from .placed import Placed, measured_mass_kg, place
-from .table import Array, HarvestTable, Source
-from .tracks import Index, Tracks
+from .table import Array, HarvestTable, Index, Source
+from .tracks import Tracks
 
 MAX_MACHINES = 200
 """With more, names of machines are no names; all rows are then taken as of one."""

@@ -9,6 +9,7 @@ from math import hypot, inf
 import numpy as np
 from numpy.typing import NDArray
 
+from .groups import by_time
 from .plane import Sites
 from .table import Array, HarvestTable, Label
 
@@ -17,7 +18,7 @@ FASTEST_M_S, BESIDE_M = 5.0, 5.0
 _LONGEST_GAP_S, _LONGEST_GAP = 12.0, 4.0
 """Between two rows of a track, s and usual intervals: the longer of them."""
 _LEAST_ROWS = 4
-"""Rows that go on one after another, from which they are a machine's way and no wrong places."""
+"""Rows that go on one after another, from which they are a machine's path and not wrong places."""
 _LEAST_TURNS, _LEAST_SHARE = 20, 0.05
 """Changes from one machine to another, and a machine's share of the rows, from which several made them."""
 _LACKS = 1.5
@@ -28,7 +29,7 @@ _MOST_BLOCKS = 0.005
 
 @dataclass
 class _Stretch:
-    """Rows that go on one after another along a way."""
+    """Rows that go on one after another along a path."""
 
     rows: list[int]
     time_s: float
@@ -149,7 +150,7 @@ def with_note(table: HarvestTable) -> tuple[HarvestTable, bool]:
     if not turns or len(table.sources) != 1:
         return table, turns > 0
     note = (
-        f"rows of two machines without names are mixed: places leap to and fro {turns} times; delay, passes and, where rows "
+        f"rows of two machines without names are mixed: places jump back and forth {turns} times; delay, passes and, where rows "
         "have no interval of their own, mass are wrong; expected a file for each machine, or a column with its name"
     )
     return replace(table, sources=(replace(table.sources[0], notes=(*table.sources[0].notes, note)),)), True
@@ -173,9 +174,8 @@ def mixed_loads(table: HarvestTable) -> dict[int, int]:
         return {}
     plane = Sites.about(table["longitude_deg"], table["latitude_deg"])
     x, y = plane.to_m(table["longitude_deg"], table["latitude_deg"])
-    stream = table.source_of_row.astype(np.intp) * len(table.labels["machine"].names) + table.labels["machine"].codes
-    group = stream * (int(load.max(initial=0)) + 1) + load
-    order = np.lexsort((np.arange(len(time)), time, group))
+    group = table.stream * (int(load.max(initial=0)) + 1) + load
+    order = by_time(time, group)
     order = order[placed[order]]
     ends = np.flatnonzero(np.diff(group[order])) + 1
     found: dict[int, int] = {}

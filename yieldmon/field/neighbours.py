@@ -7,8 +7,8 @@ from scipy.spatial import cKDTree
 
 from yieldmon.estimation.gaussian import SD_PER_MAD
 
-from .table import Array
-from .tracks import Flags, Tracks
+from .table import Array, Flags
+from .tracks import Tracks
 
 _LOCAL_NEIGHBOURS = 24
 _LOCAL_SD = 4.0
@@ -50,8 +50,8 @@ def shared(steps: Tracks, values: Array, doubtful: Flags) -> Flags:
     values : array, shape (n,)
         Flow by width or yield of each row, NaN where there is none.
     doubtful : array of bool, shape (n,)
-        Rows in question. Theirs is shared where _SHARED of the nearest rows of other passes are nearer to it than half of the way
-        to the field's median.
+        Rows in question. Theirs is shared where _SHARED of the nearest rows of other passes are nearer to it than half of the
+        difference from the field's median.
     """
     number = steps.pass_number[steps.step_of_row]
     known = np.flatnonzero(np.isfinite(values) & np.isfinite(steps.row_x_m) & (number >= 0))

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from .tracks import MIN_SPEED_M_S, Index, Tracks
+from .table import Index
+from .tracks import MIN_SPEED_M_S, Tracks
 
 MAX_PAIRS = 60_000
 _NEIGHBOURS = 16

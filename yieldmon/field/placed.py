@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .table import Array, HarvestTable
-from .tracks import FAR_S, Flags, Index, Tracks
+from .table import Array, Flags, HarvestTable, Index
+from .tracks import FAR_S, Tracks
 
 _TOLERANCE_INTERVALS = 0.75
 _EVEN_INTERVALS = 0.25

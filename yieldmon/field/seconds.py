@@ -1,4 +1,4 @@
-"""Logs faster than one row a second, taken together to seconds: what looks from point to point is meant for these."""
+"""Logs faster than one row a second, merged to one row a second, for which the map's rules from point to point are made."""
 
 from __future__ import annotations
 
@@ -7,19 +7,20 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from yieldmon.field.groups import in_order_of_rows, last_rows, total_known
 from yieldmon.field.table import Array, HarvestTable
 
 _FAST_S = 0.75
-"""Usual interval below which rows are taken together."""
+"""Median interval below which rows are merged."""
 _WEIGHTS = {"flow_kg_s": "interval_s", "flow_sd_kg_s": "interval_s", "moisture_pct": "interval_s", "width_m": "distance_m"}
-"""Columns that are averaged, and by what; of the others the last row of a second counts."""
+"""Averaged columns and their weights; of the other columns the last row of a second counts."""
 _SUMS = ("interval_s", "distance_m")
 
 
 def per_second(table: HarvestTable) -> HarvestTable:
-    """The table with the rows of each second of a fast log as one, at the place and time of the last; mass and way stay.
+    """The rows of each second of a fast log as one row, at the place and time of the last; mass and distance are kept.
 
-    Where the flow of some rows of a second is not known it is taken as that of the others.
+    Where the flow of some rows of a second is unknown, it is taken as that of the others.
 
     Parameters
     ----------
@@ -36,11 +37,10 @@ def per_second(table: HarvestTable) -> HarvestTable:
     if not 0.0 < usual_s < _FAST_S:
         return table
     group, count = _seconds(table)
-    last = np.zeros(count, np.intp)
-    last[group] = np.arange(len(table))
+    last = last_rows(group, count)
     columns = {name: values[last] for name, values in table.columns.items()}
     for name in _SUMS:
-        columns[name] = _total(table[name], group, count)
+        columns[name] = total_known(table[name], group, count)
     for name, by in _WEIGHTS.items():
         columns[name] = _mean(table[name], np.nan_to_num(table[by]), group, count)
     note = f"{len(table)} rows {usual_s:.2g} s apart are taken together to {count} of a second"
@@ -60,16 +60,9 @@ def _seconds(table: HarvestTable) -> tuple[NDArray[np.intp], int]:
     keys += [label.codes.astype(float) for label in table.labels.values()] + [table.source_of_row.astype(float)]
     keys.append(np.where(np.isfinite(time), -1.0, np.arange(len(time))))
     rows = np.column_stack([np.nan_to_num(key, nan=-1e9) for key in keys])
-    _, first, number = np.unique(rows, axis=0, return_index=True, return_inverse=True)
-    place = np.empty(len(first), np.intp)
-    place[np.argsort(first)] = np.arange(len(first))
-    return place[number.reshape(-1)], len(first)
-
-
-def _total(values: Array, group: NDArray[np.intp], count: int) -> Array:
-    known = np.isfinite(values)
-    total = np.bincount(group, np.where(known, values, 0.0), count)
-    return np.where(np.bincount(group, known, count) > 0, total, np.nan)
+    _, number = np.unique(rows, axis=0, return_inverse=True)
+    group = in_order_of_rows(number.reshape(-1))
+    return group, int(group.max()) + 1
 
 
 def _mean(values: Array, weights: Array, group: NDArray[np.intp], count: int) -> Array:

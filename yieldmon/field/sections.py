@@ -1,4 +1,4 @@
-"""Sections of a header of which the rows of one time all have the machine's place: they are taken together."""
+"""Rows of a header's sections that all have the machine's place: the rows of one time are merged."""
 
 from __future__ import annotations
 
@@ -6,16 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 
+from .groups import by_time, first_rows, step_begins, total_known
 from .table import HarvestTable
 
 _SAME_DEG = 2e-7
-"""Two centimetres."""
-_MOST = 0.9
-"""Share of steps that have one place."""
+"""Two centimetres: places that differ by less are one."""
+_LEAST_SHARE = 0.9
+"""Share of the steps of several rows that have one place, from which all are merged."""
 
 
-def together(table: HarvestTable) -> HarvestTable:
-    """The table with one row a step where its sections have one place: flow and width are the sum, all else is the first's.
+def merge_sections(table: HarvestTable) -> HarvestTable:
+    """One row for each time where the sections have one place: flow and width are summed, all else is the first row's.
 
     Parameters
     ----------
@@ -25,17 +26,15 @@ def together(table: HarvestTable) -> HarvestTable:
     Returns
     -------
     HarvestTable
-        The same where sections have places of their own, or there are none.
+        The same table where sections have places of their own, or there are no sections.
     """
     section, time = table["section"], table["time_s"]
     if len(table.sources) != 1 or np.unique(section[np.isfinite(section)]).size < 2:
         return table
     stream = table.labels["machine"].codes
-    order = np.lexsort((np.arange(len(table)), time, stream))
-    with np.errstate(invalid="ignore"):
-        new = np.r_[True, (np.diff(time[order]) != 0) | (np.diff(stream[order]) != 0) | ~np.isfinite(time[order][1:])]
+    order = by_time(time, stream)
     step = np.empty(len(table), np.intp)
-    step[order] = np.cumsum(new) - 1
+    step[order] = np.cumsum(step_begins(time[order], stream[order])) - 1
     count = int(step.max()) + 1
     size = np.bincount(step, minlength=count)
     spread = np.zeros(count)
@@ -45,18 +44,13 @@ def together(table: HarvestTable) -> HarvestTable:
         np.minimum.at(low, step[known], table[name][known])
         spread = np.maximum(spread, np.where(high >= low, high - low, 0.0))
     several = size > 1
-    if not several.any() or np.mean(spread[several] <= _SAME_DEG) < _MOST:
+    if not several.any() or np.mean(spread[several] <= _SAME_DEG) < _LEAST_SHARE:
         return table
-    first = order[new]
-    of_first = np.empty(count, np.intp)
-    of_first[step[first]] = first
-    rows = np.sort(of_first)
+    rows = np.sort(first_rows(step, count))
     place = step[rows]
     columns = {name: values[rows] for name, values in table.columns.items()}
     for name in ("flow_kg_s", "width_m"):
-        known = np.isfinite(table[name])
-        total = np.bincount(step, np.where(known, table[name], 0.0), count)
-        columns[name] = np.where(np.bincount(step, known, count) > 0, total, np.nan)[place]
+        columns[name] = total_known(table[name], step, count)[place]
     columns["section"] = np.full(len(rows), np.nan)
     note = f"sections of one time have one place: {len(table)} rows are taken together to {len(rows)}"
     source = replace(table.sources[0], notes=(*table.sources[0].notes, note))

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from math import isfinite
 
 from yieldmon.documents.harvest_map import Delays, MapDocument, TransportDocument
-from yieldmon.units import M2_PER_HA
+from yieldmon.units import M2_PER_HA, T_HA_PER_KG_M2
 
 from .cleaning import KEPT
 from .delay import Decision, Delay
-from .harvest import KG_M2_TO_T_HA, HarvestMap
+from .harvest import HarvestMap
 from .transport import Transport
 
 
@@ -120,4 +120,4 @@ def _known(value: float | None) -> float | None:
 
 
 def _scaled(value: float) -> float | None:
-    return _known(value * KG_M2_TO_T_HA)
+    return _known(value * T_HA_PER_KG_M2)

@@ -12,8 +12,8 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from .table import Array, HarvestTable
-from .tracks import Flags, Index, Tracks, row_headings
+from .table import Array, Flags, HarvestTable, Index
+from .tracks import Tracks, row_headings
 
 CHUNK = 20_000
 MIN_OVERLAP = 1e-4
@@ -169,8 +169,8 @@ class _Lanes:
             ],
             axis=1,
         )
-        way = np.hypot(self.x - self.back_x, self.y - self.back_y)
-        return corners, self.may_cut & np.isfinite(corners).all(axis=(1, 2)) & (self.half > 0) & (way > 1e-6)
+        distance_m = np.hypot(self.x - self.back_x, self.y - self.back_y)
+        return corners, self.may_cut & np.isfinite(corners).all(axis=(1, 2)) & (self.half > 0) & (distance_m > 1e-6)
 
 
 def _lanes(table: HarvestTable, steps: Tracks) -> _Lanes:

@@ -13,7 +13,11 @@ from yieldmon.errors import InputError
 from yieldmon.field.date_order import DateOrder
 
 Array = NDArray[Any]
-"""Numbers, float64 where nothing else is said."""
+"""Numbers, float64 where nothing else is stated."""
+Index = NDArray[Any]
+"""Whole numbers, of rows, steps or groups."""
+Flags = NDArray[Any]
+"""Bools."""
 
 #: Column -> what it is. All are float64; a flag is 0 or 1.
 COLUMNS: Mapping[str, str] = {
@@ -25,7 +29,7 @@ COLUMNS: Mapping[str, str] = {
     "flow_sd_kg_s": "its standard deviation",
     "moisture_pct": "moisture of the grain, wet basis",
     "interval_s": "time that the row stands for",
-    "distance_m": "way driven in the interval",
+    "distance_m": "distance driven in the interval",
     "width_m": "working width in use",
     "header_down": "1 harvesting, 0 header up",
     "heading_deg": "clockwise from north",
@@ -179,6 +183,12 @@ class HarvestTable:
     def __getitem__(self, name: str) -> Array:
         return self.columns[name]
 
+    @property
+    def stream(self) -> Index:
+        """Number of each row's stream, shape (n,): one machine of one source."""
+        machine = self.labels["machine"]
+        return self.source_of_row.astype(np.intp) * len(machine.names) + machine.codes
+
     def take(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> HarvestTable:
         """Some rows, in the given order."""
         return replace(
@@ -190,7 +200,7 @@ class HarvestTable:
         )
 
     def with_columns(self, **columns: Array) -> HarvestTable:
-        """The same with these columns new."""
+        """The same table with these columns added or replaced."""
         return replace(self, columns={**self.columns, **columns})
 
 
@@ -204,7 +214,17 @@ def build(
     default_flow_s: float = 0.0,
     extra: Mapping[str, Array] | None = None,
 ) -> HarvestTable:
-    """A table of one source; columns that are missing are filled with NaN.
+    """A table of one source.
+
+    Parameters
+    ----------
+    columns : mapping of str to array, shape (n,)
+        Names of COLUMNS; missing ones are NaN.
+    labels : mapping of str to Label
+        Names of LABELS; missing ones are "".
+    source : Source
+    unix_time, declared_flow_s, default_flow_s, extra
+        As HarvestTable has them.
 
     Raises
     ------

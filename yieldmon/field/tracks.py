@@ -5,20 +5,16 @@ A step is one time of one machine. Where a source has a row for each section of 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
+from .groups import by_time, mean_known, step_begins, total_known
 from .leaps import bridged
 from .plane import Sites
-from .table import Array, HarvestTable
-
-Index = NDArray[Any]
-Flags = NDArray[Any]
+from .table import Array, Flags, HarvestTable, Index
 
 MIN_SPEED_M_S = 0.3
 """Below it a yield is not defined and a heading is noise."""
@@ -151,43 +147,22 @@ def tracks(table: HarvestTable) -> Tracks:
     """The steps of a table. Rows without time or position are steps of no place."""
     plane = Sites.about(table["longitude_deg"], table["latitude_deg"])
     x, y = plane.to_m(table["longitude_deg"], table["latitude_deg"])
-    stream = table.source_of_row.astype(np.intp) * len(table.labels["machine"].names) + table.labels["machine"].codes
-    sections = np.nan_to_num(table["section"])
     time = _spread_unknown(table["time_s"])
-    order = np.lexsort((np.arange(len(table)), time, stream))
-    if not sections.any():
-        step_of_sorted = np.arange(len(table))
-    else:
-        new = np.r_[True, (np.diff(time[order]) != 0) | (np.diff(stream[order]) != 0)][: len(table)]
-        step_of_sorted = np.cumsum(new) - 1
-    step_of_row = np.empty(len(table), np.intp)
-    step_of_row[order] = step_of_sorted
-    count = int(step_of_sorted[-1]) + 1 if len(table) else 0
-    first = np.searchsorted(step_of_sorted, np.arange(count))
-    mean: _Pick = _Mean(step_of_row, count)
-    total: _Pick = _Total(step_of_row, count)
-    if count == len(table):
-        mean = total = _Pick(order)
-    width = total(np.nan_to_num(table["width_m"]))
-    step_time, step_stream = time[order][first], stream[order][first]
-    interval_s = np.nan_to_num(mean(table["interval_s"]))
-    gap = np.diff(step_time)
-    starts = np.diff(step_stream, prepend=-1) != 0
-    usual_s = usual_steps(np.diff(step_time, prepend=np.nan), starts)
-    step_x, step_y = mean(x), mean(y)
-    breaks = (np.diff(step_stream) != 0) | (gap > GAP_INTERVALS * np.maximum(usual_s[1:], 1e-3)) | ~np.isfinite(gap)
-    run = np.cumsum(np.r_[False, breaks])[:count]
-    distance = mean(table["distance_m"])
+    rows = _StepRows.of(table, time)
+    step_time, step_stream = time[rows.first], table.stream[rows.first]
+    interval_s = np.nan_to_num(rows.mean(table["interval_s"]))
+    step_x, step_y = rows.mean(x), rows.mean(y)
+    run = _runs(step_time, step_stream)
+    distance = rows.mean(table["distance_m"])
     with np.errstate(invalid="ignore", divide="ignore"):
         speed = np.where(interval_s > 0, distance / interval_s, np.nan)
-    flow = total(np.nan_to_num(table["flow_kg_s"]))
-    flow[np.isnan(mean(table["flow_kg_s"]))] = np.nan
-    header = mean(table["header_down"])
+    flow = rows.total(table["flow_kg_s"])
+    header = rows.mean(table["header_down"])
     driving = np.nan_to_num(speed) > MIN_SPEED_M_S
     down = np.where(np.isfinite(header), header > 0, driving & running(flow, step_stream, step_time)) & np.isfinite(step_x)
     return Tracks(
         plane=plane,
-        step_of_row=step_of_row,
+        step_of_row=rows.step_of_row,
         row_x_m=x,
         row_y_m=y,
         stream=step_stream,
@@ -196,15 +171,65 @@ def tracks(table: HarvestTable) -> Tracks:
         y_m=step_y,
         heading_rad=_headings(*bridged(step_x, step_y, step_time, run), run, driving),
         speed_m_s=speed,
-        width_m=width,
+        width_m=rows.total(np.nan_to_num(table["width_m"])),
         flow_kg_s=flow,
-        moisture_pct=mean(table["moisture_pct"]),
+        moisture_pct=rows.mean(table["moisture_pct"]),
         interval_s=interval_s,
         down=down,
         run=run,
         pass_number=_passes(down, run),
         usual_interval_s=_interval(step_time, step_stream),
     )
+
+
+@dataclass(frozen=True)
+class _StepRows:
+    """Which rows are which step.
+
+    Parameters
+    ----------
+    step_of_row : array of int, shape (n,)
+        Number of each row's step, in the order of stream and time.
+    first : array of int, shape (k,)
+        First row of each step.
+    """
+
+    step_of_row: Index
+    first: Index
+
+    @classmethod
+    def of(cls, table: HarvestTable, time_s: Array) -> _StepRows:
+        """Of a table whose unknown times are far from all others in time_s."""
+        order = by_time(time_s, table.stream)
+        if np.nan_to_num(table["section"]).any():
+            begins = step_begins(time_s[order], table.stream[order])
+        else:
+            begins = np.ones(len(table), bool)
+        step_of_row = np.empty(len(table), np.intp)
+        step_of_row[order] = np.cumsum(begins) - 1
+        return cls(step_of_row, order[begins])
+
+    def mean(self, values: Array) -> Array:
+        """Mean of the known values of each step; NaN where none is known."""
+        return self._of_steps(values, mean_known)
+
+    def total(self, values: Array) -> Array:
+        """Sum of the known values of each step; NaN where none is known."""
+        return self._of_steps(values, total_known)
+
+    def _of_steps(self, values: Array, summed: Callable[[Array, Index, int], Array]) -> Array:
+        if len(self.first) == len(self.step_of_row):
+            return values[self.first]
+        return summed(values, self.step_of_row, len(self.first))
+
+
+def _runs(time_s: Array, stream: Index) -> Index:
+    """Number of the stretch without a gap in time of each step."""
+    gap = np.diff(time_s)
+    starts = np.diff(stream, prepend=-1) != 0
+    usual_s = usual_steps(np.diff(time_s, prepend=np.nan), starts)
+    breaks = (np.diff(stream) != 0) | (gap > GAP_INTERVALS * np.maximum(usual_s[1:], 1e-3)) | ~np.isfinite(gap)
+    return np.cumsum(np.r_[False, breaks])[: len(time_s)]
 
 
 def _passes(down: Flags, run: Index) -> Index:
@@ -311,35 +336,8 @@ def _spread_unknown(time_s: Array) -> Array:
     return np.where(known, time_s, last + FAR_S * (1.0 + np.cumsum(~known)))
 
 
-class _Pick:
-    """One row a step: only the order changes."""
-
-    def __init__(self, order: Index) -> None:
-        self.order = order
-
-    def __call__(self, values: Array) -> Array:
-        return values[self.order].copy()
-
-
-class _Total(_Pick):
-    def __init__(self, step_of_row: Index, count: int) -> None:
-        super().__init__(step_of_row)
-        self.count = count
-
-    def __call__(self, values: Array) -> Array:
-        return np.bincount(self.order, values, self.count)
-
-
-class _Mean(_Total):
-    def __call__(self, values: Array) -> Array:
-        known = np.isfinite(values)
-        number = np.bincount(self.order, known, self.count)
-        with np.errstate(invalid="ignore"):
-            return np.bincount(self.order, np.where(known, values, 0.0), self.count) / np.where(number > 0, number, np.nan)
-
-
 def _headings(x: Array, y: Array, run: Index, driving: Flags) -> Array:
-    """From the way over a few steps to either side, within a run."""
+    """From the displacement over a few steps to either side, within a run."""
     count = len(x)
     index = np.arange(count)
     if not count:
@@ -361,10 +359,10 @@ def row_headings(table: HarvestTable, steps: Tracks) -> Array:
 def _filled(heading: Array, run: Index) -> Array:
     """The last heading known within a run goes on while the machine stands; before the first, the first."""
     out = heading.copy()
-    for way in (1, -1):
-        values, runs = out[::way], run[::way]
+    for step in (1, -1):
+        values, runs = out[::step], run[::step]
         place = np.where(np.isfinite(values), np.arange(len(values)), -1)
         last = np.maximum.accumulate(place) if len(place) else place
         usable = (last >= 0) & (runs[np.maximum(last, 0)] == runs)
-        out = np.where(usable, values[np.maximum(last, 0)], values)[::way]
+        out = np.where(usable, values[np.maximum(last, 0)], values)[::step]
     return out

@@ -14,8 +14,7 @@ import numpy as np
 from yieldmon.field.grid import Grid
 from yieldmon.field.harvest import HarvestMap
 from yieldmon.field.sources.agleader import taken_out
-from yieldmon.field.table import Array
-from yieldmon.field.tracks import Index
+from yieldmon.field.table import Array, Index
 from yieldmon.files.plain_text import quotable
 from yieldmon.files.whole_file import scratch_for
 from yieldmon.units import KG_PER_LB, M_PER_FT, M_PER_IN
@@ -37,7 +36,7 @@ def write(folder: Path, result: HarvestMap, grid: Grid) -> list[Path]:
     kept = np.flatnonzero(result.cleaned.kept)
     with np.errstate(invalid="ignore", divide="ignore"):
         flow = result.placed.mass_kg / table["interval_s"]
-        # Readers take the yield from flow, way and swath: the swath is the width newly cut.
+        # Readers take the yield from flow, distance and swath: the swath is the width newly cut.
         width = np.where(
             result.ground.gross_m2 > 0, table["width_m"] * result.ground.area_m2 / result.ground.gross_m2, table["width_m"]
         )

@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from yieldmon.field.harvest import KG_M2_TO_T_HA, HarvestMap
-from yieldmon.field.table import LABELS
-from yieldmon.field.tracks import Index
-from yieldmon.units import M2_PER_ACRE
+from yieldmon.field.harvest import HarvestMap
+from yieldmon.field.table import LABELS, Index
+from yieldmon.units import M2_PER_ACRE, T_HA_PER_KG_M2
 
 SHORT_NAMES: Mapping[str, str] = {
     "point": "POINT",
@@ -63,7 +62,7 @@ def point_columns(result: HarvestMap, rows: Index) -> dict[str, NDArray[Any]]:
         "mass_kg": placed.mass_kg[rows],
         "mass_flow_kg_s": flow,
         "moisture_pct": placed.moisture_pct[rows],
-        "yield_t_ha": amount * KG_M2_TO_T_HA,
+        "yield_t_ha": amount * T_HA_PER_KG_M2,
     }
     if np.isfinite(table["section"]).any():
         out["section"] = np.nan_to_num(table["section"][rows]).astype(np.int32)
@@ -71,7 +70,7 @@ def point_columns(result: HarvestMap, rows: Index) -> dict[str, NDArray[Any]]:
         out["elevation_m"] = table["elevation_m"][rows]
     if np.isfinite(placed.flow_sd_kg_s).any():
         with np.errstate(invalid="ignore", divide="ignore"):
-            out["yield_sd_t_ha"] = placed.flow_sd_kg_s[rows] * interval / ground.area_m2[rows] * KG_M2_TO_T_HA
+            out["yield_sd_t_ha"] = placed.flow_sd_kg_s[rows] * interval / ground.area_m2[rows] * T_HA_PER_KG_M2
     if result.bushel_kg is not None:
         out["yield_bu_ac"] = amount * M2_PER_ACRE / result.bushel_kg
     out["measured_flow_kg_s"] = table["flow_kg_s"][rows]

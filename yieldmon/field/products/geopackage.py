@@ -8,8 +8,9 @@ import numpy as np
 import shapely
 
 from yieldmon.field.grid import Grid
-from yieldmon.field.harvest import KG_M2_TO_T_HA, HarvestMap
+from yieldmon.field.harvest import HarvestMap
 from yieldmon.files.whole_file import scratch_for
+from yieldmon.units import T_HA_PER_KG_M2
 
 from . import FILES, vectors
 from .columns import point_columns
@@ -51,8 +52,8 @@ def _write_grid(path: Path, grid: Grid) -> None:
         shapely.box(west, north - grid.height_deg, west + grid.width_deg, north), indices=np.arange(len(west))
     )
     columns = {
-        "yield_t_ha": grid.yield_kg_m2 * KG_M2_TO_T_HA,
-        "standard_error_t_ha": grid.standard_error_kg_m2 * KG_M2_TO_T_HA,
+        "yield_t_ha": grid.yield_kg_m2 * T_HA_PER_KG_M2,
+        "standard_error_t_ha": grid.standard_error_kg_m2 * T_HA_PER_KG_M2,
         "points": grid.points,
         "left_out_share": grid.left_out,
     }

@@ -12,8 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from yieldmon.field.grid import Grid, block_means
-from yieldmon.field.harvest import KG_M2_TO_T_HA, HarvestMap
+from yieldmon.field.harvest import HarvestMap
 from yieldmon.files import whole_file
+from yieldmon.units import T_HA_PER_KG_M2
 
 from . import FILES
 
@@ -40,7 +41,7 @@ def write(folder: Path, result: HarvestMap, grid: Grid) -> list[Path]:
             result.cleaned.kept,
             2.0 * grid.size_m,
         )
-    bands = np.stack([grid.raster(grid.yield_kg_m2), grid.raster(grid.standard_error_kg_m2)], axis=-1) * KG_M2_TO_T_HA
+    bands = np.stack([grid.raster(grid.yield_kg_m2), grid.raster(grid.standard_error_kg_m2)], axis=-1) * T_HA_PER_KG_M2
     whole_file.write(path, tiff(bands.astype("<f4"), grid))
     return [path]
 

@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from yieldmon.field.grid import Grid
-from yieldmon.field.harvest import KG_M2_TO_T_HA, HarvestMap
+from yieldmon.field.harvest import HarvestMap
 from yieldmon.field.table import Array
 from yieldmon.files import whole_file
-from yieldmon.units import M_PER_FT, M_PER_MI, Units, UnitSystem, rounded
+from yieldmon.units import M_PER_FT, M_PER_MI, T_HA_PER_KG_M2, Units, UnitSystem, rounded
 
 from . import FILES
 from .report import colour_scale
@@ -96,7 +96,7 @@ def _picture(result: HarvestMap) -> np.ndarray:
             (WIDTH_PX - 2 * MARGIN_PX) / max(east - west, 1.0), (HEIGHT_PX - 2 * MARGIN_PX - FOOT_PX) / max(north - south, 1.0)
         )
         left = (WIDTH_PX - scale * (east - west)) / 2
-        share = (result.yield_kg_m2[rows] * KG_M2_TO_T_HA - low) / (high - low)
+        share = (result.yield_kg_m2[rows] * T_HA_PER_KG_M2 - low) / (high - low)
         _fill(image, corners, colours(share), west=west, north=north, scale=scale, left=left)
         _bar(image, scale, result.units)
     _legend(image, low, high, result.units)
@@ -131,7 +131,7 @@ def _text(image: np.ndarray, text: str, x: int, y: int) -> int:
 def scale_words(low_t_ha: float, high_t_ha: float, units: Units) -> tuple[str, str]:
     """Both ends of the scale of colours, in the unit that people read; the unit behind the upper one."""
     unit = units.yield_unit
-    low, high = (rounded(unit.of(value / KG_M2_TO_T_HA)) for value in (low_t_ha, high_t_ha))
+    low, high = (rounded(unit.of(value / T_HA_PER_KG_M2)) for value in (low_t_ha, high_t_ha))
     return low, f"{high} {unit.name}"
 
 

@@ -13,12 +13,12 @@ from yieldmon.field.cleaning import KEPT, LOCAL, NO_PLACE
 from yieldmon.field.cleaning_rules import RULES
 from yieldmon.field.delay import Decision
 from yieldmon.field.grid import Grid, block_means
-from yieldmon.field.harvest import KG_M2_TO_T_HA, HarvestMap
+from yieldmon.field.harvest import HarvestMap
 from yieldmon.field.plane import astray, wrapped_deg
 from yieldmon.field.summary import delay_lines, transport_line
 from yieldmon.field.table import Array
 from yieldmon.files import whole_file
-from yieldmon.units import KG_PER_T, Units, UnitSystem
+from yieldmon.units import KG_PER_T, T_HA_PER_KG_M2, Units, UnitSystem
 
 from . import FILES
 
@@ -49,7 +49,7 @@ def write(folder: Path, result: HarvestMap, grid: Grid) -> list[Path]:
 
 def colour_scale(result: HarvestMap) -> tuple[float, float]:
     """Yields between which colours go, t/ha: the middle 96 % of the points kept."""
-    kept = result.yield_kg_m2[result.cleaned.kept] * KG_M2_TO_T_HA
+    kept = result.yield_kg_m2[result.cleaned.kept] * T_HA_PER_KG_M2
     if kept.size < 2:
         return 0.0, 1.0
     low, high = (float(value) for value in np.percentile(kept, [2, 98]))
@@ -86,7 +86,7 @@ def content(result: HarvestMap) -> dict[str, Any]:
             [" / ".join(dict.fromkeys(f"{one.flow.value_s:.1f} s" for one in result.machines[:4])), _delay_words(result)],
             [f"{100 * result.cleaned.kept.mean() if len(result.table) else 0:.0f} %", f"of {len(result.table)} points kept"],
         ],
-        "unit": {"name": shown.name, "per_t_ha": shown.of(1.0 / KG_M2_TO_T_HA), "mass": mass.name, "per_kg": mass.of(1.0)},
+        "unit": {"name": shown.name, "per_t_ha": shown.of(1.0 / T_HA_PER_KG_M2), "mass": mass.name, "per_kg": mass.of(1.0)},
         "scale": [low, high],
         "points": _points(result),
         "reasons": _reasons(result),
@@ -145,7 +145,7 @@ def _points(result: HarvestMap) -> dict[str, Any]:
     highest = max(
         float(np.nanpercentile(result.raw_yield_kg_m2, 99.9)) if np.isfinite(result.raw_yield_kg_m2).any() else 1.0, 0.1
     )
-    step = highest * KG_M2_TO_T_HA * 1.5 / (_UNKNOWN - 1)
+    step = highest * T_HA_PER_KG_M2 * 1.5 / (_UNKNOWN - 1)
     gross = result.ground.gross_m2[result.ground.gross_m2 > 0]
     return {
         "x": _packed(x.astype("<f4")),
@@ -166,7 +166,7 @@ def _packed(values: np.ndarray) -> str:
 
 
 def _levels(values_kg_m2: Array, step: float) -> str:
-    level = np.clip(np.round(values_kg_m2 * KG_M2_TO_T_HA / step), 0, _UNKNOWN - 1)
+    level = np.clip(np.round(values_kg_m2 * T_HA_PER_KG_M2 / step), 0, _UNKNOWN - 1)
     return _packed(np.where(np.isfinite(level), level, _UNKNOWN).astype("<u2"))
 
 
@@ -194,8 +194,8 @@ def _reasons(result: HarvestMap) -> list[dict[str, Any]]:
 def _histogram(result: HarvestMap, high: float) -> dict[str, Any]:
     top = 1.5 * high
     down = result.steps.down[result.steps.step_of_row]
-    raw = result.raw_yield_kg_m2[down] * KG_M2_TO_T_HA
-    clean = result.yield_kg_m2[result.cleaned.kept] * KG_M2_TO_T_HA
+    raw = result.raw_yield_kg_m2[down] * T_HA_PER_KG_M2
+    clean = result.yield_kg_m2[result.cleaned.kept] * T_HA_PER_KG_M2
     counts = [np.histogram(values[np.isfinite(values)], _BINS, (0.0, top))[0].tolist() for values in (raw, clean)]
     return {"low": 0.0, "high": top, "raw": counts[0], "clean": counts[1]}
 
@@ -216,8 +216,8 @@ def _worst(result: HarvestMap) -> list[dict[str, Any]]:
             "x": float(x[k]),
             "y": float(y[k]),
             "size_m": AREA_M,
-            "yield_t_ha": float(grid.yield_kg_m2[k] * KG_M2_TO_T_HA),
-            "standard_error_t_ha": float(grid.standard_error_kg_m2[k] * KG_M2_TO_T_HA),
+            "yield_t_ha": float(grid.yield_kg_m2[k] * T_HA_PER_KG_M2),
+            "standard_error_t_ha": float(grid.standard_error_kg_m2[k] * T_HA_PER_KG_M2),
             "of_mean_pct": float(100.0 * grid.yield_kg_m2[k] / result.totals.yield_kg_m2),
             "left_out_pct": float(100.0 * grid.left_out[k]),
         }

@@ -16,8 +16,7 @@ import numpy as np
 from yieldmon import data_dictionary as ddi
 from yieldmon.field.grid import Grid
 from yieldmon.field.harvest import HarvestMap
-from yieldmon.field.table import Array
-from yieldmon.field.tracks import Flags, Index
+from yieldmon.field.table import Array, Flags, Index
 from yieldmon.files import task_data
 from yieldmon.files.whole_file import scratch_for
 from yieldmon.units import S_PER_DAY

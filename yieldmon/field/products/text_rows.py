@@ -7,15 +7,15 @@ from functools import reduce
 
 import numpy as np
 
+from yieldmon.field.groups import first_rows, in_order_of_rows, last_rows
 from yieldmon.field.harvest import HarvestMap
-from yieldmon.field.table import LABELS, Array
-from yieldmon.field.tracks import Index
+from yieldmon.field.table import LABELS, Array, Index
 from yieldmon.files.whole_seconds import whole_seconds
 
 
 @dataclass(frozen=True)
 class TextRows:
-    """Columns of a text; masses and ways are those of the rows that they were made from.
+    """Columns of a text; masses and distances are those of the rows that they were made from.
 
     Parameters
     ----------
@@ -83,10 +83,7 @@ def _numbered(*keys: Array) -> Index:
         return np.asarray(out.reshape(-1))
 
     group = reduce(together, keys, np.zeros(len(keys[0]), np.int64))
-    _, first = np.unique(group, return_index=True)
-    place = np.empty(len(first), np.int64)
-    place[np.argsort(first)] = np.arange(len(first))
-    return np.asarray(place[group])
+    return in_order_of_rows(group)
 
 
 def _unless_at_once(group: Index, time_s: Array) -> Index:
@@ -119,10 +116,8 @@ def _joined(rows: TextRows, group: Index, *, sections: bool) -> TextRows:
     interval = total(rows.interval_s) / (number if sections else 1)
     with np.errstate(invalid="ignore", divide="ignore"):
         flow = np.where(interval > 0, total(mass) / interval, 0.0)
-    first, last = np.zeros(count, np.int64), np.zeros(count, np.int64)
-    first[group[::-1]] = np.arange(len(group))[::-1]
-    last[group] = np.arange(len(group))
-    # A row lies where its way ends.
+    first, last = first_rows(group, count), last_rows(group, count)
+    # A row lies where its distance ends.
     longitude, latitude, elevation = (
         mean(values, even) if sections else values[last] for values in (rows.longitude_deg, rows.latitude_deg, rows.elevation_m)
     )

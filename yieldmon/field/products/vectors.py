@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from yieldmon.field.harvest import HarvestMap
 from yieldmon.field.plane import Sites
-from yieldmon.field.table import Array
-from yieldmon.field.tracks import Index
+from yieldmon.field.table import Array, Index
 from yieldmon.files.whole_file import library_failures
 
 CHUNK = 100_000

@@ -17,7 +17,7 @@ from types import ModuleType
 from yieldmon.errors import NO_ROOM, InputError, no_room_to_unpack, reason
 from yieldmon.field.mixed import with_note
 from yieldmon.field.seconds import per_second
-from yieldmon.field.sections import together
+from yieldmon.field.sections import merge_sections
 from yieldmon.field.table import HarvestTable
 
 from .columns.header_states import without_contradicted_states
@@ -56,7 +56,7 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
         require_readable(str(path), head)
         for module in modules():
             if module.recognises(path, head):
-                table, mixed = with_note(together(without_contradicted_states(module.read(path, options))))
+                table, mixed = with_note(merge_sections(without_contradicted_states(module.read(path, options))))
                 # The rows of a second are no one's where two machines made them.
                 return table if mixed else per_second(table)
     except OSError as error:

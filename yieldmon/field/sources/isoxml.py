@@ -33,7 +33,7 @@ from yieldmon.field.copies import without_copies
 from yieldmon.field.leaps import bridged
 from yieldmon.field.plane import Sites, astray
 from yieldmon.field.table import DEFAULT_FLOW_S, FORAGE_FLOW_S, Array, HarvestTable, Label, Skipped, Source, build, joined
-from yieldmon.files.task_data import SOFTWARE
+from yieldmon.files.task_data import MAIN_FILE, SOFTWARE
 
 from .columns.crop_names import crop_names
 from .columns.positions import plausible
@@ -46,7 +46,6 @@ from .task_data.task_values import KNOWN, Devices, Values, devices
 
 KIND = "ISO 11783-10 task data"
 ORDER = 10
-TASK_FILE = "TASKDATA.XML"
 MAX_MEMBER_BYTES = 1 << 30
 
 # Some tasks' logs have four digits.
@@ -92,19 +91,19 @@ def recognises(path: Path, head: bytes) -> bool:
             return len(homes) == 1 and not any(may_be_harvest(name) and not is_task_part(name) for name in names)
         except ZIP_DAMAGE:
             return False
-    return path.name.upper() == TASK_FILE or b"<ISO11783_TaskData" in head
+    return path.name.upper() == MAIN_FILE or b"<ISO11783_TaskData" in head
 
 
 def is_task_member(name: str) -> bool:
     """Whether a file of this name says that its folder holds task data."""
     base = _folder_and_file(name)[1].upper()
-    return base == TASK_FILE or (base.endswith(".BIN") and bool(_LOG_NAME.match(base[:-4])))
+    return base == MAIN_FILE or (base.endswith(".BIN") and bool(_LOG_NAME.match(base[:-4])))
 
 
 def is_task_part(name: str) -> bool:
     """Whether a file of this name belongs to task data: the task file, a log, a grid, or an outsourced part."""
     base = _folder_and_file(name)[1].upper()
-    return base in (TASK_FILE, "LINKLIST.XML") or bool(_PART_NAME.match(base))
+    return base in (MAIN_FILE, "LINKLIST.XML") or bool(_PART_NAME.match(base))
 
 
 def _folder_and_file(name: str) -> tuple[str, str]:
@@ -121,7 +120,7 @@ def _task_folder(path: Path) -> Path | None:
 
 
 def _open(path: Path) -> Folder:
-    if path.is_dir() or path.name.upper() == TASK_FILE:
+    if path.is_dir() or path.name.upper() == MAIN_FILE:
         folder = (_task_folder(path) or path) if path.is_dir() else path.parent
         return Folder(
             str(path),
@@ -131,7 +130,7 @@ def _open(path: Path) -> Folder:
     if not zipfile.is_zipfile(path):
         return Folder(
             str(path),
-            {child.name.upper(): child.name for child in path.parent.iterdir() if child.is_file()} | {TASK_FILE: path.name},
+            {child.name.upper(): child.name for child in path.parent.iterdir() if child.is_file()} | {MAIN_FILE: path.name},
             lambda name: _content(path.parent / name),
         )
     with zipfile.ZipFile(path) as archive:
@@ -175,9 +174,9 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
     folder = _open(path)
     skipped: list[Skipped] = []
     try:
-        root = timelog.xml_root(folder.bytes_of(TASK_FILE), TASK_FILE)
+        root = timelog.xml_root(folder.bytes_of(MAIN_FILE), MAIN_FILE)
     except InputError as error:
-        skipped.append(Skipped(TASK_FILE, error.problem))
+        skipped.append(Skipped(MAIN_FILE, error.problem))
         root = ET.Element("ISO11783_TaskData")
     _take_parts(root, folder, skipped)
     once = without_copies(joined(_logs(root, folder, options, skipped)), least_rows=1)
@@ -332,15 +331,15 @@ def _log(folder: Folder, task: _Task, device: Devices, options: ReadOptions) -> 
     where = f"{folder.where}: {task.log}"
     if not count:
         raise InputError(where, log.problem, "records of a binary time log")
-    # What means "no position" may be a place of the globe, so ways come after that is taken out.
+    # What means "no position" may be a place of the globe, so distances come after that is taken out.
     places, no_places = plausible({"longitude_deg": log.longitude_deg, "latitude_deg": log.latitude_deg})
     if not np.isfinite(places["longitude_deg"]).any():
         raise InputError(where, "has no positions", "records with PositionNorth and PositionEast")
     of = Values(log.values, device)
-    interval, way = _steps(log.time_s, places["longitude_deg"], places["latitude_deg"])
+    interval, distance = _steps(log.time_s, places["longitude_deg"], places["latitude_deg"])
     width = of.width_m() if options.width_m is None else np.full(count, options.width_m)
     # Asked first: a log without a yield is not made one by --width.
-    flow, notes = flow_kg_s(of, Driven(interval, way, np.full(count, np.nan) if width is None else width), where)
+    flow, notes = flow_kg_s(of, Driven(interval, distance, np.full(count, np.nan) if width is None else width), where)
     if width is None:
         raise InputError(where, f"has no working width (DDI {WIDTH}, {DEFAULT_WIDTH} or {MAX_WIDTH})", "--width M")
     moisture = of.one(MOISTURE, 1e-4)
@@ -351,7 +350,7 @@ def _log(folder: Folder, task: _Task, device: Devices, options: ReadOptions) -> 
             **places,
             "flow_kg_s": flow,
             "interval_s": interval,
-            "distance_m": way,
+            "distance_m": distance,
             "width_m": width,
             "elevation_m": log.elevation_m,
             "moisture_pct": np.full(count, np.nan) if moisture is None else np.where(moisture > 0, moisture, np.nan),
@@ -395,7 +394,7 @@ def _totals(of: Values, task: _Task) -> tuple[float | None, float | None]:
 
 
 def _steps(time_s: Array, longitude_deg: Array, latitude_deg: Array) -> tuple[Array, Array]:
-    """Time, s, and way, m, of each record since the one before; NaN for a way between places that are not known."""
+    """Time, s, and distance, m, of each record since the one before; NaN for a distance between unknown places."""
     interval = np.diff(time_s, prepend=time_s[0])
     usual = np.median(interval[interval > 0]) if (interval > 0).any() else 1.0
     longest = max(_LONGEST_INTERVAL_S, 3.0 * usual)
@@ -404,7 +403,7 @@ def _steps(time_s: Array, longitude_deg: Array, latitude_deg: Array) -> tuple[Ar
     begins[0] = True
     x, y = Sites.about(longitude_deg, latitude_deg).to_m(longitude_deg, latitude_deg)
     x, y = bridged(np.where(astray(x), np.nan, x), y, time_s, np.zeros(len(time_s), np.intp))
-    way = np.hypot(np.diff(x, prepend=x[0]), np.diff(y, prepend=y[0]))
+    distance = np.hypot(np.diff(x, prepend=x[0]), np.diff(y, prepend=y[0]))
     found = np.isfinite(x) & ~np.isfinite(np.append(np.nan, x[:-1]))
-    way = np.where(begins | found, np.append(np.where(begins, 0.0, way)[1:], 0.0), way)
-    return np.where(begins, usual, interval), way
+    distance = np.where(begins | found, np.append(np.where(begins, 0.0, distance)[1:], 0.0), distance)
+    return np.where(begins, usual, interval), distance

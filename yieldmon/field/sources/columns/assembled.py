@@ -1,4 +1,4 @@
-"""A harvest table from named columns of any file: units, clocks, flow from yield by area, the way from positions."""
+"""A harvest table from named columns of any file: units, clocks, flow from yield by area, distances from positions."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from yieldmon.physics.grain import DRIEST_PCT
 
 from .crop_names import crop_names
 from .derived import derive
-from .driven import each_of_a_sum, ways_checked
+from .driven import distances_checked, each_of_a_sum
 from .header_states import down_of, states_of
 from .held_places import between_fixes
 from .naming import QUANTITIES, Column
@@ -79,10 +79,10 @@ def assemble(raw: Raw, where: str, kind: str, options: ReadOptions) -> HarvestTa
     if "section" not in values:
         places = values["longitude"], values["latitude"]
         values["longitude"], values["latitude"], held = between_fixes(*places, time, raw.machine_of_row)
-    ways = ways_checked(raw, values, time)
+    distance_notes = distances_checked(raw, values, time)
     if "mass" in values and (each := each_of_a_sum(raw, values["mass"], time)) is not None:
         values["mass"] = each
-        ways += (f"{raw.columns['mass'].name} is a sum that goes on: its differences are the masses",)
+        distance_notes += (f"{raw.columns['mass'].name} is a sum that goes on: its differences are the masses",)
     derived = derive(values, time, raw.machine_of_row, where)
     columns, limits = plausible({"time_s": time} | {_TABLE_NAMES[q]: v for q, v in values.items() if q in _TABLE_NAMES})
     lost = [name for name in REQUIRED if name in columns and not np.isfinite(columns[name]).any()]
@@ -104,7 +104,7 @@ def assemble(raw: Raw, where: str, kind: str, options: ReadOptions) -> HarvestTa
             *of_names,
             *unknown,
             *held,
-            *ways,
+            *distance_notes,
             *times.notes,
             *strange,
             *(_backwards(time) if clock.time_s is not None and not clock.hour_again else ()),
@@ -138,12 +138,12 @@ def _limited(values: dict[str, Array], columns: Mapping[str, Column]) -> tuple[s
     usual = float(np.nanmedian(moisture)) if np.isfinite(moisture).any() else DRIEST_PCT
     if usual < DRIEST_PCT and "moisture" in columns:
         name = columns["moisture"].name
-        notes += (f"{name}: a moisture of {usual:.2g} % is no crop's; expected another unit (--column moisture={name}:fraction)",)
+        notes += (f"{name}: no crop has a moisture of {usual:.2g} %; expected another unit (--column moisture={name}:fraction)",)
     return notes
 
 
 def _machines_apart(raw: Raw, values: Mapping[str, Array], clock: ColumnTimes) -> tuple[Raw, ColumnTimes]:
-    """With a name of its own for each of several machines whose rows are mixed: intervals and ways are those of one. And with
+    """With a name of its own for each of several machines whose rows are mixed: intervals and distances are those of one. And with
     times that go on where local time comes twice."""
     if clock.time_s is None or "section" in values:
         return raw, clock

@@ -167,16 +167,17 @@ def days_only(time_s: Array) -> bool:
     return bool(known.size > np.unique(known).size and np.unique(known % S_PER_DAY).size == 1)
 
 
-def evened(time_s: Array, way_m: Array) -> tuple[Array, float]:
+def evened(time_s: Array, distance_m: Array) -> tuple[Array, float]:
     """Times of a clock that counts more coarsely than the log, evened out over 11 rows or its step; and that step, s.
 
-    Steps that come of rounding differ while the ways driven in them do not; where a log's steps really differ, so do the ways.
+    Steps that come of rounding differ while the distances driven in them do not; where a log's steps really differ, so do the
+    distances.
 
     Parameters
     ----------
     time_s : array, shape (n,)
         In the order of the file.
-    way_m : array, shape (n,)
+    distance_m : array, shape (n,)
         Driven since the row before, m.
 
     Examples
@@ -191,13 +192,13 @@ def evened(time_s: Array, way_m: Array) -> tuple[Array, float]:
         return time_s, 0.0
     usual = float(np.median(positive))
     with np.errstate(invalid="ignore"):
-        steady = (step >= 0) & (step <= _GAP_STEPS * usual) & np.isfinite(way_m)
+        steady = (step >= 0) & (step <= _GAP_STEPS * usual) & np.isfinite(distance_m)
     if np.count_nonzero(steady) < _LEAST_STEADY * len(step):
         return time_s, 0.0
     # So many rows that the clock's own steps do not show.
     over = max(_EVENED_ROWS, 2 * round(len(step) / max(int((step > 0).sum()), 1) / 2) + 1)
-    off_s, off_m = (values[steady] - uniform_filter1d(values[steady], over) for values in (step, way_m))
-    speed = float(way_m[steady].sum() / step[steady].sum())
+    off_s, off_m = (values[steady] - uniform_filter1d(values[steady], over) for values in (step, distance_m))
+    speed = float(distance_m[steady].sum() / step[steady].sum())
     followed = float(off_s @ off_m) / max(float(off_s @ off_s), 1e-300)
     if float(np.std(off_s)) < _ROUNDED * usual or followed > 0.5 * speed:
         return time_s, 0.0

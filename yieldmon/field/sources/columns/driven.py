@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from yieldmon.field.groups import by_time
 from yieldmon.field.plane import Sites
 from yieldmon.field.table import Array
 
@@ -20,7 +21,7 @@ _RISING = 0.98
 _FAR_OFF = 1.6
 """Times that distances may differ from positions: a knot is 1.15 miles an hour and 1.85 km/h."""
 _UNLIKE = 0.15
-"""How unlike (log) ways to the east and the north must be."""
+"""How unlike (log) distances to the east and the north must be."""
 LEAST_M = 0.3
 """Between two positions, that they say something."""
 _SPAN_M, _MOST_ROWS, _STRAIGHT = 40.0, 30, 0.98
@@ -29,7 +30,7 @@ _LEAST_SPANS, _LEAST_TURN = 10, 0.3
 """Stretches that tell, and by how much the share of the east differs between them."""
 
 
-def ways_checked(raw: Raw, values: dict[str, Array], time_s: Array) -> tuple[str, ...]:
+def distances_checked(raw: Raw, values: dict[str, Array], time_s: Array) -> tuple[str, ...]:
     """Notes on distances and speeds that do not agree with the positions. A distance that is a sum becomes one of each row.
 
     Parameters
@@ -52,24 +53,24 @@ def ways_checked(raw: Raw, values: dict[str, Array], time_s: Array) -> tuple[str
             notes.append(f"{raw.columns['distance'].name} is a sum that goes on: its differences are the distances")
     interval_s = values.get("interval", _steps(raw, time_s))
     driven = {"distance": values["distance"]} if "distance" in values else {"speed": values["speed"] * interval_s}
-    for quantity, way_m in driven.items():
+    for quantity, distance_m in driven.items():
         name = raw.columns[quantity].name
-        spans = _straight(raw, (x_m, y_m), way_m, time_s)
-        times = None if spans is None else float(np.median(spans.way_m / np.hypot(spans.east_m, spans.north_m)))
+        spans = _straight(raw, (x_m, y_m), distance_m, time_s)
+        times = None if spans is None else float(np.median(spans.distance_m / np.hypot(spans.east_m, spans.north_m)))
         if times is not None and not 1.0 / _FAR_OFF < times < _FAR_OFF:
             mend = f"--column {quantity}={name}:UNIT"
-            notes.append(f"{name}: says {times:.2g} times the way between positions; expected another unit ({mend})")
-        if _are_swapped(raw, values, way_m, time_s):
-            notes.append(f"longitude and latitude seem exchanged: only then does {name} fit the ways between them")
+            notes.append(f"{name}: is {times:.2g} times the distance between positions; expected another unit ({mend})")
+        if _are_swapped(raw, values, distance_m, time_s):
+            notes.append(f"longitude and latitude seem exchanged: only then does {name} fit the distances between them")
     return tuple(notes)
 
 
-def _are_swapped(raw: Raw, values: dict[str, Array], way_m: Array, time_s: Array) -> bool:
-    """Whether ways to the east and to the north fit equally well only where longitude and latitude are exchanged."""
+def _are_swapped(raw: Raw, values: dict[str, Array], distance_m: Array, time_s: Array) -> bool:
+    """Whether distances to the east and to the north fit equally well only where longitude and latitude are exchanged."""
     exchanged = values | {"longitude": values["latitude"], "latitude": values["longitude"]}
     if not np.nanmax(np.abs(exchanged["latitude"]), initial=0.0) <= HIGHEST_DEG:
         return False
-    as_they_are, other = (_east_to_north(_straight(raw, _plane(one), way_m, time_s)) for one in (values, exchanged))
+    as_they_are, other = (_east_to_north(_straight(raw, _plane(one), distance_m, time_s)) for one in (values, exchanged))
     if as_they_are is None or other is None:
         return False
     unlike, exchanged_unlike = abs(float(np.log(as_they_are))), abs(float(np.log(other)))
@@ -77,15 +78,16 @@ def _are_swapped(raw: Raw, values: dict[str, Array], way_m: Array, time_s: Array
 
 
 def _east_to_north(spans: _Spans | None) -> float | None:
-    """How many times better ways to the east than to the north agree with positions; None where too few tell.
+    """How many times better distances to the east than to the north agree with positions; None where too few tell.
 
-    The square of the way is a sum of those to the east and the north, each times a factor: over the square of the way between
-    positions it is a straight line of the share of the east, of which the medians of the lower and the upper half are two points.
+    The square of the distance is a sum of those to the east and the north, each times a factor. Divided by the square of the
+    distance between positions it is a straight line in the share of the east; the medians of the lower and the upper half are two
+    points of that line.
     """
     if spans is None:
         return None
     square_m2 = spans.east_m**2 + spans.north_m**2
-    share, ratio = spans.east_m**2 / square_m2, spans.way_m**2 / square_m2
+    share, ratio = spans.east_m**2 / square_m2, spans.distance_m**2 / square_m2
     low, high = np.percentile(share, [2.0, 98.0])
     upper = share > 0.5 * (low + high)
     if min(upper.sum(), (~upper).sum()) < _LEAST_SPANS:
@@ -100,16 +102,16 @@ def _east_to_north(spans: _Spans | None) -> float | None:
 
 @dataclass(frozen=True)
 class _Spans:
-    """Straight stretches of some rows: the way that the file says, and that to the east and to the north between positions, m."""
+    """Straight stretches of some rows: distance by the file, and to the east and to the north by the positions, m."""
 
-    way_m: Array
+    distance_m: Array
     east_m: Array
     north_m: Array
 
 
-def _straight(raw: Raw, places_m: tuple[Array, Array], way_m: Array, time_s: Array) -> _Spans | None:
+def _straight(raw: Raw, places_m: tuple[Array, Array], distance_m: Array, time_s: Array) -> _Spans | None:
     """Stretches without a pause, long enough for places that are rounded or held for some rows; None where too few tell."""
-    usual_m = float(np.median(way_m[way_m > 0])) if (way_m > 0).any() else 0.0
+    usual_m = float(np.median(distance_m[distance_m > 0])) if (distance_m > 0).any() else 0.0
     if not 0.0 < usual_m < np.inf:
         return None
     apart_m = np.hypot(*(np.diff(one) for one in places_m))
@@ -120,16 +122,18 @@ def _straight(raw: Raw, places_m: tuple[Array, Array], way_m: Array, time_s: Arr
         if len(rows) <= long:
             continue
         x, y, step_s = places_m[0][rows], places_m[1][rows], np.diff(time_s[rows], prepend=np.nan)
-        driven_m, pauses = np.cumsum(np.nan_to_num(way_m[rows])), np.cumsum(~(step_s <= 3.0 * np.nanmedian(step_s)))
+        driven_m, pauses = np.cumsum(np.nan_to_num(distance_m[rows])), np.cumsum(~(step_s <= 3.0 * np.nanmedian(step_s)))
         first = np.arange(0, len(rows) - long, max(1, long // 4))
         middle, last = first + long // 2, first + long
-        east, north, way = x[last] - x[first], y[last] - y[first], driven_m[last] - driven_m[first]
+        east, north, distance = x[last] - x[first], y[last] - y[first], driven_m[last] - driven_m[first]
         halves = sum(np.hypot(x[b] - x[a], y[b] - y[a]) for a, b in ((first, middle), (middle, last)))
         with np.errstate(invalid="ignore"):
             straight = (
-                (np.hypot(east, north) >= np.maximum(_STRAIGHT * halves, LEAST_M)) & (way > 0) & (pauses[last] == pauses[first])
+                (np.hypot(east, north) >= np.maximum(_STRAIGHT * halves, LEAST_M))
+                & (distance > 0)
+                & (pauses[last] == pauses[first])
             )
-        found.append((way[straight], east[straight], north[straight]))
+        found.append((distance[straight], east[straight], north[straight]))
     if sum(len(one[0]) for one in found) < _LEAST_SPANS:
         return None
     return _Spans(*(np.concatenate(one) for one in zip(*found, strict=True)))
@@ -137,7 +141,7 @@ def _straight(raw: Raw, places_m: tuple[Array, Array], way_m: Array, time_s: Arr
 
 def _orders(raw: Raw, time_s: Array) -> list[NDArray[np.intp]]:
     """The rows of each machine by time."""
-    order = np.lexsort((np.arange(raw.count), time_s, raw.machine_of_row))
+    order = by_time(time_s, raw.machine_of_row)
     return np.split(order, np.flatnonzero(np.diff(raw.machine_of_row[order])) + 1)
 
 

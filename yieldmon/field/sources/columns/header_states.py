@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from yieldmon.field.table import Array, HarvestTable, Label
-from yieldmon.field.tracks import Flags, running, tracks
+from yieldmon.field.table import Array, Flags, HarvestTable, Label
+from yieldmon.field.tracks import running, tracks
 
 from .delimited import number
 
@@ -46,7 +46,7 @@ def down_of(state: Array, name: str) -> tuple[Array, tuple[str, ...]]:
     known = np.isfinite(state)
     different = len(np.unique(state[known]))
     if different > _MOST_STATES:
-        note = f"{name} holds {different} different numbers and is no state of a header: it is not used"
+        note = f"{name} holds {different} different numbers, so it is not a header state: it is not used"
         return np.full(len(state), np.nan), (note,)
     with np.errstate(invalid="ignore"):
         odd = np.mod(state, 2) >= 1

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from yieldmon.field.groups import by_time
 from yieldmon.field.plane import wrapped_deg
 from yieldmon.field.table import Array
 
@@ -18,7 +19,7 @@ _LEAST_PLACES = 10
 def between_fixes(
     longitude_deg: Array, latitude_deg: Array, time_s: Array, machine: NDArray[np.int32]
 ) -> tuple[Array, Array, tuple[str, ...]]:
-    """Longitudes and latitudes with those that are held on the way to the next one, by time; and a note where there are such.
+    """Longitudes and latitudes with those that are held moved towards the next one, by time; and a note where there are such.
 
     Parameters
     ----------
@@ -34,7 +35,7 @@ def between_fixes(
     >>> between_fixes(held, held, np.arange(100.0), np.zeros(100, np.int32))[0][[0, 1, 5, 96]].round(6).tolist()
     [0.0, 0.2, 1.0, 19.2]
     """
-    order = np.lexsort((np.arange(len(time_s)), time_s, machine))
+    order = by_time(time_s, machine)
     order = order[np.isfinite(longitude_deg[order]) & np.isfinite(latitude_deg[order]) & np.isfinite(time_s[order])]
     east, north, seconds, whose = longitude_deg[order], latitude_deg[order], time_s[order], machine[order]
     begins = np.r_[True, (np.diff(east) != 0) | (np.diff(north) != 0) | (np.diff(whose) != 0)][: len(order)]

@@ -286,7 +286,7 @@ def columns_of(
         out |= by_numbers
         if by_numbers:
             said = ", ".join(f"{column.name} {column.unit}" for column in by_numbers.values())
-            notes.append(f"units that no name says: {said}, with which flow and yield are of one mass")
+            notes.append(f"units that no column name states: {said}, chosen so that flow and yield give the same mass")
     if "flow" not in out and "yield" in out and _DRIED.search(plain_name(out["yield"].name)):
         may_be = "may be" if plain_name(out["yield"].name).startswith("vr") else "is"
         notes.append(f"{out['yield'].name} {may_be} of dried grain: so are the masses")

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from yieldmon.errors import InputError
 from yieldmon.field.date_order import DateOrder
+from yieldmon.field.groups import first_rows
 from yieldmon.field.plane import Sites
 from yieldmon.field.sources.options import ReadOptions
 from yieldmon.field.table import Array, Label
@@ -161,14 +162,13 @@ def _apart_m(values: Mapping[str, Array], rows: NDArray[np.intp] | slice = slice
 def _of_steps(values: Mapping[str, Array], rows: NDArray[np.intp], time_s: Array) -> tuple[Array, float]:
     """Times evened out as those of the header's steps, of which each section has a row; and the clock's step, s."""
     step = steps_of_sections(time_s, np.nan_to_num(values["section"][rows]))
-    first = np.zeros(int(step.max()) + 1, np.intp)
-    first[step[::-1]] = np.arange(len(step))[::-1]
+    first = first_rows(step, int(step.max()) + 1)
     if "interval" in values and (np.diff(time_s[first]) > 0).mean() > 1.0 - _MOST_REPEAT:
         return time_s, 0.0
-    ways = {name: values[name][rows] for name in ("longitude", "latitude")}
+    places = {name: values[name][rows] for name in ("longitude", "latitude")}
     middle = {
-        name: np.bincount(step, np.nan_to_num(way)) / np.maximum(np.bincount(step, np.isfinite(way)), 1)
-        for name, way in ways.items()
+        name: np.bincount(step, np.nan_to_num(place)) / np.maximum(np.bincount(step, np.isfinite(place)), 1)
+        for name, place in places.items()
     }
     even_s, clock_s = clocks.evened(time_s[first], _apart_m(middle))
     return even_s[step], clock_s
@@ -191,7 +191,7 @@ def _in_order(raw: Raw, values: Mapping[str, Array], where: str, why: str) -> Ro
     if not _are_as_driven(values, orders):
         numbered = _by_number(raw, values, orders)
         if not numbered or not _are_as_driven(values, numbered):
-            apart_m, driven_m = _usual_ways_m(values, orders)
+            apart_m, driven_m = _usual_distances_m(values, orders)
             problem = f"{why}, and its rows are not in the order driven ({apart_m:.1f} m apart, {driven_m:.1f} m driven)"
             raise InputError(where, problem, "--column time=NAME:UNIT, or the rows as they were logged")
         orders, followed = numbered, f"in the order of {raw.columns['number'].name}"
@@ -208,7 +208,7 @@ def _in_order(raw: Raw, values: Mapping[str, Array], where: str, why: str) -> Ro
     return RowTimes(time_s, unix=False, notes=(f"{why}: rows are taken as {apart}, {followed}",))
 
 
-def _usual_ways_m(values: Mapping[str, Array], orders: Sequence[NDArray[np.intp]]) -> tuple[float, float]:
+def _usual_distances_m(values: Mapping[str, Array], orders: Sequence[NDArray[np.intp]]) -> tuple[float, float]:
     """Between rows that follow one another, by their places and by their distances."""
     apart_m = np.concatenate([_apart_m(values, rows) for rows in orders])
     return float(np.nanmedian(np.append(apart_m, 0.0))), float(np.nanmedian(np.append(values["distance"], 0.0)))
@@ -218,7 +218,7 @@ def _are_as_driven(values: Mapping[str, Array], orders: Sequence[NDArray[np.intp
     """Whether rows lie as far apart as their distances are long, as far as the file tells."""
     if "distance" not in values:
         return True
-    apart_m, driven_m = _usual_ways_m(values, orders)
+    apart_m, driven_m = _usual_distances_m(values, orders)
     return not apart_m > _OUT_OF_ORDER * driven_m > 0
 
 

@@ -7,13 +7,14 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from yieldmon.field.groups import step_begins
 from yieldmon.field.plane import Sites
 from yieldmon.field.table import Array
 
 _LEAST_SHARE = 0.5
 """Of the rows, that share their time with others where they are sections."""
 _ACROSS = 3.0
-"""Times the spread along the way that the spread across it is."""
+"""Least ratio of the spread across the direction of travel to that along it."""
 _OF_A_WIDTH = (0.3, 3.0)
 """Of a row's width, that the next one beside it is away."""
 _WIDEST_M = 60.0
@@ -61,8 +62,7 @@ def numbered(longitude: Array, latitude: Array, width_m: Array, time_s: Array, m
     if not known.size:
         return None
     order = known[np.lexsort((known, time_s[known], machine[known]))]
-    new = np.r_[True, (np.diff(time_s[order]) != 0) | (np.diff(machine[order]) != 0)]
-    begins = np.append(np.flatnonzero(new), len(order))
+    begins = np.append(np.flatnonzero(step_begins(time_s[order], machine[order])), len(order))
     sizes = np.diff(begins)
     if sizes[sizes > 1].sum() < _LEAST_SHARE * len(order):
         return None
@@ -81,17 +81,17 @@ def beside(section: Array) -> str:
 
 
 def _are_beside(groups: list[NDArray[np.intp]], x: Array, y: Array, width_m: Array) -> bool:
-    """Whether rows of one time lie across the way, as far apart as they are wide."""
+    """Whether rows of one time lie across the direction of travel, as far apart as they are wide."""
     along, across, apart = [], [], []
     for before, here in pairwise(groups):
         if len(here) < 2 or len(before) < 2:
             continue
-        way = np.array([x[here].mean() - x[before].mean(), y[here].mean() - y[before].mean()])
-        length = float(np.hypot(*way))
+        travel = np.array([x[here].mean() - x[before].mean(), y[here].mean() - y[before].mean()])
+        length = float(np.hypot(*travel))
         if not 0.2 < length < _WIDEST_M:
             continue
         east, north = x[here] - x[here].mean(), y[here] - y[here].mean()
-        lengthwise, sideways = (east * way[0] + north * way[1]) / length, (east * way[1] - north * way[0]) / length
+        lengthwise, sideways = (east * travel[0] + north * travel[1]) / length, (east * travel[1] - north * travel[0]) / length
         along.append(float(np.ptp(lengthwise)))
         across.append(float(np.ptp(sideways)))
         apart.append(float(np.median(np.diff(np.sort(sideways)))) / max(float(np.nanmedian(width_m[here])), 1e-6))

@@ -32,10 +32,10 @@ _LONGEST_SPREAD = 3.0
 
 @dataclass(frozen=True)
 class Driven:
-    """Time, s, and way, m, of each record since the one before, and its working width, m."""
+    """Time, s, and distance, m, of each record since the one before, and its working width, m."""
 
     interval_s: Array
-    way_m: Array
+    distance_m: Array
     width_m: Array
 
 
@@ -63,10 +63,10 @@ def _as_sent(of: Values, per_time: int, per_area: int, total: int, driven: Drive
         return flow, ()
     if amount is not None and (_some(amount) or not of.risen(total)):
         with np.errstate(invalid="ignore", divide="ignore"):
-            flow = np.where(driven.interval_s > 0, amount * driven.way_m * driven.width_m / driven.interval_s, np.nan)
-        lost = int((np.isnan(driven.way_m) & (amount > 0)).sum())
-        note = f"flow is yield by area (DDI {per_area}) times way and width"
-        return flow, (note + (f"; {lost} records have no way" if lost else ""),)
+            flow = np.where(driven.interval_s > 0, amount * driven.distance_m * driven.width_m / driven.interval_s, np.nan)
+        lost = int((np.isnan(driven.distance_m) & (amount > 0)).sum())
+        note = f"flow is yield by area (DDI {per_area}) times distance and width"
+        return flow, (note + (f"; {lost} records have no distance" if lost else ""),)
     if counter is None:
         return None, ()
     return _of_counter(counter, driven.interval_s), (f"flow is the increase of the total (DDI {total})",)

@@ -33,7 +33,7 @@ def header_from_antenna(of: Values, count: int) -> tuple[dict[str, Array], tuple
     Returns
     -------
     columns : dict of str to array, shape (count,)
-        Of a harvest table, m; none where the descriptions lack the place of header or antenna, or the way from one to the other.
+        Of a harvest table, m; none where the descriptions lack the place of header or antenna, or the offset between them.
     notes : tuple of str
         What was taken for granted, and offsets of an antenna that are not applied.
     """
