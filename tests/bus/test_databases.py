@@ -143,7 +143,7 @@ ODD = 'BO_ 9 Odd: 8 A\n SG_ Y : 0|8@1+ (1,0) [0|0] "" A\n SG_ Z : 8|8@1+ (1,0) [
         (ODD.replace("SG_ Z", "SG_ 2Z"), "Odd", "`SG_ 2Z : 8|8@1"),
         (ODD.replace("SG_ Y", "SG_ Y-1"), "Odd", "`SG_ Y-1 : 0|8@1"),
         (ODD.replace("8@1+ (1,0)", "8@1+ (0,5,0)"), "Odd", "(0,5,0)"),
-        (ODD.replace("9 Odd", "9 4Odd"), "4Odd", "`BO_ 9 4Odd: 8 A` is no line of a DBC"),
+        (ODD.replace("9 Odd", "9 4Odd"), "4Odd", "`BO_ 9 4Odd: 8 A` is not a line of a DBC file"),
         (ODD.replace("BO_ 9", "BO_ 5000000000"), "Odd", "the identifier 5000000000 has more than 29 bits"),
     ],
 )

@@ -33,7 +33,7 @@ def test_results_come_in_the_order_of_the_items(processes: int) -> None:
 @pytest.mark.parametrize(
     ("number", "kind", "said"),
     [
-        (-1, OSError, "-1: its process was ended from outside, perhaps for want of memory"),
+        (-1, OSError, "-1: its process was killed, perhaps because memory ran out"),
         (0, InputError, "zero: is no number; expected one"),
     ],
 )

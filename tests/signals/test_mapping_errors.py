@@ -314,7 +314,7 @@ def test_a_database_of_another_format_is_told_how_to_become_a_dbc(
     (tmp_path / f"counts.{suffix}").write_text("<xml/>")
     path = tmp_path / "c.yaml"
     path.write_text(f"signals:\n  {IMPACT.replace('counts.dbc', f'counts.{suffix}')}\n")
-    expected = f"is no DBC; expected a DBC file; `cantools convert counts.{suffix} counts.dbc` makes one"
+    expected = f"is not a DBC file; expected a DBC file; `cantools convert counts.{suffix} counts.dbc` makes one"
     assert expected in said(capsys, path)
 
 

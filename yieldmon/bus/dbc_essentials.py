@@ -137,7 +137,8 @@ def _said(statement: str) -> str:
     """The line that is wrong: below a signal that is as it has to be, the one that is not seen as another statement."""
     lines = [" ".join(line.split()) for line in statement.split("\n") if line.strip()]
     line = lines[1] if len(lines) > 1 and _signal(lines[0]) is not None else lines[0]
-    return f"`{line[:_LONGEST_SAID]}` is no line of a DBC: names are letters, digits and _, and begin with no digit"
+    rule = "names consist of letters, digits and _ and do not begin with a digit"
+    return f"`{line[:_LONGEST_SAID]}` is not a line of a DBC file: {rule}"
 
 
 def _signal(statement: str) -> str | None:

@@ -113,12 +113,12 @@ def text_of(path: Path | str) -> str:
     """A DBC file's text with plain line ends. Raises InputError as `read` for what is none."""
     where, file = str(path), Path(path)
     if file.suffix.lower() in _OTHER_DATABASES and file.exists():
-        raise InputError(where, "is no DBC", f"a DBC file; `cantools convert {file.name} {file.stem}.dbc` makes one")
+        raise InputError(where, "is not a DBC file", f"a DBC file; `cantools convert {file.name} {file.stem}.dbc` makes one")
     data = read_whole(path, "a readable DBC file", LARGEST_BYTES)
     if kind := kind_of(data):
         raise InputError(where, f"is {kind}", "a DBC file in UTF-8 or Windows-1252")
     if b"\x00" in data:
-        raise InputError(where, "is no text", "a DBC file in UTF-8 or Windows-1252")
+        raise InputError(where, "is not text", "a DBC file in UTF-8 or Windows-1252")
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError:

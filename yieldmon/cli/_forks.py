@@ -95,5 +95,5 @@ def _answer(receiving: Connection, item: object) -> tuple[Any, Exception | None]
         try:
             answer: tuple[Any, Exception | None] = receiving.recv()
         except (EOFError, ConnectionResetError):
-            return None, OSError(f"{item}: its process was ended from outside, perhaps for want of memory")
+            return None, OSError(f"{item}: its process was killed, perhaps because memory ran out")
     return answer

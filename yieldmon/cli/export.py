@@ -50,7 +50,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "--what", choices=("seconds", "loads", "points"), help="rows of a table (default: seconds); other formats have points"
     )
-    parser.add_argument("--all", action="store_true", help="with --what loads: complete loads without grain too")
+    parser.add_argument("--all", action="store_true", help="with --what loads: also complete loads without grain")
     points = parser.add_argument_group("yield points")
     points.add_argument("--swath", type=float, metavar="M", help="working width")
     points.add_argument(

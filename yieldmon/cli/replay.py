@@ -190,7 +190,7 @@ def _report(progress: Progress, notes: LogNotes, args: argparse.Namespace) -> No
         on_time_pct = 100 * (1 - progress.late / progress.sent)
         line += f"; {on_time_pct:.2f} % within {1000 * ON_TIME_S:g} ms, at worst {1000 * progress.worst_lateness_s:.1f} ms late"
     if progress.fd_not_sent:
-        line += f"; {progress.fd_not_sent} CAN FD frames not sent, for want of --fd"
+        line += f"; {progress.fd_not_sent} CAN FD frames not sent (needs --fd)"
     if notes.damaged_places:
         line += f"; {notes.damaged_places} damaged records"
     if notes.dropped_by_recorder:

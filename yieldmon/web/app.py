@@ -281,7 +281,7 @@ async def _body(request: Request) -> object:
     """The JSON document of a request. Raises InputError."""
     expected = f"application/json of at most {MOST_BODY_BYTES} bytes"
     if request.headers.get("content-type", "").partition(";")[0].strip().lower() != "application/json":
-        raise InputError("request", "is no JSON", expected)
+        raise InputError("request", "is not JSON", expected)
     body = bytearray()
     try:
         async for piece in request.stream():
@@ -290,7 +290,7 @@ async def _body(request: Request) -> object:
                 raise InputError("request", "is too large", expected)
         return json.loads(body)
     except (ValueError, RecursionError, ClientDisconnect) as error:
-        raise InputError("request", "is no JSON", expected) from error
+        raise InputError("request", "is not JSON", expected) from error
 
 
 def _number(text: str) -> int | None:

@@ -96,5 +96,5 @@ def request_of(document: object, load_number: int | None) -> dict[str, Any]:
         raise InputError(command, f"takes no {strange[0][:40]!r}", ", ".join(sorted(ALLOWED[command])) or "no argument")
     if command in _ABOUT_A_LOAD and document.get("shown_load") != load_number:
         now = "not known" if load_number is None else str(load_number)
-        raise InputError(command, f"the load is now {now}", "a look at it, and then once more")
+        raise InputError(command, f"the load is now {now}", "the command again, after a look at that load")
     return {"command": command, **arguments}

@@ -143,7 +143,7 @@ class Feed:
         if self._looking is None or since_s < _HANGS_S:
             return "event: alive\ndata: 1\n\n"
         self._hang_reported = True
-        problem = f"this page's look at the daemon and its store has been taking {since_s:.0f} s"
+        problem = f"this page has been waiting for the daemon and its store for {since_s:.0f} s"
         return f"event: live\ndata: {json.dumps({'problem': problem})}\n\n"
 
     async def ask(self, request: Mapping[str, Any]) -> dict[str, Any]:

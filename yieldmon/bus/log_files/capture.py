@@ -178,7 +178,7 @@ def _message(interface: _Interface, time_s: float, packet: bytes) -> can.Message
             # Of all interfaces: each has its number, and no name.
             channel = str(struct.unpack_from(">I", packet, 4)[0])
     if len(packet) < before + _FRAME.size:
-        raise ValueError("a packet that is no frame")
+        raise ValueError("a packet that is not a CAN frame")
     identifier, length, flags, reserved = _FRAME.unpack_from(packet, before)
     if length & _XL:
         raise ValueError("a CAN XL frame, which is not read")

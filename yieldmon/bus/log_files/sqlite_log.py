@@ -39,7 +39,7 @@ class SqliteLog:
         for ts, identifier, extended, remote, error, dlc, data in self._rows():
             if not isinstance(data, bytes):
                 # A bytearray of a number would be as many zeros.
-                raise ValueError(f"its data are no bytes but {data!r:.40}")
+                raise ValueError(f"its data are not bytes but {data!r:.40}")
             yield can.Message(
                 timestamp=float(ts), arbitration_id=int(identifier), is_extended_id=bool(extended), is_remote_frame=bool(remote),
                 is_error_frame=bool(error), dlc=int(dlc), data=data,

@@ -203,7 +203,7 @@ def _assembled(messages: Sequence[_Message], channels: tuple[str, ...]) -> Frame
     payload = np.concatenate([*(message.payload for message in messages), np.empty(0, np.uint64)])
     time_s = _times(messages[0].unit, times) if messages else np.empty(0)
     if not np.isfinite(time_s).all():
-        raise ValueError("a time that is no number")
+        raise ValueError("a time that is not a number")
     order = np.argsort(_places(messages, times), kind="stable")
     return FrameBlock(
         time_s[order],

@@ -46,7 +46,7 @@ _NOT_ACKNOWLEDGED = 1
 
 
 class ClientState(Enum):
-    """Where the connection stands."""
+    """State of the connection."""
 
     RESTING = "resting"
     WAITING_FOR_SERVER = "waiting for a server"
@@ -80,13 +80,13 @@ class Outgoing:
 class TaskControllerClient:
     """One client of one server at a time.
 
-    Call `start` when our address stands, `stop` when it goes, `feed` for each process data or acknowledgement message to us or
-    to all, `update` for each second measured, `poll` about ten times a second; send what they return.
+    Call `start` when our address is claimed, `stop` when it is lost, `feed` for each process data or acknowledgement message to
+    us or to all, `update` for each second measured, `poll` about ten times a second; send what they return.
 
     Parameters
     ----------
     device : Device
-        What the server learns of us.
+        Our description for the server.
     working_width_m : float or None
         Of the header, for areas.
     """
@@ -112,7 +112,7 @@ class TaskControllerClient:
 
     @property
     def state(self) -> ClientState:
-        """Where the connection stands."""
+        """State of the connection."""
         return self._state
 
     @property
@@ -131,11 +131,11 @@ class TaskControllerClient:
         return self._task_active
 
     def start(self, now_s: float) -> None:
-        """Begin, once our address stands."""
+        """Begin, once our address is claimed."""
         self._rest(now_s, REST_S)
 
     def stop(self) -> None:
-        """End without a word: our address has gone."""
+        """End without a message: our address is lost."""
         self._rest(0.0, _NEVER_S)
 
     def poll(self, now_s: float) -> list[Outgoing]:
@@ -311,7 +311,7 @@ class TaskControllerClient:
         self._offsets = {ddi: self._values[ddi] for ddi in combine.TOTALS if ddi in self._values}
 
     def _own_totals_reset(self) -> None:
-        """Ours begin anew at 0; those of the task go on."""
+        """Our totals restart at 0; those of the task go on."""
         for ddi in combine.OWN_TOTALS:
             if ddi in self._values and ddi in self._offsets:
                 self._offsets[ddi] -= self._values[ddi]
@@ -347,22 +347,22 @@ class TaskControllerClient:
             return []
         if key in self._shown():
             return [self._value(key)]
-        known = asked.element < len(self._device.elements)
         if self._device.variable(*key) is not None:
-            # Known to the device, and not at this moment: it comes when it does.
+            # The device has it, but no value at this moment: it is sent when there is one.
             return []
-        refusal = Refusal.NO_SUCH_DDI if known else Refusal.NO_SUCH_ELEMENT
-        return [self._send(acknowledge(asked, refusal), priority=4)]
+        return [self._send(acknowledge(asked, self._not_found(asked)), priority=4)]
 
     def _set(self, asked: ProcessData) -> Refusal:
         variable = self._device.variable(asked.element, asked.ddi)
         if variable is None:
-            known = asked.element < len(self._device.elements)
-            return Refusal.NO_SUCH_DDI if known else Refusal.NO_SUCH_ELEMENT
+            return self._not_found(asked)
         if not variable.settable:
             return Refusal.NOT_SETTABLE
         self._offsets[asked.ddi] = self._values.get(asked.ddi, 0) - asked.value
         return Refusal.NONE
+
+    def _not_found(self, asked: ProcessData) -> Refusal:
+        return Refusal.NO_SUCH_DDI if asked.element < len(self._device.elements) else Refusal.NO_SUCH_ELEMENT
 
     def _shown(self) -> Mapping[Key, int]:
         """Values as the server sees them: totals are those of its task, which may have begun near the end of what fits."""
