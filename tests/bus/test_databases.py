@@ -195,7 +195,7 @@ def test_signals_below_a_line_that_is_not_seen_as_a_message_s_are_no_one_s(tmp_p
     text = AFTER_OTHER.replace("ODD", ODD.replace("BO_ 9 Odd", "BO_9 Odd"))
     found: dict[str, MessageBits] = messages(tmp_path, text)  # type: ignore[assignment]
     assert {name: list(message.signals) for name, message in found.items()} == {"Shaft": ["Page", "Speed", "Load"], "Other": []}
-    assert "`BO_9 Odd: 8 A` is no line of a DBC" in found["Other"].contradiction
+    assert "`BO_9 Odd: 8 A` is not a line of a DBC file" in found["Other"].contradiction
 
 
 @pytest.mark.parametrize(
@@ -208,9 +208,9 @@ def test_signals_below_a_line_that_is_not_seen_as_a_message_s_are_no_one_s(tmp_p
         (b"\xef\xbb\xbf<!DOCTYPE html>\n<html>404</html>\n", "is a web page"),
         (b"version https://git-lfs.github.com/spec/v1\noid sha256:4d\n", "is a pointer of Git LFS"),
         (PLAIN.encode("utf-16"), "is UTF-16 text"),
-        (b"A\x00B", "is no text"),
-        (b"id;message;signal\r\n0x123;Force;Value\r\n", "is no DBC; expected a DBC file, with lines such as `BO_ 291 "),
-        (b"(0.0) can0 123#0011\n", "is no DBC"),
+        (b"A\x00B", "is not text"),
+        (b"id;message;signal\r\n0x123;Force;Value\r\n", "is not a DBC file; expected a DBC file, with lines such as `BO_ 291 "),
+        (b"(0.0) can0 123#0011\n", "is not a DBC file"),
         (b"\r\n \r\n", "is empty"),
     ],
 )

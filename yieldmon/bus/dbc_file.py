@@ -153,7 +153,7 @@ def _refusal(where: str, text: str, said: str) -> InputError:
     """Of a text that is no DBC, or of a line that cannot be one's; what cantools says of contradictions stays."""
     if not _MESSAGE.search(text):
         return InputError(
-            where, "is no DBC" if text.strip() else "is empty", "a DBC file, with lines such as `BO_ 291 Force: 8 Node`"
+            where, "is not a DBC file" if text.strip() else "is empty", "a DBC file, with lines such as `BO_ 291 Force: 8 Node`"
         )
     found = _INVALID.search(said)
     if found is None:

@@ -45,17 +45,15 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     what.add_argument("--crop", default="", metavar="NAME", help="crop of rows without a crop")
     what.add_argument("--field", default="", metavar="NAME", help="name of the field")
     what.add_argument(
-        "--date", metavar="YYYY-MM-DD", help="date of the first point, if clocks have none or dates are like 03/04/2026"
+        "--date", metavar="YYYY-MM-DD", help="date of the first point, where clocks have none or dates are ambiguous"
     )
-    what.add_argument("--crs", default="", metavar="EPSG:CODE", help="coordinate system of files that do not name one")
-    what.add_argument(
-        "--header-ahead", type=float, metavar="M", help="distance of the header ahead of the antenna (default: the file's)"
-    )
+    what.add_argument("--crs", default="", metavar="EPSG:CODE", help="coordinate system of files without one")
+    what.add_argument("--header-ahead", type=float, metavar="M", help="header ahead of the antenna (default: the file's)")
     what.add_argument(
         "--header-right",
         type=float,
         metavar="M",
-        help="distance of its middle to the right of the antenna (default: the file's)",
+        help="its middle right of the antenna (default: the file's)",
     )
     what.add_argument(
         "--column",

@@ -43,7 +43,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="mass: 9120kg, 9.12t, 91.2dt, 91.2q or 20106lb, weighed in parts 9.1t+8.4t; undo: number of the ticket",
     )
     parser.add_argument("--std-dev", metavar="MASS", help="standard deviation of the weighing (default: 0.5 %% of it)")
-    parser.add_argument("--other", metavar="MASS", help="part of MASS that another combine put on the same truck, by its monitor")
+    parser.add_argument("--other", metavar="MASS", help="part of MASS from another combine, by its monitor")
     parser.add_argument("--other-std-dev", metavar="MASS", help="standard deviation of --other (default: 3 %% of it)")
     parser.add_argument("--note", metavar="TEXT", help="note to keep with the ticket")
     add_daemon_arguments(parser)

@@ -25,7 +25,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--listen",
         metavar="ADDRESS:PORT",
         default="127.0.0.1:8090",
-        help="address (default: 127.0.0.1:8090); addresses that other computers can reach need --token-file",
+        help="address (default: 127.0.0.1:8090); one that others can reach needs --token-file",
     )
     parser.add_argument("--token-file", metavar="FILE", type=Path, help="file with the token")
     parser.add_argument("--read-only", action="store_true", help="show no buttons")

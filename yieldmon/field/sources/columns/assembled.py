@@ -143,8 +143,8 @@ def _limited(values: dict[str, Array], columns: Mapping[str, Column]) -> tuple[s
 
 
 def _machines_apart(raw: Raw, values: Mapping[str, Array], clock: ColumnTimes) -> tuple[Raw, ColumnTimes]:
-    """With a name of its own for each of several machines whose rows are mixed: intervals and distances are those of one. And with
-    times that go on where local time comes twice."""
+    """With a name of its own for each of several machines whose rows are mixed, as intervals and distances are those of one; and
+    with times that go on where local time comes twice."""
     if clock.time_s is None or "section" in values:
         return raw, clock
     column = raw.columns.get("machine")
