@@ -40,6 +40,11 @@ def mean(values: list[float]) -> float:
     return sum(values) / len(values)
 
 
+def middle(rows: list[Shown]) -> float:
+    levels = sorted(one.level_mv for one in rows)
+    return (levels[(len(levels) - 1) // 2] + levels[len(levels) // 2]) / 2.0
+
+
 @dataclass
 class Model:
     """What the tracker ought to hold."""
@@ -105,8 +110,7 @@ class Model:
     @property
     def usual_mv(self) -> float:
         """Half of the last windows read no more, half no less."""
-        levels = sorted(one.level_mv for one in self.last)
-        return (levels[(len(levels) - 1) // 2] + levels[len(levels) // 2]) / 2.0
+        return middle(self.last)
 
     @property
     def waited_s(self) -> float:
@@ -150,10 +154,10 @@ class Model:
             self.known_s = rows[-1].end_s
 
     def follow(self, zero: Zero, shown: Shown) -> None:
-        away = min(self.last[0].level_mv, self.usual_mv) - zero.mv
+        away, newest = min(self.last[0].level_mv, self.usual_mv) - zero.mv, middle(self.last[-3:]) - zero.mv
         if self.looks_empty and abs(away) <= 16.0:
             self.known_s, self.far_mv = shown.end_s, 0.0
-            step = max(-0.25, min(0.25, away / 16.0))
+            step = max(-0.25, min(0.25, min(away, newest if newest >= -16.0 else away) / 16.0))
             self.zero = Zero(zero.mv + step, zero.first_mv, zero.speed, zero.pulse_mv, zero.beat_mv)
         elif self.looks_empty:
             self.far_mv = self.away_mv(zero)

@@ -184,7 +184,7 @@ def test_limit(name: str) -> None:
         ([15.0, 2.0, 2.0, 2.0], 0.125),
         ([2.0, 2.0, 2.0, 15.0], 0.125),
         ([2.0, 8.0, 8.0, 8.0], 0.125),
-        ([8.0, 3.0, 1.0, 0.0], 0.125),
+        ([8.0, 3.0, 1.0, 0.0], 0.0625),
     ],
     ids=[
         *["slowly", "slowly down", "at the fastest", "no faster", "no faster down", "as far as it follows", "too far"],

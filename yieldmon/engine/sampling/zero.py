@@ -24,6 +24,9 @@ from typing import Any
 from yieldmon.engine.sampling.windows import Window, coherent_amplitudes
 from yieldmon.engine.settings import ZeroSettings
 
+_NEWEST = 3
+"""Windows whose median a single one does not decide."""
+
 
 @dataclass(frozen=True, slots=True)
 class ZeroState:
@@ -329,10 +332,14 @@ class ZeroTracker:
         if not self.looks_empty:
             return
         # Grain only adds. A trickle that begins has loaded most windows before their mean amplitude shows it, but not the oldest.
-        step = min(self._recent[0].mean_mv, _middle_level(self._recent)) - state.zero_mv
+        windows = list(self._recent)
+        step = min(windows[0].mean_mv, _middle_level(windows)) - state.zero_mv
         if abs(step) > settings.max_step_mv:
             self.far_mv = self._far_mv(state)
             return
+        # Grain that dies away has left least in the newest; a level that falls further is of something else.
+        newest = _middle_level(windows[-_NEWEST:]) - state.zero_mv
+        step = min(step, newest) if newest >= -settings.max_step_mv else step
         self.known_s, self.far_mv = window.end_s, 0.0
         seconds = window.end_s - window.start_s
         limit = settings.max_rate_mv_s * seconds
@@ -389,7 +396,7 @@ def _mean_level(windows: Sequence[Window]) -> float:
     return sum(window.mean_mv for window in windows) / len(windows)
 
 
-def _middle_level(windows: Sequence[Window] | deque[Window]) -> float:
+def _middle_level(windows: Sequence[Window]) -> float:
     """Median of the levels, mV: the last grain after a stop, and a trickle that has just begun, do not raise it."""
     return median([window.mean_mv for window in windows])
 
