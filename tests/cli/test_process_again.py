@@ -441,3 +441,29 @@ def test_mass_that_two_recorders_contest_is_said(tmp_path: Path, capsys: pytest.
     (once, nothing), (counted, contested) = masses["once"], masses["twice"]
     assert nothing == 0.0 < contested
     assert counted + contested == pytest.approx(once, rel=0.01)
+
+
+def test_logs_of_two_machines_at_the_same_times_are_named(capsys, tmp_path, logs) -> None:
+    """They were taken for two loggers' logs in one file, with the advice to give them as two."""
+    other = write(tmp_path / "other.log", (4.0, 11.0, 0.0), (15.0, 9.0, 75.0))
+    code, _, err = process(capsys, tmp_path, logs["whole"], other)
+    assert code == 0
+    assert f"count as well: {other} and {logs['whole']} have different frames at the same times, as of two machines" in err
+    assert "joined into one file" not in err
+    document = json.loads(process(capsys, tmp_path, logs["whole"], other, "--json")[1])
+    assert problems(document, "process") == []
+    assert document["same_times"] == [{"log": str(other), "other": str(logs["whole"]), "seconds": pytest.approx(18, abs=1)}]
+
+
+@pytest.mark.parametrize(("start_s", "said"), [(4.0, True), (100.0, False)])
+def test_weighed_loads_of_two_machines_at_the_same_times_are_named(capsys, tmp_path, logs, start_s: float, said: bool) -> None:
+    other = write(tmp_path / "other.log", (start_s, 11.0, 0.0), (start_s + 11.0, 9.0, 75.0))
+    (tmp_path / "t.csv").write_text("load,weighed_kg\n1,20.6\n2,29.5\n")
+    assert main(["calibrate", "--loads", str(logs["whole"]), str(other), "--tickets", str(tmp_path / "t.csv")]) == 0
+    err = capsys.readouterr().err
+    assert (f"{other} and {logs['whole']} have different frames at the same times" in err) == said
+
+
+def test_a_log_that_follows_another_shares_no_times_with_it(capsys, tmp_path, logs) -> None:
+    follows = write(tmp_path / "follows.log", (21.0, 6.0, 60.0))
+    assert "same_times" not in json.loads(process(capsys, tmp_path, logs["whole"], follows, "--json")[1])

@@ -192,7 +192,7 @@ def test_report_names_logs_of_a_machine_that_overlap(tmp_path: Path, capsys: pyt
     masses = {(day["machine"], day["day"]): day["mass_kg"] for day in found["days"]}
     packed, later = found["doubtful"]
     assert re.search(r"a\.parquet: up to \S+ it holds the frames of a\.log again \(\+0 ms\); left out", packed["problem"])
-    why = "as of a second recorder, or of a clock that was set back"
+    why = "as of a second recorder, another machine, or a clock that was set back"
     assert later["problem"].endswith(f"at times that d1 a.log has too, {why}; the sums leave them out")
     twice = {(day["machine"], day["day"]): day["counted_again_kg"] for day in found["days"]}
     # Forces of 60 and 65 mV for as long: once each.

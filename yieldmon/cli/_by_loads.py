@@ -99,6 +99,7 @@ def _measured(args: argparse.Namespace) -> tuple[Configuration, tuple[MeasuredLo
         measured_loads,
         weighed_loads,
     )
+    from yieldmon.service.logs.record_check import same_times_line
 
     configured = configuration_of(args)
     tickets = ticket_file.load(args.tickets)
@@ -112,6 +113,8 @@ def _measured(args: argparse.Namespace) -> tuple[Configuration, tuple[MeasuredLo
                 f"{load.unmeasured_s:.0f} s of load {load.name}, {100.0 * load.unmeasured_share:.1f} % of its time, were not "
                 "measured: what was weighed may be more than what was measured"
             )
+    if pairs := measured_loads.logs_of_same_times(measured):
+        _notes.note(same_times_line(pairs))
     return configured, of_crop, loads
 
 

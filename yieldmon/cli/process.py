@@ -21,7 +21,7 @@ from yieldmon.cli._limits import whole_number, within
 from yieldmon.cli._log_progress import log_progress
 from yieldmon.cli._process_text import summary_line
 from yieldmon.cli._units import add_units
-from yieldmon.documents.process import ProcessSummary, ReprocessSummary
+from yieldmon.documents.process import ProcessSummary, ReprocessSummary, SameTimesSummary
 from yieldmon.errors import InputError
 from yieldmon.files import parameter_file
 from yieldmon.files.units import units_of
@@ -256,6 +256,7 @@ def _one_record(
 ) -> ProcessSummary:
     factory, check = FactoryComparison(), RecordCheck(loaded.engine.zero.first_pulse_limit_mv, _home_deg(loaded))
     spacing = SampleSpacing(loaded.signals.sources.impact[0])
+    same_times: list[SameTimesSummary] = []
     with open_table(out, f".{kind}" if kind else None) as table:
 
         def take(row: SecondRow) -> None:
@@ -265,6 +266,8 @@ def _one_record(
 
         def goes_on(part: Stretch | EndOfLog) -> None:
             spacing.take(part)
+            if isinstance(part, EndOfLog):
+                same_times.extend({"log": part.path, "other": each.log, "seconds": each.seconds} for each in part.same_times)
             if progress is not None:
                 progress(part)
 
@@ -274,6 +277,8 @@ def _one_record(
         "gaps": check.gaps, "gap_s": check.gap_s, "overlap_s": check.overlap_s, "overlap_kg": check.overlap_kg,
         "missing": check.missing,
     }  # fmt: skip
+    if same_times:
+        document["same_times"] = same_times
     if check.frames_lost_share:
         document["frames_lost_share"] = check.frames_lost_share
     if (far_off_s := spacing.far_off_s) is not None:

@@ -17,6 +17,14 @@ class FactoryComparisonSummary(TypedDict):
     correlation: Number
 
 
+class SameTimesSummary(TypedDict):
+    """Seconds for which `log` and `other` have different frames of the impact sensor."""
+
+    log: str
+    other: str
+    seconds: int
+
+
 class ReprocessedLoad(TypedDict):
     """A load's mass as measured and as measured again."""
 
@@ -39,11 +47,11 @@ class ProcessSummary(Harvested):
     """`yieldmon process --json`; with --separate one for each log, by name.
 
     faults: how often each came; damages: places of the logs that were skipped; gaps: stretches without samples, gap_s long in
-    all; overlap_s: seconds of times that were read already, with overlap_kg; missing: share of the seconds without an input, by
-    its name; frames_lost_share: of the seconds, those under FramesLost; plate_away_share: of the seconds, those with the plate
-    away from home, where there is no zero; contested_kg: mass in no total, as more frames came than one node sends;
-    before_zero_s: seconds of grain before the first zero; sensor_interval_s: median time from one frame of the impact sensor to
-    the next, where it is far from mapped_interval_s, that of the mapping.
+    all; overlap_s: seconds of times that were read already, with overlap_kg; same_times: logs that have such; missing: share of
+    the seconds without an input, by its name; frames_lost_share: of the seconds, those under FramesLost; plate_away_share: of
+    the seconds, those with the plate away from home, where there is no zero; contested_kg: mass in no total, as more frames
+    came than one node sends; before_zero_s: seconds of grain before the first zero; sensor_interval_s: median time from one
+    frame of the impact sensor to the next, where it is far from mapped_interval_s, that of the mapping.
     """
 
     frames: int
@@ -60,6 +68,7 @@ class ProcessSummary(Harvested):
     gap_s: NotRequired[float]
     overlap_s: NotRequired[float]
     overlap_kg: NotRequired[float]
+    same_times: NotRequired[list[SameTimesSummary]]
     missing: NotRequired[dict[str, float]]
     frames_lost_share: NotRequired[float]
     plate_away_share: NotRequired[float]

@@ -177,7 +177,7 @@ def _doubtful(
         if own is None or own != other:
             with_ = each.other_log if each.other_day == each.day else f"{each.other_day} {each.other_log}"
             same = f"{each.seconds} s with {each.mass_kg:.1f} kg"
-            why = "as of a second recorder, or of a clock that was set back"
+            why = "as of a second recorder, another machine, or a clock that was set back"
             problem = f"{each.log} has {same} at times that {with_} has too, {why}; the sums leave them out"
             found.append({"machine": each.machine, "day": each.day, "problem": problem})
     return found, repeated

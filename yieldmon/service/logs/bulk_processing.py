@@ -36,7 +36,7 @@ from yieldmon.errors import InputError
 from yieldmon.identifiers import EXTENDED_FLAG
 from yieldmon.service.logs.channels import OneChannel
 from yieldmon.service.logs.processing import Summary, hand_over, refuse_nothing
-from yieldmon.service.logs.recorded_before import RecordedBefore
+from yieldmon.service.logs.recorded_before import RecordedBefore, SameTimes
 from yieldmon.service.logs.time_units import TimeUnitCheck
 from yieldmon.service.storage.rows import SecondRow
 from yieldmon.service.traffic.side_inputs import SideInputs
@@ -69,13 +69,14 @@ class Stretch:
 class EndOfLog:
     """A log is read to its end. channels: those with a frame that was looked at, chosen or not. repeats: whether it begins with
     frames of a log before it, which are left out. doubled: what is to be said of frames that stand there several times; "" where
-    none do."""
+    none do. same_times: logs before it with other frames of the impact sensor at times of this one."""
 
     path: str
     damages: list[str]
     channels: frozenset[str] = field(default=frozenset(), compare=False)
     repeats: bool = False
     doubled: str = ""
+    same_times: tuple[SameTimes, ...] = ()
 
 
 def process_in_bulk(
@@ -160,7 +161,12 @@ def stretches_of(paths: Iterable[str], taking: Taking) -> Iterator[Stretch | End
         shared = one_channel.end_of_log(path) if one_channel is not None else []
         twice = [f"{path}: {doubled.said}"] if doubled.said else []
         yield EndOfLog(
-            path, [*notes.lacks(path), *twice, *shared, *([again] if again else [])], channels, bool(again), doubled.said
+            path,
+            [*notes.lacks(path), *twice, *shared, *([again] if again else [])],
+            channels,
+            bool(again),
+            doubled.said,
+            recorded.same_times(),
         )
     if decoder.under_way:
         yield Stretch(0, 0, 0, incomplete=decoder.under_way)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from pathlib import Path
 
 from yieldmon.bus.codec import Codec
@@ -17,12 +18,14 @@ from yieldmon.service.config.configuration import Configuration
 from yieldmon.service.logs.bulk_processing import EndOfLog, Stretch, process_in_bulk
 from yieldmon.service.logs.log_copies import refuse_repeated_loads
 from yieldmon.service.logs.recorded import changed_at, is_store_not_log, opened, parameter_sets
+from yieldmon.service.logs.recorded_before import LEAST_SHARED_S
 from yieldmon.service.logs.sample_spacing import SampleSpacing
 from yieldmon.service.logs.time_units import spacing_line
 from yieldmon.service.logs.unmeasured import unmeasured
 from yieldmon.service.storage.batch import Load
 from yieldmon.service.storage.load_ends import between_loads, load_of
 from yieldmon.service.storage.rows import SecondRow
+from yieldmon.utc import EARLIEST_BUS_TIME_S
 
 
 @dataclass(frozen=True)
@@ -142,6 +145,16 @@ def _of_logs(
         versions = {configured.parameters.version: configured.parameters}
         found += _examined(loads_in_log(rows, source, versions, len(found)), rows, configured)
     return tuple(found)
+
+
+def logs_of_same_times(loads: Sequence[MeasuredLoad]) -> list[tuple[str, str]]:
+    """Logs with grain in the same dated seconds, as one machine's cannot have; each with one before it."""
+    seconds: dict[str, set[int]] = {}
+    for load in loads:
+        times = {int(row.time_s) for row in load.seconds if row.time_s >= EARLIEST_BUS_TIME_S}
+        seconds.setdefault(load.log, set()).update(times)
+    pairs = combinations(seconds, 2)
+    return [(log, other) for other, log in pairs if len(seconds[log] & seconds[other]) >= LEAST_SHARED_S]
 
 
 def loads_in_log(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import inf
 
@@ -129,17 +130,30 @@ def _joined(stretches: list[tuple[float, float]]) -> list[tuple[float, float]]:
 SEPARATE_FILES = "logs of two loggers count once if they are given as separate files"
 
 
+def same_times_line(pairs: Sequence[tuple[str, str]]) -> str:
+    """What logs may be that have different frames at the same times; pairs: a log and one before it."""
+    (log, other), more = pairs[0], f" (and {len(pairs) - 1} more pairs)" if len(pairs) > 1 else ""
+    return (
+        f"{log} and {other}{more} have different frames at the same times, as of two machines, or of a clock that was set wrong; "
+        "measure each machine's logs separately"
+    )
+
+
 def record_lines(document: ProcessSummary) -> list[str]:
     """What is to be said of a record's gaps, overlaps and missing inputs."""
     out = []
     if document.get("gaps"):
         out.append(f"gaps: {document['gaps']}, {document['gap_s']:.0f} s in all without samples")
     if document.get("overlap_s"):
-        out.append(
-            f"overlap: {document['overlap_s']:.0f} s with {document['overlap_kg']:.1f} kg lie before seconds that were read "
-            "already: the clock was set back, or logs that overlap were joined into one file, which counts their mass twice; "
-            f"{SEPARATE_FILES}"
-        )
+        overlap = f"overlap: {document['overlap_s']:.0f} s with {document['overlap_kg']:.1f} kg"
+        found = f"{overlap} lie before seconds that were read already"
+        if same_times := document.get("same_times"):
+            out.append(f"{found}, and count as well: {same_times_line([(e['log'], e['other']) for e in same_times])}")
+        else:
+            out.append(
+                f"{found}: the clock was set back, or logs that overlap were joined into one file, which counts their mass "
+                f"twice; {SEPARATE_FILES}"
+            )
     if document.get("contested_kg"):
         out.append(
             f"contested: {document['contested_kg']:.1f} kg are in no total: more frames came than one node sends; two nodes or "

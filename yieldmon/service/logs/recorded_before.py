@@ -32,16 +32,28 @@ _CLOCKS_S, _JITTER_S = 60.0, 0.05
 _LOOK_BYTES, _LOOKS, _ENOUGH = 1 << 19, 40, 64
 """What is read of a log's beginning at a time, how often at most, and frames compared after which it is another record."""
 
+LEAST_SHARED_S = 3
+"""Seconds with frames of two logs: one that follows another shares the second in which that ended."""
+
 _Key = tuple[str, int, int]
 """Channel, identifier with flags, payload."""
 
 
+@dataclass(frozen=True, slots=True)
+class SameTimes:
+    """Another log, and how many seconds of it are those of a log too."""
+
+    log: str
+    seconds: int
+
+
 @dataclass
 class _Log:
-    """Times of the frames that are compared by what they hold; None where the same came twice."""
+    """Times of the frames that are compared by what they hold; None where the same came twice. seconds: that have frames."""
 
     path: str
     times_s: dict[_Key, float | None] = field(default_factory=dict)
+    seconds: set[int] = field(default_factory=set)
     last_s: float = float("-inf")
 
     def take(self, keys: list[_Key], times_s: list[float]) -> None:
@@ -82,7 +94,14 @@ class RecordedBefore:
             return
         log, times_s = self._logs[-1], block.time_s[dated]
         log.last_s = max(log.last_s, float(times_s.max()))
+        log.seconds.update(np.unique(np.floor(times_s)).astype(np.int64).tolist())
         log.take(*_compared(block, dated))
+
+    def same_times(self) -> tuple[SameTimes, ...]:
+        """The logs before that have frames of the sensor at times at which the last one has others."""
+        log = self._logs[-1]
+        shared = ((other.path, len(log.seconds & other.seconds)) for other in self._logs[:-1])
+        return tuple(SameTimes(path, seconds) for path, seconds in shared if seconds >= LEAST_SHARED_S)
 
     def take_message(self, message: can.Message) -> None:
         """One of the sensor's frames, as take()."""
