@@ -1,1 +1,1 @@
-"""What weighed loads say: density, gain, load curve, and which tickets are wrong."""
+"""Calibration from weighed loads: density, impact gain and load curve, and detection of wrong tickets."""

@@ -1,4 +1,4 @@
-"""Density and impact gain of a parameter set: what weighed loads can determine of it."""
+"""Density and impact gain: the parameters of a set that weighed loads can determine."""
 
 from __future__ import annotations
 
@@ -27,19 +27,19 @@ def widened(prior: ParameterSet, settings: LoadSettings) -> ParameterSet:
 
 
 def shifted(values: Mapping[str, float], name: str, step: float) -> dict[str, float]:
-    """The values with one of them moved by a step."""
+    """A copy of the values in which one is changed by a step."""
     return {**values, name: values[name] + step}
 
 
 def gain_names(known: ParameterSet) -> tuple[str, ...]:
-    """Parameters that make up the impact gain."""
+    """Names of the parameters that form the impact gain: `restitution`, or `k1` and `k2`."""
     return ("restitution",) if "restitution" in known.values else ("k1", "k2")
 
 
 def moved(known: ParameterSet, ln_density: float, ln_gain: float) -> ParameterSet:
-    """The set with density and impact gain multiplied by exp of the arguments; covariance as it was.
+    """The set with density and impact gain multiplied by exp of the arguments; the covariance stays the same.
 
-    A restitution that no longer lies between 0 and 1 is no restitution: such a gain is carried by k2, and k1 is 0.
+    If the restitution would leave the range 0 to 1, the gain is expressed as k2 instead, with k1 = 0.
     """
     values = dict(known.values)
     values[DENSITY] *= float(np.exp(ln_density))
@@ -55,7 +55,7 @@ def moved(known: ParameterSet, ln_density: float, ln_gain: float) -> ParameterSe
 
 
 def in_form_of(known: ParameterSet, other: ParameterSet) -> ParameterSet:
-    """The set with its impact gain as k1 and k2 where the other has it so; as given where both have the same form."""
+    """The set with its impact gain written as k1 and k2 if the other set uses these; unchanged if both have the same form."""
     if "restitution" not in known.values or "k2" not in other.values:
         return known
     values = {name: value for name, value in known.values.items() if name != "restitution"}

@@ -1,22 +1,22 @@
 """Prior for a crop from the weighed loads of many machines, for a machine that has none yet: empirical Bayes.
 
-Each machine's density and impact gain differ from the crop's shipped values by a vector of its own (in their logarithms), in
-which its sensor, its plate's angle and its grain are all contained; these vectors scatter about one of the crop. The crop's
-vector and the scatter between machines are both estimated, and the prior of the next machine is as wide as both together: what
-machines differ in stays unknown of a machine that has not weighed anything. A scatter that few machines have shown is itself
-uncertain: the prior's deviations are widened by Student's t over the normal quantile, so that two of them hold 95 %.
+Each machine's density and impact gain differ from the crop's shipped values by a vector of logarithms. The vector contains the
+effects of its sensor, its plate's angle and its grain. The machines' vectors scatter about a mean vector of the crop. Both the
+mean and the scatter are estimated, and the prior of the next machine includes the uncertainty of both, since that machine has not
+weighed anything yet. A scatter estimated from few machines is itself uncertain: the prior's standard deviations are multiplied by
+the ratio of Student's t to the normal quantile, so that two of them contain 95 %.
 
-Loads say nothing of the other parameters, as friction, but what they say of density and gain depends on these: with more friction
-the same loads ask for a higher density. The covariance says so: a load is not as uncertain as friction alone would make it, and
-density and gain follow when a sweep then finds friction.
+Loads do not determine the other parameters, such as friction, but the density and gain that fit the loads depend on them: with
+more friction the same loads require a higher density. The covariance of the prior contains this correlation. A load is therefore
+less uncertain than the uncertainty of friction alone would suggest, and density and gain follow when a sweep determines friction.
 
-Of trucks that another combine filled too a machine's loads share that one's monitor's error (`other_monitor`): however many they
-are, they know the machine's scale no better than it does. It is one of each machine: that several shared trucks with the same
-other one is not known.
+If another combine filled part of a machine's trucks, the error of that combine's monitor is common to these loads
+(`other_monitor`) and does not average out over them. Each machine is given an independent error of this kind, because it is not
+known whether several machines shared trucks with the same combine.
 
 Sources: Laird and Ware, "Random-effects models for longitudinal data", Biometrics 38 (1982): the EM algorithm used here;
-Schmidt, "Application of state-space methods to navigation problems" (1966): parameters that are held and go on counting;
-JCGM 100:2008, annex G.3: t-distribution for a deviation that rests on few observations.
+Schmidt, "Application of state-space methods to navigation problems" (1966): fixed parameters whose uncertainty still counts;
+JCGM 100:2008, annex G.3: t-distribution for a standard deviation estimated from few observations.
 """
 
 from __future__ import annotations
@@ -42,14 +42,14 @@ _LINEARISED = 3
 _ROUNDS = 500
 _SETTLED = 1e-9
 _SCATTER_SD = 0.03
-"""Relative; how machines scatter about the crop before the fleet has shown it. Counts as much as one machine."""
+"""Prior of the relative scatter of machines about the crop. It has the weight of one machine."""
 _TWO_SIDED = 0.975
 LEAST_MACHINES = 3
 
 
 @dataclass(frozen=True)
 class MachineLoads:
-    """The weighed loads of one machine. model: of that machine."""
+    """The weighed loads of one machine, and its model."""
 
     name: str
     model: ForwardModel
@@ -60,11 +60,19 @@ class MachineLoads:
 class FleetPrior:
     """The result of `pooled`.
 
-    parameter_set: for a new machine to start from, as wide as between and of_crop together, and wider for few machines; density
-    and gain go with the other parameters as the loads ask for.
-    crop_shift (2,): ln density and ln gain over those of the start.
-    between (2, 2): covariance of machines about the crop; of_crop (2, 2): covariance of crop_shift, the other parameters as they
-    are. machines (m, 2): each machine's own shift.
+    Attributes
+    ----------
+    parameter_set : ParameterSet
+        Start of a new machine. Its covariance contains `between` and `of_crop`, widened where there are few machines, and the
+        correlation of density and gain with the other parameters.
+    crop_shift : ndarray (2,)
+        ln density and ln gain relative to the start.
+    between : ndarray (2, 2)
+        Covariance of the machines' shifts about `crop_shift`.
+    of_crop : ndarray (2, 2)
+        Covariance of `crop_shift` with the other parameters fixed.
+    machines : ndarray (m, 2)
+        Shift of each machine.
     """
 
     parameter_set: ParameterSet
@@ -75,7 +83,7 @@ class FleetPrior:
 
 
 def load_errors(model: ForwardModel, known: ParameterSet, loads: Sequence[WeighedLoad]) -> Array:
-    """ln of measured over weighed mass of each load (n,) with these parameters, nan beyond a full paddle."""
+    """ln(measured / weighed mass) of each load with these parameters, (n,); nan if a force exceeds that of a full paddle."""
     return np.asarray(np.log(_masses_kg(model, known, loads) / np.array([load.weighed_kg for load in loads])))
 
 
@@ -87,14 +95,14 @@ def load_deviation(model: ForwardModel, known: ParameterSet, loads: Sequence[Wei
 
 
 def pooled(start: ParameterSet, machines: Sequence[MachineLoads]) -> FleetPrior:
-    """The prior that a fleet's weighed loads give.
+    """Estimate the prior from a fleet's weighed loads.
 
     Parameters
     ----------
     start : ParameterSet
-        The crop's shipped parameters, whose deviations are the prior of the crop.
+        The crop's shipped parameters. Their standard deviations are the prior of the crop's mean.
     machines : sequence of MachineLoads
-        At least LEAST_MACHINES, each with a load or more.
+        At least LEAST_MACHINES, each with at least one load.
 
     Returns
     -------
@@ -103,7 +111,7 @@ def pooled(start: ParameterSet, machines: Sequence[MachineLoads]) -> FleetPrior:
     Raises
     ------
     ValueError
-        Too few machines, or a load that is beyond a full paddle.
+        Too few machines, or a load with a force above that of a full paddle.
     """
     settings = LoadSettings()
     if len(machines) < LEAST_MACHINES:
@@ -121,8 +129,17 @@ def pooled(start: ParameterSet, machines: Sequence[MachineLoads]) -> FleetPrior:
 
 @dataclass(frozen=True)
 class _Linear:
-    """target = slope @ x + noise: information (2, 2) of one machine's loads on its x, and slope.T @ weight @ target (2,), also by
-    each held parameter (2, h)."""
+    """Normal equations of one machine's linear model, target = slope @ x + noise.
+
+    Attributes
+    ----------
+    information : ndarray (2, 2)
+        slope.T @ weight @ slope.
+    vector : ndarray (2,)
+        slope.T @ weight @ target.
+    by_held : ndarray (2, h)
+        Derivative of `vector` with respect to each held parameter.
+    """
 
     information: Array
     vector: Array
@@ -137,15 +154,28 @@ def _linear(machine: MachineLoads, known: ParameterSet, settings: LoadSettings, 
     common = np.array([load.common_kg / load.weighed_kg for load in loads])
     apart = np.array([load.relative_sd**2 + load.measured_sd(settings.load_error) ** 2 for load in loads]) - common**2
     target = slope @ at - error
-    # The other monitor's error is one in all loads that it weighed a part of.
+    # The other monitor's error is the same in all loads of which it weighed a part.
     weighted = slope.T @ np.linalg.inv(np.diag(apart) + np.outer(common, common))
     return _Linear(weighted @ slope, weighted @ target, -weighted @ _held_slopes(machine.model, known, loads))
 
 
 @dataclass(frozen=True)
 class _Common:
-    """What m machines have in common: the mean of x (2,), its covariance between machines and that of the mean (2, 2), each
-    machine's own x (m, 2), and the mean's change by each held parameter (2, h)."""
+    """Estimate over m machines.
+
+    Attributes
+    ----------
+    mean : ndarray (2,)
+        Mean of x over machines.
+    between : ndarray (2, 2)
+        Covariance of x between machines.
+    of_mean : ndarray (2, 2)
+        Covariance of `mean`.
+    own : ndarray (m, 2)
+        x of each machine.
+    by_held : ndarray (2, h)
+        Derivative of `mean` with respect to each held parameter.
+    """
 
     mean: Array
     between: Array
@@ -155,14 +185,14 @@ class _Common:
 
 
 def _fitted(machines: Sequence[_Linear], before: Array) -> _Common:
-    """before: covariance of the mean without the machines (2, 2)."""
+    """EM estimate of the common mean and scatter. before: prior covariance of the mean, (2, 2)."""
     mean, between = np.zeros(2), np.eye(2) * (2.0 * _SCATTER_SD) ** 2
     inverse_before, own = np.linalg.inv(before), np.zeros((len(machines), 2))
     of_mean = before
     for _ in range(_ROUNDS):
         inverse = np.linalg.inv(between)
         spreads = [np.linalg.inv(m.information + inverse) for m in machines]
-        # Of each machine's loads on the common mean, its own vector integrated out.
+        # Information of each machine's loads on the common mean, with the machine's own vector marginalised.
         gains = [m.information @ (np.eye(2) - s @ m.information) for m, s in zip(machines, spreads, strict=True)]
         of_mean = np.linalg.inv(sum(gains) + inverse_before)
         shares = [np.eye(2) - m.information @ s for m, s in zip(machines, spreads, strict=True)]
@@ -170,7 +200,7 @@ def _fitted(machines: Sequence[_Linear], before: Array) -> _Common:
         own = np.array([s @ (m.vector + inverse @ new) for m, s in zip(machines, spreads, strict=True)])
         scatter = np.eye(2) * _SCATTER_SD**2
         for s, x in zip(spreads, own, strict=True):
-            # How the mean's own error carries into a machine's vector.
+            # Propagation of the mean's error into a machine's vector.
             carried = s @ inverse - np.eye(2)
             scatter = scatter + s + np.outer(x - new, x - new) + carried @ of_mean @ carried.T
         after = scatter / (len(machines) + 1.0)
@@ -183,7 +213,7 @@ def _fitted(machines: Sequence[_Linear], before: Array) -> _Common:
 
 
 def _masses_kg(model: ForwardModel, known: ParameterSet, loads: Sequence[WeighedLoad]) -> Array:
-    """Measured mass of each load (n,); all in one inversion, most of whose time goes by the call."""
+    """Measured mass of each load, kg, (n,). One inversion for all, since its time is mostly overhead per call."""
     duration, force, angle, speed = joined(loads)
     moisture = np.concatenate(
         [np.full(load.force_n.shape, np.nan) if load.moisture_pct is None else load.moisture_pct for load in loads]
@@ -194,7 +224,7 @@ def _masses_kg(model: ForwardModel, known: ParameterSet, loads: Sequence[Weighed
 
 
 def _slopes(model: ForwardModel, known: ParameterSet, loads: Sequence[WeighedLoad]) -> Array:
-    """(n, 2) of ln mass by ln density and ln gain."""
+    """Derivatives of ln mass with respect to ln density and ln gain, (n, 2)."""
     columns = []
     for step in ((_STEP, 0.0), (0.0, _STEP)):
         up, down = moved(known, *step), moved(known, -step[0], -step[1])
@@ -203,7 +233,7 @@ def _slopes(model: ForwardModel, known: ParameterSet, loads: Sequence[WeighedLoa
 
 
 def _held_slopes(model: ForwardModel, known: ParameterSet, loads: Sequence[WeighedLoad]) -> Array:
-    """(n, h) of ln mass by each parameter beside density and gain."""
+    """Derivatives of ln mass with respect to each held parameter, (n, h)."""
     columns = []
     for name in _held(known):
         step = _STEP * known.standard_deviation(name)
@@ -214,13 +244,13 @@ def _held_slopes(model: ForwardModel, known: ParameterSet, loads: Sequence[Weigh
 
 
 def _held(known: ParameterSet) -> list[str]:
-    """Parameters with a standard deviation that loads do not determine."""
+    """Parameters that have a standard deviation and are not determined by loads."""
     of_loads = (DENSITY, _scales(known)[0])
     return [name for name in known.covariance_names if name not in of_loads and known.standard_deviation(name) > 0.0]
 
 
 def _few_machines(machines: int) -> float:
-    """Factor on deviations by which two of them hold 95 % although the scatter was estimated from few machines."""
+    """Factor on standard deviations with which two of them contain 95 % when the scatter is estimated from few machines."""
     return float(student_t.ppf(_TWO_SIDED, machines - 1) / norm.ppf(_TWO_SIDED))
 
 
@@ -232,7 +262,7 @@ def _scales(known: ParameterSet) -> tuple[str, Array]:
 
 
 def _relative_covariance(known: ParameterSet) -> Array:
-    """Of the held parameters, ln density and ln gain."""
+    """Covariance of (held parameters, ln density, ln gain)."""
     name, scale = _scales(known)
     held = _held(known)
     sizes = np.concatenate((np.ones(len(held)), scale))
@@ -240,7 +270,11 @@ def _relative_covariance(known: ParameterSet) -> Array:
 
 
 def _with_covariance(known: ParameterSet, relative: Array, by_held: Array) -> ParameterSet:
-    """The set with this covariance of ln density and ln gain beside what these change by held parameters, which keep theirs."""
+    """The set with a new covariance of density and gain, correlated with the held parameters.
+
+    relative: covariance of ln density and ln gain with the held parameters fixed, (2, 2). by_held: their derivatives with respect
+    to the held parameters, (2, h), whose own covariance stays.
+    """
     gain, scale = _scales(known)
     held = _held(known)
     of_held = known.covariance_of(held)

@@ -20,13 +20,25 @@ from .load_inputs import WeighedLoad
 LEAST_LOADS = 3
 _MOST_KNOTS = 12
 _LEAST_INNER = 3
-"""Loads between the lightest and the heaviest from which these two count no longer for the deviation."""
+"""Number of loads between the lightest and the heaviest from which on these two do not count in the standard deviation."""
 
 
 @dataclass(frozen=True)
 class CurveFit:
-    """A calibrated curve and how it does. left_out_error: of each load (share), where only the others calibrate; fitted_error:
-    of all rows or loads, with nothing left out."""
+    """A calibrated curve and its errors.
+
+    Attributes
+    ----------
+    curve : FlowCurve
+    rows : int
+        Number of rows or loads used.
+    loads : tuple of float
+        Flow of each row's condition, kg/s, or weighed mass of each load, kg.
+    left_out_error : tuple of float
+        Relative error of each of them when it is left out of the fit.
+    fitted_error : tuple of float
+        Relative error of each of them when all are fitted.
+    """
 
     curve: FlowCurve
     rows: int
@@ -103,19 +115,21 @@ def _refuse_few(kind: str, angle: Array, load: Array) -> None:
 
 
 def fit_loads(loads: Sequence[WeighedLoad], plate_angle_rad: float) -> CurveFit:
-    """Alpha and beta from weighed loads. Seconds with the plate elsewhere stand for the mass of the others.
+    """Alpha and beta from weighed loads.
+
+    Seconds in which the plate is not at home are assumed to have the same mean flow as the load's seconds at home.
 
     Parameters
     ----------
     loads : sequence of WeighedLoad
         Three or more.
     plate_angle_rad : float
-        At home.
+        The home angle, rad.
 
     Returns
     -------
     CurveFit
-        beta is 0 where the loads, each left out in turn, are met better by alpha alone.
+        beta is 0 if the fit with alpha alone has the smaller leave-one-out error.
 
     Raises
     ------
@@ -159,7 +173,7 @@ def fit_loads(loads: Sequence[WeighedLoad], plate_angle_rad: float) -> CurveFit:
     relative = float(np.hypot(apart, common))
     calibrated = CalibratedRange(span(flow), (plate_angle_rad, plate_angle_rad), speeds, moisture)
     level = np.log(weighed / [load.duration_s.sum() for load in loads])
-    # Few loads may agree by chance, by no more than their tickets do.
+    # Few loads may agree by chance better than their tickets' standard deviations allow.
     tickets = np.mean([load.relative_sd**2 - (load.common_kg / load.weighed_kg) ** 2 for load in loads])
     own_sd = max(apart, float(np.sqrt(tickets)))
     exponent = 1.0 / float(np.hypot(1.0 / PER_LN_FLOW, np.std(level) * np.sqrt(level.size) / own_sd))
@@ -168,7 +182,7 @@ def fit_loads(loads: Sequence[WeighedLoad], plate_angle_rad: float) -> CurveFit:
 
 
 def _table(machine: Machine, force_n: Array, flow: Array, speed: Array, angle: Array) -> LookUpTable:
-    """Means by flow at the machine's nominal speed, at most twelve at each angle, pooled where noise turned neighbours round."""
+    """Mean force and flow at nominal speed, at most twelve points at each angle; points put out of order by noise are pooled."""
     slower = machine.nominal_elevator_speed_rad_s / speed
     force, flow = force_n * slower**2, flow * slower
     columns = []
@@ -187,7 +201,7 @@ def _table(machine: Machine, force_n: Array, flow: Array, speed: Array, angle: A
 
 
 def _rising(angle_rad: float, blocks: list[list[float]]) -> TableColumn:
-    """Blocks of force, flow and weight by rising flow; neighbours whose forces fall become one."""
+    """One column of the table from (force, flow, weight) blocks in order of flow; neighbours with falling force are merged."""
     kept: list[list[float]] = []
     for block in blocks:
         kept.append(list(block))
@@ -200,7 +214,7 @@ def _rising(angle_rad: float, blocks: list[list[float]]) -> TableColumn:
 
 
 def _one_each(angle: Array) -> Array:
-    """Angles within SAME_ANGLE_RAD of each other as one."""
+    """The angles, each group within SAME_ANGLE_RAD replaced by its mean."""
     out = angle.copy()
     order = np.argsort(angle, kind="stable")
     start = 0
@@ -212,15 +226,19 @@ def _one_each(angle: Array) -> Array:
 
 
 def _inner(load: Array) -> NDArray[np.bool_]:
-    """Cells of neither the lightest nor the heaviest load, which would be left out of the curve's range; all, of few loads."""
+    """Which cells belong to neither the lightest nor the heaviest load, since a curve without these would be extrapolated; all
+    cells if there are few loads."""
     if np.unique(load).size < _LEAST_INNER + 2:
         return np.ones(load.size, dtype=bool)
     return np.asarray((load > load.min()) & (load < load.max()))
 
 
 def _relative(left_out: Array, fitted: Array, inner: NDArray[np.bool_]) -> float:
-    """Standard deviation of a flow within the range: of the inner loads left out, or of all fitted ones where that is more, at
-    least LEAST_RELATIVE_STD_DEV; 1 where a load has no answer."""
+    """Relative standard deviation of a flow within the range.
+
+    The larger of the rms errors of inner loads left out and of all loads fitted, at least LEAST_RELATIVE_STD_DEV; 1 if the curve
+    gives no flow for a load.
+    """
     if not (np.all(np.isfinite(left_out[inner])) and np.all(np.isfinite(fitted))):
         return 1.0
     return float(max(LEAST_RELATIVE_STD_DEV, np.sqrt(np.mean(left_out[inner] ** 2)), np.sqrt(np.mean(fitted**2))))

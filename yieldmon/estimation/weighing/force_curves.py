@@ -1,8 +1,8 @@
-"""What the curve of the force over the load may be, before any load is weighed.
+"""Priors of the curve of force over load, before any load is weighed.
 
-The curve is the model's own (where the machine was weighed in another crop alone, the one that its loads have shown), one about
-the force that goes with a power of the flow near 1, or one of two sizes about the model's; each is a normal prior of ln density,
-ln gain and the weights of the effect `load_pattern`.
+There are three kinds of curve: the model's own (or, if the machine has weighed loads in another crop only, the curve fitted to
+those); curves near a force proportional to the flow; and curves that deviate from the model's by one of two sizes. Each is a
+normal prior of ln density, ln gain and the weights of the effect `load_pattern`.
 """
 
 from __future__ import annotations
@@ -21,20 +21,29 @@ from .load_fit import LoadProblem
 
 _WEIGHT_SD = np.array([parameter.prior_sd for parameter in load_pattern.EFFECT.parameters])
 _OWN, _POWER, _FREE = 0.6, 0.25, ((1.0, 0.1), (2.0, 0.05))
-"""How likely are, before any load, the model's own curve, a power of the flow, and weights of a size over `_WEIGHT_SD`. These
-and `_POWER_SD` were chosen on a linear model of loads that is not kept (studies/load_laws)."""
+"""Prior probability of the model's own curve, of one near proportionality, and (size in `_WEIGHT_SD`, probability) of deviating
+ones. These and `_POWER_SD` were chosen on a linear model of loads that is not kept (studies/load_laws)."""
 _POWER_SD = np.array([0.15, 0.1, _WEIGHT_SD[2]])
-"""Of the weights about those with which the force is proportional to the flow."""
+"""Standard deviations of the weights about those that make the force proportional to the flow."""
 _LOADS = np.linspace(0.3, 2.0, 12)
-"""Over the pattern's reference, on which those are found."""
+"""Loads of a paddle, relative to the pattern's reference, at which those weights are fitted."""
 _LEAST_POINTS = 6
-"""Loads of a paddle at which the force is known, to find the weights of a curve."""
+"""Least number of loads of a paddle with a known force for that fit."""
 
 
 @dataclass(frozen=True)
 class ForceCurve:
-    """A prior of ln density, ln gain and weights relative to the start: mean (5,) and covariance (5, 5), whether the curve is
-    another than the model's, and how likely it is."""
+    """A normal prior of (ln density, ln gain, weights of `load_pattern`) relative to the start.
+
+    Attributes
+    ----------
+    mean : ndarray (5,)
+    covariance : ndarray (5, 5)
+    another : bool
+        Whether the curve differs from the model's.
+    likely : float
+        Prior probability of this curve.
+    """
 
     mean: Array
     covariance: Array
@@ -43,7 +52,7 @@ class ForceCurve:
 
 
 def curves(problem: LoadProblem) -> tuple[ForceCurve, ...]:
-    """What the curve of the force may be, before any load; the widest prior last.
+    """The possible curves, the one with the widest prior last.
 
     Parameters
     ----------
@@ -64,7 +73,7 @@ def curves(problem: LoadProblem) -> tuple[ForceCurve, ...]:
 
 
 def _own_prior(problem: LoadProblem) -> Array:
-    """Covariance of the step on the start's own curve: none of the weights but where they are those of another crop."""
+    """Covariance of the step on the start's own curve; the weights have a variance only where they come from another crop."""
     prior = _prior(problem, np.zeros(len(NAMES)))
     if problem.start.carried_from:
         prior[2:, 2:] = problem.start.covariance_of(NAMES)
@@ -72,15 +81,15 @@ def _own_prior(problem: LoadProblem) -> Array:
 
 
 def _prior(problem: LoadProblem, weight_sd: Array) -> Array:
-    """Covariance of the step, with these standard deviations of the pattern's weights."""
+    """Covariance of the step with the given standard deviations of the pattern's weights."""
     prior = np.diag(np.concatenate((np.zeros(2), weight_sd)) ** 2)
     prior[:2, :2] = problem.prior[-2:, -2:]
     return prior
 
 
 def _proportional(problem: LoadProblem) -> Array | None:
-    """The change of the pattern's weights (exponent, bend, speed) with which the force is proportional to the flow at the home
-    angle and nominal speed, by least squares; None where a paddle cannot carry enough."""
+    """Change of the pattern's weights (exponent, bend, speed) that makes the force proportional to the flow at the home angle and
+    nominal speed, by least squares; None if too few of the loads fit on a paddle."""
     machine, start = problem.model.machine, problem.start
     loads_kg = _LOADS * reference_load_kg(machine)
     moisture = None if problem.moisture is None else np.full(loads_kg.shape, np.mean(problem.moisture))

@@ -1,4 +1,4 @@
-"""How far weighed loads are from what given parameters measured."""
+"""Errors of weighed loads as measured with given parameters."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from .load_inputs import LoadSettings, WeighedLoad
 def departure(
     model: ForwardModel, known: ParameterSet, load: WeighedLoad, settings: LoadSettings | None = None
 ) -> tuple[float, float]:
-    """Relative error of a load as these parameters measure it, and its standard deviation by their covariance and the scale.
+    """Relative error of a load's measured mass, and its standard deviation from the parameters' covariance and the scale.
 
-    Both are nan where the load holds more force than a full paddle gives.
+    Both are nan if a force of the load exceeds that of a full paddle.
     """
     errors, std_devs = departures(model, known, [load], settings)
     return float(errors[0]), float(std_devs[0])
 
 
 def spread(model: ForwardModel, known: ParameterSet, load: WeighedLoad, settings: LoadSettings | None = None) -> float:
-    """Relative standard deviation of a load by the covariance of these parameters alone."""
+    """Relative standard deviation of a load's measured mass from the parameters' covariance alone."""
     return float(_measured(model, known, [load], settings).spreads(known)[0])
 
 
 def departures(
     model: ForwardModel, known: ParameterSet, loads: Sequence[WeighedLoad], settings: LoadSettings | None = None
 ) -> tuple[Array, Array]:
-    """`departure` of several loads, all with a known moisture or all without: errors (n,) and their standard deviations (n,)."""
+    """`departure` of several loads: errors (n,) and standard deviations (n,). Moisture must be known of all loads or of none."""
     problem = _measured(model, known, loads, settings)
     return np.expm1(_ln_errors(problem)), np.hypot(problem.spreads(known), problem.sd)
 
@@ -41,7 +41,7 @@ def departures(
 def errors_of(
     model: ForwardModel, known: ParameterSet, loads: Sequence[WeighedLoad], settings: LoadSettings | None = None
 ) -> Array:
-    """The errors of `departures` alone."""
+    """The errors of `departures`, without the standard deviations."""
     return np.expm1(_ln_errors(_measured(model, known, loads, settings)))
 
 

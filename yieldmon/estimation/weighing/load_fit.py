@@ -31,25 +31,43 @@ _ITERATIONS = 12
 _SETTLED = 1e-5
 _STEP = 1e-4
 _RECENT = 64
-"""Results that are kept of each kind: fits without a load begin where others were."""
+"""Number of flow inversions kept: leave-one-out fits often ask for the same parameters."""
 _SIGNIFICANT = 0.01
-"""Probability by chance below which loads contradict a fit."""
+"""p value below which loads contradict a fit."""
 
 
 @dataclass(frozen=True)
 class LoadFit:
-    """ln density and ln gain relative to the start (2,), and ln of each load's mass over the weighed one (n,)."""
+    """A fit of density and gain.
+
+    Attributes
+    ----------
+    step : ndarray (2,)
+        ln density and ln gain relative to the start.
+    error : ndarray (n,)
+        ln(measured / weighed mass) of each load.
+    by_step : ndarray (n, 2)
+        Derivatives of `error` with respect to the step.
+    """
 
     step: Array
     error: Array
     by_step: Array
-    """(n, 2)"""
 
 
 @dataclass(frozen=True)
 class LeftOut:
-    """Of each load, (n,), as the other active loads have it: ln error and how many standard deviations it is away, nan where
-    there is no other; what the others' own fit costs without it."""
+    """Each load compared with a fit of the other active loads; nan if there is no other.
+
+    Attributes
+    ----------
+    error : ndarray (n,)
+        ln(predicted / weighed mass).
+    away : ndarray (n,)
+        Deviation from the prediction in standard deviations.
+    cost : ndarray (n,)
+        Cost of the fit of the others (`LoadProblem.cost`).
+    """
 
     error: Array
     away: Array
@@ -68,40 +86,39 @@ class LoadProblem:
         settings: LoadSettings,
         beside: tuple[str, ...] = (),
     ) -> None:
-        """beside: parameters that are neither moved here nor held."""
+        """beside: parameters that are neither fitted here nor held, because the caller fits them."""
         self.beside = beside
         self.model = following(model, start)
         self.loads, self.settings = tuple(loads), settings
         shared = any(load.common_kg > 0.0 for load in loads)
         self.given, self.start = (with_bias(given), with_new_bias(start)) if shared else (given, start)
         self.own = np.array([load.measured_sd(settings.load_error) for load in loads])
-        """(n,) relative standard deviation of each load's measured mass, where the parameters are right."""
+        """(n,) relative standard deviation of each measured mass, given the true parameters."""
         self.sd = np.hypot([load.relative_sd for load in loads], self.own)
         self.common = np.array([load.common_kg / load.weighed_kg for load in loads])
-        """(n,) the part of sd by another combine's monitor, the same error in all."""
+        """(n,) the part of `sd` that comes from another combine's monitor, whose error is common to all loads."""
         self.apart = np.where(self.common > 0.0, np.sqrt(np.maximum(self.sd**2 - self.common**2, 0.0)), self.sd)
-        """(n,) the other part."""
+        """(n,) the rest of `sd`, independent between loads."""
         self.duration, self.force, self.angle, self.speed = joined(loads)
         self.moist = np.zeros(len(loads)) if self.model.needs_moisture else _by_moisture(loads)
-        """(n,) ln error of each load's mass by grain wetter than the loads' mean, one standard deviation of an error of which the
-        model knows nothing: the same slope in all."""
+        """(n,) one standard deviation of the error that is proportional to the moisture's deviation from the loads' mean, where
+        the model does not contain moisture."""
         self.shared = np.column_stack((self.common, self.moist))
         known = all(load.moisture_pct is not None for load in loads)
         self.moisture = np.concatenate([np.asarray(load.moisture_pct) for load in loads]) if known else None
         self.of_load = np.repeat(np.arange(len(loads)), [load.force_n.size for load in loads])
         self.weighed = np.array([load.weighed_kg for load in loads])
         self.law = self._law()
-        """(n, n) covariance of the loads' ln errors by what the model's force leaves of the machine's, by another monitor and by
-        moisture."""
+        """(n, n) covariance of the loads' ln errors from the model's curve of force, another combine's monitor and moisture."""
         self.held, self.prior = self._coordinates()
         self._throw: Throw | None = None
-        """The last one."""
+        """The last throw, from which the next one is computed faster."""
         self._flows: Recent[tuple[Array, Array]] = Recent(_RECENT)
         self._fits: dict[tuple[bytes, int], LoadFit] = {}
-        """Fits from the start, by active loads and directions."""
+        """Fits that began at the start, by active loads and number of directions."""
 
     def _coordinates(self) -> tuple[tuple[str, ...], Array]:
-        """Names of what is held, and the covariance of (held..., ln density, ln gain)."""
+        """Names of the held parameters, and prior covariance of (held..., ln density, ln gain)."""
         known = self.start
         gain = gain_names(known)
         moving = (DENSITY, *gain, *self.beside)
@@ -117,27 +134,37 @@ class LoadProblem:
         return np.asarray(self.settings.law_error**2 * np.exp(-0.5 * apart**2) + self.shared @ self.shared.T)
 
     def flow(self, known: ParameterSet) -> tuple[Array, Array]:
-        """Mass flow of every window with these parameters, nan above a full paddle, and d(force)/d(flow) there."""
+        """Mass flow of every window with these parameters (nan above a full paddle), and d(force)/d(flow) there."""
         return self._flows.of(tuple(known.values.items()), lambda: self._inverted(known))
 
     def _inverted(self, known: ParameterSet) -> tuple[Array, Array]:
         if known is self.start:
-            # A set in use: the seconds have asked for its load curve.
+            # The set is in use, so its load curve is already cached.
             return inverted(self.model, known.values, self.force, self.angle, self.speed, self.moisture)
         moisture = None if self.moisture is None else self.moisture[:, None]
         self._throw = self.model.throw(self.angle[:, None], self.speed[:, None], known.values, moisture, like=self._throw)
         return invert_force(self._throw, self.force)
 
     def total(self, flow: Array) -> Array:
-        """(n,) kg of each load."""
+        """Mass of each load from a flow of each window, kg, (n,)."""
         return np.asarray(np.bincount(self.of_load, self.duration * flow, minlength=len(self.loads)), dtype=float)
 
     def mass(self, known: ParameterSet) -> Array:
-        """Mass of each load by these parameters, kg, (n,)."""
+        """Mass of each load measured with these parameters, kg, (n,)."""
         return self.total(self.flow(known)[0])
 
     def slopes(self, values: Sequence[Mapping[str, float]], flow: Array, by_flow: Array, steps: Sequence[float]) -> Array:
-        """(n, k) change of ln mass by what turns the parameters into each of these values, over its step; flow: given before."""
+        """Difference quotients of ln mass, (n, k).
+
+        Parameters
+        ----------
+        values : sequence of mapping (k,)
+            Changed parameter values, each with all parameters.
+        flow, by_flow : ndarray
+            Results of `flow` with the unchanged parameters.
+        steps : sequence of float (k,)
+            Size of each change.
+        """
         at = Conditions(self.angle, self.speed, mass_flow_kg_s=flow, moisture_pct=self.moisture)
         alike = len({tuple(item) for item in values}) == 1
         forces = (
@@ -149,7 +176,7 @@ class LoadProblem:
         return np.stack([self.total(shift) / self.total(flow) / step for shift, step in zip(shifts, steps, strict=True)], axis=1)
 
     def held_slopes(self, centre: ParameterSet) -> Array:
-        """(n, held): change of ln mass with each held parameter."""
+        """Derivatives of ln mass with respect to each held parameter, (n, held)."""
         flow, by_flow = self.flow(centre)
         if not self.held:
             return np.zeros((len(self.loads), 0))
@@ -158,15 +185,29 @@ class LoadProblem:
         return np.asarray(np.nan_to_num(self.slopes(each, flow, by_flow, steps)))
 
     def ticket_slopes(self) -> Array:
-        """(n, held): change of ln mass over the weighed one with each held parameter by what that makes of the weighed mass."""
+        """Derivatives of ln(measured / weighed mass) with respect to the held parameters through the weighed mass, (n, held)."""
         return np.outer(-self.common, [float(name == BIAS) for name in self.held])
 
     def informed(self, columns: Array, weight: Array) -> Array:
-        """Columns (n, k) times the inverse covariance of the loads' own errors, each load counted by a weight (n,)."""
+        """Inverse covariance of the loads' own errors times columns (n, k), each load with a weight (n,)."""
         return by_inverse(weight / self.apart**2, self.shared, columns)
 
     def fit(self, active: NDArray[np.bool_], directions: int, near: LoadFit | None = None) -> LoadFit:
-        """Most likely step from the active loads, along the best determined `directions` (0, 1 or 2). near: where to begin."""
+        """Most likely step, given the active loads.
+
+        Parameters
+        ----------
+        active : ndarray of bool (n,)
+        directions : int
+            0, 1 or 2: the step lies along so many directions, the best determined ones.
+        near : LoadFit, optional
+            First step of the search.
+
+        Raises
+        ------
+        ValueError
+            If a load's force exceeds that of a full paddle.
+        """
         if near is not None:
             return self._fit(active, directions, near)
         key = active.tobytes(), directions
@@ -205,11 +246,11 @@ class LoadProblem:
 
     @property
     def _far(self) -> Array:
-        """(n,) ln error beyond which a load loses weight."""
+        """ln error beyond which a load loses weight, (n,)."""
         return np.asarray(self.settings.huber_sds * np.hypot(self.sd, self.moist))
 
     def _slopes(self, step: Array) -> tuple[Array, Array]:
-        """(n,) ln of measured over weighed mass, nan where a paddle would be more than full, and (n, 2) by the step."""
+        """ln(measured / weighed mass), (n,), nan above a full paddle; and its derivatives with respect to the step, (n, 2)."""
         flow, by_flow = self.flow(moved(self.start, float(step[0]), float(step[1])))
         with np.errstate(divide="ignore", invalid="ignore"):
             error = np.log(self.total(flow) / self.weighed)
@@ -218,19 +259,19 @@ class LoadProblem:
         return error, slopes
 
     def basis(self, slope: Array, weight: Array) -> Array:
-        """(2, 2): directions of unit prior standard deviation, the one that the loads determine best first."""
+        """Directions with a prior standard deviation of 1 in columns, (2, 2), the one that the loads determine best first."""
         root = np.linalg.cholesky(self.prior[-2:, -2:])
         _, vectors = np.linalg.eigh(root.T @ slope.T @ self.informed(slope, weight) @ root)
         return np.asarray(root @ vectors[:, ::-1])
 
     def information(self, fit: LoadFit, active: NDArray[np.bool_]) -> Array:
-        """(2,) of the loads over what was known, along the directions of `basis`."""
+        """Information of the loads relative to the prior's, along the directions of `basis`, (2,)."""
         basis = self.basis(fit.by_step, active.astype(float))
         h = fit.by_step @ basis
         return np.asarray(np.sum(h * self.informed(h, active.astype(float)), axis=0))
 
     def cost(self, fit: LoadFit, active: NDArray[np.bool_]) -> float:
-        """Half the sum of squares of the active loads (by Huber's loss) and of the prior."""
+        """Half the sum of the active loads' losses (Huber) and the prior's square."""
         limit = self.settings.huber_sds
         far = np.abs(fit.error[active]) / self._far[active] * limit
         loss = np.where(far > limit, 2.0 * limit * far - limit**2, far**2)
@@ -238,7 +279,7 @@ class LoadProblem:
         return 0.5 * float(loss.sum() + away @ away)
 
     def left_out(self, active: NDArray[np.bool_], directions: int) -> LeftOut:
-        """Each load as the other active ones have it."""
+        """Each load compared with a fit of the other active loads along so many directions."""
         count = len(self.loads)
         errors, away, costs = (np.full(count, np.nan) for _ in range(3))
         near = self.fit(active, directions)
@@ -253,14 +294,14 @@ class LoadProblem:
         return LeftOut(errors, away, costs)
 
     def last_against_others(self) -> float | None:
-        """See `contradicted`."""
+        """Relative error of the last load as `wrong_tickets.contradicted` returns it; None if scatter explains it."""
         others = np.arange(len(self.loads)) < len(self.loads) - 1
         fit = self.fit(others, min(2, int(others.sum())))
         away = self._away(fit, others, len(self.loads) - 1)
         return float(np.expm1(-fit.error[-1])) if away >= self.settings.outlier_sds else None
 
     def _away(self, fit: LoadFit, others: NDArray[np.bool_], k: int) -> float:
-        """Deviation of load k from its prediction by the others, in standard deviations that include the law's error."""
+        """Deviation of load k from its prediction by the others, in standard deviations that include `law`."""
         error = fit.error - fit.by_step @ fit.step
         h = fit.by_step @ np.linalg.cholesky(self.prior[-2:, -2:])
         limit = self.settings.huber_sds * np.hypot(self.sd, self.settings.law_error)
@@ -271,26 +312,26 @@ class LoadProblem:
         return float(abs(error[k] - between @ error[others]) / np.sqrt(variance))
 
     def contradicts(self, fit: LoadFit, active: NDArray[np.bool_], directions: int) -> bool:
-        """Whether the active loads contradict a fit along so many directions."""
-        from scipy.special import chdtrc  # a quarter of a second that commands without loads do without
+        """Whether the active loads contradict a fit along so many directions, by a chi-square test."""
+        from scipy.special import chdtrc  # slow to import: not needed by commands without loads
 
         misfit = float(fit.error @ self.informed(fit.error[:, None], active.astype(float))[:, 0])
         return bool(chdtrc(max(float(active.sum()) - directions, 1.0), misfit) < _SIGNIFICANT)
 
     def spread(self, known: ParameterSet, active: NDArray[np.bool_]) -> tuple[float, float]:
-        """Relative standard deviations of a further load and of these loads' common level, from a set's own covariance."""
+        """Relative standard deviation of a further load, and of the active loads' mean, from a set's own covariance."""
         rows = self._own_slopes(known)[active]
         spread = np.einsum("ki,ij,kj->k", rows, known.covariance, rows)
         mean = rows.mean(axis=0)
         return float(np.sqrt(spread.mean() + np.mean(self.own[active] ** 2))), float(np.sqrt(mean @ known.covariance @ mean))
 
     def spreads(self, known: ParameterSet) -> Array:
-        """(n,) the first of `spread`, of each load."""
+        """Relative standard deviation of each measured mass from a set's own covariance, (n,)."""
         rows = self._own_slopes(known)
         return np.asarray(np.sqrt(np.einsum("ki,ij,kj->k", rows, known.covariance, rows) + self.own**2))
 
     def _own_slopes(self, known: ParameterSet) -> Array:
-        """(n, k): change of ln mass with each parameter of a set's covariance; 0 where a load has no flow."""
+        """Derivatives of ln mass with respect to each parameter of a set's covariance, (n, k); 0 if a load has no flow."""
         flow, by_flow = self.flow(known)
         steps = [1e-2 * known.standard_deviation(name) for name in known.covariance_names]
         each = [shifted(known.values, name, step) for name, step in zip(known.covariance_names, steps, strict=True)]
@@ -298,7 +339,8 @@ class LoadProblem:
 
 
 def by_inverse(information: Array, shared: Array, columns: Array) -> Array:
-    """Columns (n, k) times the inverse of diag(1 / information) + shared shared.T, shared (n, m); no information: 0."""
+    """Inverse of (diag(1 / information) + shared @ shared.T) times columns (n, k); shared: (n, m). Rows of no information are
+    0."""
     weighted = columns * information[:, None]
     shared = shared[:, np.any(shared, axis=0)]
     if not shared.shape[1]:
@@ -309,7 +351,7 @@ def by_inverse(information: Array, shared: Array, columns: Array) -> Array:
 
 
 def _by_moisture(loads: Sequence[WeighedLoad]) -> Array:
-    """See `LoadProblem.moist`; 0 for all where the moisture of one is not known."""
+    """See `LoadProblem.moist`; 0 for all loads if the moisture of one is not known."""
     found = [load.mean_moisture_pct for load in loads]
     if not np.all(np.isfinite(found)):
         return np.zeros(len(loads))
@@ -317,5 +359,5 @@ def _by_moisture(loads: Sequence[WeighedLoad]) -> Array:
 
 
 def _in_rows(values: Sequence[Mapping[str, float]]) -> dict[str, Array]:
-    """Of the same names, (k, 1) each: to be evaluated together."""
+    """Each value as an array (k, 1), so that k parameter sets are evaluated in one call."""
     return {name: np.array([[item[name]] for item in values]) for name in values[0]}

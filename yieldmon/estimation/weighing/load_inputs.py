@@ -1,4 +1,4 @@
-"""Data of a calibration by loads: weighed masses with their windows, and what is assumed before them."""
+"""Input of a calibration by loads: weighed masses with their windows, and the prior assumptions."""
 
 from __future__ import annotations
 
@@ -12,19 +12,33 @@ from yieldmon.estimation.self_calibration.closed_loop_inputs import WEIGHED_COLU
 from yieldmon.physics.numerics import Array
 
 _GROUPS = 12
-"""Of windows of like force, into which those of one angle and speed are condensed at most."""
+"""Largest number of groups of similar force into which the windows of one angle and speed are condensed."""
 
 
 @dataclass(frozen=True, slots=True)
 class LoadSettings:
-    """What is assumed before the loads.
+    """Prior assumptions of a calibration by loads.
 
-    load_error: relative standard deviation of a load's measured mass beside the scale's and the windows' scatter: what the
-    zero's wandering and the model leave (measured: studies/setup). density_sd, gain_sd: relative, of a machine that was never
-    calibrated. least_information: of the loads on a direction, over what was known; below it, it is held.
-    outlier_sds: departure from the other loads that is no scatter. huber_sds: departure from which a load loses weight.
-    law_error, law_reach: what the model's force leaves of a machine's once density and gain are fitted, relative, and over which
-    change of ln flow that changes: neither a wrong ticket nor scatter. Of the published discrete-element table it is 3 %.
+    Attributes
+    ----------
+    load_error : float
+        Relative standard deviation of a load's measured mass by the zero's drift and the model, without the scale's error and the
+        windows' scatter (measured in studies/setup).
+    density_sd, gain_sd : float
+        Relative standard deviations of a machine that was never calibrated.
+    least_information : float
+        Least ratio of the loads' information on a direction to the prior's; with less, the direction is held.
+    outlier_sds : float
+        Deviation from the other loads, in standard deviations, from which a load is an outlier.
+    outlier_least : int
+        Least number of loads for which it can be decided which one is wrong.
+    huber_sds : float
+        Deviation, in standard deviations, from which a load loses weight.
+    law_error : float
+        Relative error of the model's force that remains once density and gain are fitted; 3 % for the published discrete-element
+        table.
+    law_reach : float
+        Correlation length of that error in ln flow.
     """
 
     load_error: float = 0.002
@@ -33,7 +47,6 @@ class LoadSettings:
     least_information: float = 1.0
     outlier_sds: float = 4.0
     outlier_least: int = 4
-    """Loads below which it is not known which one is wrong."""
     huber_sds: float = 1.5
     law_error: float = 0.03
     law_reach: float = 0.5
@@ -41,11 +54,28 @@ class LoadSettings:
 
 @dataclass(frozen=True)
 class WeighedLoad:
-    """A weighed mass and the windows in which it was harvested, all arrays (n,).
+    """A weighed mass and the windows in which it was harvested.
 
-    duration_s: time that each window stands for. noise_sd: relative standard deviation of the measured mass by the windows'
-    scatter, which averages out over a long load; 0 where it is not known. common_kg: the part of std_dev_kg by another combine's
-    monitor, the same error in all loads that have one. Raises ValueError for shapes that differ or values that are not finite.
+    Attributes
+    ----------
+    name : str
+    weighed_kg, std_dev_kg : float
+        Weighed mass and its standard deviation, kg.
+    duration_s : ndarray (n,)
+        Time that each window counts for, s.
+    force_n, plate_angle_rad, elevator_speed_rad_s : ndarray (n,)
+        N, rad, rad/s.
+    moisture_pct : ndarray (n,), optional
+    noise_sd : float
+        Relative standard deviation of the measured mass by the windows' scatter, which averages out over a long load; 0 if it is
+        not known.
+    common_kg : float
+        The part of `std_dev_kg` that comes from another combine's monitor, kg. Its error is the same in all loads.
+
+    Raises
+    ------
+    ValueError
+        For shapes that differ, or values that are not finite or out of range.
     """
 
     name: str
@@ -73,12 +103,12 @@ class WeighedLoad:
 
     @property
     def relative_sd(self) -> float:
-        """Of the weighed mass."""
+        """Relative standard deviation of the weighed mass."""
         return self.std_dev_kg / self.weighed_kg
 
     @property
     def mean_moisture_pct(self) -> float:
-        """Of its grain, weighed by the force; nan where it is not known."""
+        """Mean moisture of the grain, weighted by force and time; nan if it is not known."""
         if self.moisture_pct is None:
             return float("nan")
         known = np.isfinite(self.moisture_pct)
@@ -88,12 +118,12 @@ class WeighedLoad:
         return float(np.average(np.where(known, self.moisture_pct, 0.0), weights=weight))
 
     def measured_sd(self, load_error: float) -> float:
-        """Relative standard deviation of the measured mass, where the parameters are right."""
+        """Relative standard deviation of the measured mass, given the true parameters."""
         return float(np.hypot(load_error, self.noise_sd))
 
     @cached_property
     def condensed(self) -> WeighedLoad:
-        """Windows of like force, at like angle and speed, replaced by their mean: at most `_GROUPS` for each angle and speed."""
+        """The load with windows of similar force replaced by their mean: at most `_GROUPS` for each angle and speed."""
         key = np.stack((np.round(self.plate_angle_rad / np.radians(2.0)), np.round(np.log(self.elevator_speed_rad_s) / 0.03)))
         _, place = np.unique(key, axis=1, return_inverse=True)
         parts: list[NDArray[np.intp]] = []

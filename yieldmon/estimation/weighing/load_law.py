@@ -1,11 +1,14 @@
-"""Density, impact gain and the curve of the force over the load from weighed loads, averaged over how far a machine may be from
-the model and how much its loads may scatter.
+"""Density, impact gain and the curve of force over load from weighed loads, by Bayesian model averaging.
 
-The model's curve of force over flow is that of one geometry. Another sensor's is met by the weights of the effect
-`load_pattern`, whose prior is none (the model's own curve), one about the force that goes with a power of the flow near 1, as a
-plate gives it that takes the momentum of all grain, or one of two sizes about the model's curve; beside the stated scatter of
-scale and windows loads may scatter by more, such as where the machine drifts between them; and tickets may be wrong
-(`ticket_slips`). Each combination counts by its evidence.
+The average is over three unknowns:
+
+- The curve of force over flow. The model's curve is that of one geometry; other sensors are described by the weights of the
+  effect `load_pattern`. Their prior is zero (the model's own curve), near proportionality (a plate that takes the momentum of all
+  grain), or of one of two sizes about the model's curve (`force_curves`).
+- Scatter of the loads beyond that of scale and windows, for example because the machine drifts between them.
+- Wrong tickets (`ticket_slips`).
+
+Each combination is weighted by its posterior probability.
 
 Sources: Hoeting, Madigan, Raftery and Volinsky, "Bayesian model averaging: a tutorial", Statistical Science 14 (1999); Kennedy
 and O'Hagan, J. R. Stat. Soc. B 63 (2001), for the model's error as a quantity with a prior.
@@ -31,11 +34,11 @@ from .load_fit import LoadProblem
 from .ticket_slips import Slip, slips
 
 _SCATTERS = ((0.0, 0.9), (0.01, 0.08), (0.03, 0.02))
-"""Of a load's mass beside what is stated, relative, and how likely each is."""
+"""(relative scatter of a load's mass beyond the stated one, prior probability)."""
 _REST = 0.004
-"""Of a load's mass, relative, where the curve is another: what the pattern's weights leave."""
+"""Relative error of a load's mass that the pattern's weights leave if the curve is not the model's."""
 _ALL_OFF = 2.0
-"""Weighed over measured mass of every load beyond which they are off by a factor, and not by a tare."""
+"""Ratio of weighed to measured mass; if all loads exceed it, the error is a common factor and not a tare."""
 _ITERATIONS = 25
 _SETTLED = 1e-4
 _MOST_STEP = 1.0
@@ -45,32 +48,47 @@ _RECENT = 64
 
 
 class LawProblem(LoadProblem):
-    """Weighed loads in the model with `load_pattern`, whose weights `step` moves after ln density and ln gain."""
+    """Weighed loads in the model with `load_pattern`. A step is (ln density, ln gain, weights of the pattern)."""
 
     @cached_property
     def curves(self) -> tuple[ForceCurve, ...]:
-        """What the curve of the force may be, before any load."""
+        """Priors of the curve of force over load."""
         return curves(self)
 
     @cached_property
     def at_step(self) -> Recent[tuple[Array, Array]]:
-        """ln of measured over weighed mass and its slopes, by a step's bytes."""
+        """Cache of ln(measured / weighed mass) and its slopes, by the step's bytes."""
         return Recent(_RECENT)
 
 
 @dataclass(frozen=True)
 class LawAverage:
-    """What the loads say, in the model that follows `load_pattern`.
+    """Posterior of the loads, averaged over curves, scatters and wrong tickets.
 
-    step: (5,) ln density, ln gain and the pattern's weights relative to the start. covariance: of (held..., step).
-    error, by_step, by_held: (n,) ln of measured over weighed mass there, and its slopes.
-    law: probability that the force follows another curve than the model's.
-    scatter: relative standard deviation of loads beside what is stated, rms over what it may be.
-    scatters: probability that loads scatter by more than is stated.
-    strain: standard deviations of the widest prior to the step.
-    All of them count wrong tickets by their probability.
-    wrong: probability that a ticket is wrong. slips: of the active loads, each with its probability.
-    along: of each of these, the expected place on its common direction, in its standard deviations.
+    Attributes
+    ----------
+    step : ndarray (5,)
+        ln density, ln gain and the pattern's weights relative to the start.
+    covariance : ndarray (h + 5, h + 5)
+        Of the held parameters and `step`.
+    error : ndarray (n,)
+        ln(measured / weighed mass) at `step`.
+    by_step, by_held : ndarray (n, 5), (n, h)
+        Derivatives of `error` with respect to the step and the held parameters.
+    law : float
+        Probability that the force does not follow the model's curve.
+    scatter : float
+        Relative standard deviation of the loads beyond the stated one, rms over the combinations.
+    scatters : float
+        Probability that the loads scatter by more than stated.
+    strain : float
+        Distance of `step` from the start in standard deviations of the widest prior.
+    wrong : float
+        Probability that a ticket is wrong.
+    slips : tuple of (Slip, float)
+        Possible slips of the active loads, each with its probability.
+    along : tuple of float
+        Expected size of the common error of each slip (`Slip.along`), in its standard deviations.
     """
 
     step: Array
@@ -89,8 +107,20 @@ class LawAverage:
 
 @dataclass(frozen=True)
 class _Tickets:
-    """How the tickets of n loads may be wrong: (s,) slips, none first, and their `ln_priors`; their (s, n) shifts; the (g, n, n)
-    covariances that they share, and which is whose, (s,)."""
+    """Hypotheses about the tickets of n loads.
+
+    Attributes
+    ----------
+    slips : tuple of Slip (s,)
+        The first one is that all tickets are right.
+    ln_priors : ndarray (s,)
+    shifts : ndarray (s, n)
+        `Slip.shift` of each.
+    covariances : ndarray (g, n, n)
+        The distinct covariances among the slips.
+    of_covariance : ndarray of int (s,)
+        Index of each slip's covariance.
+    """
 
     slips: tuple[Slip, ...]
     ln_priors: Array
@@ -101,9 +131,21 @@ class _Tickets:
 
 @dataclass(frozen=True)
 class _Mixture:
-    """Over all combinations, in the model that is linear about a step; gain: (5, n) change of the mean step by ln weighed over
-    measured mass of each load; of_slip: (h,) probabilities, no wrong ticket first; along: (h,) expected place on a slip's common
-    direction, in its standard deviations."""
+    """Posterior over all combinations, in the model linearised about a step.
+
+    Attributes
+    ----------
+    step, covariance : ndarray (5,), (5, 5)
+        Mean and covariance of the step.
+    gain : ndarray (5, n)
+        Derivative of the mean step with respect to ln(weighed / measured mass) of each load.
+    law, scatter, scatters : float
+        As in `LawAverage`.
+    of_slip : ndarray (s,)
+        Probability of each slip of `_Tickets`.
+    along : ndarray (s,)
+        Expected size of each slip's common error, in its standard deviations.
+    """
 
     step: Array
     covariance: Array
@@ -116,7 +158,7 @@ class _Mixture:
 
 
 def placed(start: ParameterSet, step: Array) -> ParameterSet:
-    """The set with density, gain and the pattern's weights moved."""
+    """The set with density, gain and the pattern's weights changed by a step, (5,)."""
     there = moved(start, float(step[0]), float(step[1]))
     return replace(
         there, values=dict(there.values) | {n: start.values[n] + float(s) for n, s in zip(NAMES, step[2:], strict=True)}
@@ -124,15 +166,21 @@ def placed(start: ParameterSet, step: Array) -> ParameterSet:
 
 
 def average(problem: LawProblem, active: NDArray[np.bool_], near: Array | None = None) -> LawAverage | None:
-    """What the active loads say; None where no flow explains their forces.
+    """Average over curves, scatters and wrong tickets, given the active loads.
 
     Parameters
     ----------
     problem : LawProblem
         See `law_problem`.
-    active : ndarray (n,)
+    active : ndarray of bool (n,)
+        Loads to use.
     near : ndarray (5,), optional
-        Where to begin.
+        First step of the search.
+
+    Returns
+    -------
+    LawAverage or None
+        None if no flow explains the forces.
     """
     step = _begin(problem) if near is None else near
     if step is None:
@@ -182,7 +230,7 @@ def average(problem: LawProblem, active: NDArray[np.bool_], near: Array | None =
 
 
 def _begin(problem: LawProblem) -> Array | None:
-    """A step at which every force has a flow."""
+    """A step at which every force has a flow; None if none is found."""
     for k in range(_GAIN_STEPS):
         step = np.zeros(2 + len(NAMES))
         step[1] = _GAIN_STEP * k
@@ -208,7 +256,7 @@ def _slopes_at(problem: LawProblem, step: Array) -> tuple[Array, Array]:
 def _tickets(wrong: Sequence[Slip], count: int) -> _Tickets:
     right = Slip((), np.zeros(count), np.zeros(count), 1.0 - sum(slip.prior for slip in wrong), "")
     every = (right, *wrong)
-    # Most slips share the covariance of right tickets: each is made, and compared with the others, once.
+    # Most slips have the covariance of right tickets, so each distinct one is built and compared only once.
     keys = [(slip.variance.tobytes(), slip.along.tobytes()) for slip in every]
     first = dict(zip(reversed(keys), reversed(every), strict=True))
     place = {key: index for index, key in enumerate(first)}
@@ -227,7 +275,7 @@ def _mixture(
     slope: Array,
     tickets: _Tickets,
 ) -> _Mixture:
-    """Mean and covariance of the step over all combinations in the model that is linear about `step`."""
+    """Posterior over all combinations in the model linearised about `step`."""
     h, target = slope[active], slope[active] @ step - error[active]
     shifted = target - tickets.shifts
     noise = np.diag(problem.apart[active] ** 2) + problem.shared[active] @ problem.shared[active].T
@@ -256,19 +304,38 @@ def _mixture(
 
 
 def _whole_scatter(curve: ForceCurve, scatter: float) -> float:
-    """Of a load's mass beside what is stated, with what the pattern's weights leave of another curve."""
+    """Relative scatter of a load's mass beyond the stated one, including what the pattern's weights leave of another curve."""
     return float(np.hypot(scatter, _REST if curve.another else 0.0))
 
 
 def _under(
     curve: ForceCurve, h: Array, shifted: Array, own: Array, tickets: _Tickets
 ) -> tuple[Array, Array, Array, Array, Array]:
-    """With one curve, for each of c scatters and s slips: (c, s) ln of prior times likelihood, (c, s, 5) mean of the step, its
-    covariance (c, g, 5, 5) and its gain (c, g, 5, n) by the tickets' covariances, and (c, s) expected place on a slip's common
-    direction.
+    """Posterior of the step for one curve, each of c scatters and each of s slips, in the model shifted = h @ step + error.
 
-    h (n, 5), shifted (s, n): ln of weighed over measured mass is `shifted` = h @ step beside the loads' own errors, of covariance
-    own (n, n).
+    Parameters
+    ----------
+    curve : ForceCurve
+    h : ndarray (n, 5)
+        Derivatives of ln(measured / weighed mass) with respect to the step.
+    shifted : ndarray (s, n)
+        ln(weighed / measured mass) at the start, corrected by each slip.
+    own : ndarray (n, n)
+        Covariance of the loads' errors.
+    tickets : _Tickets
+
+    Returns
+    -------
+    ndarray (c, s)
+        ln of prior times likelihood.
+    ndarray (c, s, 5)
+        Mean of the step.
+    ndarray (c, g, 5, 5)
+        Its covariance, by the tickets' covariance.
+    ndarray (c, g, 5, n)
+        Its derivative with respect to `shifted`, by the tickets' covariance.
+    ndarray (c, s)
+        Expected size of the slip's common error, in its standard deviations.
     """
     scatters = [_whole_scatter(curve, scatter) for scatter, _ in _SCATTERS]
     priors = np.array([np.log(curve.likely * probable) for _, probable in _SCATTERS])
@@ -291,8 +358,10 @@ def _under(
 
 
 def _with_held(problem: LoadProblem, active: NDArray[np.bool_], held: Array, found: _Mixture) -> Array:
-    """Covariance of (held..., step): the held ones shift the step by what the loads make of them (Schmidt), in each combination
-    by its own gain. The step's holds what another combine's monitor makes of it."""
+    """Covariance of (held..., step): errors of the held parameters change the step by the gain of each combination (Schmidt).
+
+    found.covariance already contains the error of another combine's monitor.
+    """
     count = held.shape[1]
     out = np.zeros((count + found.step.size,) * 2)
     known = problem.prior[:count, :count]
@@ -305,14 +374,21 @@ def _with_held(problem: LoadProblem, active: NDArray[np.bool_], held: Array, fou
 
 
 def law_problem(problem: LoadProblem) -> LawProblem:
-    """The same loads in the model with `load_pattern`."""
+    """The same loads in the model with the effect `load_pattern`."""
     start = with_weights(problem.start)
     return LawProblem(problem.model, with_weights(problem.given), start, problem.loads, problem.settings, beside=NAMES)
 
 
 def left_out(law: LawProblem, active: NDArray[np.bool_], near: Array) -> tuple[Array, Array]:
-    """(n,) ln error of each load as the other active ones have it, and how many standard deviations of that it is; nan where
-    there is no other."""
+    """Each load predicted from the other active loads.
+
+    Returns
+    -------
+    ndarray (n,)
+        ln error; nan if there is no other active load.
+    ndarray (n,)
+        Its absolute value in standard deviations of the prediction.
+    """
     errors, away = np.full((2, len(law.loads)), np.nan)
     for k in range(len(law.loads)):
         others = active & (np.arange(len(law.loads)) != k)
@@ -324,8 +400,17 @@ def left_out(law: LawProblem, active: NDArray[np.bool_], near: Array) -> tuple[A
 
 @dataclass(frozen=True)
 class Against:
-    """A load predicted by the others: ln error, its standard deviation, and their ratio; 0 where the others do not determine
-    it."""
+    """A load compared with its prediction from the others.
+
+    Attributes
+    ----------
+    error : float
+        ln(predicted / weighed mass); nan if the others do not determine it.
+    std_dev : float
+        Standard deviation of `error`.
+    away : float
+        abs(error) / std_dev; 0 if the others do not determine it.
+    """
 
     error: float
     std_dev: float
@@ -333,7 +418,7 @@ class Against:
 
 
 def against_others(law: LawProblem, others: NDArray[np.bool_], k: int, near: Array | None = None) -> Against:
-    """Load k as the others have it."""
+    """Load k compared with its prediction from other loads."""
     found = average(law, others, near)
     if found is None:
         return Against(float("nan"), 1.0, 0.0)
@@ -343,9 +428,9 @@ def against_others(law: LawProblem, others: NDArray[np.bool_], k: int, near: Arr
 
 
 def inliers(problem: LoadProblem, law: LawProblem) -> NDArray[np.bool_]:
-    """Loads that the others do not contradict, by whatever curve; at least three, and more than half of them, are left.
+    """Loads that the others do not contradict, whatever the curve. At least three loads, and more than half, are kept.
 
-    The one to go is that without which the others agree best.
+    Of several outliers the one is left out first without which the others agree best.
     """
     settings = problem.settings
     active = np.ones(len(problem.loads), dtype=bool)
@@ -362,7 +447,7 @@ def inliers(problem: LoadProblem, law: LawProblem) -> NDArray[np.bool_]:
         except ValueError:  # The model's own curve has no flow for a force.
             pass
         said = {k: against_others(law, active & (np.arange(active.size) != k), k) for k in suspects}
-        # The least likely by the others, not the furthest: its prediction by them may be uncertain.
+        # The one least likely given the others, and not the farthest one, whose prediction may be uncertain.
         worst = max(said, key=lambda k: 0.5 * said[k].away ** 2 + np.log(said[k].std_dev))
         if said[worst].away < settings.outlier_sds:
             break
@@ -371,15 +456,19 @@ def inliers(problem: LoadProblem, law: LawProblem) -> NDArray[np.bool_]:
 
 
 def carrying(known: ParameterSet, law: LawProblem, covariance: Array) -> ParameterSet:
-    """The set of density and gain with the pattern's weights in its covariance.
+    """Extend the covariance of a set by the pattern's weights.
 
     Parameters
     ----------
     known : ParameterSet
-        Its values are those to keep, its covariance that of what is held, density and gain.
+        Values, and covariance of held parameters, density and gain.
     law : LoadProblem
     covariance : ndarray
-        Of (held..., ln density, ln gain, weights).
+        Covariance of (held..., ln density, ln gain, weights).
+
+    Returns
+    -------
+    ParameterSet
     """
     count = len(law.held)
     names = known.covariance_names

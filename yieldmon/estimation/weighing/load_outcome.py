@@ -1,4 +1,4 @@
-"""The result of a calibration by loads, and sentences for the user."""
+"""The result of a calibration by loads, and the sentences that describe it to the user."""
 
 from __future__ import annotations
 
@@ -10,22 +10,32 @@ from yieldmon.estimation.parameters import ParameterSet
 from .ticket_slips import SlipKind, title
 
 _A_LOT = 0.5
-"""Change of ln scale that is pointed out: another unit's is 0.8 or more, and a machine before its first load is good to 0.3."""
+"""Change of ln scale from which the user is asked about units: a wrong unit changes it by 0.8 or more, and the error of a machine
+before its first load is within 0.3."""
 _ENOUGH_LOADS = 3
-"""That can be checked against each other at different flows."""
+"""Least number of loads that can be checked against each other at different flows."""
 LIKELY_ANOTHER = 0.8
-"""Probability of another curve from which it is said to be one."""
+"""Probability of another curve from which it is stated as a fact."""
 _LIKELY_WRONG = 0.25
-"""Probability of a wrong ticket from which it is said to be one."""
+"""Probability of a wrong ticket from which it is stated as a fact."""
 _SCATTERS, _LIKELY_SCATTERS = 0.01, 0.5
-"""Relative standard deviation of loads beside what is stated that is pointed out, and how likely they have to scatter by more."""
+"""Least relative standard deviation beyond the stated one that is reported, and least probability that there is any."""
 
 
 @dataclass(frozen=True, slots=True)
 class LoadResult:
-    """One load, kg. left_out_error: relative error of the mass as the other loads alone would have it, nan for the only load.
+    """One load.
 
-    outlier: the other loads contradict it, and it changed nothing.
+    Attributes
+    ----------
+    name : str
+    weighed_kg : float
+    before_kg, after_kg : float
+        Measured mass with the parameters before and after the calibration, kg.
+    left_out_error : float
+        Relative error of the mass measured with parameters fitted to the other loads only; nan for a single load.
+    outlier : bool
+        Whether the other loads contradict it; such a load is not used.
     """
 
     name: str
@@ -38,8 +48,15 @@ class LoadResult:
 
 @dataclass(frozen=True, slots=True)
 class Contradiction:
-    """Loads that the model does not explain within their deviations: rms relative error, each left out in turn, by the model and
-    by a curve in its place (nan where there is none)."""
+    """Leave-one-out errors where the model does not explain the loads within their standard deviations.
+
+    Attributes
+    ----------
+    model_rms : float
+        Relative rms error by the model.
+    curve_rms : float
+        The same by an alpha-beta curve; nan if none can be fitted.
+    """
 
     model_rms: float
     curve_rms: float
@@ -47,8 +64,17 @@ class Contradiction:
 
 @dataclass(frozen=True, slots=True)
 class AnotherLaw:
-    """The force may follow another curve over the flow than the model's: how likely that is by the loads; the relative standard
-    deviation of loads beside what is stated, and how likely they scatter by more at all."""
+    """Evidence that the force does not follow the model's curve over the flow.
+
+    Attributes
+    ----------
+    probability : float
+        Probability of another curve.
+    scatter : float
+        Relative standard deviation of the loads beyond the stated one.
+    scatters : float
+        Probability that the loads scatter by more than stated.
+    """
 
     probability: float
     scatter: float
@@ -59,9 +85,17 @@ class AnotherLaw:
 class WrongTicket:
     """A ticket that contradicts the others, two that are exchanged, or a tare in all of them.
 
-    probability: that a ticket is wrong; None where the force changes between two loads as on no plate. loads: names of those it
-    may be of, the likeliest first; both of two exchanged ones, all with a tare. ratio, apart_kg: of the first's ticket to what
-    the other loads make of it; with a tare 1 and the tare. what: the known slip that explains it, "" for none.
+    Attributes
+    ----------
+    probability : float or None
+        Probability that a ticket is wrong; None if between two loads the force changes with the flow as on no real plate.
+    loads : tuple of str
+        Names of the loads whose ticket may be wrong, the likeliest first: both if two are exchanged, all if it is a tare.
+    kind : SlipKind
+    ratio, apart_kg : float
+        Ratio and difference of the first load's ticket to its mass predicted from the other loads; for a tare, 1 and the tare.
+    what : str
+        The known slip that explains it, "" if none does.
     """
 
     probability: float | None
@@ -76,9 +110,33 @@ class WrongTicket:
 class LoadCalibration:
     """The result of `calibrate_loads`.
 
-    parameter_set: to use from now on; the one given where refused. names: the parameters that moved. scale: measured mass after
-    over before, of all loads. next_load_sd: relative standard deviation of a further load like these. load_dependence: whether
-    the loads determine how the error changes with flow. held: parameters that stayed as they were.
+    Attributes
+    ----------
+    parameter_set : ParameterSet
+        To use from now on; the given one if refused.
+    names, held : tuple of str
+        Parameters that changed, and those that did not.
+    loads : tuple of LoadResult
+    scale, scale_sd : float
+        Measured mass of all loads after over before, and its relative standard deviation.
+    load_dependence : bool
+        Whether the loads determine how the error changes with the flow.
+    next_load_sd : float
+        Expected relative standard deviation of a further load like these.
+    rms_before, rms_left_out : float
+        rms of the loads' ln errors with the given parameters, and when each is left out of the new calibration.
+    refused : bool
+        Whether the given parameters stay in use.
+    sweeps_used : int
+    contradiction : Contradiction or None
+    another_law : AnotherLaw or None
+    wrong_ticket : WrongTicket or None
+    range_dropped : bool
+        Whether the loads contradict the given parameters, whose calibrated range is then dropped.
+    slips : tuple of (str, str)
+        Names of loads left out, and the known slip that explains the ticket of each.
+    sentences : tuple of str
+        For the user.
     """
 
     parameter_set: ParameterSet
@@ -97,9 +155,7 @@ class LoadCalibration:
     another_law: AnotherLaw | None = None
     wrong_ticket: WrongTicket | None = None
     range_dropped: bool = False
-    """Whether the loads contradict the parameters given, so that the calibrated range of these counts no more."""
     slips: tuple[tuple[str, str], ...] = ()
-    """Names of loads and the known slip that explains the ticket of each."""
     sentences: tuple[str, ...] = field(default=())
 
     @property
@@ -109,7 +165,7 @@ class LoadCalibration:
 
 
 def sentences(found: LoadCalibration, sweeps: int) -> list[str]:
-    """One for each thing to know. sweeps: those that were offered."""
+    """Sentences for the user. sweeps: number of sweeps that were given to the calibration."""
     out = [
         f"{title(load.name)} contradicts the others by {100.0 / (1.0 + load.left_out_error) - 100.0:+.1f} % and counts for "
         f"nothing: {_cause(found, load.name)}"
@@ -132,7 +188,7 @@ def sentences(found: LoadCalibration, sweeps: int) -> list[str]:
 
 
 def _by_model(found: LoadCalibration, sweeps: int) -> list[str]:
-    """Where the force follows the model's curve over the flow."""
+    """Sentences if the force follows the model's curve over the flow."""
     out = []
     if found.load_dependence:
         out.append("they also determine how the error changes with the flow: density and impact gain moved apart.")
@@ -161,7 +217,7 @@ def _next_load(found: LoadCalibration) -> list[str]:
 
 
 def _cause(found: LoadCalibration, name: str) -> str:
-    """What may be wrong with a load that the others contradict."""
+    """Possible cause for a load that the others contradict."""
     what = dict(found.slips).get(name, "")
     if what:
         return f"it looks as if {what}; correct the ticket."
@@ -169,7 +225,7 @@ def _cause(found: LoadCalibration, name: str) -> str:
 
 
 def wrong_ticket_sentence(found: LoadCalibration) -> str:
-    """Which ticket is wrong, or may be; "" where none is likely to be."""
+    """Sentence on the ticket that is or may be wrong; "" if there is none."""
     wrong, count, refused = found.wrong_ticket, len(found.loads), found.refused
     if wrong is None:
         return ""
@@ -222,7 +278,7 @@ def _scale(found: LoadCalibration) -> str:
 
 
 def curve_sentence(found: LoadCalibration) -> str:
-    """How likely the force follows another curve than the model's; "" where the model's own is used."""
+    """Sentence on the probability of another curve than the model's; "" if the model's own is used."""
     if found.another_law is None or found.refused:
         return ""
     known = found.parameter_set
@@ -240,7 +296,7 @@ def curve_sentence(found: LoadCalibration) -> str:
 
 
 def _another_law(found: LoadCalibration, law: AnotherLaw, sweeps: int) -> list[str]:
-    """Where the force may follow another curve over the flow than the model's."""
+    """Sentences if the force may follow another curve over the flow than the model's."""
     out = [curve_sentence(found)]
     if law.scatter > _SCATTERS and law.scatters > _LIKELY_SCATTERS:
         out.append(
@@ -254,7 +310,7 @@ def _another_law(found: LoadCalibration, law: AnotherLaw, sweeps: int) -> list[s
 
 
 def _contradiction(found: Contradiction, named: bool) -> list[str]:
-    """named: a load that contradicts the others has its sentence already."""
+    """Sentence on the contradiction. named: whether a sentence already names a load that contradicts the others."""
     model, curve = (f"{100.0 * rms:.1f} % rms" for rms in (found.model_rms, found.curve_rms))
     better = found.curve_rms < found.model_rms
     if named:

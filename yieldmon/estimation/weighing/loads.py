@@ -1,12 +1,13 @@
-"""Calibration by loads: what weighed loads determine of a machine that measured them.
+"""Calibration by weighed loads.
 
-Loads at one plate angle determine two things: how much the monitor weighs altogether, and how that changes with the flow. Both
-live in density and impact gain (1 + restitution, or k1 and k2), which move in their logarithms; all others are held with their
-standard deviations, and go on counting in the covariance of the result (a consider filter after Schmidt). A direction
-about which the loads say less than was known before is held as well.
+Loads at one plate angle determine two quantities: the monitor's scale, and how it changes with the flow. Both are expressed by
+density and impact gain (1 + restitution, or k1 and k2), which are fitted in their logarithms. All other parameters are held, but
+their uncertainty counts in the covariance of the result (Schmidt's consider filter). A direction on which the loads have less
+information than the prior is held as well.
 
-The scale counts: density and gain start with the standard deviations in `LoadSettings`, whatever the parameters claim. One
-load among four or more that the others contradict is named and left out; smaller departures lose weight (Huber).
+Weighed masses take precedence over the given parameters: density and gain start with at least the standard deviations in
+`LoadSettings`. Among four or more loads, one that the others contradict is named and left out; smaller deviations lose weight
+(Huber).
 
 Source: Schmidt, "Application of state-space methods to navigation problems" (1966). The fit itself: `load_fit`.
 """
@@ -36,16 +37,18 @@ from .load_outcome import AnotherLaw, Contradiction, LoadCalibration, LoadResult
 from .wrong_tickets import LEAST_LOADS, by_no_plate, known_slips, of_several, probabilities, without_wrong, wrong_ticket
 
 _MODELS_OWN = 0.2
-"""Probability of another curve up to which the model's own is used."""
+"""Largest probability of another curve with which the model's own is used."""
 _MOST_STRAIN, _MOST_LEFT = 5.0, 0.3
-"""Standard deviations of density, gain and curve, all together, and ln error of a load, beyond which no machine explains them."""
+"""Largest plausible joint deviation of density, gain and curve, in standard deviations, and largest plausible ln error of a
+load."""
 _CONTRADICTED = 2.0
-"""Standard deviations, rms, by which loads left out are further off than another curve or scatter explains."""
+"""rms deviation of loads left out, in standard deviations, beyond which neither another curve nor scatter explains it."""
 _LOW, _HIGH = 0.025, 0.995
-"""Shares of the weighed grain below the ends of the range that it calibrates: less at the lower one is the ends of passes."""
+"""Quantiles of the weighed grain at the ends of the calibrated range; grain below the lower one is harvested at ends of
+passes."""
 _LEFT_OUT_WEIGHT = 0.632
 _PRIOR_LOADS = 4.0
-"""What the stated deviations count for, in loads, beside the scatter that the loads themselves show."""
+"""Weight of the stated standard deviations against the observed scatter, as a number of loads."""
 
 
 def calibrate_loads(
@@ -58,33 +61,33 @@ def calibrate_loads(
     sweep_settings: ClosedLoopSettings | None = None,
     in_prior: Container[str] = (),
 ) -> LoadCalibration:
-    """Density and impact gain from weighed loads, and with `sweeps` what these determine of the rest first.
+    """Density and impact gain from weighed loads; with `sweeps` also the parameters that sweeps determine.
 
     Parameters
     ----------
     model : ForwardModel
         Of the machine that measured the loads, with the prior's effects.
     prior : ParameterSet
-        What measured the loads, or the crop's shipped parameters.
+        Parameters with which the loads were measured, or the crop's shipped ones.
     loads : sequence of WeighedLoad
         One or more.
     sweeps : sequence of Sweep
-        Of the same grain: fitted together with the loads that do not contradict each other, as in `self_calibrate`.
+        Sweeps in the same grain, fitted together with the loads that are not left out, as in `self_calibrate`.
     settings : LoadSettings, optional
     sweep_settings : ClosedLoopSettings, optional
-        None: the defaults.
+        Default: flow as a process, model error 1 %.
     in_prior : container of str
-        Names of loads that the prior was fitted to: that it measures these well is no evidence for it.
+        Names of loads that the prior was fitted to. How well it measures these is not counted as evidence for it.
 
     Returns
     -------
     LoadCalibration
-        With `refused` where loads left out are measured worse than before.
+        `refused` if loads left out of the fit are measured worse than before.
 
     Raises
     ------
     ValueError
-        Without loads, or where a load holds more force than a full paddle gives.
+        Without loads, or if a load's force exceeds that of a full paddle.
     """
     if not loads:
         raise ValueError("no weighed load to calibrate with")
@@ -98,7 +101,7 @@ def calibrate_loads(
     found = whole if np.all(active) else average(law, active)
     active, found = without_wrong(problem, law, active, found)
     if found is None or found.strain > _MOST_STRAIN:
-        # In words with the masses where the model's own curve does not explain them either.
+        # Raises an error that names the masses if the model's own curve does not explain them either.
         problem.fit(active, 2)
     likely, perhaps = probabilities(int(active.sum()))
     no_plate = by_no_plate(problem, active)
@@ -125,9 +128,11 @@ def calibrate_loads(
 def _with_range(
     problem: LoadProblem, known: ParameterSet, loads: Sequence[WeighedLoad], active: NDArray[np.bool_], before: CalibratedRange
 ) -> ParameterSet:
-    """The set with the range of the weighed grain, which widens the one before: that of the set given where the loads bear it
-    out; else its range, and what the model missed there, are another machine's. What lies further out is sweeps of the plate and
-    the ends of passes, of which a load's mass says little."""
+    """The set with its calibrated range widened to that of the weighed grain.
+
+    before: the given set's range if the loads confirm the set, else an empty one: then the given range and model error belong to
+    another machine. Seconds beyond `_LOW` and `_HIGH` are sweeps and ends of passes, on which a load's mass depends little.
+    """
     every = LoadProblem(problem.model, known, known, loads, problem.settings)
     flow = every.flow(known)[0]
     mass = np.where(active[every.of_load], every.duration * flow, 0.0)
@@ -141,7 +146,7 @@ def _with_range(
 
     return replace(
         known,
-        # Without a range before them all that the loads leave stands in the covariance.
+        # Without a former range the covariance already contains the whole remaining error.
         model_error=known.model_error if before != CalibratedRange() else 0.0,
         calibrated=CalibratedRange(
             middle(flow, before.mass_flow_kg_s),
@@ -153,7 +158,7 @@ def _with_range(
 
 
 def _bears_out(problem: LoadProblem, active: NDArray[np.bool_]) -> bool:
-    """Whether the given set predicts the active loads within its uncertainty."""
+    """Whether the given set measures the active loads within its uncertainty."""
     given = problem.given
     own = LoadProblem(problem.model, given, given, problem.loads, problem.settings)
     std_dev = np.hypot(np.hypot(own.spreads(given), own.sd), given.own_error)
@@ -194,14 +199,27 @@ def _calibration(
 
 
 def _by_other_monitor(problem: LoadProblem, active: NDArray[np.bool_], directions: int) -> bool:
-    """Whether the error of another combine's monitor explains those of loads left out, so that they do not contradict a fit."""
+    """Whether the errors of loads left out are explained by the error of another combine's monitor."""
     return bool(np.any(problem.common) and _rms(problem.left_out(active, directions).away[active]) <= _CONTRADICTED)
 
 
 @dataclass(frozen=True)
 class _Judged:
-    """What judges a calibration. before: masses of the loads before it, kg; errors: ln error of each load left out of it; judges:
-    loads that count; all (n,). rms_before, rms_left_out: ln errors of these. several: more than one load is active."""
+    """Data for the decision whether a calibration is refused.
+
+    Attributes
+    ----------
+    before : ndarray (n,)
+        Masses of the loads with the given parameters, kg.
+    errors : ndarray (n,)
+        ln error of each load left out of the calibration.
+    judges : ndarray of bool (n,)
+        Loads that count in the decision.
+    rms_before, rms_left_out : float
+        rms of the ln errors of these loads, with the given parameters and left out.
+    several : bool
+        Whether more than one load is active.
+    """
 
     before: Array
     errors: Array
@@ -211,12 +229,13 @@ class _Judged:
     several: bool
 
     def is_worse(self, error: Array) -> bool:
-        """Whether a further load is expected to be measured worse than before. error: ln error of each load, (n,)."""
+        """Whether a further load is expected to be measured worse than before. error: ln error of each fitted load, (n,)."""
         return self.several and _expected_rms(error[self.judges], self.errors[self.judges]) > self.rms_before
 
 
 def _judged(problem: LoadProblem, errors: Array, active: NDArray[np.bool_], in_prior: Container[str]) -> _Judged:
-    """By the loads that the prior was not fitted to, where there are any."""
+    """Compare the calibration with the given parameters on loads that the prior was not fitted to, or on all if there are
+    none."""
     before = problem.mass(problem.given)
     unseen = active & np.array([load.name not in in_prior for load in problem.loads])
     judges = unseen if np.any(unseen) else active
@@ -228,9 +247,9 @@ def _judged(problem: LoadProblem, errors: Array, active: NDArray[np.bool_], in_p
 def _outcome(
     problem: LoadProblem, active: NDArray[np.bool_], judged: _Judged, posterior: ParameterSet, after: Array, *, refused: bool
 ) -> LoadCalibration:
-    """The calibration, with the set given where it is refused; what depends on the way it was made is left at nothing known.
+    """The calibration with the fields that every kind of fit has; the others keep neutral values.
 
-    after: masses of the loads by `posterior`, kg, (n,).
+    posterior: replaced by the given set if refused. after: masses of the loads with `posterior`, kg, (n,).
     """
     before = judged.before
     chosen, after = (problem.given, before) if refused else (posterior, after)
@@ -261,22 +280,22 @@ def _results(
 
 
 def _moved_names(given: ParameterSet, chosen: ParameterSet) -> tuple[str, ...]:
-    """Of a refused calibration none, since the set given is the one chosen."""
+    """Names of the parameters that changed; none if the calibration is refused."""
     return tuple(n for n, v in chosen.values.items() if given.values.get(n) != v)
 
 
 def _is_another(found: LawAverage, problem: LoadProblem, active: NDArray[np.bool_]) -> bool:
-    """Whether to use the loads' evidence on the curve: not where enough loads have shown that it is the model's."""
+    """Whether to fit the curve too: unless enough loads have shown that it is the model's."""
     return EFFECT in problem.given.effects or active.sum() < LEAST_LOADS or found.law > _MODELS_OWN
 
 
 def _by_another_law(
     problem: LoadProblem, law: LawProblem, active: NDArray[np.bool_], found: LawAverage, in_prior: Container[str]
 ) -> LoadCalibration:
-    """The calibration where the force may follow another curve over the flow than the model's."""
+    """The calibration if the force may follow another curve over the flow than the model's."""
     errors, away = left_out(law, active, found.step)
     judged = _judged(problem, errors, active, in_prior)
-    # A load that another likely curve explains does not contradict the calibration, however far it is.
+    # A large error that another probable curve explains is no reason to refuse.
     refused = judged.is_worse(found.error) and _rms(away[judged.judges]) > _CONTRADICTED
     posterior = problem.given if refused else _as_law_set(law, active, found)
     information = problem.information(LoadFit(found.step[:2], found.error, found.by_step[:, :2]), active)
@@ -300,7 +319,7 @@ def _next_sd(problem: LoadProblem, active: NDArray[np.bool_], found: LawAverage)
 def _with_wrong_ticket(
     problem: LoadProblem, law: LawProblem, active: NDArray[np.bool_], found: LawAverage, sweeps: int
 ) -> LoadCalibration:
-    """Nothing updated: a ticket is wrong."""
+    """The result if a ticket is wrong: refused, with the given parameters."""
     errors, _ = left_out(law, active, found.step)
     before = problem.mass(problem.given)
     error = np.log(before / problem.weighed)[active]
@@ -324,7 +343,8 @@ def _with_wrong_ticket(
 
 
 def _as_law_set(law: LawProblem, active: NDArray[np.bool_], found: LawAverage) -> ParameterSet:
-    """With the pattern's weights, and what loads scatter by, by moisture too, in the gain: it is common to a load's seconds."""
+    """The set with the pattern's weights. The loads' scatter and moisture error are added to the gain's variance, since they are
+    common to all seconds of a load."""
     count = len(law.held)
     covariance = found.covariance.copy()
     by_moisture = float(np.mean(law.moist[active] ** 2))
@@ -334,8 +354,18 @@ def _as_law_set(law: LawProblem, active: NDArray[np.bool_], found: LawAverage) -
 
 @dataclass(frozen=True)
 class _Fitted:
-    """A fit of loads, along how many directions it moved, and ln error of each load left out (n,). full: the fit along both
-    directions where the loads determine both but one is enough."""
+    """A fit of loads by the model's own curve.
+
+    Attributes
+    ----------
+    fit : LoadFit
+    directions : int
+        Number of directions along which the parameters changed.
+    left_out_error : ndarray (n,)
+        ln error of each load left out.
+    full : LoadFit or None
+        The fit along both directions, if the loads determine both but one is enough.
+    """
 
     fit: LoadFit
     directions: int
@@ -344,7 +374,7 @@ class _Fitted:
 
 
 def _fitted(problem: LoadProblem, active: NDArray[np.bool_]) -> _Fitted:
-    """Along as many directions as the active loads determine and need."""
+    """Fit along as many directions as the active loads determine and need."""
     both = problem.fit(active, 2)
     directions = int(np.sum(problem.information(both, active) >= problem.settings.least_information))
     errors = problem.left_out(active, directions).error
@@ -358,7 +388,7 @@ def _fitted(problem: LoadProblem, active: NDArray[np.bool_]) -> _Fitted:
 def _together(
     problem: LoadProblem, near: LoadFit, sweeps: Sequence[Sweep], active: NDArray[np.bool_], settings: ClosedLoopSettings
 ) -> ParameterSet | None:
-    """Sweeps and loads in one fit that begins where the loads alone lead; None where it updates nothing."""
+    """One fit of sweeps and loads that begins at the fit of the loads alone; None if it updates nothing."""
     masses = [
         WeighedMass(
             reference_kg=load.weighed_kg,
@@ -395,11 +425,27 @@ def _left_out_together(
 def _posterior(
     problem: LoadProblem, active: NDArray[np.bool_], found: _Fitted, shown: float
 ) -> tuple[ParameterSet, float, float]:
-    """The new set, and relative standard deviations of a further load and of these loads' common level.
+    """Parameters and uncertainty of a fit by the model's own curve.
 
-    shown: the former as loads left out show it, where they contradict the model's curve, else 0: the least that is stated.
-    What loads say of a direction along which the fit did not move counts in the covariance, with the distance to the full fit as
-    an error of its own.
+    If the fit uses one direction although the loads determine two, the covariance is that of both, plus the distance to the full
+    fit as an additional error.
+
+    Parameters
+    ----------
+    problem : LoadProblem
+    active : ndarray of bool (n,)
+    found : _Fitted
+    shown : float
+        Least relative standard deviation of a further load to state: the rms of loads left out if they contradict the model's
+        curve, else 0.
+
+    Returns
+    -------
+    ParameterSet
+    float
+        Relative standard deviation of a further load.
+    float
+        Relative standard deviation of the active loads' mean.
     """
     fit, directions, full = found.fit, found.directions, found.full
     centre = moved(problem.start, *map(float, fit.step))
@@ -428,7 +474,7 @@ def _posterior(
     next_sd = float(np.sqrt(np.mean(spread) + inflation * own))
     mean = rows.mean(axis=0)
     level_sd = float(np.sqrt(mean @ covariance @ mean))
-    # Of grain as wet or dry as the loads', not of their mean alone.
+    # For grain of any moisture among the loads, and not only of their mean.
     covariance[-1, -1] += np.mean(moist**2) / np.mean(fit.by_step[active, 1]) ** 2
     return _as_set(problem, centre, covariance), next_sd, level_sd
 
@@ -445,7 +491,7 @@ def _as_set(problem: LoadProblem, centre: ParameterSet, covariance: Array) -> Pa
         if weight != 0.0:
             rows.append(unit[-1] * weight)
             names.append(name)
-    # k1 and k2 move together here; a hair of their own keeps the covariance of both positive definite.
+    # k1 and k2 change together here; a small independent variance keeps their covariance positive definite.
     own = np.zeros(len(names))
     if "k1" in names and "k2" in names:
         own[-2:] = [(1e-3 * values[n]) ** 2 for n in ("k1", "k2")]
@@ -456,7 +502,7 @@ def _as_set(problem: LoadProblem, centre: ParameterSet, covariance: Array) -> Pa
 
 
 def _contradiction(problem: LoadProblem, errors: Array) -> Contradiction:
-    """Of all loads, those among them that count for nothing."""
+    """Leave-one-out errors of the model and of an alpha-beta curve over all loads, outliers included."""
     try:
         found = fit_loads(problem.loads, problem.model.machine.home_plate_angle_rad)
     except ValueError:
@@ -465,8 +511,11 @@ def _contradiction(problem: LoadProblem, errors: Array) -> Contradiction:
 
 
 def _expected_rms(fitted: Array, left_out: Array) -> float:
-    """Of a further load: fitted errors are too small and, where three loads are two without the one, those of left-out loads too
-    large. Source: the 0.632 estimator, B. Efron, J. American Statistical Association 78 (1983) 316."""
+    """Expected rms error of a further load.
+
+    Errors of fitted loads are too small; those of loads left out are too large, since a fit without one of few loads is poorer.
+    Source: the 0.632 estimator, B. Efron, J. American Statistical Association 78 (1983) 316.
+    """
     return float(np.hypot(np.sqrt(1.0 - _LEFT_OUT_WEIGHT) * _rms(fitted), np.sqrt(_LEFT_OUT_WEIGHT) * _rms(left_out)))
 
 

@@ -1,8 +1,8 @@
-"""Prior for a crop from the weighed loads of another crop on the same machine, before any of its own is weighed.
+"""Prior for a crop that has no weighed load yet, from the weighed loads of another crop on the same machine.
 
-Density and impact gain are off the published ones by what the machine does to all grain (its geometry, its plate, grain that
-strikes grain), and so is the curve of the force over the load. Both go over to the other crop; what differs between crops beside
-their published properties is an error of the scale (`parameters.CARRIED_SD`) and of the curve.
+Density, impact gain and the curve of force over load differ from the published ones by effects that the machine has on all grain
+(geometry, plate, collisions between grains). These corrections are applied to the new crop. Differences between crops that their
+published properties do not contain are counted as an error of the scale (`parameters.CARRIED_SD`) and of the curve.
 """
 
 from __future__ import annotations
@@ -19,28 +19,28 @@ from yieldmon.physics.numerics import Array
 from .density_and_gain import DENSITY, gain_names, moved
 
 _CURVE_SD = 0.05
-"""Of the pattern's weights, by what differs between crops: studies/crop_change."""
+"""Standard deviation of the pattern's weights by differences between crops: studies/crop_change."""
 
 
 def carried(published: ParameterSet, weighed: ParameterSet, before: ParameterSet, crop: str) -> ParameterSet | None:
-    """Parameters of a crop with scale and curve as another one's weighed loads have them.
+    """Parameters of a crop with the scale and curve that another crop's weighed loads have determined.
 
     Parameters
     ----------
     published : ParameterSet
-        Of the crop, by its published properties.
+        The crop's parameters from its published properties.
     weighed : ParameterSet
-        Of the other crop, whose scale weighed loads or kernel noise have set.
+        The other crop's parameters, calibrated by weighed loads or kernel noise.
     before : ParameterSet
-        Of the other crop, by its published properties.
+        The other crop's parameters from its published properties.
     crop : str
         Name of the other crop.
 
     Returns
     -------
     ParameterSet or None
-        Density and gain by the ratio of `weighed` to `before`, friction as published, the weights of `load_pattern` as weighed;
-        with the provenance of which `ParameterSet.scale_error` speaks. None where the sets differ in more than that.
+        Density and gain multiplied by the ratio of `weighed` to `before`, friction as published, weights of `load_pattern` from
+        `weighed`, and the provenance that `ParameterSet.scale_error` reads. None if the sets differ in more than that.
     """
     if weighed.curve is not None or set(weighed.effects) - {EFFECT} != set(published.effects) or weighed.values.get("k1"):
         return None
@@ -61,12 +61,12 @@ def carried(published: ParameterSet, weighed: ParameterSet, before: ParameterSet
 
 
 def _sizes(known: ParameterSet) -> Array:
-    """Density and impact gain."""
+    """Density, and impact gain (1 + restitution, or k2)."""
     gain = gain_names(known)[-1]
     return np.array([known.values[DENSITY], known.values[gain] + (1.0 if gain == "restitution" else 0.0)])
 
 
 def _relative(covariance: Array, sizes: Array) -> Array:
-    """The covariance of density, gain and further numbers with the first two in other units. sizes: of one in the other."""
+    """The covariance of (density, gain, further parameters) with the first two multiplied by `sizes`, (2,)."""
     scales = np.concatenate((sizes, np.ones(len(covariance) - 2)))
     return np.asarray(covariance * np.outer(scales, scales))

@@ -1,8 +1,8 @@
 """Ways in which tickets can be wrong, each as a hypothesis about the loads' masses.
 
-A wrong ticket is either a known slip, which shifts the logarithm of a mass by a known amount (pounds for kilograms, two digits or
-two tickets exchanged, another load on the same ticket), a tare that is in all tickets alike, or any error, which leaves the load
-saying nothing.
+There are three kinds: a known slip, which shifts the logarithm of a mass by a known amount (pounds for kilograms, two digits or
+two tickets exchanged, another load on the same ticket); a tare that is the same in all tickets; and an arbitrary error, after
+which the ticket contains no information on the load.
 
 Source: Box and Tiao, "A Bayesian approach to some outlier problems", Biometrika 55 (1968) 119.
 """
@@ -25,26 +25,26 @@ UNIT_SLIPS = (
     (KG_PER_T / KG_PER_SHORT_TON, "short tons were taken for tonnes"),
     (KG_PER_SHORT_TON / KG_PER_T, "tonnes were taken for short tons"),
 )
-"""Ticket over the load's mass, where the ticket is of another unit than its column; the last only among several loads."""
+"""Ratio of ticket to mass if the ticket is in another unit than its column. The last one is tried only among several loads."""
 _ANY = ((0.12, 0.01), (0.6, 0.005))
-"""Standard deviations of ln of a ticket that is wrong in no known way, by some of the load or by much of it, and the probability
-of either before any load."""
+"""(standard deviation of ln, prior probability) of an arbitrary error of a ticket: by part of the load, and by much of it."""
 _OF_UNIT, _OF_DIGITS, _OF_NEIGHBOUR, _OF_PAIR, _OF_TARE = 0.002, 0.001, 0.001, 0.004, 0.01
-"""The same of a unit, of two digits exchanged, of the load before or after on one ticket, of two tickets exchanged, and of a tare
-in all of them, each shared among those there may be: assumptions. `_ANY` was chosen on a linear model of loads that is not kept
-(studies/load_laws)."""
+"""Prior probabilities (assumptions) of a wrong unit, two exchanged digits, a neighbouring load on the same ticket, two exchanged
+tickets, and a tare in all of them. Each is divided among the possible slips of its kind. `_ANY` was chosen on a linear model of
+loads that is not kept (studies/load_laws)."""
 _LEAST_OF_SEVERAL = 3
-"""Loads below which a tare in all tickets, another load on one or tonnes for short tons is as good as any other difference."""
+"""Number of loads below which a tare, a neighbouring load on a ticket and tonnes for short tons look like any other error."""
 _UNLIKE = 1.3
-"""Heaviest over lightest ticket below which a tare in all of them is one factor in all masses."""
+"""Ratio of the heaviest to the lightest ticket below which a tare changes all masses by nearly the same factor."""
 _LEAST_LN = 0.03
-"""Error of a mass below which a slip is no gross one."""
+"""Least change of ln mass by a slip that is considered."""
 _TARES_LN, _TARE_SD = (-0.75, -0.45, -0.15, 0.15, 0.45, 0.75, 1.05), 0.15
-"""Change of ln of the lightest ticket by a tare, and its standard deviation about each; negative: subtracted twice."""
+"""Changes of ln of the lightest ticket by a tare that are tried, and the standard deviation about each; negative: the tare was
+subtracted twice."""
 
 
 class SlipKind(Enum):
-    """What is wrong: the ticket of one load, those of two that are exchanged, or a tare in all of them."""
+    """Kind of error: one wrong ticket, two exchanged tickets, or a tare in all tickets."""
 
     ONE = "one"
     EXCHANGED = "exchanged"
@@ -53,11 +53,23 @@ class SlipKind(Enum):
 
 @dataclass(frozen=True)
 class Slip:
-    """One way for the tickets to be wrong.
+    """One hypothesis of how the tickets of n loads are wrong.
 
-    loads: whose tickets. shift: (n,) ln of ticket over the load's mass by it. variance: (n,) of ln beside what is stated, of each
-    by itself. prior: its probability before the loads. what: what happened, in words, "" for an error of no known kind. along:
-    (n,) one standard deviation of ln common to the loads, () where there is none.
+    Attributes
+    ----------
+    loads : tuple of int
+        Indices of the loads whose tickets are wrong.
+    shift : ndarray (n,)
+        Mean ln(ticket / mass) of each load.
+    variance : ndarray (n,)
+        Variance of ln of each ticket beyond the stated one, independent between loads.
+    prior : float
+        Prior probability.
+    what : str
+        Description for the user, "" for an arbitrary error.
+    kind : SlipKind
+    along : ndarray (n,) or (0,)
+        One standard deviation of an error of ln common to the loads; empty if there is none.
     """
 
     loads: tuple[int, ...]
@@ -70,14 +82,23 @@ class Slip:
 
     @property
     def covariance(self) -> Array:
-        """(n, n) of ln of tickets over masses."""
+        """Covariance of ln(ticket / mass), (n, n)."""
         own = np.diag(self.variance)
         return own + np.outer(self.along, self.along) if self.along.size else own
 
 
 def slips(weighed_kg: Array, names: Sequence[str], *, all_off: bool = False) -> tuple[Slip, ...]:
-    """All for loads of these tickets and names in their order, (n,); none for a single load, which is accepted. all_off: all
-    masses are off by a factor that is no tare's."""
+    """All hypotheses for a sequence of loads; none for a single load, which is always accepted.
+
+    Parameters
+    ----------
+    weighed_kg : ndarray (n,)
+        Tickets in the order of weighing, kg.
+    names : sequence of str
+        Names of the loads.
+    all_off : bool
+        Whether all masses are off by a factor too large for a tare.
+    """
     if weighed_kg.size < 2:
         return ()
     unlike = weighed_kg.size >= _LEAST_OF_SEVERAL and np.max(weighed_kg) > _UNLIKE * np.min(weighed_kg) and not all_off
@@ -85,12 +106,12 @@ def slips(weighed_kg: Array, names: Sequence[str], *, all_off: bool = False) -> 
 
 
 def title(name: str) -> str:
-    """A load as a sentence has it; a daemon's are named so already."""
+    """Name of a load in a sentence. Loads of the daemon already begin with "load"."""
     return name if name.startswith("load ") else f"load {name}"
 
 
 def tare_kg(weighed_kg: Array, lightest_ln: float) -> float:
-    """The mass beside the grain in every ticket, where it makes so much of ln of the lightest one."""
+    """The tare in every ticket that changes ln of the lightest one by `lightest_ln`, kg."""
     return float(np.min(weighed_kg) * -np.expm1(-lightest_ln))
 
 
@@ -133,7 +154,7 @@ def _tares(weighed_kg: Array) -> Iterator[Slip]:
 
 
 def _digits(weighed_kg: float) -> Iterator[float]:
-    """Masses whose digits, two neighbours exchanged, are this one's."""
+    """Masses that become this one when two neighbouring digits are exchanged."""
     text = f"{weighed_kg:.0f}"
     for i in range(len(text) - 1):
         other_kg = float(text[:i] + text[i + 1] + text[i] + text[i + 2 :])

@@ -1,9 +1,9 @@
-"""Whether loads or readings that are too small for grain may be in another unit than the one stated.
+"""Whether loads or readings that are too small for grain may be in another unit than the stated one.
 
-Mass flow and density times a, and the impact gain over a, leave every force as it is. So loads in another unit show as a
-density that is no grain's, and readings in another unit as a gain that is none: where the rows determine these, a unit that
-would put them out of the physical ranges is refuted. A gain below 1 alone is no sign of a unit: grain that misses the plate
-has one as well.
+If mass flow and density are multiplied by a, and the impact gain is divided by a, all forces stay the same. Loads in a wrong unit
+therefore lead to an impossible density, and readings in a wrong unit to an impossible gain. If the rows determine density and
+gain, a unit that puts them outside their physical ranges is refuted. A gain below 1 alone does not indicate a wrong unit, since
+it also occurs when grain misses the plate.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _N_PER_LBF = KG_PER_LB * N_PER_KGF
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """A unit that a column may be in by mistake: what one of it is in the unit stated, for loads and for readings."""
+    """A unit that a column may be in by mistake. load, reading: one of it in the stated unit, for loads and for readings."""
 
     name: str
     load: float = 1.0
@@ -43,24 +43,24 @@ MISTAKEN: Mapping[str, tuple[Unit, ...]] = {
     "force_n": (Unit("lbf", reading=_N_PER_LBF), Unit("kgf", reading=N_PER_KGF)),
     "momentum_kg_m_s": (Unit("lbf s", reading=_N_PER_LBF), Unit("kgf s", reading=N_PER_KGF)),
 }
-"""By column. Larger units alone for readings and smaller ones for loads: both make readings look too small."""
+"""By column. Only larger units of readings and smaller units of loads, since both make readings look too small."""
 
 _REFUTED = 0.001
-"""p value below which rows refute a unit: a wrong unit that is not asked about costs more than a needless question."""
+"""p value below which a unit is refuted. It is small, because an undetected wrong unit costs more than a needless question."""
 _SURELY_REFUTED = 1e-6
-"""The same for the units stated, where the readings are as large as some grain's: most such tables are right."""
+"""The same for the stated units if the readings are in the range of grain, since most such tables are right."""
 _LEAST_ERROR = 0.01
-"""Error of model and rows, as a share of the reading, that is always allowed for."""
+"""Relative error of model and rows that is always assumed."""
 _OF_LARGEST = 0.15
-"""Share of the largest reading that the error of small ones is taken from."""
+"""Share of the largest reading below which the assumed error no longer decreases with the reading."""
 _FREE: Bounds = {"density": GRAIN["density"].limits, "restitution": (-0.99, 99.0)}
 _NAMES = ("friction", "density", *RESTITUTION_FORM)
 _STARTS, _STEPS, _COARSE = 4, 60, 1e-4
-"""Of a fit: starts, steps, and the share of a parameter's scale and of the misfit that does not matter."""
+"""Number of starts and steps of a fit, and its tolerance (of parameters relative to their scale, and of the misfit)."""
 
 
 def possible(model: ForwardModel, data: Measurements, columns: tuple[str, str]) -> tuple[str, ...]:
-    """Units that would make the rows those of grain.
+    """Units with which the rows would be plausible for grain.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def possible(model: ForwardModel, data: Measurements, columns: tuple[str, str]) 
     Returns
     -------
     tuple of str
-        Units of `MISTAKEN` that the rows do not refute.
+        Names of the units in `MISTAKEN` that the rows do not refute.
 
     References
     ----------
@@ -97,7 +97,7 @@ def possible(model: ForwardModel, data: Measurements, columns: tuple[str, str]) 
 
 
 def stated_is_refuted(model: ForwardModel, data: Measurements) -> bool:
-    """Whether rows are surely no grain's in the units stated, whose readings alone do not show it.
+    """Whether the rows are certainly impossible for grain in the stated units, although each reading by itself is plausible.
 
     Parameters
     ----------
@@ -108,16 +108,17 @@ def stated_is_refuted(model: ForwardModel, data: Measurements) -> bool:
     Returns
     -------
     bool
-        False for rows that are too few to say it.
+        False if there are too few rows to decide.
     """
     means = _means(data)
     return means.momentum.size > len(_NAMES) and _p_value(model, means, {}, 1.0) < _SURELY_REFUTED
 
 
 def _p_value(model: ForwardModel, data: Measurements, best: dict[float, float], load: float) -> float:
-    """Probability that grain's own ranges of density and impact gain cost these rows, one a condition, as much by chance.
+    """p value of the F test that density and impact gain lie in the ranges of grain. data: one row for each condition.
 
-    best: chi-square without these ranges by the unit of the loads, which grows here; a unit of the readings does not change it.
+    best: cache of chi-square without these ranges, by unit of the loads; new values are added. The readings' unit does not
+    change it.
     """
     start = default_start(model, data, RESTITUTION_FORM)
     inside, at = _misfit(model, data, start, None, _STARTS)
@@ -135,7 +136,8 @@ def _p_value(model: ForwardModel, data: Measurements, best: dict[float, float], 
 def _misfit(
     model: ForwardModel, data: Measurements, start: Mapping[str, float], bounds: Bounds | None, starts: int
 ) -> tuple[float, dict[str, float]]:
-    """Chi-square of the best fit, inf where no start can carry the loads, and its parameters; to what a p value needs."""
+    """Chi-square of the best fit (inf if the loads exceed a full paddle at every start) and its parameters, as exact as a p value
+    needs."""
     problem = CalibrationProblem(model, data, start, _NAMES, prior=None, bounds=bounds, robust=False)
     first = np.clip([problem.start[name] for name in _NAMES], problem.lower, problem.upper)
     low, high = (np.clip([problem.ranges[name][i] for name in _NAMES], problem.lower, problem.upper) for i in (0, 1))
@@ -155,7 +157,7 @@ def _misfit(
 
 
 def _means(data: Measurements) -> Measurements:
-    """One row for each condition, with an error in proportion to the reading."""
+    """One mean row for each condition, with an error proportional to the reading."""
     at, cell = data.cells()
     mean: Array = np.bincount(cell, data.momentum) / np.bincount(cell)
     level = np.hypot(mean, _OF_LARGEST * float(np.max(np.abs(mean))))
@@ -163,7 +165,7 @@ def _means(data: Measurements) -> Measurements:
 
 
 def _in_si(data: Measurements, unit: Unit) -> Measurements:
-    """The rows, had they been written in another unit."""
+    """The rows converted to SI as if they had been written in the given unit."""
     at, sigma = data.conditions, data.sigma
     name = "mass_flow_kg_s" if at.paddle_mass_kg is None else "paddle_mass_kg"
     turned = replace(at, **{name: unit.load * np.asarray(getattr(at, name), dtype=float)})

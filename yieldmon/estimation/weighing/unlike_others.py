@@ -1,5 +1,4 @@
-"""A weighed load that none of its machine's others bears out, and a machine whose loads none of the others bears out, before
-anything is fitted."""
+"""Gross outliers before any fit: loads unlike the machine's other loads, and machines unlike the other machines."""
 
 from __future__ import annotations
 
@@ -11,29 +10,29 @@ from yieldmon.physics.numerics import Array
 
 LEAST_LOADS = 3
 LEAST_MACHINES = 5
-"""Below which it is not known how machines scatter."""
+"""Least number of machines from which their scatter can be estimated."""
 _LEAST_OFF, _TIMES_SCATTER = 0.2, 6.0
-"""ln, and robust standard deviations of the others, by which a load is off."""
+"""Deviation of ln mass, and in robust standard deviations of the others, beyond which a load is an outlier."""
 LEAST_OFF_OF_MACHINES = 0.4
-"""ln, of a machine's: two standard deviations of the gain of one that was never calibrated."""
+"""The former for a machine: two standard deviations of the gain of a machine that was never calibrated."""
 
 _DENSITIES_OFF = 1.0
-"""ln, by which a machine's density is off the others'. With correct tickets up to 0.85 (144 simulated fleets, two loads or more
-of each machine)."""
+"""Deviation of a machine's ln density beyond which it is an outlier. With correct tickets it is up to 0.85 (144 simulated fleets,
+two loads or more of each machine)."""
 
 
 def unlike_the_others(log_errors: Array) -> NDArray[np.bool_]:
-    """Which loads are off what the machine's other loads have in common, by over a fifth and far more than these scatter.
+    """Which loads deviate from the median of the machine's other loads by more than a fifth and far more than these scatter.
 
     Parameters
     ----------
     log_errors : ndarray
-        (n,) ln of measured over weighed mass of each load; nan where not known.
+        (n,) ln of measured over weighed mass of each load; nan if not known.
 
     Returns
     -------
     ndarray of bool
-        (n,). None of fewer than three loads: of two that differ either may be right.
+        (n,). All False for fewer than three loads: of two that differ either may be right.
 
     Examples
     --------
@@ -44,17 +43,17 @@ def unlike_the_others(log_errors: Array) -> NDArray[np.bool_]:
 
 
 def unlike_the_other_machines(log_errors: Array) -> NDArray[np.bool_]:
-    """Which machines are off what the others have in common, as where all tickets of one are in pounds.
+    """Which machines deviate from the median of the others, for example because all tickets of one are in pounds.
 
     Parameters
     ----------
     log_errors : ndarray
-        (n,) ln of measured over weighed mass, the median of each machine's loads; nan where not known.
+        (n,) median of ln(measured / weighed mass) of each machine's loads; nan if not known.
 
     Returns
     -------
     ndarray of bool
-        (n,). None of fewer than five machines.
+        (n,). All False for fewer than five machines.
 
     Examples
     --------
@@ -65,17 +64,17 @@ def unlike_the_other_machines(log_errors: Array) -> NDArray[np.bool_]:
 
 
 def unlike_the_other_densities(log_densities: Array) -> int | None:
-    """Which machine's loads together ask for grain of a density that no such grain has, as where one of two tickets is wrong.
+    """Which machine's fitted density is impossible for the crop, for example because one of two tickets is wrong.
 
     Parameters
     ----------
     log_densities : ndarray
-        (n,) ln of the density that each machine's loads ask for.
+        (n,) ln of the density fitted to each machine's loads.
 
     Returns
     -------
     int or None
-        Place of the one that is farthest from the median of the others, if by a factor of over 2.7. It takes others along: judge
+        Index of the one farthest from the median of the others, if the factor is over 2.7. It may make others look wrong: test
         these again without it.
 
     Examples

@@ -1,4 +1,4 @@
-"""Weighed loads whose tickets others contradict: which are likely to be wrong, and by which slip."""
+"""Tickets that contradict other loads: which ones are likely to be wrong, and by which slip."""
 
 from __future__ import annotations
 
@@ -19,26 +19,27 @@ from .load_outcome import WrongTicket
 from .ticket_slips import SlipKind, slips, tare_kg
 
 LEAST_LOADS = 3
-"""Least number of weighed loads that can contradict a further one."""
+"""Least number of loads that can contradict a further one."""
 _WRONG, _PERHAPS_WRONG = 0.5, 0.2
-"""Probability of a wrong ticket from which nothing is updated, and from which it is asked about (studies/load_laws)."""
+"""Probability of a wrong ticket from which nothing is updated, and from which the user is asked (studies/load_laws)."""
 _WRONG_OF_TWO, _PERHAPS_WRONG_OF_TWO = 0.25, 0.1
-"""The same of two loads, where a third is soon weighed."""
+"""The same for two loads, since a third is usually weighed soon."""
 _WRONG_OF_MANY = 0.8
-"""The former of four loads or more, of which the one that is likely to be wrong is left out already."""
+"""`_WRONG` for four loads or more, where a single load that is likely to be wrong has been left out already."""
 _DOUBTED = 0.2
-"""Probability of a wrong ticket beyond which a load that contradicts the model's curve waits for one that agrees with it."""
+"""Probability of a wrong ticket beyond which a load that contradicts the model's curve is kept back until another agrees with
+it."""
 _EXPONENTS, _EXPONENTS_OF_TWO, _BESIDE = (0.5, 1.6), (0.55, 1.6), 0.1
-"""Powers of the flow with which a plate's force may grow between two of several loads, or where there are but two, and ln mass by
-which two loads may be further apart."""
+"""Range of the exponent of force over flow that is possible on a plate, for three loads or more and for two, and the deviation of
+ln force that is tolerated in addition."""
 _EXPLAINED_SDS, _LARGE_SDS = 2.0, 6.0
-"""Standard deviations up to which a known slip explains a load that the others contradict, and from which it is far off."""
+"""Largest deviation of a load from the others once its slip is corrected, and least one before, in standard deviations."""
 _NAMED = 0.8
-"""Share of that probability that the loads named have together."""
+"""Share of the probability of a wrong ticket that the named loads must have together."""
 
 
 def probabilities(count: int) -> tuple[float, float]:
-    """Probability of a wrong ticket among `count` loads from which nothing is updated, and from which it is asked about."""
+    """Probabilities of a wrong ticket among `count` loads from which nothing is updated, and from which the user is asked."""
     if count < LEAST_LOADS:
         return _WRONG_OF_TWO, _PERHAPS_WRONG_OF_TWO
     return _WRONG_OF_MANY if count > LEAST_LOADS else _WRONG, _PERHAPS_WRONG
@@ -53,9 +54,29 @@ def contradicted(
     *,
     least: int = LEAST_LOADS,
 ) -> float | None:
-    """Relative error of a weighed mass by what the loads before it say, where that is beyond any scatter; else None.
+    """Relative error of a ticket that the loads before it contradict.
 
-    Nothing is said with fewer than `least` loads before it. Raises ValueError as `calibrate_loads`.
+    Parameters
+    ----------
+    model : ForwardModel
+    prior : ParameterSet
+    before : sequence of WeighedLoad
+        Loads before it.
+    load : WeighedLoad
+    settings : LoadSettings, optional
+    least : int
+        Least number of loads before it for a verdict.
+
+    Returns
+    -------
+    float or None
+        Relative error of the measured mass as predicted from the loads before; None if scatter explains it, or if they are
+        fewer than `least`.
+
+    Raises
+    ------
+    ValueError
+        As `calibrate_loads`.
     """
     if len(before) < least:
         return None
@@ -77,7 +98,7 @@ def contradicted(
 
 
 def _is_doubted(found: LawAverage, k: int) -> bool:
-    """Whether load k's ticket may well be wrong; of two loads none is the likelier one."""
+    """Whether the ticket of load k is doubtful; of two loads, whether either is."""
     if found.error.size < LEAST_LOADS:
         return found.wrong > _WRONG_OF_TWO
     return sum(likely for slip, likely in found.slips if k in slip.loads and slip.kind is not SlipKind.TARE) > _DOUBTED
@@ -90,14 +111,14 @@ def known_slip(
     load: WeighedLoad,
     settings: LoadSettings | None = None,
 ) -> str:
-    """What explains the ticket of a load that those before it contradict, such as another unit; "" where nothing known does."""
+    """Known slip, such as another unit, that explains a ticket that the loads before contradict; "" if none does."""
     settings = LoadSettings() if settings is None else settings
     problem = LoadProblem(model, prior, widened(prior, settings), [w.condensed for w in (*before, load)], settings)
     return _known_slip(law_problem(problem), np.arange(len(problem.loads)) < len(before), len(before))
 
 
 def by_no_plate(problem: LoadProblem, active: NDArray[np.bool_]) -> bool:
-    """Whether between two of the active loads the force changes with the flow as on no plate."""
+    """Whether between two of the active loads the force changes with the flow in a way that is possible on no plate."""
     count = int(active.sum())
     if count < LEAST_LOADS - 1:
         return False
@@ -112,8 +133,17 @@ def by_no_plate(problem: LoadProblem, active: NDArray[np.bool_]) -> bool:
 def without_wrong(
     problem: LoadProblem, law: LawProblem, active: NDArray[np.bool_], found: LawAverage | None
 ) -> tuple[NDArray[np.bool_], LawAverage | None]:
-    """The active loads without those of which one's ticket is likelier wrong than not, and what they say; at least three, and
-    more than half of all, are left."""
+    """Leave out, one at a time, loads whose ticket is more likely wrong than right.
+
+    At least three loads, and more than half of all, are kept.
+
+    Returns
+    -------
+    ndarray of bool
+        The active loads that are kept, (n,).
+    LawAverage or None
+        The average over these.
+    """
     while found is not None and active.sum() >= problem.settings.outlier_least and 2 * (active.sum() - 1) > active.size:
         of_load = np.zeros(int(active.sum()))
         for slip, likely in found.slips:
@@ -128,18 +158,18 @@ def without_wrong(
 
 
 def of_several(found: LawAverage | None) -> bool:
-    """Whether two tickets are exchanged or a tare is in all of them, by all loads together."""
+    """Whether all loads together indicate that two tickets are exchanged or that a tare is in all of them."""
     return found is not None and sum(likely for slip, likely in found.slips if slip.kind is not SlipKind.ONE) > _WRONG
 
 
 def known_slips(law: LawProblem, active: NDArray[np.bool_]) -> tuple[tuple[str, str], ...]:
-    """Names of the loads left out whose ticket a known slip explains, and that slip."""
+    """Name and slip of each load left out whose ticket a known slip explains."""
     each = ((law.loads[k].name, _known_slip(law, active, k)) for k in np.flatnonzero(~active).tolist())
     return tuple((name, what) for name, what in each if what)
 
 
 def _known_slip(law: LawProblem, others: NDArray[np.bool_], k: int) -> str:
-    """The known slip that explains a load's ticket by the others; "" where none does."""
+    """The known slip that explains the ticket of load k, given the other loads; "" if none does."""
     said = against_others(law, others, k)
     known = [slip for slip in slips(law.weighed, [load.name for load in law.loads]) if slip.loads == (k,) and slip.what]
     away = [abs(said.error + slip.shift[k]) / said.std_dev for slip in known]
