@@ -11,6 +11,7 @@ import pytest
 from tests.schema_check import problems
 from yieldmon.cli.main import main
 from yieldmon.files import parameter_file
+from yieldmon.physics.machine import Machine
 
 FLOWS = (5, 12, 18, 9)
 
@@ -74,6 +75,8 @@ def test_three_loads_calibrate_and_a_fourth_of_another_truck_is_named(loads, tmp
     written = parameter_file.load(out)
     assert written.values["density"] == found["parameters"]["density"]["value"]
     assert written.provenance["method"] == "3 weighed loads"
+    assert parameter_file.on_a_machine(written, Machine()).scale_error == 0.0
+    assert parameter_file.on_a_machine(written, Machine(paddle_width_m=0.25)).scale_error > 0.3
     # A second time from there: nothing better is to be had, and the file stays.
     stamp = out.read_bytes()
     again = ["calibrate", "--loads", *logs[:3], "--tickets", tickets(tmp_path, rows[:3]), "--prior", str(out)]

@@ -72,6 +72,21 @@ def test_answers_become_a_configuration_that_the_daemon_takes(tmp_path, capsys):
     assert main(["setup", "--answers", answers(tmp_path), "--out", str(tmp_path / "new"), "--json", "--force"]) == 0
 
 
+def test_a_parameter_file_copied_from_another_machine_is_named(tmp_path, capsys):
+    """With it the other machine's angle offset is used."""
+    for name, spacings_m in (("a", [0.1656, 0.2071]), ("b", [0.19])):
+        path = answers(tmp_path, machine_name=name, paddle_spacings_m=spacings_m)
+        assert main(["setup", "--answers", path, "--out", str(tmp_path / name)]) == 0
+    config = str(tmp_path / "b" / "yieldmon.yaml")
+    assert main(["check-config", config]) == 0
+    assert "another machine" not in capsys.readouterr().err
+    (tmp_path / "b" / "wheat.yaml").write_bytes((tmp_path / "a" / "wheat.yaml").read_bytes())
+    assert main(["check-config", config]) == 0
+    captured = capsys.readouterr()
+    said = "wheat.yaml was made for another machine (other lengths of elevator and plate, the name a, here b)"
+    assert said in captured.out + captured.err
+
+
 def test_the_example_answers_every_question(tmp_path, capsys):
     example = Path(__file__).parents[2] / "examples" / "setup-answers.yaml"
     assert list(yaml.safe_load(example.read_text())) == [question.key for question in QUESTIONS]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,9 +15,9 @@ from yieldmon.cli.main import main
 from yieldmon.estimation.force_deviation import force_std_dev
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import NOT_CALIBRATED, SCALE, WEIGHED, ParameterSet
-from yieldmon.files import machine_file, parameter_file
+from yieldmon.files import calibrated_machine, machine_file, parameter_file
 from yieldmon.files.crops import crop
-from yieldmon.physics.machine import RPM, Machine
+from yieldmon.physics.machine import RPM, ImpactSensor, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 
 DATA = Path(__file__).parent.parent / "data"
@@ -93,3 +94,25 @@ def test_an_uncalibrated_machine_is_said_to_be_one(
     Path("machine.yaml").write_text(yaml.safe_dump(machine_file.to_document(replace(Machine(), paddle_width_m=width_m))))
     assert main([*command, "--machine", "machine.yaml"]) == 0
     assert ("not calibrated on this machine" in capsys.readouterr().err) is said
+
+
+@pytest.mark.parametrize(
+    ("other", "is_marked", "said"),
+    [
+        ({}, False, ""),
+        ({"paddle_width_m": 0.212}, False, ""),
+        ({"paddle_width_m": 0.23}, True, "other lengths of elevator and plate"),
+        ({"paddle_spacings_m": (0.19,)}, True, "other lengths of elevator and plate"),
+        ({"sensor": ImpactSensor(gain_n_per_mv=0.9)}, False, "a force cell of 0.4448 N/mV, here 0.9"),
+        ({"name": "second"}, False, "the name sprocket-8, here second"),
+    ],
+    ids=["the same", "measured anew", "another width", "another chain", "another cell", "another name"],
+)
+def test_parameters_of_weighed_loads_hold_on_their_machine(other: dict[str, Any], is_marked: bool, said: str) -> None:
+    """They were taken for calibrated on whatever machine their file was copied to."""
+    known = replace(parameter_file.load(), provenance={SCALE: WEIGHED, **calibrated_machine.facts(MACHINE)})
+    here = replace(MACHINE, **other)
+    found = parameter_file.on_a_machine(known, here)
+    assert (found.scale_error > 0.3) == is_marked
+    assert calibrated_machine.difference(known, here) == said
+    assert parameter_file.digest(found) == parameter_file.digest(known), "a store goes on with what it has learnt"

@@ -19,8 +19,9 @@ from yieldmon.estimation.parameters import SCALE, WEIGHED, ParameterSet
 from yieldmon.estimation.weighing.load_inputs import WeighedLoad
 from yieldmon.estimation.weighing.load_outcome import LoadCalibration
 from yieldmon.estimation.weighing.loads import calibrate_loads
-from yieldmon.files import parameter_file, ticket_file, whole_file
+from yieldmon.files import calibrated_machine, parameter_file, ticket_file, whole_file
 from yieldmon.files.crops import SHIPPED_CROP, crops
+from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import ForwardModel
 from yieldmon.resources import shipped
 
@@ -67,7 +68,7 @@ def run(args: argparse.Namespace) -> LoadCalibrationDocument:
         whole_file.check_place(args.out)
         until_s = weighed_loads.weighed_until_s(measured, loads)
         crop = measured[-1].crop if measured else ""
-        parameter_file.save(_with_provenance(found, args, prior, until_s, crop), args.out)
+        parameter_file.save(_with_provenance(found, args, prior, until_s, crop, configured.machine), args.out)
         document["written"] = args.out
     return document
 
@@ -250,7 +251,12 @@ def text(document: LoadCalibrationDocument) -> str:
 
 
 def _with_provenance(
-    found: LoadCalibration, args: argparse.Namespace, prior: ParameterSet, until_s: float | None, crop: str
+    found: LoadCalibration,
+    args: argparse.Namespace,
+    prior: ParameterSet,
+    until_s: float | None,
+    crop: str,
+    machine: Machine,
 ) -> ParameterSet:
     """crop: of the loads, "" where none was named."""
     facts = _provenance.of_loads(args.loads, args.tickets, until_s) | {
@@ -258,6 +264,7 @@ def _with_provenance(
         + (f", {found.sweeps_used} sweeps" if found.sweeps_used else ""),
         "parent_version": str(prior.version),
         SCALE: WEIGHED,
+        **calibrated_machine.facts(machine),
     }
     if crop or "crop" in prior.provenance:
         facts["crop"] = crop or prior.provenance["crop"]

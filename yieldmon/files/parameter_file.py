@@ -18,13 +18,13 @@ import numpy as np
 
 from yieldmon.errors import InputError
 from yieldmon.estimation.model_error import LARGEST as LARGEST_MODEL_ERROR
-from yieldmon.estimation.parameters import NOT_CALIBRATED, SCALE, ParameterSet
+from yieldmon.estimation.parameters import NOT_CALIBRATED, SCALE, WEIGHED, ParameterSet
 from yieldmon.physics.effects import effect_parameter, get_effect
 from yieldmon.physics.grain import GRAIN
 from yieldmon.physics.machine import Machine
 from yieldmon.resources import shipped
 
-from . import flow_curve_file, strict_yaml, whole_file
+from . import calibrated_machine, flow_curve_file, strict_yaml, whole_file
 from .calibrated_range import calibrated_document, calibrated_range
 from .checked import known_format, known_keys, load_mapping, mapping, number, texts
 
@@ -82,6 +82,9 @@ def digest(parameters: ParameterSet) -> str:
     document = to_document(parameters)
     if document["provenance"].get(SCALE) == NOT_CALIBRATED:
         del document["provenance"][SCALE]
+        # Of files that name a geometry only those of weighed loads are marked.
+        if calibrated_machine.names_geometry(parameters):
+            document["provenance"][SCALE] = WEIGHED
     return hashlib.sha256(json.dumps(document, sort_keys=True).encode()).hexdigest()
 
 
@@ -89,8 +92,11 @@ def on_a_machine(known: ParameterSet, machine: Machine) -> ParameterSet:
     """The parameters as they hold on a machine.
 
     The shipped corn was calibrated on the virtual test facility, which has the shipped machine: on one of another geometry it is
-    marked as not calibrated (see `ParameterSet.scale_error`). Others are left as they are.
+    marked as not calibrated (see `ParameterSet.scale_error`). So are parameters of weighed loads, on a machine of another
+    geometry than that of their provenance. Others are left as they are.
     """
+    if known.is_weighed and calibrated_machine.is_of_other_geometry(known, machine):
+        return not_calibrated(known)
     if machine.geometry_m == Machine().geometry_m or SCALE in known.provenance or digest(known) != _shipped_digest():
         return known
     return not_calibrated(known)

@@ -12,6 +12,7 @@ import numpy as np
 from yieldmon.cli._setup.questions import bolted
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.files import calibrated_machine
 from yieldmon.files.crops import crop
 from yieldmon.physics.machine import RPM, ImpactSensor, Machine
 from yieldmon.service.config.contradictions import channel_problem
@@ -199,4 +200,5 @@ def parameters(answers: Mapping[str, Any]) -> ParameterSet:
     values = dict(known.values)
     if abs(offset) > 0.05:
         values["plate_angle_offset.angle_rad"] = radians(offset)
-    return replace(known, values=values, covariance=covariance)
+    made_for = calibrated_machine.facts(machine(answers))
+    return replace(known, values=values, covariance=covariance, provenance={**known.provenance, **made_for})

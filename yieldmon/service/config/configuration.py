@@ -24,7 +24,15 @@ from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.self_calibration.drift_rates import DriftRates
 from yieldmon.estimation.self_calibration.moisture import MoistureMap
 from yieldmon.estimation.waveform.arrival_law import ArrivalLaw
-from yieldmon.files import flow_curve_file, machine_file, moisture_file, parameter_file, pulse_shape_file, strict_yaml
+from yieldmon.files import (
+    calibrated_machine,
+    flow_curve_file,
+    machine_file,
+    moisture_file,
+    parameter_file,
+    pulse_shape_file,
+    strict_yaml,
+)
 from yieldmon.physics.machine import SAME_ANGLE_RAD, Machine
 from yieldmon.resources import shipped
 from yieldmon.service.answering import answer_or
@@ -166,7 +174,7 @@ def build(content: Any, path: Path, environment: Mapping[str, str] = os.environ)
         retention=Retention(document.store.record_hours, document.store.size_mb, document.store.event_rows),
         socket_path=written.socket,
         prometheus_path=written.prometheus,
-        notes=(*renamed, *([] if curve is None else [_on_curve(curve, Path(str(named.curve_path)))])),
+        notes=(*renamed, *_on_parameters(parameters, machine, named.parameter_path, curve, named.curve_path)),
     )
 
 
@@ -274,6 +282,19 @@ def check_curve_angle(curve: FlowCurve, machine: Machine, where: str) -> None:
     known = " to ".join(f"{math.degrees(angle):g}" for angle in dict.fromkeys((angles[0], angles[-1])))
     home = f"{math.degrees(machine.home_plate_angle_rad):g} deg, the home angle of {machine.name}"
     raise InputError(f"{where}: plate_angle_deg", f"calibrated at {known} deg", home)
+
+
+def _on_parameters(
+    parameters: ParameterSet, machine: Machine, path: Path, curve: FlowCurve | None, curve_path: Path | None
+) -> tuple[str, ...]:
+    if curve is not None:
+        return (_on_curve(curve, Path(str(curve_path))),)
+    if not (difference := calibrated_machine.difference(parameters, machine)):
+        return ()
+    return (
+        f"{path.name} was made for another machine ({difference}): its angle offset and scale hold there; use this machine's own "
+        "parameter_file, or calibrate (`yieldmon calibrate --loads`)",
+    )
 
 
 def _on_curve(curve: FlowCurve, path: Path) -> str:
