@@ -19,7 +19,7 @@ from yieldmon.engine.sampling.zero import ZeroState
 from yieldmon.engine.state import EngineState, ZeroUndo
 from yieldmon.engine.sweeps.disagreement import SweepPattern
 from yieldmon.estimation.self_calibration.misfit import ReducedSweep
-from yieldmon.files import parameter_file
+from yieldmon.files import calibrated_machine, parameter_file
 from yieldmon.physics.machine import Machine
 from yieldmon.service.history.load_book import LoadBook
 from yieldmon.service.history.memory import Memory, choose_parameters
@@ -28,9 +28,9 @@ from yieldmon.service.storage.batch import Action, Batch, Load, ParameterVersion
 from yieldmon.service.storage.store import Store
 
 
-def stored(path: Path, loads: list[int], load_kg: list[float] | None = None) -> None:
-    """A second of 10 kg for each load number. load_kg: of the load until then, 10 kg by default."""
-    parameters = parameter_file.to_document(parameter_file.load())
+def stored(path: Path, loads: list[int], load_kg: list[float] | None = None, provenance: dict[str, str] | None = None) -> None:
+    """A second of 10 kg for each load number. load_kg: of the load until then, 10 kg by default. provenance: of the parameters."""
+    parameters = parameter_file.to_document(replace(parameter_file.load(), provenance=provenance or {}))
     with Store(path) as store:
         for number, load in enumerate(loads, start=1):
             state = {
@@ -55,6 +55,15 @@ def test_a_state_that_is_older_than_the_last_second_catches_up(tmp_path: Path) -
         found = remembered(store)
     assert (found.engine.totals.total_kg, found.last_second, found.last_batch) == (60.0, 6, 5)
     assert found.engine.totals.total_unknown_moisture_kg == 10.0
+
+
+@pytest.mark.parametrize(("name", "doubted"), [("sprocket-8", False), ("second", True)])
+def test_a_store_of_another_machine_is_named(tmp_path: Path, name: str, doubted: bool) -> None:
+    path = tmp_path / "s.sqlite"
+    stored(path, [1], provenance=calibrated_machine.facts(Machine()))
+    with Store(path) as store:
+        found = remembered(store).of_another_machine(Machine(name=name))
+    assert ("(the name sprocket-8, here second); totals and loads may be that one's" in found) == doubted == bool(found)
 
 
 def test_a_state_that_is_not_older_stays_as_it_is(tmp_path: Path) -> None:

@@ -171,6 +171,8 @@ class Daemon:
         _log.info("running on %s %s", self.configuration.document.bus.interface, self.configuration.document.bus.channel)
         if self._store.known:
             _log.info("store %s: %s", self._store.path, memory.in_words)
+            if doubt := memory.of_another_machine(self.configuration.machine):
+                _log.warning("store %s: %s", self._store.path, doubt)
         try:
             while not self._stop_wanted:
                 self._round()

@@ -12,7 +12,8 @@ from yieldmon.engine.sampling.since_zero import KEPT_S, KeptSecond
 from yieldmon.engine.state import EngineState
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import SCALE, ParameterSet
-from yieldmon.files import parameter_file
+from yieldmon.files import calibrated_machine, parameter_file
+from yieldmon.physics.machine import Machine
 from yieldmon.service.history.reference_loads import StoredLoad, of_store
 from yieldmon.service.storage import ledger as ledgers
 from yieldmon.service.storage.batch import Action, Load, Ticket
@@ -74,6 +75,13 @@ class Memory:
             return "new, the total begins at 0 kg and the parameters are those of their file"
         totals = self.engine.totals
         return f"goes on from {totals.total_kg:.1f} kg, load {totals.load_number}"
+
+    def of_another_machine(self, machine: Machine) -> str:
+        """What is to be said of a store whose last parameters were made for another machine; "" where nothing tells so."""
+        difference = "" if self.parameters is None else calibrated_machine.difference(self.parameters, machine)
+        if not difference:
+            return ""
+        return f"its last parameters were made for another machine ({difference}); totals and loads may be that one's"
 
 
 def recall(store: Store) -> Memory:
