@@ -29,7 +29,7 @@ from yieldmon.service.storage.store import Store
 
 
 def stored(path: Path, loads: list[int], load_kg: list[float] | None = None, provenance: dict[str, str] | None = None) -> None:
-    """A second of 10 kg for each load number. load_kg: of the load until then, 10 kg by default. provenance: of the parameters."""
+    """A second of 10 kg for each load number. load_kg: of the load until then, 10 kg by default. provenance: of parameters."""
     parameters = parameter_file.to_document(replace(parameter_file.load(), provenance=provenance or {}))
     with Store(path) as store:
         for number, load in enumerate(loads, start=1):
